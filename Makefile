@@ -56,8 +56,22 @@ test: $(STAMP)
 	$(BIN)/python -m pytest -q --timeout=$(TEST_TIMEOUT) -n $(TEST_JOBS) --dist loadfile \
 		--no-loadscope-reorder $(TEST_ARGS)
 
+# Parts of the slow tests, by folders of test/; `others` is what no part names.
+SLOW_ros := ros
+SLOW_processes := clients interop packaging ros_slow
+SLOW_robots := attack gates hardware
+SLOW_simulators := ik images models peripherals platforms terrain transfer whole_body
+SLOW_files := check fuzz map mutation policies workflow
+SLOW_soak := bench runtime soak states
+SLOW_PARTS := ros processes robots simulators files soak
+SLOW_others := $(filter-out $(foreach part,$(SLOW_PARTS),$(SLOW_$(part))),\
+	$(patsubst test/%/,%,$(dir $(wildcard test/*/*.py))) $(notdir $(wildcard test/test_*.py)))
+PART ?=
+
 test-slow: $(STAMP)
-	$(BIN)/python -m pytest -q --timeout=1800 -m slow $(TEST_ARGS)
+	$(if $(PART),$(if $(SLOW_$(PART)),,$(error PART=$(PART) is none of: $(SLOW_PARTS) others)))
+	$(BIN)/python -m pytest -q --timeout=1800 -m slow $(TEST_ARGS) \
+		$(if $(PART),$(addprefix test/,$(sort $(SLOW_$(PART)))))
 
 check: $(STAMP)
 	$(BIN)/ruff format --check .

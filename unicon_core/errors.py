@@ -12,6 +12,7 @@
     ├── MissingDependencyError     an optional package is absent (names the install command)
     └── MapError                   a message map is wrong (`unicon_msgs_map/errors.py`)
     Fault                          raised inside a tick: the runner damps, closes, exit status 3
+    ├── EmergencyStopPressed       a person pressed one, whichever device it is on
     └── Hung                       a tick took too long, or none ran: nothing that may hang is asked
 
 A message names the culprit, the alternatives and the remedy, in one line; an error that lists what
@@ -24,6 +25,7 @@ from collections.abc import Iterable, Sequence
 
 __all__ = [
     "CheckError",
+    "EmergencyStopPressed",
     "Fault",
     "Hung",
     "MissingDependencyError",
@@ -32,6 +34,7 @@ __all__ = [
     "PolicyError",
     "RobotError",
     "RobotFileError",
+    "Silence",
     "StateError",
     "UniconError",
     "WorkflowError",
@@ -136,6 +139,14 @@ class MissingDependencyError(UniconError):
 
 class Fault(Exception):
     """Raised by a block inside a tick: the runner damps, sends nothing else and closes."""
+
+
+class EmergencyStopPressed(Fault):
+    """A person pressed an emergency stop, whichever device it is on: it latches the robot."""
+
+
+class Silence(Fault):
+    """A robot says nothing any more, or this machine had no time to hear it."""
 
 
 class Hung(Fault):

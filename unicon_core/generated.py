@@ -11,10 +11,11 @@ from __future__ import annotations
 import ast
 import keyword
 import re
+import threading
 from collections.abc import Mapping
 from typing import Any
 
-__all__ = ["BUILTINS", "check_source", "define", "is_identifier"]
+__all__ = ["BUILTINS", "check_source", "define", "is_identifier", "parse"]
 
 BUILTINS: dict[str, Any] = {
     f.__name__: f for f in (abs, all, any, bool, bytes, divmod, len, max, min, round)
@@ -30,6 +31,7 @@ _NODES = (
 _ATTRIBUTES = ("translate",)
 _IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _NUMBERS = (int, float, type(None), type(...))
+_PARSING = threading.RLock()
 
 
 def is_identifier(name: object) -> bool:
@@ -59,9 +61,19 @@ def define(source: str, names: Mapping[str, Any], label: str) -> dict[str, Any]:
     return space
 
 
+def parse(text: str, mode: str = "exec") -> Any:
+    """Return the syntax tree of a text, as `ast.parse` does; one thread at a time.
+
+    Python 3.11 keeps one depth counter of syntax trees for all threads: two that parse at once, and
+    change places in a garbage collection, end in a SystemError (python/cpython#106905).
+    """
+    with _PARSING:
+        return ast.parse(text, mode=mode)
+
+
 def check_source(source: str, names: Mapping[str, Any]) -> ast.Module:
     """Return the syntax tree of a generated text, or refuse it; see `define`."""
-    tree = ast.parse(source)
+    tree: ast.Module = parse(source)
     known = {*names, *BUILTINS}
     used: set[str] = set()
     for node in ast.walk(tree):

@@ -207,7 +207,14 @@ def _recover(folder: Path) -> None:
 
 
 def _prune(folder: Path, newest: Path) -> None:
-    records = sorted(path for path in folder.glob("fault-*.mcap") if path != newest)
+    def written(path: Path) -> int:
+        """Names of one second are used again once their records were cleared away."""
+        try:
+            return path.stat().st_mtime_ns
+        except OSError:  # another run clears up as well
+            return 0
+
+    records = sorted((p for p in folder.glob("fault-*.mcap") if p != newest), key=written)
     for path in records[: max(len(records) - KEPT + 1, 0)]:
         with suppress(OSError):
             path.unlink()

@@ -20,7 +20,7 @@ from unicon_core.robots import Robot, load_robot, robot_names
 from unicon_core.robots.joint_physics import JOINT_PHYSICS
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_ros.recording import Record
-from unicon_ros.replay.workflow import recorded_workflow
+from unicon_ros.replay.workflow import recorded_workflow, robot_of
 
 __all__ = ["fit_record", "motion_of"]
 
@@ -117,7 +117,9 @@ def _robot(record: Record, where: str, said: dict[str, Any], folder: Path | None
             f"{record.facts.get('robot')} is made of {', '.join(map(str, said['robot']))}, and an "
             "overlay extends one file: record a run of that robot alone"
         )
-    text = str(said.get("robot") or record.facts.get("robot") or "")
+    if not said.get("robot"):
+        return load_robot(robot_of(record))
+    text = str(said["robot"])
     beside = (folder or Path()) / text
     if "/" in text and not beside.is_file() and not Path(text).is_file():
         raise UniconError(

@@ -3,9 +3,10 @@
 unconfigured → configure (builds the workflow) → inactive → activate (ticks) → active. A robot waits
 for its gates first, then for the operator's go, which is a call of `~/start`. When the flow is
 done, `~/stop` is called or a block trips, the platform damps and closes and the node is inactive
-again; `~/start` or activate builds the workflow anew and runs it, unless `~/estop` was pressed and
-not cleared, in this process or one before. After an end with status 3 the next process does not
-start by itself. Whatever raises in a build, a run or a callback is told, and the node lives on.
+again; a transition that ends a run is answered when the run has ended. `~/start` or activate builds
+the workflow anew and runs it, unless `~/estop` was pressed and not cleared, in this process or one
+before. After an end with status 3 the next process does not start by itself. Whatever raises in a
+build, a run or a callback is told, and the node lives on.
 
 Ticks run in the thread that calls `spin`. While active, the executor is served in the slack between
 ticks only; otherwise as usual. To share a process and an executor with nodes of your own:
@@ -25,7 +26,9 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 
 from unicon_core.check import refuse_errors
 from unicon_core.errors import UniconError
+from unicon_core.latches import FAULT as ENDED_BY_FAULT
 from unicon_core.runtime import Runner, RunOptions
+from unicon_core.runtime.phases import Phase
 from unicon_core.signals import SIGNALS
 from unicon_core.workflow import Hook, Program, load_document
 from unicon_ros import compat
@@ -37,12 +40,13 @@ from unicon_ros.bridge.services import SERVICES, add_services, explained
 from unicon_ros.bridge.tuning import Tuning
 from unicon_ros.controls import Answer
 from unicon_ros.fault_record import FaultRecord
-from unicon_ros.latches import FAULT as ENDED_BY_FAULT
 from unicon_ros.parameters import Parameters
 
 __all__ = ["UniconNode"]
 
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+ENDING = ("deactivate", "shutdown")
+"""Transitions that end a run."""
 
 
 class UniconNode(LifecycleNode):
@@ -86,7 +90,7 @@ class UniconNode(LifecycleNode):
         self.estop.keep()
         self._faulted = latch_of(self, ENDED_BY_FAULT, self.log.warning)
         add_services(self, handlers, self.log.error)
-        compat.answer_refused_transitions(self, self._transition_refused)
+        self._transitions = compat.Transitions(self, self._transition_refused, self._ends_later)
         self.diagnostics = Diagnostics(self, self.estop)
         self._timer = compat.steady_timer(self, 1.0, self.diagnostics.publish)
 
@@ -199,9 +203,12 @@ class UniconNode(LifecycleNode):
             session.controls.runner = None
             session.slack.rest()
         self._ending |= runner.interrupted
+        if runner.pressed and not self.estop.latched:  # by a viewer or a remote
+            self.estop.press()
         if faults:
             self.fault = self.diagnostics.fault = "; ".join(faults)
             self.log.error(f"fault: {self.fault}")
+        self._transitions.settle()
         if self._activations == activation:  # nobody activated it again meanwhile
             self._wanted = False
             if self._label() == "active":
@@ -213,6 +220,10 @@ class UniconNode(LifecycleNode):
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Build the workflow; a wrong one is told and leaves the node unconfigured."""
+        if self._running:  # a node of ours has let it deactivate and clean up from a callback
+            self.error = "the run before has not ended; configure the node again when it has"
+            self.log.error(self.error)
+            return FAILURE
         return SUCCESS if self._build() else FAILURE
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -232,7 +243,10 @@ class UniconNode(LifecycleNode):
         return SUCCESS
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """End the run after the present tick; the platform damps and closes."""
+        """End the run after the present tick; it winds down, the platform damps and closes.
+
+        Asked for by `~/change_state`, it comes when that has happened.
+        """
         self._halt()
         return SUCCESS
 
@@ -264,8 +278,15 @@ class UniconNode(LifecycleNode):
 
     def _halt(self) -> None:
         self._wanted = False
-        if self.runner is not None and self._running:
+        if self.runner is not None and self._running and self.runner.phase is not Phase.SOFT:
             self.runner.stop()
+
+    def _ends_later(self, label: str) -> bool:
+        """Whether a transition is true only once the run has ended, which is asked to end."""
+        if not self._running or self._label() != "active" or label not in ENDING:
+            return False
+        self._halt()
+        return True
 
     def _build(self) -> bool:
         """Build workflow, bridge and runner; what goes wrong is told, and False returned."""

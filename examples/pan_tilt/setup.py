@@ -23,7 +23,7 @@ setup(
     packages=[NAME],
     data_files=[
         (f"{INDEX}/packages", [f"resource/{NAME}"]),
-        (f"{INDEX}/unicon.config", [f"resource/{NAME}"]),  # unicon_ros looks into share/…/config
+        (f"{INDEX}/unicon.config", [f"resource/unicon.config/{NAME}"]),  # see share/…/config
         (f"share/{NAME}", ["package.xml"]),
         *installed("config"),
         *installed("msg"),

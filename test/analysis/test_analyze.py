@@ -56,6 +56,7 @@ def test_the_report_names_the_weak_motor_and_needs_nothing_beside_it(
     assert main(["analyze", *files, "--out", str(out)]) == 0
     said = capsys.readouterr()
     assert "RL_calf differs most" in said.out
+    assert "(distance of the distributions of the tracking error (Wasserstein-1))" in said.out
     assert re.search(r"Less torque for what is asked, down to \d\d %: RL_calf\.", said.out)
     assert "Warms more, by up to 18 K: RL_calf." in said.out
     assert f"unicon analyze: reading {files[0]}" in said.err
@@ -88,6 +89,21 @@ def test_runs_that_are_one_differ_in_nothing(tmp_path: Path) -> None:
     json.dumps(found.to_json(), allow_nan=False)
 
 
+def test_joints_that_differ_alike_make_no_headline(tmp_path: Path) -> None:
+    """Two runs that differ by noise alone: some joint is always first, by a thousandth."""
+    real, sim = walk(seed=1), walk(seed=2)
+    noise = np.random.default_rng(3).normal(0.0, 0.05, real["joint_pos"].shape)
+    real["joint_pos"] = real["joint_pos"] + noise
+    found = compared(tmp_path, real, sim)
+    headline = findings(found)[0]
+    assert headline.startswith("No joint stands out: "), headline
+    assert " differ alike, by 0.0" in headline
+    assert "times as much as" not in headline
+    assert "tracking error (Wasserstein-1)" in headline
+    real["joint_pos"][:, CALF] += 0.1
+    assert findings(compared(tmp_path, real, sim))[0].startswith("RL_calf differs most, by 0.")
+
+
 @pytest.mark.parametrize(
     ("fault", "said"),
     [
@@ -118,7 +134,7 @@ def test_each_fault_is_told_for_what_it_is(tmp_path: Path, fault: str, said: str
     found = compared(tmp_path, real, sim)
     assert any(text.startswith(said) for text in findings(found)), findings(found)
     if fault == "fall":
-        assert int(found.together.unfolded.overlap) == 200
+        assert int(found.together.aligned.overlap) == 200
         # A shift may hide a fall, which is one more reason to cut there.
         whole = compared(tmp_path, real, sim, Options(whole=True, max_shift=0.0))
         assert float(whole.joints["gap"].max()) > 10 * float(found.joints["gap"].max())
@@ -145,7 +161,7 @@ def test_another_rate_and_another_clock_find_the_same_shift(tmp_path: Path) -> N
     found = compared(tmp_path, {**real, "stamp_ns": shaken}, sim)
     both = found.together
     assert both.period == pytest.approx(0.02)
-    assert int(both.unfolded.shift) == -37
+    assert int(both.aligned.shift) == -37
     assert float(found.joints["position_rmse"].max()) < 0.01
     assert both.method == (
         "the real run (500 Hz) and the simulated one (50 Hz) were resampled to 50 Hz, linearly; "
@@ -153,13 +169,13 @@ def test_another_rate_and_another_clock_find_the_same_shift(tmp_path: Path) -> N
     )
     assert compared(tmp_path, real, sim, Options(rate=100.0)).together.period == 0.01
     long = compared(tmp_path, real, sim, Options(max_shift=0.2)).together
-    assert abs(int(long.unfolded.shift)) <= 10
+    assert abs(int(long.aligned.shift)) <= 10
 
 
 def test_a_long_run_is_thinned_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("unicon_ros.analysis.resampling.LONGEST", 200)
     found = compared(tmp_path, walk(begin=0.3), walk())
-    assert int(found.together.unfolded.overlap) <= 201
+    assert int(found.together.aligned.overlap) <= 201
     assert "200 samples are compared at most" in found.together.method
 
 

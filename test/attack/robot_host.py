@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,6 @@ ENTRY = {
     "node": "from unicon_ros.node_main import main",
 }
 TRIGGERS = ("start", "pause", "estop", "clear_estop")
-MATCHED = 0.7
-"""In which a service sees its client, in [s]: later than the client sees it."""
 WORKFLOW = """\
 schema: unicon.workflow/1
 robot: go2
@@ -66,6 +65,12 @@ class Host:
         """Whether the process is there."""
         return self.process.poll() is None
 
+    def says(self, text: str, timeout: float = 60.0) -> None:
+        """Wait until it has said a text, through its start on a busy machine."""
+        with suppress(AssertionError):  # what it said instead tells more
+            wait_for(lambda: text in self.said or not self.alive, text, timeout)
+        assert text in self.said, f"no {text!r} within {timeout} s; it said:\n{self.said}"
+
     def end(self, timeout: float = 30.0) -> int:
         """Return its exit status once it has ended."""
         status = self.process.wait(timeout)
@@ -86,10 +91,11 @@ class Host:
 def services() -> dict[str, Any]:
     """Return what `unicon run --ros` and unicon_node offer to callers: name to type."""
     from lifecycle_msgs.srv import ChangeState, GetState
+    from rcl_interfaces.srv import ListParameters
     from std_srvs.srv import Trigger
 
     transitions = {"get_state": GetState, "change_state": ChangeState}
-    return dict.fromkeys(TRIGGERS, Trigger) | transitions
+    return dict.fromkeys(TRIGGERS, Trigger) | transitions | {"list_parameters": ListParameters}
 
 
 class Caller:
@@ -111,16 +117,32 @@ class Caller:
             name: self.node.create_client(kind, f"{target}/{name}")
             for name, kind in services().items()
         }
-        self._made = time.monotonic()
+        self._seen = False
 
     def find(self, name: str) -> Any:
-        """Return a client whose service is there."""
+        """Return a client whose service is there and sees it.
+
+        rmw_fastrtps drops a response if the server has not discovered the client's reader yet.
+        Readers are discovered in the order of their making, so the first answer to the last client,
+        which every node gives, shows that those of all clients are known.
+        """
         found = self._clients[name]
-        if not found.service_is_ready() or time.monotonic() - self._made < MATCHED:
+        last = next(reversed(self._clients.values()))
+        if not found.service_is_ready() or not self._seen:
             # Its own `wait_for_service` looks four times a second.
-            wait_for(found.service_is_ready, f"the service {name}")
-            time.sleep(MATCHED)  # it cannot answer before
+            for client in (found, last):
+                wait_for(client.service_is_ready, f"the service {client.srv_name}")
+            self._seen = any(
+                self.wait(last.call_async(last.srv_type.Request()), 2.0) for _ in range(10)
+            )
+            assert self._seen, f"{last.srv_name} did not answer"
         return found
+
+    def assume_seen(self, name: str) -> None:
+        """Wait for a service of a node that answers nothing else yet, and for its discovery."""
+        wait_for(self._clients[name].service_is_ready, f"the service {name}")
+        time.sleep(0.7)
+        self._seen = True
 
     def send(self, name: str, request: Any = None) -> tuple[int, Any]:
         """Send a request; return when, in [ns], and its future."""

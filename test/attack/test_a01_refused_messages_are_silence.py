@@ -73,7 +73,7 @@ def test_a_robot_that_sends_only_garbage_is_a_fault(lie: str, tmp_path: Path) ->
     (fault,) = report.faults
     topic = "/imu/data" if "imu" in lie else "/joint_states"
     assert fault.startswith(f"topic {topic}: no accepted message for 0.5 s")
-    assert fault.endswith("the robot is silent")
+    assert "; the robot is silent" in fault
     assert report.ticks - sent < 200  # of 100 Hz
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -17,7 +18,8 @@ from estop_platform import events
 from robot_host import Caller, Host, wait_for, write_workflow
 
 from unicon_core.errors import Fault
-from unicon_ros.bridge.estop import EmergencyStop
+from unicon_core.latches import ESTOP, Latch
+from unicon_ros.bridge.estop import PRESSED, EmergencyStop
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 
@@ -175,7 +177,7 @@ def test_a_press_while_it_builds_holds_the_start_off(
 ) -> None:
     path, log = write_workflow(tmp_path, build_s=3.0)
     host = start(kind, path)
-    caller.find("estop")
+    caller.assume_seen("estop")
     _, future = caller.send("estop")
     wait_for(lambda: events(log, "open"), "the build")
     answer = caller.wait(future)
@@ -264,6 +266,38 @@ def test_a_press_is_answered_after_the_damping_and_only_once() -> None:
     close()
     close()
     assert node.sent == ["first", "second"]
+
+
+def latched_node() -> Any:
+    node: Any = NoNode()
+    node.get_fully_qualified_name = lambda: "/unicon"
+    node.context = SimpleNamespace(get_domain_id=lambda: 0)
+    return node
+
+
+def test_a_press_in_the_slack_has_left_its_latches_when_it_is_answered(
+    latch_files: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    estop = EmergencyStop(latched_node(), lambda: True)
+    estop.keep([Latch("", 0, ESTOP, print, "fake/go2")])
+    monkeypatch.setattr("unicon_core.latches.boot_id", lambda: time.sleep(0.01) or "")
+    monkeypatch.setattr("unicon_ros.bridge.estop.SLACK_S", 10.0)  # a busy machine takes longer
+    assert estop.press() == (True, PRESSED)
+    assert len(list(latch_files.glob("*.json"))) == 2
+
+
+def test_a_press_in_the_slack_waits_for_no_medium_that_hangs(
+    latch_files: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    estop, goes_on = EmergencyStop(latched_node(), lambda: True), threading.Event()
+    estop.keep()
+    monkeypatch.setattr("unicon_core.latches.boot_id", lambda: goes_on.wait(60) and "")
+    pressed, said = estop.press()
+    assert pressed
+    assert estop.latched
+    assert said.endswith("; for this process only (the medium took nothing for 0.05 s)")
+    assert list(latch_files.glob("*.json")) == []
+    goes_on.set()
 
 
 def test_diagnostics_tell_the_latch(start: Start, caller: Caller, tmp_path: Path) -> None:

@@ -18,8 +18,14 @@ pytest.importorskip("rclpy")
 from estop_platform import events
 from robot_host import Caller, Host, wait_for, write_workflow
 
+from unicon_core import Program
+from unicon_core.errors import EmergencyStopPressed, Fault, PlatformError
+from unicon_core.flow import Block, Zip
+from unicon_core.latches import ESTOP, FAULT, Latch, boot_id, latches, of_robot, robot_key
+from unicon_core.robots import load_robot
+from unicon_core.runtime import Report, run
+from unicon_core.workflow.uses import block
 from unicon_ros.cli.main import main
-from unicon_ros.latches import ESTOP, FAULT, Latch, boot_id, latches
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 
@@ -80,7 +86,7 @@ def test_nothing_gets_round_an_estop_but_its_clearing(
     sent = len(events(log, "send"))
 
     again = start(path, "exit_on_fault:=true")  # a respawn; it stays to be cleared
-    wait_for(lambda: "not started by itself: the emergency stop was pressed" in again.said, "why")
+    again.says("not started by itself: the emergency stop was pressed")
     caller = callers()
     assert "~/clear_estop" in caller.call("start").message
     assert transition(caller, "configure")
@@ -89,7 +95,7 @@ def test_nothing_gets_round_an_estop_but_its_clearing(
     assert len(events(log, "send")) == sent
 
     last = start(path)
-    wait_for(lambda: "not started by itself" in last.said, "why")
+    last.says("not started by itself")
     caller = callers()
     assert caller.call("clear_estop").success
     assert list(latch_files.iterdir()) == []
@@ -106,7 +112,7 @@ def test_status_3_is_not_started_again_by_itself(start: Any, callers: Any, tmp_p
     sent = len(events(log, "send"))
     path, log = write_workflow(tmp_path)
     again = start(path, "exit_on_fault:=true")
-    wait_for(lambda: "the process before ended by a fault" in again.said, "why")
+    again.says("the process before ended by a fault")
     time.sleep(0.3)
     assert len(events(log, "send")) == sent
     assert callers().call("start").success  # somebody has looked
@@ -128,18 +134,132 @@ def test_a_run_on_a_robot_is_refused_while_it_is_latched(
     host = start(path, kind="run")
     assert callers().call("estop").success
     assert host.end() == 3
-    run = ["run", str(path), "--ros", "--quiet"]
-    assert main(run) == 1
-    said = capsys.readouterr().err
-    assert "the emergency stop of /unicon is latched (pressed 2" in said
-    assert "unicon latches --clear /unicon" in said
-    for more in (["--dry"], ["--set", "platform=fake"]):  # nothing moves but in a simulation
-        assert main([*run, *more, "--duration", "0.2"]) == 0
-    assert main(["preflight", str(path), "--seconds", "1", "--ros"]) == 1
-    assert "/unicon/estop: latched since 2" in capsys.readouterr().out
+    run = ["run", str(path), "--quiet", "--duration", "0.2", "--yes"]
+    for way in (["--ros"], ["--no-ros"], ["--ros", "--namespace", "elsewhere"]):
+        assert main([*run, *way]) == 1
+        said = capsys.readouterr().err
+        assert "the emergency stop of robot fake_robot/go2 is latched (since 2" in said
+        assert "unicon latches --clear fake_robot/go2" in said
+    for more in (["--dry"], ["--set", "platform=fake"], ["--set", "robot=go1"]):
+        assert main([*run, *more]) == 0  # in a simulation, or another robot
+    for way in ("--ros", "--no-ros"):
+        assert main(["preflight", str(path), "--seconds", "1", way]) == 1
+        said = capsys.readouterr().out
+        assert "robot fake_robot/go2: latched: emergency stop by the service ~/estop (2" in said
+        assert ("/unicon/estop: latched since 2" in said) == (way == "--ros")
     node = start(path)
-    wait_for(lambda: "not started by itself" in node.said, "why")
+    node.says("not started by itself")
     assert node.interrupt() == 0
+    assert main(["latches", "--clear", "fake_robot/go2"]) == 0  # the node's, too
+    assert latches() == []
+    assert main([*run, "--ros"]) == 0
+
+
+@pytest.mark.slow
+def test_clear_estop_lets_go_of_the_robot_that_an_earlier_process_drove(
+    start: Any, callers: Any, tmp_path: Path
+) -> None:
+    path = tmp_path / "robot.yaml"
+    path.write_text(ROBOT)
+    host = start(path)
+    host.says("running")
+    assert callers().call("estop").success
+    host.kill()
+    assert {e.owner for _, e in latches()} == {"/unicon", "fake_robot/go2"}
+    again = start(path)
+    again.says("not started by itself")
+    assert callers().call("clear_estop").success
+    assert latches() == []
+    assert again.interrupt() == 0
+
+
+class Pressed:
+    """A button of whatever kind, pressed in the tenth tick."""
+
+    def __init__(self, kind: type[Fault]) -> None:
+        self._kind, self._ticks = kind, 0
+
+    def __call__(self) -> None:
+        self._ticks += 1
+        if self._ticks == 10:
+            raise self._kind("the red button was pressed")
+
+
+def driven(platform: str = "fake_robot", kind: type[Fault] = EmergencyStopPressed) -> Report:
+    program = Program(
+        robot="go2",
+        platform=platform,
+        rate=100,
+        flow=Zip(block("hold"), Block("button", Pressed(kind), endless=True)),
+        start="none",
+        duration=0.5,
+        pacing={"hang": 20},
+    )
+    return run(program, warn=lambda _: None)
+
+
+def test_a_press_without_ros_latches_the_robot(capsys: pytest.CaptureFixture[str]) -> None:
+    for simulated, kind in (("fake", EmergencyStopPressed), ("fake_robot", Fault)):
+        assert driven(simulated, kind).faults == ["the red button was pressed"]
+        assert latches() == []  # a simulator, and the operator's normal stop
+    assert driven().faults == ["the red button was pressed"]
+    ((path, found),) = latches()
+    assert (found.node, found.robot, found.kind) == ("", "fake_robot/go2", ESTOP)
+    assert found.reason == "the red button was pressed"
+    with pytest.raises(PlatformError, match="unicon latches --clear fake_robot/go2"):
+        driven()
+    path.write_text("garbage")
+    with pytest.raises(PlatformError, match="cannot be read"):
+        driven()
+    assert main(["latches"]) == 0
+    assert "fake_robot/go2" in capsys.readouterr().out
+    assert main(["latches", "--clear", "fake_robot/go2"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "platform", "protocols", "options", "key"),
+    [
+        ("go1", "unitree_legged", ["unitree_legged"], {}, "unitree_legged/192.168.123.10/8007"),
+        (
+            "go1",
+            "my.module:make",
+            ["unitree_legged"],
+            {"address": "localhost", "port": 5000},
+            "unitree_legged/127.0.0.1/5000",
+        ),
+        ("go2", "unitree", ["unitree_go"], {}, "unitree_go/domain0/any"),
+        ("go2", "unitree", ["unitree_go"], {"address": "lo"}, "unitree_go/domain0/127.0.0.1"),
+        ("go2", "unitree", ["unitree_go"], {"domain": 7}, "unitree_go/domain7/any"),
+        ("go2", "fake_robot", [], {}, "fake_robot/go2"),
+        ("arx_x5", "arx", ["arx"], {"channel": "vcan0"}, "arx/vcan0"),
+        ("rohand", "rohand", ["rohand"], {"device": "/dev/ttyUSB0"}, "rohand/dev-ttyUSB0"),
+    ],
+)
+def test_a_robot_is_named_by_what_reaches_it(
+    name: str, platform: str, protocols: list[str], options: dict[str, Any], key: str
+) -> None:
+    assert robot_key(platform, protocols, options, load_robot(name)) == key
+
+
+def test_no_name_clears_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    """As of a variable that is not set."""
+    kept = latch()  # of a node that drove no robot
+    kept.set("pressed")
+    assert kept.kept()
+    assert main(["latches", "--clear", ""]) == 1
+    assert "no latch of ''" in capsys.readouterr().err
+    assert len(latches()) == 1
+
+
+def test_an_interface_that_is_chosen_may_be_any() -> None:
+    kept = Latch("", 0, ESTOP, pytest.fail, "unitree_go/domain0/any")
+    kept.set("pressed")
+    assert kept.kept()
+    assert of_robot("unitree_go/domain0/10.0.0.2") == of_robot("unitree_go/domain0/any")
+    assert of_robot("unitree_go/domain0/any") is not None
+    assert of_robot("unitree_go/domain1/any") is None
+    assert of_robot("unitree_hg/domain0/any") is None
+    assert of_robot("unitree_go/domain0") is None
 
 
 def test_a_latch_that_cannot_be_kept_is_told(

@@ -71,3 +71,22 @@ def test_the_largest_tilt_is_told(path: Path) -> None:
     assert report.faults == []
     assert report.tilt_deg == pytest.approx(30.0, abs=0.2)
     assert "tilted up to 30°, did not fall" in report.summary()
+
+
+def test_a_fixed_base_neither_falls_nor_moves(path: Path) -> None:
+    """An arm whose platform says any gravity: nothing of it can fall."""
+
+    def lean(workflow: Program) -> dict[Stage, list[Block]]:
+        gravity = workflow.states.projected_gravity
+
+        def tilted() -> None:
+            gravity[...] = (1.0, 0.0, 0.0)  # mounted on a wall
+
+        return {Stage.INPUT: [Block("lean", tilted, amends=("projected_gravity",))]}
+
+    path.write_text("robot: arx_x5\nplatform: fake\nrate: 50\nduration: 0.2\nflow: {hold: {}}\n")
+    report = Runner(load_workflow(path, hooks=[lean]), RunOptions(speed="max")).run()
+    assert report.ended == "duration"
+    assert (report.fell, report.base_displacement_m, report.tilt_deg) == (None, None, None)
+    (base,) = [line for line in report.summary().splitlines() if line.startswith("base")]
+    assert base == "base          fixed"

@@ -50,7 +50,13 @@ def test_gr1t2s_wrists_stand_as_yaw_pitch_roll_and_stay_refused() -> None:
     for side, first in (("left", 22), ("right", 29)):
         names = [f"{side}_wrist_{axis}_joint" for axis in ("yaw", "pitch", "roll")]
         assert list(robot.joint_names[first : first + 3]) == names
-    assert robot.missing_facts() == ["joint_order"]
+    assert robot.missing_facts() == [
+        "joint_order",
+        "transport.encoder_zero",
+        "transport.reduction_ratio",
+        "transport.pole_pairs",
+        "transport.torque_constant",
+    ]
 
 
 def test_the_rh56_has_three_interfaces() -> None:

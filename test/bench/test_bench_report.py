@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -103,3 +104,33 @@ def test_tick_compares_things_that_do_the_same() -> None:
         assert called == [0, 1, 2] * tick.EVERY
     assert tick.closure_zip(lambda: False, lambda: True)()
     assert not tick.closure_zip(lambda: False, lambda: None)()
+
+
+def test_a_picture_shows_dots_and_ranges_as_a_logarithmic_axis_has_no_zero(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("matplotlib")
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Rectangle
+
+    from unicon_ros.bench.plot import plot
+
+    bench = Bench("loops", 0, 20)
+    bench.case("plain", np.linspace(1000.0, 2000.0, 101))
+    bench.case("unicon", np.linspace(100.0, 300.0, 101))
+    drawn: list[Figure] = []
+    save = Figure.savefig
+    monkeypatch.setattr(Figure, "savefig", lambda f, *a, **k: (drawn.append(f), save(f, *a, **k)))
+    plot(bench, tmp_path / "bench.png")
+    (axes,) = drawn[0].axes
+    assert axes.get_xscale() == "log"
+    assert not [patch for patch in axes.patches if isinstance(patch, Rectangle)]
+    lines, p50, p99 = axes.collections
+    assert p50.get_offsets()[:, 0].tolist() == [200.0, 1500.0]
+    assert p99.get_offsets()[:, 0].tolist() == pytest.approx([298.0, 1990.0])
+    assert [path[:, 0].tolist() for path in lines.get_segments()] == [
+        [200.0, pytest.approx(298.0)],
+        [1500.0, pytest.approx(1990.0)],
+    ]
+    assert [text.get_text() for text in axes.texts] == ["200", "1,500"]
+    assert (tmp_path / "bench.png").read_bytes().startswith(b"\x89PNG")

@@ -59,6 +59,7 @@ from mistakes import (
     two_rates,
 )
 from mistakes_in_time import (
+    damping_half,
     dance_anchor_misspelt,
     dance_ends_first,
     dance_exchanged,
@@ -72,7 +73,11 @@ from mistakes_in_time import (
     filter_missing,
     filter_radians,
     filter_turned,
+    period_doubled,
+    period_halved,
+    phase_doubled,
     phase_exchanged,
+    phase_halved,
     phase_in_degrees,
     phase_in_milliseconds,
     phase_stands_in_degrees,
@@ -124,6 +129,7 @@ def _listed() -> Iterator[Variant]:
     yield from of(
         "mjlab",
         ("delayed", "child.delay", True, delayed),
+        ("period_doubled", "policy 'walk', period", True, period_doubled),
         ("order", "joint order", True, deploy_order),
         ("names_only", "joints", False, deploy_names_only),
         ("left_right", "joint order", True, deploy_left_right),
@@ -184,6 +190,9 @@ def _listed() -> Iterator[Variant]:
         ("no_phase", "phase", False, given_no_phase),
         ("absolute", "dof_pos", True, given_absolute),
         ("phase_exchanged", "order of sines and cosines", True, phase_exchanged),
+        ("phase_halved", "phase.period", True, phase_halved),
+        ("phase_doubled", "phase.period", True, phase_doubled),
+        ("period_halved", "policy 'walk', period", True, period_halved),
         ("phase_in_degrees", "phase.offsets", False, phase_in_degrees),
         ("phase_stands_in_degrees", "phase.stand", False, phase_stands_in_degrees),
         ("phase_in_milliseconds", "phase.period", False, phase_in_milliseconds),
@@ -195,6 +204,7 @@ def _listed() -> Iterator[Variant]:
     yield from of(
         "go2",
         ("delayed", "child.delay", True, delayed),
+        ("period_doubled", "policy 'walk', period", True, period_doubled),
         ("order", "joint order", True, given_order),
         ("names_only", "default_joint_pos", False, given_names_only),
         ("left_right", "joint order", True, given_left_right),
@@ -231,6 +241,7 @@ def _listed() -> Iterator[Variant]:
         ("misspelt_joint", "FL_tigh_joint", False, given_misspelt),
         ("gravity", "projected_gravity", True, given_gravity),
         ("terms_order", "base_ang_vel", True, given_terms),
+        ("damping_half", "policy 'walk', damping", True, damping_half),
         ("filter_extra", "action.filter", True, filter_extra),
         ("term_filter_extra", "filter of term 'last_action'", True, term_filter_extra),
     )

@@ -94,11 +94,12 @@ def write_workflow(
     robot: Mapping[str, Any] | None = None,
     *,
     inputs: int = 45,
+    outputs: int = 12,
     gain: float = 0.0,
 ) -> Path:
     """Write workflow, policy and, where it is changed, the robot file; return the workflow."""
     (folder / "policy").mkdir(parents=True)
-    write_network(folder / "policy" / "policy.onnx", inputs, gain=gain)
+    write_network(folder / "policy" / "policy.onnx", inputs, outputs, gain)
     text = yaml.safe_dump(changed(POLICY, policy or {}), sort_keys=False)
     (folder / "policy" / "policy.yaml").write_text(text, encoding="utf-8")
     values = changed(WORKFLOW, workflow or {})

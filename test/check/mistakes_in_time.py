@@ -145,3 +145,29 @@ def slew_slow(draft: Draft) -> None:
 
 def slew_zero(draft: Draft) -> None:
     draft.given["command"]["slew"] = [0.0, 0.0, 0.0]
+
+
+# -- half and twice: a policy walks with them, so several walks are compared --------------------
+
+
+def damping_half(draft: Draft) -> None:
+    draft.given["damping"] = [0.5 * x for x in draft.given["damping"]]
+
+
+def period_doubled(draft: Draft) -> None:
+    if draft.policy == "mjlab":
+        draft.deploy["step_dt"] *= 2.0
+    else:
+        draft.given["period"] *= 2.0
+
+
+def period_halved(draft: Draft) -> None:
+    draft.given["period"] *= 0.5
+
+
+def phase_halved(draft: Draft) -> None:
+    draft.given["phase"]["period"] *= 0.5
+
+
+def phase_doubled(draft: Draft) -> None:
+    draft.given["phase"]["period"] *= 2.0

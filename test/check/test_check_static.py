@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 pytest.importorskip("mujoco", reason="the checks are run on a model")
 pytest.importorskip("onnxruntime", reason="the policies need onnxruntime")
@@ -27,7 +28,10 @@ from check_helpers import (
     write_workflow,
 )
 
-from unicon_core.check import CODES, check_workflow
+from unicon_core.check import CODES, check_workflow, refuse_errors
+from unicon_core.errors import CheckError, RobotError
+from unicon_core.robots import load_robot, robot_names
+from unicon_core.workflow import load_workflow
 from unicon_core.workflow.document import workflow_names
 
 
@@ -62,6 +66,33 @@ def test_a_good_workflow_is_clean(folder: Path) -> None:
 def test_every_workflow_of_ours_is_clean(name: str, assets: Path) -> None:
     result = check_workflow(name)
     assert result.clean, result.text()
+
+
+def test_blocks_that_are_fused_run_before_send(folder: Path) -> None:
+    rows = {row[0]: row[2] for row in section(check(folder), "Blocks")}
+    (name,) = (name for name in rows if "joint_limits" in name)
+    assert rows[name] == "before send"
+
+
+def test_terms_of_whole_frames_are_shown_in_their_frame(folder: Path) -> None:
+    changes: dict[str, Any] = {"observation.layout": "frame_major", "observation.newest": "last"}
+    changes |= {f"observation.terms.{i}.history": 3 for i in range(6)}
+    result = check(folder, {**changes, "observation.start": "first"}, inputs=135)
+    rows = {row[0]: row[1:3] for row in section(result, "Network input")}
+    assert rows["ang_vel"] == ("3 × 3", "frame[0:3]")
+    assert rows["last_action"] == ("12 × 3", "frame[33:45]")
+
+
+def test_a_robot_whose_driver_lacks_facts_is_found(folder: Path) -> None:
+    values = {"robot": "n1", "platform": "fourier", "rate": 50, "flow": {"hold": {}}}
+    path = folder / "n1.yaml"
+    folder.mkdir()
+    path.write_text(yaml.safe_dump({**values, "safety": ["finite", "joint_limits"]}), "utf-8")
+    line = text_of(check_workflow(path), "robot.facts")
+    for key in ("stiffness_scale", "damping_scale", "timeout_mode"):
+        assert f"transport.{key}" in line
+    with pytest.raises(RobotError, match=r"transport\.timeout_mode"):
+        load_workflow(path)
 
 
 def test_joints_are_listed_in_every_order(folder: Path) -> None:
@@ -104,6 +135,57 @@ def test_swapped_gains_are_found(folder: Path) -> None:
     line = text_of(result, "gains.swapped")
     assert "damping is greater than stiffness at 12 of 12 joints" in line
     assert "exchange stiffness and damping" in line
+
+
+FIELDS = ("stiffness", "damping")
+
+
+@pytest.mark.parametrize("platform", ["mujoco", "hardware"])
+@pytest.mark.parametrize(
+    ("times", "said"),
+    [
+        ((600.0, 50.0), "600 N·m/rad and 50 N·m·s/rad reach its effort limit of 23.7 N·m within"),
+        ((600.0, 5.0), "within 0.04 rad or 4.7 rad/s"),
+        ((60.0, 50.0), "within 0.4 rad or 0.47 rad/s"),
+    ],
+)
+def test_gains_of_a_robot_file_ten_times_too_high_are_refused_by_check_and_run(
+    folder: Path, hardware: str, platform: str, times: tuple[float, float], said: str
+) -> None:
+    joints = {f"joints.{i}.{key}": v for i in range(12) for key, v in zip(FIELDS, times)}
+    name = hardware if platform == "hardware" else platform
+    path = write_workflow(folder, None, {"platform": name, "flow": {"hold": {}}}, joints)
+    line = text_of(check_workflow(path), "gains.stiff")
+    assert line.startswith("robot go2, gains: FR_")
+    assert said in line
+    assert "rad/s (a tick is 0.02 s) with damping ratio" in line
+    if platform == "mujoco":
+        with pytest.raises(CheckError, match="is not run"):
+            refuse_errors(load_workflow(path))
+
+
+def test_one_joint_that_swings_faster_than_the_ticks_is_found(folder: Path) -> None:
+    path = write_workflow(folder, None, {"flow": {"hold": {}}}, {"joints.4.stiffness": 600.0})
+    line = text_of(check_workflow(path), "gains.stiff")
+    assert "FL_thigh_joint: 600 N·m/rad" in line
+    assert "rad/s (a tick is 0.02 s) with damping ratio" in line
+
+
+def test_gains_of_a_block_that_are_too_high_are_found(folder: Path) -> None:
+    flow = {"forward_command": {"stiffness": 600.0, "damping": 50.0}}
+    changes = {"flow": flow, "scene": None, "rate": 50, "commands": None, "policies": None}
+    line = text_of(check(folder, None, changes), "gains.stiff")
+    assert line.startswith("block 'forward_command', gains: ")
+
+
+@pytest.mark.parametrize("name", robot_names())
+def test_no_gains_of_a_shipped_robot_are_too_high(name: str, folder: Path, assets: Path) -> None:
+    values = {"robot": name, "platform": "fake", "rate": 50, "flow": {"hold": {}}}
+    folder.mkdir()
+    path = folder / "held.yaml"
+    path.write_text(yaml.safe_dump(values), "utf-8")
+    lacking = [fact for fact in load_robot(name).unknown if fact == "joints.stiffness"]
+    assert codes(check_workflow(path)) == ["build" for _ in lacking]
 
 
 def test_missing_damping_is_found(folder: Path) -> None:

@@ -10,7 +10,7 @@ pytest.importorskip("mujoco", reason="the twin runs in MuJoCo")
 pytest.importorskip("onnxruntime", reason="the policies need onnxruntime")
 pytest.importorskip("onnx", reason="the test networks are written with onnx")
 
-from check_helpers import WORKFLOW, codes, section, text_of, write_workflow
+from check_helpers import JOINTS, STAND, WORKFLOW, codes, section, text_of, write_workflow
 
 from unicon_core.check import check_workflow
 from unicon_core.check.subject import on_platform
@@ -45,7 +45,8 @@ def test_a_contract_that_may_be_broken_at_will_is_suspect_and_standing_proves_no
     assert "policy 'walk', sign of projected_gravity: with gravity upside down it does as well" in (
         lines
     )
-    assert "yours is suspect; compare sign of projected_gravity with the training side" in lines
+    told = "the twin does not tell which is right; compare sign of projected_gravity with the "
+    assert told in lines
 
 
 def test_a_fall_is_found_and_no_cause_is_made_up(folder: Path) -> None:
@@ -54,6 +55,23 @@ def test_a_fall_is_found_and_no_cause_is_made_up(folder: Path) -> None:
     line = text_of(result, "twin.fall")
     assert "and none of the usual mistakes explains it" in line
     assert "compare default pose, gains" in line
+
+
+def test_joints_that_the_policy_does_not_know_and_that_give_way_are_the_culprit(
+    folder: Path,
+) -> None:
+    """The policy stands on one leg of four; the robot holds the others limply."""
+    leg = {"joints": list(JOINTS[:3]), "default_joint_pos": list(STAND[:3])}
+    leg |= {"stiffness": [40.0] * 3, "damping": [1.0] * 3}
+    limp = {f"joints.{i}.stiffness": 0.5 for i in range(12)}
+    path = write_workflow(folder, leg, None, limp, inputs=18, outputs=3)
+    changes = ["check.duration=2", "check.command=[0.05, 0.0, 0.0]"]  # it stands, as is asked
+    line = text_of(check_workflow(path, changes, twin=True), "twin.fall")
+    assert line.startswith("policy 'walk', joints of the model that the policy does not know: ")
+    assert "with the other joints welded it stays up for 2.0 s" in line
+    assert "it neither moves nor sees" in line
+    assert "9 of 12 joints, which give way here" in line
+    assert "take the model that it was trained on" in line
 
 
 def test_the_whole_flow_is_run_where_it_has_no_policy() -> None:

@@ -10,6 +10,7 @@ import pytest
 pytest.importorskip("mujoco")
 
 from unicon_core.errors import UniconError
+from unicon_core.identify.found import Fit, Parameter
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program, load_document
@@ -94,6 +95,39 @@ def test_the_workflow_of_a_record_may_be_anybodys(
         fit_record(record, "real.mcap")
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("found", "after", "status", "said"),
+    [
+        ((Parameter("RL_calf_joint", "strength", 1.0, 0.5, 0.1),), 0.2, 1, ": NOT better"),
+        ((), 0.1, 0, "the simulator is as it should"),
+    ],
+)
+def test_a_fit_that_is_not_better_writes_no_overlay(
+    found: tuple[Parameter, ...],
+    after: float,
+    status: int,
+    said: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    record, out = recorded(tmp_path, 0.6), tmp_path / "out"
+    fit = Fit(found, 0.1, 0.05, 0.1, after, {}, (9, 3), 1, 0.0)
+    monkeypatch.setattr("unicon_ros.identify.fit_record", lambda *_, **__: (fit, "schema: none"))
+    capsys.readouterr()
+    assert main(["analyze", record, "--fit", "--out", str(out)]) == status
+    told = capsys.readouterr().out
+    assert said in told
+    assert ("NOT better" in told) == bool(status)
+    assert "overlay  none\n" in told
+    assert [path.name for path in out.iterdir()] == ["fit.json"]
+    assert json.loads((out / "fit.json").read_text())["overlay"] is None
+    (out / "go2_fitted.yaml").write_text("of old")
+    assert main(["analyze", record, "--fit", "--out", str(out)]) == status
+    assert f"overlay  none; {out}/go2_fitted.yaml is of an earlier fit" in capsys.readouterr().out
+    assert (out / "go2_fitted.yaml").read_text() == "of old"
 
 
 @pytest.mark.slow

@@ -94,6 +94,115 @@ def test_urdf_gives_its_speeds_and_names_the_model_beside_it(
     assert "joints.default" in capsys.readouterr().out
 
 
+LIMB = """\
+<body name="{limb}_upper" pos="{place} 0"><joint name="{joint}_1" {limits}/>
+  <geom size=".03" mass="1"/>
+  <body name="{limb}_lower" pos="0 0 {down}"><joint name="{joint}_2" {limits}/>
+    <geom size=".03" mass="1"/>
+    <body name="{limb}_end" pos="0 0 {down}">{end}<geom size=".04" mass=".1"/></body>
+  </body>
+</body>
+"""
+LIMITS = 'axis="0 1 0" range="-1 1"'
+WHEEL = '<joint name="{joint}_3" axis="0 1 0" {limits}/>'
+
+
+def body(limbs: str, *, free: bool) -> str:
+    """Return an MJCF of a trunk with limbs, on a free joint or fixed."""
+    joint = "<freejoint/>" if free else ""
+    return (
+        '<mujoco><compiler angle="radian"/><worldbody><body name="trunk" pos="0 0 1">'
+        f'{joint}<geom size=".1" mass="5"/>{limbs}</body></worldbody></mujoco>'
+    )
+
+
+def limbs(number: int, called: str, end: str = "", down: float = -0.2) -> str:
+    """Return limbs at the trunk's corners; `called` names their joints."""
+    return "".join(
+        LIMB.format(
+            limb=f"{called}{i}",
+            joint=f"{called}{i}",
+            place=f"{(-1) ** (i // 2) * 0.2} {(-1) ** i * 0.1}",
+            down=down,
+            limits=LIMITS,
+            end=end.format(joint=f"{called}{i}"),
+        )
+        for i in range(number)
+    )
+
+
+ENDLESS, WIDE = WHEEL.replace("{limits}", ""), WHEEL.replace("{limits}", 'range="-1e3 1e3"')
+HANDS = limbs(2, "a", down=-0.1)
+GRIPPER = "".join(
+    f'<body name="l{i}"><joint name="j{i}" {LIMITS}/><geom size=".1"/>' for i in "123"
+)
+GRIPPER += limbs(2, "finger_", down=0.1) + "</body>" * 3
+
+
+@pytest.mark.parametrize(
+    ("model", "kind"),
+    [
+        (body(limbs(4, "x"), free=True), "quadruped"),  # names say nothing, as a Spot's in MJCF
+        (body(limbs(2, "x"), free=True), "humanoid"),  # a biped, as Berkeley's
+        (body(limbs(2, "x") + HANDS, free=True), "humanoid"),  # the hands hang higher
+        (body(limbs(4, "LF_HAA_"), free=False), "quadruped"),  # fixed, as in an ANYmal's URDF
+        (body(limbs(2, "LL_HFE_"), free=False), "humanoid"),
+        (body(limbs(2, "joint_left_leg_", ENDLESS), free=True), "wheeled"),  # as TITA's
+        (body(limbs(2, "knee_", WIDE), free=False), "wheeled"),  # as TRON1's
+        (body(limbs(1, "x"), free=False), "arm"),
+        (body(limbs(2, "shoulder_"), free=False), "arm"),
+        (body(limbs(4, "finger_"), free=False), "hand"),
+        (body(GRIPPER, free=False), "arm"),  # as Franka's, whose gripper has fingers
+    ],
+)
+def test_kind_is_told_by_the_free_joint_and_the_limbs(
+    model: str, kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "mine.xml").write_text(model, "utf-8")
+    new = written(str(tmp_path / "mine.xml"), tmp_path)
+    assert new.kind == kind
+    assert new.floats == (kind not in ("arm", "hand"))
+    wheels = [name for name in new.joint_names if name.endswith("_3")]
+    assert [n for n, wheel in zip(new.joint_names, new.endless) if wheel] == wheels
+    assert not np.isnan(new.lower).any()
+    told = capsys.readouterr().out
+    assert f"mine.yaml: {kind} (" in told
+    hangs = new.floats and "<freejoint/>" not in model
+    assert ("write <freejoint/> into body 'trunk'" in told) == hangs
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        body(limbs(4, "x"), free=False),  # a hand or a quadruped
+        body(limbs(1, "x"), free=True),
+        body(limbs(3, "hip_"), free=True),
+    ],
+)
+def test_a_model_that_does_not_say_its_kind_is_asked_for(
+    model: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, out = tmp_path / "mine.xml", tmp_path / "mine.yaml"
+    path.write_text(model, "utf-8")
+    assert main(["robots", "new", str(path), "--out", str(out)]) == 1
+    error = capsys.readouterr().err
+    assert "does not say what it is" in error
+    assert "give --kind, one of quadruped, humanoid, wheeled, hand, arm" in error
+    assert not out.exists()
+    assert main(["robots", "new", str(path), "--out", str(out), "--kind", "quadruped"]) == 0
+    assert load_robot(out).kind == "quadruped"
+    assert main(["robots", "go2", "--kind", "arm"]) == 1
+    assert "--kind goes with new" in capsys.readouterr().err
+
+
+def test_the_rover_is_wheeled(tmp_path: Path) -> None:
+    new = written(str(ROOT / "examples/rover/rover.xml"), tmp_path)
+    shipped = load_robot(ROOT / "examples/rover/rover.yaml")
+    assert (new.kind, new.feet) == ("wheeled", ())
+    own = [new.joint_names.index(name) for name in shipped.joint_names]
+    np.testing.assert_allclose(new.lower[own], shipped.lower, atol=0.01)
+
+
 def test_nothing_is_overwritten_and_mistakes_are_told(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -109,6 +218,7 @@ def test_nothing_is_overwritten_and_mistakes_are_told(
         ([str(model), "--out", str(tmp_path / "no/x.yaml")], "cannot write"),
         ([str(empty), "--out", str(tmp_path / "e.yaml")], "no joint that turns or slides"),
         ([str(tmp_path / "none.xml")], "none.xml"),
+        ([str(model), "--kind", "dog"], "--kind dog is none of quadruped, humanoid, wheeled, hand"),
         ([], "robots new: give the model"),
     ):
         assert main(["robots", "new", *arguments]) == 1

@@ -1,7 +1,8 @@
-"""`drive`, `modes` and `button_stop`, and the two workflows that walk by buttons."""
+"""`drive`, `modes`, `button_stop` and `remote_stop`, and the two workflows that walk by buttons."""
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,8 +14,9 @@ import pytest
 from unicon_core.blocks.controls.drive import drive
 from unicon_core.blocks.controls.gamepad import EVENT
 from unicon_core.blocks.controls.modes import modes
-from unicon_core.blocks.safety.button_stop import button_stop
-from unicon_core.errors import Fault, WorkflowError
+from unicon_core.blocks.safety.button_stop import button_stop, remote_stop
+from unicon_core.check import check_workflow
+from unicon_core.errors import EmergencyStopPressed, Fault, WorkflowError
 from unicon_core.flow import Block, Stage
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
@@ -158,6 +160,65 @@ def test_a_button_or_a_lost_device_stops(hands: Hands) -> None:
         button_stop(**seen, period=0.02, on=["halt"])
     with pytest.raises(WorkflowError, match="give a list of buttons"):
         button_stop(**seen, period=0.02, on="select")
+
+
+def test_the_remote_stops_where_all_buttons_are_held_for_two_ticks(hands: Hands) -> None:
+    buttons = hands.states["buttons"]
+    tick = remote_stop(buttons, robot=load_robot("go1"))
+    assert tick.names == ("L2", "B")
+    for pressed in ([], ["L2"], ["B"], ["L2", "B"], ["L2"], ["L2", "B"]):  # never for two ticks
+        hands.hold(*pressed)
+        tick()
+    with pytest.raises(EmergencyStopPressed, match=r"the operator pressed L2\+B on the remote"):
+        tick()
+    tick.reset()
+    tick()
+    remote_stop(buttons, robot=load_robot("t1"), on=["select"])
+    with pytest.raises(WorkflowError, match=r"t1.yaml has no transport.stop_buttons; give on: "):
+        remote_stop(buttons, robot=load_robot("t1"))
+    with pytest.raises(WorkflowError, match="on: no button 'halt'"):
+        remote_stop(buttons, robot=load_robot("go1"), on=["halt"])
+
+
+@pytest.mark.parametrize(
+    ("robot", "platform", "commands", "found"),
+    [
+        ("go1", "unitree_legged", [], "note"),
+        ("go1", "unitree_legged", [{"drive": {"hold": "L2"}}], "note"),
+        ("go1", "unitree_legged", [{"drive": {"hold": "L2"}}, {"button_stop": {"on": ["B"]}}], ""),
+        ("t1", "booster", [], "left out"),
+        ("go1", "mujoco", [], "none"),
+    ],
+)
+def test_check_names_the_buttons_that_stop_and_who_else_uses_them(
+    tmp_path: Path, robot: str, platform: str, commands: list[Any], found: str
+) -> None:
+    inputs = [each for each in commands if "drive" in each]
+    stops = [each for each in commands if "drive" not in each]
+    values = {
+        "schema": "unicon.workflow/1",
+        "robot": robot,
+        "platform": platform,
+        "rate": 50,
+        "commands": inputs,
+        "flow": "hold",
+        "safety": ["finite", "joint_limits", *stops],
+    }
+    path = tmp_path / "ours.yaml"
+    path.write_text(json.dumps(values), "utf-8")
+    result = check_workflow(path)
+    codes = [each.code for each in (*result.findings, *result.notes)]
+    if found in ("left out", "none"):
+        assert "safety.remote" not in codes
+        left = [n.evidence for n in result.notes if n.code == "safety.less"]
+        wanted = "t1.yaml has no transport.stop_buttons"
+        assert any(wanted in each for each in left) == (found == "left out")
+    elif found == "note":
+        assert [n.culprit for n in result.notes if n.code == "safety.remote"] == ["L2+B"]
+        assert not result.findings
+    else:
+        (error,) = [each for each in result.findings if each.code == "safety.remote"]
+        assert "and means something else to drive, button_stop" in error.evidence
 
 
 CODES = {"A": 0x130, "B": 0x131, "X": 0x133, "R1": 0x137, "select": 0x13A, "start": 0x13B}

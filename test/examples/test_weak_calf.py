@@ -13,7 +13,7 @@ pytest.importorskip("onnxruntime")
 
 from weak_runs import RL_CALF, begins_to_fall, walked
 
-from unicon_core.gap import unfolded_mse
+from unicon_core.gap import aligned_mse
 
 SEEDS = 20
 
@@ -43,7 +43,7 @@ def test_twenty_seeds() -> None:
     first = 0
     for (_, real), (_, sim) in zip(weak, sound):
         pairs = (told["joint_pos"].T[..., None] for told in (real, sim))
-        first += int(unfolded_mse(*pairs).loss.argmax() == RL_CALF)
+        first += int(aligned_mse(*pairs).loss.argmax() == RL_CALF)
     assert first == SEEDS
     flags = [told["twin_flag"][:fall, RL_CALF].any() for (_, told), fall in zip(weak, falls)]
     assert sum(flag for flag, fall in zip(flags, falls) if fall is not None) >= 16

@@ -9,14 +9,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from aligned_twins import admissible
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from unfolded_twins import admissible
 
 from unicon_core.errors import UniconError
 from unicon_core.gap import (
     affine,
+    aligned_mse,
     chamfer,
     compare,
     fall_time,
@@ -25,7 +26,6 @@ from unicon_core.gap import (
     mse,
     rmse,
     spectral_distance,
-    unfolded_mse,
     warming,
     wasserstein,
 )
@@ -51,7 +51,7 @@ def test_mse_is_the_mean_of_squares(n: int, d: int, seed: int) -> None:
     np.testing.assert_allclose(mse(real, sim, "element"), [np.mean(s, 0) for s in squares])
     np.testing.assert_allclose(mse(real, sim, "frame"), [np.mean(s, 1) for s in squares])
     np.testing.assert_allclose(rmse(real, sim, "frame") ** 2, mse(real, sim, "frame"))
-    unshifted = unfolded_mse(real, sim, max_shift=0).loss
+    unshifted = aligned_mse(real, sim, max_shift=0).loss
     np.testing.assert_allclose(unshifted, 2 * d * mse(real, sim))
 
 

@@ -74,7 +74,8 @@ class WrongRobot(FakeRobot):
         for name in ("joint_pos", "joint_vel", "base_ang_vel", "base_lin_acc"):
             size = states[name].shape
             states[name] += self._random.normal(0, 1e-4, size).astype(np.float32)
-        states.joint_pos[...] = (states.joint_pos * self._sign)[self._order]
+        for name in ("joint_pos", "joint_vel"):
+            states[name] = (states[name] * self._sign)[self._order]
         if before is not None:
             states[untold][-1:] = before[-1:]
         change = WRONG.get(wrong)

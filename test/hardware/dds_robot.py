@@ -45,6 +45,7 @@ def main(name: str, module: str, domain: str) -> None:
     rng = np.random.default_rng(1)
     while not ended:
         states["base_ang_vel"][...] = rng.normal(size=3) * 1e-3  # or the IMU is told to stand still
+        made.now = time.monotonic()
         made.tell()
         if made.hear():
             away = states["joint_pos_target"] - states["joint_pos"]

@@ -27,7 +27,7 @@ from unicon_core.platforms.fake import FakePlatform, make
 from unicon_core.robots import Robot, load_robot
 from unicon_core.states import States, standard_states
 from unicon_core.states.standard import COMMAND_STATES, hardware_states
-from unicon_ros.emulate.face import Face
+from unicon_ros.emulate.face import Face, Timed
 
 LEAN = 0.05  # [rad] from the default posture
 
@@ -93,6 +93,8 @@ class Emulated:
         self._joints.recv()
         for name in ("base_ang_vel", "base_lin_acc"):
             self.states[name] += self._random.normal(scale=1e-3, size=3)
+        if isinstance(self.face, Timed):
+            self.face.now = time.monotonic()
         self.face.tell()
 
 

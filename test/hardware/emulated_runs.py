@@ -24,7 +24,7 @@ ROOM = 1.0
 """For a busy machine in [s]."""
 PATIENT = (
     "[finite, joint_limits, tilt_stop, {stale_stop: {timeout: 5.0}}, {imu_stop: {timeout: 5.0}}, "
-    "{encoder_stop: {timeout: 5.0}}]"
+    "{joint_sensor_stop: {step: 10.0, drift: 10.0}}, {encoder_stop: {timeout: 5.0}}]"
 )
 """Safety of the workflows, patient with a robot that a busy machine holds up."""
 

@@ -275,6 +275,8 @@ def test_a_hand_that_takes_positions_has_a_loop_of_its_own() -> None:
         (["go2", "--swap", "FL_hip", "FR_hip_joint"], "has no joint 'FL_hip'; did you mean"),
         (["go2", "--swap", "FR_hip_joint", "FR_hip_joint"], "with itself does nothing"),
         (["go2", "--dead", "arm"], "has no joint 'arm'; known: FL_calf_joint"),
+        (["go2", "--leave", "arm"], "has no joint 'arm'; known: FL_calf_joint"),
+        (["go2", "--leave", "FL_calf_joint"], "udp_robot:face' reports no mode of a motor"),
         (["go2", "--variant", "5"], "does not tell its variant"),
         (["go2", "--rate", "1000"], "--rate 1000: the robot tells at 500 Hz; give less"),
         (["go2", "--seed", "-1"], "seed is -1; give 0 or more"),

@@ -5,7 +5,6 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,19 +14,28 @@ from typing import Any
 import numpy as np
 import pytest
 from legged_peer import ALIENGO, Emulated, Process, free_port
+from stepping import stepping
 
 from unicon_core import Program, load_workflow
+from unicon_core.blocks.controls.device import Controls
+from unicon_core.blocks.controls.remotes import unitree_pressed
 from unicon_core.flow import Chain
 from unicon_core.robots import load_robot
 from unicon_core.runtime.report import Report
 from unicon_core.runtime.runner import Runner, RunOptions
+from unicon_core.states import States
+from unicon_core.states.standard import BUTTONS, control_states
 from unicon_core.workflow.uses import block, pose
 
 MAKE = "unicon_ros.hardware.unitree_legged.platform:make"
 ROBOTS = Path(__file__).resolve().parents[2] / "config" / "robots"
 LYING = {"*_hip_joint": 0.0, "*_thigh_joint": 1.2, "*_calf_joint": -2.6}
 """What all three can do, on the belly."""
-PATIENT = [{"stale_stop": {"timeout": 5.0}}, {"encoder_stop": {"timeout": 2.0}}]
+PATIENT = [
+    {"stale_stop": {"timeout": 5.0}},
+    {"joint_sensor_stop": {"step": 10.0, "drift": 10.0}},
+    {"encoder_stop": {"timeout": 2.0}},
+]
 """A busy machine starves the emulator, which is an encoder that stands still."""
 
 
@@ -206,20 +214,9 @@ def running(
 @contextmanager
 def stepped(port: int) -> Iterator[Emulated]:
     """Step a Go1 of stub physics in a thread."""
-    robot, ended = Emulated(load_robot("go1"), port), threading.Event()
-
-    def step() -> None:
-        while not ended.is_set():
-            robot.run(0.02)
-
-    thread = threading.Thread(target=step)
-    thread.start()
-    try:
+    robot = Emulated(load_robot("go1"), port)
+    with stepping(lambda: robot.run(0.02), robot.close):
         yield robot
-    finally:
-        ended.set()
-        thread.join()
-        robot.close()
 
 
 def until(holds: Callable[[], bool], patience: float = 60.0) -> None:
@@ -264,6 +261,46 @@ def test_a_robot_is_damped_where_our_process_stops(tmp_path: Path, mishap: str) 
             again.send_signal(signal.SIGINT)
             told, _ = again.communicate(timeout=60)
             until(lambda: is_limp(robot))
+
+
+@pytest.mark.slow
+def test_a_robot_that_leaves_servo_mode_is_a_fault_and_does_not_jump(tmp_path: Path) -> None:
+    ports = free_port(), free_port()
+    with stepped(ports[0]) as robot, running(tmp_path, ports) as run:
+        until(lambda: is_held(robot))
+        robot.face.obeys = False  # as the remote does
+        told, _ = run.communicate(timeout=60)
+        assert run.returncode == 3, told
+        assert "is in mode 0x00, not in servo mode 0x0a since it takes commands" in told
+        robot.states["joint_stiffness"][...] = 0.0
+        robot.face.obeys = True
+        time.sleep(0.2)
+        assert not robot.states["joint_stiffness"].any()
+
+
+@pytest.mark.slow
+def test_the_vendors_combination_on_the_remote_damps_a_robot_that_names_no_sticks(
+    tmp_path: Path,
+) -> None:
+    ports = free_port(), free_port()
+    held = Controls(States(control_states()))
+    with stepped(ports[0]) as robot, running(tmp_path, ports) as run:
+        until(lambda: is_held(robot))
+        for name in ("L2", "B"):
+            assert is_held(robot)
+            held.buttons[BUTTONS.index(name)] = 1
+            unitree_pressed(held, robot.face.remote)
+            time.sleep(0.3)
+        until(lambda: is_limp(robot))
+        told, _ = run.communicate(timeout=60)
+        assert run.returncode == 3, told
+        assert "L2+B: held on the remote, stops the robot" in told
+        assert "the operator pressed L2+B on the remote (remote_stop)" in told
+        robot.face.remote[:] = bytes(40)
+        with running(tmp_path, ports) as again:
+            told, _ = again.communicate(timeout=60)
+        assert again.returncode == 1, told
+        assert f"unicon latches --clear unitree_legged/127.0.0.1/{ports[0]}" in told
 
 
 @pytest.mark.slow

@@ -34,7 +34,7 @@ class Peer:
         self.states = states_of(self.robot) if states is None else states
         port, self.local = free_port(), free_port()
         self.udp = Udp(("127.0.0.1", port), ("127.0.0.1", self.local), "a peer")
-        self.tick = 1000
+        self.tick, self.began = 1000, time.monotonic()
         self.good()  # nobody is there yet: it is lost
         given = {"watchdog": 5.0, "silence": 5.0, "connect": 0.5, **options}
         self._open: Callable[[], UnitreeLegged] = lambda: make(
@@ -51,8 +51,14 @@ class Peer:
         motors = [(10, 0.1 * i, 0.2 * i, 256 * i, 30 + i) for i in range(12)]
         return slow_state(self.name, options.pop("motors", motors), imu, tick, **options)
 
+    def later(self) -> int:
+        """Return the tick of the next frame; the robot's clock goes on between two of them."""
+        gone = round(1e3 * (time.monotonic() - self.began))
+        self.tick = max(self.tick + 2, 1000 + gone)
+        return self.tick
+
     def good(self) -> None:
-        self.tick += 2
+        self.later()
         self.udp.send(self.frame(self.tick))
 
     def opened(self) -> UnitreeLegged:
@@ -307,6 +313,43 @@ def test_a_tick_that_does_not_come_is_damped_for_good(peers: Callable[..., Peer]
         assert not motors[:, 9:13].any()  # torque and stiffness
 
 
+@pytest.mark.parametrize("name", ["go1", "a1"])
+@pytest.mark.parametrize("mode", [0x00, 8, 0xFF])
+def test_a_motor_that_leaves_servo_mode_is_a_fault_in_the_next_tick(
+    peers: Callable[..., Peer], name: str, mode: int
+) -> None:
+    peer = peers(name)
+    platform = peer.opened()
+    states = peer.states
+
+    def tick(mode: int) -> None:
+        peer.tick += 2
+        motors = [(mode if i == 4 else 10, 0.0, 0.0, 0, 30) for i in range(12)]
+        peer.udp.send(peer.frame(peer.tick, motors=motors))
+        assert platform.wait(5.0)
+        platform.recv()
+        platform.send()
+
+    tick(mode)  # nothing stiff has left: `prepare` waits for that motor
+    tick(10)
+    states["joint_stiffness"][...], states["joint_damping"][...] = 40.0, 1.0
+    tick(10)
+    joint = peer.robot.joint_names[4]
+    with pytest.raises(
+        Fault, match=f"motor {joint} is in mode {mode:#04x}, not in servo mode 0x0a"
+    ):
+        tick(mode)
+    peer.commands()
+    tick(10)  # it comes back, and must not jump
+    platform.close()
+    after = peer.commands()
+    assert after
+    offset = 22 if name == "go1" else 10
+    for datagram in after:
+        motors = np.frombuffer(datagram[offset : offset + 540], np.uint8).reshape(20, 27)
+        assert not motors[:, 9:13].any()  # torque and stiffness
+
+
 def test_a_process_that_was_stopped_sends_nothing_stiff_when_it_goes_on() -> None:
     """Its tick may come before the thread that damps: who is late is seen by both."""
     sent: list[bytes] = []
@@ -386,15 +429,13 @@ def test_motors_that_hold_while_nothing_is_asked_of_them_obey_somebody_else(
     end = time.monotonic() + 5.0
     while list(platform.commanders().values()) != [count]:
         assert time.monotonic() < end
-        peer.tick += 2
-        peer.udp.send(peer.frame(peer.tick, motors=motors))
+        peer.udp.send(peer.frame(peer.later(), motors=motors))
         platform.wait(0.05)
         platform.recv()
     assert all(where.startswith("127.0.0.1:") for where in platform.commanders())
     platform.send()  # from now on they may obey us
     platform.wire._held = -math.inf  # long ago
-    peer.tick += 2
-    peer.udp.send(peer.frame(peer.tick, motors=motors))
+    peer.udp.send(peer.frame(peer.later(), motors=motors))
     platform.wait(0.5)
     platform.recv()
     assert list(platform.commanders().values()) == [0]

@@ -179,7 +179,7 @@ def test_the_sdk_as_controller_and_our_robot_agree_on_every_message(
                 if key in states:
                     states[key][...] = value
             made.remote[:] = bytes((i + k) % 256 for k in range(40))
-            made._tick[...] = (i - 1) % 2**32  # two are added
+            made.clock.count = (i - 1) % 2**32  # two are added
             made.tell()
             until(made.hear, lambda: reader_of(made).wait(1.0))
             commanded(wanted, i, n)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import random
 import re
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -14,6 +13,7 @@ from typing import Any
 from emulated_runs import PATIENT, Served
 from legged_peer import free_port
 from peer import Peer
+from stepping import stepping
 
 from unicon_core.robots import Robot
 from unicon_ros.bench.domains import free_domain
@@ -149,20 +149,13 @@ def stepped(
         say=lambda kind, **facts: said.append({"kind": kind, **facts}),
         **more,
     )
-    ended, period = threading.Event(), 1.0 / said[0]["rate"]
+    period, due = 1.0 / said[0]["rate"], time.monotonic()
 
     def step() -> None:
-        due = time.monotonic()
-        while not ended.is_set():
-            emulator.tick(time.monotonic())
-            due = max(due + period, time.monotonic() - 0.1)  # a busy machine catches up a little
-            time.sleep(max(0.0, due - time.monotonic()))
+        nonlocal due
+        emulator.tick(time.monotonic())
+        due = max(due + period, time.monotonic() - 0.1)  # a busy machine catches up a little
+        time.sleep(max(0.0, due - time.monotonic()))
 
-    thread = threading.Thread(target=step)
-    thread.start()
-    try:
+    with stepping(step, emulator.close):
         yield said
-    finally:
-        ended.set()
-        thread.join()
-        emulator.close()

@@ -48,7 +48,7 @@ def test_it_finds_a_weak_motor(tmp_path: Path) -> None:
     assert "FR_calf_joint" not in found.joints()
     assert found.better
     assert found.after < 0.01 * found.before
-    assert told[0].startswith("round 1: 1 figures, unfolded MSE ")
+    assert told[0].startswith("round 1: 1 figures, aligned MSE ")
     before, after = found.by_joint["RL_calf_joint"]
     assert after < 0.01 * before
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from welder import write_arm
 
-from unicon_core.check import check_workflow
-from unicon_core.errors import WorkflowError
+from unicon_core.check import check_workflow, refuse_errors
+from unicon_core.errors import RobotError, WorkflowError
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow
 
@@ -114,17 +114,28 @@ def test_what_is_not_kept_apart_is_a_note(tmp_path: Path) -> None:
     )
 
 
-def test_a_body_that_the_model_lacks_is_found(tmp_path: Path) -> None:
+def test_a_body_that_the_model_lacks_and_no_block_uses_is_a_note(tmp_path: Path) -> None:
     plain = "\n".join(line for line in WORKFLOW.splitlines() if "  - " not in line)
     plain = plain.replace("commands:\n", "").replace("forward_command: {max_rate: 2.0}", "hold: {}")
     path = written(tmp_path, plain, **{"hand: {body: flange": "hand: {body: flanje"})
-    (found,) = check_workflow(path).findings
-    assert found.code == "model.bodies"
+    result = check_workflow(path)
+    assert result.clean, result.text()
+    (found,) = (note for note in result.notes if note.code == "model.bodies")
     assert found.culprit == "robot welder"
     assert found.evidence == (
         f"capsule 'hand' is on body 'flanje', which model {tmp_path / 'welder.xml'} lacks"
     )
     assert found.remedy == (
-        "did you mean 'flange'? known: flange, forearm, knuckle, plate, post, upper_arm, wrist; "
-        "correct it"
+        "no block uses it; did you mean 'flange'? known: flange, forearm, knuckle, plate, post, "
+        "upper_arm, wrist"
     )
+    refuse_errors(load_workflow(path))  # as a run does
+
+
+def test_a_body_that_a_block_needs_is_refused_by_check_and_run_alike(tmp_path: Path) -> None:
+    path = written(tmp_path, **{"hand: {body: flange": "hand: {body: flanje"})
+    (found,) = check_workflow(path).findings
+    assert (found.code, found.culprit) == ("build", "robot")
+    with pytest.raises(RobotError) as caught:
+        load_workflow(path)
+    assert str(caught.value) == f"{found.evidence}; {found.remedy}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from ctypes.util import find_library
 
 import pytest
 
@@ -52,6 +53,7 @@ def test_a_renderer_can_be_made_as_after_a_plain_import() -> None:
     assert ran(QUICKLY + draw) == ran(f"import mujoco\n{draw}")
 
 
+@pytest.mark.skipif(not find_library("EGL"), reason="no EGL: apt install libegl1")
 def test_a_renderer_that_is_asked_for_is_left_as_it_is() -> None:
     ran(BEFORE + "assert import_mujoco().GLContext.__module__ == 'mujoco.egl'", MUJOCO_GL="egl")
 

@@ -10,7 +10,7 @@ import pytest
 
 from unicon_core.check import CheckResult, check_workflow
 from unicon_core.check.gate import refuse_errors
-from unicon_core.errors import ModelError
+from unicon_core.errors import CheckError, ModelError
 from unicon_core.models.feet import Feet
 from unicon_core.models.footprint import Footprint
 from unicon_core.models.load import load_model
@@ -125,6 +125,21 @@ def test_pairs_of_absent_meshes_go_with_them(tmp_path: Path) -> None:
         loaded = load(path)
     assert names(loaded, on_floor(loaded)) == {*FEET} - {"FR"}
     assert "1 geoms left out, 1 of them may collide" in loaded.absent[loaded.path]
+    assert list(loaded.absent_shapes.values()) == [["skin.stl"]]
+
+
+@pytest.mark.parametrize("robot", ["h1", "h1_2"])
+def test_feet_whose_meshes_are_all_absent_are_an_error_that_names_them(
+    robot: str, assets: Path
+) -> None:
+    changes = [f"robot={robot}", "check.accept=[]"]
+    (found,) = check_workflow("h1_stand", changes).findings
+    assert found.code == "model.collision"
+    assert "do not collide with the floor" in found.evidence
+    for foot in load_robot(robot).feet:
+        assert f"{foot}.STL" in found.evidence
+    with pytest.raises(CheckError, match=r"model\.collision"):
+        refuse_errors(Program(load_document("h1_stand", changes)))
 
 
 def checked(path: Path, *, twin: bool = False, platform: str = "mujoco") -> CheckResult:

@@ -60,6 +60,13 @@ def test_the_index_of_documents_names_each() -> None:
 
 
 @pytest.mark.parametrize("document", DOCUMENTS)
+def test_nothing_is_said_twice(document: str) -> None:
+    words = re.sub(r"```.*?```", "", text_of(document), flags=re.DOTALL)
+    long = [line for line in words.splitlines() if len(line) > 100]
+    assert {line for line in long if long.count(line) > 1} == set()
+
+
+@pytest.mark.parametrize("document", DOCUMENTS)
 def test_every_file_and_folder_that_is_named_exists(document: str) -> None:
     quoted = re.findall(r"`([A-Za-z0-9_./-]+)`", text_of(document))
     named = {name for name in quoted if name.startswith(FOLDERS)}
@@ -168,3 +175,26 @@ def test_the_examples_of_the_tutorial_run(tmp_path: Path) -> None:
     assert checked.returncode == 0, checked.stdout + checked.stderr
     ran = unicon("run", str(workflow), "--speed", "max", "--no-ros", cwd=tmp_path)
     assert ran.returncode == 0, ran.stdout + ran.stderr
+
+
+def test_the_parts_of_the_slow_tests_have_every_folder_once() -> None:
+    of_make = ("MAKE", "MFLAGS", "TEST_ARGS")  # of the make that runs this test
+    plain = {name: value for name, value in os.environ.items() if not name.startswith(of_make)}
+    said = re.findall(r"^SLOW_PARTS := (.*)", text_of("Makefile"), re.MULTILINE)[0].split()
+    seen: list[str] = []
+    for part in (*said, "others"):
+        command = ["make", "-n", "--no-print-directory", "test-slow", f"PART={part}"]
+        made = subprocess.run(
+            command, cwd=ROOT, capture_output=True, text=True, timeout=60, env=plain
+        )
+        assert made.returncode == 0, made.stderr
+        seen += made.stdout.rpartition("-m slow")[2].replace("\\\n", " ").split()
+        assert f"`{part}`" in text_of("CONTRIBUTING.md")
+    folders = {f"test/{path.parent.name}" for path in (ROOT / "test").glob("*/test_*.py")}
+    assert sorted(seen) == sorted(
+        {*folders, *(f"test/{p.name}" for p in (ROOT / "test").glob("test_*.py"))}
+    )
+    wrong = subprocess.run(
+        ["make", "-n", "test-slow", "PART=nope"], cwd=ROOT, capture_output=True, text=True
+    )
+    assert "PART=nope is none of: " in wrong.stderr

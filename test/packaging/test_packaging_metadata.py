@@ -166,6 +166,18 @@ def test_all_is_the_union_of_the_other_extras_but_what_is_large_or_hardware() ->
     assert "torch" not in united
 
 
+def test_the_installation_page_has_every_extra_and_says_which_are_in_all() -> None:
+    extras = metadata()["extras_require"]
+    assert isinstance(extras, dict)
+    text = (ROOT / "docs" / "install.md").read_text("utf-8")
+    rows = re.findall(r"^\| (`[a-z-]+`(?:, `[a-z-]+`)*) \|(.*)$", text, re.MULTILINE)
+    told = {name: words for names, words in rows for name in re.findall(r"[a-z-]+", names)}
+    assert told.keys() == extras.keys()
+    outside = {name for name, words in told.items() if "not in `all`" in words}
+    every = {*extras["all"]}
+    assert outside == {name for name, wanted in extras.items() if not every.issuperset(wanted)}
+
+
 @pytest.mark.parametrize(
     ("machine", "python", "wanted"),
     [("x86_64", "3.12", True), ("aarch64", "3.12", False), ("x86_64", "3.15", False)],

@@ -225,6 +225,28 @@ def test_limits_are_lifted_for_every_robot(build: Build, cores: Callable[[int], 
     platform.close()
 
 
+def test_joints_are_locked_for_every_robot(build: Build, cores: Callable[[int], None]) -> None:
+    cores(3)
+    platform, states = build(num_robots=COUNT)
+
+    def moved() -> list[bool]:
+        platform.reset()
+        platform.recv()
+        before = states.joint_pos.copy()
+        states.joint_effort_ff[...] = 5.0
+        for _ in range(10):
+            platform.send()
+            platform.recv()
+        return (np.abs(states.joint_pos - before).min(axis=0) > 1e-3).tolist()
+
+    free = moved()
+    assert all(free[:3])
+    with platform.locked([0, 2]):
+        assert moved()[:3] == [False, True, False]
+    assert moved() == free
+    platform.close()
+
+
 @pytest.mark.parametrize(
     ("count", "cores_", "expected"),
     [(1, 8, [1]), (3, 8, [3]), (4, 8, [2, 2]), (7, 2, [3, 4]), (64, 3, [21, 21, 22]), (5, 1, [5])],

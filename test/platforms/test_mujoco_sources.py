@@ -168,6 +168,44 @@ def test_an_inertia_that_no_body_has_is_mended(
     np.testing.assert_allclose(inertia, [0.05] * 3)
 
 
+def test_principal_moments_of_which_two_sum_to_less_than_the_third_are_mended(
+    toy_robot: Callable[..., Robot],
+    toy_urdf: Callable[..., Path],
+    states_of: Callable[..., States],
+) -> None:
+    """A camera of ANYbotics' ANYmal C has such an inertia; every figure of it is positive."""
+    path = toy_urdf(('ixx=".05" iyy=".05" izz=".05"', 'ixx=".01" iyy=".02" izz=".05"'))
+    robot = toy_robot()
+    platform = make(states_of(robot), robot, 0.01, scene=Scene(model=path))
+    assert platform.info()["notes"][0].startswith("the inertia of box is none that a body can have")
+    inertia = platform.model.body_inertia[platform.model.body("box").id]
+    np.testing.assert_allclose(inertia, [0.05] * 3)
+
+
+@pytest.mark.parametrize(
+    ("shape", "kind"),
+    [
+        ('<cylinder radius="0" length="0.1"/>', "cylinder"),
+        ('<sphere radius="0.0"/>', "sphere"),
+        ('<box size="0.1 0 0.1"/>', "box"),
+    ],
+)
+def test_a_shape_without_an_extent_is_left_out(
+    shape: str,
+    kind: str,
+    toy_robot: Callable[..., Robot],
+    toy_urdf: Callable[..., Path],
+    states_of: Callable[..., States],
+) -> None:
+    flat = f"<collision><geometry>{shape}</geometry></collision>"
+    path = toy_urdf(('<link name="box">', f'<link name="box">{flat}'))
+    robot = toy_robot()
+    platform = make(states_of(robot), robot, 0.01, scene=Scene(model=path))
+    assert platform.info()["notes"][0] == (
+        f"shapes without an extent are left out: {kind} in a collision of box"
+    )
+
+
 def test_a_urdf_that_is_no_xml_is_told_with_its_place(
     toy_robot: Callable[..., Robot],
     toy_urdf: Callable[..., Path],

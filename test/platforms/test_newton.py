@@ -143,11 +143,25 @@ def test_nothing_is_printed(newton: Any, tmp_path: Path, capfd: pytest.CaptureFi
     assert [line for line in told.err.splitlines() if not line.startswith("newton: ")] == []
 
 
-@pytest.mark.parametrize("module", ["newton", "warp"])
-def test_without_newton_the_install_command_is_told(
-    monkeypatch: pytest.MonkeyPatch, module: str
-) -> None:
-    monkeypatch.setitem(sys.modules, module, None)
+def test_without_newton_the_install_command_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "newton", None)
     with pytest.raises(MissingDependencyError) as error:
         load_workflow("go2_stand", ["platform=newton"])
     assert str(error.value) == f"platform 'newton' needs newton: {INSTALL}"
+
+
+def test_newton_without_its_part_sim_is_named_as_such(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "newton").mkdir()
+    (tmp_path / "newton" / "__init__.py").touch()
+    (tmp_path / "warp.py").write_text("import warp_of_newton_sim", "utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    for name in [name for name in sys.modules if name.split(".")[0] in ("newton", "warp")]:
+        monkeypatch.delitem(sys.modules, name)
+    with pytest.raises(PlatformError) as error:
+        load_workflow("go2_stand", ["platform=newton"])
+    assert str(error.value) == (
+        "platform 'newton': newton is installed without its part sim (No module named "
+        f"'warp_of_newton_sim'): {INSTALL}"
+    )

@@ -372,9 +372,16 @@ def test_parquet_asks_for_pyarrow(
 
 
 def written_by_rosbags(
-    path: Path, storage: StoragePlugin, kind: str = "sensor_msgs/msg/JointState", count: int = 40
+    path: Path,
+    storage: StoragePlugin,
+    kind: str = "sensor_msgs/msg/JointState",
+    count: int = 40,
+    later: int = 0,
 ) -> Path:
-    """Write a bag with rosbags alone: joints in another order, an IMU at half the rate."""
+    """Write a bag with rosbags alone: joints in another order, an IMU at half the rate.
+
+    The IMU, and targets, begin with message `later` of the joints, which has no effort.
+    """
     store = get_typestore(Stores.ROS2_JAZZY)
     types = store.types
     header, stamp = types["std_msgs/msg/Header"], types["builtin_interfaces/msg/Time"]
@@ -382,6 +389,9 @@ def written_by_rosbags(
     with Writer(path, version=9, storage_plugin=storage) as writer:
         joints = writer.add_connection("/joint_states", kind, typestore=store)
         imu = writer.add_connection("/imu/data", "sensor_msgs/msg/Imu", typestore=store)
+        if later:
+            kind_of_targets = "sensor_msgs/msg/JointState"
+            targets = writer.add_connection("/joint_targets", kind_of_targets, typestore=store)
         for k in range(count):
             now = 10**9 + k * 20_000_000
             head = header(stamp(now // 10**9, now % 10**9), "")
@@ -391,7 +401,11 @@ def written_by_rosbags(
                 pos = np.arange(12.0)[::-1] + 0.01 * k
                 message = types[kind](head, names, pos, 2 * pos, np.zeros(0))
             writer.write(joints, now, store.serialize_cdr(message, kind))
-            if k % 2 == 0:
+            if k == 2 * later > 0:
+                wanted = types["sensor_msgs/msg/JointState"](head, names, pos, pos, pos)
+                raw = store.serialize_cdr(wanted, "sensor_msgs/msg/JointState")
+                writer.write(targets, now, raw)
+            if k % 2 == 0 and k >= later:
                 vector, quat = (
                     types["geometry_msgs/msg/Vector3"],
                     types["geometry_msgs/msg/Quaternion"],
@@ -430,6 +444,60 @@ def test_a_bag_by_rosbags_alone_becomes_a_record(
     slow = open_record(tmp_path / "y.mcap")
     assert np.diff(slow.stamps).tolist() == [10_000_000] * (len(slow.ticks) - 1)
     assert np.array_equal(slow.states("joint_pos")[::2], record.states("joint_pos")[:39])
+
+
+WITH_TARGETS = """
+subscribe:
+  - {topic: joint_states, type: sensor_msgs/msg/JointState, missing: hold,
+     fields: {name: $joint_names, position: joint_pos, velocity: joint_vel, effort: joint_effort}}
+  - {topic: imu/data, type: sensor_msgs/msg/Imu, fields: {orientation: base_quat}}
+  - {topic: joint_targets, type: sensor_msgs/msg/JointState,
+     fields: {name: $joint_names, position: joint_pos_target}}
+  - {topic: odom, type: nav_msgs/msg/Odometry, fields: {twist.twist.linear: base_lin_vel}}
+"""
+
+
+@pytest.mark.parametrize("rate", [(), ("--rate", "50")])
+def test_what_a_bag_lacks_is_absent_and_not_zero(
+    rate: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plain = written_by_rosbags(tmp_path / "plain", StoragePlugin.MCAP, later=10)
+    (tmp_path / "own.yaml").write_text(WITH_TARGETS, "utf-8")
+    arguments = (plain, tmp_path / "x.mcap", "--robot", "go2", "--map", tmp_path / "own.yaml")
+    assert main(["bag", "import", *map(str, (*arguments, *rate))]) == 0
+    told = capsys.readouterr().err.splitlines()
+    assert told == [
+        "unicon bag: ticks begin 0.2 s after the first message of /joint_states: /imu/data had "
+        "none before",
+        "unicon bag: /joint_targets begins 0.2 s later: until then joint_pos_target is NaN",
+    ]
+    record = open_record(tmp_path / "x.mcap")
+    assert set(record.layout.specs) == {
+        *("joint_pos", "joint_vel", "joint_pos_target", "base_quat", "projected_gravity"),
+        *("stamp_ns", "tick"),
+    }
+    assert record.stamps[0] == 10**9 + 10 * 20_000_000
+    targets = record.states("joint_pos_target")
+    assert np.isnan(targets[:10]).all()
+    assert np.array_equal(targets[10], (np.arange(12.0) + 0.2).astype(np.float32))
+    assert np.isfinite(record.states("base_quat")).all()
+
+
+def test_identical_motion_with_and_without_recorded_targets_does_not_differ(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("matplotlib")
+    plain = written_by_rosbags(tmp_path / "plain", StoragePlugin.MCAP)
+    said(capsys, "import", plain, tmp_path / "real.mcap", "--robot", "go2")
+    expected = np.arange(12.0) + 0.01 * np.arange(40)[:, None]
+    expected = expected.astype(np.float32)
+    own = {"joint_pos": expected, "joint_pos_target": expected, "dt": 0.02}
+    np.savez(tmp_path / "sim.npz", joint_names=GO2.joint_names, **own)
+    files = [str(tmp_path / name) for name in ("real.mcap", "sim.npz")]
+    assert main(["analyze", *files, "--out", str(tmp_path / "out")]) == 0
+    told = capsys.readouterr().out
+    assert "No joint differs." in told
+    assert "differs most" not in told
 
 
 def test_bags_that_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

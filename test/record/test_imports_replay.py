@@ -14,15 +14,18 @@ from test_bag_command import unicon_npz, written_by_rosbags
 from test_recorded_runs import written
 from test_replay_forms import driving, ran, replayed
 
-from unicon_core.errors import WorkflowError
+from unicon_core.errors import UniconError, WorkflowError
+from unicon_core.resources import find_config
 from unicon_core.workflow import load_workflow
 from unicon_ros.cli.main import main
 from unicon_ros.recording import open_record
+from unicon_ros.replay.player import play
+from unicon_ros.view.recorded import shown_in
 
 
-def imported(source: Path, folder: Path) -> Path:
+def imported(source: Path, folder: Path, robot: str = "go2") -> Path:
     path = folder / "imported.mcap"
-    assert main(["bag", "import", str(source), str(path), "--robot", "go2"]) == 0
+    assert main(["bag", "import", str(source), str(path), "--robot", robot]) == 0
     return path
 
 
@@ -51,6 +54,23 @@ def test_the_keys_of_unicon_drive_a_workflow_and_a_simulator(tmp_path: Path) -> 
     wanted = np.clip(record.states("joint_pos_target")[-1], robot.lower, robot.upper)
     assert np.allclose(program.states["joint_pos_target"], wanted)
     assert (program.states["joint_stiffness"] == robot.joint_stiffness).all()
+
+
+def test_an_imported_bag_finds_a_robot_that_was_given_by_its_path(tmp_path: Path) -> None:
+    robot = tmp_path / "mine.yaml"
+    text = find_config("robots", "go2").read_text("utf-8")
+    robot.write_text(text.replace("name: go2", "name: mine", 1), "utf-8")
+    bag = imported(unicon_npz(tmp_path / "x.npz"), tmp_path, str(robot))
+    warned: list[str] = []
+    assert play(bag, rate=20.0, warn=warned.append).faults == []
+    assert warned == []
+    assert shown_in(open_record(bag))[0].robot.path == robot
+    robot.rename(tmp_path / "moved.yaml")
+    with pytest.raises(
+        UniconError,
+        match=r"imported\.mcap: its robot 'mine' is not here \(.*mine\.yaml is gone\): unknown",
+    ):
+        play(bag, rate=20.0, warn=str)
 
 
 def test_what_holds_no_workflow_is_verified_with_one_that_is_given(

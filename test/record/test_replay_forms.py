@@ -18,6 +18,7 @@ from test_recorded_runs import noise, recorded, written
 from unicon_core.errors import UniconError
 from unicon_core.flow import Block, Stage
 from unicon_core.gates.beginning import beginning
+from unicon_core.resources import find_config
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.workflow import Program, load_workflow
 from unicon_ros.cli.main import main
@@ -168,6 +169,21 @@ def test_a_player_gives_every_state_as_it_was(bag: Path) -> None:
     assert report.ticks == 50
     assert report.faults == []
     assert report.workflow == "play_workflow"
+
+
+def test_a_player_finds_a_robot_that_the_workflow_named_by_its_path(tmp_path: Path) -> None:
+    robot = tmp_path / "robots" / "mine.yaml"
+    robot.parent.mkdir()
+    text = find_config("robots", "go2").read_text("utf-8")
+    robot.write_text(text.replace("name: go2", "name: mine", 1), "utf-8")
+    path = tmp_path / "run.mcap"
+    recorded(written(tmp_path, robot="robots/mine.yaml", duration=0.5), path, ())
+    assert play(path, rate=20.0, warn=str).faults == []
+    robot.rename(tmp_path / "moved.yaml")
+    with pytest.raises(
+        UniconError, match=r"run\.mcap: its robot 'mine' is not here: no file robots"
+    ):
+        play(path, rate=20.0, warn=str)
 
 
 def test_keys_pause_seek_and_step() -> None:

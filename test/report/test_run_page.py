@@ -164,6 +164,45 @@ def test_what_is_not_a_number_leaves_gaps_and_is_told(tmp_path: Path) -> None:
     assert page.table("joint")[4][1] != "–"  # of the ticks before it
 
 
+def test_what_is_red_in_the_pictures_is_said_at_the_head(tmp_path: Path) -> None:
+    robot = load_robot("go2")
+
+    def pressed(joint_pos: Amends, joint_effort: Amends) -> Tick:
+        def press() -> None:
+            joint_pos[:] = robot.default_joint_pos
+            joint_effort[:] = 0.0
+            joint_pos[1] = robot.upper[1] + 0.02
+            joint_effort[2] = -1.1 * robot.effort_limit[2]
+            joint_effort[3] = robot.effort_limit[3]  # at its limit, not beyond
+
+        return press
+
+    page, report, text = ran(tmp_path / "run.html", block(pressed), 12, "ranges")
+    assert not report.faults
+    assert "no fault." in page.text
+    names = robot.joint_names
+    (said,) = re.findall(r"<li>(Beyond a limit: .*?)</li>", text)
+    assert f"{names[1]} was 0.02 rad above its upper limit of {robot.upper[1]:.4g} rad; " in said
+    assert f"{names[2]} had {1.1 * robot.effort_limit[2]:.4g} N·m, 110% of its effort limit" in said
+    assert said.endswith("no safety block stopped the run for it.")
+    assert said.count(";") == 2
+    assert text.count("fill: #d62728") == 2  # the bars of those two joints alone
+
+
+def test_nothing_is_said_of_limits_that_were_kept(tmp_path: Path) -> None:
+    robot = load_robot("go2")
+
+    def rest(joint_pos: Amends) -> Tick:
+        def stand() -> None:
+            joint_pos[:] = robot.default_joint_pos
+
+        return stand
+
+    page, _, text = ran(tmp_path / "run.html", block(rest), 12, "ranges")
+    assert "Beyond a limit" not in page.text
+    assert "#d62728" not in text
+
+
 def test_one_tick_is_enough_for_a_page(tmp_path: Path) -> None:
     page, report, _ = ran(tmp_path / "run.html", lambda: None, 1, "base")
     assert report.ticks == 1

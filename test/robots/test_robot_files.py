@@ -106,6 +106,11 @@ def test_robot_that_lacks_facts_says_which() -> None:
     assert load_robot("g1_29dof").missing_facts() == []
     assert load_robot("aliengo").missing_facts() == ["joints.stiffness", "joints.damping"]
     assert load_robot("dex3_right").missing_facts() == ["joint_order"]
+    assert load_robot("n1").missing_facts() == [
+        "transport.stiffness_scale",
+        "transport.damping_scale",
+        "transport.timeout_mode",
+    ]
     assert load_robot("atom").missing_facts() == [
         "joints.default",
         "joints.velocity",

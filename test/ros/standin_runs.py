@@ -17,7 +17,7 @@ STAND_IN = (*(sys.executable, "-m", "unicon_ros", "emulate"), FACE, "--model=fak
 OUTPUT = "run.txt"
 PATIENT = (
     "[finite, joint_limits, tilt_stop, {stale_stop: {timeout: 5.0}}, {imu_stop: {timeout: 5.0}}, "
-    "{encoder_stop: {timeout: 5.0}}]"
+    "{joint_sensor_stop: {step: 10.0, drift: 10.0}}, {encoder_stop: {timeout: 5.0}}]"
 )
 """Safety of the workflows, patient with a stand-in that a busy machine holds up."""
 PLATFORM = ("--set=platform=ros", "--set=pacing.hang=20", f"--set=safety={PATIENT}")

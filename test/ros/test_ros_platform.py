@@ -68,7 +68,7 @@ def test_ticks_come_with_joint_states_in_any_order_and_silence_is_a_fault(
     peer.kill()
     peer.wait_for(lambda: not run.alive, "the fault")
     (fault,) = run.report.faults
-    assert fault == (
+    assert fault.startswith(  # a busy machine is told behind it
         "topic /joint_states: no message for 0.5 s, stamp_ns, joint_pos, joint_vel held; "
         "the robot is silent"
     )

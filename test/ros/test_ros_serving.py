@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -206,3 +207,38 @@ def test_no_round_begins_once_the_context_is_shut_down(ours: Peer) -> None:
     rclpy.try_shutdown(context=ours.context)
     with pytest.raises(ExternalShutdownException):
         next(serving.round())
+
+
+@pytest.mark.parametrize("kind", ["asked by itself", "node with a client", "EventsExecutor"])
+def test_a_round_takes_what_waits_so_that_no_rate_above_the_ticks_loses_messages(
+    ours: Peer, other: Peer, until: Callable[..., None], kind: str
+) -> None:
+    heard: list[Float32] = []
+    ours.node.create_subscription(Float32, "burst", heard.append, 10)
+    executor: Any = ours.executor
+    if kind == "node with a client":
+        ours.node.create_client(Trigger, "nobody")
+    elif kind == "EventsExecutor":
+        events = pytest.importorskip("rclpy.experimental.events_executor")
+        executor.remove_node(ours.node)
+        executor = events.EventsExecutor(context=ours.context)
+        executor.add_node(ours.node)
+    serving = compat.Serving(executor, lambda node: None)
+    publisher = other.node.create_publisher(Float32, "burst", 10)
+    wait_for(publisher.get_subscription_count, "the subscription")
+
+    def burst() -> bool:
+        heard.clear()
+        for _ in range(5):
+            publisher.publish(Float32())
+        time.sleep(0.1)
+        for piece in serving.round():
+            piece.run()
+        at_once = len(heard)
+        until(serving, lambda: len(heard) >= 5, "the rest")
+        return at_once == 5
+
+    wait_for(burst, "a round that takes all five")
+    if executor is not ours.executor:
+        executor.remove_node(ours.node)
+        executor.shutdown()

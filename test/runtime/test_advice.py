@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from unicon_core import Program, block
+from unicon_core.errors import Silence
+from unicon_core.platforms.fake import FakeRobot
+from unicon_core.platforms.kit.scene import Scene
 from unicon_core.runtime import Report, Runner, RunOptions
-from unicon_core.runtime.advice import FEWEST, LATE, advice_of
+from unicon_core.runtime.advice import FEWEST, LATE, Starvation, advice_of
 from unicon_core.runtime.pacing import Pacing
 from unicon_core.runtime.statistics import TickStatistics
 from unicon_core.workflow import load_workflow
@@ -114,3 +119,51 @@ def test_a_run_that_is_woken_late_tells_it_once_at_its_end(
     quick = report("max")
     assert quick.advice == ""
     assert "advice" not in quick.summary()
+
+
+class Told(FakeRobot):
+    """A robot that falls silent in its tenth frame."""
+
+    def recv(self) -> None:
+        """Bring nothing from then on."""
+        if self._ticks > 10:
+            raise Silence("the robot is silent")
+        super().recv()
+
+
+def told(states: Any, robot: Any, period: float) -> Told:
+    """Build it."""
+    return Told(states, robot, period, Scene(), 0.0)
+
+
+@pytest.mark.usefixtures("short_damping")
+@pytest.mark.parametrize(
+    ("waited", "stolen", "words"),
+    [
+        ("87.50", 20, "in 88 % of the last 10 s, and 10 % of its time was stolen"),
+        ("3.0", 20, "in 3 % of the last 10 s, and 10 % of its time"),
+        ("19.9", 9, ""),
+        ("", 0, ""),
+    ],
+)
+def test_a_silence_on_a_starved_machine_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, waited: str, stolen: int, words: str
+) -> None:
+    pressure, stat = tmp_path / "cpu", tmp_path / "stat"
+    monkeypatch.setattr(Starvation, "PRESSURE", pressure)
+    monkeypatch.setattr(Starvation, "STAT", stat)
+    stat.write_text("cpu  100 0 50 800 0 0 0 40 0 0\ncpu0 1 2 3\n")
+    if waited:
+        pressure.write_text(f"some avg10={waited} avg60=1.0 avg300=0.0 total=1\nfull avg10=0\n")
+    runner = Runner(
+        Program(
+            robot="go2", rate=100, platform=f"{__name__}:told", start="none", flow=block("hold")
+        ),
+        RunOptions(duration=5.0),
+    )
+    stat.write_text(f"cpu  200 0 80 {850 + 20 - stolen} 0 0 0 {40 + stolen} 0 0\ncpu0 1 2 3\n")
+    (reason,) = runner.run().faults
+    assert reason.startswith("the robot is silent")
+    assert words in reason
+    assert ("; this machine was starved: programs waited" in reason) == bool(words)
+    assert ("pacing.priority=80" in reason) == bool(words)

@@ -82,6 +82,12 @@ def test_where_blocks_share_a_stamp_their_group_is_named() -> None:
         "bridge … recorder, 2 blocks": 1,
         "send": 1,
     }
+    kept.overruns = 3
+    assert kept.table(100.0).splitlines()[-3:] == [
+        "recv … policy, 2 blocks overran the period in 1 of 3 ticks",
+        "bridge … recorder, 2 blocks overran its slack in 1 of 3 ticks",
+        "send overran the period in 1 of 3 ticks",
+    ]
     assert kept.durations_us().tolist() == [130.0, 30.0, 130.0]
     assert {row["calls"] for row in kept.block_us().values()} == {0}
     stamps = np.array([4000, 4040, 4010, 4020, 4040, 4050, 4060]) * US

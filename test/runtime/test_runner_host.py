@@ -54,6 +54,32 @@ def test_actions_run_between_two_ticks_in_their_order(
     assert report.ticks == 100
 
 
+def test_a_pause_does_not_count_into_the_rate(workflow: Callable[..., Program]) -> None:
+    runner = Runner(workflow(), RunOptions(duration=0.4))  # 200 ticks of 2 ms
+
+    def pause() -> None:
+        time.sleep(0.6)
+        for _ in range(10):  # single steps in it are ticks of the run, a period each
+            runner.tick(time.perf_counter_ns())
+
+    runner.call_soon(pause)
+    report = runner.run()
+    assert report.ticks == 200
+    assert 0.5 < report.paused_s <= report.wall_s
+    assert report.rate_hz == pytest.approx(
+        report.ticks / (report.wall_s - report.paused_s), rel=0.02
+    )
+    assert f"s, paused for {report.paused_s:.2f} s of it, " in report.summary()
+
+
+def test_a_run_without_a_pause_does_not_speak_of_one(workflow: Callable[..., Program]) -> None:
+    runner = Runner(workflow(), RunOptions(speed="max", duration=0.1))
+    runner.call_soon(lambda: None)
+    report = runner.run()
+    assert report.paused_s < 0.01
+    assert "paused" not in report.summary()
+
+
 @pytest.mark.alone
 def test_a_long_action_is_no_overrun(workflow: Callable[..., Program]) -> None:
     loaded = workflow()

@@ -22,7 +22,7 @@ import numpy as np
 from unicon_core.blocks import BUILTIN
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program, load_workflow
-from unicon_core.workflow.safety_set import HARDWARE, ROBOT_SAFETY
+from unicon_core.workflow.safety_set import ROBOT_SAFETY, TELLS
 
 PIECE = 600.0
 """In [s]: a program is built anew after it, with other seeds."""
@@ -36,7 +36,7 @@ LEAN = 0.9
 """Beyond this a robot that walks has fallen, [rad]; `tilt_stop` says 1.0."""
 
 # More than the set of a robot: what a user may list besides.
-STRICT: list[Any] = [name for name in ROBOT_SAFETY if name != HARDWARE]
+STRICT: list[Any] = [name for name in ROBOT_SAFETY if name not in TELLS]
 STRICT += [
     {"joint_limits": {"beyond": "trip", "name": "joint_trip"}},
     {"effort_limits": {"beyond": "trip", "scale": 10.0}},

@@ -19,6 +19,7 @@ def walker(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> s
 def test_a_soak_has_every_safety_block_that_can_see_something() -> None:
     assert missing() == {
         "hardware_stop",  # simulators tell of no motors
+        "remote_stop",  # nor of a remote
         "observation_stop",  # needs the bounds of a run before
         "power_stop",  # needs a limit of one's own
         "height_stop",  # likewise

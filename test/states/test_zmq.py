@@ -6,10 +6,12 @@ import os
 import signal
 import struct
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,8 +19,11 @@ from zmq_peers import READER, SPECS, Link, first_line, process, writing
 
 from unicon_core.errors import MissingDependencyError, StateError
 from unicon_core.states import States, StateSpec
+from unicon_core.states.backends import zmq as zmq_backend
 from unicon_core.states.backends.zmq import HEAD, ZmqReader, ZmqWriter
-from unicon_core.states.groups import groups_hash, groups_json
+from unicon_core.states.backends.zmq_socket import is_exposed
+from unicon_core.states.groups import groups_from_json, groups_hash, groups_json
+from unicon_core.states.layout import Layout
 
 zmq = pytest.importorskip("zmq")
 pytestmark = pytest.mark.timeout(90)
@@ -230,7 +235,7 @@ GARBAGE = {
     "another byte order": lambda: _frame(order=0x04030201),
     "words that do not fit their hash": lambda: _told(OTHER),
     "words that are not JSON": lambda: _told(b"\xff\xfe{"),
-    "words that nest deep": lambda: _told(b"[" * 200_000),
+    "words that nest deep": lambda: _told(b"[" * 2_000),
     "words of no group": lambda: _told(b'{"measured": 3}'),
 }
 
@@ -255,6 +260,42 @@ def test_garbage_is_counted_and_disturbs_nobody(ipc: str) -> None:
                 raw.send(list(GARBAGE.values())[i % len(GARBAGE)]())
                 take(reader)
             assert there.joint_pos[0] == 1.0
+
+
+@pytest.mark.parametrize("long", [True, False])
+def test_foreign_layouts_are_not_parsed_by_the_thread_that_ticks(
+    ipc: str, monkeypatch: pytest.MonkeyPatch, long: bool
+) -> None:
+    parsed: list[tuple[int, float]] = []
+
+    def parse(text: str) -> dict[str, Layout]:
+        parsed.append((threading.get_ident(), time.monotonic()))
+        return groups_from_json(text)
+
+    monkeypatch.setattr(zmq_backend, "groups_from_json", parse)
+    states = {f"s{i}": StateSpec() for i in range(2_000 if long else 2)}
+    text = groups_json({"measured": States(states).layout}).encode()
+    begun = time.monotonic()
+    with (
+        zmq.Context() as context,
+        context.socket(zmq.PUB) as raw,
+        closing(reading(ipc, bind=True)) as reader,
+    ):
+        raw.linger = 0
+        raw.connect(ipc)
+        for number in range(2**32):  # each frame has a hash of its own
+            raw.send(_frame(digest=number.to_bytes(32, "big"), words=len(text)) + text)
+            assert not reader.wait(0.002)
+            assert time.monotonic() < begun + PATIENCE
+            if reader.refused if long else len(parsed) > 2:
+                break
+        refused = reader.refused
+    if long:
+        assert f"describes its layout in {len(text)} bytes, of which at most" in refused
+        assert not parsed
+        return
+    assert all(thread != threading.get_ident() for thread, _ in parsed)
+    assert len(parsed) <= 2 * (time.monotonic() - begun) + 1
 
 
 def test_a_flood_stops_neither_the_reader_nor_its_wait(ipc: str) -> None:
@@ -373,6 +414,35 @@ def test_an_address_is_checked(ipc: str, tmp_path: Path) -> None:
         ZmqReader(ipc, "measured", states.layout, other)
 
 
+@pytest.mark.parametrize(
+    ("address", "exposed"),
+    [
+        ("tcp://*:7001", True),
+        ("tcp://0.0.0.0:7001", True),
+        ("tcp://10.0.0.1:7001", True),
+        ("tcp://robot:7001", True),
+        ("tcp://[::]:7001", True),
+        ("tcp://eth0:*", True),
+        ("tcp://127.0.0.1:7001", False),
+        ("tcp://127.0.0.9:*", False),
+        ("tcp://localhost:7001", False),
+        ("tcp://[::1]:7001", False),
+        ("ipc:///tmp/x:1", False),
+    ],
+)
+def test_what_other_machines_reach_is_known(address: str, exposed: bool) -> None:
+    assert is_exposed(address) == exposed
+
+
+@pytest.mark.parametrize("kind", [ZmqWriter, ZmqReader])
+def test_nothing_listens_to_other_machines_without_keys_unless_it_says_so(kind: Any) -> None:
+    states = States(SPECS)
+    with pytest.raises(StateError, match=r"tcp://\*:\* listens beyond this machine without keys: "):
+        kind("tcp://*:*", "measured", states.layout, states, bind=True)
+    kind("tcp://*:*", "measured", states.layout, states, bind=True, without_keys=True).close()
+    kind("tcp://10.255.255.1:9", "measured", states.layout, states, bind=False).close()
+
+
 def test_an_address_of_a_file_is_private_and_leaves_nothing(ipc: str) -> None:
     states, path = States(SPECS), Path(ipc.removeprefix("ipc://"))
     writer = ZmqWriter(ipc, "measured", states.layout, states)
@@ -439,6 +509,26 @@ def test_without_the_same_keys_nothing_is_received(
         if robot:  # and who is known is heard beside
             with closing(reading(address, keys=keys / "desk")) as known:
                 take(known)
+
+
+@pytest.mark.parametrize("robot_writes", [True, False])
+def test_a_stranger_at_the_address_keeps_nobody_away_for_good(
+    keys: Path, robot_writes: bool
+) -> None:
+    """libzmq does not try again by itself after a handshake with an end that has no keys."""
+    with ExitStack() as stack:
+        if robot_writes:
+            with writing(TCP) as (_, address):
+                reader = stack.enter_context(closing(reading(address, keys=keys / "desk")))
+                assert nothing_comes(reader)
+            stack.enter_context(writing(address, keys=keys / "robot"))
+        else:
+            with closing(reading(TCP, bind=True)) as stranger:
+                stack.enter_context(writing(stranger.address, bind=False, keys=keys / "desk"))
+                assert nothing_comes(stranger)
+            address = stranger.address
+            reader = stack.enter_context(closing(reading(address, bind=True, keys=keys / "robot")))
+        take(reader)
 
 
 def test_missing_and_damaged_keys_are_named(keys: Path) -> None:

@@ -33,6 +33,7 @@ from unicon_ros.sweep.plan import Plan
 from unicon_ros.sweep.pool import HOPELESS
 from unicon_ros.sweep.report import write_report
 from unicon_ros.sweep.results import Results
+from unicon_ros.sweep.summary import fall_words
 from unicon_ros.sweep.sweep_file import read_sweep
 from unicon_ros.sweep.worker import RowRunner
 
@@ -57,6 +58,30 @@ def rows_of(results: Results) -> list[dict[str, Any]]:
 
 
 # -- rows ------------------------------------------------------------------------------------------
+
+
+def test_a_fixed_base_has_no_falls_and_no_distance(tmp_path: Path) -> None:
+    (tmp_path / "arm.yaml").write_text(
+        "robot: arx_x5\nplatform: mujoco\nrate: 50\nflow: {hold: {}}\n", "utf-8"
+    )
+    text = "workflow: arm.yaml\nduration: 0.1\nearly_stop: fall\nvary: {scene.seed: [0, 1]}\n"
+    (tmp_path / "sweep.yaml").write_text(text, "utf-8")
+    plan = Plan(read_sweep(tmp_path / "sweep.yaml"))
+    runner, folder = RowRunner(plan.task()), Folder(tmp_path / "out", plan, "made")
+    for index in (0, 1):
+        folder.add(index, runner(list(plan.row(index).settings))["row"])
+    runner.programs.close()
+    folder.flush()
+    folder.close()
+    results = Results(tmp_path / "out")
+    assert len(results.good) == 2
+    for row in rows_of(results):
+        assert row["outcome"] == "duration"
+        assert row["energy_j"] is not None
+        for name in ("fell", "fall_s", "tilt_deg", "distance_m", "speed_error"):
+            assert row[name] is None, name
+    assert fall_words(results).startswith("no fall is known: the base is fixed")
+    assert not read_gate("fall<0.5").holds(results)
 
 
 def test_every_row_has_its_figures(done: Path) -> None:

@@ -20,7 +20,7 @@ from unicon_ros.cli.main import main
 from unicon_ros.sweep.identity import code_sha256, versions
 from unicon_ros.sweep.on_ray import engine, shipment
 from unicon_ros.sweep.on_ray.driver import differs
-from unicon_ros.sweep.on_ray.rehearsal import files_of, rehearsed
+from unicon_ros.sweep.on_ray.rehearsal import files_of, rehearsed, to_ship
 from unicon_ros.sweep.on_ray.scratch import Scratch
 from unicon_ros.sweep.plan import Plan
 from unicon_ros.sweep.sweep_file import read_sweep
@@ -102,6 +102,38 @@ def test_a_node_with_another_version_or_other_code_is_told() -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("package", "message"),
+    [
+        (
+            "import not_there_either",
+            "ray cannot be imported: No module named 'not_there_either'; pip install "
+            "'unicon_ros[ray]' mends it",
+        ),
+        (
+            "import os\nprint('no', 'luck', flush=True)\nos._exit(3)",
+            "ray: Ray did not start: no luck; mend it (all that it said is in {log}), or try "
+            "--engine local",
+        ),
+    ],
+)
+def test_a_ray_that_does_not_work_is_told_for_what_it_is(
+    package: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "ray").mkdir()
+    (tmp_path / "ray" / "__init__.py").write_text(package, "utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(engine, "files_of", lambda *_: [])
+    plan = Plan(read_sweep(sweep_file(tmp_path)))
+    rows = engine.RayEngine(plan, 1, 4, tmp_path)
+    try:
+        with pytest.raises(UniconError) as told:
+            list(rows.run(plan))
+    finally:
+        rows.close()
+    assert str(told.value) == message.format(log=tmp_path / "ray.log")
+
+
 # -- what is shipped -------------------------------------------------------------------------------
 
 
@@ -141,6 +173,22 @@ told = json.loads(sys.stdin.read())
 actor = RowActor(told["manifest"])
 print(json.dumps([actor.hello(), [actor.row(each)["row"] for each in told["rows"]]]))
 """
+
+
+def test_packages_that_pip_put_elsewhere_are_the_nodes_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = ("half/__init__.py", "half.libs/lib.so", "one.py", "half-1.0.dist-info/METADATA")
+    mine = ("mine.py", "edited.py", "edited.egg-info/SOURCES.txt", "data.yaml")
+    for name in (*names, *mine):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("edited.py\n" if "SOURCES" in name else "", "utf-8")
+    record = "".join(f"{name},,\n" for name in (*names, "../bin/half"))
+    (tmp_path / "half-1.0.dist-info" / "RECORD").write_text(record, "utf-8")
+    every = [str(tmp_path / name) for name in (*names, *mine)]
+    assert to_ship(every) == sorted(every)  # no folder of packages: files like any others
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert to_ship(every) == sorted(str(tmp_path / name) for name in mine)
 
 
 @pytest.mark.slow  # 4 s in three processes

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import socket
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 
@@ -24,8 +26,15 @@ def opens() -> Iterator[Opens]:
     """Opens one robot's side; nothing is left in the end."""
     opened: list[Meeting] = []
 
-    def of(robots: object, me: str, *, alone: bool = False, timeout: float = 5.0) -> Meeting:
-        said = {"robots": robots, "me": me, "group": GROUP, "timeout": timeout}
+    def of(
+        robots: object,
+        me: str,
+        *,
+        alone: bool = False,
+        timeout: float = 5.0,
+        keys: str | None = None,
+    ) -> Meeting:
+        said = {"robots": robots, "me": me, "group": GROUP, "timeout": timeout, "keys": keys}
         opened.append(Meeting(party_of(said), alone, PERIOD))
         return opened[-1]
 
@@ -83,6 +92,27 @@ def test_three_of_one_machine_agree_on_a_moment_and_say_who_lacks_before(opens: 
 def test_two_agree_over_zmq(opens: Opens) -> None:
     robots = addresses("a", "b")
     moments = asked(opens(robots, "a"), opens(robots, "b"))
+    assert moments[0] == moments[1] > time.time_ns()
+
+
+def test_those_with_the_keys_of_the_group_agree_and_nobody_else_is_heard(
+    opens: Opens, tmp_path: Path
+) -> None:
+    robots = addresses("a", "b")
+    from zmq.auth import create_certificates
+
+    keys, others = tmp_path / "keys", tmp_path / "others"
+    for folder in (keys, others):
+        (folder / "clients").mkdir(parents=True)
+        for who in ("server", "client"):
+            create_certificates(folder, who)
+        shutil.copy(folder / "client.key", folder / "clients")
+    a = opens(robots, "a", keys=str(keys))
+    for stranger in (None, str(others)):
+        b = opens(robots, "b", keys=stranger)
+        assert asked(a, b, seconds=0.5) == [0, 0]
+        b.close()
+    moments = asked(a, opens(robots, "b", keys=str(keys)))
     assert moments[0] == moments[1] > time.time_ns()
 
 

@@ -124,6 +124,8 @@ def test_what_is_said_is_taken() -> None:
         ({"together": TWO | {"timeout": -1}}, "timeout is -1; give a number above 0"),
         ({"together": TWO | {"timeout": float("inf")}}, "timeout is inf; give a number above 0"),
         ({"together": TWO | {"wait": 1}}, "unknown key 'wait'"),
+        ({"together": TWO | {"keys": "keys"}}, "keys is 'keys'; give the folder of the group's"),
+        ({"together": OVER | {"keys": 1}}, "keys is 1; give the folder of the group's keys"),
         (
             {"together": {"robots": {"left": "a:1", "right": "tcp://b:1"}, "me": "left"}},
             "the address of 'left' is 'a:1'; give tcp://HOST:PORT",

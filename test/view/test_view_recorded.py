@@ -121,6 +121,7 @@ def test_a_recording_of_a_workflow_that_is_not_here_is_shown_all_the_same(bag: P
     assert tick is not None
     assert tick.states["joint_pos"].shape == (12,)
     record.facts["robot"] = "nobody"  # type: ignore[index]
+    record.facts["robot_path"] = "/nowhere/nobody.yaml"  # type: ignore[index]
     with pytest.raises(UniconError, match="nobody"):
         shown_in(record)
 

@@ -13,6 +13,7 @@ from unicon_core.errors import WorkflowError
 from unicon_core.located_yaml import read_yaml
 from unicon_core.workflow import load_document, workflow_names
 from unicon_core.workflow.overrides import set_value, split_setting
+from unicon_core.workflow.platform_use import read_platforms
 from unicon_ros.cli.main import main
 
 ROOT = Path(__file__).parents[2]
@@ -103,11 +104,22 @@ def test_path_means(dotted: str, after: dict[Any, Any]) -> None:
             "empty.0",
             "--set empty.0: '0' is not a place in a list of 0; set the list: --set empty=[…]",
         ),
+        (
+            "platform.unitree.address",
+            "--set platform.unitree.address: platform is 'mujoco', which has no parts; its "
+            "options: --set platforms.unitree.address=9",
+        ),
+        (
+            "platform.timestep",
+            "--set platform.timestep: platform is 'mujoco', which has no parts; its options: "
+            "--set platforms.mujoco.timestep=9",
+        ),
     ],
 )
 def test_path_that_means_nothing_names_the_alternatives(dotted: str, message: str) -> None:
     safety = ["finite", {"limits": {"margin": 1}}]
     values: dict[str, Any] = {"a.b": 1, "a": {"b": 2}, "rate": 50, "safety": safety, "empty": []}
+    values["platform"] = "mujoco"
     before = deepcopy(values)
     with pytest.raises(WorkflowError) as caught:
         set_value(values, dotted, 9)
@@ -154,3 +166,11 @@ def test_run_refuses_what_is_set_wrong(
     assert "go2_walk" in workflow_names()
     assert main(["run", "go2_walk", "--set", "platform=fake", "--set", setting]) == 1
     assert told in capsys.readouterr().err
+
+
+def test_options_below_the_platforms_name_are_told_where_they_stand(tmp_path: Path) -> None:
+    path = tmp_path / "w.yaml"
+    path.write_text("robot: go2\nplatform: unitree\nrate: 50\nflow: damp\n", "utf-8")
+    document = load_document(path, ["platform.unitree.address=lo"])
+    with pytest.raises(WorkflowError, match=r"or --set platforms\.unitree\.address=VALUE"):
+        read_platforms(document)

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -422,3 +423,37 @@ def test_show_draws_the_border(workflow, capsys):
     text = capsys.readouterr().out
     assert "velocity_command (on desk)" in text
     assert f"shm {NAME}-desk" in text
+
+
+STORE = 'store: {{zmq: {{address: "tcp://{host}:5600"{keys}}}}}'
+TOGETHER = 'start: {{together: {{robots: {{a: "tcp://{host}:1", b: "ipc:///b"}}, me: a{keys}}}}}'
+
+
+@pytest.mark.parametrize(("where", "text"), [("store", STORE), ("start.together", TOGETHER)])
+@pytest.mark.parametrize(
+    ("host", "keys", "exposed"),
+    [
+        ("10.0.0.1", "", True),
+        ("robot", "", True),
+        ("127.0.0.1", "", False),
+        ("10.0.0.1", ", keys: folder", False),
+    ],
+)
+def test_what_other_machines_reach_without_keys_is_an_error(
+    tmp_path: Path, where: str, text: str, host: str, keys: str, exposed: bool
+) -> None:
+    path = write(tmp_path, store=text.format(host=host, keys=keys))
+    found = [each for each in check_workflow(path).findings if each.code == "zmq.keys"]
+    assert [each.culprit for each in found] == exposed * [where]
+    if exposed:
+        assert "can be reached from other machines, without keys: anybody who" in found[0].evidence
+
+
+def test_a_part_that_listens_without_keys_is_refused_unless_forced(tmp_path: Path) -> None:
+    path = write(tmp_path, store=STORE.format(host="0.0.0.0", keys=""))
+    with closing(Program(load_document(path), part="robot")) as program:
+        with pytest.raises(CheckError, match=r"--force zmq\.keys"):
+            refuse_errors(program)
+        assert any("forced: store: " in line for line in refuse_errors(program, ["zmq.keys"]))
+    with closing(load_workflow(path)) as program:  # all of it in one process: nothing listens
+        refuse_errors(program)

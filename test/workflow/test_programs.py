@@ -17,6 +17,7 @@ from unicon_core import (
     Reads,
     Report,
     Stage,
+    StateSpec,
     Switch,
     UniconError,
     Zip,
@@ -234,3 +235,10 @@ def test_the_package_exports_its_names_lazily() -> None:
     assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "[]"
     with pytest.raises(AttributeError, match="no attribute 'nope'"):
         unicon_core.nope  # noqa: B018
+
+
+def test_a_state_of_ones_own_may_be_a_specification() -> None:
+    spec = StateSpec((2,), "float32", "rad", names=("a", "b"), initial=0.5)
+    program = Program(flow=block("hold"), states={"phase": spec}, **FAKE)
+    assert program.states.layout.specs["phase"] == spec
+    program.close()

@@ -20,14 +20,14 @@ from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import States
 from unicon_core.states.standard import BASE_STATES, JOINT_STATES
 from unicon_core.workflow import Program, load_workflow
-from unicon_core.workflow.safety_set import ROBOT_SAFETY
+from unicon_core.workflow.safety_set import ROBOT_SAFETY, TELLS
 from unicon_ros.cli.main import main
 
 pytestmark = pytest.mark.usefixtures("short_damping")
 
 HERE = __name__
 MEASURED = (*JOINT_STATES, *BASE_STATES[:4], "stamp_ns")
-STRICT = [name for name in ROBOT_SAFETY if name != "hardware_stop"]
+STRICT = [name for name in ROBOT_SAFETY if name not in TELLS]
 
 
 class Blind:
@@ -90,14 +90,21 @@ def behind(writes: tuple[str, ...], **options: Any) -> dict[str, Any]:
             ["finite", "joint_limits", "tilt_stop"],
             [
                 *("finite", "command_stop", "range_stop", "velocity_stop"),
-                *("joint_limits", "tilt_stop", "stale_stop", "imu_stop", "encoder_stop"),
+                *(
+                    "joint_limits",
+                    "tilt_stop",
+                    "stale_stop",
+                    "imu_stop",
+                    "joint_sensor_stop",
+                    "encoder_stop",
+                ),
             ],
         ),
         (
             ["fade_in", {"tilt_stop": {"angle": 0.5, "name": "upright"}}],
             [
                 *("finite", "command_stop", "range_stop", "velocity_stop", "fade_in", "upright"),
-                *("joint_limits", "stale_stop", "imu_stop", "encoder_stop"),
+                *("joint_limits", "stale_stop", "imu_stop", "joint_sensor_stop", "encoder_stop"),
             ],
         ),
         (
@@ -159,8 +166,8 @@ def test_a_block_that_sees_nothing_is_left_out_and_told(tmp_path: Path) -> None:
     program.close()
     assert line == (
         "safety: this robot does not have tilt_stop (nothing measures projected_gravity); "
-        "stale_stop (nothing measures stamp_ns); "
-        "imu_stop (nothing measures base_quat, base_ang_vel, projected_gravity)"
+        "stale_stop, joint_sensor_stop (nothing measures stamp_ns); "
+        "imu_stop (nothing measures base_quat, base_ang_vel, projected_gravity, stamp_ns)"
     )
 
 
@@ -180,7 +187,7 @@ def test_a_message_map_without_an_imu_is_one_line_and_no_refusal(tmp_path: Path)
 
 
 def test_what_an_estimator_writes_is_measured(tmp_path: Path) -> None:
-    writes = ("joint_pos", "base_quat", "base_ang_vel")
+    writes = ("joint_pos", "base_quat", "base_ang_vel", "stamp_ns")
     program = built(tmp_path, **behind(writes, estimate=["projected_gravity"]))
     assert {"tilt_stop", "imu_stop"} <= {*program.safety}
     assert program.safety_left_out["velocity_stop"] == "nothing measures joint_vel"
@@ -235,6 +242,7 @@ def test_what_compares_five_ticks_looks_behind_send(
     names = [block.name for block in runner.graph.blocks]
     late = [names[i] for i in sorted(runner.graph.deferred_blocks)]
     runner.close()
+    late.remove("joint_sensor_stop")  # always
     assert late[-3:] == patient if after else not {*patient} & {*late}
     if not after:
         assert max(map(names.index, patient)) < names.index("send")

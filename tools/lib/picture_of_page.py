@@ -31,6 +31,7 @@ def main(workflow: str = "go2_walk", path: str = "docs/pictures/view.png") -> in
     from playwright.sync_api import sync_playwright
 
     command = [sys.executable, "-m", "unicon_ros", "run", workflow, "--view", "--duration", "60"]
+    command += ["--set", "pacing.priority=50"]  # the browser draws without a GPU, beside the ticks
     run = subprocess.Popen([*command, "--view-port", "8790"], stderr=subprocess.PIPE, text=True)
     try:
         assert run.stderr is not None

@@ -32,8 +32,12 @@ def recorded(path: Path) -> None:
         raise SystemExit("the run has failed")
 
 
-def bones(record: object, row: int) -> list[np.ndarray]:
-    """Return a line from each body of the robot to the one that carries it, in the base's frame."""
+def bones(positions: np.ndarray) -> list[np.ndarray]:
+    """Return a line from each body of the robot to the one that carries it, in the base's frame.
+
+    Args:
+        positions: of all joints in [rad], shape (n,).
+    """
     import mujoco
 
     from unicon_core.models.find import model_of
@@ -44,7 +48,7 @@ def bones(record: object, row: int) -> list[np.ndarray]:
     model = load_model(model_of(None, robot), robot, quiet=True).model
     data = mujoco.MjData(model)
     names = [model.joint(j).name for j in range(model.njnt)]
-    for name, value in zip(robot.joint_names, record.states("joint_pos")[row]):  # type: ignore[attr-defined]
+    for name, value in zip(robot.joint_names, positions):
         data.qpos[model.jnt_qposadr[names.index(name)]] = value
     mujoco.mj_kinematics(model, data)
     base = data.body(robot.base_frame).xpos.copy()
@@ -71,7 +75,7 @@ def draw(path: Path) -> None:
     row = int(np.searchsorted(time, MOMENT))
     figure = pyplot.figure(figsize=(11.0, 4.6), dpi=110)
     space = figure.add_axes((-0.02, -0.05, 0.44, 1.1), projection="3d")
-    for line in bones(record, row):
+    for line in bones(record.states("joint_pos")[run][row]):
         space.plot(*line.T, color="#3c434b", linewidth=3.0, solid_capstyle="round")
     for side in ("left_hand", "right_hand"):
         for state, color in (("target", WANTED), ("pose", MEASURED)):

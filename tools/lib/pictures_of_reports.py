@@ -65,6 +65,7 @@ def main() -> int:
     browser = next(filter(None, map(shutil.which, NAMES)), None)
     if browser is None:
         parser.error("no browser; install one: apt install chromium (Debian)")
+    arguments.out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
         pages: dict[tuple[str, ...], Path] = {}
         for name in arguments.names or SHOTS:

@@ -14,6 +14,7 @@ BLOCKS = (
     "test/blocks/test_blocks_trips.py",
     "test/blocks/test_blocks_safety.py",
     "test/blocks/test_blocks_detectors.py",
+    "test/blocks/test_joint_sensor_stop.py",
 )
 LEARNED = ("test/blocks/test_blocks_trips.py",)
 GATES = "test/gates/test_gates.py", "test/gates/test_gates_edges.py"
@@ -245,6 +246,8 @@ ROWS = [
         ("ButtonStop.__call__", "self._silent > self._lost", "self._silent >= self._lost"),
         ("ButtonStop.__call__", "self._silent > self._lost", "self._silent > 9 * self._lost"),
         ("ButtonStop.reset", REMOVED),
+        ("RemoteStop.__call__", REMOVED),
+        ("RemoteStop.reset", REMOVED),
     ),
     *_rows(
         "blocks/safety/stuck.py",
@@ -266,14 +269,29 @@ ROWS = [
         ("ImuStop._frozen", REMOVED),
         ("ImuStop._frozen", "self._same < self._ticks", "self._same < 10 * self._ticks"),
         ("ImuStop._frozen", "moved > self._motion", "moved > 10 * self._motion"),
-        ("ImuStop.__call__", "self._apart >= self._ticks", "self._apart >= 100 * self._ticks"),
-        ("ImuStop.__call__", "<= self._chord", "<= 10 * self._chord"),
+        ("ImuStop._integrate", REMOVED),
+        ("ImuStop._integrate", "> self._angle**2", "> 100 * self._angle**2"),
+        ("ImuStop._integrate", "self._apart >= self.PERSISTS", "self._apart >= 9.0"),
+        ("ImuStop._integrate", "dt <= self.LONGEST", "dt"),
         ("ImuStop._compare", "<= 3 * self._allowed", "<= 30 * self._allowed"),
         ("ImuStop._compare", "if not abs(qx", "if abs(qx"),
         ("ImuStop.reset", REMOVED),
         ("imu_stop", "timeout: float = 0.2", "timeout: float = 2.0"),
         ("imu_stop", "motion: float = 0.3", "motion: float = 3.0"),
         ("imu_stop", "angle: float = 0.35", "angle: float = 1.5"),
+    ),
+    *_rows(
+        "blocks/safety/sensors.py",
+        BLOCKS,
+        ("JointSensorStop.__call__", REMOVED),
+        ("JointSensorStop._look", REMOVED),
+        ("JointSensorStop._look_at_motion", REMOVED),
+        ("JointSensorStop.__call__", "self._same >= self.FROZEN", "self._same >= 9.0"),
+        ("JointSensorStop._look", "beyond[k] > step", "False"),
+        ("JointSensorStop._look", "sum_of > self._drift + ", "sum_of > 100 * self._drift + "),
+        ("JointSensorStop._look", "total[...] = 0.0", "pass"),
+        ("JointSensorStop.__call__", "dt <= self.LONGEST", "dt"),
+        ("JointSensorStop.__call__", "off *= self.looked_at", "pass"),
     ),
     *_rows(
         "blocks/safety/hardware.py",
@@ -318,15 +336,16 @@ ROWS = [
                 "range_stop",
                 "velocity_stop",
                 "tilt_stop",
+                "hardware_stop",
             )
         ),
-        ("", "    HARDWARE,\n", ""),
         *(
             ("", old, new)
             for old, new in (
                 ('LAST = ("joint_limits", ', "LAST = ("),
                 ('"stale_stop", ', ""),
                 ('"imu_stop", ', ""),
+                ('"joint_sensor_stop", ', ""),
                 (', "encoder_stop")', ")"),
             )
         ),

@@ -211,7 +211,7 @@ class Excite:
     ) -> None:
         self._command, self._wave, self._centre = command, wave, centre
         self._amplitudes, (self._ticks, self._fade) = amplitudes, times
-        self._gains, self._approach = gains, times[1]
+        self.gains, self._approach = gains, times[1]
         self._ticks_per_rad = 0.5 * math.pi / (POSE_SPEED * period)
         self._start, self._way = (np.zeros_like(command.joint_pos_target) for _ in range(2))
         self._tick = 0
@@ -237,7 +237,7 @@ class Excite:
             target[...] = self._centre + self._amplitudes[turn] * (envelope * self._wave(tick))
         command.joint_vel_target[...] = 0.0
         command.joint_effort_ff[...] = 0.0
-        command.joint_stiffness[...], command.joint_damping[...] = self._gains
+        command.joint_stiffness[...], command.joint_damping[...] = self.gains
         return turn >= turns
 
     def reset(self) -> None:

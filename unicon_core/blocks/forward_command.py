@@ -162,7 +162,7 @@ class ForwardCommand:
         self._places = robot.group(moves or robot.joint_names)
         self._at = (..., index_of(self._places.tolist()))
         self._command, self._commanded, self._robot = command, commanded, robot
-        self._gains, self._ends = gains, ticks
+        self.gains, self._ends = gains, ticks
         self.endless = ticks is None
         self.max_rate = max_rate
         self.ticks = 0
@@ -245,7 +245,7 @@ class ForwardCommand:
         self._feed_forward(
             self._commanded.joint_effort_command, self._effort, command.joint_effort_ff
         )
-        stiffness, damping = self._gains
+        stiffness, damping = self.gains
         command.joint_stiffness[at], command.joint_damping[at] = stiffness[at], damping[at]
         return self._ends is not None and self.ticks >= self._ends
 

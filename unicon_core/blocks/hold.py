@@ -37,7 +37,7 @@ class Hold:
     ) -> None:
         self._command, self._ticks = command, ticks
         self.endless = ticks is None
-        self._gains = None if keep_gains else robot_gains(robot, "hold")
+        self.gains = None if keep_gains else robot_gains(robot, "hold")
         self._held = np.zeros_like(command.joint_pos_target)
         self._tick = 0
 
@@ -49,8 +49,8 @@ class Hold:
         command.joint_pos_target[...] = self._held
         command.joint_vel_target[...] = 0.0
         command.joint_effort_ff[...] = 0.0
-        if self._gains is not None:
-            command.joint_stiffness[...], command.joint_damping[...] = self._gains
+        if self.gains is not None:
+            command.joint_stiffness[...], command.joint_damping[...] = self.gains
         return self._ticks is not None and self._tick >= self._ticks
 
     def reset(self) -> None:

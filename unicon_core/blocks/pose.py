@@ -61,7 +61,7 @@ class Pose:
         self._goal, self._said = named_pose(to, robot, "block 'pose'")
         if isinstance(to, str):  # a wheel is left where it stands
             self._said = np.where(robot.endless, np.float32(0.0), self._said)
-        gains = robot_gains(robot, "pose", stiffness_scale, damping_scale)
+        self.gains = gains = robot_gains(robot, "pose", stiffness_scale, damping_scale)
         within(duration, "duration", "s", DURATION, POSE_DURATION, above=False)
         self._asked = self._ticks = ticks_of(duration, period, "duration") or 1
         # Peak speed π/2 · way / time: ticks that a way of 1 rad takes at the speed allowed.

@@ -88,7 +88,7 @@ class Sway:
         self._share = 1.0 if time_constant <= 0.0 else -math.expm1(-period / time_constant)
         self._lower = np.nan_to_num(robot.lower, nan=-np.inf)
         self._upper = np.nan_to_num(robot.upper, nan=np.inf)
-        self._gains = robot_gains(robot, "sway")
+        self.gains = robot_gains(robot, "sway")
         self._ticks, self._tick = ticks, 0
         self.endless = ticks is None
         self._filtered, self._wanted, self._moved = (
@@ -118,7 +118,7 @@ class Sway:
         command.joint_pos_target[...] = filtered
         command.joint_vel_target[...] = 0.0
         command.joint_effort_ff[...] = 0.0
-        command.joint_stiffness[...], command.joint_damping[...] = self._gains
+        command.joint_stiffness[...], command.joint_damping[...] = self.gains
         return self._ticks is not None and self._tick >= self._ticks
 
     def reset(self) -> None:

@@ -9,12 +9,12 @@ from typing import Any
 from unicon_core.check.action import check_action, check_commands, check_timing
 from unicon_core.check.action_rates import check_fed
 from unicon_core.check.files import check_files, check_robot
-from unicon_core.check.gains import check_gains, check_limits
+from unicon_core.check.gains import check_gains, check_held, check_limits
 from unicon_core.check.graph import check_blocks
 from unicon_core.check.joints import check_joints
 from unicon_core.check.observation import check_frames, check_observation
 from unicon_core.check.order import check_order
-from unicon_core.check.parts import check_parts
+from unicon_core.check.parts import check_keys, check_parts
 from unicon_core.check.pose import check_pose
 from unicon_core.check.reach import check_bodies, check_reach
 from unicon_core.check.result import CheckResult
@@ -118,6 +118,7 @@ def static_checks(subject: Subject, result: CheckResult) -> None:
     check_joints(subject, result)
     check_order(subject, result)
     check_gains(subject, result)
+    check_held(subject, result)
     check_limits(subject, result)
     check_observation(subject, result)
     check_action(subject, result)
@@ -129,6 +130,7 @@ def static_checks(subject: Subject, result: CheckResult) -> None:
     check_gates(subject, result)
     check_safety(subject, result)
     check_parts(subject, result)
+    check_keys(subject, result)
     check_reach(subject, result)
     check_robot(subject, result)
     if not subject.live:  # they read the platform, hash files, or repeat what the build has done

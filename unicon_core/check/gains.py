@@ -12,16 +12,30 @@ from unicon_core.check.mirror import check_mirrored
 from unicon_core.check.model_facts import ModelJoints, model_joints
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import Subject, listed
+from unicon_core.errors import MissingDependencyError, ModelError
+from unicon_core.models.find import model_of
+from unicon_core.models.load import load_model
 from unicon_core.platforms.platform import info_of
 from unicon_core.robots import Robot, joint_index
 
-__all__ = ["check_gains", "check_limits"]
+__all__ = ["check_gains", "check_held", "check_limits", "counted_twice"]
 
 EFFORT_FACTOR = 3.0
 """Robot file and model may differ by variants of a motor (35 and 50 N·m), not by this."""
 SOFTEST_LIMIT = 0.1
 """In [rad]: a servo that is at its effort limit within less is on or off. Published contracts have
 0.125 (G1's wrist, 40 N·m/rad and 5 N·m) and more, those of legs 0.4 and more."""
+SLOWEST = 0.04
+"""Share of a joint's speed limit at which its damping alone may ask for all its effort. Robot files
+have 0.048 (X2's head), 0.16 (Go1, Go2: 5 N·m·s/rad, 23.7 N·m, 30.1 rad/s) and more."""
+MANY = 0.33
+"""Share of joints that hold too hard from which a set of gains is wrong, whatever they turn. The
+vendors of Atom and X2 hold heads and wrists of next to no load within less: 8 of 29, 1 of 31."""
+SWING = 2.0
+"""Natural frequency times tick from which one such joint is wrong: sqrt(kp/I)·T. A mass on a spring
+that is stepped once in T is unstable from 2 on (Hairer, Lubich, Wanner, Geometric Numerical
+Integration, 2006, I.1.4); joints of robot files have 0.2 to 2.1 at 50 Hz, those that hold within
+less than a tenth of a radian none of them that has a model."""
 TWICE = 0.5
 """Passive damping as a share of the policy's from which it may be that one, counted twice."""
 PASSIVE = 0.01
@@ -49,6 +63,81 @@ def check_gains(subject: Subject, result: CheckResult) -> None:
             check_mirrored(policy, "gains.symmetry", what, contract.joints, values)
 
 
+def check_held(subject: Subject, result: CheckResult) -> None:
+    """Find gains of the robot file, and of blocks that have their own, which hold too hard.
+
+    A joint does where an error of a tenth of a radian, or a twenty-fifth of its speed limit, asks
+    for all its effort: the servo is on or off, and shakes. Many such joints are an error; few are
+    one where the model says that they swing faster than the ticks follow.
+    """
+    robot = subject.robot
+    sets: dict[bytes, tuple[str, Any, Any, Any]] = {}
+
+    def add(culprit: str, kp: NDArray[np.float32], kd: NDArray[np.float32], where: Any) -> None:
+        sets.setdefault(kp.tobytes() + kd.tobytes(), (culprit, kp, kd, where))
+
+    add(f"robot {robot.name}, gains", robot.joint_stiffness, robot.joint_damping, robot.path)
+    for block in subject.blocks:
+        gains = getattr(block.tick, "gains", None)
+        if gains is not None and len(gains[0]) == robot.num_joints:  # not of a member
+            add(f"block {block.name!r}, gains", gains[0], gains[1], block.where)
+    for each in sets.values():
+        _held(subject, result, *each)
+
+
+def _held(
+    subject: Subject,
+    result: CheckResult,
+    culprit: str,
+    stiffness: NDArray[np.float32],
+    damping: NDArray[np.float32],
+    where: Any,
+) -> None:
+    robot = subject.robot
+    kp, kd, effort, speed = (
+        values.astype(np.float64)
+        for values in (stiffness, damping, robot.effort_limit, robot.velocity_limit)
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):  # nothing below compares with an unknown
+        error, rate = effort / kp, effort / kd
+        excess = np.fmax(SOFTEST_LIMIT / error, SLOWEST * speed / rate)
+    hard = np.flatnonzero((excess > 1.0) & ~robot.by_position)  # those have gains of their vendor
+    if not hard.size:
+        return
+    i, swings, fastest = hard[np.argmax(excess[hard])], "", 0.0
+    inertia = _inertia(subject)
+    if inertia is not None:
+        frequency = np.sqrt(kp / inertia)
+        ratio = kd[i] / (2.0 * inertia[i] * frequency[i]) if kp[i] > 0.0 else np.inf
+        fastest = float(frequency[hard].max())
+        swings = (
+            f", and swing at {frequency[i]:.3g} rad/s (a tick is {subject.program.period:g} s) "
+            f"with damping ratio {ratio:.2g} ({inertia[i]:.3g} kg·m²)"
+        )
+    if hard.size <= MANY * len(kp) and fastest * subject.program.period <= SWING:
+        return
+    result.find(
+        "gains.stiff",
+        culprit,
+        f"{robot.joint_names[i]}: {kp[i]:g} N·m/rad and {kd[i]:g} N·m·s/rad reach its effort limit "
+        f"of {effort[i]:g} N·m within {error[i]:.2g} rad or {rate[i]:.2g} rad/s{swings} "
+        f"({hard.size} joints)",
+        f"correct stiffness and damping, or joints.effort in {robot.path.name}",
+        where,
+    )
+
+
+def _inertia(subject: Subject) -> NDArray[np.float64] | None:
+    """Return what joints turn in [kg·m²] by the model, on hardware by the robot file's, if any."""
+    try:
+        platform, robot = subject.program.platform, subject.robot
+        loaded = subject.model or load_model(model_of(platform, robot), robot, quiet=True)
+    except (ModelError, MissingDependencyError):
+        return None
+    model = model_joints(loaded)
+    return None if model is None else model.inertia
+
+
 def _table(robot: Robot, policy: PolicyResult, model: ModelJoints | None) -> None:
     contract = policy.contract
     own = joint_index(contract.joints, robot.joint_names)
@@ -74,14 +163,28 @@ def _table(robot: Robot, policy: PolicyResult, model: ModelJoints | None) -> Non
         )
 
 
+def counted_twice(damping: NDArray[Any], passive: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Return the joints that damp themselves about as much as a policy asks the motors to.
+
+    Args:
+        damping: of the policy in [N·m·s/rad], shape (n,).
+        passive: of the same joints themselves.
+
+    Returns:
+        Places of those joints, the one with the greatest share first.
+    """
+    twice = np.flatnonzero((damping > 0.0) & (passive >= TWICE * damping))
+    return twice[np.argsort(-passive[twice] / damping[twice], kind="stable")]
+
+
 def _counted_twice(subject: Subject, policy: PolicyResult, passive: NDArray[np.float64]) -> None:
-    """A model whose joints damp themselves about as much as the policy asks the motors to."""
+    """Note a model whose joints damp themselves about as much as the policy asks the motors to."""
     contract, platform = policy.contract, subject.program.platform
     own = passive[joint_index(contract.joints, subject.robot.joint_names)]
-    twice = np.flatnonzero((contract.damping > 0.0) & (own >= TWICE * contract.damping))
+    twice = counted_twice(contract.damping, own)
     if not twice.size:
         return
-    i = twice[np.argmax(own[twice] / contract.damping[twice])]
+    i = twice[0]
     name = platform.facts.name
     policy.result.note(
         "gains.passive",

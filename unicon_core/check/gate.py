@@ -19,6 +19,7 @@ TOLD = {
     "safety.none": "commands are sent as they are, also those that are not finite or beyond the "
     "limits of a joint",
     "safety.less": "",
+    "safety.remote": "",
     "joints.welded": "",
     "model.meshes": "",
     "reach.apart": "",

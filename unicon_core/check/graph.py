@@ -5,6 +5,7 @@ from __future__ import annotations
 from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject
 from unicon_core.flow.checks import check_graph
+from unicon_core.show.tree import is_critical
 from unicon_core.workflow.tick_tree import given_in
 
 __all__ = ["check_blocks"]
@@ -20,7 +21,7 @@ def check_blocks(subject: Subject, result: CheckResult) -> None:
         [
             block.name,
             block.stage.value if block.stage else "-",
-            "before send" if block in program.critical else "after send",
+            "before send" if is_critical(block, program.critical) else "after send",
             " ".join(block.reads) or "-",
             " ".join([*block.writes, *(f"{name}*" for name in block.amends)]) or "-",
         ]

@@ -29,6 +29,8 @@ class ModelJoints:
         effort: largest torque in [N·m].
         stiffness, damping: gains of position actuators in [N·m/rad], [N·m·s/rad].
         passive: damping of the joint itself in [N·m·s/rad].
+        inertia: that a motor turns in the model's zero pose, armature included, in [kg·m²]; the
+            diagonal of the mass matrix (MuJoCo's `dof_M0`).
     """
 
     path: Path
@@ -38,6 +40,7 @@ class ModelJoints:
     stiffness: Float
     damping: Float
     passive: Float
+    inertia: Float
 
 
 def model_joints(loaded: LoadedModel | None) -> ModelJoints | None:
@@ -47,7 +50,8 @@ def model_joints(loaded: LoadedModel | None) -> ModelJoints | None:
     model, ids = loaded.model, loaded.joints
     lower, upper, effort, kp, kd = (np.full(len(ids), np.nan) for _ in range(5))
     driven = drives(import_mujoco(), model)
-    passive = np.array([float(model.dof_damping[model.jnt_dofadr[j]]) for j in ids])
+    dofs = model.jnt_dofadr[list(ids)]
+    passive, inertia = model.dof_damping[dofs].astype(float), model.dof_M0[dofs].astype(float)
     for k, joint in enumerate(ids):
         if model.jnt_limited[joint]:
             lower[k], upper[k] = model.jnt_range[joint]
@@ -62,7 +66,7 @@ def model_joints(loaded: LoadedModel | None) -> ModelJoints | None:
                 unit = float(model.actuator_gainprm[i, 0]) * gear
                 torques.append(float(np.abs(model.actuator_ctrlrange[i]).max()) * unit)
             effort[k] = np.fmin(effort[k], min((t for t in torques if t > 0.0), default=np.nan))
-    return ModelJoints(loaded.path, lower, upper, effort, kp, kd, passive)
+    return ModelJoints(loaded.path, lower, upper, effort, kp, kd, passive, inertia)
 
 
 def joint_depths(loaded: LoadedModel, robot: Robot, joints: Sequence[str]) -> list[int]:

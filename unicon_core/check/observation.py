@@ -14,6 +14,7 @@ from unicon_core.platforms.platform import info_of
 from unicon_core.policies import PolicyContract, TermSlice, term_slices
 from unicon_core.policies.contract import Feed
 from unicon_core.policies.networks.onnx_file import read_onnx
+from unicon_core.policies.table import input_places
 from unicon_core.states.standard import ESTIMATORS
 
 __all__ = ["check_frames", "check_observation"]
@@ -89,12 +90,11 @@ def _layout(contract: PolicyContract) -> str:
 def _sizes(policy: PolicyResult, slices: tuple[TermSlice, ...]) -> None:
     """Input size term by term beside the network's own; the build refuses a difference."""
     contract = policy.contract
-    start, rows = 0, []
-    for part in slices:
-        width, frames = part.elements.size, part.term.history
-        stop = start + width * frames
-        rows.append([part.term.name, f"{width} × {frames}", f"[{start}:{stop}]"])
-        start = stop
+    rows = [
+        [part.term.name, f"{part.elements.size} × {part.term.history}", place]
+        for part, place in zip(slices, input_places(contract, slices))
+    ]
+    size = sum(part.elements.size * part.term.history for part in slices)
     tensor, chain = None, []
     if contract.networks:
         chain = [_network(part.name, part.model, part.feeds) for part in contract.networks]
@@ -108,7 +108,7 @@ def _sizes(policy: PolicyResult, slices: tuple[TermSlice, ...]) -> None:
     elif chain:
         said = "; the networks and what fills them:"
     title = f"Network input of policy {policy.key}"
-    lines = [f"{start} values{said}", *chain]
+    lines = [f"{size} values{said}", *chain]
     policy.result.table(title, ["term", "size", "input"], rows, lines)
 
 

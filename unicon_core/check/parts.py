@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 
 from unicon_core.check.result import CheckResult
-from unicon_core.check.subject import Subject
+from unicon_core.check.subject import Subject, listed
+from unicon_core.states.backends.zmq_socket import WITHOUT_KEYS, is_exposed
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow.division import is_divided, owner_of
-from unicon_core.workflow.parts import Parts
+from unicon_core.workflow.parts import Parts, read_store
 
-__all__ = ["check_parts"]
+__all__ = ["check_keys", "check_parts"]
 
 
 Writers = Mapping[str, Mapping[str, str]]
@@ -32,6 +34,29 @@ def check_parts(subject: Subject, result: CheckResult) -> None:
     _check_writers(subject, result, writers)
     _check_published(subject, result, parts, writers)
     _check_read(subject, result, parts, given, writers)
+
+
+def check_keys(subject: Subject, result: CheckResult) -> None:
+    """Find what other machines reach, and everybody there may write, for want of keys."""
+    program, document = subject.program, subject.document
+    store, party = read_store(document), program.start.together
+    found: list[tuple[str, tuple[str, ...], Path | None, str]] = []
+    if store is not None and (program.part or not subject.live):  # else all is in one process
+        found.append(("store", (store.address,), store.keys, "store: {zmq: {address: …, keys: …}}"))
+    if party is not None:
+        remedy = "start: {together: {…, keys: FOLDER}}"
+        found.append(("start.together", tuple(party.robots.values()), party.keys, remedy))
+    for where, addresses, keys, remedy in found:
+        exposed = [address for address in addresses if is_exposed(address)]
+        if exposed and keys is None:
+            result.find(
+                "zmq.keys",
+                where,
+                f"{listed(exposed)} can be reached from other machines, without keys: "
+                f"{WITHOUT_KEYS}",
+                f"make keys (docs/zmq.md) and write {remedy}, or use addresses of 127.0.0.1",
+                document.where(*where.split(".")),
+            )
 
 
 def _writers(subject: Subject, parts: Parts) -> Writers:

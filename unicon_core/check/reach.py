@@ -17,7 +17,10 @@ def check_reach(subject: Subject, result: CheckResult) -> None:
 
 
 def check_bodies(subject: Subject, result: CheckResult) -> None:
-    """Find end effectors and capsules of the robot file on bodies that the model lacks."""
+    """Note end effectors and capsules of the robot file on bodies that the model lacks.
+
+    No block of this workflow uses one: a block that does is not built without the body.
+    """
     robot = subject.robot
     named = {f"end effector {name!r}": place.body for name, place in robot.end_effectors.items()}
     named |= {f"capsule {name!r}": capsule.body for name, capsule in robot.capsules.items()}
@@ -28,5 +31,5 @@ def check_bodies(subject: Subject, result: CheckResult) -> None:
     for what, body in named.items():
         if body not in known:
             evidence = f"{what} is on body {body!r}, which model {subject.model.path} lacks"
-            remedy = f"{alternatives(body, known)}; correct it"
-            result.find("model.bodies", f"robot {robot.name}", evidence, remedy, robot.path)
+            remedy = f"no block uses it; {alternatives(body, known)}"
+            result.note("model.bodies", f"robot {robot.name}", evidence, remedy, robot.path)

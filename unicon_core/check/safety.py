@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from unicon_core.blocks.safety.button_stop import RemoteStop
 from unicon_core.blocks.safety.limits import JointLimits
 from unicon_core.blocks.safety.stops import Finite
 from unicon_core.check.result import CheckResult
@@ -64,6 +65,7 @@ def check_safety(subject: Subject, result: CheckResult) -> None:
                 "write it into safety: by itself, or take it out",
                 block.where or where,
             )
+    _check_remote(subject, result, blocks)
     told = {*subject.program.platform.facts.writes, *GIVEN, *subject.written}
     for block in blocks:
         blind = _blind(block, sent, told)
@@ -75,6 +77,30 @@ def check_safety(subject: Subject, result: CheckResult) -> None:
                 "correct its states:, or take it out of safety:",
                 block.where or where,
             )
+
+
+def _check_remote(subject: Subject, result: CheckResult, blocks: list[Block]) -> None:
+    """Which buttons of the remote stop the robot, and that no other block gives them a meaning."""
+    used = {
+        name: block.name
+        for block in subject.program.blocks
+        for name in getattr(block.tick, "buttons_used", ())
+    }
+    for block in blocks:
+        if not isinstance(block.tick, RemoteStop):
+            continue
+        names, where = "+".join(block.tick.names), block.where or subject.document.where("safety")
+        if used.keys() >= {*block.tick.names}:
+            using = listed(dict.fromkeys(used[name] for name in block.tick.names))
+            result.find(
+                "safety.remote",
+                f"safety block {block.name!r}",
+                f"{names} on the remote stops the robot, and means something else to {using}",
+                f"give {using} other buttons, or list {{remote_stop: {{on: [BUTTON, BUTTON]}}}}",
+                where,
+            )
+        else:
+            result.note("safety.remote", names, "held on the remote, stops the robot", "", where)
 
 
 def _safety(subject: Subject) -> list[Block]:

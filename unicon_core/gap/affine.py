@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from unicon_core.gap.alignment import admissible_shifts, correlations
 from unicon_core.gap.trajectories import Array, two
-from unicon_core.gap.unfolded import admissible_shifts, correlations
 
 __all__ = ["Affine", "affine"]
 

@@ -53,7 +53,7 @@ class Matching:
 def match_elements(real: ArrayLike, sim: ArrayLike) -> Matching:
     """Return the permutation of elements whose mean squared difference is smallest.
 
-    Elements must have one unit. Bring the trajectories to one time before (`unfolded_mse`). What
+    Elements must have one unit. Bring the trajectories to one time before (`aligned_mse`). What
     is the same after a shift cannot be told from it: in a trot, left and right swapped are half a
     period.
 

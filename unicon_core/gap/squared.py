@@ -16,7 +16,7 @@ _AXES = {"all": (-2, -1), "element": (-2,), "frame": (-1,)}
 def mse(real: ArrayLike, sim: ArrayLike, per: str = "all") -> Array:
     """Return the mean of (real − sim)², in the elements' unit².
 
-    The unfolded MSE sums over elements and takes both directions: where the best shift is 0, it is
+    The aligned MSE sums over elements and takes both directions: where the best shift is 0, it is
     2·d times `mse` over all.
 
     Args:

@@ -1,7 +1,7 @@
 """Distances that know no time: chamfer of the paths, of the spectra, and of the distributions.
 
 They stay small where the robot does the same at other moments, and grow where it does something
-else: with the unfolded MSE they tell "later" from "otherwise".
+else: with the aligned MSE they tell "later" from "otherwise".
 """
 
 from __future__ import annotations

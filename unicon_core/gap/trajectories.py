@@ -67,7 +67,7 @@ def two(real: ArrayLike, sim: ArrayLike, same_length: bool = False) -> tuple[Arr
     if same_length and a.shape[-2] != b.shape[-2]:
         raise UniconError(
             f"gap: real has {a.shape[-2]} samples, sim {b.shape[-2]}; "
-            "cut them to one length, or shift them with unfolded_mse"
+            "cut them to one length, or shift them with aligned_mse"
         )
     try:
         front = np.broadcast_shapes(a.shape[:-2], b.shape[:-2])

@@ -1,269 +1,52 @@
-"""Unfolded MSE: the loss between two trajectories at the shift in time that suits them best.
+"""Unfolded MSE: the loss of the UniCon paper, as its authors' code computes it.
 
-The UniCon paper's equation, for walking and whatever else loses its step against the clock:
+`unfolded_mse_loss` of `unicon/losses.py` in https://github.com/CreeperLin/unicon (commit 5c648bf),
+with its defaults: a window of half of the samples is slid over one trajectory and held against the
+beginning of the other one. The smallest mean of squares over all places of the window counts, in
+both directions by half:
 
-    L = 1/n min_j Σ_i ‖T[i+j] − T̂[i]‖ + 1/n min_j Σ_i ‖T[i] − T̂[i+j]‖
+    L = ½ min_p mean (T̂[p : p+w] − T[: w])² + ½ min_p mean (T[p : p+w] − T̂[: w])²,  w = ⌊m/2⌋
 
-How its open ends are tied here, for both functions:
-
-- *Index past the end.* A pair exists where both indices do (the overlap); nothing is padded and
-  nothing wraps around.
-- *Normalisation.* n is the number of pairs of the shift at hand. With a fixed n the shift with the
-  fewest pairs would win.
-- *Range of j.* Every shift, of either sign, that leaves `min_overlap` of the shorter trajectory.
-  Only then is a delayed copy at loss 0. The second sum at j has the pairs of the first at −j, so
-  that both minima are one number, and L is twice that. It follows that L is symmetric.
-- *Among equals* the smallest |j| counts, for constant trajectories 0.
-
-The squared form takes ‖·‖², which makes all shifts at once a correlation: O(n log n).
+Means are over samples and elements. Places begin at 0 and are sought in each direction by itself.
+A copy that is late by up to half of the samples costs nothing in one direction; in the other one it
+costs what its beginning lacks, unless the movement repeats.
 """
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
-
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from unicon_core.errors import UniconError
+from unicon_core.gap.alignment import smallest_means
 from unicon_core.gap.trajectories import Array, two
 
-__all__ = [
-    "Unfolded",
-    "admissible_shifts",
-    "correlations",
-    "shift_losses",
-    "unfolded_mse",
-    "unfolded_norm",
-]
-
-CANDIDATES = 16
-"""Shifts that are compared once more, to the last bit, where rounding hides which is best."""
-
-AT_ONCE = 1 << 22
-"""Numbers that are transformed at once: 32 MiB."""
+__all__ = ["unfolded_mse"]
 
 
-@dataclass(frozen=True)
-class Unfolded:
-    """A loss and where it was found; each array has the leading axes of the trajectories, (…,).
+def unfolded_mse(real: ArrayLike, sim: ArrayLike) -> Array:
+    """Return the unfolded MSE in the elements' unit², shape (…,).
 
-    Attributes:
-        loss: both sums; unit² of the elements with squared norms, else their unit.
-        shift: j in samples: real[i + j] goes with sim[i], so real is later where j > 0.
-        overlap: number of pairs.
-    """
-
-    loss: Array
-    shift: NDArray[np.int64]
-    overlap: NDArray[np.int64]
-
-
-def admissible_shifts(
-    n: int, m: int, max_shift: int | None = None, min_overlap: float = 0.5
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the shifts j that leave enough pairs real[i + j], sim[i], and how many each leaves.
-
-    Args:
-        n: samples of real.
-        m: samples of sim.
-        max_shift: largest |j|; None for all.
-        min_overlap: share of the shorter trajectory that must have pairs, in (0, 1].
-
-    Raises:
-        UniconError: an argument is out of range.
-    """
-    if not 0.0 < min_overlap <= 1.0:
-        raise UniconError(f"gap: min_overlap is {min_overlap}; give a share in (0, 1]")
-    if max_shift is not None and max_shift < 0:
-        raise UniconError(f"gap: max_shift is {max_shift}; give a number of samples >= 0")
-    least = max(1, math.ceil(min_overlap * min(n, m)))
-    low, high = least - m, n - least
-    if max_shift is not None:
-        low, high = max(low, -max_shift), min(high, max_shift)
-    shifts = np.arange(low, high + 1)
-    return shifts, np.minimum(n, m + shifts) - np.maximum(0, shifts)
-
-
-def unfolded_mse(
-    real: ArrayLike,
-    sim: ArrayLike,
-    max_shift: int | None = None,
-    min_overlap: float = 0.5,
-) -> Unfolded:
-    """Return the unfolded MSE with squared norms, over all admissible shifts.
-
-    O(n log n) for each trajectory. Of each element on its own: `unfolded_mse(real.T[..., None],
-    sim.T[..., None])`, whose result has shape (d,).
+    O(n log n) for each trajectory.
 
     Args:
         real: T, shape (…, n, d).
-        sim: T̂, shape (…, m, d); leading axes are broadcast.
-        max_shift: largest |j| in samples; None for all.
-        min_overlap: share of the shorter trajectory that must have pairs, in (0, 1].
+        sim: T̂, shape (…, m, d), whose half is the window; leading axes are broadcast.
 
     Raises:
-        UniconError: something that is not a number, empty, or shapes that do not fit.
+        UniconError: something that is not a number, empty, shapes that do not fit, or no window.
     """
     a, b = two(real, sim)
-    shifts, overlaps = admissible_shifts(a.shape[-2], b.shape[-2], max_shift, min_overlap)
-    front = a.shape[:-2]
-    a, b = a.reshape(-1, *a.shape[-2:]), b.reshape(-1, *b.shape[-2:])
-    step = max(1, AT_ONCE // (2 * max(a.shape[-2], b.shape[-2]) * a.shape[-1]))
-    losses, best = np.zeros(len(a)), np.zeros(len(a), np.int64)
-    for start in range(0, len(a), step):
-        part = slice(start, start + step)
-        means, errors = _mean_squares(a[part], b[part], shifts, overlaps)
-        for row, (mean, error) in enumerate(zip(means, errors), start):
-            losses[row], best[row] = _smallest(a[row], b[row], shifts, mean, error)
-    return Unfolded(
-        2.0 * losses.reshape(front), shifts[best].reshape(front), overlaps[best].reshape(front)
-    )
-
-
-def shift_losses(
-    real: ArrayLike,
-    sim: ArrayLike,
-    max_shift: int | None = None,
-    min_overlap: float = 0.5,
-) -> tuple[NDArray[np.int64], Array]:
-    """Return every admissible shift and the loss with squared norms there, to be drawn.
-
-    The smallest is `unfolded_mse`'s, up to a rounding error of 1e-13 of the signals' energy.
-
-    Args:
-        real: T, shape (n, d).
-        sim: T̂, shape (m, d).
-        max_shift: largest |j| in samples; None for all.
-        min_overlap: share of the shorter trajectory that must have pairs, in (0, 1].
-
-    Returns:
-        Both of shape (s,).
-
-    Raises:
-        UniconError: something that is not a number, empty, or shapes that do not fit.
-    """
-    a, b = two(real, sim)
-    shifts, overlaps = admissible_shifts(a.shape[-2], b.shape[-2], max_shift, min_overlap)
-    means, _ = _mean_squares(a[None], b[None], shifts, overlaps)
-    return shifts, np.maximum(2.0 * means[0], 0.0)
-
-
-def unfolded_norm(
-    real: ArrayLike, sim: ArrayLike, max_shift: int, min_overlap: float = 0.5
-) -> Unfolded:
-    """Return the paper's equation to the letter, with unsquared norms, within a window of shifts.
-
-    O(n · max_shift): norms that are not squared have no transform.
-
-    Args:
-        real: T, shape (…, n, d).
-        sim: T̂, shape (…, m, d); leading axes are broadcast.
-        max_shift: largest |j| in samples.
-        min_overlap: share of the shorter trajectory that must have pairs, in (0, 1].
-
-    Raises:
-        UniconError: something that is not a number, empty, or shapes that do not fit.
-    """
-    a, b = two(real, sim)
-    shifts, overlaps = admissible_shifts(a.shape[-2], b.shape[-2], max_shift, min_overlap)
-    means = np.stack([np.linalg.norm(_differences(a, b, int(j)), axis=-1).mean(-1) for j in shifts])
-    order = np.argsort(np.abs(shifts), kind="stable")  # argmin takes the first of equals
-    best = order[np.argmin(means[order], axis=0)]
-    losses = np.take_along_axis(means, best[None], axis=0)[0]
-    return Unfolded(2.0 * losses, shifts[best], overlaps[best])
-
-
-def correlations(a: Array, b: Array, shifts: NDArray[np.int64], summed: bool = False) -> Array:
-    """Return Σ_i a[i + j] b[i] over the overlap, for consecutive shifts j.
-
-    The error of each element stays below some 1e-14 √(Σa² Σb²).
-
-    Args:
-        a: shape (…, n, d).
-        b: shape (…, m, d).
-        shifts: consecutive j, shape (s,).
-        summed: over the elements, at the price of one inverse transform instead of d.
-
-    Returns:
-        Shape (…, s, d), summed (…, s, 1).
-    """
-    n, m = a.shape[-2], b.shape[-2]
-    # So much room that no wanted shift meets the one that is a whole transform away.
-    size = _quick_size(max(int(shifts[-1]) + m, n - int(shifts[0])))
-    if not summed:
-        product = _cross_spectrum(a, b, size)
-    else:  # an element after the other: a transform of 300,000 × 30 samples takes 300 MB
-        product = _cross_spectrum(a[..., :1], b[..., :1], size)
-        for k in range(1, a.shape[-1]):
-            product += _cross_spectrum(a[..., k : k + 1], b[..., k : k + 1], size)
-    taken: Array = np.take(np.fft.irfft(product, size, axis=-2), shifts % size, axis=-2)
-    return taken
-
-
-def _cross_spectrum(a: Array, b: Array, size: int) -> NDArray[np.complex128]:
-    product: NDArray[np.complex128] = np.fft.rfft(a, size, axis=-2)
-    product *= np.conj(np.fft.rfft(b, size, axis=-2))
-    return product
-
-
-def _mean_squares(
-    a: Array, b: Array, shifts: NDArray[np.int64], overlaps: NDArray[np.int64]
-) -> tuple[Array, Array]:
-    """Return the mean of ‖a[i + j] − b[i]‖² at each shift and the bound of its rounding error.
-
-    Σ‖a − b‖² = Σ‖a‖² + Σ‖b‖² − 2 Σ a·b; the sums of squares are differences of cumulative ones.
-
-    Returns:
-        Both of shape (c, s), of c pairs of trajectories.
-    """
-    # What both have in common, such as a posture far from zero, would only cost digits.
-    centre = 0.5 * (a.mean(axis=-2, keepdims=True) + b.mean(axis=-2, keepdims=True))
-    a, b = a - centre, b - centre
-    sums = [np.zeros((len(x), x.shape[1] + 1)) for x in (a, b)]
-    for total, x in zip(sums, (a, b)):
-        np.cumsum(np.einsum("cnd,cnd->cn", x, x), axis=-1, out=total[:, 1:])
-    first_a, first_b = np.maximum(shifts, 0), np.maximum(-shifts, 0)
-    squares = (
-        sums[0][:, first_a + overlaps]
-        - sums[0][:, first_a]
-        + sums[1][:, first_b + overlaps]
-        - sums[1][:, first_b]
-    )
-    means = (squares - 2.0 * correlations(a, b, shifts, summed=True)[..., 0]) / overlaps
-    energy = sums[0][:, -1:] + sums[1][:, -1:]
-    return means, 64.0 * np.finfo(np.float64).eps * energy / overlaps
-
-
-def _smallest(
-    a: Array, b: Array, shifts: NDArray[np.int64], means: Array, errors: Array
-) -> tuple[float, int]:
-    """Return the smallest mean of squares, directly computed, and the index of its shift.
-
-    Args:
-        a: one trajectory, shape (n, d).
-        b: the other, shape (m, d).
-        shifts: shape (s,).
-        means: about the mean at each of them, shape (s,).
-        errors: how far off those may be, shape (s,).
-    """
-    possible = np.flatnonzero(means - errors <= np.min(means + errors))
-    order = np.argsort(np.abs(shifts[possible]), kind="stable")
-    found = [
-        (float(np.einsum("nd,nd->", x, x)) / len(x), int(index))
-        for index in possible[order][:CANDIDATES]
-        for x in [_differences(a, b, int(shifts[index]))]
-    ]
-    return min(found, key=lambda pair: pair[0])
-
-
-def _differences(a: Array, b: Array, shift: int) -> Array:
-    """Return a[i + shift] − b[i] over the overlap, shape (…, overlap, d)."""
-    begin, end = max(0, -shift), min(b.shape[-2], a.shape[-2] - shift)
-    return a[..., begin + shift : end + shift, :] - b[..., begin:end, :]
-
-
-def _quick_size(least: int) -> int:
-    """Return the smallest 2^p, 3·2^p or 5·2^p that is not below: quick to transform."""
-    return min(factor << max(0, math.ceil(math.log2(least / factor))) for factor in (1, 3, 5))
+    window = b.shape[-2] // 2
+    if not 1 <= window <= a.shape[-2]:
+        raise UniconError(
+            f"gap: real has {a.shape[-2]} samples, sim {b.shape[-2]}; sim must have at least 2, "
+            "and real half as many as sim"
+        )
+    losses = np.zeros(a.shape[:-2])
+    for slid, held in ((a, b), (b, a)):
+        shifts = np.arange(slid.shape[-2] - window + 1)
+        pairs = np.full(len(shifts), window)
+        losses += smallest_means(slid, held[..., :window, :], shifts, pairs)[0]
+    losses /= 2.0 * a.shape[-1]
+    return losses

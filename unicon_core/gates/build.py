@@ -142,7 +142,8 @@ def _imu_stop(program: Program, told: dict[str, np.typing.NDArray[np.float32]]) 
     if any(name not in told for name in needs):
         return None
     quat, gyro, gravity, joints = (told[name] for name in needs)
-    stop = imu_stop(quat, gyro, gravity, joints, period=program.period)
+    stamp = program.states["stamp_ns"]
+    stop = imu_stop(quat, gyro, gravity, joints, stamp, period=program.period)
     remedy = "correct the IMU's axes and signs in the driver or the map"
     return Heeding("imu_stop", "", stop, remedy, stop.reset, _lasting(program))
 

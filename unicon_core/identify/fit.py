@@ -1,6 +1,6 @@
 """Fit: the figures of joints under which open-loop replays come closest to what was measured.
 
-Minimised is the mean over joints of the unfolded MSE of the replays, by damped least squares
+Minimised is the mean over joints of the aligned MSE of the replays, by damped least squares
 (Levenberg 1944, Marquardt 1963) with derivatives by differences. Figures come in one after the
 other, those first that explain most, as long as they explain more than noise would. The shift in
 time is held at zero where delays are estimated: it would hide them.
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import UniconError, alternatives
-from unicon_core.gap import unfolded_mse
+from unicon_core.gap import aligned_mse
 from unicon_core.identify.found import Fit, Parameter
 from unicon_core.identify.motion import Motion
 from unicon_core.identify.replays import Joints, Replays
@@ -158,7 +158,7 @@ class _Search:
             if costs[best] < old:
                 at, now = tried[best], answers[best]
             self._tell(
-                f"round {rounds}: {free.sum()} figures, unfolded MSE "
+                f"round {rounds}: {free.sum()} figures, aligned MSE "
                 f"{self._loss(now, self._fitted):.4g} of {self._loss(first, self._fitted):.4g} rad²"
             )
             if costs[best] > (1.0 - ENOUGH) * old and free.sum() == known:
@@ -246,7 +246,7 @@ class _Search:
         if not self._shift:
             return residual, slopes
         slopes = slopes.copy()
-        for joint, shift in enumerate(self._unfolded(now, self._fitted)[1]):
+        for joint, shift in enumerate(self._losses(now, self._fitted)[1]):
             if shift:
                 apart = np.zeros_like(residual[:, :, joint])
                 turned = np.zeros_like(slopes[:, :, joint])
@@ -276,17 +276,17 @@ class _Search:
         squares = float(((residual**2).sum(axis=(1, 2)) * weights)[self._fitted].sum())
         return squares + noise**2 * float((((at - self._begin) / self._prior) ** 2).sum())
 
-    def _unfolded(self, now: Float, windows: NDArray[np.bool_]) -> tuple[Float, NDArray[np.int64]]:
-        """Return each joint's unfolded MSE [rad²] over windows, and its shift, shape (n,).
+    def _losses(self, now: Float, windows: NDArray[np.bool_]) -> tuple[Float, NDArray[np.int64]]:
+        """Return each joint's aligned MSE [rad²] over windows, and its shift, shape (n,).
 
         Of all shifts within a window the one that suits all windows together.
         """
         real, sim = (values[windows].transpose(2, 1, 0) for values in (self._real, now))
-        found = unfolded_mse(real, sim, max_shift=self._shift)
+        found = aligned_mse(real, sim, max_shift=self._shift)
         return found.loss / real.shape[-1], found.shift
 
     def _loss(self, now: Float, windows: NDArray[np.bool_]) -> float:
-        return float(self._unfolded(now, windows)[0].mean())
+        return float(self._losses(now, windows)[0].mean())
 
     def _deviations(
         self, now: Float, slopes: Float, weights: Float, free: NDArray[np.bool_]
@@ -326,7 +326,7 @@ class _Search:
             )
             if known
         )
-        losses = [self._unfolded(answer, every)[0] for answer in (first, now)]
+        losses = [self._losses(answer, every)[0] for answer in (first, now)]
         return Fit(
             parameters=parameters,
             before=self._loss(first, self._fitted),

@@ -37,9 +37,9 @@ class Fit:
 
     Attributes:
         parameters: the figures that the motion tells of; all others stay as they are.
-        before, after: mean of the joints' unfolded MSE in [rad²] over the windows of the fit.
+        before, after: mean of the joints' aligned MSE in [rad²] over the windows of the fit.
         held_before, held_after: the same over windows that the fit has not seen.
-        by_joint: joint to its unfolded MSE before and after, over all windows.
+        by_joint: joint to its aligned MSE before and after, over all windows.
         windows: of the fit, and held out.
         rounds: that were made.
         noise: standard deviation in [rad] of what is left.

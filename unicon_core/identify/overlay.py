@@ -27,7 +27,7 @@ def overlay_text(robot: Robot, extends: str, found: Fit, where: str) -> str:
             intervals.setdefault(each.joint, []).append(text)
     lines = [
         f"# Written by unicon analyze --fit {where}",
-        "# unfolded MSE of windows that the fit has not seen: "
+        "# aligned MSE of windows that the fit has not seen: "
         f"{found.held_before:.4g} before, {found.held_after:.4g} rad² after",
         "schema: unicon.robot/1",
         f"extends: {extends}",

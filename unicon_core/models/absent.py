@@ -30,13 +30,16 @@ def _mesh_places(path: Path, folder: Path, file: str) -> Iterator[Path]:
                 yield above / rest
 
 
-def drop_absent_meshes(spec: Any, path: Path, floats: bool) -> list[str]:
+def drop_absent_meshes(
+    spec: Any, path: Path, floats: bool, shapes: dict[str, list[str]]
+) -> list[str]:
     """Take the meshes without a file and their geoms out; return a line that says so, if any.
 
     Args:
         spec: the `MjSpec`.
         path: of the model.
         floats: the robot needs geoms that keep it on the floor.
+        shapes: takes up, for each body, the absent files of its geoms that may collide.
     """
     folder = path.parent / (spec.compiler.meshdir or spec.meshdir or "")
     absent: dict[str, Any] = {}
@@ -58,7 +61,9 @@ def drop_absent_meshes(spec: Any, path: Path, floats: bool) -> list[str]:
     for geom in list(spec.geoms):
         if geom.meshname in absent:
             dropped += 1
-            colliding += bool(geom.contype or geom.conaffinity or geom.name in paired)
+            if geom.contype or geom.conaffinity or geom.name in paired:
+                colliding += 1
+                shapes.setdefault(geom.parent.name, []).append(absent[geom.meshname].file)
             gone.add(geom.name)
             delete(spec, geom)
     for pair in list(spec.pairs):

@@ -60,10 +60,11 @@ def load_model(
     mujoco = import_mujoco()
     notes: list[str] = []
     absent: dict[Path, str] = {}
+    shapes: dict[str, list[str]] = {}
 
     def read(path: Path, notes: list[str], floats: bool) -> Any:
         spec = _read(mujoco, path, notes)
-        lacking = drop_absent_meshes(spec, path, floats)
+        lacking = drop_absent_meshes(spec, path, floats, shapes)
         for note in lacking:
             absent[path] = note
             if not quiet:
@@ -105,7 +106,7 @@ def load_model(
     arm = np.zeros(3)
     if robot.imu is not None:
         arm[...] = np.nan_to_num(robot.imu.position)
-    return LoadedModel(model, path, joints, notes, welded, absent, arm)
+    return LoadedModel(model, path, joints, notes, welded, absent, shapes, arm)
 
 
 def _read(mujoco: Any, path: Path, notes: list[str]) -> Any:

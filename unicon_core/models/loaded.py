@@ -83,6 +83,7 @@ class LoadedModel:
         welded: joints of the robot that the model lacks and that stand still.
         absent: file of the model, or of a member's, to a line that says what was left out of it
             since mesh files are absent.
+        absent_shapes: body to the mesh files, absent, of its geoms that may collide.
         imu_position: where the robot's IMU is, from the base's origin along its axes in [m], shape
             (3,); 0 where the robot file does not say.
     """
@@ -93,6 +94,7 @@ class LoadedModel:
     notes: list[str] = field(default_factory=list)
     welded: tuple[str, ...] = ()
     absent: Mapping[Path, str] = field(default_factory=dict)
+    absent_shapes: Mapping[str, list[str]] = field(default_factory=dict)
     imu_position: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
 
     @property

@@ -18,8 +18,9 @@ _TERMS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 def repaired_urdf(path: Path, notes: list[str]) -> str | None:
     """Return the text of a URDF with its mistakes mended, None where there are none.
 
-    Mended are elements that stand twice (two materials in the visuals of Unitree's Go2) and
-    inertias that no body can have (Robotera's XHand repeats one figure six times).
+    Mended are elements that stand twice (two materials in the visuals of Unitree's Go2), inertias
+    that no body can have (Robotera's XHand repeats one figure six times; of a camera of ANYbotics'
+    ANYmal C two principal moments sum to less than the third), and shapes without an extent.
 
     Args:
         path: the file.
@@ -41,6 +42,7 @@ def repaired_urdf(path: Path, notes: list[str]) -> str | None:
         raise ModelError(f"model {path}: {error}; correct the file") from error
     twice = _drop_repeated(root)
     bodies = _mend_inertias(root)
+    flat = _drop_flat(root)
     if twice:
         notes.append(f"{len(twice)} elements stand twice in the URDF (first: {twice[0]})")
     if bodies:
@@ -48,8 +50,10 @@ def repaired_urdf(path: Path, notes: list[str]) -> str | None:
             f"the inertia of {', '.join(bodies)} is none that a body can have: "
             "its largest figure stands for all axes"
         )
+    if flat:
+        notes.append(f"shapes without an extent are left out: {', '.join(flat)}")
     try:
-        return ET.tostring(root, encoding="unicode") if twice or bodies else None
+        return ET.tostring(root, encoding="unicode") if twice or bodies or flat else None
     except RecursionError as error:
         raise ModelError(f"model {path}: its elements are nested too deep") from error
 
@@ -81,9 +85,29 @@ def _mend_inertias(root: ET.Element) -> list[str]:
         matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         if not np.isfinite(matrix).all():
             continue  # MuJoCo refuses it
-        if not matrix.any() or np.linalg.eigvalsh(matrix)[0] > 1e-9 * abs(matrix).max():
-            continue  # all zero: MuJoCo takes it from mass and shapes, or says so
+        if not matrix.any():
+            continue  # MuJoCo takes it from mass and shapes, or says so
+        small, middle, large = np.linalg.eigvalsh(matrix)
+        if small > 1e-9 * abs(matrix).max() and small + middle >= large:
+            continue
         for term in _TERMS:
             inertia.set(term, repr(float(abs(matrix).max())) if term[1] == term[2] else "0")
         mended.append(str(link.get("name")))
     return mended
+
+
+def _drop_flat(root: ET.Element) -> list[str]:
+    """Take shapes with a radius, length or edge of 0 out; return what was dropped."""
+    dropped = []
+    for link in root.findall("link"):
+        for element in (*link.findall("visual"), *link.findall("collision")):
+            shape = element.find("geometry/*")
+            sizes = () if shape is None else map(shape.get, ("radius", "length", "size"))
+            try:
+                flat = any(0.0 in map(float, size.split()) for size in sizes if size)
+            except ValueError:
+                continue  # MuJoCo names the line
+            if shape is not None and flat:
+                link.remove(element)
+                dropped.append(f"{shape.tag} in a {element.tag} of {link.get('name')}")
+    return dropped

@@ -164,16 +164,22 @@ class FakePlatform:
 class FakeRobot(FakePlatform):
     """The same where a robot is meant: real time, the machine's clock, and a robot's rules.
 
+    Its joints move by one period's worth from command to command, in the time that lies between.
     Its joints are not faster than the robot's, and its IMU has the noise that every real one has:
     one without counts as frozen (`imu_stop`).
     """
 
     facts = replace(FakePlatform.facts, name="fake_robot", simulated=False, batch=False)
 
+    PAUSE = 100_000_000
+    """After so long a first move takes one period, [ns]."""
+
     def __init__(
         self, states: States, robot: Robot, period: float, scene: Scene, time_constant: float
     ) -> None:
         super().__init__(states, robot, period, scene, time_constant)
+        self._told = self._moved = 0
+        self._sent, self._period_ns = False, round(period * 1e9)
         step = np.nan_to_num(robot.velocity_limit, nan=np.inf) * period
         self._longest = step.astype(np.float32)
         rng, noise = np.random.default_rng(0), {"base_ang_vel": 1e-3, "base_lin_acc": 1e-2}
@@ -184,11 +190,26 @@ class FakeRobot(FakePlatform):
         ]
 
     def recv(self) -> bool | None:
-        """Write the same, with noise in the IMU."""
+        """Write the same, with noise in the IMU, and velocities of the time since the last move.
+
+        At full speed that is one period, too.
+        """
+        now = max(time.monotonic_ns(), self._told)
+        if self._sent:
+            self._sent = False
+            since = self._moved if now - self._moved < self.PAUSE else self._told
+            self._moved = now = max(now, since + self._period_ns)
+            self._vel *= self._period_ns / (now - since)
+        self._told = now
         super().recv()
         for view, values in self._noise:
             view += values[self._ticks % len(values)]
         return None
 
     def _now_ns(self) -> int:
-        return time.monotonic_ns()
+        return self._told
+
+    def send(self) -> bool | None:
+        """Move the joints."""
+        self._sent = True
+        return super().send()

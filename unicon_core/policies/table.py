@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from unicon_core.robots import Robot
 from unicon_core.states import States, standard_states
 
 __all__ = [
+    "input_places",
     "joint_rows",
     "joint_table",
     "observation_rows",
@@ -175,15 +177,8 @@ def observation_rows(
         states = States({**standard_states(joints), **policy_states(contract, joints)})
     slices = term_slices(contract, states, joints)
     rows = [["term", "state", "slice", "subtract", "scale", "clip", "history", "unit"]]
-    start = 0
-    frame_major = contract.observation.layout == "frame_major"
-    for part in slices:
-        term, width = part.term, part.elements.size
-        if frame_major:
-            where = f"frame[{part.start}:{part.stop}]"
-        else:
-            where = f"[{start}:{start + width * term.history}]"
-        start += width * term.history
+    for part, where in zip(slices, input_places(contract, slices)):
+        term = part.term
         rows.append(
             [
                 term.name,
@@ -203,8 +198,24 @@ def observation_rows(
     order = f"{layout.layout}, newest {layout.newest}" if history else "no history"
     filtered = any(part.term.filter is not None for part in slices)
     state = "filter(state)" if filtered else "state"
-    tail = f"{start} values, {order}; term = scale · clip({state} − subtract)"
+    size = sum(part.elements.size * part.term.history for part in slices)
+    tail = f"{size} values, {order}; term = scale · clip({state} − subtract)"
     return rows, tail
+
+
+def input_places(contract: PolicyContract, slices: Sequence[TermSlice]) -> list[str]:
+    """Return where each term stands in the network's input, as `[0:15]`.
+
+    In layout `frame_major`, where whole frames follow each other, `frame[0:3]`: its place in each.
+
+    Args:
+        contract: the policy.
+        slices: its terms, of `term_slices`.
+    """
+    if contract.observation.layout == "frame_major":
+        return [f"frame[{part.start}:{part.stop}]" for part in slices]
+    sizes = [part.elements.size * part.term.history for part in slices]
+    return [f"[{stop - size}:{stop}]" for size, stop in zip(sizes, accumulate(sizes))]
 
 
 def _source(part: TermSlice) -> str:

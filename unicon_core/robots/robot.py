@@ -36,6 +36,8 @@ JOINT_FIELDS = {
 _NEEDED = ("lower", "upper", "default")
 # What a servo needs besides whose loop is closed by us; a hand that takes positions has its own.
 _NEEDED_FOR_TORQUE = ("velocity", "effort", "stiffness", "damping")
+_MAY_LACK = ("current_scale", "mode_machine", "motors", "rate_hz", "stop_buttons")
+"""Keys of `transport` without whose figure drivers and gates do the rest, or refuse by name."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,8 +224,9 @@ class Robot:
 
         Needed are the motor order, the position limits, the standing pose, the protocol and, unless
         the vendor closes the position loop, the speed and torque limits and the gains; of a robot
-        that walks also how the IMU is turned.
-        An empty list means that it can be driven.
+        that walks also how the IMU is turned; and whatever else of `transport` the file leaves
+        null, but for what a driver can do without.
+        An empty list means that it can be driven. `check`, `robots` and every start ask here.
         """
         if self.members:
             each = ((m, robot.missing_facts()) for m, robot in self.members.items())
@@ -236,6 +239,6 @@ class Robot:
                 missing.append("imu")
             elif np.isnan(self.imu.quat).any():
                 missing.append("imu.quat")
-        if "protocol" not in self.transport or self.transport["protocol"] is None:
-            missing.append("transport.protocol")
-        return missing
+        transport = {"protocol": None, **self.transport}
+        lacking = (key for key, value in transport.items() if value is None)
+        return missing + [f"transport.{key}" for key in lacking if key not in _MAY_LACK]

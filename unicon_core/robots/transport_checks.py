@@ -16,6 +16,7 @@ from unicon_core.robots.checks import (
     wrong,
 )
 from unicon_core.robots.robot import MODEL_FORMATS
+from unicon_core.states.standard import BUTTONS
 
 __all__ = ["COMMANDS", "check_models", "check_transport"]
 
@@ -66,6 +67,15 @@ def check_transport(located: Located, transport: Any) -> Problems:
     command = transport.get("command", "torque")
     yield from check_one_of(located, ("transport", "command"), command, COMMANDS)
     yield from _finite(located, ("transport",), transport)
+    buttons = transport.get("stop_buttons")
+    if buttons is not None and not (
+        isinstance(buttons, list) and buttons and all(name in BUTTONS for name in buttons)
+    ):
+        yield wrong(
+            located,
+            ("transport", "stop_buttons"),
+            f"is {str(buttons)[:60]}; write a list of {', '.join(BUTTONS)}, or null if not known",
+        )
     motors = transport.get("motors")
     numbers = isinstance(motors, list) and all(type(n) is int and n >= 0 for n in motors)
     if motors is not None and not numbers:

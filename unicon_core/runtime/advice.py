@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import os
+import re
+from pathlib import Path
 
 import numpy as np
 
 from unicon_core.runtime.pacing import REAL_TIME, Pacing
 from unicon_core.runtime.statistics import TickStatistics
 
-__all__ = ["FEWEST", "LATE", "advice_of"]
+__all__ = ["FEWEST", "LATE", "Starvation", "advice_of"]
 
 LATE = 0.1
 """Share of the period by which one tick in a hundred may begin late before anything is advised:
@@ -17,6 +19,50 @@ LATE = 0.1
 
 FEWEST = 100
 """Ticks, below which one in a hundred is only the worst."""
+
+
+WAITING = 30.0
+"""Per cent of the last 10 s in which a program waited for a core; an idle machine has 0 to 10."""
+STOLEN = 5.0
+"""Per cent of a machine's time that its host gave to others."""
+
+
+class Starvation:
+    """Says whether this machine had too little time, of the kernel's figures since it was built.
+
+    Linux tells in /proc/pressure/cpu for how much of the last 10 s programs waited in run queues
+    (Documentation/accounting/psi.rst), and in /proc/stat what was stolen (proc_stat(5)).
+    """
+
+    PRESSURE, STAT = Path("/proc/pressure/cpu"), Path("/proc/stat")
+
+    def __init__(self) -> None:
+        self._before = self._times()
+
+    def __call__(self) -> str:
+        """Return what to add to the reason of a silence; "" where the machine had time."""
+        found = re.search(r"some avg10=([\d.]+)", _text(self.PRESSURE))
+        waited = float(found[1]) if found else 0.0
+        spent = [now - was for now, was in zip(self._times(), self._before)]
+        stolen = 100.0 * spent[7] / max(sum(spent), 1) if len(spent) > 7 else 0.0
+        if waited < WAITING and stolen < STOLEN:
+            return ""
+        return (
+            f"; this machine was starved: programs waited for a core in {waited:.0f} % of the last "
+            f"10 s, and {stolen:.0f} % of its time was stolen by its host; end other programs, "
+            f"give it more cores, or set pacing.priority=80, allowed by {REAL_TIME}"
+        )
+
+    def _times(self) -> list[int]:
+        first = _text(self.STAT).partition("\n")[0].split()
+        return [int(each) for each in first[1:9] if each.isdecimal()]
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text("ascii", "replace")
+    except OSError:  # an older kernel, or another system
+        return ""
 
 
 def advice_of(statistics: TickStatistics, pacing: Pacing, speed: str, period_ns: int) -> str:

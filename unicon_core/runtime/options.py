@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, Literal
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from numbers import Real
+from typing import Any, Literal, get_args
 
-from unicon_core.errors import PlatformError
+from unicon_core.errors import PlatformError, UniconError, alternatives
 from unicon_core.platforms.platform import WaitsForData
 from unicon_core.workflow import Program
 
 __all__ = ["RunOptions", "refuse_pace"]
+
+
+Speed = Literal["real", "max"]
 
 
 @dataclass(frozen=True)
@@ -26,15 +31,40 @@ class RunOptions:
         status: called about once a second with facts for a status line, or None.
         operator: wait for `Runner.go` before a robot moves, where the workflow does not say that
             nobody is asked. False: whoever runs it has decided.
+
+    Raises:
+        UniconError: `speed` is not a word of these, or `duration` not a number of at least 0.
     """
 
     duration: float | None = None
-    speed: Literal["real", "max"] = "real"
+    speed: Speed = "real"
     capacity: int = 32_768
     detail: bool = False
     warn: Callable[[str], None] = print
     status: Callable[[dict[str, Any]], None] | None = None
     operator: bool = False
+
+    def __post_init__(self) -> None:
+        if self.speed not in get_args(Speed):
+            raise UniconError(f"speed is {self.speed!r}; give 'real' or 'max'")
+        seconds = self.duration
+        if seconds is None:
+            return
+        if not isinstance(seconds, Real) or not 0.0 <= seconds < math.inf:
+            raise UniconError(f"duration is {seconds!r}; give seconds, as a number of at least 0")
+
+    @classmethod
+    def of(cls, options: Mapping[str, Any]) -> RunOptions:
+        """Return the options of these names.
+
+        Raises:
+            UniconError: a name is unknown, or a value is wrong.
+        """
+        known = [each.name for each in fields(cls)]
+        for name in options:
+            if name not in known:
+                raise UniconError(f"unknown option {name!r} of run; {alternatives(name, known)}")
+        return cls(**options)
 
 
 def refuse_pace(program: Program, options: RunOptions) -> None:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from unicon_core.errors import Fault
+from unicon_core.runtime.spare_files import out_of_files
 from unicon_core.runtime.statistics import TickStatistics
 from unicon_core.states import States
 from unicon_core.states.stacked import flat
@@ -34,7 +35,8 @@ class Report:
         ticks: number of ticks.
         duration_s: time of the run, simulated where the platform is a simulator.
         wall_s: wall time from the first tick to the end.
-        rate_hz: ticks per second of wall time.
+        paused_s: of that, how long a pause or another request between two ticks took.
+        rate_hz: ticks per second of wall time, pauses left out.
         overruns: deadlines that were missed, one by one.
         overrun_blocks: label to number of ticks that ended late because of that block most.
         startup_s: from the start of the process to the first tick, wall time.
@@ -44,7 +46,8 @@ class Report:
         safety: labels of the blocks between the flow and `send`; empty with `safety: none`.
         safety_left_out: safety blocks that this robot does not have, each with the reason.
         forced: codes of the check's errors that it was run with.
-        base_displacement_m: base position at the end minus at the start, world frame.
+        base_displacement_m: base position at the end minus at the start, world frame; None where
+            the robot's base is fixed, as are `fell` and `tilt_deg`.
         fell: the base tilted by more than 60° from upright.
         tilt_deg: largest tilt of the base from upright.
         sha256_commands: SHA-256 over the command states of every tick.
@@ -62,6 +65,7 @@ class Report:
     ticks: int = 0
     duration_s: float = 0.0
     wall_s: float = 0.0
+    paused_s: float = 0.0
     rate_hz: float = 0.0
     overruns: int = 0
     overrun_blocks: dict[str, int] = field(default_factory=dict)
@@ -72,9 +76,9 @@ class Report:
     safety: list[str] = field(default_factory=list)
     safety_left_out: dict[str, str] = field(default_factory=dict)
     forced: list[str] = field(default_factory=list)
-    base_displacement_m: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
-    fell: bool = False
-    tilt_deg: float = 0.0
+    base_displacement_m: list[float] | None = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    fell: bool | None = False
+    tilt_deg: float | None = 0.0
     sha256_commands: str = ""
     dry: bool = False
     blocks: dict[str, dict[str, float]] = field(default_factory=dict)
@@ -85,13 +89,16 @@ class Report:
     extra: dict[str, Any] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, program: Program, statistics: TickStatistics, wall: float) -> Report:
+    def of(
+        cls, program: Program, statistics: TickStatistics, wall: float, paused: float = 0.0
+    ) -> Report:
         """Return what a program did, but for what its runner alone knows.
 
         Args:
             program: that was run.
             statistics: of the run's ticks.
             wall: time of the run in [s], above 0.
+            paused: how long of it the run stood still in [s].
         """
         ticks, overruns = statistics.count, statistics.overruns
         report = cls(
@@ -101,7 +108,8 @@ class Report:
             ticks=ticks,
             duration_s=round(ticks * program.period, 9),
             wall_s=round(wall, 3),
-            rate_hz=round(ticks / wall, 3),
+            paused_s=round(paused, 3),
+            rate_hz=round(ticks / max(wall - paused, 1e-9), 3),
             overruns=overruns,
             overrun_blocks=statistics.overrun_blocks(program.period * 1e6) if overruns else {},
             tick_us=statistics.tick_us(),
@@ -127,21 +135,32 @@ class Report:
         target.parent.mkdir(parents=True, exist_ok=True)
         target.write_text(json.dumps(self.to_dict(), indent=2) + "\n", encoding="utf-8")
 
+    def base_moved(self) -> str:
+        """Return in words how far the base moved and tilted, or that it is fixed."""
+        if self.base_displacement_m is None or self.tilt_deg is None:
+            return "fixed"
+        x, y, z = self.base_displacement_m
+        return f"moved {x:+.2f} {y:+.2f} {z:+.2f} m, tilted up to {self.tilt_deg:.0f}°"
+
+    def wall_text(self) -> str:
+        """Return wall time and rate in words; a pause of less than 10 ms is not worth one."""
+        paused = f", paused for {self.paused_s:.2f} s of it" if self.paused_s >= 0.01 else ""
+        return f"{self.wall_s:.2f} s{paused}, {self.rate_hz:.1f} ticks per second"
+
     def summary(self) -> str:
         """Return the readable lines that end a run."""
-        x, y, z = self.base_displacement_m
         share = f" ({self.overruns / self.ticks:.1%})" if self.ticks else ""
         if self.overrun_blocks:
             share += f", most by {', '.join(list(self.overrun_blocks)[:3])}"
+        upright = "" if self.faults or self.fell is None else ", did not fall"
         lines = [
             f"workflow      {self.workflow} on {self.robot} ({self.platform})",
             f"ticks         {self.ticks}, {self.duration_s:.2f} s of ticks",
-            f"wall time     {self.wall_s:.2f} s, {self.rate_hz:.1f} ticks per second",
+            f"wall time     {self.wall_text()}",
             f"overruns      {self.overruns}{share}",
             f"tick          p50 {self.tick_us.get('p50', 0):.0f} µs, "
             f"p99 {self.tick_us.get('p99', 0):.0f} µs, max {self.tick_us.get('max', 0):.0f} µs",
-            f"base          moved {x:+.2f} {y:+.2f} {z:+.2f} m, tilted up to {self.tilt_deg:.0f}°"
-            f"{', FELL' if self.fell else '' if self.faults else ', did not fall'}",
+            f"base          {self.base_moved()}{', FELL' if self.fell else upright}",
         ]
         if self.startup_s is not None:
             lines.insert(1, f"start-up      {self.startup_s:.2f} s to the first tick")
@@ -169,6 +188,7 @@ class Monitor:
     Args:
         states: of the workflow.
         dry: nothing is sent.
+        fixed: the base cannot move, so that it neither falls nor gets anywhere.
     """
 
     FALL_COSINE = 0.5
@@ -177,8 +197,8 @@ class Monitor:
     name = "report"
     reads = ("base_pos_w", "projected_gravity", *COMMAND_STATES)
 
-    def __init__(self, states: States, *, dry: bool = False) -> None:
-        self._dry = dry
+    def __init__(self, states: States, *, dry: bool = False, fixed: bool = False) -> None:
+        self._dry, self._fixed = dry, fixed
         self._pos = states["base_pos_w"].reshape(-1, 3)
         gravity = states["projected_gravity"].reshape(-1, 3)[:, 2]
         # `max` takes 1.3 µs where one number takes 0.1.
@@ -219,10 +239,13 @@ class Monitor:
 
     def fill(self, report: Report) -> None:
         """Write what was seen into the report."""
-        moved = self._pos[0] - self._start[0] if self._started else np.zeros(3)
-        report.base_displacement_m = [round(float(value), 6) for value in moved]
-        report.fell = self.fell
-        report.tilt_deg = round(math.degrees(math.acos(max(-1.0, min(-self._worst, 1.0)))), 1)
+        if self._fixed:
+            report.base_displacement_m = report.fell = report.tilt_deg = None
+        else:
+            moved = self._pos[0] - self._start[0] if self._started else np.zeros(3)
+            report.base_displacement_m = [round(float(value), 6) for value in moved]
+            report.fell = self.fell
+            report.tilt_deg = round(math.degrees(math.acos(max(-1.0, min(-self._worst, 1.0)))), 1)
         report.sha256_commands = self.sha256
         report.dry = self._dry
 
@@ -234,4 +257,4 @@ def reason_of(error: BaseException) -> str:
     text = " ".join(str(error).split())
     frames = traceback.extract_tb(error.__traceback__)
     place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
-    return f"{type(error).__name__}{': ' if text else ''}{text}{place}"
+    return f"{type(error).__name__}{': ' if text else ''}{text}{place}{out_of_files(error)}"

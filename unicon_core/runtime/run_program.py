@@ -40,16 +40,16 @@ def run(program: Program, *attached: Attached, force: Sequence[str] = (), **opti
 
     Raises:
         CheckError: what `unicon check` calls an error.
-        UniconError: it cannot be run.
+        UniconError: an option is unknown or wrong, or it cannot be run.
     """
     # Imported here: the check builds programs itself.
     from unicon_core.check import refuse_errors
 
-    wishes = RunOptions(**options)
     with ExitStack() as rest:
         for each in attached:
             rest.callback(each.close)
         rest.callback(program.close)
+        wishes = RunOptions.of(options)
         for line in refuse_errors(program, force):
             wishes.warn(line)
         runner = Runner(program, wishes)

@@ -8,17 +8,18 @@ import traceback
 from collections.abc import Callable
 from contextlib import suppress
 
-from unicon_core.errors import Fault, Hung, UniconError
+from unicon_core.errors import EmergencyStopPressed, Fault, Hung, Silence, UniconError
 from unicon_core.flow import Node
 from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.platforms.platform import Resettable
-from unicon_core.runtime.advice import advice_of
+from unicon_core.runtime.advice import Starvation, advice_of
 from unicon_core.runtime.beforehand import Beforehand
 from unicon_core.runtime.damp import Damp
 from unicon_core.runtime.options import RunOptions, refuse_pace
 from unicon_core.runtime.pacing import prepare_process, process_age_s
 from unicon_core.runtime.phases import WIND_DOWN, Phase
 from unicon_core.runtime.report import Report, reason_of
+from unicon_core.runtime.spare_files import SpareFiles
 from unicon_core.runtime.ticker import Ticker
 from unicon_core.signals import SIGNALS, Interrupted, signal_name
 from unicon_core.workflow import Program
@@ -52,6 +53,7 @@ class Runner:
         traceback: where the first fault came from, if it was no `Fault`; else "".
         at_fault: called where a fault ends the ticks, before the platform damps: microseconds.
         interrupted: a signal ended the run.
+        pressed: an emergency stop ended the run.
 
     Raises:
         PlatformError: the platform cannot be paced as the workflow says.
@@ -83,13 +85,16 @@ class Runner:
         self.faults: list[str] = []
         self.traceback = ""
         self.at_fault: list[Callable[[], object]] = []
-        self.interrupted = False
+        self.interrupted = self.pressed = False
         self._hurry = False
         self._closed = False
         self._thread: int | None = None
         self._ended = threading.Event()
         self._started_ns = 0
         self._age_s: float | None = None
+        # Of a simulator no machine keeps anything waiting; `str` says nothing.
+        simulated = program.platform.facts.simulated
+        self._starvation: Callable[[], str] = str if simulated else Starvation()
         self._ended_ns = 0
 
     def graphs(self) -> dict[str, CompiledGraph]:
@@ -149,6 +154,11 @@ class Runner:
         """Whether the present phase was asked to end."""
         return self._ticker.stop
 
+    @property
+    def paused_s(self) -> float:
+        """How long the run has stood still between two ticks for actions of `call_soon`, in [s]."""
+        return self._run.paused_ns * 1e-9
+
     def call_soon(self, action: Callable[[], object]) -> None:
         """Run an action between two ticks, in the thread of the ticks; safe from any thread.
 
@@ -206,6 +216,7 @@ class Runner:
                 self._run.stop = True
             restore: Callable[[], object] = bool
             fault: BaseException | None = None
+            spare = SpareFiles()
             before, why = 0, ""
             try:
                 try:
@@ -224,6 +235,10 @@ class Runner:
                     self._wind_down()
                 except BaseException as error:  # whatever it is, only damping is sent from now on
                     fault = error
+                    spare.release()
+                    pressed = isinstance(error, EmergencyStopPressed)
+                    for latch in self.program.latches if pressed else ():
+                        latch.set(str(error))  # a thread writes it
                     with suppress(Exception):  # whatever it is, the robot is damped
                         for act in self.at_fault:
                             act()
@@ -233,9 +248,14 @@ class Runner:
                 self._close()
             except Interrupted as error:  # a second signal came just here; it has damped
                 fault = fault or error
+            spare.release()
             # Damped first, told afterwards; no signal raises any more.
             if fault is not None:
                 self._failed(fault, before)
+            if isinstance(fault, EmergencyStopPressed):
+                self.pressed = True
+                for latch in self.program.latches:
+                    latch.kept()
             restore()
             self._thread = None
             self._ended.set()
@@ -262,6 +282,8 @@ class Runner:
             reason = reason_of(error)
         except Exception:  # its text cannot be had
             reason = type(error).__name__
+        if isinstance(error, Silence):
+            reason += self._starvation()
         self.faults.insert(place, reason)  # before what closing found: the first is why
         if not isinstance(error, Fault):
             self.traceback = "".join(traceback.format_exception(error))
@@ -310,7 +332,7 @@ class Runner:
         statistics = self.statistics
         wall_ns = (self._ended_ns or time.perf_counter_ns()) - self._started_ns
         wall = max(wall_ns * 1e-9, 1e-9)
-        report = Report.of(self.program, statistics, wall)
+        report = Report.of(self.program, statistics, wall, self.paused_s)
         if self._age_s is not None and 0 < statistics.count <= self.options.capacity:
             first = int(statistics.kept()[0, 2])
             report.startup_s = round(self._age_s + (first - self._started_ns) * 1e-9, 3)

@@ -206,9 +206,9 @@ class TickStatistics:
             lines.append(f"{label:<{width}}  {_row(row, period_us)}{mark}")
         lines.append(f"{'tick':<{width}}  {_row(self.tick_us(), period_us)}")
         if self.overruns:
+            late = {label for i in self.deferred for label in (self.labels[i], self.group_label(i))}
             for label, count in self.overrun_blocks(period_us).items():
-                after_send = self.labels.index(label) in self.deferred
-                slack = "its slack in" if after_send else "the period in"
+                slack = "its slack in" if label in late else "the period in"
                 lines.append(f"{label} overran {slack} {count} of {self.count} ticks")
         return "\n".join(lines)
 

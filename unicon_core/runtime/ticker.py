@@ -67,6 +67,7 @@ class Ticker:
         self.next_due_ns = self.first_ns = 0
         self._waits: WarmUp | None = None
         self.between: deque[Callable[[], object]] = deque()
+        self._paused_ns = self._acts_ns = self._acts_ticks = 0
         self.arrivals: Arrivals | None = None
         self.hang_ns = self.pacing.hang_ns(self.period_ns, program.platform.facts.simulated)
         self._tick = program.states["tick"]
@@ -75,6 +76,17 @@ class Ticker:
     def lead_ns(self) -> int:
         """How long before a tick its warm-up begins at present, in [ns]; 0 without one."""
         return 0 if self._waits is None else self._waits.lead_ns
+
+    @property
+    def paused_ns(self) -> int:
+        """How long it has stood still between two ticks for what others asked, in [ns].
+
+        Single steps meanwhile are ticks of the run, a period each.
+        """
+        if not self._acts_ns:
+            return self._paused_ns
+        ticked = (self.statistics.count - self._acts_ticks) * self.period_ns
+        return self._paused_ns + max(time.perf_counter_ns() - self._acts_ns - ticked, 0)
 
     def step(self, due_ns: int, begin_ns: int) -> bool:
         """Run one tick: step, then the deferred blocks. True when the graph is done.
@@ -299,8 +311,13 @@ class Ticker:
 
     def _act(self) -> None:
         self._program.gate.until_ns = NEVER_NS  # a pause takes its time, and may tick
-        for _ in range(len(self.between)):
-            self.between.popleft()()
+        self._acts_ns, self._acts_ticks = time.perf_counter_ns(), self.statistics.count
+        try:
+            for _ in range(len(self.between)):
+                self.between.popleft()()
+        finally:
+            self._paused_ns = self.paused_ns
+            self._acts_ns = 0
 
     def _tell(self) -> None:
         if self._status is not None:

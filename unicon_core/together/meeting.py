@@ -1,7 +1,8 @@
 """Meeting: what robots that start together tell one another, for `start: {together: …}`.
 
     start: {together: {robots: [left, right], me: left}}                     # of one machine
-    start: {together: {robots: {left: tcp://10.0.0.1:5700, right: tcp://10.0.0.2:5700}, me: left}}
+    start: {together: {robots: {left: tcp://10.0.0.1:5700, right: tcp://10.0.0.2:5700}, me: left,
+                       keys: keys}}
 
 Each robot publishes one small group: over shared memory, where all see the same clock, or over zmq,
 where wall clocks have to agree (NTP, PTP); one that is off by more than `CLOCKS` is told by name.
@@ -13,6 +14,7 @@ import re
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -44,7 +46,7 @@ STATE = "together"
 FIELDS = ("stage", "impatient", "moment_ns", "clock_ns")
 GROUP = Layout({STATE: StateSpec((len(FIELDS),), "int64", names=FIELDS)})
 
-_KEYS = ("robots", "me", "group", "timeout")
+_KEYS = ("robots", "me", "group", "timeout", "keys")
 
 
 @dataclass(frozen=True)
@@ -56,12 +58,14 @@ class Party:
         me: which this one is.
         group: of the robots that mean one another.
         timeout: how long the others are waited for in [s].
+        keys: folder with the CURVE keys of the group, the same for each robot; None: without.
     """
 
     robots: Mapping[str, str]
     me: str
     group: str = "together"
     timeout: float = PATIENCE
+    keys: Path | None = None
 
     @property
     def over_zmq(self) -> bool:
@@ -87,7 +91,9 @@ class _Other:
             from unicon_core.states.backends.zmq import ZmqReader
 
             late = FRESH_NS * 1e-9
-            self._reader = ZmqReader(party.robots[name], STATE, GROUP, self._states, late=late)
+            self._reader = ZmqReader(
+                party.robots[name], STATE, GROUP, self._states, late=late, keys=party.keys
+            )
 
     def hear(self, clock_ns: int) -> Word | None:
         """Return its word where it is fresh; `reason` says why not, and what is waited for."""
@@ -248,7 +254,9 @@ def _writer(party: Party, states: States) -> Writer:
     if party.over_zmq:
         from unicon_core.states.backends.zmq import ZmqWriter
 
-        return ZmqWriter(party.robots[party.me], STATE, GROUP, states, bind=True)
+        address = party.robots[party.me]
+        # `check` refuses an address that others reach where there are no keys.
+        return ZmqWriter(address, STATE, GROUP, states, keys=party.keys, without_keys=True)
     from unicon_core.states.backends.shm import Segment, ShmWriter
 
     try:
@@ -267,8 +275,12 @@ def segment_name(party: Party, robot: str) -> str:
     return f"start-{party.group}-{robot}"
 
 
-def party_of(value: Any) -> Party:
+def party_of(value: Any, folder: Path = Path()) -> Party:
     """Return what `together:` says.
+
+    Args:
+        value: of the workflow.
+        folder: from which `keys` is reckoned.
 
     Raises:
         WorkflowError: a key or a value is wrong.
@@ -292,7 +304,14 @@ def party_of(value: Any) -> Party:
         raise WorkflowError(f"start: together: group is {group!r:.60}; {_NAMES}")
     option = "start: together: timeout"
     timeout = within(value.get("timeout", PATIENCE), option, "s", LONGEST)
-    return Party(robots, me, group, timeout)
+    keys = value.get("keys")
+    if keys is not None and not (isinstance(keys, str) and keys and any(robots.values())):
+        raise WorkflowError(
+            f"start: together: keys is {keys!r:.60}; give the folder of the group's keys, where "
+            "the robots have addresses (docs/zmq.md)"
+        )
+    found = None if keys is None else (folder / Path(keys).expanduser()).resolve()
+    return Party(robots, me, group, timeout, found)
 
 
 _NAMES = "use up to 40 letters, digits, '_' and '-'"

@@ -25,6 +25,13 @@ __all__ = [
 
 SCHEMA = "unicon.workflow/1"
 
+OTHER_FILES = {
+    "sweep": "run it with `unicon sweep FILE`",
+    "robot": "name it as `robot: FILE` in a workflow, or see it with `unicon robots FILE`",
+    "policy": "name its folder under `policies:` in a workflow",
+}
+"""Files with a schema of their own, and what is done with them."""
+
 KEYS = {
     "schema": "unicon.workflow/1",
     "name": "name of the workflow; the file's name unless given",
@@ -162,15 +169,29 @@ def document_of(values: Mapping[str, Any], path: Path, line: int) -> WorkflowDoc
         WorkflowError: a key is unknown, missing or wrong.
     """
     given = {key: value for key, value in values.items() if value is not None}
+    states = given.get("states")
+    if isinstance(states, Mapping):
+        from unicon_core.states import StateSpec  # NumPy, which a list of workflows does without
+
+        plain = {
+            name: spec.to_dict() if isinstance(spec, StateSpec) else spec
+            for name, spec in states.items()
+        }
+        given["states"] = plain
     return _checked(WorkflowDocument(path.stem, given, Located(path, given, {(): line})))
 
 
 def _checked(document: WorkflowDocument) -> WorkflowDocument:
     values = document.values
+    schema = values.get("schema", SCHEMA)
+    kind = str(schema).removeprefix("unicon.").rpartition("/")[0]
+    if kind in OTHER_FILES:
+        raise document.error(
+            f"this file is a {kind}, not a workflow; {OTHER_FILES[kind]}", "schema"
+        )
     for key in values:
         if key not in KEYS:
             raise document.error(f"unknown key {key!r}; {alternatives(str(key), KEYS)}", key)
-    schema = values.get("schema", SCHEMA)
     if schema != SCHEMA:
         raise document.error(
             f"schema {schema!r} is not known; this version reads {SCHEMA}", "schema"

@@ -15,7 +15,7 @@ import numpy as np
 
 from unicon_core.errors import StateError, WorkflowError
 from unicon_core.flow.block import Block
-from unicon_core.generated import define
+from unicon_core.generated import define, parse
 from unicon_core.states import States
 
 __all__ = ["MAX_DEPTH", "MAX_LENGTH", "MAX_NODES", "EntryCondition", "expression"]
@@ -93,7 +93,7 @@ class EntryCondition:
         block = expression(text, states, where)
         self._text, self._holds, self.reads = text, block.tick, block.reads
         self._states = states
-        self._parts = dict(_parts(ast.parse(text, mode="eval")))
+        self._parts = dict(_parts(parse(text, "eval")))
 
     def refused(self) -> str:
         """Return what does not hold and the values that it looks at; "" where it holds."""
@@ -152,7 +152,7 @@ class _Expression:
         if len(self.text) > MAX_LENGTH:
             raise self.fail(f"{len(self.text)} characters; write at most {MAX_LENGTH}")
         try:
-            tree = ast.parse(self.text, mode="eval")
+            tree: ast.Expression = parse(self.text, "eval")
         except (SyntaxError, ValueError) as error:
             raise self.fail(str(getattr(error, "msg", error))) from error
         except (MemoryError, RecursionError) as error:

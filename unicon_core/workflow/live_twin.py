@@ -18,7 +18,7 @@ import numpy as np
 from unicon_core.bounds import POSITION, within
 from unicon_core.errors import Fault, PlatformError, UniconError, WorkflowError, alternatives
 from unicon_core.flow import Block
-from unicon_core.gap import unfolded_mse
+from unicon_core.gap import aligned_mse
 from unicon_core.platforms.kit.beside import PLACE, Beside
 from unicon_core.robots import Robot
 from unicon_core.states import States, StateSpec
@@ -154,7 +154,7 @@ def build_twin(
     place = [name for name in PLACE if name in measured]
     # What is made at the first use is made now: 50 ms of a tick.
     beside.put({name: context.states[name] for name in place})
-    unfolded_mse(np.zeros((1, 2, 1)), np.zeros((1, 2, 1)))
+    aligned_mse(np.zeros((1, 2, 1)), np.zeros((1, 2, 1)))
     tick = LiveTwin(beside, context.states, place, settings, context.period)
     return Block(
         "twin",
@@ -223,7 +223,7 @@ class LiveTwin:
         moved = np.flatnonzero(np.ptp(real, axis=0) > STILL)
         if len(moved) and self._shift:
             moving = real.T[moved, :, None], twin.T[moved, :, None]
-            found = unfolded_mse(*moving, max_shift=min(self._shift, count - 1))
+            found = aligned_mse(*moving, max_shift=min(self._shift, count - 1))
             self._lag[moved] = found.shift * self._period
 
     def reset(self) -> None:

@@ -84,9 +84,12 @@ def set_value(values: dict[str, Any], dotted: str, value: Any) -> str:
             inner = here[place] = whole
         elif not isinstance(inner, (dict, list)):
             path = ".".join(map(_quoted, keys[:depth]))
+            remedy = f"set it whole: --set {path}=VALUE"
+            if path == "platform" and not isinstance(values.get("robot"), dict):
+                option = dotted if len(keys) > 2 else f"platform.{inner}.{keys[1]}"
+                remedy = f"its options: --set {option.replace('platform', 'platforms', 1)}={value}"
             raise WorkflowError(
-                f"--set {dotted}: {path} is {inner!r:.60}, which has no parts; set it whole: "
-                f"--set {path}=VALUE"
+                f"--set {dotted}: {path} is {inner!r:.60}, which has no parts; {remedy}"
             )
         here = inner
     here[_place(here, keys[-1], dotted)] = value

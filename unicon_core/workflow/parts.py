@@ -1,6 +1,6 @@
 """Parts: one workflow whose blocks run in several processes or machines, as the file says it.
 
-    store: {zmq: tcp://192.168.123.18:5600}     # or shm, on one machine
+    store: {zmq: {address: tcp://192.168.123.18:5600, keys: keys}}     # or shm, on one machine
     parts:
       robot: {publishes: [joint_pos, base_quat], silent: {after: 0.2}}
       desk: {publishes: [velocity_command], silent: {after: 1.0, then: hold}}
@@ -216,8 +216,9 @@ def _check_address(document: WorkflowDocument, address: object) -> None:
     tcp = re.fullmatch(r"tcp://[^\s/]+:([0-9]{1,5})", text)
     if not ((tcp and 0 < int(tcp[1]) < 65_000) or re.fullmatch(r"ipc://[^\0]+", text)):
         raise document.error(
-            f"store.zmq: {text or 'nothing'!r} is not an address; write "
-            "{zmq: tcp://HOST:PORT} (the first part's), or {zmq: ipc://PATH} on one machine",
+            f"store.zmq: {text or 'nothing'!r} is not an address; write {{zmq: {{address: "
+            "tcp://HOST:PORT, keys: FOLDER}} (the first part's), or {zmq: ipc://PATH} on one "
+            "machine",
             "store",
         )
 

@@ -96,6 +96,14 @@ def read_platforms(document: WorkflowDocument) -> dict[str, PlatformUse]:
         raise document.error(
             f"platform: {value!r} is not a platform's name; write platform: mujoco", "platform"
         )
+    name, options = next(iter(value.items()))
+    if not members and isinstance(options, dict):
+        option = next(iter(options), "OPTION")
+        raise document.error(
+            f"platform names {name} with options; write platform: {name}, and its options beside "
+            f"it: platforms: {{{name}: {{{option}: …}}}}, or --set platforms.{name}.{option}=VALUE",
+            "platform",
+        )
     if not members:
         whole = value.get("body") or "mujoco"
         raise document.error(

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from unicon_core.errors import (
     MissingDependencyError,
@@ -21,6 +21,7 @@ from unicon_core.platforms.joined import JoinedPlatform, joined_facts
 from unicon_core.platforms.kit.disturbances import disturb
 from unicon_core.platforms.kit.scene import SCENE_KEYS, Scene
 from unicon_core.platforms.platform import SIMULATED, Binding, Facts, Platform
+from unicon_core.robots import Robot
 from unicon_core.robots.joint_physics import joint_physics
 from unicon_core.workflow.autowire import BuildContext, option_names, refuse_options
 from unicon_core.workflow.document import WorkflowDocument
@@ -37,7 +38,18 @@ from unicon_core.workflow.platform_use import PlatformUse, read_members, read_pl
 from unicon_core.workflow.registry import Factory, find_factory, known
 from unicon_core.workflow.scene import read_scene
 
-__all__ = ["Chosen", "build_platform", "facts_of_all", "find_platforms", "platform_options"]
+if TYPE_CHECKING:
+    from unicon_core.latches import Latch
+
+__all__ = [
+    "Chosen",
+    "build_platform",
+    "facts_of_all",
+    "find_platforms",
+    "latch_keys",
+    "latches_of",
+    "platform_options",
+]
 
 
 @dataclass(frozen=True)
@@ -216,6 +228,52 @@ def facts_of_all(chosen: Mapping[str, Chosen]) -> Facts:
     if "" in chosen:
         return chosen[""].facts
     return joined_facts({member: each.facts for member, each in chosen.items()})
+
+
+def latch_keys(document: WorkflowDocument, robot: Robot) -> tuple[str, ...]:
+    """Return what the latches of the robots that a workflow drives are named by.
+
+    Simulators have none. A factory whose options do not tell one robot from another has an
+    attribute `reached`: it takes them and returns the name.
+    """
+    chosen = find_platforms(document)
+    if all(each.facts.simulated for each in chosen.values()):
+        return ()
+    from unicon_core.latches import robot_key  # of robots only
+
+    options, keys = platform_options(document, chosen), []
+    for member, each in chosen.items():
+        reached, said = getattr(each.factory, "reached", None), options[member]
+        if reached is not None:
+            keys.append(str(reached(said)))
+        elif not each.facts.simulated:
+            own = member_robot(robot, member)
+            keys.append(robot_key(each.use.name, each.facts.protocols, said, own))
+    return tuple(dict.fromkeys(keys))
+
+
+def latches_of(
+    document: WorkflowDocument, robot: Robot, warn: Callable[[str], None]
+) -> list[Latch]:
+    """Return the latches of the robots that a workflow drives, before anything is opened.
+
+    Raises:
+        PlatformError: an emergency stop of one is latched.
+    """
+    found = []
+    for key in latch_keys(document, robot):
+        from unicon_core.latches import ESTOP, Latch, clearing, of_robot  # of robots only
+
+        latched = of_robot(key)
+        if latched is not None:
+            since = f"since {latched.at}: " if latched.at else ""
+            raise PlatformError(
+                f"the emergency stop of robot {latched.robot} is latched "
+                f"({since}{latched.reason}); when it is safe to start again: "
+                f"{clearing(latched.robot)}"
+            )
+        found.append(Latch("", 0, ESTOP, warn, key))
+    return found
 
 
 def platform_options(

@@ -20,6 +20,7 @@ from unicon_core.flow.stage import Stage
 from unicon_core.platforms.kit.damping import LastSent
 from unicon_core.platforms.part import PartPlatform
 from unicon_core.platforms.platform import Platform, RequiresStates, WarmsUp
+from unicon_core.policies import PolicyContract
 from unicon_core.signals import SIGNALS
 from unicon_core.states import Layout, States
 from unicon_core.states.groups import groups_of
@@ -40,7 +41,7 @@ from unicon_core.workflow.gate import Gate
 from unicon_core.workflow.live_twin import build_twin, twin_of
 from unicon_core.workflow.members import load_robot_of
 from unicon_core.workflow.parts import read_parts, read_store
-from unicon_core.workflow.platforms import build_platform
+from unicon_core.workflow.platforms import build_platform, latches_of
 from unicon_core.workflow.policies import load_policies, with_weldable
 from unicon_core.workflow.safety_set import completed, left_out
 from unicon_core.workflow.settings import pacing_of, safety_of, start_of
@@ -51,6 +52,7 @@ from unicon_core.workflow.warm_ups import WarmUps
 
 if TYPE_CHECKING:
     from unicon_core.gates.gate import StartGate
+    from unicon_core.latches import Latch
     from unicon_core.runtime.pacing import Pacing
 
 __all__ = ["Hook", "Program", "load_workflow"]
@@ -75,6 +77,7 @@ class Program:
         silent: open the robot and send it nothing, at the end either; a simulator is sent limp
             joints. The command states hold what would have been sent.
         instead: makes what stands in the place of the platform, which is not opened.
+        contracts: policies by their name, in place of those of the document.
 
     Attributes:
         document: what it was built from, for messages and the check.
@@ -107,6 +110,7 @@ class Program:
         looking: observers, but for the report.
         command_bounds: what the velocity command is held to; empty where nobody reads it.
         safety: labels of the blocks of its own between the flow and `send`.
+        latches: of the robots that it drives, which an emergency stop sets; none of simulators.
         safety_left_out: of a robot, safety blocks that it does not have, each with the reason.
         warn: takes what blocks tell while they tick, one line each; the runner sets its own.
         paced: the clock paces ticks; else they are as fast as they can.
@@ -126,6 +130,7 @@ class Program:
         dry: bool = False,
         silent: bool = False,
         instead: Callable[[States], Platform] | None = None,
+        contracts: Mapping[str, PolicyContract] | None = None,
         **described: Any,
     ) -> None:
         if document is None:
@@ -133,7 +138,7 @@ class Program:
             document = document_of(described, Path(caller.f_code.co_filename), caller.f_lineno)
         self.document, self.name, self.dry, self.silent = document, document.name, dry, silent
         self.robot = load_robot_of(document)
-        self.policies = load_policies(document, self.robot)
+        self.policies = load_policies(document, self.robot) | dict(contracts or {})
         self.robot = with_weldable(document, self.robot, self.policies)
         self.period = period_of(document, self.policies)
         self.duration: float | None = document.get("duration", (int, float))
@@ -176,19 +181,22 @@ class Program:
         # Imported here: the runner's package imports this one.
         from unicon_core.runtime.report import Monitor
 
-        self.monitor = Monitor(self.states, dry=silent)
+        self.monitor = Monitor(self.states, dry=silent, fixed=not self.robot.floats)
         self.warn: Callable[[str], None] = print
         self._arrivals: list[Incoming] = []
         if self.parts is not None and part:
             self._arrivals = self.parts.incoming(part, self.states, self.tell)
         self.blocks: list[Block] = []
         self.outside: list[Block] = []
+        self.latches: list[Latch] = []
         try:
             if instead is not None:
                 self.platform = instead(self.states)
             elif self.parts is not None and not self.has_platform:
                 self.platform = PartPlatform(part, self.parts.first, self._arrivals)
             else:
+                if not (dry or silent):
+                    self.latches = latches_of(document, self.robot, self.tell)
                 self.platform = build_platform(document, self.context, dry=dry, silent=silent)
             self.context.platform = self.platform
         except BaseException:  # nobody else has them yet

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from unicon_core.errors import UniconError, WorkflowError
 from unicon_core.flow import Node, blocks_of
 from unicon_core.platforms.platform import Platform
-from unicon_core.states.standard import BASE_STATES, COMMAND_STATES, HARDWARE_STATES
+from unicon_core.states.standard import BASE_STATES, COMMAND_STATES, CONTROL_STATES, HARDWARE_STATES
 from unicon_core.workflow.autowire import state_names
 from unicon_core.workflow.build import Builder, factory_of
 from unicon_core.workflow.registry import find_factory
@@ -21,22 +21,25 @@ from unicon_core.workflow.uses import EXPRESSION, Use
 if TYPE_CHECKING:
     from unicon_core.workflow.program import Program
 
-__all__ = ["ROBOT_SAFETY", "completed", "left_out"]
+__all__ = ["ROBOT_SAFETY", "TELLS", "completed", "left_out"]
 
 FIRST = "finite"
-HARDWARE = "hardware_stop"
 STOPS = (
     "command_stop",
     "range_stop",
     "velocity_stop",
     "tilt_stop",
-    HARDWARE,
+    "hardware_stop",
+    "remote_stop",
 )
 """Behind `finite`, before what the workflow lists: they look at ranges, and neighbours which do so
 become one comparison (`flow/fuse.py`)."""
-LAST = ("joint_limits", "stale_stop", "imu_stop", "encoder_stop")
+LAST = ("joint_limits", "stale_stop", "imu_stop", "joint_sensor_stop", "encoder_stop")
 """Behind what the workflow lists: an encoder that stands at its joint's limit is not stuck, and the
 target that it follows is the one within the limits."""
+
+TELLS = {"hardware_stop": HARDWARE_STATES, "remote_stop": CONTROL_STATES}
+"""Blocks that only a robot has which writes one of these states."""
 
 ROBOT_SAFETY = (FIRST, *STOPS, *LAST)
 """What stands between the flow and `send` of anything that is not a simulator."""
@@ -45,8 +48,8 @@ ROBOT_SAFETY = (FIRST, *STOPS, *LAST)
 def left_out(nodes: Iterable[Node], platform: Platform, members: Iterable[str] = ()) -> list[str]:
     """Return the names of a robot's safety blocks that are not among the nodes.
 
-    Those for its hardware belong to a robot that tells of it. A block of one member is there only
-    where every member has one.
+    Those for its hardware and its remote belong to a robot that tells of them. A block of one
+    member is there only where every member has one.
     """
     uses = [b for n in nodes for b in blocks_of(n) if isinstance(b, Use) and b.word != EXPRESSION]
     covered: dict[object, set[str]] = {}
@@ -54,8 +57,11 @@ def left_out(nodes: Iterable[Node], platform: Platform, members: Iterable[str] =
         covered.setdefault(factory_of(use), set()).add(use.of)
     every = {*members} or {""}
     there = {made for made, of in covered.items() if "" in of or of >= every}
-    told = not {*HARDWARE_STATES}.isdisjoint(platform.facts.writes)
-    names = [name for name in ROBOT_SAFETY if told or name != HARDWARE]
+    names = [
+        name
+        for name in ROBOT_SAFETY
+        if name not in TELLS or not {*TELLS[name]}.isdisjoint(platform.facts.writes)
+    ]
     return [n for n in names if find_factory("blocks", n, WorkflowError) not in there]
 
 

@@ -97,7 +97,7 @@ def start_of(document: WorkflowDocument) -> StartSettings:
     from unicon_core.workflow.start import StartSettings
 
     try:
-        return StartSettings.from_value(document.values.get("start"))
+        return StartSettings.from_value(document.values.get("start"), document.path.parent)
     except UniconError as error:
         raise document.error(str(error), "start") from error
 

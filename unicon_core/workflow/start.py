@@ -11,6 +11,8 @@ In a simulator gates are shown and pass by themselves, and there is neither appr
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import partial
+from pathlib import Path
 from typing import Any, Literal
 
 from unicon_core.bounds import POSE_SPEED, within
@@ -59,8 +61,12 @@ class StartSettings:
         return self.late == "go"
 
     @classmethod
-    def from_value(cls, values: Any) -> StartSettings:
+    def from_value(cls, values: Any, folder: Path = Path()) -> StartSettings:
         """Return the settings of a workflow's `start`, of None the usual ones.
+
+        Args:
+            values: of the workflow.
+            folder: from which its paths are reckoned.
 
         Raises:
             WorkflowError: a key or a value is wrong.
@@ -80,7 +86,7 @@ class StartSettings:
         if values.get("late", "fault") not in LATE:
             raise WorkflowError(f"start: late is {values['late']!r:.60}; give fault or go")
         given = dict(values)
-        for key, read in (("at", moment_of), ("together", party_of)):
+        for key, read in (("at", moment_of), ("together", partial(party_of, folder=folder))):
             if given.get(key) is not None:
                 given[key] = read(given[key])
         settings = cls(**given)

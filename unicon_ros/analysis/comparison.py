@@ -10,6 +10,7 @@ import numpy as np
 
 from unicon_core.gap import (
     affine,
+    aligned_mse,
     chamfer,
     compare,
     load,
@@ -18,23 +19,20 @@ from unicon_core.gap import (
     rmse,
     spectral_distance,
     unfolded_mse,
-    unfolded_norm,
     warming,
     wasserstein,
 )
 from unicon_core.gap.trajectories import Array
 from unicon_ros.analysis.together import Together
 
-__all__ = ["Comparison", "compare_runs", "tracking_error"]
+__all__ = ["Comparison", "compare_runs", "gap_spread", "tracking_error"]
 
 LAG_S = 0.1
 """Largest lag of a joint against the others in [s]: less than a quarter of a stride."""
-LETTER_S = 1.0
-"""Window of shifts for the unfolded MSE to the letter in [s], around the one with squares."""
-LETTER_WORK = 200_000_000
-"""Numbers that it may look at: two seconds' work. Longer runs get a smaller window."""
 SMOOTHED_S = 0.1
 """Over which torques are averaged in [s] before they are held against what was asked."""
+STRETCHES = 8
+"""Of a comparison, whose gaps tell by how much the gap of a joint may differ by chance."""
 PATHS = 2000
 """Samples of each run at most for the chamfer distance, evenly taken: it grows with the square."""
 
@@ -66,9 +64,9 @@ class Comparison:
         return {
             "period_s": both.period,
             "method": both.method,
-            "shift_samples": int(both.unfolded.shift),
-            "shift_s": int(both.unfolded.shift) * both.period,
-            "samples": int(both.unfolded.overlap),
+            "shift_samples": int(both.aligned.shift),
+            "shift_s": int(both.aligned.shift) * both.period,
+            "samples": int(both.aligned.overlap),
             "begins_s": {"real": both.begins[0], "sim": both.begins[1]},
             "fall_s": {"real": _plain(both.falls[0]), "sim": _plain(both.falls[1])},
             "ranked_by": self.ranked_by,
@@ -92,17 +90,38 @@ def tracking_error(states: dict[str, Array]) -> Array | None:
     return None if target is None else target - states["joint_pos"]
 
 
+def gap_spread(both: Together) -> Array:
+    """Return the standard error of each joint's gap in [rad], from equal stretches of time.
+
+    Joints whose gaps are nearer to each other than that differ as much.
+    """
+    real, sim, _ = _ranked(both)
+    count = min(STRETCHES, len(real))
+    gaps = [
+        wasserstein(a, b) for a, b in zip(np.array_split(real, count), np.array_split(sim, count))
+    ]
+    return np.asarray(np.std(gaps, axis=0) / np.sqrt(count), np.float64)
+
+
+def _ranked(both: Together) -> tuple[Array, Array, str]:
+    """Return what ranks the joints, of both runs, shape (n, d), and what it is."""
+    real, sim = tracking_error(both.real), tracking_error(both.sim)
+    if real is None or sim is None:
+        return both.real["joint_pos"], both.sim["joint_pos"], "position"
+    return real, sim, "tracking error"
+
+
 def compare_runs(both: Together) -> Comparison:
     """Return all figures."""
     real, sim = both.real, both.sim
     errors = tracking_error(real), tracking_error(sim)
     lag = max(1, round(LAG_S / both.period))
     position = affine(real["joint_pos"], sim["joint_pos"], lag)
-    each = unfolded_mse(real["joint_pos"].T[..., None], sim["joint_pos"].T[..., None], lag)
+    each = aligned_mse(real["joint_pos"].T[..., None], sim["joint_pos"].T[..., None], lag)
     joints: dict[str, Array] = {
         "position_rmse": rmse(real["joint_pos"], sim["joint_pos"], "element"),
         "position_bias": np.mean(real["joint_pos"] - sim["joint_pos"], axis=0),
-        "position_unfolded_mse": each.loss,
+        "position_aligned_mse": each.loss,
         "position_distribution": wasserstein(real["joint_pos"], sim["joint_pos"]),
         "lag_s": np.multiply(position.lag, both.period, dtype=np.float64),
         "gain": position.gain,
@@ -111,12 +130,10 @@ def compare_runs(both: Together) -> Comparison:
         "correlation": position.correlation,
         "spectral_distance": spectral_distance(real["joint_pos"], sim["joint_pos"]),
     }
-    if errors[0] is None or errors[1] is None:
-        ranked_by = "distance of the distributions of the position (Wasserstein-1) in rad"
-        gap = joints["position_distribution"]
-    else:
-        ranked_by = "distance of the distributions of the tracking error (Wasserstein-1) in rad"
-        gap = wasserstein(errors[0], errors[1])
+    *ranked, what = _ranked(both)
+    ranked_by = f"distance of the distributions of the {what} (Wasserstein-1) in rad"
+    gap = wasserstein(*ranked)
+    if errors[0] is not None and errors[1] is not None:
         joints["tracking_rms_real"], joints["tracking_rms_sim"] = (
             np.sqrt(np.mean(error**2, axis=0)) for error in errors if error is not None
         )
@@ -186,7 +203,7 @@ def _smooth(values: Array, width: int) -> Array:
 
 
 def _whole(name: str, both: Together) -> dict[str, float]:
-    """Return the figures of a state as a whole; unfolded ones are over all that was compared."""
+    """Return the figures of a state as a whole."""
     real, sim = both.real[name], both.sim[name]
     count = min(both.ends)
     step = max(1, len(real) // PATHS)
@@ -195,15 +212,13 @@ def _whole(name: str, both: Together) -> dict[str, float]:
             rmse(both.real_whole[name][:count], both.sim_whole[name][:count])
         ),
         "rmse_shifted": float(rmse(real, sim)),
-        "unfolded_mse_of_shift": 2.0 * real.shape[1] * float(mse(real, sim)),
+        "aligned_mse_of_shift": 2.0 * real.shape[1] * float(mse(real, sim)),
         "chamfer": float(chamfer(real[::step], sim[::step])),
         "spectral_distance": float(np.mean(spectral_distance(real, sim))),
     }
     if name == "joint_pos":
-        figures["unfolded_mse"] = float(both.unfolded.loss)
-        window = min(round(LETTER_S / both.period), LETTER_WORK // (2 * real.size))
-        letter = unfolded_norm(real, sim, window)
-        figures["unfolded_to_the_letter"] = float(letter.loss)
+        figures["aligned_mse"] = float(both.aligned.loss)
+        figures["unfolded_mse"] = float(unfolded_mse(*both.unshifted))
     return figures
 
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_ros.analysis.comparison import LAG_S, Comparison
+from unicon_ros.analysis.comparison import LAG_S, Comparison, gap_spread
 
 __all__ = ["findings"]
 
@@ -67,14 +67,23 @@ def findings(comparison: Comparison) -> list[str]:
 
 
 def _ranked(comparison: Comparison) -> str:
+    """Name the joint that differs most, or those that differ as much within their gaps' spread."""
     both, order, gap = comparison.together, comparison.order, comparison.joints["gap"]
     first = order[0]
     if gap[first] == 0.0:
         return "No joint differs."
-    text = f"{both.joints[first]} differs most, by {gap[first]:.3g} rad"
-    if len(order) > 1 and gap[order[1]] > 0.0:
-        text += f", {gap[first] / gap[order[1]]:.1f} times as much as {both.joints[order[1]]}"
-    return f"{text}."
+    spread = gap_spread(both)
+    alike = [k for k in order if gap[first] - gap[k] <= 2.0 * np.hypot(spread[first], spread[k])]
+    measure = comparison.ranked_by.removesuffix(" in rad")
+    if len(alike) == 1:
+        text = f"{both.joints[first]} differs most, by {gap[first]:.3g} rad"
+        if len(order) > 1 and gap[order[1]] > 0.0:
+            text += f", {gap[first] / gap[order[1]]:.1f} times as much as {both.joints[order[1]]}"
+        return f"{text} ({measure})."
+    which = np.isin(np.arange(len(gap)), alike)
+    text = f"No joint stands out: {_names(comparison, which)} differ alike"
+    least = float(gap[alike].min())
+    return f"{text}, by {least:.3g} to {gap[first]:.3g} rad ({measure})."
 
 
 def _falls(falls: tuple[float, float]) -> list[str]:

@@ -49,13 +49,11 @@ def _alignment(figure: Any, comparison: Comparison) -> bool:
         side["joint_pos"][:end] for side, end in zip((both.real_whole, both.sim_whole), both.ends)
     )
     shifts, losses = shift_losses(real, sim)
-    found = int(both.unfolded.shift) * both.period
+    found = int(both.aligned.shift) * both.period
     above.plot(*envelope(shifts * both.period, losses), color=INK, linewidth=0.9)
-    above.plot(
-        [found], [float(both.unfolded.loss)], "o", color=REAL, label=f"found: {found:+.3f} s"
-    )
+    above.plot([found], [float(both.aligned.loss)], "o", color=REAL, label=f"found: {found:+.3f} s")
     above.set(xlabel="shift of the simulated run [s]", ylabel="loss [rad²]")
-    above.set_title("unfolded MSE of all joint positions at each shift", fontsize=10)
+    above.set_title("aligned MSE of all joint positions at each shift", fontsize=10)
     above.legend()
     k = comparison.order[0]
     time = both.begins[0] - max(0.0, found) + both.period * np.arange(len(real))
@@ -183,7 +181,7 @@ def _base(figure: Any, comparison: Comparison) -> bool:
         return False
     figure.set_size_inches(12.0, 0.5 + 1.8 * len(shown))
     rows = figure.subplots(len(shown), sharex=True, squeeze=False)[:, 0]
-    found = int(both.unfolded.shift)
+    found = int(both.aligned.shift)
     begin = both.begins[0] - max(0, found) * both.period
     for axes, (name, label) in zip(rows, shown):
         sides = ((both.sim_whole, found, SIM, "simulated"), (both.real_whole, 0, REAL, "real"))

@@ -39,7 +39,7 @@ _COLUMNS = {
 _STATE_COLUMNS = {
     "rmse_step_by_step": "RMSE sample by sample",
     "rmse_shifted": "RMSE after the shift",
-    "unfolded_mse_of_shift": "unfolded MSE at that shift",
+    "aligned_mse_of_shift": "aligned MSE at that shift",
     "chamfer": "chamfer distance",
     "spectral_distance": "spectral distance",
 }
@@ -123,9 +123,9 @@ def _page(
 
 def _facts(comparison: Comparison, runs: tuple[Run, Run]) -> str:
     both = comparison.together
-    shift, count = int(both.unfolded.shift), len(both.time)
+    shift, count = int(both.aligned.shift), len(both.time)
     later = {1: "; the real run is later", -1: "; the simulated run is later", 0: ""}
-    letter = comparison.states["joint_pos"]["unfolded_to_the_letter"]
+    unfolded = comparison.states["joint_pos"]["unfolded_mse"]
     facts = {
         "real": _in_words(runs[0]),
         "simulated": _in_words(runs[1]),
@@ -134,8 +134,8 @@ def _facts(comparison: Comparison, runs: tuple[Run, Run]) -> str:
         "compared": f"{count:,} samples at {1 / both.period:.4g} Hz, {both.time[0]:.2f} to "
         f"{both.time[-1]:.2f} s of the real run, {len(both.joints)} joints",
         "resampling": both.method,
-        "unfolded MSE": f"{float(both.unfolded.loss):.4g} rad² of all joint positions; to the "
-        f"letter, with norms that are not squared, {letter:.4g} rad",
+        "aligned MSE": f"{float(both.aligned.loss):.4g} rad², summed over joints, at that shift",
+        "unfolded MSE": f"{unfolded:.4g} rad², mean of a joint, as UniCon's authors compute it",
         "ranked by": comparison.ranked_by,
     }
     return pairs(facts)

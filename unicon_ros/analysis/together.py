@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from unicon_core.errors import UniconError
-from unicon_core.gap import Unfolded, fall_time, unfolded_mse
+from unicon_core.gap import Aligned, aligned_mse, fall_time
 from unicon_core.gap.trajectories import Array
 from unicon_ros.analysis.resampling import common_period, resample
 from unicon_ros.analysis.run import FEWEST, JOINTS, Run
@@ -42,7 +42,7 @@ class Together:
         joints: names of those that both have, in the real robot's order.
         period: between two samples in [s].
         method: how both came to it, in words.
-        unfolded: of the joint positions, in samples.
+        aligned: of the joint positions, in samples.
         real, sim: states that both have, shifted and of one length, shape (n, d).
         real_whole, sim_whole: the same before the shift and the cut at a fall.
         ends: samples of each of these that the cut at a fall leaves.
@@ -54,7 +54,7 @@ class Together:
     joints: tuple[str, ...]
     period: float
     method: str
-    unfolded: Unfolded
+    aligned: Aligned
     real: dict[str, Array]
     sim: dict[str, Array]
     real_whole: dict[str, Array]
@@ -63,6 +63,12 @@ class Together:
     begins: tuple[float, float]
     falls: tuple[float, float]
     notes: list[str]
+
+    @property
+    def unshifted(self) -> tuple[Array, Array]:
+        """Joint positions up to a fall in either run, from both beginnings, shape (n, d) each."""
+        count = min(self.ends)
+        return self.real_whole["joint_pos"][:count], self.sim_whole["joint_pos"][:count]
 
     @property
     def time(self) -> Array:
@@ -112,14 +118,14 @@ def bring_together(real: Run, sim: Run, options: Options) -> Together:
                 f"{FEWEST} tell something: give a higher --rate or a longer run"
             )
     limit = None if options.max_shift is None else math.floor(options.max_shift / period)
-    unfolded = unfolded_mse(a["joint_pos"], b["joint_pos"], limit)
-    shift, count = int(unfolded.shift), int(unfolded.overlap)
+    aligned = aligned_mse(a["joint_pos"], b["joint_pos"], limit)
+    shift, count = int(aligned.shift), int(aligned.overlap)
     first_a, first_b = max(0, shift), max(0, -shift)
     return Together(
         joints,
         period,
         method or "both were sampled at one rate; nothing was resampled",
-        unfolded,
+        aligned,
         {name: values[first_a : first_a + count] for name, values in a.items()},
         {name: values[first_b : first_b + count] for name, values in b.items()},
         *whole,

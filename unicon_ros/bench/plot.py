@@ -1,4 +1,4 @@
-"""A picture of a benchmark: p50 of each case as a bar, p99 as a whisker, for the documentation."""
+"""A picture of a benchmark: p50 of each case as a dot, p99 at the end of its line, for the docs."""
 
 from __future__ import annotations
 
@@ -12,6 +12,9 @@ __all__ = ["plot"]
 
 def plot(bench: Bench, path: Path) -> None:
     """Write the picture.
+
+    Dots stand where a value is; the length of a bar would say nothing on a logarithmic axis, which
+    has no zero.
 
     Args:
         bench: what was measured; cases in other units than [µs] are left out.
@@ -38,18 +41,20 @@ def plot(bench: Bench, path: Path) -> None:
     p50 = [rows[label]["p50"] for label in labels]
     p99 = [rows[label]["p99"] for label in labels]
     colours = ["tab:blue" if "unicon" in label or "fused" in label else "0.65" for label in labels]
-    axes.barh(labels, p50, color=colours)
-    axes.hlines(labels, p50, p99, color="black", linewidth=1.0)
-    axes.plot(p99, labels, "|", color="black")
+    axes.hlines(labels, p50, p99, color=colours, linewidth=1.5)
+    axes.scatter(p50, labels, color=colours, zorder=3)
+    axes.scatter(p99, labels, color=colours, marker="|", zorder=3)
     for place, value in enumerate(p50):
         axes.annotate(
-            f" {value:,.0f}" if value >= 100 else f" {value:.3g}",
+            f"{value:,.0f}" if value >= 100 else f"{value:.3g}",
             (value, place),
-            va="bottom",
+            xytext=(0, 4),
+            textcoords="offset points",
+            ha="center",
             fontsize=7,
         )
     axes.set_xscale("log")
-    axes.set_xlabel("µs (bar: p50, whisker: p99), log scale")
+    axes.set_xlabel("µs (dot: p50, end of the line: p99), log scale")
     axes.set_title(f"unicon bench {bench.name}, {bench.rounds} rounds")
-    axes.grid(axis="x", alpha=0.3)
+    axes.grid(alpha=0.3)
     figure.savefig(path, dpi=110)

@@ -1,7 +1,8 @@
 """`unicon bench sloc`: what it takes to move a workflow to another robot, in lines, counted.
 
 The counterpart of the UniCon paper's table of transfer effort. Each edit is made in a copy of a
-workflow file, counted in the difference of both, and run; what cannot be run here is told.
+workflow file, counted in the difference of both, and run; a robot that falls has failed, and what
+cannot be run here is told. Beside it stands what the same move took in public code (`ad_hoc`).
 """
 
 from __future__ import annotations
@@ -12,10 +13,11 @@ from pathlib import Path
 
 import unicon_core
 from unicon_core.resources import find_config
+from unicon_ros.bench.ad_hoc import AD_HOC, PAPER
 from unicon_ros.bench.report import Bench
 from unicon_ros.bench.transfers import Transfer, lines_of, transferred
 
-__all__ = ["TRANSFERS", "lines_of_python", "run"]
+__all__ = ["TRANSFERS", "code_of", "run"]
 
 _SKIPPED = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT}
 
@@ -78,8 +80,10 @@ TRANSFERS = (
 two of them with a policy. A robot is emulated: behind its vendor's protocol, in front of MuJoCo."""
 
 
-def lines_of_python(text: str) -> int:
-    """Return the lines with code: no blank ones, comments or docstrings."""
+def code_of(text: str, python: bool = True) -> list[str]:
+    """Return the lines with code: no blank ones or comments, in Python no docstrings either."""
+    if not python:
+        return [line for line in text.splitlines() if lines_of(line)]
     lines: set[int] = set()
     previous = tokenize.NEWLINE
     for token in tokenize.generate_tokens(io.StringIO(text).readline):
@@ -88,7 +92,7 @@ def lines_of_python(text: str) -> int:
             lines.update(range(token.start[0], token.end[0] + 1))
         if token.type not in (tokenize.NL, tokenize.COMMENT):
             previous = token.type
-    return len(lines)
+    return [line for number, line in enumerate(text.split("\n"), 1) if number in lines]
 
 
 _STARTS = (tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT)
@@ -109,8 +113,11 @@ def run(rounds: int | None = None) -> Bench:
     for name, place in COMPONENTS:
         path = root / place
         files = sorted(path.rglob("*.py")) if path.is_dir() else [path]
-        lines = sum(lines_of_python(file.read_text(encoding="utf-8")) for file in files)
+        lines = sum(len(code_of(file.read_text(encoding="utf-8"))) for file in files)
         bench.facts[f"component: {name}"] = f"{lines} lines of Python, written once"
+    bench.facts["the paper's ad-hoc code"] = ", ".join(
+        f"{name} {lines}" for name, lines in PAPER.items()
+    )
     tried, ran = 0, 0
     for transfer in TRANSFERS:
         robot = transfer.edit.get("robot")
@@ -121,12 +128,15 @@ def run(rounds: int | None = None) -> Bench:
         outcome = transferred(transfer)
         tried += outcome.ran is not None
         ran += outcome.ran is True
+        move = f"{transfer.source} → {transfer.target}"
+        by_hand = f"ad hoc: {AD_HOC[move]}" if move in AD_HOC else ""
         verdict = {True: "ran", False: "FAILED", None: "not run here"}[outcome.ran]
-        bench.facts[f"{transfer.source} → {transfer.target}"] = "\n".join(
+        bench.facts[move] = "\n".join(
             (
                 f"{_counted(outcome.lines, 'line')}, {_counted(outcome.words, 'word')}; "
                 f"{verdict}: {outcome.told}",
                 *(f"    {line}" for line in outcome.difference),
+                *([f"    {by_hand}"] if by_hand else []),
             )
         )
     if tried:

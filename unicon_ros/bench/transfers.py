@@ -190,11 +190,11 @@ def _run(path: Path, values: Mapping[str, Any], transfer: Transfer) -> tuple[boo
     said = json.loads(report.read_text(encoding="utf-8"))
     if said["faults"]:
         return False, said["faults"][0]
-    fell = ", and fell" if said["fell"] else ""
     moved = (robot.moved or said["base_displacement_m"])[0]
-    told = f"{said['ticks']} ticks, {moved:+.2f} m ahead{fell}"
-    balances = bool(values.get("policies"))  # nobody does in a posture
-    return done.returncode == 0 and not (fell and balances), told
+    held = ", hanging on a gantry" if "--hang" in transfer.robot else ""
+    fell = ", and fell" if said["fell"] else ""
+    told = f"{said['ticks']} ticks, {moved:+.2f} m ahead{held}{fell}"
+    return done.returncode == 0 and not fell, told
 
 
 @dataclass

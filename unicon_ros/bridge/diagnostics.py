@@ -55,6 +55,7 @@ class Diagnostics:
         self.fault = ""
         self._at = time.monotonic()
         self._ticks = self._overruns = 0
+        self._paused = 0.0
         self._counts: dict[str, int] = {}
 
     def publish(self) -> None:
@@ -91,10 +92,11 @@ class Diagnostics:
         if ticks < 0:  # another run
             ticks, overruns = statistics.count, statistics.overruns
         self._ticks, self._overruns = statistics.count, statistics.overruns
+        paused, self._paused = max(runner.paused_s - self._paused, 0.0), runner.paused_s
         values = {
             "workflow": runner.program.name,
             "platform": runner.program.platform.facts.name,
-            "rate_hz": f"{ticks / seconds:.2f}",
+            "rate_hz": f"{ticks / max(seconds - paused, 1e-6):.2f}" if ticks else "0.00",
             "ticks": str(statistics.count),
             "overruns": str(statistics.overruns),
         }
@@ -144,9 +146,12 @@ class Diagnostics:
         return f"{max(count - before, 0) / seconds:.2f}"
 
     def close(self) -> None:
-        """Tell how it ended, and destroy the publisher."""
-        self.publish()
-        compat.wait_for_readers(self._publisher, LAST)
+        """Tell how the run ended, where there was one, and destroy the publisher."""
+        runner, self.runner = self.runner, None
+        if runner is not None:
+            self.fault = "; ".join(runner.faults)
+            self.publish()
+            compat.wait_for_readers(self._publisher, LAST)
         self._node.destroy_publisher(self._publisher)
 
 

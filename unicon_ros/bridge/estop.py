@@ -5,23 +5,23 @@ about 2 µs each, so that no load of the executor and no length of a tick stands
 the motors. An executor may serve it as well, while nothing runs or in the slack: a request is taken
 once, by whoever comes first, and either way it latches. Only `~/clear_estop` lets go.
 
-The latch is kept in a file beside the node's name where `keep` asks for it, so that a process that
-is started anew has it too; see `unicon_ros.latches`.
+The latch is kept in files, the node's and those of the robots that it drives, where `keep` asks for
+it, so that a process that is started anew has it too; see `unicon_core.latches`.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-from unicon_core.errors import Fault
+from unicon_core.errors import EmergencyStopPressed, UniconError
 from unicon_core.flow import Block
+from unicon_core.latches import ESTOP, PATIENCE, Latch, clearing
 from unicon_ros import compat
 from unicon_ros.bridge.services import add_services, explained
 from unicon_ros.controls import Answer
-from unicon_ros.latches import ESTOP, Latch
 
 __all__ = ["FAULT", "REFUSAL", "STOP_SERVICES", "EmergencyStop", "latch_of"]
 
@@ -34,6 +34,8 @@ PRESSED = "emergency stop: the platform damps; latched until ~/clear_estop"
 
 DELIBERATE_S = 0.5
 """So long after a press nothing clears it: of two requests that came together, the stop wins."""
+SLACK_S = 0.05
+"""How long an answer in a run waits for the medium of the latch: the tick waits with it."""
 LINGER_S = 0.2
 """So long after an answer the service stays, for the middleware to repeat what was lost."""
 QUEUED = 100
@@ -61,6 +63,7 @@ class EmergencyStop:
         self.restored = ""
         self._node = node
         self._kept: Latch | None = None
+        self._robots: Sequence[Latch] = ()
         self._running, self._warn = running, warn
         self._failed = False
         self._pressed_at = self._answered_at = -math.inf
@@ -71,16 +74,36 @@ class EmergencyStop:
         self.polled = taking is not None
         self._take: Callable[[], Any] = taking or _nothing
 
-    def keep(self) -> None:
-        """Keep the latch until the machine boots, and take over what an earlier process left."""
+    def keep(self, robots: Sequence[Latch] = ()) -> None:
+        """Keep the latch until the machine boots, and take over what an earlier process left.
+
+        Args:
+            robots: the latches of the robots that are driven, which a press sets as well.
+        """
+        self._robots, names = robots, ",".join(latch.robot for latch in robots)
         if self._kept is not None:
+            self._kept.robot = names
             return
         kept = self._kept = latch_of(self._node, ESTOP, self._warn)
+        kept.robot = names
         found = kept.read()
         if self.latched:
             kept.set(FAULT)
         elif found is not None:
             self.latched, self.restored = True, found.at or found.reason
+
+    def refuse_start(self) -> None:
+        """Refuse a start while it is latched.
+
+        Raises:
+            UniconError: it is latched; the error has the command that lets go.
+        """
+        if self.latched:
+            name = self._node.get_fully_qualified_name()
+            raise UniconError(
+                f"the emergency stop of {name} is latched (pressed {self.restored}); when "
+                f"it is safe to start again: {clearing(name)}"
+            )
 
     # -- in ticks -------------------------------------------------------------------------------
 
@@ -98,12 +121,12 @@ class EmergencyStop:
         """Hear a request, if there is one.
 
         Raises:
-            Fault: it is pressed.
+            EmergencyStopPressed: it is pressed.
         """
         if self._take is not _nothing:
             self.hear()
         if self.latched:
-            raise Fault(FAULT)
+            raise EmergencyStopPressed(FAULT)
 
     def hear(self) -> None:
         """Take a request, if there is one, and latch; it is answered later."""
@@ -150,7 +173,9 @@ class EmergencyStop:
         running = self._running()
         self._latch()
         said = PRESSED if running else "nothing runs; latched until ~/clear_estop"
-        return True, said if running else said + self._not_kept()
+        # An executor that takes the request in the slack answers at once: a process that is killed
+        # on that answer must have left its latch, or the next one would drive.
+        return True, said + self._not_kept(SLACK_S if running else PATIENCE)
 
     def clear(self) -> Answer:
         """Let go of the latch, once the run has ended."""
@@ -160,9 +185,9 @@ class EmergencyStop:
             return False, "the run has not ended yet; call ~/clear_estop again"
         if time.monotonic() - self._pressed_at < DELIBERATE_S:
             return False, "it was pressed just now; if it is safe, call ~/clear_estop again"
-        stays = "" if self._kept is None else self._kept.release()
-        if stays:
-            return False, stays
+        for latch in self._latches():
+            if stays := latch.release():
+                return False, stays
         self.latched, self.restored = False, ""
         return True, "cleared: ~/start may start again"
 
@@ -175,16 +200,35 @@ class EmergencyStop:
         self._let_go()
 
     def _latch(self) -> None:
-        if self._kept is not None:
-            self._kept.set(FAULT)
+        for latch in (self._kept, *self._robots):
+            if latch is not None:
+                latch.set(FAULT)
         self.latched, self.restored = True, ""
         self._pressed_at = time.monotonic()
 
-    def _not_kept(self) -> str:
-        """Return what to add to an answer where the latch ends with this process."""
-        if self._kept is None or self._kept.kept():
-            return ""
-        return f"; for this process only ({self._kept.trouble})"
+    def _latches(self) -> Iterator[Latch]:
+        """The robots' and the node's own latch, with those of robots that it drove before."""
+        yield from self._robots
+        if self._kept is None:
+            return
+        found = self._kept.read()
+        for name in found.robots if found is not None else ():
+            yield Latch("", 0, ESTOP, self._warn, name)
+        yield self._kept
+
+    def _not_kept(self, patience: float = PATIENCE) -> str:
+        """Return what to add to an answer where the latch ends with this process.
+
+        Args:
+            patience: how long all media together may take in [s].
+        """
+        end = time.monotonic() + patience
+        troubles = [
+            latch.trouble
+            for latch in (self._kept, *self._robots)
+            if latch and not latch.kept(max(0.0, end - time.monotonic()))
+        ]
+        return f"; for this process only ({troubles[0]})" if troubles else ""
 
 
 def latch_of(node: Any, kind: str, warn: Callable[[str], None]) -> Latch:

@@ -211,15 +211,16 @@ def mirror_hook(program: Program, name: str | None = None) -> dict[Stage, list[B
     try:
         mapping = load_map(path)
         states = {state for spec in _heard(program, mapping) for state in spec.states}
-        states.update(_played(program, mapping))
+        played = _played(program, mapping)
     except UniconError:
         return {}
-    if not states or not states.isdisjoint(program.platform.facts.writes):
+    if not states.isdisjoint(program.platform.facts.writes):
         return {}
     written = told_states(program)
     writes, amends = tuple(sorted(states - written)), tuple(sorted(states & written))
     inputs = Block("ros inputs", bool, writes=writes, amends=amends, endless=True)
-    return {Stage.INPUT: [inputs]}
+    trajectory = Block("ros trajectory", bool, writes=played, endless=True)
+    return {Stage.INPUT: [*[inputs] * bool(states), *[trajectory] * bool(played)]}
 
 
 def check_mirror(subject: Subject, result: CheckResult, name: str | None = None) -> None:

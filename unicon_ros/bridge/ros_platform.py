@@ -15,6 +15,7 @@ torques of a servo here, where the robot takes nothing else.
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
@@ -26,7 +27,7 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 
 from unicon_core.blocks.projected_gravity import projected_gravity
-from unicon_core.errors import Fault, MissingDependencyError, PlatformError, UniconError
+from unicon_core.errors import Fault, MissingDependencyError, PlatformError, Silence, UniconError
 from unicon_core.platforms.kit.command import FiniteCheck
 from unicon_core.platforms.kit.damping import DAMPING_TIME, Damping, LastSent, repeated
 from unicon_core.platforms.kit.servo import Servo
@@ -69,6 +70,13 @@ LONGEST_DAMPING = 0.8
 """Largest option `damping`, [s]: whoever asks a run to end waits for it."""
 
 
+def _reached(options: Mapping[str, Any]) -> str:
+    """Return what tells a robot behind topics from others, for its latch: domain and namespace."""
+    domain = os.environ.get("ROS_DOMAIN_ID") or "0"
+    names = str(options.get("namespace") or "").strip("/").split("/")
+    return "/".join(["ros", f"domain{domain}", *filter(None, names)])
+
+
 def make(
     states: States,
     robot: Robot,
@@ -104,6 +112,9 @@ def make(
     path = find_config("maps", map, error=PlatformError, relative_to=relative_to)
     node = partial(OwnNode, node_name, namespace, ros_args)
     return opened(RosPlatform, states, robot, period, path, node, connect, damping, silent)
+
+
+setattr(make, "reached", _reached)  # noqa: B010  a function has none to mypy
 
 
 def opened(
@@ -307,7 +318,7 @@ class RosPlatform:
             topic.poll()
         for topic in self._needed:
             if topic.stale:
-                raise Fault(f"{topic.silence}; the robot is silent")
+                raise Silence(f"{topic.silence}; the robot is silent")
         if self._gravity is not None:
             self._gravity()
         if not self._stamped:

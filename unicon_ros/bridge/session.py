@@ -48,7 +48,6 @@ from unicon_ros.bridge.stamps import WallStamp
 from unicon_ros.bridge.topics_in import TopicIn
 from unicon_ros.bridge.topics_out import TopicOut
 from unicon_ros.controls import Controls
-from unicon_ros.latches import clearing
 
 if TYPE_CHECKING:
     from unicon_ros.bridge.trajectories import Trajectories
@@ -138,8 +137,7 @@ class RosSession:
         Raises:
             UniconError: the map does not fit, or the emergency stop of a robot is latched.
         """
-        if self._own is not None and not (program.platform.facts.simulated or program.silent):
-            self._refuse_latched()
+        self._keep_latch(program)
         for service in add_services(self.node, skill_handlers(program, self._runs), self.warn):
             self._others.append(partial(self.node.destroy_service, service))
         stages = {Stage.INPUT: [self._inputs(program)]}
@@ -296,21 +294,18 @@ class RosSession:
             for timer in self._timers:
                 rest.callback(self.node.destroy_timer, timer)
             if self.diagnostics is not None:
-                rest.callback(self._tell_the_end, self.diagnostics)
+                rest.callback(self.diagnostics.close)
             self.slack.rest()
 
     # -- helpers --------------------------------------------------------------------------------
 
-    def _refuse_latched(self) -> None:
+    def _keep_latch(self, program: Program) -> None:
         """Whoever starts a robot anew, a person or a supervisor, does not get round the latch."""
-        assert self.estop is not None
-        self.estop.keep()
-        if self.estop.latched:
-            name = self.node.get_fully_qualified_name()
-            raise UniconError(
-                f"the emergency stop of {name} is latched (pressed {self.estop.restored}); when "
-                f"it is safe to start again: {clearing(name)}"
-            )
+        estop, moves = self.estop, not (program.platform.facts.simulated or program.silent)
+        if estop is not None and (moves or self._own is None):
+            estop.keep(program.latches)
+            if moves and self._own is not None:
+                estop.refuse_start()
 
     def _runs(self) -> bool:
         return self.controls.runner is not None and not self._closed
@@ -323,12 +318,6 @@ class RosSession:
         for topic in self._topics():
             topic.events.settle()
         self.neighbours.look()
-
-    def _tell_the_end(self, diagnostics: Diagnostics) -> None:
-        runner, diagnostics.runner = diagnostics.runner, None
-        if runner is not None:
-            diagnostics.fault = "; ".join(runner.faults)
-            diagnostics.close()
 
     def _made(
         self,

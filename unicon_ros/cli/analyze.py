@@ -59,10 +59,11 @@ def _analyze(arguments: argparse.Namespace) -> int:
     """Run the command; exit status 0."""
     if arguments.sim is None and arguments.fit is None:
         raise UniconError("unicon analyze REAL needs SIM, or --fit; give a record of the simulator")
+    status = 0
     if arguments.fit is not None:
-        run_fit(arguments, _folder(arguments.out))
+        status = run_fit(arguments, _folder(arguments.out))
         if arguments.sim is None:
-            return 0
+            return status
     from unicon_ros.analysis.comparison import compare_runs
     from unicon_ros.analysis.report import write_report
     from unicon_ros.analysis.run import read_run
@@ -87,7 +88,7 @@ def _analyze(arguments: argparse.Namespace) -> int:
     for text in [*_list(result["findings"]), *_list(result["notes"])]:
         print(text)
     print(f"report  {folder / 'report.html'}")
-    return 0
+    return status
 
 
 def _folder(text: str) -> Path:

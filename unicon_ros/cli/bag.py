@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -167,6 +168,10 @@ def _export_dataset(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _note(line: str) -> None:
+    print(f"unicon bag: {line}", file=sys.stderr)
+
+
 def _import(arguments: argparse.Namespace) -> int:
     from unicon_core.robots import load_robot
     from unicon_ros.recording.import_bag import MAP, import_bag
@@ -183,6 +188,6 @@ def _import(arguments: argparse.Namespace) -> int:
     else:
         if arguments.joints:
             raise UniconError(f"{source}: --joints goes with an .npz; leave it out")
-        ticks = import_bag(source, out, robot, arguments.map or MAP, rate)
+        ticks = import_bag(source, out, robot, arguments.map or MAP, rate, _note)
     print(f"{out}: {ticks} ticks")
     return 0

@@ -74,6 +74,16 @@ def add(commands: Any) -> None:
     wrong.add_argument(
         "--dead", action="append", default=[], metavar="JOINT", help="its motor does nothing"
     )
+    wrong.add_argument(
+        "--leave", metavar="JOINT", help="its motor leaves the commanded mode after a while"
+    )
+    wrong.add_argument(
+        "--leave-after",
+        type=positive,
+        default=3.0,
+        metavar="S",
+        help="so long after the first command (default %(default)s)",
+    )
     wrong.add_argument("--imu-upside-down", action="store_true", help="as it is mounted")
     wrong.add_argument("--rate", type=positive, metavar="HZ", help="of its frames, less than usual")
     wrong.add_argument(
@@ -158,11 +168,15 @@ def _defects(arguments: argparse.Namespace, robot: Robot) -> Defects:
     swapped = tuple(map(number, arguments.swap))
     if len(set(swapped)) == 1:
         raise RobotError(f"--swap {arguments.swap[0]} with itself does nothing; give two joints")
+    leaves = None
+    if arguments.leave is not None:
+        leaves = number(arguments.leave), arguments.leave_after
     return Defects(
         swapped,
         tuple(map(number, arguments.dead)),
         arguments.imu_upside_down,
         arguments.rate,
+        leaves,
     )
 
 

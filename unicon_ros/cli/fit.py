@@ -38,8 +38,13 @@ def add_fit(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run_fit(arguments: argparse.Namespace, folder: Path) -> None:
+def run_fit(arguments: argparse.Namespace, folder: Path) -> int:
     """Fit, write overlay and JSON into a folder, and print what was found.
+
+    A fit that is not better for what it has not seen gets no overlay.
+
+    Returns:
+        The exit status: 1 where figures were found that are not better.
 
     Raises:
         UniconError: REAL is not a record, or lacks what is needed.
@@ -71,9 +76,11 @@ def run_fit(arguments: argparse.Namespace, folder: Path) -> None:
     )
     name = (robot.name if robot else record.facts.get("robot")) or "robot"
     path = folder / f"{name}_fitted.yaml"
+    overlay = path.name if found.better else None
     try:
-        path.write_text(text, encoding="utf-8")
-        content: dict[str, Any] = asdict(found) | {"overlay": path.name, "better": found.better}
+        if found.better:
+            path.write_text(text, encoding="utf-8")
+        content: dict[str, Any] = asdict(found) | {"overlay": overlay, "better": found.better}
         (folder / "fit.json").write_text(json.dumps(content, indent=1), encoding="utf-8")
     except OSError as error:
         raise UniconError(f"cannot write {path}: {error.strerror}; give another --out") from error
@@ -84,10 +91,13 @@ def run_fit(arguments: argparse.Namespace, folder: Path) -> None:
     if not found.parameters:
         print("no figure of a joint explains more than noise would: the simulator is as it should")
     print(
-        f"unfolded MSE  {found.before:.4g} -> {found.after:.4g} rad² ({found.windows[0]} windows)"
+        f"aligned MSE   {found.before:.4g} -> {found.after:.4g} rad² ({found.windows[0]} windows)"
     )
+    worse = bool(found.parameters) and not found.better
     print(
         f"held out      {found.held_before:.4g} -> {found.held_after:.4g} rad² "
-        f"({found.windows[1]} windows){'' if found.better else ': NOT better; do not use it'}"
+        f"({found.windows[1]} windows){': NOT better' if worse else ''}"
     )
-    print(f"overlay  {path}")
+    earlier = f"; {path} is of an earlier fit" if path.exists() else ""
+    print(f"overlay  {path if found.better else f'none{earlier}'}")
+    return int(worse)

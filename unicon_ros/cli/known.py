@@ -41,6 +41,11 @@ def add(commands: Any) -> None:
                 "model", nargs="?", metavar="MODEL", help="with `new`: MJCF or URDF"
             )
             parser.add_argument("--out", metavar="FILE", help="with `new`: where to write")
+            parser.add_argument(
+                "--kind",
+                metavar="KIND",
+                help="with `new`: what the robot is, where its model does not say",
+            )
         if name == "policies":
             parser.add_argument(
                 "source",
@@ -61,17 +66,18 @@ def add(commands: Any) -> None:
 def _robots(arguments: argparse.Namespace) -> int:
     from unicon_core.robots import load_robot, robot_table, robots_table
 
-    model, out = arguments.model, arguments.out
+    model, out, kind = arguments.model, arguments.out, arguments.kind
     if arguments.name == "new":
         if not model:
             raise RobotError("robots new: give the model: unicon robots new MODEL [--out FILE]")
         from unicon_ros.cli.new_robot import new_robot
 
-        print(new_robot(model, out))
+        print(new_robot(model, out, kind))
         return 0
-    if model or out:
+    if model or out or kind:
+        what = model or ("--out" if out else "--kind")
         raise RobotError(
-            f"robots: {model or '--out'} goes with new; write unicon robots NAME, or "
+            f"robots: {what} goes with new; write unicon robots NAME, or "
             "unicon robots new MODEL --out FILE"
         )
     print(robot_table(load_robot(arguments.name)) if arguments.name else robots_table())

@@ -1,4 +1,4 @@
-"""`unicon latches`: emergency stops and faults that keep nodes of this machine from starting."""
+"""`unicon latches`: emergency stops and faults that keep robots and nodes from being started."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import Any
 
 from unicon_core.aligned import aligned
 from unicon_core.errors import UniconError
-from unicon_ros.latches import latch_folder, latches
+from unicon_core.latches import Latched, latch_folder, latches
 
 __all__ = ["add"]
 
-HEAD = ("node", "domain", "latched", "since", "reason")
+HEAD = ("node or robot", "domain", "latched", "since", "reason")
 
 
 def add(commands: Any) -> None:
@@ -20,7 +20,9 @@ def add(commands: Any) -> None:
         "latches", help="list emergency stops that are latched, or let go", description=__doc__
     )
     parser.add_argument(
-        "--clear", metavar="NODE", help="let go: NODE, such as /robot1/unicon, may start again"
+        "--clear",
+        metavar="NAME",
+        help="let go: the node NAME, such as /robot1/unicon, or the robot may be started again",
     )
     parser.add_argument("--domain", type=int, metavar="N", help="of --clear: in this ROS domain")
     parser.set_defaults(function=_latches)
@@ -30,30 +32,40 @@ def _latches(arguments: argparse.Namespace) -> int:
     if arguments.clear is not None:
         return _clear(arguments.clear, arguments.domain)
     if arguments.domain is not None:
-        raise UniconError("latches: --domain goes with --clear NODE; add it, or leave it out")
+        raise UniconError("latches: --domain goes with --clear NAME; add it, or leave it out")
     found = [each for _, each in latches()]
     if not found:
         print(f"nothing is latched in {latch_folder()}")
         return 0
-    rows = [(e.node, str(e.domain), e.kind, e.at or "?", e.reason) for e in found]
+    rows = [
+        (e.owner, str(e.domain) if e.node else "-", e.kind, e.at or "?", e.reason) for e in found
+    ]
     print("\n".join(aligned([HEAD, *rows])))
     return 0
 
 
-def _clear(node: str, domain: int | None) -> int:
+def _said(latched: Latched) -> str:
+    return f"{latched.node} (domain {latched.domain})" if latched.node else latched.robot
+
+
+def _clear(name: str, domain: int | None) -> int:
+    """Let go of what a node or a robot has latched, and what the other has by the same press."""
     found = latches()
-    chosen = [e for e in found if e[1].node == node and domain in (None, e[1].domain)]
+    named = [e for _, e in found if name in (e.owner, *e.robots)]
+    named = [e for e in named if domain is None or e.domain == domain]
+    robots = {robot for each in named for robot in each.robots}
+    chosen = [(p, e) for p, e in found if e in named or (not e.node and e.robot in robots)]
     if not chosen:
-        known = ", ".join(dict.fromkeys(f"{e.node} (domain {e.domain})" for _, e in found))
+        known = ", ".join(dict.fromkeys(_said(e) for _, e in found))
         where = f"of domain {domain} " if domain is not None else ""
         raise UniconError(
-            f"no latch of {node!r} {where}in {latch_folder()}; latched: {known or 'nothing'}"
+            f"no latch of {name!r} {where}in {latch_folder()}; latched: {known or 'nothing'}"
         )
     for path, each in chosen:
         try:
             path.unlink(missing_ok=True)
         except OSError as error:
             raise UniconError(f"cannot remove {path}: {error.strerror}; do so by hand") from error
-        print(f"{each.node} (domain {each.domain}): {each.kind} cleared")
+        print(f"{_said(each)}: {each.kind} cleared")
     print("a node that runs keeps its emergency stop until ~/clear_estop")
     return 0

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,8 @@ from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.robots import Robot
 from unicon_core.robots.checks import LARGEST
 from unicon_core.robots.robot import JOINT_FIELDS
-from unicon_core.robots.validate import SCHEMA, validate
+from unicon_core.robots.validate import KINDS, SCHEMA, validate
+from unicon_ros.cli.robot_kind import kind_of, wheels_of
 
 __all__ = ["new_robot"]
 
@@ -31,7 +31,6 @@ Float = NDArray[np.float64]
 
 _FOOT = re.compile(r"foot|feet|toe", re.IGNORECASE)
 _ANKLE = re.compile(r"ankle", re.IGNORECASE)
-_FINGER = re.compile(r"thumb|finger|palm", re.IGNORECASE)
 _IMU = re.compile(r"(^|_)imu", re.IGNORECASE)
 _STANDING = re.compile(r"home|stand|default|init", re.IGNORECASE)
 _LYING = re.compile(r"rest|lie|lying|prone|crouch|sit", re.IGNORECASE)
@@ -39,11 +38,16 @@ _LYING = re.compile(r"rest|lie|lying|prone|crouch|sit", re.IGNORECASE)
 
 @dataclass
 class _Facts:
-    """What was found: figures by key of a joint, shape (n,), NaN where it is not said."""
+    """What was found: figures by key of a joint, shape (n,), NaN where it is not said.
+
+    `hangs`: its base should move freely, and the model fixes it.
+    """
 
     name: str
     kind: str
+    reason: str
     base: str
+    hangs: bool
     joints: tuple[str, ...]
     figures: dict[str, Float]
     imu: tuple[str, Float, Float] | None
@@ -51,16 +55,17 @@ class _Facts:
     sources: dict[str, str]
 
 
-def new_robot(model: str, out: str | None) -> str:
+def new_robot(model: str, out: str | None, kind: str | None = None) -> str:
     """Write a robot file of what a model knows; return what was written and what is not known.
 
     Args:
         model: path, `assets:PATH` or `robot_descriptions:NAME` of an MJCF or a URDF.
         out: the file; NAME.yaml of the model's file where it is None.
+        kind: of the robot; what the model says where it is None.
 
     Raises:
         ModelError: there is no such model, or it has no joints.
-        RobotError: the file exists, or cannot be written.
+        RobotError: the file exists, or cannot be written, or the model does not say the kind.
     """
     path = find_model(model, Path.cwd())
     file = Path(out) if out else Path(re.sub(r"[^A-Za-z0-9_]", "_", path.stem) + ".yaml")
@@ -68,7 +73,11 @@ def new_robot(model: str, out: str | None) -> str:
         raise RobotError(f"robots new: {file} is not a .yaml file; give --out NAME.yaml")
     if file.exists():
         raise RobotError(f"robots new: {file} exists; remove it, or give another one: --out FILE")
-    facts = _facts(path, file.stem)
+    if kind is not None and kind not in KINDS:
+        raise RobotError(
+            f"robots new: --kind {kind} is none of {', '.join(KINDS)}; give one of them"
+        )
+    facts = _facts(path, file.stem, kind)
     models, named = _models(model, path, file)
     text = _text(facts, models)
     validate(parse_yaml(text, file, RobotError))
@@ -82,29 +91,39 @@ def new_robot(model: str, out: str | None) -> str:
         ) from error
     unknown = _unknown(facts)
     lines = [
-        f"{file}: {facts.kind} (told from its names: correct it if it is not), "
-        f"{len(facts.joints)} joints of {path}",
+        f"{file}: {facts.kind} ({facts.reason}; else give --kind), {len(facts.joints)} joints "
+        f"of {path}",
         f"not known: {', '.join(unknown)}" if unknown else "not known: nothing",
         "look at all of it, correct what your robot has otherwise, and take from unknown what you "
         "give, with its source",
     ]
+    if facts.hangs:
+        lines.append(
+            f"the model fixes its base, so the robot hangs in the air: write <freejoint/> into "
+            f"body {facts.base!r} of {path}"
+        )
     return "\n".join([*lines, *named])
 
 
-def _facts(path: Path, name: str) -> _Facts:
+def _facts(path: Path, name: str, kind: str | None) -> _Facts:
     bare = load_model(path, _robot(path, (), "arm"), quiet=True)
     model = bare.model
-    names = [model.joint(i).name for i in _simple(model)]
+    simple = _simple(model)
+    names = [model.joint(i).name for i in simple]
     if not all(names) or not names:
         what = "a joint without a name" if names else "no joint that turns or slides"
         raise ModelError(f"model {path}: it has {what}; name the joints of the robot in the model")
     joints, order = _ordered(path, model, names)
-    kind = _kind(model, joints)
+    kind, reason = (kind, "as given") if kind else kind_of(model, simple, str(path))
+    wheels = wheels_of(model, simple)
     loaded = load_model(path, _robot(path, joints, kind), quiet=True)
     model = loaded.model
     feet = _feet(model) if kind in ("quadruped", "humanoid") else []
     base = _base(loaded)
+    hangs = kind not in ("hand", "arm") and loaded.base is None
     figures, sources = _figures(loaded, joints, path)
+    for i in (i for i, joint in enumerate(joints) if joint in wheels):
+        figures["lower"][i], figures["upper"][i] = -np.inf, np.inf
     imu = _imu(model, base)
     sources = {"joints": f"{path.name}: names, limits, effort, velocity; order: {order}"} | sources
     if imu is not None:
@@ -112,7 +131,9 @@ def _facts(path: Path, name: str) -> _Facts:
     if feet:
         sources["feet"] = f"{path.name}: names"
     sources["transport"] = "not known"
-    return _Facts(name, kind, model.body(base).name, joints, figures, imu, feet, sources)
+    return _Facts(
+        name, kind, reason, model.body(base).name, hangs, joints, figures, imu, feet, sources
+    )
 
 
 def _simple(model: Any) -> list[int]:
@@ -162,18 +183,6 @@ def _ordered(path: Path, model: Any, names: list[str]) -> tuple[tuple[str, ...],
 def _named(model: Any, kind: str) -> list[str]:
     counts = {"body": model.nbody, "site": model.nsite, "geom": model.ngeom}
     return [getattr(model, kind)(i).name for i in range(counts[kind])]
-
-
-def _kind(model: Any, joints: Sequence[str]) -> str:
-    if any(_FINGER.search(name) for name in joints):
-        legs = [name for name in joints if _ANKLE.search(name) or "hip" in name.lower()]
-        if not legs:
-            return "hand"
-    hips = sum("hip" in name.lower() or "leg" in name.lower() for name in joints)
-    if not hips:
-        return "arm"
-    humanlike = any(re.search(r"ankle|shoulder|waist|torso", name, re.I) for name in joints)
-    return "humanoid" if humanlike else "quadruped"
 
 
 def _feet(model: Any) -> list[str]:
@@ -312,7 +321,7 @@ def _text(facts: _Facts, models: dict[str, str]) -> str:
     if facts.imu is not None:
         frame, position, quat = facts.imu
         imu = f"{{frame: {frame}, position: {_list(position)}, quat: {_list(quat)}}}"
-    contacts = {"hand": "fingertips", "arm": ""}.get(facts.kind, "feet")
+    contacts = {"hand": "fingertips", "arm": "", "wheeled": ""}.get(facts.kind, "feet")
     named = ", ".join(f"{kind}: {quoted(each)}" for kind, each in models.items())
     lines = [
         f"schema: {SCHEMA}",
@@ -335,6 +344,8 @@ def _text(facts: _Facts, models: dict[str, str]) -> str:
 
 
 def _figure(value: float) -> str:
+    if np.isinf(value):
+        return ".inf" if value > 0.0 else "-.inf"
     return "null" if np.isnan(value) else repr(round(float(value), 6) + 0.0)
 
 

@@ -11,8 +11,8 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from unicon_core.errors import CheckError, Fault, UniconError
+from unicon_core.latches import clearing
 from unicon_ros.cli.workflow_arguments import add_workflow, positive
-from unicon_ros.latches import clearing
 
 if TYPE_CHECKING:
     from unicon_core.preflight.result import PreflightResult
@@ -108,6 +108,7 @@ def _looked(
                 program.warn = _warn
                 result = look(program, arguments.seconds)
                 _static(program, result)
+                _latched(document, program, result)
                 if session is not None:
                     _estop(session, program, result)
             finally:
@@ -132,6 +133,18 @@ def _static(program: Program, result: PreflightResult) -> None:
     result.add("check", True, "no error that a run would refuse")
     for line in told:
         result.add("check", None, line)
+
+
+def _latched(document: WorkflowDocument, program: Program, result: PreflightResult) -> None:
+    """Whether an emergency stop keeps the robots from being driven."""
+    from unicon_core.latches import of_robot
+    from unicon_core.workflow.platforms import latch_keys
+
+    for key in latch_keys(document, program.robot):
+        found = of_robot(key)
+        said = "none is latched" if found is None else f"latched: {found.reason} ({found.at})"
+        remedy = "" if found is None else f"; when it is safe: {clearing(found.robot)}"
+        result.add("estop", found is None, f"robot {key}: {said}{remedy}")
 
 
 def _estop(session: Any, program: Program, result: PreflightResult) -> None:

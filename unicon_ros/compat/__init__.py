@@ -21,7 +21,7 @@ from unicon_ros.compat.raw import (
     requests_take,
     wait_for_readers,
 )
-from unicon_ros.compat.services import Responses, answer_refused_transitions
+from unicon_ros.compat.services import Responses, Transitions
 from unicon_ros.compat.serving import Piece, Serving
 from unicon_ros.compat.waiting import ReusedWaitSet, steady_timer
 
@@ -30,7 +30,7 @@ __all__ = [
     "Responses",
     "ReusedWaitSet",
     "Serving",
-    "answer_refused_transitions",
+    "Transitions",
     "bytes_class",
     "convert_parameters",
     "fast_dds_profiles",

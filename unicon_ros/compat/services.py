@@ -1,44 +1,100 @@
-"""Services: responses that block no tick, and lifecycle transitions that end no node."""
+"""Services: responses that block no tick, and lifecycle transitions that are answered truly."""
 
 from __future__ import annotations
 
 import contextlib
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 from unicon_ros.compat.loading import is_fast_dds
 
-__all__ = ["Responses", "answer_refused_transitions"]
+__all__ = ["Responses", "Transitions"]
 
 
-def answer_refused_transitions(node: Any, told: Callable[[Exception], None]) -> None:
-    """Let a lifecycle node answer `success=False` where rclpy raises at a transition.
+class Transitions:
+    """A lifecycle node's `change_state`, whose answers are true and never missing.
 
-    rclpy answers so for a label that it does not know, and raises for every other transition that
-    is not registered or not allowed in the present state: an idle node ends, an active one never
-    answers.
+    rclpy answers `success=False` for a label that it does not know, and raises for every other
+    transition that is not registered or not allowed in the present state: an idle node ends, an
+    active one never answers. Here each is answered.
+
+    A transition that the node brings about only later is kept back; until then the node is in the
+    state before. `settle` lets rclpy make it, and answers. The executor goes on meanwhile.
 
     Args:
         node: lifecycle node.
-        told: takes what was raised.
+        refused: takes what rclpy raised.
+        later: takes a transition's label; True where `settle` will follow. Each keeps it back.
     """
-    from lifecycle_msgs.srv import ChangeState
 
-    def guarded(callback: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-        def answer(request: Any, response: Any) -> Any:
+    def __init__(
+        self, node: Any, refused: Callable[[Exception], None], later: Callable[[str], bool]
+    ) -> None:
+        from lifecycle_msgs.msg import Transition
+        from lifecycle_msgs.srv import ChangeState
+
+        self._node, self._refused, self._later = node, refused, later
+        self._labels = {
+            Transition.TRANSITION_DEACTIVATE: "deactivate",
+            Transition.TRANSITION_ACTIVE_SHUTDOWN: "shutdown",
+        }
+        self._kept: list[_Kept] = []
+        for service in node.services:
+            if service.srv_type is ChangeState:
+                self._wrap(service)
+
+    def _wrap(self, service: Any) -> None:
+        change, self._send = service.callback, service.send_response
+
+        def guarded(request: Any, response: Any) -> Any:
             try:
-                return callback(request, response)
+                return change(request, response)
             except Exception as error:  # rclpy's RCLError
-                told(error)
+                self._refused(error)
                 response.success = False
                 return response
 
-        return answer
+        def answer(request: Any, response: Any) -> Any:
+            label = request.transition.label or self._labels.get(request.transition.id, "")
+            if not self._later(label):
+                return guarded(request, response)
+            request.transition.label = label  # holds in any state, an id of shutdown in one
+            self._kept.append(_Kept(request, response))
+            return response
 
-    for service in node.services:
-        if service.srv_type is ChangeState:
-            service.callback = guarded(service.callback)
+        def send_response(response: Any, header: Any) -> None:
+            for kept in self._kept:
+                if kept.response is response:
+                    kept.header = header
+                    return
+            self._send(response, header)
+
+        self._change = guarded
+        service.callback, service.send_response = answer, send_response
+
+    def settle(self) -> None:
+        """Make the transitions that were kept back, and answer them."""
+        kept, self._kept = self._kept, []
+        for each in kept:
+            state = self._node._state_machine.current_state[1]
+            if (each.request.transition.label, state) == ("deactivate", "inactive"):
+                each.response.success = True  # two have asked for it
+            else:
+                self._change(each.request, each.response)
+            if each.header is not None:
+                with contextlib.suppress(Exception):  # the client is gone, or the middleware
+                    self._send(each.response, each.header)
+
+
+@dataclass
+class _Kept:
+    """A request whose answer is not true yet."""
+
+    request: Any
+    response: Any
+    header: Any = None
 
 
 class Responses:
@@ -55,14 +111,14 @@ class Responses:
 
     def __init__(self) -> None:
         self.dropped = 0
-        self._wrapped: dict[int, Any] = {}
+        self._wrapped: dict[int, tuple[Any, Any]] = {}
         self._kept: list[tuple[int, Callable[[], bool], Callable[[], object]]] = []
 
     def watch(self, node: Any) -> None:
         """Wrap the services of a node that are not wrapped yet."""
         for service in node.services:
             if id(service) not in self._wrapped:
-                self._wrapped[id(service)] = service
+                self._wrapped[id(service)] = service, service.send_response
                 if is_fast_dds():
                     self._wrap(node, service)
 
@@ -108,8 +164,8 @@ class Responses:
         while self._kept:
             time.sleep(0.005)
             self.retry()
-        for service in self._wrapped.values():
-            service.__dict__.pop("send_response", None)
+        for service, send in self._wrapped.values():
+            service.send_response = send
         self._wrapped = {}
 
 

@@ -19,12 +19,15 @@ class Defects:
         dead: joints whose motors do nothing.
         imu_upside_down: the IMU is mounted on its head: turned by half a turn about its x axis.
         rate: of the frames in [Hz], less than the face's; None for that.
+        leaves: a joint whose motor leaves the commanded mode, and how long after the first command
+            that acts, [s]; None for none.
     """
 
     swapped: tuple[int, ...] = ()
     dead: tuple[int, ...] = ()
     imu_upside_down: bool = False
     rate: float | None = None
+    leaves: tuple[int, float] | None = None
 
     def sensed(self, states: States) -> None:
         """Change what was measured."""

@@ -27,7 +27,8 @@ from unicon_core.states.standard import COMMAND_STATES, hardware_states
 from unicon_core.workflow.autowire import refuse_options
 from unicon_ros.emulate.body import Body, body_of
 from unicon_ros.emulate.defects import Defects
-from unicon_ros.emulate.face import Face
+from unicon_ros.emulate.face import Face, Timed
+from unicon_ros.emulate.reaching import reaching
 from unicon_ros.emulate.telling import Say, Telling, say
 
 __all__ = ["SILENCE", "Emulator", "emulated"]
@@ -71,9 +72,12 @@ class Emulator:
         each: bool = False,
     ) -> None:
         self._states, self._face, self._body = states, face, body
+        self._timed = face if isinstance(face, Timed) else None
         self._gantry, self._let_go, self._goes_at = body.gantry, let_go, float("inf")
+        self._leaves_at = float("inf")
         self._say = say
         self._defects = defects or Defects()
+        self._names = robot.joint_names
         self._share = (self._defects.rate or face.rate) / face.rate
         self._owed = 1.0 - self._share
         self._pos = np.zeros_like(states["joint_pos"])
@@ -100,6 +104,7 @@ class Emulator:
             robot=robot.name,
             protocol=robot.transport.get("protocol"),
             where=getattr(face, "where", ""),
+            command=reaching(robot, face),
             rate=face.rate,
             model=body.model and str(body.model),
             posture=posture,
@@ -115,6 +120,8 @@ class Emulator:
             Fault: the physics blew up.
         """
         states, face = self._states, self._face
+        if self._timed is not None:
+            self._timed.now = now
         self._body.platform.recv()
         self._pos[...] = states["joint_pos"]
         self._defects.sensed(states)
@@ -122,6 +129,8 @@ class Emulator:
         if self._owed >= 1.0 - 1e-9:
             self._owed -= 1.0
             face.tell()
+        if now >= self._leaves_at:
+            self._leave(now)
         if face.hear():
             self._take(now)
         elif self._obeyed:
@@ -135,6 +144,14 @@ class Emulator:
                 self._say("let go", after=now)
         self._body.platform.send()
         self.ticks += 1
+
+    def _leave(self, now: float) -> None:
+        """Let the motor leave its mode that is to."""
+        assert self._defects.leaves is not None
+        joint, _ = self._defects.leaves
+        self._face.modes.leave(joint)  # type: ignore[attr-defined]  # `emulated` has looked
+        self._leaves_at = float("inf")
+        self._say("left its mode", joint=self._names[joint], after=now)
 
     def _hold(self) -> None:
         """Let the robot's own controller hold where it is."""
@@ -163,6 +180,8 @@ class Emulator:
                 self._states[name][...] = gain
         if not self._obeyed:
             self._goes_at = now + self._let_go
+            if self._defects.leaves is not None:
+                self._leaves_at = now + self._defects.leaves[1]
         self._heard, self._obeyed, self._damped = now, True, False
         self._acting.note()
         self._telling.command(now, self._pos)
@@ -272,6 +291,10 @@ def emulated(
         slower = defects.rate if defects else None
         if slower is not None and not 0.0 < slower <= rate:
             raise UniconError(f"--rate {slower:g}: the robot tells at {rate:g} Hz; give less")
+        if defects and defects.leaves and not hasattr(face, "modes"):
+            raise UniconError(
+                f"--leave: {name} reports no mode of a motor; leave it out, or take another robot"
+            )
         if let_go is not None:
             body |= {"hang": True, "lift": 0.0}
         physics = body_of(states, robot, 1.0 / rate, warn=warn, **body)

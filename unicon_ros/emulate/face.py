@@ -8,14 +8,28 @@ robot measures, and `hear` writes the command states. What all robots do alike i
     def face(states: States, robot: Robot, *, address: str = "127.0.0.1", …) -> MyFace: ...
 
 Such a factory is named `module:face`, or registered under its protocol in the entry point group
-`unicon.faces`. An attribute `where`, such as "127.0.0.1:8007", is told to the user.
+`unicon.faces`. An attribute `where`, such as "127.0.0.1:8007", is told to the user. With `modes`,
+an `EmulatedModes`, a motor can be let leave the commanded mode. Attributes `platform`, which drives
+it, and `reach`, the options of that platform which lead here, make the command of a run that
+reaches it (`reaching.py`).
 """
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
-__all__ = ["Face"]
+__all__ = ["Face", "Timed"]
+
+
+@runtime_checkable
+class Timed(Protocol):
+    """A face whose frames tell the robot's own time, which goes on where frames are left out.
+
+    Attributes:
+        now: of the frame in [s]; before the emulator sets it, frames are counted.
+    """
+
+    now: float
 
 
 class Face(Protocol):

@@ -54,6 +54,7 @@ def face(
 class RosFace:
     """A node with two publishers and two subscriptions; see the module."""
 
+    platform = "ros"
     dead_man = WATCHDOG
     obeys = True
     where = "joint_commands"

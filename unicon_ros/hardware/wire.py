@@ -14,14 +14,21 @@ from __future__ import annotations
 from collections import Counter
 from typing import Protocol, runtime_checkable
 
-__all__ = ["Commanded", "Counts", "Prepared", "Wire", "newer"]
+from unicon_ros.hardware.modes import ModeGuard
+
+__all__ = ["Clocked", "Commanded", "Counts", "Guarded", "Prepared", "Wire", "ahead", "newer"]
 
 _HALF = 1 << 31
 
 
+def ahead(number: int, last: int) -> int:
+    """Return by how much a number of 32 bits, which may wrap, is ahead of the last one."""
+    return (number - last + _HALF) % (2 * _HALF) - _HALF
+
+
 def newer(number: int, last: int) -> bool:
     """Tell whether a frame number of 32 bits, which may wrap, is behind the last one."""
-    return 0 < (number - last) % (2 * _HALF) < _HALF
+    return ahead(number, last) > 0
 
 
 class Counts:
@@ -104,6 +111,29 @@ class Prepared(Protocol):
     def prepare(self) -> str:
         """Do the next step, without waiting; return "" at its end, else what is waited for."""
         ...
+
+
+@runtime_checkable
+class Guarded(Protocol):
+    """A wire whose motors report their mode.
+
+    Attributes:
+        modes: what they report; None where it is not to be looked at.
+    """
+
+    modes: ModeGuard | None
+
+
+@runtime_checkable
+class Clocked(Protocol):
+    """A wire to a robot whose frames tell its own time.
+
+    Attributes:
+        clock_ms: of the frame that was taken last, 32 bits in [ms]; None where it tells none.
+    """
+
+    @property
+    def clock_ms(self) -> int | None: ...
 
 
 @runtime_checkable

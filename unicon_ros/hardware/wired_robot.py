@@ -7,8 +7,8 @@
         wire = DdsWire(states, robot, silent)
         return opened(Unitree(states, robot, period, wire, silent=silent), connect)
 
-It damps first in `close`, refuses what is not finite, knows silence, and computes gravity where the
-wire tells an orientation.
+It damps first in `close`, refuses what is not finite, knows silence, sees a motor that leaves the
+commanded mode, and computes gravity where the wire tells an orientation.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from unicon_core.blocks.projected_gravity import projected_gravity
-from unicon_core.errors import Fault, PlatformError
+from unicon_core.errors import Fault, PlatformError, Silence
 from unicon_core.platforms.kit.command import FiniteCheck
 from unicon_core.platforms.kit.damping import DAMPING_TIME, Damping, LastSent, repeated
 from unicon_core.platforms.platform import Facts, WarmsUp
@@ -30,7 +30,8 @@ from unicon_core.robots import Robot
 from unicon_core.signals import SIGNALS
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
-from unicon_ros.hardware.wire import Commanded, Prepared, Wire
+from unicon_ros.hardware.robot_clock import RobotClock
+from unicon_ros.hardware.wire import Clocked, Commanded, Guarded, Prepared, Wire
 
 __all__ = ["WiredRobot", "opened"]
 
@@ -90,7 +91,11 @@ class WiredRobot:
         commands = {name: states[name] for name in COMMAND_STATES}
         self._finite = FiniteCheck(commands, robot.joint_names)
         self._sent = LastSent(states)
+        self._modes = wire.modes if isinstance(wire, Guarded) else None
+        self._pushing = states["joint_stiffness"], states["joint_effort_ff"]
         self._stamp = states["stamp_ns"]
+        self._clocked = wire if isinstance(wire, Clocked) else None
+        self._clock = RobotClock(self._label)
         self._heard = self._looked = time.monotonic_ns()
         self._silent_for = 0.0
         # Of a longer pause of ours no more counts as silence: who only answers was not asked, as
@@ -114,7 +119,8 @@ class WiredRobot:
                 raise PlatformError(
                     f"{self._label}: no frame that it understands from {self._wire.where} within "
                     f"{patience:g} s{self._refused}; switch the robot on, and check cable, network "
-                    f"interface, address and the robot file {self._robot.path.name}"
+                    f"interface, address and the robot file {self._robot.path.name}; an emulated "
+                    "robot is reached by the command that it prints"
                 )
             time.sleep(LOOKING)
 
@@ -137,16 +143,20 @@ class WiredRobot:
         if not self._wire.take():
             return False
         self._heard, self._silent_for = time.monotonic_ns(), 0.0
-        self._stamp[...] = self._heard
+        count = None if self._clocked is None else self._clocked.clock_ms
+        self._stamp[...] = self._heard if count is None else self._clock(self._heard, count)
         if self._gravity is not None:
             self._gravity()
         return True
 
     def recv(self) -> bool | None:
-        """Bring the newest frame into the states; `stamp_ns` is when it was taken.
+        """Bring the newest frame into the states; `stamp_ns` is when it was measured.
+
+        Where the robot tells no time it is when the frame was taken.
 
         Raises:
-            Fault: the robot is silent, or says that it will not go on.
+            Fault: the robot is silent, or says that it will not go on; its frames get older, or
+                come again.
         """
         now, before = time.monotonic_ns(), self._looked
         self._looked = now
@@ -154,7 +164,7 @@ class WiredRobot:
             self._silent_for += min((now - before) * 1e-9, self._pause)
             if self._silent_for > self._silence:
                 silent = (now - self._heard) * 1e-9
-                raise Fault(
+                raise Silence(
                     f"{self._label}: nothing from {self._wire.where} for {silent:.3f} s"
                     f"{self._refused}; the robot is silent"
                 )
@@ -171,12 +181,20 @@ class WiredRobot:
         """Send the command states.
 
         Raises:
-            Fault: a command is not finite, or cannot be sent.
+            Fault: a command is not finite, or cannot be sent; or a motor is in another mode than
+                the commanded one since it has had stiffness. A stiff command would let the joint
+                jump when its motor comes back: from then on only limp ones leave.
         """
         self._finite()
         if not self._silent:
-            self._wire.put()
+            left = "" if self._modes is None else self._modes(*self._pushing)
+            if left:
+                self._send_limp(Damping(self._states, self._robot, self._sent, self._period))
+            else:
+                self._wire.put()
             self._sent.note()
+            if left:
+                raise Fault(left)
         return None
 
     def close(self) -> None:
@@ -189,13 +207,15 @@ class WiredRobot:
             if self._sent.any:
                 damping = Damping(self._states, self._robot, self._sent, self._period)
                 damped = self._sent.limp  # by whoever ticked
-                send = partial(self._send_again, damping)
+                send = partial(self._send_limp, damping)
                 repeated(send, self._period, 0.0 if damped else DAMPING_TIME)
         finally:
             self._wire.close()
 
-    def _send_again(self, damping: Damping) -> None:
+    def _send_limp(self, damping: Damping) -> None:
         damping()
+        if self._modes is not None:
+            self._modes(*self._pushing)
         self._wire.put()
 
     def wait(self, timeout: float) -> bool:
@@ -218,12 +238,14 @@ class WiredRobot:
 
     def info(self) -> Mapping[str, Any]:
         """Return where the robot is, and what came from it."""
-        counts = self._wire.counts
+        counts, modes = self._wire.counts, self._modes
+        told = {} if modes is None else {"unguarded_modes": modes.unguarded, "notes": [modes.note]}
         return {
             "where": self._wire.where,
             "frames": counts.good,
             "refused": dict(counts.refused),
             "clamped": counts.clamped,
+            **told,
         }
 
 

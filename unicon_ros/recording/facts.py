@@ -111,10 +111,14 @@ def facts_of(runner: Runner, kept: Kept) -> dict[str, str]:
 
 
 def robot_facts(robot: Robot) -> dict[str, str]:
-    """Return what says which robot it is: its file, and the overlay that extends it or ""."""
+    """Return what says which robot it is: its file, and the overlay that extends it or "".
+
+    `robot_path` is the one of both that a workflow would name, "" where there are members.
+    """
     overlay = robot.overlay
     return {
         "robot": robot.name,
+        "robot_path": "" if robot.members else str((overlay or robot.path).absolute()),
         "robot_file": robot_text(robot),
         "robot_overlay": "" if overlay is None else _text_of(overlay),
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +14,16 @@ from unicon_core.errors import MissingDependencyError, UniconError, one_line
 from unicon_core.resources import find_config
 from unicon_core.robots import Robot
 from unicon_core.states import States
+from unicon_core.states.standard import BASE_STATES, JOINT_STATES
 from unicon_msgs_map import Decoder, MapStateError, load_map
 from unicon_ros.bridge.bindings import robot_variables
 from unicon_ros.recording.imported import layout_of, write_imported
 from unicon_ros.recording.read import missing
 
 __all__ = ["MAP", "import_bag", "open_bag"]
+
+_SENSED = frozenset((*JOINT_STATES, *BASE_STATES))
+"""States without which there is no tick; others are NaN where nothing tells them yet."""
 
 MAP = "ros_robot"
 """The map that says what a bag's topics mean, unless told: those of a robot behind ROS."""
@@ -55,12 +60,19 @@ def open_bag(path: Path) -> Any:
 
 
 def import_bag(
-    source: Path, out: Path, robot: Robot, map_name: str = MAP, rate: float | None = None
+    source: Path,
+    out: Path,
+    robot: Robot,
+    map_name: str = MAP,
+    rate: float | None = None,
+    tell: Callable[[str], None] = print,
 ) -> int:
     """Write a record of ticks; return how many.
 
     There is a tick for each message of the map's first topic that the bag has; the others' newest
-    values before it count, and a state has its initial value until its first message.
+    values before it count, or of its very time. Ticks begin once each topic with states of joints
+    or base has come; what others bring is NaN until their first message. A state that no message
+    tells is absent.
 
     Args:
         source: the bag.
@@ -68,6 +80,7 @@ def import_bag(
         robot: whose states they are.
         map_name: message map whose `subscribe` says what topics mean, a name or path.
         rate: ticks per second in [Hz], at even times, instead.
+        tell: takes a line for what the record lacks at its beginning.
 
     Raises:
         UniconError: the bag, the map or the robot is wrong.
@@ -85,7 +98,7 @@ def import_bag(
         for connection in reader.connections:
             topic = connection.topic.strip("/")
             spec = specs.get(topic)
-            if spec is None or topic in decoders:
+            if spec is None or topic in decoders or not connection.msgcount:
                 continue
             if spec.type != connection.msgtype:
                 raise UniconError(
@@ -104,7 +117,7 @@ def import_bag(
                 f"it has {', '.join(there) or 'none'}: give another with --map"
             )
         lead = next(topic for topic in specs if topic in decoders)
-        rows = _rows(reader, decoders, lead, states, rate)
+        rows = _rows(reader, decoders, lead, states, rate, tell)
     except UniconError:
         raise
     except Exception as error:  # whatever its storages raise at damaged content
@@ -121,28 +134,67 @@ def import_bag(
     given = {s for each in decoders.values() for s in each.spec.states} - {"stamp_ns"}
     table = np.stack([raw for _, raw in rows]) if rows else np.zeros((0, states.buffer.size))
     columns = {name: _column(states, table, name) for name in layout if name in given}
+    columns = {name: values for name, values in columns.items() if not np.isnan(values).all()}
     return write_imported(out, source, robot, stamps, columns)
 
 
 def _rows(
-    reader: Any, decoders: dict[str, Decoder], lead: str, states: States, rate: float | None
+    reader: Any,
+    decoders: dict[str, Decoder],
+    lead: str,
+    states: States,
+    rate: float | None,
+    tell: Callable[[str], None],
 ) -> list[tuple[int, NDArray[np.uint8]]]:
     """Return time in [ns] and all states of each tick."""
     step = None if rate is None else 1e9 / rate
     rows: list[tuple[int, NDArray[np.uint8]]] = []
-    first: int | None = None
+    awaited = {t for t, each in decoders.items() if not _SENSED.isdisjoint(each.spec.states)}
+    awaited.add(lead)
+    for name in states:
+        if states[name].dtype.kind == "f":
+            states[name].fill(np.nan)
+    heard: dict[str, int] = {}  # topic to the time of its first message
+    due: int | None = None  # time of a tick that gets what else comes at that time
     connections = [c for c in reader.connections if c.topic.strip("/") in decoders]
     for connection, stamp, raw in reader.messages(connections):
-        topic = connection.topic.strip("/")
-        if step is not None and first is not None:  # what was known before this message
+        topic, complete = connection.topic.strip("/"), awaited <= heard.keys()
+        if due is not None and (topic == lead or stamp > due):
+            if complete:
+                rows.append((due, states.buffer.copy()))
+            due = None
+        if step is not None and complete:
+            first = max(heard[each] for each in awaited)
             while first + round(len(rows) * step) < stamp:
                 rows.append((first + round(len(rows) * step), states.buffer.copy()))
-        if decoders[topic].decode(bytes(raw)) and topic == lead:
-            if step is None:
-                rows.append((stamp, states.buffer.copy()))
-            elif first is None:
-                first = stamp
+        if decoders[topic].decode(bytes(raw)):
+            heard.setdefault(topic, stamp)
+            due = stamp if topic == lead and step is None else due
+    if due is not None and awaited <= heard.keys():
+        rows.append((due, states.buffer.copy()))
+    if rows:
+        _tell_of_beginning(rows[0][0], heard, lead, decoders, tell)
     return rows
+
+
+def _tell_of_beginning(
+    begin: int,
+    heard: dict[str, int],
+    lead: str,
+    decoders: dict[str, Decoder],
+    tell: Callable[[str], None],
+) -> None:
+    """Name what a record lacks at its beginning, which is at a time in [ns]."""
+    if begin > heard[lead]:
+        late = max((t for t in heard if heard[t] <= begin), key=lambda each: heard[each])
+        tell(
+            f"ticks begin {(begin - heard[lead]) * 1e-9:.3g} s after the first message of /{lead}: "
+            f"/{late} had none before"
+        )
+    for topic, stamp in heard.items():
+        if stamp > begin:
+            named = ", ".join(sorted({*decoders[topic].spec.states} - {"stamp_ns"}))
+            tell(f"/{topic} begins {(stamp - begin) * 1e-9:.3g} s later: until then {named} is NaN")
 
 
 def _column(states: States, table: NDArray[Any], name: str) -> NDArray[Any]:

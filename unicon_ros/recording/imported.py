@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -27,11 +27,11 @@ __all__ = ["layout_of", "write_imported"]
 CDR = bytes((0, 1, 0, 0))
 
 
-def layout_of(robot: Robot, names: Mapping[str, Any] | set[str]) -> Layout:
-    """Return the states of a robot: the standard ones, and those of hardware that are named."""
-    specs = standard_states(robot.joint_names)
-    more = hardware_states(robot.joint_names)
-    return Layout(specs | {name: more[name] for name in more if name in names})
+def layout_of(robot: Robot, names: Iterable[str]) -> Layout:
+    """Return those of a robot's states that are named, and time and number of the tick."""
+    known = standard_states(robot.joint_names) | hardware_states(robot.joint_names)
+    wanted = {*names, "stamp_ns", "tick"}
+    return Layout({name: spec for name, spec in known.items() if name in wanted})
 
 
 def write_imported(
@@ -50,18 +50,18 @@ def write_imported(
         source: where it comes from, for its facts.
         robot: whose states they are, joints in its order.
         stamps: time of each tick in [ns], shape (ticks,).
-        states: name to values, shape (ticks, …); what is not among them keeps its initial value.
+        states: name to values, shape (ticks, …). The record has these alone, `projected_gravity`
+            where there is `base_quat`, and time and number of the tick: what the source lacks is
+            absent, so that nobody takes an initial value for a measured one.
 
     Raises:
         UniconError: there is nothing in it, or it cannot be written.
     """
     if not len(stamps):
         raise UniconError(f"{source} has nothing that could be imported; is it the right map?")
-    layout = layout_of(robot, states)
-    measured = {*states, "stamp_ns", "tick"} - {*COMMAND_STATES}
-    if "base_quat" in states:
-        measured.add("projected_gravity")
-    given = frozenset(measured)
+    made = {"projected_gravity"} if "base_quat" in states else set()
+    layout = layout_of(robot, {*states, *made})
+    given = frozenset({*layout.specs} - {*COMMAND_STATES})
     kept: Kept = {"received": given, "sent": None}
     period = float(np.median(np.diff(stamps))) * 1e-9 if len(stamps) > 1 else 0.0
     if not SHORTEST <= period <= LONGEST:

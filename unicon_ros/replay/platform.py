@@ -43,9 +43,10 @@ class ReplayPlatform:
         physics=tuple(JOINT_PHYSICS),
     )
 
-    def __init__(self, series: Series, loop: bool) -> None:
+    def __init__(self, series: Series, loop: bool, driven: bool = True) -> None:
         self.series, self.loop = series, loop
-        self.facts = replace(self.facts, writes=series.names)
+        reads = self.facts.reads if driven else ()
+        self.facts = replace(self.facts, writes=series.names, reads=reads)
         self.tick = 0
 
     def recv(self) -> bool:
@@ -91,6 +92,7 @@ def make(
     moment: str = "received",
     also: Sequence[str] = (),
     each: bool = False,
+    driven: bool = True,
     relative_to: Path | None = None,
 ) -> ReplayPlatform:
     """Build the platform.
@@ -103,6 +105,7 @@ def make(
         moment: of the recorded ticks: `received`, or `sent` for what was there at their ends.
         also: states to write besides what was measured, such as velocity_command.
         each: give a recorded tick in every tick, also where the two have other rates.
+        driven: a flow commands; False for a player, whose record may have no commands.
         relative_to: folder of the workflow.
 
     Raises:
@@ -130,7 +133,7 @@ def make(
         raise PlatformError(f"platform 'replay': {bag}: {error}") from error
     if "joint_pos" not in series.names:
         raise PlatformError(f"platform 'replay': {bag} has no joint_pos of robot {robot.name}")
-    return ReplayPlatform(series, loop)
+    return ReplayPlatform(series, loop, driven)
 
 
 def replayed_on(document: WorkflowDocument, bag: str | Path, **options: Any) -> None:

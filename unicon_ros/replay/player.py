@@ -22,6 +22,7 @@ from unicon_ros.controls import Controls
 from unicon_ros.recording import Record, open_record
 from unicon_ros.replay.keys import Keys
 from unicon_ros.replay.platform import TARGET, ReplayPlatform
+from unicon_ros.replay.workflow import robot_of
 
 if TYPE_CHECKING:
     from unicon_ros.bridge import RosSession
@@ -96,7 +97,7 @@ def _described(
     record: Record, path: Path, rate: float, *, loop: bool, start: float
 ) -> dict[str, Any]:
     """Return the keys of the program that plays a record."""
-    layout, robot = record.layout, record.facts.get("robot", "")
+    layout, robot = record.layout, robot_of(record)
     if "joint_pos" not in layout.specs:
         raise UniconError(f"{path.name} has no joint_pos: no robot can be shown")
     standard = standard_states(layout.specs["joint_pos"].names)
@@ -106,6 +107,7 @@ def _described(
         "moment": "sent",
         "also": [name for name in layout.specs if name != "tick"],
         "each": True,
+        "driven": False,
         "loop": loop,
         "start": start,
     }
@@ -119,4 +121,5 @@ def _described(
         "num_robots": layout.num_robots,
         "states": {name: layout.specs[name].to_dict() for name in own},
         "flow": Block("nothing", _nothing, endless=True),
+        "safety": "none",  # recorded commands go nowhere, and there may be none
     }

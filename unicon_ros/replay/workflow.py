@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import UniconError, WorkflowError
 from unicon_core.located_yaml import Located, parse_yaml
+from unicon_core.resources import find_config
 from unicon_core.robots import Robot, robot_files
 from unicon_core.states.standard import GAIN_SCALE, GAIN_SCALE_SPEC, HARDWARE_STATES
 from unicon_core.workflow import Program, WorkflowDocument, load_document
@@ -16,7 +18,7 @@ from unicon_core.workflow.document import document_at
 from unicon_ros.recording import Record
 from unicon_ros.recording.facts import network_hash, robot_text, versions_here
 
-__all__ = ["others", "recorded_workflow", "versions", "workflow_of"]
+__all__ = ["others", "recorded_workflow", "robot_of", "versions", "workflow_of"]
 
 
 def workflow_of(
@@ -66,6 +68,35 @@ def recorded_workflow(record: Record) -> Located | None:
     text = record.facts.get("workflow_effective", "")
     path = record.facts.get("workflow_path") or "the record's workflow"
     return parse_yaml(text, path, WorkflowError) if text else None
+
+
+def robot_of(record: Record) -> str:
+    """Return the file of a record's robot, or the name of one that has members.
+
+    As its workflow names it; where it has none, as it was recorded or imported, else by its name.
+
+    Raises:
+        UniconError: it is not there.
+    """
+    name, was = record.facts.get("robot", ""), record.facts.get("robot_path", "")
+    workflow = None
+    with suppress(WorkflowError):  # somebody's text, which says nothing
+        workflow = recorded_workflow(record)
+    values = None if workflow is None else workflow.value
+    given = values.get("robot") if isinstance(values, dict) else None
+    if isinstance(given, dict):
+        return name
+    if workflow is None or not isinstance(given, str):
+        given, folder = (was if os.path.isfile(was) else name), None
+    else:
+        folder = workflow.path.parent
+    try:
+        return str(find_config("robots", given, relative_to=folder))
+    except UniconError as error:
+        where = f" ({was} is gone)" if given == name and was else ""
+        raise UniconError(
+            f"{record.paths[0].name}: its robot {name!r} is not here{where}: {error}"
+        ) from None
 
 
 def _refuse_absent(document: WorkflowDocument) -> None:

@@ -15,7 +15,7 @@ from unicon_core.runtime.statistics import TickStatistics
 from unicon_ros.report.drawing import INK, MARK, as_png, drawn, envelope, grids
 from unicon_ros.report.kept import Keeper
 
-__all__ = ["PICTURES", "write_overview"]
+__all__ = ["PICTURES", "beyond", "write_overview"]
 
 MEASURED, COMMANDED, BAD = MARK, "#e07b00", "#d62728"
 SMALL = 250
@@ -26,6 +26,8 @@ COLUMNS = 4
 TOP = 6
 """Joints whose torque is drawn over time."""
 BINS = 80
+ROUNDING = 1e-4
+"""Share of a torque limit that is no more than rounding: simulators clip to it in other figures."""
 _SPEEDS = (("forward, vx", "m/s"), ("to the left, vy", "m/s"), ("turning, wz", "rad/s"))
 
 
@@ -127,14 +129,51 @@ def _base(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
     return True
 
 
+def beyond(keeper: Keeper) -> list[str]:
+    """Return which joints were beyond a limit, and by how much: what is red in the pictures."""
+    robot = keeper.robot
+    if not keeper.ticks or not keeper.has("joint_pos"):
+        return []
+    said: list[str] = []
+    low, high = _reached(keeper)
+    names = robot.joint_names
+    for what, past, limits in (
+        ("below its lower limit", robot.lower - low, robot.lower),
+        ("above its upper limit", high - robot.upper, robot.upper),
+    ):
+        said += [
+            f"{names[k]} was {past[k]:.2g} rad {what} of {limits[k]:.4g} rad"
+            for k in np.flatnonzero(past > 0.0)
+        ]
+    torque, most = _peaks(keeper), robot.effort_limit
+    if torque is not None:
+        said += [
+            f"{names[k]} had {torque[k]:.4g} N·m, {torque[k] / most[k]:.0%} of its effort limit of "
+            f"{most[k]:.4g} N·m"
+            for k in np.flatnonzero(_too_strong(torque, most))
+        ]
+    return said
+
+
+def _reached(keeper: Keeper) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return the lowest and the highest position of each joint in [rad]."""
+    return (
+        np.fmin.reduce(keeper.lowest("joint_pos"), axis=0),
+        np.fmax.reduce(keeper.highest("joint_pos"), axis=0),
+    )
+
+
+def _too_strong(torque: NDArray[Any], limit: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return where a torque is more than its limit, not by the rounding of a float32 alone."""
+    return np.asarray(torque > limit * (1.0 + ROUNDING))
+
+
 def _ranges(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
     """How much of its range each joint used, and of its torque."""
     robot = keeper.robot
     if not keeper.ticks or not keeper.has("joint_pos"):
         return False
-    low, high = (f(g("joint_pos"), axis=0) for f, g in (
-        (np.fmin.reduce, keeper.lowest), (np.fmax.reduce, keeper.highest)
-    ))  # fmt: skip
+    low, high = _reached(keeper)
     bounded = np.isfinite(robot.lower) & np.isfinite(robot.upper)
     torque = _peaks(keeper)
     told = bounded if torque is None else bounded | np.isfinite(robot.effort_limit)
@@ -147,7 +186,8 @@ def _ranges(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
     lower = np.where(bounded, robot.lower, 0.0)[shown]
     width = np.where(bounded, robot.upper - robot.lower, np.nan)[shown]
     begin, end = ((side[shown] - lower) / width * 100 for side in (low, high))
-    colours = [BAD if a < 0 or b > 100 else MEASURED for a, b in zip(begin, end)]
+    outside = ((low < robot.lower) | (high > robot.upper))[shown]
+    colours = [BAD if bad else MEASURED for bad in outside]
     names = [robot.joint_names[k] for k in shown]
     places = np.arange(len(shown))
     left.barh(places[bounded[shown]], 100.0, color="0.5", alpha=0.18)
@@ -163,7 +203,8 @@ def _ranges(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
         right.set_axis_off()
     else:
         share = (torque / robot.effort_limit)[shown] * 100
-        colours = [BAD if value > 100 else COMMANDED for value in share]
+        strong = _too_strong(torque, robot.effort_limit)[shown]
+        colours = [BAD if bad else COMMANDED for bad in strong]
         right.barh(places, np.nan_to_num(share), color=colours, height=0.5)
         right.axvline(100.0, color=INK, linewidth=0.8)
         right.set_title("largest torque", fontsize=10)

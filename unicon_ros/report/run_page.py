@@ -17,12 +17,15 @@ from unicon_core.runtime.phases import describe
 from unicon_ros.recording.facts import facts_of
 from unicon_ros.report.drawing import as_svg, drawn
 from unicon_ros.report.kept import Keeper
-from unicon_ros.report.pictures import PICTURES
+from unicon_ros.report.pictures import PICTURES, beyond
 
 if TYPE_CHECKING:
     from unicon_core.runtime import Report, Runner
 
 __all__ = ["RunPage"]
+
+MOST_TOLD = 4
+"""Joints beyond a limit that are named at the head; the pictures show all of them red."""
 
 
 class RunPage:
@@ -97,6 +100,10 @@ class RunPage:
             )
         if report.fell:
             said.append(f"The base leaned by up to {report.tilt_deg:g}°, which counts as a fall.")
+        if past := beyond(self._keeper):
+            more = f" and {len(past) - MOST_TOLD} more" if len(past) > MOST_TOLD else ""
+            tripped = "" if report.faults else "; no safety block stopped the run for it"
+            said.append(f"Beyond a limit: {'; '.join(past[:MOST_TOLD])}{more}{tripped}.")
         for name, when in self._keeper.unfit().items():
             said.append(f"{name} was not a number, first at {when:.2f} s: a gap in the curves.")
         if report.ticks and report.overruns:
@@ -115,18 +122,16 @@ class RunPage:
         return said
 
     def _about(self, report: Report) -> dict[str, str]:
-        x, y, z = report.base_displacement_m
         late, busy = report.late_us, report.tick_us
         period = self._runner.program.period
         about = {
             "ticks": f"{report.ticks:,} of {period * 1e3:g} ms ({1 / period:g} Hz), "
             f"{report.duration_s:.2f} s",
-            "wall time": f"{report.wall_s:.2f} s, {report.rate_hz:.1f} ticks per second, speed "
-            f"{self._runner.options.speed}",
+            "wall time": f"{report.wall_text()}, speed {self._runner.options.speed}",
             "tick busy": _times(busy),
             **({"tick late": _times(late)} if self._keeper.paced else {}),
             "overruns": f"{report.overruns}",
-            "base": f"moved {x:+.2f} {y:+.2f} {z:+.2f} m, leaned by up to {report.tilt_deg:g}°",
+            "base": report.base_moved(),
             "safety": ", ".join(report.safety) or "none",
         }
         if report.startup_s is not None:

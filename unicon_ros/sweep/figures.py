@@ -60,7 +60,7 @@ COLUMNS = {
     "tilt_deg": Column(float, "°", "largest lean of the base"),
     "position_limit_hits": Column(int, "", "ticks × joints within 0.01 rad of a position limit"),
     "effort_limit_hits": Column(int, "", "ticks × joints at 99 % of the robot's effort limit"),
-    "unfolded_mse": Column(float, "rad²", "of joint positions to the reference"),
+    "unfolded_mse": Column(float, "rad²", "of joint positions to the reference, mean of a joint"),
     "fault": Column(bool, "", "a fault ended it"),
     "fault_block": Column(str, "", "the block that raised it"),
     "text": Column(str, "", "what the fault said, or why there is no result"),
@@ -148,6 +148,7 @@ class Figures:
         self, states: States, robot: Robot, period: float, reference: Run | None = None
     ) -> None:
         self._period, self._reference, self._joints = period, reference, robot.joint_names
+        self._floats = robot.floats
         self._columns = columns_of(states, _LOOKED_AT)
         self._lower = robot.lower + NEAR
         self._upper = robot.upper - NEAR
@@ -172,7 +173,8 @@ class Figures:
             "sha256_commands": rollout.sha256_commands,
         }
         if len(states["joint_pos"]):
-            row |= self._of_base(states, rollout) | self._of_joints(states)
+            row |= self._of_joints(states)
+            row |= self._of_base(states, rollout) if self._floats else {}
         endless = [k for k, v in row.items() if isinstance(v, float) and not math.isfinite(v)]
         return row | dict.fromkeys(endless)
 

@@ -83,11 +83,12 @@ class Gate:
         column = results.column(_SHARES.get(self.word, self.word))
         there = [column[place] for place in places]
         if self.word in _SHARES:
-            good = there
-            hits = sum(bool(value) for value in good)
+            good = [value for value in there if value is not None]
+            if not good:
+                return float("nan")
+            hits = sum(map(bool, good))
             low, high = wilson(hits, len(good))
-            rate = hits / len(good) if good else float("nan")
-            return {"rate": rate, "lower": low, "upper": high}[self.statistic]
+            return {"rate": hits / len(good), "lower": low, "upper": high}[self.statistic]
         values = np.array([v for v in there if v is not None], np.float64)
         if not len(values):
             return float("nan")

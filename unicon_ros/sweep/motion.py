@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.gap import fall_time, mse
+from unicon_core.gap import fall_time, mse, unfolded_mse
 from unicon_core.gap.trajectories import Array
 from unicon_ros.analysis.run import Run
 from unicon_ros.analysis.together import Options, bring_together
@@ -93,19 +93,18 @@ def apart(first: Run, other: Run) -> dict[str, Any]:
     Both are cut at a fall, and joints matched by name, as `unicon analyze` does.
 
     Returns:
-        `mse`: mean of squares, sample by sample, in [rad²]; `unfolded_mse`: the UniCon paper's, in
-        [rad²], summed over joints; `shift_s` at which it is found; `compared_s`; `notes`.
+        `mse`: mean of squares, sample by sample, in [rad²]; `unfolded_mse`: as the UniCon authors
+        compute it, in [rad²]; `shift_s` that aligns both best; `compared_s`; `notes`.
 
     Raises:
         UniconError: there is too little in common.
     """
     both = bring_together(first, other, Options())
-    count = min(both.ends)
-    one, two = (side["joint_pos"][:count] for side in (both.real_whole, both.sim_whole))
+    one, two = both.unshifted
     return {
         "mse": float(mse(one, two)),
-        "unfolded_mse": float(both.unfolded.loss),
-        "shift_s": int(both.unfolded.shift) * both.period,
-        "compared_s": count * both.period,
+        "unfolded_mse": float(unfolded_mse(one, two)),
+        "shift_s": int(both.aligned.shift) * both.period,
+        "compared_s": len(one) * both.period,
         "notes": both.notes,
     }

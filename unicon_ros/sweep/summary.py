@@ -19,8 +19,11 @@ LEFT_OUT = ("ticks", "commanded_m")
 
 
 def fall_words(results: Results) -> str:
-    """Return how many fell, with Wilson's interval."""
-    fell = results.column("fell")
+    """Return how many fell, with Wilson's interval; of a fixed base, that none is known."""
+    column = results.column("fell")
+    fell = [value for value in column if value is not None]
+    if column and not fell:
+        return "no fall is known: the base is fixed, or no rollout had a tick"
     hits, count = sum(bool(value) for value in fell), len(fell)
     low, high = wilson(hits, count)
     return f"{hits} of {count} fell: {hits / max(count, 1):.2%} (95 %: {low:.2%} to {high:.2%})"

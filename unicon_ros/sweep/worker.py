@@ -116,7 +116,8 @@ class RowRunner:
 
     def look(self, program: Program) -> Callable[[States], Look] | None:
         """Return what makes looks at the rollouts of a program that was just built."""
-        return (lambda states: FallLook(states, program.period)) if self._stops else None
+        stops = self._stops and program.robot.floats
+        return (lambda states: FallLook(states, program.period)) if stops else None
 
     def of(self, kept: Kept, rollout: Rollout) -> dict[str, Any]:
         """Return what is told of a rollout."""

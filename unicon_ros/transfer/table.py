@@ -28,8 +28,8 @@ COLUMNS: dict[str, tuple[str, str, str]] = {
     "unfolded_mse": (
         "unfolded MSE",
         "rad²",
-        "both sums of the UniCon paper at the best shift in time, squared norms over all joints: "
-        "2 × joints × MSE where that shift is 0",
+        "as the authors of UniCon compute it: MSE of half a run, where it suits the beginning of "
+        "the other run best, one joint",
     ),
     "wall_per_simulated_s": (
         "wall time",

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from unicon_core.errors import Fault, UniconError, alternatives
+from unicon_core.errors import EmergencyStopPressed, UniconError, alternatives
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime.phases import Phase
 from unicon_core.states import States
@@ -123,7 +123,7 @@ class Driver:
         """Take what a viewer tells; one that drives does so from the next tick on.
 
         Raises:
-            Fault: the emergency stop was pressed, and nothing is sent yet.
+            EmergencyStopPressed: the emergency stop was pressed, and nothing is sent yet.
         """
         self._left[0] = self._often
         peripheral, runner = self._peripheral, self._runner
@@ -133,13 +133,13 @@ class Driver:
         if self._mode[0] == DRIVING:
             self._drives[0] = 1  # others write the command in each tick
         if self._is_pressed[0] and runner.phase is Phase.WAIT:
-            raise Fault(FAULT)
+            raise EmergencyStopPressed(FAULT)
 
     def look(self) -> None:
         """Take it in a pause, in which nobody is driven.
 
         Raises:
-            Fault: the emergency stop was pressed.
+            EmergencyStopPressed: the emergency stop was pressed.
         """
         if self._peripheral is not None:
             self._peripheral()
@@ -162,10 +162,10 @@ class Driver:
         """End the run before the command leaves.
 
         Raises:
-            Fault: the emergency stop was pressed.
+            EmergencyStopPressed: the emergency stop was pressed.
         """
         if self._is_pressed[0]:
-            raise Fault(FAULT)
+            raise EmergencyStopPressed(FAULT)
 
     def _drive(self) -> None:
         mode, touch = self._mode[0], self._touch[0]

@@ -55,8 +55,6 @@ def refusal(
     path: str,
     token: str,
     origins: Sequence[str] = (),
-    *,
-    neighbours: bool = False,
 ) -> str:
     """Return why a client may not come in, "" where it may.
 
@@ -67,14 +65,14 @@ def refusal(
         headers: of the request that opens the websocket.
         path: of that request; `/TOKEN` where one is needed.
         token: "" for none.
-        origins: of other sites whose pages may.
-        neighbours: pages that other servers of this machine serve may, too.
+        origins: of other sites whose pages may. With the token so may pages that other servers of
+            this machine serve.
     """
     host, origin = headers.get("Host", ""), headers.get("Origin")
     try:
         name = urlsplit(f"//{host}").hostname or ""
         site = urlsplit(origin) if origin else urlsplit(f"//{host}")
-        beside = neighbours and site.hostname in LOOPBACK
+        beside = bool(token) and site.hostname in LOOPBACK
     except ValueError:
         return "its address cannot be read"
     if token:
@@ -99,7 +97,7 @@ class Front:
         host: where it listens.
         port: the first one that is tried.
         behind: address and port of the server.
-        origins: other sites whose pages may come in, besides those of this machine.
+        origins: other sites whose pages may come in, as of `refusal`.
         token: that a client has to give as its path; needed beyond this machine.
         warn: takes why a client was refused.
 
@@ -183,7 +181,7 @@ class Front:
         pairs = (line.partition(":") for line in lines)
         headers = {key.strip().title(): value.strip() for key, _, value in pairs}
         path = first.split(" ")[1] if first.count(" ") == 2 else "/"
-        return refusal(headers, path, self._token, self._origins, neighbours=True)
+        return refusal(headers, path, self._token, self._origins)
 
     def close(self) -> None:
         """Let nobody in any more."""

@@ -20,7 +20,7 @@ from unicon_core.runtime.phases import Phase
 from unicon_core.states import States
 from unicon_core.workflow import Program
 from unicon_ros.recording import Record
-from unicon_ros.replay.workflow import workflow_of
+from unicon_ros.replay.workflow import robot_of, workflow_of
 from unicon_ros.view.shown import HEAD, Shown, shown_of
 from unicon_ros.view.source import Answered, Snapshot
 
@@ -48,7 +48,7 @@ def shown_in(record: Record) -> tuple[Shown, list[str]]:
         program = Program(workflow_of(record), dry=True)
     except UniconError as error:
         notes.append(f"its workflow is not built here, so that skills are not named: {error}")
-        robot = load_robot(facts.get("robot", ""))
+        robot = load_robot(robot_of(record))
         try:
             model: Path | None = model_of(None, robot)
         except UniconError as lacking:
@@ -56,7 +56,7 @@ def shown_in(record: Record) -> tuple[Shown, list[str]]:
             notes.append(f"the robot is not drawn: {lacking}")
         said = facts.get("platform", "")
         shown = Shown(
-            *(facts.get("workflow", "recording"), said, True, robot, model, record.layout),
+            *(facts.get("workflow") or "recording", said, True, robot, model, record.layout),
             *(record.period, phases, ()),
         )
         return shown, notes

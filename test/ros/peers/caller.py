@@ -12,7 +12,7 @@ import time
 
 import rclpy
 from lifecycle_msgs.srv import ChangeState, GetState
-from rcl_interfaces.srv import SetParameters
+from rcl_interfaces.srv import ListParameters, SetParameters
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
@@ -22,16 +22,32 @@ def main() -> None:
     node = rclpy.create_node("caller")
     target = sys.argv[1]
 
-    def call(kind: type, name: str, request: object) -> object:
-        client = node.create_client(kind, f"{target}/{name}")
-        if not client.wait_for_service(timeout_sec=10.0):
-            raise SystemExit(f"no service {target}/{name}")
-        future = client.call_async(request)
-        rclpy.spin_until_future_complete(node, future, timeout_sec=10.0)
-        node.destroy_client(client)
-        if future.result() is None:
-            raise SystemExit(f"{target}/{name} did not answer")
+    clients = {}
+
+    def ask(name: str, request: object, patience: float) -> object:
+        future = clients[name].call_async(request)
+        rclpy.spin_until_future_complete(node, future, timeout_sec=patience)
         return future.result()
+
+    def call(kind: type, name: str, request: object) -> object:
+        """Return the answer.
+
+        rmw_fastrtps drops a response if the server has not discovered the client's reader yet.
+        Readers are discovered in the order of their making, so a harmless service whose client is
+        made last shows by its answer that the client before it is known.
+        """
+        if name not in clients:
+            clients[name] = node.create_client(kind, f"{target}/{name}")
+            if not clients[name].wait_for_service(timeout_sec=10.0):
+                raise SystemExit(f"no service {target}/{name}")
+            last = clients["last"] = node.create_client(ListParameters, f"{target}/list_parameters")
+            last.wait_for_service(timeout_sec=10.0)
+            if not any(ask("last", ListParameters.Request(), 2.0) for _ in range(5)):
+                raise SystemExit(f"{target}/list_parameters did not answer")
+        answer = ask(name, request, 10.0)
+        if answer is None:
+            raise SystemExit(f"{target}/{name} did not answer")
+        return answer
 
     def flood(name: str, seconds: float) -> None:
         client = node.create_client(Trigger, f"{target}/{name}")

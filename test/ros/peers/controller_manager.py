@@ -13,7 +13,7 @@ import sys
 import time
 
 import rclpy
-from rclpy.qos import QoSProfile, qos_profile_sensor_data
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
@@ -30,7 +30,9 @@ class Manager:
         self.last = 0
         self.active = False
         create = self.node.create_subscription
-        create(JointState, "robot_joint_states", self.hear, qos_profile_sensor_data)
+        # Deep enough for a manager that is held up: what it counts is what the sender lost.
+        best_effort = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
+        create(JointState, "robot_joint_states", self.hear, best_effort)
         create(Float64MultiArray, "forward_position_controller/commands", self.refer, 10)
         self.out = self.node.create_publisher(
             JointState, "robot_joint_commands", QoSProfile(depth=1)

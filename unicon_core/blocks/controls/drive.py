@@ -74,6 +74,7 @@ class Drive:
         held: int | None,
     ) -> None:
         self._sticks, self._buttons, self._alive = controls
+        self.buttons_used = () if held is None else (BUTTONS[held],)
         self._out, self._held, self._dead_zone = out, held, dead_zone
         vx, vy, wz = speed.tolist()
         # Right is positive on a stick, and left on the ground.

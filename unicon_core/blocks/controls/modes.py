@@ -191,6 +191,7 @@ class Modes:
     ) -> None:
         self._sticks, self._buttons, self._gravity = seen
         self._mode, self._names, self._ways = mode, tuple(names), tuple(ways)
+        self.buttons_used = tuple(way.button for way in ways if way.button)
         self._period = context.period
         self._tell: Callable[[str], None] = context.tell
         self._before = np.ones_like(self._buttons)

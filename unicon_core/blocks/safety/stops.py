@@ -13,7 +13,7 @@ from unicon_core.blocks.predicates import largest
 from unicon_core.blocks.safety.limits import velocity_limits
 from unicon_core.blocks.safety.ranges import RangeStop
 from unicon_core.bounds import STALE, TILT, VELOCITY, VELOCITY_FACTOR, within
-from unicon_core.errors import Fault
+from unicon_core.errors import Fault, Silence
 from unicon_core.flow.block import Reads
 from unicon_core.flow.stage import Stage
 from unicon_core.platforms.kit.command import FiniteCheck
@@ -211,7 +211,7 @@ class StaleStop:
             return
         self._same += 1
         if self._same >= self._ticks:
-            raise Fault(
+            raise Silence(
                 f"the robot's data is stale: stamp_ns has been {stamp} for {self._same} ticks "
                 f"(timeout {self._timeout} s); is the link up?"
             )

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from unicon_core.check.collision import check_collision
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import listed, on_platform
+from unicon_core.check.twin.evidence import evident_changes, find_pressing
 from unicon_core.check.twin.measures import Measures
 from unicon_core.check.twin.perturb import Change, perturbations
+from unicon_core.check.twin.ranking import FOLLOWS, MENDED, SLIGHT, Compared, Tried, chosen, poor
 from unicon_core.check.twin.repair import repairs
+from unicon_core.check.twin.rivals import GAIT, rivals
 from unicon_core.check.twin.session import TwinSession
 from unicon_core.errors import UniconError
 from unicon_core.models.find import Modelled
@@ -24,15 +27,8 @@ from unicon_core.workflow.platform_use import read_platforms
 __all__ = ["check_twin"]
 
 MARGIN = 0.1
-"""By how much the given contract's score must exceed that of a broken one."""
-POOR = 0.5
-"""Tracking below this makes the search for a better contract worth its time."""
-FOLLOWS = 0.3
-"""Tracking below this is a finding even where nothing mends it."""
-MENDED = 0.15
-"""By how much a mended contract must do better to be believed."""
-ALIKE = 0.02
-"""Scores within this are alike."""
+"""A broken contract that loses less in its first run is compared with the given one."""
+COLUMNS = ("contract", "outcome", "score", "tracking", "error", "rate [rad/s]")
 _PATIENCE = 120.0  # [s] of wall time for the search
 
 
@@ -67,21 +63,12 @@ def check_twin(
     codes = {finding.code for finding in (*result.findings, *result.notes)}
     if not {"model.collision", "model.meshes"} & codes:  # the check's model may be another
         check_collision(session.model, session.program.robot, result, document.path)
+    twin = _Twin(session, float(settings.get("duration", 5.0)), result, document.path)
     try:
-        _Twin(session, float(settings.get("duration", 5.0)), result, document.path).check()
+        twin.check()
     finally:
-        session.close()
-
-
-@dataclass(frozen=True)
-class _Mended:
-    """The change that helps most; `others` are culprits whose change helps as much."""
-
-    policy: PolicyResult
-    change: Change
-    measures: Measures
-    tried: int
-    others: tuple[str, ...]
+        for each in (session, *twin.others.values()):
+            each.close()
 
 
 @dataclass
@@ -92,12 +79,14 @@ class _Twin:
     where: Path
     rows: list[list[str]] = field(default_factory=list)
     policies: list[PolicyResult] = field(default_factory=list)
+    walked: tuple[Measures, ...] = ()
+    others: dict[float, TwinSession] = field(default_factory=dict)
 
     def check(self) -> None:
         session, result = self.session, self.result
         given = session.run(self.seconds)
         self.add("as given", given)
-        suspects = []
+        suspects: list[tuple[PolicyResult, Change, Measures]] = []
         for key, contract in session.contracts.items():
             if key in session.called:
                 self.policies.append(PolicyResult(result, key, contract))
@@ -115,70 +104,97 @@ class _Twin:
                 if measures.score >= given.score - MARGIN:
                     suspects.append((policy, broken, measures))
         self.verdict(given)
-        if given.stands and (not given.follows or given.tracking >= POOR):
+        if not poor(given) and self.policies:
+            for policy in self.policies:
+                find_pressing(policy, session.program.robot, given)
             suspects.sort(key=lambda suspect: -suspect[2].score)
-            if given.follows and any(not broken.unlikely for _, broken, _ in suspects):
-                self.better(given)
-            for policy, broken, measures in suspects:
-                # Scales of 1 have been left out by nobody, and who only stands up does so anyhow.
-                policy.find(
-                    "twin.suspect",
-                    broken.culprit,
-                    f"with {broken.name} it does as well (score {measures.score:.2f}) as with the "
-                    f"given contract ({given.score:.2f}): yours is suspect",
-                    f"compare {broken.culprit} with the training side",
-                    error=given.tracks and not broken.unlikely,
-                )
+            self.suspect(given, suspects)
         self.tables(given)
+        told = any(finding.code == "twin.suspect" for finding in result.findings)
+        if not poor(given) and given.tracks and len(self.policies) == 1 and not told:
+            self.rival(given)
 
-    def better(self, given: Measures) -> None:
-        """Of a contract that walks, and beside which broken ones do: what would walk better."""
-        found = self.mend(given, MARGIN, self.seconds)  # the first seconds were good as they are
-        if found is None:
-            return
-        repair, mended = found.change, found.measures
-        self.add(f"mended: {repair.name}", mended)
-        found.policy.find(
+    def suspect(
+        self, given: Measures, suspects: list[tuple[PolicyResult, Change, Measures]]
+    ) -> None:
+        """Of a contract that walks: what walks clearly better, and what as well."""
+        if given.follows and any(not broken.unlikely for _, broken, _ in suspects):
+            found = self.mend(given, MARGIN, self.seconds)  # the first seconds were good
+            if found:
+                best = found[0]
+                self.add(f"mended: {best.change.name}", best.measures)
+                self.better(best.policy, best.change, self.compared(best.policy, best.change))
+        for policy, broken, measures in suspects:
+            # Scales of 1 have been left out by nobody, and who only stands up does so anyhow.
+            telling = given.tracks and not broken.unlikely
+            compared = self.compared(policy, broken) if telling else None
+            if compared is not None and compared.clear:
+                self.better(policy, broken, compared)
+                continue
+            suspicious = compared is not None and compared.alike and not broken.varied
+            scores = compared or Compared((given,), (measures,))
+            policy.find(
+                "twin.suspect",
+                broken.culprit,
+                f"with {broken.name} it does as well as with the given contract: {scores}; "
+                + ("yours is suspect" if suspicious else "the twin does not tell which is right"),
+                f"compare {broken.culprit} with the training side",
+                error=suspicious,
+            )
+
+    def better(
+        self, policy: PolicyResult, change: Change, compared: Compared, *, error: bool = True
+    ) -> None:
+        """Find, or note, a change under which the policy walks better."""
+        how = f"does {'' if error else 'slightly '}better than"
+        if error and not compared.clear:
+            how = "follows as well, in calmer steps, as"
+        policy.find(
             "twin.suspect",
-            repair.culprit,
-            f"with {repair.name} it does better (score {mended.score:.2f}) than with the given "
-            f"contract ({given.score:.2f}), the best of {found.tried} changes",
-            f"compare {repair.culprit} with the training side",
+            change.culprit,
+            f"with {change.name} it {how} with the given contract: {compared}",
+            change.remedy or f"compare {change.culprit} with the training side",
+            error=error,
+        )
+
+    def compared(self, policy: PolicyResult, change: Change) -> Compared:
+        """Run the same commands with and without a change; without commands the one run."""
+        commands: list[Any] = [*self.session.walks()] or [None]
+        if not self.walked:
+            self.walked = tuple(self.session.run(self.seconds, command=c) for c in commands)
+        return Compared(
+            self.walked, tuple(self.run(policy, change, self.seconds, c) for c in commands)
         )
 
     def add(self, name: str, measures: Measures) -> None:
-        self.rows.append(
-            [
-                name,
-                measures.outcome(),
-                f"{measures.score:.2f}",
-                f"{measures.tracking:.2f}" if measures.follows else "-",
-                _error(measures),
-                f"{measures.target_rate:.1f}",
-            ]
-        )
+        self.rows.append(_row(name, measures))
 
     def verdict(self, given: Measures) -> None:
         """Findings of the given contract: a fall, or a command that is not followed."""
-        poor = bool(self.policies) and given.follows and given.tracking < POOR
-        if given.stands and not poor:
+        if not poor(given) or (given.stands and not self.policies):
             return
         code, what = "twin.fall", given.outcome()
         if given.fault:
             what += f" ({given.fault})"
         if given.stands:
             code, what = "twin.command", _strays(given)
+        if "model.collision" in {finding.code for finding in self.result.findings}:
+            self.result.note(code, "model", f"{what}, as nothing or no foot touches the floor")
+            return
         found = self.mend(given)
-        if found is not None:
-            repair, mended = found.change, found.measures
+        if found:
+            policy, repair, mended = found[0].policy, found[0].change, found[0].measures
             self.add(f"mended: {repair.name}", mended)
-            also = f"; as well with another {listed(found.others, 2)}" if found.others else ""
-            found.policy.find(
+            others = dict.fromkeys(t.change.culprit for t in found[1:])
+            others.pop(repair.culprit, None)
+            also = f"; as well with another {listed(others, 2)}" if others else ""
+            because = f" ({repair.evidence})" if repair.evidence else ""
+            policy.find(
                 code,
                 repair.culprit,
                 f"{what} (score {given.score:.2f}); with {repair.name} it {mended.outcome()} "
-                f"(score {mended.score:.2f}), the best of {found.tried} changes{also}",
-                f"compare {repair.culprit} with the training side",
+                f"(score {mended.score:.2f}){because}{also}",
+                repair.remedy or f"compare {repair.culprit} with the training side",
             )
         elif not self.policies:
             self.result.find(code, "flow", what, "change the flow, or its gains", self.where)
@@ -193,61 +209,105 @@ class _Twin:
         else:
             self.policies[0].note(code, "", what)
 
-    def mend(self, given: Measures, least: float = MENDED, first: float = 2.0) -> _Mended | None:
-        """Return the change under which the policy does best, if it does better by `least`.
+    def mend(self, given: Measures, least: float = MENDED, first: float = 2.0) -> list[Tried]:
+        """Return the change to be told, and behind it those that do as well; none if none helps.
 
-        All are tried for the `first` seconds and the best few for the whole time. Of those that do
-        as well as the best one the likeliest is taken: exchanged sines and cosines are also mended
-        by the sign of one of them.
+        All are tried for the `first` seconds; those for which the model speaks and the best few of
+        the others for the whole time. What is told does clearly better with other commands, too.
         """
+        finals = list(self.evident())
+        enough = chosen(finals, given, least)
+        if not enough or enough[0].measures.score < 1.0 - MENDED:  # else none can be far better
+            likely = sorted(self.mended(first), key=lambda each: -each.measures.score)
+            finals += [
+                replace(each, measures=self.run(each.policy, each.change, self.seconds))
+                for each in likely[:10]
+            ]
+        best = chosen(finals, given, least)
+        return best if best and self.compared(best[0].policy, best[0].change).clear else []
+
+    def evident(self) -> Iterator[Tried]:
+        """Yield the changes for which the model speaks, and their runs."""
+        robot, platform = self.session.program.robot, self.session.program.platform
+        for policy in self.policies:
+            changes = evident_changes(
+                policy.contract, robot, self.session.passive_damping, platform.facts.name
+            )
+            for number, change in enumerate(changes):
+                if self.session.locks or not change.locked:
+                    yield Tried(policy, change, self.run(policy, change, self.seconds), number)
+
+    def mended(self, seconds: float) -> Iterator[Tried]:
+        """Yield what undoes the usual mistakes, and its runs."""
         until = time.monotonic() + _PATIENCE
-        session = self.session
-        tried: list[tuple[float, int, PolicyResult, Change]] = []
-        poses = session.poses()
+        session, poses = self.session, self.session.poses()
         for policy in self.policies:
             depths = session.depths(policy.contract.joints)
-            tried += [
-                (self.run(policy, repair, first).score, number, policy, repair)
-                for number, repair in enumerate(
-                    repairs(policy.contract, session.program.robot, depths, poses)
-                )
-                if time.monotonic() < until
-                and (session.lifts or not repair.unlimited)
-                and (session.damps or not repair.undamped)
-            ]
-        tried.sort(key=lambda entry: -entry[0])
-        finals = [
-            (self.run(policy, repair, self.seconds), number, policy, repair)
-            for _, number, policy, repair in tried[:10]
-        ]
-        if not finals:
-            return None
-        best = max(measures.score for measures, *_ in finals)
-        good = sorted((f for f in finals if f[0].score >= best - ALIKE), key=lambda final: final[1])
-        measures, _, policy, repair = good[0]
-        if not measures.stands or measures.score < given.score + least:
-            return None
-        if measures.follows and measures.tracking < FOLLOWS:
-            return None
-        others = dict.fromkeys(c.culprit for *_, c in good if c.culprit != repair.culprit)
-        return _Mended(policy, repair, measures, len(tried), tuple(others))
+            changes = repairs(policy.contract, session.program.robot, depths, poses)
+            for number, change in enumerate(changes):
+                if (
+                    time.monotonic() < until
+                    and (session.lifts or not change.unlimited)
+                    and (session.passive_damping.any() or not change.undamped)
+                ):
+                    yield Tried(policy, change, self.run(policy, change, seconds), number)
 
-    def run(self, policy: PolicyResult, change: Change, seconds: float) -> Measures:
-        return self.session.run(
+    def rival(self, given: Measures) -> None:
+        """Compare a contract that walks with half and twice its damping and periods."""
+        policy, rows = self.policies[0], []
+        found: list[tuple[bool, float, Change, Compared]] = []
+        for change in rivals(policy.contract):
+            try:
+                measures = self.run(policy, change, self.seconds)
+            except UniconError as error:
+                reason = str(error).split(" (")[0].split(";")[0]
+                rows.append([change.name, f"not tried: {reason}", *[""] * 4])
+                continue
+            rows.append(_row(change.name, measures))
+            clock = change.culprit == GAIT
+            once = Compared((given,), (measures,))
+            if once.gain < 0.5 * SLIGHT and not (clock and once.calmer):
+                continue
+            compared = self.compared(policy, change)
+            clear = compared.clear or (clock and compared.calmer)
+            if clear or compared.slight:
+                found.append((clear, compared.gain, change, compared))
+        self.result.table("Twin, half and twice the damping and periods", COLUMNS, rows)
+        if found:  # what is wrong in one of them is made up for by another, but less
+            clear, _, change, compared = max(found, key=lambda each: each[:2])
+            self.better(policy, change, compared, error=clear)
+
+    def run(
+        self,
+        policy: PolicyResult,
+        change: Change,
+        seconds: float,
+        command: tuple[float, float, float] | None = None,
+    ) -> Measures:
+        return self.session_of(policy, change).run(
             seconds,
             policy.key,
             change.contract,
             unlimited=change.unlimited,
             undamped=change.undamped,
+            locked=change.locked,
+            command=command,
         )
+
+    def session_of(self, policy: PolicyResult, change: Change) -> TwinSession:
+        """Return the session, or one whose policy has another period."""
+        contract = change.contract
+        if contract is None or contract.period == policy.contract.period:
+            return self.session
+        if contract.period not in self.others:
+            self.others[contract.period] = self.session.at_period_of(policy.key, contract)
+        return self.others[contract.period]
 
     def tables(self, given: Measures) -> None:
         what = f"{self.seconds:g} s of the policy" if self.policies else "the whole flow"
         title = f"Twin on platform {self.session.program.platform.facts.name}, {what}"
-        columns = ["contract", "outcome", "score", "tracking", "error", "rate [rad/s]"]
         lines = ["score = survival · (0.7 · tracking + 0.3 · smoothness), from 0 to 1"]
-        lines.append("a walk does not validate the rate: half the rate walks as well")
-        self.result.table(title, columns, self.rows, lines if self.policies else ())
+        self.result.table(title, COLUMNS, self.rows, lines if self.policies else ())
         rows = [["outcome", given.outcome() + (f": {given.fault}" if given.fault else "")]]
         if given.tracks and self.policies:
             rows.append(["command", _velocity(given.command)])
@@ -260,6 +320,17 @@ class _Twin:
             ["at position limits", ", ".join(hits[:4]) or "never"],
         ]
         self.result.table("Twin, as given", ["what", "value"], rows)
+
+
+def _row(name: str, measures: Measures) -> list[str]:
+    return [
+        name,
+        measures.outcome(),
+        f"{measures.score:.2f}",
+        f"{measures.tracking:.2f}" if measures.follows else "-",
+        _error(measures),
+        f"{measures.target_rate:.1f}",
+    ]
 
 
 def _error(measures: Measures) -> str:

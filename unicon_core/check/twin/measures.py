@@ -71,6 +71,8 @@ class Measures:
         torque_use: largest root mean square torque of a joint as a share of its effort limit.
         torque_joint: that joint.
         saturated: share of ticks × joints at the effort limit.
+        saturated_joint: that which was at its effort limit longest, with `saturated_share` of the
+            ticks.
         limit_hits: joint to share of ticks that it stood at a position limit.
         tracking, smoothness, survival, score: see the module, each in [0, 1].
         tracks: whether following the command counts.
@@ -88,6 +90,8 @@ class Measures:
     torque_use: float = 0.0
     torque_joint: str = ""
     saturated: float = 0.0
+    saturated_joint: str = ""
+    saturated_share: float = 0.0
     limit_hits: dict[str, float] = field(default_factory=dict)
     tracking: float = 0.0
     smoothness: float = 0.0
@@ -196,6 +200,7 @@ class Recorder:
         hits = (pos <= robot.lower + AT_LIMIT) | (pos >= robot.upper - AT_LIMIT)
         shares = hits.mean(axis=0)
         saturated = np.abs(effort) >= 0.999 * self._effort
+        longest = int(np.argmax(saturated.mean(axis=0)))
         return Measures(
             asked_s=asked_s,
             survived_s=survived,
@@ -208,6 +213,8 @@ class Recorder:
             torque_use=float(use[worst]),
             torque_joint=robot.joint_names[worst],
             saturated=float(saturated.mean()),
+            saturated_joint=robot.joint_names[longest],
+            saturated_share=float(saturated.mean(axis=0)[longest]),
             limit_hits={
                 robot.joint_names[i]: float(shares[i]) for i in np.argsort(-shares) if shares[i]
             },

@@ -41,6 +41,11 @@ class Change:
         unlikely: nobody makes this mistake; that a policy bears it is worth a note.
         unlimited: whether limits of effort are lifted.
         undamped: whether the joints of the model do without their own damping.
+        locked: joints of the model that stand still as if they were welded.
+        varied: trained policies bear it, as training varies it: only a gain tells.
+        evidence: what the model shows by itself for this change; "" where only the run speaks for
+            it.
+        remedy: what to do, "" for comparing the culprit with the training side.
     """
 
     name: str
@@ -50,6 +55,10 @@ class Change:
     unlikely: bool = False
     unlimited: bool = False
     undamped: bool = False
+    locked: tuple[str, ...] = ()
+    varied: bool = False
+    evidence: str = ""
+    remedy: str = ""
 
 
 def perturbations(contract: PolicyContract, depths: Sequence[int]) -> list[Change]:
@@ -143,7 +152,8 @@ def _scales(contract: PolicyContract) -> Change:
     name, culprit, terms = "observation scales left out", "observation scales", contract.terms
     if not terms:
         return Change(name, culprit, None, "the network takes states one by one")
-    if any((np.abs(term.scale) != 1.0).any() for term in terms):
+    scales = np.concatenate([np.abs(term.scale) for term in terms])
+    if ((scales != 0.0) & (scales != 1.0)).any():  # 0 leaves an element out
         plain = (replace(term, scale=np.sign(term.scale)) for term in terms)
         return Change(name, culprit, with_terms(contract, plain))
     name = "observation scales doubled (all are 1)"
@@ -218,5 +228,5 @@ def _gains(contract: PolicyContract, depths: Sequence[int]) -> Change:
     for stiffness, damping in (gains[:, order], gains[:, order[::-1]]):
         if not np.allclose((stiffness, damping), gains, rtol=1e-3):
             broken = replace(contract, stiffness=stiffness, damping=damping)
-            return Change(name, culprit, broken)
+            return Change(name, culprit, broken, varied=True)
     return Change(name, culprit, None, "all joints have the same gains")

@@ -89,6 +89,8 @@ def _gains(contract: PolicyContract, robot: Robot, depths: Sequence[int]) -> Ite
     for factor in (0.1, 0.25, 4.0, 10.0):
         tried[f"stiffness times {factor:g}"] = gains * np.array([[factor], [1.0]], np.float32)
         tried[f"stiffness and damping times {factor:g}"] = gains * np.float32(factor)
+    for factor in (0.25, 0.5, 2.0, 4.0):
+        tried[f"damping times {factor:g}"] = gains * np.array([[1.0], [factor]], np.float32)
     for name, (stiffness, damping) in tried.items():
         if np.isfinite((stiffness, damping)).all():  # the robot file may not say them
             changed = replace(contract, stiffness=stiffness, damping=damping)

@@ -6,8 +6,10 @@ everything else is the graph that would be deployed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
+from copy import deepcopy
+from dataclasses import replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -31,6 +33,7 @@ __all__ = ["TwinSession"]
 
 _LONGEST = 60.0  # [s] of simulated time, for flows that do something before the policy
 _WALK = 0.6  # [m/s] commanded where neither workflow nor contract says anything
+_CURVE = 0.3  # [rad/s]
 _SLOW = 0.5  # [m/s]; at 0.3 m/s standing still tracks with 0.70 and tells nothing
 
 
@@ -38,6 +41,12 @@ def _reads_command(contract: PolicyContract) -> bool:
     """Whether a policy is to follow a velocity command."""
     named = (*contract.inputs, *(term.state for term in contract.terms))
     return "velocity_command" in named
+
+
+def _range(program: Program, key: str) -> tuple[float, float] | None:
+    """Return for which commands the first policy that says so was trained."""
+    ranges = (contract.command_ranges for contract in program.policies.values())
+    return next((found[key] for found in ranges if key in found), None)
 
 
 class _Counted:
@@ -74,6 +83,15 @@ class Undamped(Protocol):
         ...
 
 
+@runtime_checkable
+class Locks(Protocol):
+    """A simulator that can hold joints still for a while, as if they were welded."""
+
+    def locked(self, joints: Sequence[int]) -> AbstractContextManager[None]:
+        """Return the while: the joints, by their place in the robot, move again when it is left."""
+        ...
+
+
 class TwinSession:
     """Runs of one workflow on a simulator, one robot.
 
@@ -81,21 +99,32 @@ class TwinSession:
         document: the program, already on that simulator.
         command: vx, vy [m/s], wz [rad/s]. None takes the workflow's own where it walks at 0.5 m/s
             or more, else 0.6 of the trained forward speed: broken contracts stand and creep too.
+        contracts: policies by their key, in place of those of the document.
 
     Attributes:
         model: of the robot, as its file has it.
         called: keys of the policies that ran in the last run.
         lifts: whether limits of effort can be left out.
-        damps: whether joints have a damping of their own that can be left out.
+        locks: whether joints can be held still.
+        passive_damping: of the joints themselves in [N·m·s/rad], shape (n,), 0 where it is not
+            told or cannot be left out.
 
     Raises:
         UniconError: the workflow cannot be built, or its simulator does not tell enough.
     """
 
-    def __init__(self, document: WorkflowDocument, command: Sequence[float] | None = None) -> None:
+    def __init__(
+        self,
+        document: WorkflowDocument,
+        command: Sequence[float] | None = None,
+        contracts: Mapping[str, PolicyContract] | None = None,
+    ) -> None:
+        self.document = document
         self._command = command
+        self._wanted: NDArray[np.float64] | None = None
+        self._asked: NDArray[np.float32] | None = None
         self.called: frozenset[str] = frozenset()
-        self.program = Program(document, hooks=[self._commander])
+        self.program = Program(document, hooks=[self._commander], contracts=contracts)
         keys = {id(contract): key for key, contract in self.program.policies.items()}
         self._uses = [
             (keys[id(block.tick.contract)], block, block.tick)
@@ -104,7 +133,10 @@ class TwinSession:
         ]
         robot, platform = self.program.robot, self.program.platform
         self.lifts = isinstance(platform, Unlimited)
-        self.damps = isinstance(platform, Undamped) and bool(platform.passive_damping.any())
+        self.locks = isinstance(platform, Locks)
+        self.passive_damping = np.zeros(robot.num_joints)
+        if isinstance(platform, Undamped):
+            self.passive_damping = np.asarray(platform.passive_damping, np.float64)
         try:
             untold = [name for name in JUDGED if name not in platform.facts.writes]
             if untold:
@@ -144,6 +176,8 @@ class TwinSession:
         *,
         unlimited: bool = False,
         undamped: bool = False,
+        locked: Sequence[str] = (),
+        command: Sequence[float] | None = None,
     ) -> Measures:
         """Run from the beginning.
 
@@ -154,14 +188,15 @@ class TwinSession:
             contract: in place of the given one.
             unlimited: without limits of effort, where the simulator lifts them.
             undamped: without the joints' own damping, where the simulator leaves it out.
+            locked: joints that stand still, where the simulator holds them.
+            command: vx, vy [m/s], wz [rad/s] in place of the session's.
         """
-        program = self.program
+        program, robot = self.program, self.program.robot
+        self._asked = None if command is None else np.array(command, np.float32)
         counted = self._exchange(key, contract)
-        program.states.reset()
         runner = Runner(program, RunOptions(speed="max", warn=lambda text: None))
-        runner.reset()
         recorder = Recorder(
-            program.states, program.robot, self._effort, program.period, self._motion_error()
+            program.states, robot, self._effort, program.period, self._motion_error()
         )
         longest, walked = round(_LONGEST / program.period), round(seconds / program.period)
         fault, begun = "", 0
@@ -170,9 +205,13 @@ class TwinSession:
             changed = program.platform.unlimited()
         elif undamped and isinstance(program.platform, Undamped):
             changed = program.platform.undamped()
+        elif locked and isinstance(program.platform, Locks):
+            changed = program.platform.locked([robot.joint_names.index(name) for name in locked])
         try:
             # A broken contract may well send numbers of any size.
             with changed, np.errstate(over="ignore", invalid="ignore"):
+                program.states.reset()
+                runner.reset()
                 while len(recorder.rows) < longest and not runner.tick(0):
                     begun += any(tick.calls for tick in counted.values())
                     if recorder(begun > 0) or (counted and begun >= walked):
@@ -184,6 +223,29 @@ class TwinSession:
         asked = (ticks - begun + walked if counted else max(ticks, 1)) * program.period
         tracks = any(_reads_command(contract) for contract in self.contracts.values())
         return recorder.measures(asked, fault, tracks)
+
+    def at_period_of(self, key: str, contract: PolicyContract) -> TwinSession:
+        """Return a session of the same workflow in which a policy has another period.
+
+        Raises:
+            UniconError: the simulator's step does not divide it.
+        """
+        values = deepcopy(self.document.values)
+        values["rate"] = 1.0 / min(self.program.period, contract.period)
+        return TwinSession(replace(self.document, values=values), self._command, {key: contract})
+
+    def walks(self) -> list[list[float]]:
+        """Return commands for comparing contracts: that of the session, faster, slower, in curves.
+
+        They are near to it: a policy may stand still when less is commanded, whatever its contract.
+        """
+        if self._wanted is None:
+            return []
+        walks = [(self._wanted * factor).tolist() for factor in (1.0, 0.85, 1.15)]
+        if any(_range(self.program, "ang_vel_z") or (_CURVE,)):
+            curve = np.array([0.0, 0.0, _CURVE])
+            walks += [(self._wanted - curve).tolist(), (self._wanted + curve).tolist()]
+        return walks
 
     def close(self) -> None:
         """Close the workflow; how a simulator ends does not matter."""
@@ -204,15 +266,16 @@ class TwinSession:
         contracts = program.policies.values()
         if not any(_reads_command(contract) for contract in contracts):
             return {}
-        ranges = [contract.command_ranges for contract in contracts]
-        fastest = [found["lin_vel_x"][1] for found in ranges if "lin_vel_x" in found]
-        walk = (min(0.6 * fastest[0], 1.0) if fastest else _WALK, 0.0, 0.0)
-        wanted = np.array(self._command or walk, np.float32)
+        _, fastest = _range(program, "lin_vel_x") or (0.0, 0.0)
+        walk = (min(0.6 * fastest, 1.0) if fastest else _WALK, 0.0, 0.0)
+        self._wanted = wanted = np.array(self._command or walk, np.float64)
         always = self._command is not None
         command = program.states["velocity_command"]
 
         def twin_command() -> None:
-            if always or float(np.hypot(command[0], command[1])) < _SLOW:
+            if self._asked is not None:
+                command[...] = self._asked
+            elif always or float(np.hypot(command[0], command[1])) < _SLOW:
                 command[...] = wanted
 
         block = Block("twin_command", twin_command, amends=("velocity_command",), endless=True)

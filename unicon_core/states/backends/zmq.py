@@ -1,7 +1,7 @@
 """A message queue: groups of states for other processes and other machines, through ZeroMQ.
 
-    writer = ZmqWriter("tcp://*:7001", "measured", group, states)                 # on the robot
-    reader = ZmqReader("tcp://robot:7001", "measured", group, states)             # at a desk
+    writer = ZmqWriter("tcp://*:7001", "measured", group, states, keys="keys")       # on the robot
+    reader = ZmqReader("tcp://robot:7001", "measured", group, states, keys="keys")   # at a desk
 
 One PUB/SUB pair for each group, and either end may bind. Both keep the newest message alone
 (CONFLATE), so that a reader which is slow, stopped or dead changes nothing for the writer. A frame
@@ -22,6 +22,7 @@ import time
 from pathlib import Path
 
 from unicon_core.errors import StateError
+from unicon_core.outlet import Outlet
 from unicon_core.states.backends.freshness import SILENCE, Freshness
 from unicon_core.states.backends.zmq_socket import Endpoint
 from unicon_core.states.groups import Copies, difference, groups_from_json, groups_hash, groups_json
@@ -48,6 +49,12 @@ LOOKS = 16
 """Messages that are looked at in one go: with more writers than that, all wrong, a good value may
 wait for the next go, and no tick waits for a flood."""
 
+LAYOUT_FACTOR, LAYOUT_SPARE = 8, 4096
+"""A foreign layout is read up to so many times the length of the reader's own, and so many bytes:
+whoever reaches the port chooses that text, and 1 MiB of it takes 1.8 s to read."""
+PARSE_PERIOD = 500_000_000
+"""ns from one foreign layout that is parsed, by a thread, to the next one."""
+
 LONGEST = 300  # characters of what another one's layout says
 JUST_NOW = 1_000_000
 """ns since a value was found, by `wait` as a rule, in which no newer one is looked for: to find
@@ -67,6 +74,7 @@ class ZmqWriter:
         states: where its states are read.
         bind: readers come here; else this end goes to where a reader is bound.
         keys: folder with CURVE keys; None: without.
+        without_keys: listen without them beyond this machine, too.
 
     Attributes:
         address: with the port, where it was left open (`tcp://127.0.0.1:*`).
@@ -85,6 +93,7 @@ class ZmqWriter:
         *,
         bind: bool = True,
         keys: str | Path | None = None,
+        without_keys: bool = False,
     ) -> None:
         text = groups_json({name: group}).encode()
         frame = bytearray(HEAD.size + group.nbytes + len(text))
@@ -102,7 +111,9 @@ class ZmqWriter:
         self._until = self._next = 0
         what = f"store zmq, group {name!r}"
         size = len(frame)
-        self._end = Endpoint(what, address, publish=True, bind=bind, size=size, keys=keys)
+        self._end = Endpoint(
+            what, address, publish=True, bind=bind, size=size, keys=keys, without_keys=without_keys
+        )
         self.address = self._end.address
         self._send, self._flags = self._end.socket.send, self._end.zmq.NOBLOCK
 
@@ -115,6 +126,7 @@ class ZmqWriter:
         self._count[1] = now
         if now >= self._next:
             self._next, self._until = now + WORDS, now + WINDOW
+            self._end.rejoin()
         if now < self._until:
             self._words[0] = self._length
             self._send(self._long, self._flags)
@@ -142,6 +154,7 @@ class ZmqReader:
         bind: writers come here.
         late: a value that took so much longer than the fastest one is not taken, [s].
         keys: folder with CURVE keys; None: without.
+        without_keys: listen without them beyond this machine, too.
 
     Attributes:
         address: with the port.
@@ -165,6 +178,7 @@ class ZmqReader:
         bind: bool = False,
         late: float = 0.2,
         keys: str | Path | None = None,
+        without_keys: bool = False,
     ) -> None:
         if not (math.isfinite(late) and late > 0.0):
             raise StateError(f"store zmq, group {name!r}: late is {late}; give seconds above 0")
@@ -181,12 +195,18 @@ class ZmqReader:
         self._held = b""  # a frame that passed and has not been taken
         self._held_number = self._held_stamp = self._held_at = 0
         self._told = b""  # hash of the layout that was refused last
+        self._foreign: Outlet[tuple[bytes, bytes, int]] = Outlet(self._parse, capacity=1)
+        self._next_parse = self._next_rejoin = 0
         self._started = time.clock_gettime_ns(_CLOCK)
         self.number = self.stamp_ns = self.skipped = self.garbage = 0
         self.refused = ""
         what = f"store zmq, group {name!r}"
-        size = self._body + len(groups_json({name: group}))
-        self._end = Endpoint(what, address, publish=False, bind=bind, size=size, keys=keys)
+        length = len(groups_json({name: group}).encode())
+        self._longest = LAYOUT_FACTOR * length + LAYOUT_SPARE
+        size = self._body + length
+        self._end = Endpoint(
+            what, address, publish=False, bind=bind, size=size, keys=keys, without_keys=without_keys
+        )
         self.address = self._end.address
         zmq, socket = self._end.zmq, self._end.socket
         self._receive, self._flags, self._again = socket.recv, zmq.NOBLOCK, zmq.Again
@@ -270,6 +290,7 @@ class ZmqReader:
 
     def close(self) -> None:
         """Let go."""
+        self._foreign.close()
         self._end.close()
 
     def _look(self) -> bool:
@@ -282,7 +303,11 @@ class ZmqReader:
             try:
                 frame = self._receive(self._flags)
             except self._again:
-                self._freshness.nothing(time.clock_gettime_ns(_CLOCK))
+                now = time.clock_gettime_ns(_CLOCK)
+                self._freshness.nothing(now)
+                if now >= self._next_rejoin:
+                    self._next_rejoin = now + WORDS
+                    self._end.rejoin()
                 return True
             if self._passes(frame):
                 return False
@@ -313,13 +338,29 @@ class ZmqReader:
         return True
 
     def _refuse(self, frame: bytes, digest: bytes, length: int) -> None:
-        """Say how the layout of a frame differs, where it tells it."""
+        """Refuse a frame of another layout; what it says of its layout is parsed by a thread."""
         if not length or (self.refused and digest == self._told):
             return
+        if length > len(frame) - HEAD.size:
+            self.garbage += 1
+            return
+        if length > self._longest:
+            self._told = digest
+            self.refused = (
+                f"{self._what}: the other end describes its layout in {length} bytes, of which at "
+                f"most {self._longest} are read: it is not this group"
+            )
+            return
+        now = time.monotonic_ns()
+        if now >= self._next_parse:
+            self._next_parse = now + PARSE_PERIOD
+            self._foreign((digest, frame[-length:], self._held_at))
+
+    def _parse(self, foreign: tuple[bytes, bytes, int]) -> None:
+        """Find the first difference of a foreign layout (hash, JSON, when a value passed last)."""
+        digest, text, held_at = foreign
         try:
-            if length > len(frame) - HEAD.size:
-                raise ValueError
-            theirs = groups_from_json(frame[-length:].decode())
+            theirs = groups_from_json(text.decode())
             if bytes.fromhex(groups_hash(theirs)) != digest:
                 raise ValueError
         except (StateError, ValueError, RecursionError):
@@ -329,4 +370,5 @@ class ZmqReader:
             what = difference(self._group, theirs[self._name])
         else:
             what = f"the other end has group {', '.join(map(repr, theirs)) or 'none'}"
-        self._told, self.refused = digest, f"{self._what}: {what[:LONGEST]}"
+        if self._held_at == held_at:  # no value has passed meanwhile
+            self._told, self.refused = digest, f"{self._what}: {what[:LONGEST]}"

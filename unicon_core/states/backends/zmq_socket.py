@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import ipaddress
 import os
 import socket as sockets
 from contextlib import suppress
@@ -11,7 +12,9 @@ from typing import Any
 
 from unicon_core.errors import MissingDependencyError, StateError
 
-__all__ = ["Endpoint"]
+__all__ = ["WITHOUT_KEYS", "Endpoint", "is_exposed"]
+
+WITHOUT_KEYS = "anybody who reaches it may read there, or write where a reader is bound"
 
 HEARTBEAT = 0.5
 PATIENCE = 2.0
@@ -20,6 +23,17 @@ PATIENCE = 2.0
 RECONNECT = 0.1  # s between two tries
 BUFFER = 1 << 16
 """B that the kernel keeps on the way, at least: more of it is only older values after a cut."""
+
+
+def is_exposed(address: str) -> bool:
+    """Return whether other machines can reach an address; a name counts, but for `localhost`."""
+    host = address.removeprefix("tcp://").rpartition(":")[0].strip("[]")
+    if not address.startswith("tcp://") or host == "localhost":
+        return False
+    try:
+        return not ipaddress.ip_address(host).is_loopback
+    except ValueError:  # a name, or `*`
+        return True
 
 
 def _zmq() -> Any:
@@ -41,6 +55,7 @@ class Endpoint:
         bind: be there for others, else go to where another end is bound.
         size: of a message, [B].
         keys: folder with CURVE keys, or None: anybody who reaches the address may join.
+        without_keys: listen without keys where other machines reach the address, too.
 
     Attributes:
         zmq: the module.
@@ -49,7 +64,8 @@ class Endpoint:
 
     Raises:
         MissingDependencyError: pyzmq is not installed.
-        StateError: the address cannot be had, or a key is missing.
+        StateError: the address cannot be had, a key is missing, or other machines would reach an
+            end that listens without keys.
     """
 
     def __init__(
@@ -61,13 +77,20 @@ class Endpoint:
         bind: bool,
         size: int,
         keys: str | Path | None,
+        without_keys: bool = False,
     ) -> None:
         self.zmq = zmq = _zmq()
         if not str(address).startswith(("tcp://", "ipc://")):
             raise StateError(
                 f"{what}: {address!r} is not an address; give tcp://HOST:PORT or ipc://PATH"
             )
+        if bind and keys is None and not without_keys and is_exposed(address):
+            raise StateError(
+                f"{what}: {address} listens beyond this machine without keys: {WITHOUT_KEYS}; give "
+                "keys=FOLDER (docs/zmq.md), an address of 127.0.0.1 or ipc://, or without_keys=True"
+            )
         self._guard: Any = None
+        self._failures: Any = None
         self._file: tuple[str, int] | None = None  # and its inode
         self._context = zmq.Context()
         self.socket = self._context.socket(zmq.PUB if publish else zmq.SUB)
@@ -90,6 +113,9 @@ class Endpoint:
                 self.socket.setsockopt(zmq.SUBSCRIBE, b"")
             if keys is not None:
                 self._secure(what, Path(keys), bind)
+            if not bind:
+                failed = zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_AUTH
+                self._failures = self.socket.get_monitor_socket(failed)
             self._open(address, bind)
         except zmq.ZMQError as error:
             self.close()
@@ -114,6 +140,22 @@ class Endpoint:
             with suppress(OSError):  # it has gone again
                 os.chmod(path, 0o600)
                 self._file = path, os.stat(path).st_ino
+
+    def rejoin(self) -> None:
+        """Connect anew where somebody without our keys was at the address.
+
+        libzmq does not try again after a handshake that was not its own (`session_base_t::
+        engine_error` of libzmq 4.3: a protocol error ends the session).
+        """
+        failures = self._failures
+        if failures is None or not failures.poll(0):
+            return
+        with suppress(self.zmq.Again):
+            while True:
+                failures.recv_multipart(self.zmq.NOBLOCK)
+        with suppress(self.zmq.ZMQError):  # the session has ended
+            self.socket.disconnect(self.address)
+        self.socket.connect(self.address)
 
     def _secure(self, what: str, folder: Path, bind: bool) -> None:
         """Take keys: who binds has `server.key_secret` and knows its peers, `clients/*.key`; who
@@ -153,6 +195,10 @@ class Endpoint:
         if self._guard is not None:
             self._guard.stop()
             self._guard = None
+        if self._failures is not None:
+            self.socket.disable_monitor()
+            self._failures.close(linger=0)
+            self._failures = None
         self.socket.close(linger=0)
         self._context.term()
         if self._file is not None:

@@ -118,6 +118,41 @@ SENSORS = (
         fault={"freeze": [*IMU, *JOINTS]},
         quick=True,
     ),
+    _sensor(
+        "the yaw gyroscope is off by 2 rad/s",
+        within=13,
+        reason="turned otherwise than the gyroscope",
+        fault=_set("base_ang_vel", 2.0, 2, add=True),
+        quick=True,
+    ),
+    _sensor(
+        "the gyroscope has the other sign",
+        within={"go2": 60, "g1": 60},
+        ticks=WALKING,
+        reason="turned otherwise than the gyroscope",
+        fault={"scale": {"base_ang_vel": -1.0}},
+    ),
+    _sensor(
+        "an encoder jumps by 0.3 rad",
+        within=1,
+        reason="is its encoder sound",
+        fault=_set("joint_pos", 0.3, KNEE, add=True),
+        quick=True,
+    ),
+    *(
+        _sensor(
+            f"all joint velocities {what}",
+            within=30,
+            ticks=WALKING,
+            reason="velocit",
+            fault=fault,
+        )
+        for what, fault in (
+            ("stand still", {"freeze": ["joint_vel"]}),
+            ("are zero", _set("joint_vel", 0.0)),
+            ("have the other sign", {"scale": {"joint_vel": -1.0}}),
+        )
+    ),
     _sensor("stamps stand still", within=5, reason="stale", fault={"freeze": ["stamp_ns"]}),
     _sensor("the robot falls silent (recv tells)", reason="made by", fault={"raise": "Fault"}),
 )
@@ -126,6 +161,14 @@ HARDWARE = (
     _hardware("a motor at 120 °C", reason="motor_temp", fault=_set("motor_temperature", 120.0, 2)),
     _hardware("NaN in motor_temperature", reason="nan", fault=_set("motor_temperature", "nan")),
     _hardware("a motor tells an error", reason="motor_error", fault=_set("motor_error", 7, 5)),
+    _hardware("a motor leaves its mode", reason="is in mode", fault={"mode": 0, "joint": KNEE}),
+    _hardware("a motor is too hot to go on, mode 8", reason="is", fault={"mode": 8, "joint": 0}),
+    _hardware(
+        "the operator holds all buttons of the remote",
+        within=1,
+        reason="the operator pressed",
+        fault=_set("buttons", 1),
+    ),
     _hardware("NaN in battery_charge", reason="nan", fault=_set("battery_charge", "nan")),
     _hardware("the battery is empty", reason="battery", fault=_set("battery_charge", 0.01)),
 )

@@ -4,7 +4,8 @@
     platform: unicon_ros.bench.faults.simulated_platform:robot          # gates, approach, real time
 
 The second counts as a robot: WAIT and APPROACH are run, and its IMU has the noise of a real one.
-Both tell of motors and battery, so that the whole set of a robot's safety blocks sees something.
+Both tell of motors, battery and a remote that is off, so that the whole set of a robot's safety
+blocks sees something.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ from unicon_core.platforms.sim.mujoco.platform import make
 from unicon_core.robots import Robot
 from unicon_core.runtime import Runner
 from unicon_core.states import States
-from unicon_core.states.standard import COMMAND_STATES, HARDWARE_STATES
+from unicon_core.states.standard import COMMAND_STATES, CONTROL_STATES, HARDWARE_STATES
+from unicon_ros.hardware.modes import ModeGuard
 
 __all__ = ["LOGGED", "MODULE", "FaultyRobot", "FaultySimulator", "robot", "simulator"]
 
@@ -50,6 +52,8 @@ class FaultySimulator:
             `nan`, for all elements; `joint` limits it to one, and `add` adds instead.
         freeze: states that keep their value, of that joint alone where one is given.
         swap: two joints, whose measured values are mixed up.
+        mode: that the motor of `joint` reports instead of the commanded one, as drivers of robots
+            see it.
         once: states are wrong for one tick.
         raise: `Fault` or a built-in exception, in `recv` or `in: send`.
         hang: time in [s] for which recv does not return, once.
@@ -62,7 +66,7 @@ class FaultySimulator:
         onset: commands that had left when the fault began, or None.
     """
 
-    facts = Facts("faulty", simulated=True, writes=(*SIMULATED, *HARDWARE_STATES))
+    facts = Facts("faulty", simulated=True, writes=(*SIMULATED, *HARDWARE_STATES, *CONTROL_STATES))
 
     def __init__(
         self,
@@ -77,7 +81,10 @@ class FaultySimulator:
         self._inner = make(states, robot, period, scene=scene)
         self._states, self._fault, self._at, self._during = states, fault, at, during
         self._frozen = {name: np.array(states[name]) for name in fault.get("freeze", ())}
-        self._ticks = 0
+        self._modes = ModeGuard(f"platform {self.facts.name!r}", robot.joint_names, 1)
+        self._modes.reported[...] = 1
+        self._pushing = states["joint_stiffness"], states["joint_effort_ff"]
+        self._ticks, self._period_ns = 0, round(period * 1e9)
         self.log: list[tuple[Any, ...]] = []
         self.phase: Callable[[], str] = str
         self.onset: int | None = None
@@ -128,6 +135,10 @@ class FaultySimulator:
             where = ... if joint is None else joint
             number = float(value) if isinstance(value, str) else value
             states[name][where] = states[name][where] + number if fault.get("add") else number
+        for name, factor in fault.get("scale", {}).items():
+            states[name] *= factor
+        if "mode" in fault:
+            self._modes.reported[joint] = fault["mode"]
         if "swap" in fault:
             one, two = fault["swap"]
             for name in ("joint_pos", "joint_vel"):
@@ -138,6 +149,8 @@ class FaultySimulator:
         if self.due and self._fault.get("in") == "send" and self.phase() == self._during:
             self.begin()
             self._raise()
+        if left := self._modes(*self._pushing):
+            raise Fault(left)
         self.log.append((self.phase(), *(np.array(self._states[name]) for name in LOGGED)))
         self._inner.send()
 
@@ -151,7 +164,7 @@ class FaultySimulator:
 
 
 class FaultyRobot(FaultySimulator):
-    """The same as a robot: its IMU has noise, and its clock is the machine's."""
+    """The same as a robot: its IMU has noise, and its clock goes on, from the machine's time."""
 
     facts = replace(FaultySimulator.facts, name="faulty_robot", simulated=False)
 
@@ -159,6 +172,7 @@ class FaultyRobot(FaultySimulator):
     """Of gyroscope in [rad/s] and accelerometer in [m/s²]."""
 
     _rng = np.random.default_rng(0)
+    _now = 0
 
     def recv(self) -> None:
         """Bring the data with noise."""
@@ -169,7 +183,8 @@ class FaultyRobot(FaultySimulator):
         for name in ("base_ang_vel", "base_lin_acc"):
             if name not in self._frozen or not self.due:
                 states[name] += rng.normal(0.0, self._NOISE, 3).astype(np.float32)
-        states["stamp_ns"][...] = time.monotonic_ns()
+        self._now = (self._now or time.monotonic_ns()) + self._period_ns
+        states["stamp_ns"][...] = self._now
 
 
 def simulator(

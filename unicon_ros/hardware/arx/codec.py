@@ -20,6 +20,7 @@ __all__ = [
     "DM",
     "EC",
     "ENABLE",
+    "ENABLED",
     "Layout",
     "Motors",
     "Packing",
@@ -31,6 +32,10 @@ __all__ = [
 
 ENABLE = bytes(7 * [0xFF]) + b"\xfc"
 """Lets a DM motor take commands; it answers with its state."""
+ENABLED = 1
+"""What a DM motor that takes commands reports; 0 is disabled, from 5 on it is an error that has
+switched it off (jia-xie/python-damiao-driver docs, edometro/DAMIAO_Control_Arduino src/DMMotor.h).
+Whether those that ARX builds in do the same is not public."""
 REPLY = 0b001
 """Kind of an EC motor's answer to a command: the highest three bits of its first byte."""
 
@@ -64,6 +69,7 @@ class Reply(NamedTuple):
         torque: in the motor's own measure.
         temperature: in [°C]; None where its kind does not tell.
         error: code, 0 for none or where its kind does not tell.
+        mode: `ENABLED` and others of a DM motor; 0 where its kind does not tell.
     """
 
     motor: int
@@ -72,6 +78,7 @@ class Reply(NamedTuple):
     torque: float
     temperature: float | None
     error: int
+    mode: int = 0
 
 
 def _bounds(layout: Layout) -> tuple[tuple[float, ...], tuple[float, ...], tuple[int, ...]]:
@@ -178,9 +185,9 @@ def reply_of(number: int, data: bytes) -> Reply | None:
     if len(data) != 8:
         return None
     if number == 0:
-        layout, motor, temperature, error = DM, data[0] & 0x0F, None, 0
+        layout, motor, temperature, error, mode = DM, data[0] & 0x0F, None, 0, data[0] >> 4
     elif data[0] >> 5 == REPLY:
-        layout, motor, error = EC, number, data[0] & 0x1F
+        layout, motor, error, mode = EC, number, data[0] & 0x1F, 0
         temperature = 0.5 * (data[6] - 50)
     else:
         return None
@@ -194,6 +201,7 @@ def reply_of(number: int, data: bytes) -> Reply | None:
         torque * 2.0 * layout.torque / 4095.0 - layout.torque,
         temperature,
         error,
+        mode,
     )
 
 
@@ -207,7 +215,7 @@ def answer(motor: int, layout: Layout, told: Reply) -> tuple[int, bytes]:
             (told.torque, layout.torque, 12),
         )
     )
-    head = motor if layout is DM else REPLY << 5 | told.error & 0x1F
+    head = told.mode << 4 | motor if layout is DM else REPLY << 5 | told.error & 0x1F
     warm = 0 if told.temperature is None else min(max(int(2 * told.temperature + 50), 0), 255)
     word = head << 56 | pos << 40 | vel << 28 | torque << 16 | warm << 8
     return (0 if layout is DM else motor), word.to_bytes(8, "big")

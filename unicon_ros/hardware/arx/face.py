@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES, HARDWARE_STATES
-from unicon_ros.hardware.arx.codec import DM, ENABLE, Motors, Reply, answer, command_of
+from unicon_ros.hardware.arx.codec import DM, ENABLE, ENABLED, Motors, Reply, answer, command_of
 from unicon_ros.hardware.arx.wire import MOST, import_can, open_bus
 from unicon_ros.hardware.facts import TransportFacts
+from unicon_ros.hardware.modes import EmulatedModes
 
 __all__ = ["ArxFace", "face"]
 
@@ -19,24 +22,31 @@ EMPTY = 0.1
 
 
 class ArxFace:
-    """See `Face`; `face` builds it."""
+    """See `Face`; `face` builds it.
+
+    Attributes:
+        modes: of the motors.
+    """
 
     dead_man = math.inf
     """Whether motors let go when commands stop is not known."""
 
-    def __init__(self, states: States, robot: Robot, bus: Any) -> None:
+    def __init__(self, states: States, robot: Robot, bus: Any, reach: dict[str, object]) -> None:
         self._states, self._motors, self._bus = states, Motors.of(robot), bus
         self.rate = TransportFacts(robot).number("rate_hz", 1.0, 1000.0)
-        self.where = bus.channel_info
+        self.where, self.reach = bus.channel_info, reach
+        self.platform = "arx" if reach else ""
         self._can = import_can()
         self._joints = {number: joint for joint, number in enumerate(self._motors.numbers)}
-        self._enabled = {joint: lay is not DM for joint, lay in enumerate(self._motors.layouts)}
+        self._on = np.array([ENABLED * (lay is DM) for lay in self._motors.layouts], np.uint8)
+        self._entered = np.zeros_like(self._on)
+        self.modes = EmulatedModes(np.zeros_like(self._on))
         self._asked: list[int] = []
 
     @property
     def obeys(self) -> bool:
         """Whether all motors are enabled."""
-        return all(self._enabled.values())
+        return bool((self._entered == self._on).all())
 
     def hear(self) -> bool:
         """See `Face`; a command without gains and torque only asks."""
@@ -50,9 +60,10 @@ class ArxFace:
                 continue
             self._asked.append(joint)
             if bytes(frame.data) == ENABLE:
-                self._enabled[joint] = True
-            elif self._enabled[joint]:
+                self._entered[joint] = self._on[joint]
+            elif self._entered[joint] == self._on[joint]:
                 heard |= self._commanded(joint, bytes(frame.data))
+        self.modes.command(self._entered, self._states)
         return heard
 
     def _commanded(self, joint: int, data: bytes) -> bool:
@@ -76,6 +87,7 @@ class ArxFace:
                 float(states["joint_effort"][joint] / motors.state[joint]),
                 None if hot is None else float(hot[joint]),
                 0 if error is None else int(error[joint]),
+                int(self.modes.reported[joint]),
             )
             number, data = answer(motors.numbers[joint], motors.layouts[joint], told)
             self._bus.send(
@@ -101,4 +113,7 @@ def face(states: States, robot: Robot, *, channel: str = "", interface: str = "v
         PlatformError: the bus cannot be opened.
         RobotError: the robot file lacks a fact.
     """
-    return ArxFace(states, robot, open_bus(channel or Motors.of(robot).channel, interface))
+    channel = channel or Motors.of(robot).channel
+    reach = {"channel": channel, "interface": interface, "unverified": True}
+    shared = interface != "virtual"
+    return ArxFace(states, robot, open_bus(channel, interface), reach if shared else {})

@@ -16,7 +16,8 @@ from unicon_core.errors import Fault, MissingDependencyError, PlatformError
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES, HARDWARE_STATES
 from unicon_ros.hardware.answers import Answers
-from unicon_ros.hardware.arx.codec import DM, ENABLE, Motors, Packing, reply_of
+from unicon_ros.hardware.arx.codec import DM, ENABLE, ENABLED, Motors, Packing, reply_of
+from unicon_ros.hardware.modes import UNDOCUMENTED, ModeGuard
 from unicon_ros.hardware.wire import Counts
 
 __all__ = ["MOST", "ArxWire", "import_can", "open_bus"]
@@ -73,6 +74,9 @@ class ArxWire:
         motors: of the arm.
         bus: of python-can, open; closed in `close`.
         rate: of asking, [Hz].
+
+    Attributes:
+        modes: of the motors; those of EC motors, which report none, are always 0.
     """
 
     def __init__(self, states: States, motors: Motors, bus: Any, rate: float) -> None:
@@ -83,6 +87,8 @@ class ArxWire:
         kinds = zip(motors.layouts, motors.numbers)
         self._joints = {(layout is DM, number): i for i, (layout, number) in enumerate(kinds)}
         self._packing = Packing(motors)
+        enabled = [ENABLED if layout is DM else 0 for layout in motors.layouts]
+        self.modes = ModeGuard("arx", motors.names, enabled, settles=UNDOCUMENTED)
         n = len(motors.numbers)
         self._rows = np.zeros((len(COMMAND_STATES), n), np.float32)
         self._sources = list(zip(self._rows, (states[name] for name in COMMAND_STATES)))
@@ -138,6 +144,7 @@ class ArxWire:
         states["joint_effort"][joint] = told.torque * self._motors.state[joint]
         if self._error is not None:
             self._error[joint] = told.error
+        self.modes.reported[joint] = told.mode
         self._answered.heard[joint] = True
 
     def commanders(self) -> dict[str, int]:

@@ -39,10 +39,13 @@ FOLLOWS = {
 class AzureFace:
     """See `Face`; `face` builds it."""
 
+    platform = "azureloong"
+
     def __init__(self, states: States, robot: Robot, address: str, plan: str) -> None:
         self._states, self._link, self._limits = states, Link.of(robot), Limits.of(robot)
         self.rate, self.dead_man = self._link.rate, self._link.lost
         self._plan, self.where = plan, f"{address}:{self._link.port}"
+        self.reach = {"address": address}
         self._frame = np.zeros(1, self._link.state)
         self._frame["size"] = self._frame.nbytes
         self._views = [states[name] for name in COMMAND_STATES]

@@ -76,6 +76,8 @@ class BoosterFace(DdsEnd):
         mode: number of its mode.
     """
 
+    platform = "booster"
+
     def __init__(
         self, states: States, robot: Robot, domain: int | None, address: str, mode: str
     ) -> None:

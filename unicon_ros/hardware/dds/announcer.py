@@ -10,8 +10,6 @@ second.
 
 from __future__ import annotations
 
-import fcntl
-import ipaddress
 import select
 import socket
 import struct
@@ -20,7 +18,7 @@ from threading import Event, Thread
 
 from unicon_core.errors import PlatformError
 
-__all__ = ["Announcer", "ipv4_of", "without"]
+__all__ = ["Announcer", "without"]
 
 FOREIGN = 0x8007
 """The parameter that is left out."""
@@ -29,29 +27,10 @@ GROUP, BASE, PER_DOMAIN = "239.255.0.1", 7400, 250
 AGAIN = 1.0
 """Between two announcements in [s]; the lease of CycloneDDS is 10 s."""
 LARGEST = 65536
-_DATA, _SENTINEL, _SIOCGIFADDR = 0x15, 0x01, 0x8915
+_DATA, _SENTINEL = 0x15, 0x01
 _LITTLE, _INLINE_QOS, _PAYLOAD = 1, 2, 4
 _PREFIX = slice(8, 20)
 """Of the participant, in the header of a message."""
-
-
-def ipv4_of(interface: str) -> str:
-    """Return the IPv4 address of a network interface, which is given by it or by its name.
-
-    Raises:
-        PlatformError: it has none.
-    """
-    with suppress(ValueError):
-        return str(ipaddress.IPv4Address(interface))
-    try:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
-            request = struct.pack("256s", interface.encode()[:15])
-            found = fcntl.ioctl(asked.fileno(), _SIOCGIFADDR, request)
-    except OSError as error:
-        raise PlatformError(
-            f"network interface {interface!r} has no IPv4 address ({error.strerror}); see ip addr"
-        ) from error
-    return socket.inet_ntoa(found[20:24])
 
 
 def without(raw: bytes, unwanted: int = FOREIGN) -> bytes | None:

@@ -8,7 +8,8 @@ from threading import Lock
 from typing import Any
 
 from unicon_core.errors import PlatformError
-from unicon_ros.hardware.dds.announcer import Announcer, ipv4_of
+from unicon_core.interfaces import ipv4_of
+from unicon_ros.hardware.dds.announcer import Announcer
 
 __all__ = ["enter", "leave"]
 

@@ -130,6 +130,13 @@ class DdsEnd:
             writer.warm_up(encode())
 
     @property
+    def reach(self) -> dict[str, object]:
+        """Options `address` and `domain` of a platform for the other end; see `Face`."""
+        participant = self.participant
+        where = {} if participant.address is None else {"address": participant.address}
+        return {**where, "domain": participant.domain}
+
+    @property
     def matched(self) -> bool:
         """Whether somebody reads each of its topics."""
         return all(writer.matched for writer, _ in self._outlets)

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from unicon_msgs_map import Decoder, SubscribeSpec
 from unicon_msgs_map.codec.checksum import unitree_crc
-from unicon_msgs_map.layout.messages import Array, Struct
+from unicon_msgs_map.layout.messages import Struct
 from unicon_msgs_map.layout.paths import Reference, parse_path
 from unicon_msgs_map.layout.walker import static_size
 from unicon_msgs_map.spec import FieldSpec
 from unicon_ros.hardware.wire import Counts
 
-__all__ = ["HEADER", "Frames"]
+__all__ = ["HEADER", "Frames", "offset_of"]
 
 HEADER = b"\x00\x01"
 """Plain CDR (XCDR1), little endian: all that these robots send. XCDR2 has other sizes."""
@@ -55,7 +55,7 @@ class Frames:
         if orientation:
             self._decoder.need_orientation(orientation)
         message = spec.messages.struct(spec.type)
-        self._lengths = {_at(message, name): (name, n) for name, n in (lengths or {}).items()}
+        self._lengths = {offset_of(message, name): (name, n) for name, n in (lengths or {}).items()}
         body = static_size(message, 0)
         self.size = size if body is None else 4 + body
         self._least = self.size or max(self._lengths, default=0) + 4
@@ -94,12 +94,14 @@ class Frames:
         return False
 
 
-def _at(message: Struct, name: str) -> int:
-    """Return where the length of a sequence stands in a frame, behind what has one size."""
+def offset_of(message: Struct, name: str) -> int:
+    """Return where a field stands in a frame, of 4-byte alignment, behind what has one size.
+
+    Of a sequence it is where its length stands.
+    """
     at = 0
     for field, kind in message.fields.items():
         if field == name:
-            assert isinstance(kind, Array)
             break
         size = static_size(kind, at % 8)
         assert size is not None

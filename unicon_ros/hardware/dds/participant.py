@@ -68,6 +68,10 @@ class Participant:
         extra: of the package, which installs cyclonedds.
         announced: older releases of Fast DDS have to see it (`Announcer`); wants an address.
 
+    Attributes:
+        domain: as given.
+        address: as given.
+
     Raises:
         MissingDependencyError: cyclonedds is not installed.
         PlatformError: another version of it is, or the interface or domain cannot be used.
@@ -85,7 +89,7 @@ class Participant:
         _load(what, extra)
         if type(domain) is not int or not 0 <= domain <= LARGEST_DOMAIN:
             raise PlatformError(f"{what}: domain is {domain}; give 0 to {LARGEST_DOMAIN}")
-        self.domain, self._what = domain, what
+        self.domain, self.address, self._what = domain, address, what
         self._entities: list[Any] = []
         self._others: Any = None
         self._echo: Echo | None = None

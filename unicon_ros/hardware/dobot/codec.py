@@ -92,7 +92,7 @@ class Half:
         return Frames(spec, arrays, counts, checked=False)
 
     def _state(self, known: Container[str], percent: float) -> dict[str, Any]:
-        told = MEASURED | {"motor_temp": "motor_temperature"}
+        told = MEASURED | {"motor_temp": "motor_temperature", "mode": "modes"}
         told = {field: name for field, name in told.items() if name in known}
         fields: dict[str, Any] = motors("motor_state", range(self.count), told, self.first)
         if self.first:
@@ -186,4 +186,5 @@ def own_arrays() -> dict[str, NDArray[Any]]:
         "fsm_id": np.zeros((), np.uint16),
         "upper_control": np.zeros((), np.uint8),
         "remote": np.zeros(REMOTE, np.uint8),
+        "modes": np.zeros(LOWER + UPPER, np.uint8),
     }

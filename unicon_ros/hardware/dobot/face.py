@@ -22,6 +22,7 @@ from unicon_ros.hardware.dds.maps import subscribe
 from unicon_ros.hardware.dds.participant import Participant
 from unicon_ros.hardware.dobot.codec import FSM, SWITCH, DobotFacts, own_arrays
 from unicon_ros.hardware.dobot.wire import EXTRA
+from unicon_ros.hardware.modes import EmulatedModes
 from unicon_ros.hardware.torso import IMU_STATES, turned
 from unicon_ros.hardware.wire import Counts
 
@@ -63,8 +64,10 @@ class DobotFace(DdsEnd):
         dead_man: infinity: what the robot does is not public.
         obeys: its state machine is where joint commands act, and the arms are switched over.
         own: what it tells besides states: `fsm_id`, `upper_control` and `remote`.
+        modes: of the motors, those of the last command that acted; 0 before.
     """
 
+    platform = "dobot"
     dead_man = math.inf
 
     def __init__(
@@ -79,6 +82,8 @@ class DobotFace(DdsEnd):
         facts, counts, n = DobotFacts.of(robot, layout), Counts(), robot.num_joints
         domain = facts.domain if domain is None else domain
         self.rate, self.own, self._acts_in = facts.rate, own_arrays(), acts_in
+        self.modes = EmulatedModes(self.own["modes"])
+        self._layout = layout
         self._states, self._waist, self._mode = states, facts.waist, facts.lower.mode
         self._imu = {name: np.array(states[name]) for name in IMU_STATES}
         defaults: dict[str, NDArray[Any]] = {
@@ -112,6 +117,11 @@ class DobotFace(DdsEnd):
                 self.listen(topic, shared_messages().struct(message), asked, anyone=True)
 
     @property
+    def reach(self) -> dict[str, object]:
+        """See `Face`."""
+        return {**super().reach, "layout": self._layout, "fsm_id": self._acts_in}
+
+    @property
     def obeys(self) -> bool:
         """Whether commands act."""
         return int(self.own["fsm_id"]) == self._acts_in and bool(self.own["upper_control"])
@@ -143,4 +153,5 @@ class DobotFace(DdsEnd):
             return False
         for name in COMMAND_STATES:
             self._states[name][...] = heard[name]
+        self.modes.command(heard["modes"], self._states)
         return True

@@ -12,6 +12,7 @@ from unicon_ros.hardware.dds.end import DdsEnd
 from unicon_ros.hardware.dds.participant import Participant
 from unicon_ros.hardware.dobot.codec import DobotFacts, own_arrays
 from unicon_ros.hardware.dobot.takeover import Takeover
+from unicon_ros.hardware.modes import UNDOCUMENTED, ModeGuard
 from unicon_ros.hardware.torso import IMU_STATES, turned
 from unicon_ros.hardware.wire import Counts
 
@@ -34,6 +35,10 @@ class DobotWire(DdsEnd):
         fsm_id: state of the robot's own state machine in which joint commands act.
         silent: nothing is sent.
 
+    Attributes:
+        modes: of the motors; no public source says which values they report ("DDS接口整理.md" of
+            Dobot-Arm/dobot_atom_ros2 names the field only).
+
     Raises:
         UniconError: it cannot be opened.
     """
@@ -55,6 +60,9 @@ class DobotWire(DdsEnd):
         arrays = {name: states[name] for name in states} | own | self._imu
         self._states, self._waist, self._remote = states, facts.waist, own["remote"]
         self._controls = Controls(states) if "sticks" in states else None
+        mode = facts.lower.mode
+        self.modes = ModeGuard(LABEL, robot.joint_names, mode, settles=UNDOCUMENTED)
+        self.modes.reported = own["modes"]
         self._fresh = [0, 0]
         self._pairs = 0
         self._takeover: Takeover | None = None

@@ -79,12 +79,15 @@ class Actuator:
 class FourierFace:
     """See `Face`; `face` builds it."""
 
+    platform = "fourier"
+
     def __init__(self, states: States, actuators: Actuators) -> None:
         self._states, self._facts = states, actuators
         self.rate = 500.0
         self.where = (
             f"{actuators.addresses[0]}:{actuators.port} and {len(actuators.names) - 1} more"
         )
+        self.reach = {"address": actuators.addresses[0]}
         self._actuators = [Actuator() for _ in actuators.names]
         self._sockets: list[Udp] = []
         try:

@@ -49,9 +49,12 @@ class Fsa1Face:
         PlatformError: an address is taken.
     """
 
+    platform = "fourier"
+
     def __init__(self, states: States, servos: Servos) -> None:
         self._states, self._servos, n = states, servos, len(servos.names)
         self.rate, self.dead_man = 500.0, math.inf
+        self.reach = {"address": servos.addresses[0]}
         self.enabled, self.mode = np.zeros(n, bool), np.zeros(n, int)
         self.gains = np.zeros((2, n))
         self._begun = states["joint_pos"] * servos.degrees

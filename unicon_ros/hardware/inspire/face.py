@@ -23,4 +23,4 @@ def face(
     if port is None:
         port = TransportFacts(robot).integer("port", 1, 65535)
     server = PtyServer() if serial else TcpServer(port)
-    return HandFace(states, registers_of(robot), server)
+    return HandFace(states, registers_of(robot), server, "inspire")

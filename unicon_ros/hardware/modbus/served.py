@@ -88,6 +88,7 @@ class TcpServer:
 
     Attributes:
         where: address and port.
+        reach: options of a platform that lead here.
     """
 
     def __init__(self, port: int = 0, address: str = "127.0.0.1") -> None:
@@ -95,6 +96,7 @@ class TcpServer:
         self._listening.setblocking(False)
         self.port = int(self._listening.getsockname()[1])
         self.where = f"{address}:{self.port}"
+        self.reach: dict[str, object] = {"address": address, "port": self.port}
         self._clients: list[tuple[socket.socket, _Served]] = []
 
     def serve(self, answer: Answer) -> None:
@@ -121,12 +123,14 @@ class PtyServer:
 
     Attributes:
         where: the device, to be opened by the driver.
+        reach: options of a platform that lead here.
     """
 
     def __init__(self) -> None:
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
         self.where = os.ttyname(self._slave)
+        self.reach: dict[str, object] = {"device": self.where}
         self._served = _Served(self._master, Rtu())
 
     def serve(self, answer: Answer) -> None:
@@ -146,6 +150,7 @@ class HandFace:
         states: of its simulator.
         registers: as the driver has them.
         server: what it is reached through.
+        platform: that drives it.
         extra: further registers and what they hold.
 
     Attributes:
@@ -165,10 +170,11 @@ class HandFace:
         states: States,
         registers: HandRegisters,
         server: TcpServer | PtyServer,
+        platform: str,
         extra: dict[int, int] | None = None,
     ) -> None:
         self._states, self._registers, self.server = states, registers, server
-        self.where = server.where
+        self.where, self.platform, self.reach = server.where, platform, server.reach
         self.memory = np.zeros(0x10000, np.uint16)
         self.known = np.zeros(0x10000, np.bool_)
         self._joints = len(registers.at_zero)

@@ -124,7 +124,7 @@ class PndFacts:
         return Frames(spec, arrays, counts, checked=False, lengths=lengths)
 
     def _state(self, known: Container[str]) -> dict[str, Any]:
-        told = MEASURED | {"state": "motor_error"}
+        told = MEASURED | {"state": "motor_error", "mode": "modes"}
         told = {field: name for field, name in told.items() if name in known}
         fields: dict[str, Any] = {f"imu_state.{key}": name for key, name in IMU.items()}
         fields |= motors("motor_state", self.slots, told)

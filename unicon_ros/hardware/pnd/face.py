@@ -18,6 +18,7 @@ from unicon_core.states.standard import COMMAND_STATES
 from unicon_ros.hardware.dds.end import DdsEnd
 from unicon_ros.hardware.dds.maps import arrays_of
 from unicon_ros.hardware.dds.participant import Participant
+from unicon_ros.hardware.modes import EmulatedModes
 from unicon_ros.hardware.pnd.codec import COMMAND, REMOTE, STATE_NAME, STATES, PndFacts
 from unicon_ros.hardware.pnd.wire import EXTRA
 from unicon_ros.hardware.wire import Counts
@@ -56,8 +57,10 @@ class PndFace(DdsEnd):
         dead_man: infinity: what the robot does is not public.
         obeys: always: no program of its own that must let go is known.
         remote: the 19 numbers of its remote, to be pressed.
+        modes: of the motors, those of the last command; 0 before.
     """
 
+    platform = "pnd"
     dead_man = math.inf
     obeys = True
 
@@ -75,8 +78,9 @@ class PndFace(DdsEnd):
         self.remote = np.zeros(REMOTE, np.float32)
         self._tick = np.zeros((), np.uint32)
         defaults: dict[str, NDArray[Any]] = {"motor_error": np.zeros(n, np.uint32)}
+        self.modes = EmulatedModes(np.zeros(n, np.uint8))
         own = {"remote": self.remote, "tick": self._tick}
-        arrays = defaults | arrays_of(states) | own
+        arrays = defaults | arrays_of(states) | own | {"modes": self.modes.reported}
         self._states, self._facts = states, facts
         self._heard: dict[str, NDArray[Any]] = {
             name: np.zeros(n, np.float32) for name in COMMAND_STATES
@@ -107,4 +111,5 @@ class PndFace(DdsEnd):
             return False
         for name in COMMAND_STATES:
             self._states[name][...] = heard[name]
+        self.modes.command(heard["modes"], self._states)
         return True

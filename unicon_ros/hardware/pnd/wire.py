@@ -12,6 +12,7 @@ from unicon_core.states import States
 from unicon_ros.hardware.dds.end import DdsEnd
 from unicon_ros.hardware.dds.maps import arrays_of
 from unicon_ros.hardware.dds.participant import Participant
+from unicon_ros.hardware.modes import UNDOCUMENTED, ModeGuard
 from unicon_ros.hardware.pnd.codec import (
     COMMAND,
     REMOTE,
@@ -37,6 +38,9 @@ class PndWire(DdsEnd):
         address: of this machine's network interface, or its name; None for the default.
         silent: nothing is sent.
 
+    Attributes:
+        modes: of the motors; no public source says which values they report.
+
     Raises:
         UniconError: it cannot be opened.
     """
@@ -53,8 +57,9 @@ class PndWire(DdsEnd):
         facts, counts = PndFacts.of(robot), Counts()
         domain = facts.domain if domain is None else domain
         self._remote = np.zeros(REMOTE, np.float32)
+        self.modes = ModeGuard(LABEL, robot.joint_names, facts.mode, settles=UNDOCUMENTED)
         own = {"remote": self._remote, "tick": np.zeros((), np.uint32)}
-        arrays = arrays_of(states) | own
+        arrays = arrays_of(states) | own | {"modes": self.modes.reported}
         self._controls = Controls(states) if "sticks" in states else None
         self._mounting, self._imu = Mounting.of(robot), {name: states[name] for name in IMU_STATES}
         self._kinds = {

@@ -18,4 +18,4 @@ def face(states: States, robot: Robot, *, version: int = 0x0100) -> HandFace:
         version: of its protocol, the major one in the high byte.
     """
     extra = {TransportFacts(robot).integer("register_protocol", 0, 0xFFFF): version}
-    return HandFace(states, registers_of(robot), PtyServer(), extra)
+    return HandFace(states, registers_of(robot), PtyServer(), "rohand", extra)

@@ -28,6 +28,8 @@ from unicon_ros.hardware.dds.end import DdsEnd
 from unicon_ros.hardware.dds.frames import Frames
 from unicon_ros.hardware.dds.maps import arrays_of
 from unicon_ros.hardware.dds.participant import Participant
+from unicon_ros.hardware.modes import EmulatedModes
+from unicon_ros.hardware.robot_clock import Milliseconds
 from unicon_ros.hardware.torso import IMU_STATES, turned
 from unicon_ros.hardware.unitree.facts import UnitreeFacts
 from unicon_ros.hardware.unitree.maps import command_in, state_out
@@ -102,10 +104,13 @@ class UnitreeFace(DdsEnd):
         where: topic and domain.
         mode: of that controller, "" where it has let go.
         counts: of commands.
+        modes: of the motors; 0 only where its own controller has let go before the first command.
         remote: the wireless remote's bytes, to be pressed.
         held: what presses them, or None.
         asked: numbers of the requests that its services got, by service.
     """
+
+    platform = "unitree"
 
     def __init__(
         self,
@@ -137,6 +142,7 @@ class UnitreeFace(DdsEnd):
         self._imu = {name: np.array(states[name]) for name in IMU_STATES}
         if facts.waist is not None:
             arrays |= self._imu
+        self.now, self.clock = math.nan, Milliseconds(TICK_MS)
         self._tick, self._pairs = own["tick"], own["temperatures"].reshape(-1, 2)
         self._heat = arrays["motor_temperature"]
         own["mode_machine"][...] = (facts.mode_machine or 0) if variant is None else variant
@@ -144,9 +150,9 @@ class UnitreeFace(DdsEnd):
         heard = {name: np.zeros(n, np.float32) for name in COMMAND_STATES} | own_arrays(robot)
         self._heard: Mapping[str, NDArray[Any]] = heard
         self._variant = own["mode_machine"]
-        self._modes = np.zeros(n, np.uint8)
-        for run in facts.driven:
-            self._modes[slice(*run.joints)] = run.mode
+        self._modes = np.array(facts.modes, np.uint8)
+        own["modes"][...] = self._modes if mode else 0
+        self.modes = EmulatedModes(own["modes"])
         self._frames = Frames(command_in(facts), heard, counts)
         where = f"{facts.command_topic} of DDS domain {domain}"
         super().__init__(Participant(domain, address, LABEL), where, counts)
@@ -164,7 +170,7 @@ class UnitreeFace(DdsEnd):
     def tell(self) -> None:
         """Send what the robot measures."""
         states, waist = self._states, self._facts.waist
-        self._tick += TICK_MS
+        self._tick[...] = self.clock(self.now)
         if self.held is not None:
             self.held()
         if waist is not None:
@@ -187,8 +193,10 @@ class UnitreeFace(DdsEnd):
     def read(self, raw: bytes) -> bool:
         """Bring a command that acts into the command states."""
         read = self._frames.read(raw)
-        for name in COMMAND_STATES if read else ():
-            self._states[name][...] = self._heard[name]
+        if read:
+            for name in COMMAND_STATES:
+                self._states[name][...] = self._heard[name]
+            self.modes.command(self._heard["modes"], self._states)
         return read
 
     def _accepted(self) -> bool:

@@ -78,6 +78,18 @@ class UnitreeFacts:
         """The runs that have joints."""
         return tuple(run for run in self.runs if run.joint >= 0)
 
+    @property
+    def modes(self) -> list[int]:
+        """Byte `mode` of each joint's commands, and of its state while its motor works.
+
+        A Go2's working motors report 1, stopped ones 0 (what one reported that stood and sat is in
+        hanlinniu/unitree_sdk2_python example/low_level/motor_state_data_example_*.py); those of
+        G1 and H1-2 1 enabled, 0 disabled (unitree_sdk2 example/g1/low_level). Of an H1 no source
+        says it, and unitree_mujoco leaves 0.
+        """
+        found = {joint: run.mode for run in self.driven for joint in range(*run.joints)}
+        return [found[joint] for joint in sorted(found)]
+
     def message(self, name: str) -> Struct:
         """Return a message of the protocol, such as `LowCmd`."""
         return shared_messages().struct(f"{self.protocol}/msg/{name}")

@@ -58,7 +58,7 @@ def command_in(facts: UnitreeFacts) -> SubscribeSpec:
 def _state(facts: UnitreeFacts, known: Container[str], percent: float) -> dict[str, Any]:
     fields: dict[str, Any] = {f"imu_state.{key}": state for key, state in IMU.items()}
     fields |= {"tick": "tick", "wireless_remote": "remote"}
-    motors = dict(MEASURED)
+    motors = MEASURED | {"mode": "modes"}
     if facts.go:
         motors["temperature"] = "motor_temperature"
         fields["foot_force"] = "foot_force"

@@ -18,9 +18,11 @@ from unicon_core.states.stacked import spans
 from unicon_core.states.standard import CONTROL_STATES, HARDWARE_STATES, JOINT_STATES
 from unicon_msgs_map import Decoder, Encoder
 from unicon_ros.hardware.dds.end import DdsEnd
-from unicon_ros.hardware.dds.frames import Frames
+from unicon_ros.hardware.dds.frames import Frames, offset_of
 from unicon_ros.hardware.dds.maps import arrays_of
 from unicon_ros.hardware.dds.participant import Participant
+from unicon_ros.hardware.modes import ModeGuard
+from unicon_ros.hardware.robot_clock import Repeats
 from unicon_ros.hardware.torso import IMU_STATES, turned
 from unicon_ros.hardware.unitree.facts import UnitreeFacts
 from unicon_ros.hardware.unitree.maps import command_out, head_in, state_in
@@ -64,6 +66,7 @@ class UnitreeWire(DdsEnd):
     Attributes:
         remote: the wireless remote's bytes, as they came last.
         variant: what the robot tells of itself, {} before its first frame.
+        modes: of the motors.
 
     Raises:
         UniconError: it cannot be opened.
@@ -87,6 +90,8 @@ class UnitreeWire(DdsEnd):
         self._facts, self._checked, self._last = facts, checked, -1
         own = own_arrays(robot) | {"remote": np.frombuffer(self.remote, np.uint8)}
         self._tick, self._mode = own["tick"], own["mode_machine"]
+        self.modes = ModeGuard(LABEL, robot.joint_names, facts.modes)
+        self.modes.reported = own["modes"]
         told = {name for name in (*TOLD, FOOT_FORCE) if name in states}
         told -= set() if checked else set(HARDWARE_STATES)
         staged = States(states.layout)  # what is read waits here for the tick
@@ -103,6 +108,10 @@ class UnitreeWire(DdsEnd):
         read = state_in(facts, arrays.keys() - {"tick", "mode_machine"})
         self._frames = Frames(read, arrays, counts, checked=checked, orientation="base_quat")
         self._head = Decoder.build(head_in(facts), arrays)
+        message = facts.message("LowState")
+        ends = ("head", "tick") if facts.go else ("imu_state", "wireless_remote")
+        measured = slice(*(offset_of(message, name) for name in ends))
+        self._repeats = Repeats(LABEL, measured)
         if "wireless_remote" in states:
             self._tell.append((memoryview(states["wireless_remote"].data), memoryview(self.remote)))
         self._release: Release | None = None
@@ -136,9 +145,22 @@ class UnitreeWire(DdsEnd):
     def _forget(self) -> None:
         self._last = -1
 
+    @property
+    def clock_ms(self) -> int | None:
+        """The robot's tick; unitree_mujoco's is the time of its physics."""
+        return self._last if self._checked and self._last >= 0 else None
+
     def good(self, raw: bytes) -> bool:
-        """Tell whether a frame may be read, by its form, number and variant."""
-        return self._frames.good(raw) and self._new(raw)
+        """Tell whether a frame may be read, by its form, number and variant.
+
+        Raises:
+            Fault: the robot's variant is another one than it was, or its measurements repeat.
+        """
+        if not (self._frames.good(raw) and self._new(raw)):
+            return False
+        if self._checked:
+            self._repeats(raw)
+        return True
 
     def _new(self, raw: bytes) -> bool:
         if not self._head.decode(raw):

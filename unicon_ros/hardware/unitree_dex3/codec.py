@@ -42,7 +42,7 @@ class Dex3Facts:
         command_topic: of HandCmd.
         rate: of HandState in [Hz].
         slots: motor of each joint.
-        modes: byte `mode` of each motor that shall run, by slot.
+        modes: byte `mode` of each joint's motor that shall run.
     """
 
     domain: int
@@ -61,13 +61,14 @@ class Dex3Facts:
         """
         facts = TransportFacts(robot)
         status = facts.integer("status", 0, 7)
+        slots = facts.slots("motors", MOTORS)
         return cls(
             facts.integer("domain", 0, LARGEST_DOMAIN),
             facts.text("state_topic"),
             facts.text("command_topic"),
             facts.number("rate_hz", 1.0, 10_000.0),
-            facts.slots("motors", MOTORS),
-            tuple(slot | status << 4 for slot in range(MOTORS)),
+            slots,
+            tuple(slot | status << 4 for slot in slots),
         )
 
     @staticmethod
@@ -88,9 +89,7 @@ class Dex3Facts:
 
     def command_in(self, arrays: Arrays, counts: Counts) -> Frames:
         """Return what reads HandCmd, as the hand does."""
-        fields = motors("motor_cmd", self.slots, COMMANDS) | {
-            f"motor_cmd[0:{MOTORS}].mode": "modes"
-        }
+        fields = motors("motor_cmd", self.slots, COMMANDS | {"mode": "modes"})
         spec = subscribe(self.command_topic, COMMAND, fields)
         return Frames(spec, arrays, counts, checked=False, lengths={"motor_cmd": MOTORS})
 
@@ -103,12 +102,12 @@ class Dex3Facts:
         return self._command({}, {}, TIMEOUT)
 
     def _command(self, arrays: Arrays, fields: Mapping[str, Any], bits: int) -> Callable[[], bytes]:
-        modes = {f"motor_cmd[{k}].mode": mode | bits for k, mode in enumerate(self.modes)}
+        modes = {f"motor_cmd[{k}].mode": mode | bits for k, mode in zip(self.slots, self.modes)}
         spec = publish(self.command_topic, COMMAND, {**modes, **fields})
         return Encoder.build(spec, arrays).encode
 
     def _state(self, known: Container[str]) -> dict[str, Any]:
-        told = MEASURED | {"motorstate": "motor_error"}
+        told = MEASURED | {"motorstate": "motor_error", "mode": "modes"}
         told = {field: name for field, name in told.items() if name in known}
         fields: dict[str, Any] = motors("motor_state", self.slots, told)
         for joint, slot in enumerate(self.slots):
@@ -120,4 +119,4 @@ class Dex3Facts:
 def own_arrays(robot: Robot) -> dict[str, NDArray[Any]]:
     """Return the arrays of the messages that are not states, zero; for both ends of the wire."""
     n = robot.num_joints
-    return {"temperatures": np.zeros(2 * n, np.float32), "modes": np.zeros(MOTORS, np.uint8)}
+    return {"temperatures": np.zeros(2 * n, np.float32), "modes": np.zeros(n, np.uint8)}

@@ -18,9 +18,9 @@ from unicon_core.states.standard import COMMAND_STATES
 from unicon_ros.hardware.dds.end import DdsEnd
 from unicon_ros.hardware.dds.maps import arrays_of
 from unicon_ros.hardware.dds.participant import Participant
+from unicon_ros.hardware.modes import EmulatedModes
 from unicon_ros.hardware.unitree_dex3.codec import (
     COMMAND,
-    MOTORS,
     STATE,
     TIMEOUT,
     Dex3Facts,
@@ -62,8 +62,10 @@ class Dex3Face(DdsEnd):
         dead_man: infinity: what the hand does is not public.
         obeys: always.
         stopped: the last command was a stop.
+        modes: of the motors, those of the last command; 0 before.
     """
 
+    platform = "unitree_dex3"
     dead_man = math.inf
     obeys = True
 
@@ -84,7 +86,8 @@ class Dex3Face(DdsEnd):
         self._heard: dict[str, NDArray[Any]] = {
             name: np.zeros(n, np.float32) for name in COMMAND_STATES
         }
-        self._heard["modes"] = np.zeros(MOTORS, np.uint8)
+        self._heard["modes"] = np.zeros(n, np.uint8)
+        self.modes = EmulatedModes(own["modes"])
         frames = facts.command_in(self._heard, counts)
         super().__init__(Participant(domain, address, LABEL), facts.command_topic, counts)
         with self.closing():
@@ -110,4 +113,5 @@ class Dex3Face(DdsEnd):
         self.stopped = stops
         for name in COMMAND_STATES:
             self._states[name][...] = heard[name]
+        self.modes.command(heard["modes"], self._states)
         return True

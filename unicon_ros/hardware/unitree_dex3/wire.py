@@ -11,6 +11,7 @@ from unicon_core.states import States
 from unicon_ros.hardware.dds.end import DdsEnd
 from unicon_ros.hardware.dds.maps import arrays_of
 from unicon_ros.hardware.dds.participant import Participant
+from unicon_ros.hardware.modes import UNDOCUMENTED, ModeGuard
 from unicon_ros.hardware.unitree_dex3.codec import COMMAND, STATE, Dex3Facts, own_arrays
 from unicon_ros.hardware.wire import Counts
 
@@ -34,6 +35,9 @@ class Dex3Wire(DdsEnd):
         address: of this machine's network interface, or its name; None for the default.
         silent: nothing is sent.
 
+    Attributes:
+        modes: of the motors; no public source says whether a hand reports the commanded ones.
+
     Raises:
         UniconError: it cannot be opened.
     """
@@ -50,6 +54,8 @@ class Dex3Wire(DdsEnd):
         facts, counts, own = Dex3Facts.of(robot), Counts(), own_arrays(robot)
         domain = facts.domain if domain is None else domain
         arrays = arrays_of(states) | own
+        self.modes = ModeGuard(LABEL, robot.joint_names, facts.modes, settles=UNDOCUMENTED)
+        self.modes.reported = own["modes"]
         frames = facts.state_in(arrays, counts)
         self._pairs = own["temperatures"][0::2], own["temperatures"][1::2]
         self._hottest = arrays.get("motor_temperature")

@@ -12,6 +12,8 @@ import numpy as np
 
 from unicon_core.robots import Robot
 from unicon_core.states import States
+from unicon_ros.hardware.modes import EmulatedModes
+from unicon_ros.hardware.robot_clock import Milliseconds
 from unicon_ros.hardware.udp import Udp
 from unicon_ros.hardware.unitree_legged.codec import (
     CELL_VOLT,
@@ -75,8 +77,10 @@ class LeggedFace:
         good: good commands so far.
         refused: others so far.
         remote: the 40 bytes of the wireless remote that it tells.
+        modes: of the motors.
     """
 
+    platform = "unitree_legged"
     dead_man = math.inf
 
     def __init__(
@@ -85,15 +89,19 @@ class LeggedFace:
         self.rate, self.obeys, self._encrypted, self._link = link.rate, obeys, encrypted, link
         self.good = self.refused = 0
         self.where = f"{link.address}:{link.port}"
+        self.reach: dict[str, object] = {"address": link.address, "port": link.port}
+        self.reach |= {"generation": link.generation} | ({"encrypted": True} if encrypted else {})
         self.remote = bytearray(40)
-        self._states, self._told = states, 0
+        self._states, self.now = states, math.nan
+        self.clock = Milliseconds(1000.0 / self.rate)
         self._in, self._out = Frame(link.layout.command), Frame(link.layout.state)
         self._commanded = self._in["motors"][link.motors]
         self._motors = self._out["motors"][link.motors]
         self._out.buffer[: len(link.layout.head)] = link.layout.head
         self._out["level"][...] = link.level_flag
         self._out["quat"][...] = (1.0, 0.0, 0.0, 0.0)
-        self._motors["mode"] = link.damping
+        self.modes = EmulatedModes(self._motors["mode"])
+        self.modes.reported[...] = link.damping
         self._motors["temperature"] = REST
         if "bms" in self._out:
             self._out["bms"]["soc"] = round(100 * FULL)
@@ -129,8 +137,8 @@ class LeggedFace:
 
     def _obey(self) -> None:
         link, states, motors = self._link, self._states, self._commanded
-        self._motors["mode"] = motors["mode"] if self.obeys else link.damping
         if not self.obeys:
+            self.modes.reported[...] = link.damping
             return
         brakes = motors["mode"] == link.damping
         held = motors["q"] != np.float32(link.pos_stop)
@@ -143,10 +151,11 @@ class LeggedFace:
         stiffness[...] = np.where(held & ~brakes, motors["kp"] / STIFFNESS, 0.0)
         damping[...] = np.where(moves, motors["kd"] / DAMPING, 0.0)
         damping[brakes] = BRAKE
+        self.modes.command(motors["mode"], states)
 
     def tell(self) -> None:
         """Answer everybody of whom a command has come."""
-        self._told += 1
+        count = self.clock(self.now)
         if not self._owed:
             return
         states, frame, motors = self._states, self._out, self._motors
@@ -166,7 +175,7 @@ class LeggedFace:
                 each = float(states["battery_voltage"]) / CELLS / CELL_VOLT
                 bms["cells"][:CELLS] = np.clip(round(each), 0, 255)
         frame["remote"][...] = np.frombuffer(self.remote, np.uint8)
-        frame["tick"][...] = round(self._told * 1000.0 / self.rate) & 0xFFFFFFFF  # [ms]
+        frame["tick"][...] = count
         frame.seal(self._encrypted)
         for sender in self._owed:
             self._udp.peer = sender

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -37,6 +39,9 @@ class StateReader:
 
     Attributes:
         modes: of the robot's motors in the datagram that was told last, shape (n,).
+        newest: its tick in the last good datagram, [ms].
+        measured: the bytes of a datagram in which it measures, of so many.
+        length: so many.
 
     Raises:
         StateError: `foot_force` is not of four.
@@ -49,8 +54,10 @@ class StateReader:
         motors, count = frame["motors"][link.motors], robot.num_joints
         self._link, self._counts, self._encrypted = link, counts, encrypted
         self._level, self._tick, self._remote = frame["level"], frame["tick"], frame["remote"]
+        at: Any = link.layout.state.fields
+        self.measured, self.length = slice(at["quat"][1], at["tick"][1]), len(frame.buffer)
         self._modes, self.modes = motors["mode"], np.zeros(count, np.uint8)
-        self._newest: int | None = None
+        self.newest: int | None = None
         # What must be finite, side by side: one check for all.
         self._floats = np.zeros(2 * count + 10, np.float32)
         pos, vel, *imu = np.split(self._floats, np.cumsum((count, count, 4, 3)))
@@ -84,7 +91,7 @@ class StateReader:
     def good(self, datagram: bytes) -> bool:
         """Return whether it is good and new; it is counted where it is not."""
         frame, link, refuse = self._frame, self._link, self._counts.refuse
-        wanted = len(frame.buffer)
+        wanted = self.length
         if len(datagram) != wanted:
             what = f"{len(datagram)} bytes instead of {wanted}"
             if other := _COMMAND_BYTES.get(len(datagram)):
@@ -99,7 +106,7 @@ class StateReader:
         if not datagram.startswith(link.layout.head) or level != link.level_flag:
             refuse("wrong head", f"{datagram[:3].hex()}, of level {level:#x}")
             return False
-        tick, newest = int(self._tick), self._newest
+        tick, newest = int(self._tick), self.newest
         if newest is not None and not newer(tick, newest):  # in 49 days they begin anew
             why = "tick that stands still" if tick == newest else "older than the one before"
             refuse(why, f"tick {tick} behind {newest}")
@@ -111,7 +118,7 @@ class StateReader:
             wrong = int(np.argmin(finite))
             refuse("not finite", f"{self._labels[wrong]} is {self._floats[wrong]}")
             return False
-        self._newest = tick
+        self.newest = tick
         return True
 
     def tell(self, remote: bytearray) -> None:

@@ -18,6 +18,8 @@ from unicon_core.errors import Fault, PlatformError
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
+from unicon_ros.hardware.modes import ModeGuard
+from unicon_ros.hardware.robot_clock import Repeats
 from unicon_ros.hardware.udp import Udp
 from unicon_ros.hardware.unitree_legged.codec import CommandFrame
 from unicon_ros.hardware.unitree_legged.link import NAME, Link
@@ -42,12 +44,14 @@ class LeggedWire:
         link: to the robot.
         watchdog: a tick that is later damps the robot, [s].
         encrypted: with the checksum of a Go1 that is not an EDU.
-        check_mode: commands begin once every motor tells that it is in servo mode.
+        check_mode: commands begin once every motor reports servo mode, and one that leaves it is a
+            fault.
 
     Attributes:
         counts: of what came in.
         where: the robot's address and port, and from where they are reached.
         remote: the 40 bytes of the wireless remote, as they came last.
+        modes: of the motors; None where they are not to be looked at.
 
     Raises:
         PlatformError: the port is taken, or there is no way to the robot.
@@ -68,7 +72,13 @@ class LeggedWire:
         self.remote = bytearray(40)
         self._controls = Controls(states) if "sticks" in states else None
         self._reader = StateReader(states, robot, link, self.counts, encrypted)
-        self._link, self._check_mode, self._names = link, check_mode, robot.joint_names
+        self._repeats = Repeats(f"platform {NAME!r}", self._reader.measured)
+        self._link = link
+        self.modes: ModeGuard | None = None
+        if check_mode:
+            names, called = robot.joint_names, "servo mode"
+            self.modes = ModeGuard(f"platform {NAME!r}", names, link.servo, called=called)
+            self.modes.reported = self._reader.modes
         self._commands = [states[name] for name in COMMAND_STATES]
         self._nothing = np.zeros(robot.num_joints, np.float32)
         self._out = CommandFrame(
@@ -82,7 +92,7 @@ class LeggedWire:
         )
         idle, zero = bytes(self._out.buffer), self._nothing
         limp = self._out.write(zero, zero, zero, zero, np.nan_to_num(robot.joint_damping))
-        self._watchdog, self._told_late = watchdog, False
+        self._watchdog, self._damped = watchdog, False
         self._effort, self._asks, self._held = states["joint_effort"], True, -math.inf
         local, peer = ("0.0.0.0", link.local_port), (link.address, link.port)
         self._udp = Udp(local, peer, f"platform {NAME!r}")
@@ -103,6 +113,9 @@ class LeggedWire:
         and each check takes 15 µs.
         """
         datagrams = self._udp.received()
+        for datagram in datagrams:
+            if len(datagram) == self._reader.length:
+                self._repeats(datagram)
         while datagrams:
             if self._reader.good(datagrams[-1]):
                 self._reader.tell(self.remote)
@@ -115,22 +128,27 @@ class LeggedWire:
             datagrams.pop()
         return 0
 
+    @property
+    def clock_ms(self) -> int | None:
+        """The robot's tick."""
+        return self._reader.newest
+
     def put(self) -> None:
         """Send the command states, and again until the next ones come.
 
         Raises:
-            Fault: it cannot be sent, or the one before was too long ago: the robot is limp by now,
-                and a stiff command would let it jump. From then on only limp ones leave.
+            Fault: it cannot be sent; or the one before was too long ago, and the robot is limp by
+                now. A stiff command would let its joints jump: from then on only limp ones leave.
         """
         self._asks = False
         pos, vel, effort, stiffness, damping = self._commands
-        late = self._repeater.late
+        late = self._damped or self._repeater.late
         if late:
             effort = stiffness = self._nothing
         self._repeater.put(self._out.write(pos, vel, effort, stiffness, damping))
         self.counts.clamped = self._out.clamped
-        if late and not self._told_late:
-            self._told_late = True
+        if late and not self._damped:
+            self._damped = True
             raise Fault(
                 f"platform {NAME!r}: no command came for {self._watchdog:g} s, the robot was "
                 "damped (watchdog)"
@@ -138,16 +156,8 @@ class LeggedWire:
 
     def prepare(self) -> str:
         """Return what a person has to do so that the motors take commands, "" once they do."""
-        if not self._check_mode:
-            return ""
-        modes, servo = self._reader.modes, self._link.servo
-        wrong = np.flatnonzero(modes != servo)
-        if not len(wrong):
-            return ""
-        return (
-            f"motor {self._names[wrong[0]]} is in mode {modes[wrong[0]]:#04x}, not in servo mode "
-            f"{servo:#04x}; {self._link.preparation}"
-        )
+        wrong = "" if self.modes is None else self.modes.other()
+        return f"{wrong}; {self._link.preparation}" if wrong else ""
 
     def commanders(self) -> dict[str, int]:
         """Return where the robot takes commands, and 1 where somebody else seems to command it.

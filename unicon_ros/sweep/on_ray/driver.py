@@ -186,9 +186,12 @@ def main() -> int:
         def tell(**said: Any) -> None:
             results.write(line_of(said))
 
-        import ray
-
         task = json.loads(lines.readline())
+        try:
+            import ray
+        except ImportError as error:
+            tell(error=f"ray cannot be imported: {error}; pip install 'unicon_ros[ray]' mends it")
+            return 1
         try:
             _join(ray, task)
         except Exception as error:  # whatever a cluster of another kind or version makes of it

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from unicon_core.errors import MissingDependencyError, UniconError
 from unicon_core.signals import SIGNALS
+from unicon_ros.last_words import last_words
 from unicon_ros.sweep.engine import Result
 from unicon_ros.sweep.on_ray.rehearsal import files_of
 from unicon_ros.sweep.on_ray.scratch import Scratch
@@ -128,6 +129,11 @@ class RayEngine:
                     yield Result(**told)
             if self._done:
                 return
+            if process.over and not ready:
+                raise UniconError(
+                    f"ray: Ray did not start: {last_words(self._log)}; mend it (all that it said "
+                    f"is in {self._log}), or try --engine local"
+                )
             if process.over:
                 raise self._lost("Ray has ended")
             if not ready and time.monotonic() > until:

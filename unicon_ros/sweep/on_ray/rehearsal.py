@@ -7,6 +7,7 @@ that it is there; what libraries open by themselves, meshes and networks, was lo
 
 from __future__ import annotations
 
+import importlib.metadata
 import os
 import pathlib
 import sys
@@ -103,16 +104,38 @@ def _modules() -> Iterator[str]:
                 yield module.__file__
 
 
+def _installed(elsewhere: tuple[str, ...]) -> set[str]:
+    """Return files and folders of packages that pip has put into other folders of `sys.path`.
+
+    As by `--user`, `--target` or a `.pth`. Python opens their modules alone: without the libraries
+    that these load by themselves, a copy would be half a package. What somebody writes in such a
+    folder, or installs as editable, is in no RECORD there.
+
+    Args:
+        elsewhere: folders that are not looked into.
+    """
+    found = set()
+    for folder in {os.path.abspath(path) for path in sys.path if path}:
+        if folder.startswith(elsewhere):
+            continue
+        for package in importlib.metadata.distributions(path=[folder]):
+            if package.read_text("RECORD") is not None:
+                first = {file.parts[0] for file in package.files or ()} - {".."}
+                found |= {os.path.join(folder, name) for name in first}
+    return found
+
+
 def to_ship(seen: Iterable[str]) -> list[str]:
     """Return those of some paths that a node does not have by itself, sorted.
 
-    It has the system, Python with its packages, and our code; of these our configurations are
-    shipped all the same, since a workflow may be one. Where a folder is a link, what was read
-    behind it gets a place in it.
+    It has the system, Python with its packages, wherever pip has put them, and our code; of these
+    our configurations are shipped all the same, since a workflow may be one. Where a folder is a
+    link, what was read behind it gets a place in it.
     """
     roots = [f"{root}{os.sep}" for root in config_roots()]
     source = Path(__file__).resolve().parents[3]
     there = [*SYSTEM, *(str(source / name) for name in OURS), sys.prefix, sys.base_prefix]
+    there += _installed(tuple(there))
     has = tuple(f"{each}{os.sep}" for each in there)
 
     def wanted(path: str) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from copy import copy
 from dataclasses import asdict, replace
@@ -34,6 +34,9 @@ from unicon_core.states import States
 from unicon_core.states.standard import BASE_STATES
 
 __all__ = ["MujocoPlatform", "make"]
+
+_IMMOVABLE = 1e4
+"""Rotor in [kg·m²] that no joint moves: 300 N·m turn it by 4 mrad in 0.5 s."""
 
 
 def make(
@@ -254,11 +257,20 @@ class MujocoPlatform:
             for model in self._models
             for limit in (model.actuator_forcelimited, model.jnt_actfrclimited)
         ]
-        return _zeroed(limits, slice(None))
+        return _set_to(0, limits, slice(None))
 
     def undamped(self) -> AbstractContextManager[None]:
         """Do without the joints' own damping for a while, as with `passive: replace`."""
-        return _zeroed([model.dof_damping for model in self._models], self._dofs)
+        return _set_to(0, [model.dof_damping for model in self._models], self._dofs)
+
+    def locked(self, joints: Sequence[int]) -> AbstractContextManager[None]:
+        """Hold joints where they are for a while, for `--twin`: no torque moves their rotors.
+
+        Args:
+            joints: places in the robot's order, as if the model had them welded.
+        """
+        armatures = [model.dof_armature for model in self._models]
+        return _set_to(_IMMOVABLE, armatures, np.asarray(self._dofs)[list(joints)])
 
     @property
     def passive_damping(self) -> NDArray[np.float64]:
@@ -316,12 +328,12 @@ class MujocoPlatform:
 
 
 @contextmanager
-def _zeroed(arrays: list[NDArray[Any]], places: Any) -> Iterator[None]:
-    """Parts of arrays are 0 for a while."""
+def _set_to(value: float, arrays: list[NDArray[Any]], places: Any) -> Iterator[None]:
+    """Parts of arrays have another value for a while."""
     before = [array[places].copy() for array in arrays]
     try:
         for array in arrays:
-            array[places] = 0
+            array[places] = value
         yield
     finally:
         for array, was in zip(arrays, before):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from importlib.util import find_spec
 from itertools import pairwise
 from typing import Any, Literal, get_args
 
@@ -173,8 +174,8 @@ def _imported(device: str) -> tuple[Any, Any]:
     """Return the modules newton and warp, which is to use a device.
 
     Raises:
-        MissingDependencyError: one is not installed, or newton without its part `sim`.
-        PlatformError: there is no such device.
+        MissingDependencyError: newton is not installed.
+        PlatformError: newton is installed without its part `sim`, or there is no such device.
     """
     import_mujoco()  # our way, without a window library
     try:
@@ -185,6 +186,11 @@ def _imported(device: str) -> tuple[Any, Any]:
         SolverMuJoCo.import_mujoco()
     except ImportError as error:
         install = "pip install 'unicon_ros[sim-newton]'"
+        if find_spec("newton") is not None:
+            raise PlatformError(
+                "platform 'newton': newton is installed without its part sim "
+                f"({one_line(error)}): {install}"
+            ) from error
         raise MissingDependencyError("platform 'newton'", "newton", install) from error
     warp.config.log_level = max(warp.config.log_level, warp.LOG_ERROR)
     with quiet(2):  # that there is no CUDA is nothing to complain of

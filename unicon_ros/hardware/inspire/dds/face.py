@@ -59,6 +59,7 @@ class InspireDdsFace(DdsEnd):
         asked: all that it was told last.
     """
 
+    platform = "inspire"
     dead_man = math.inf
     obeys = True
 

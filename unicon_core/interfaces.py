@@ -1,0 +1,34 @@
+"""Network interfaces of this machine, for whoever is given one by its name or by its address."""
+
+from __future__ import annotations
+
+import fcntl
+import ipaddress
+import socket
+import struct
+from contextlib import suppress
+
+from unicon_core.errors import PlatformError
+
+__all__ = ["ipv4_of"]
+
+_SIOCGIFADDR = 0x8915
+
+
+def ipv4_of(interface: str) -> str:
+    """Return the IPv4 address of a network interface, which is given by it or by its name.
+
+    Raises:
+        PlatformError: it has none.
+    """
+    with suppress(ValueError):
+        return str(ipaddress.IPv4Address(interface))
+    try:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
+            request = struct.pack("256s", interface.encode()[:15])
+            found = fcntl.ioctl(asked.fileno(), _SIOCGIFADDR, request)
+    except OSError as error:
+        raise PlatformError(
+            f"network interface {interface!r} has no IPv4 address ({error.strerror}); see ip addr"
+        ) from error
+    return socket.inet_ntoa(found[20:24])
