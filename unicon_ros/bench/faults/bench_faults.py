@@ -18,6 +18,7 @@ from pathlib import Path
 from unicon_core.errors import UniconError, alternatives
 from unicon_ros.bench.faults import (
     cases_data,
+    cases_latches,
     cases_mujoco,
     cases_output,
     cases_program,
@@ -38,6 +39,7 @@ CASES: tuple[Case, ...] = (
     *cases_program.CASES,
     *cases_output.CASES,
     *cases_ros.CASES,
+    *cases_latches.CASES,
     *cases_mujoco.CASES,
 )
 AT_A_TIME = 2

@@ -8,11 +8,12 @@ import signal
 import time
 from pathlib import Path
 
+from unicon_core.blocks.controls.device import declares_controls
 from unicon_core.flow import Amends, Reads, Tick, Writes
 from unicon_core.robots import Robot
 from unicon_ros.bench.faults.command_log import FAULT, OPEN, CommandLog
 
-__all__ = ["broken", "nothing", "slow_build", "swing", "wobble"]
+__all__ = ["broken", "nothing", "pressed", "slow_build", "swing", "wobble"]
 
 
 def swing(tick: float) -> float:
@@ -91,6 +92,23 @@ def broken(
         return False
 
     return step
+
+
+def pressed(buttons: Writes, tick: Reads, *, at: int = 25) -> Tick:
+    """Hold all buttons of the robot's remote.
+
+    Args:
+        at: from this tick on.
+    """
+
+    def step() -> bool:
+        buttons[...] = tick >= at
+        return False
+
+    return step
+
+
+setattr(pressed, "declares", declares_controls)  # noqa: B010  a function has none to mypy
 
 
 def nothing() -> Tick:

@@ -128,6 +128,9 @@ class Case:
         output: where stdout and stderr go: `file`, `closed`, `device full`, `terminal`, or a
             `pipe` that nobody reads.
         file_limit: largest file that the process may write in [byte], as on a full disk.
+        again: arguments of `unicon run`, with which the workflow is started anew once the first
+            run has ended; status and reason are those of the second, commands those of both.
+        clear: node or robot whose latch is let go of before that.
         quick: one of the few that every test run takes.
         spread: it is run at so many random ticks; 0 for one that has its own moment, or none.
         ticks: first and last between which they are.
@@ -151,6 +154,8 @@ class Case:
     failing: str = ""
     output: str = "file"
     file_limit: int | None = None
+    again: tuple[str, ...] | None = None
+    clear: str = ""
     quick: bool = False
     spread: int = TICKS
     ticks: tuple[int, int] = (10, 35)
@@ -186,7 +191,9 @@ class Case:
         """Return what it is run with besides: `mujoco`, `ros`, `child`."""
         found = {
             "mujoco": self.mujoco,
-            "ros": self.node or bool(self.peer) or "--ros" in self.arguments,
+            "ros": self.node
+            or bool(self.peer)
+            or "--ros" in (*self.arguments, *(self.again or ())),
             "child": "platform" in self.workflow,
         }
         return [word for word, is_so in found.items() if is_so]

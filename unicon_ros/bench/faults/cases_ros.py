@@ -9,11 +9,11 @@ from typing import Any
 from unicon_ros.bench.faults.case import AS_THEY_ARE, TICKS, WALK, WOBBLE, Case, Wants
 from unicon_ros.bench.faults.cases_program import second_ctrl_c
 
-__all__ = ["CASES", "COMMANDS", "PRESSED", "RANGES", "SILENCED"]
+__all__ = ["BUSY", "CASES", "COMMANDS", "NODE_TICKS", "PRESSED", "RANGES", "SILENCED"]
 
 _node = partial(Case, "unicon_node", node=True)
 _both = partial(Case, "two at once")
-_POLICY, _NODE = (25, 50), (60, 110)
+_POLICY, NODE_TICKS = (25, 50), (60, 110)
 """Ticks in which a policy runs, and in which those that call a node have found it."""
 RANGES = (1.0, 0.4, 1.0)  # command_ranges of go2_velocity, the larger side
 COMMANDS = Wants(most=None, ms=None, status=(), report=False)
@@ -22,7 +22,7 @@ _GARBAGE = replace(SILENCED, report=True, refused=100)
 # From the call on: the request's way is in it, and a loaded machine takes 150 ms for that.
 PRESSED = Wants(most=10, ms=300.0, reason="estop", report=False)
 _WAITING = ("-p", "autostart:=false")
-_BUSY = {"pacing": {"hang": 1.0}}
+BUSY = {"pacing": {"hang": 1.0}}
 """A robot's is 0.25 s, which a busy machine may take by itself: its figure stands in the table."""
 _GOES_ON = replace(COMMANDS, least=50, gap_ms=1e3, gains=AS_THEY_ARE)
 
@@ -72,11 +72,11 @@ def _called(
 ) -> Case:
     """Somebody calls services of the node; it is run until he is done."""
     peer = ("caller", when, *words)
-    return Case(group, name, wants, node=True, peer=peer, ticks=_NODE, **others)
+    return Case(group, name, wants, node=True, peer=peer, ticks=NODE_TICKS, **others)
 
 
-_estop = partial(_called, "~/estop", workflow=_BUSY)
-_services = partial(_called, "services", workflow=_BUSY)
+_estop = partial(_called, "~/estop", workflow=BUSY)
+_services = partial(_called, "services", workflow=BUSY)
 _asleep = partial(_estop, when="-1", spread=0, arguments=_WAITING)  # nothing ticks yet
 
 
@@ -97,9 +97,9 @@ CASES = (
         replace(_GOES_ON, least=50),
         arguments=("--ros",),
         duration=12.0,
-        workflow=_BUSY,
+        workflow=BUSY,
         peer=("datagrams", "{at}"),
-        ticks=_NODE,
+        ticks=NODE_TICKS,
     ),
     _robot("joint_states fall silent", "silence", _silent("joint_states")),
     _robot("the robot's process is killed", "killed", _silent("topic")),

@@ -30,6 +30,7 @@ PEERS = "unicon_ros.bench.faults.peers"
 START = 40.0  # s in which the first command must have left
 LINGER = 10.0  # s beyond its duration after which a run is killed
 AFTERWARDS = 2.6  # s in which is seen what comes of a peer that was killed
+_NEVER = 10**9
 _NODE = "import sys; from unicon_ros.node_main import main; sys.exit(main())"
 
 
@@ -84,7 +85,8 @@ class FaultRun:
             output = _output(case.output, self.folder / "output.txt")
             self.stream, self.terminal = stack.enter_context(output)
             self.process = self._start(self._command(), self.stream, stack)
-            return self._watch()
+            status = self._watch()
+            return status if case.again is None else self._again(case.again, stack)
 
     def mark(self) -> None:
         """Note that the fault is done now."""
@@ -104,13 +106,34 @@ class FaultRun:
         self.wait_for(lambda: bool((self.log.of(RECV)["tick"] >= tick).any()))
 
     def said(self) -> str:
-        """Return what the process wrote."""
+        """Return what the process wrote, of two the second."""
+        return self._text("output.txt" if self.case.again is None else "again.txt")
+
+    def peer_said(self) -> str:
+        """Return what the peer wrote."""
+        return self._text("peer.txt")
+
+    # -- insides --------------------------------------------------------------------------------
+
+    def _text(self, name: str) -> str:
         try:
-            return (self.folder / "output.txt").read_text(encoding="utf-8", errors="replace")
+            return (self.folder / name).read_text(encoding="utf-8", errors="replace")
         except OSError:
             return ""
 
-    # -- insides --------------------------------------------------------------------------------
+    def _again(self, arguments: tuple[str, ...], stack: ExitStack) -> int | None:
+        """Start the workflow, without its fault, anew; return the status."""
+        case, module = self.case, [sys.executable, "-m", "unicon_ros"]
+        out, _ = stack.enter_context(_output("file", self.folder / "again.txt"))
+        if case.clear:
+            self._start([*module, "latches", "--clear", case.clear], out, stack).wait(LINGER)
+        self._workflow.write_text(json.dumps(self._described(fault=False)), encoding="utf-8")
+        timed = ["--duration", str(case.duration)]
+        run = self._start([*module, "run", str(self._workflow), *timed, *arguments], out, stack)
+        try:
+            return run.wait(START)
+        except subprocess.TimeoutExpired:
+            return None
 
     def _watch(self) -> int | None:
         case, patience = self.case, self.case.duration + LINGER
@@ -162,11 +185,11 @@ class FaultRun:
             word = word.replace(f"{{{name}}}", str(value))
         return word
 
-    def _described(self) -> dict[str, Any]:
-        """Return the workflow."""
+    def _described(self, fault: bool = True) -> dict[str, Any]:
+        """Return the workflow, with its fault or without."""
         case, log = self.case, str(self.log.path)
         platform = "ros" if case.topics else SIMULATOR if case.mujoco else PLATFORM
-        options: dict[str, Any] = {"log": log, "fault": case.fault, "at": case.at}
+        options: dict[str, Any] = {"log": log, "fault": case.fault if fault else {}, "at": case.at}
         values: dict[str, Any] = {
             **ROBOTS[case.robot],
             "start": "none",  # faults count from the first command on
@@ -185,7 +208,8 @@ class FaultRun:
             del values["scene"]
         elif case.robot == "go2":
             values["scene"] = {"initial_pose": "stand"}
-        text = json.dumps(values).replace("{log}", log).replace('"{at}"', str(case.at))
+        text = json.dumps(values).replace("{log}", log)
+        text = text.replace('"{at}"', str(case.at if fault else _NEVER))
         text = text.replace("{name}", self.folder.name)
         filled: dict[str, Any] = json.loads(text)
         return filled

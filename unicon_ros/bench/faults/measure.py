@@ -33,7 +33,8 @@ def measure(run: FaultRun, status: int | None) -> Measured:
     got = Measured(status=status, disk=what_is_there(run.folder))
     report = report_of(run.folder)
     got.overruns = int(report.get("overruns", 0))
-    got.reason = "; ".join(report.get("faults", [])) or _said(run.said())
+    faults = report.get("faults", []) if run.case.again is None else []
+    got.reason = "; ".join(faults) or _said(run.said())
     for folder in (run.folder, Path(unicon_ros.__path__[0]).parent):  # of this run, this machine
         got.reason = got.reason.replace(f"{folder}/", "")
     sent, fault = run.motors.of(SEND), _fault_ns(run)
