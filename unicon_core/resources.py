@@ -22,7 +22,9 @@ from unicon_core.errors import UniconError, alternatives
 from unicon_core.packages import PACKAGE, indexed_folders, package_file, registered_folders
 
 __all__ = [
+    "assets_cache",
     "assets_root",
+    "assets_roots",
     "config_roots",
     "file_beside",
     "find_config",
@@ -160,13 +162,28 @@ def _below(given: Path, relative_to: Path | None) -> str:
 
 
 def assets_root() -> Path | None:
-    """Return the folder of other people's models and policies, or None.
+    """Return the folder of other people's models and policies, or None: the first of several."""
+    return next(assets_roots(), None)
 
-    `UNICON_ASSETS`, else `../shared/assets` beside the source tree.
+
+def assets_roots() -> Iterator[Path]:
+    """Yield the existing folders of other people's models and policies, the first one wins.
+
+    `UNICON_ASSETS`, else `../shared/assets` beside the source tree; then what was fetched.
     """
     given = os.environ.get("UNICON_ASSETS")
-    path = Path(given).expanduser() if given else _SOURCE_TREE.parent / "shared" / "assets"
-    return path if os.path.isdir(path) else None
+    own = Path(given).expanduser() if given else _SOURCE_TREE.parent / "shared" / "assets"
+    for path in (own, assets_cache()):
+        if path is not None and os.path.isdir(path):
+            yield path
+
+
+def assets_cache() -> Path | None:
+    """Return where `unicon assets fetch` puts them; None for a user without a home.
+
+    That is `$XDG_CACHE_HOME/unicon/assets`, else `~/.cache/unicon/assets`.
+    """
+    return _user("XDG_CACHE_HOME", ".cache", "assets")
 
 
 def user_folder(name: str, given: str = "") -> Path | None:
@@ -177,9 +194,13 @@ def user_folder(name: str, given: str = "") -> Path | None:
     """
     if given:
         return Path(given).expanduser()
-    state = os.environ.get("XDG_STATE_HOME", "")
+    return _user("XDG_STATE_HOME", ".local/state", name)
+
+
+def _user(variable: str, folder: str, name: str) -> Path | None:
+    given = os.environ.get(variable, "")
     try:
-        return (Path(state) if state else Path.home() / ".local" / "state") / "unicon" / name
+        return (Path(given) if given else Path.home() / folder) / "unicon" / name
     except RuntimeError:
         return None
 
@@ -202,16 +223,7 @@ def find_resource(
     """
     text = str(reference)
     if text.startswith("assets:"):
-        root = assets_root()
-        if root is None:
-            raise error(
-                f"{what} {text!r} is in the assets folder, which is not at hand; "
-                "set UNICON_ASSETS to its path"
-            )
-        path = root / text.removeprefix("assets:")
-        if os.path.exists(path):
-            return path
-        raise error(f"{what} {text!r}: no file {path}; look for it under {root} (UNICON_ASSETS)")
+        return _asset(text, what, error)
     if text.startswith(PACKAGE):
         return package_file(text, what, error).resolve()
     given = _given(text)
@@ -220,6 +232,29 @@ def find_resource(
             return (base / given).resolve()
     looked = _below(given, relative_to)
     raise error(f"{what} {text!r}: no such file{looked}; correct the path or put the file there")
+
+
+def _asset(text: str, what: str, error: type[UniconError]) -> Path:
+    """Return the file of the assets folders that `assets:PATH` means."""
+    below = text.removeprefix("assets:")
+    roots = [*assets_roots()]
+    for root in roots:
+        if os.path.exists(root / below):
+            return root / below
+    name = below.split("/")[1] if below.count("/") else ""
+    listed = any(f"\n{name}:\n" in f"\n{text}" for text in _asset_lists())
+    looked = f"no file {below} in {', '.join(map(str, roots))} (UNICON_ASSETS)"
+    if not roots:
+        looked = "the assets folder is not at hand"
+    if not (name and listed):
+        raise error(f"{what} {text!r}: {looked}; set UNICON_ASSETS to the folder that has it")
+    raise error(f"{what} {text!r}: {looked}; get it: unicon assets fetch {name}")
+
+
+def _asset_lists() -> Iterator[str]:
+    for root in config_roots():
+        if os.path.isfile(root / "assets.yaml"):
+            yield (root / "assets.yaml").read_text(encoding="utf-8", errors="replace")
 
 
 def file_beside(file: Path, reference: str | Path, what: str, *, error: type[UniconError]) -> Path:

@@ -20,6 +20,7 @@ from unicon_core.outlet import open_standard_files
 from unicon_core.signals import SIGNALS, Interrupted
 from unicon_ros.cli import (
     analyze,
+    assets,
     bag,
     bench,
     check,
@@ -61,6 +62,7 @@ def _parser() -> argparse.ArgumentParser:
         view,
         bench,
         known,
+        assets,
         latches,
     ):
         command.add(commands)

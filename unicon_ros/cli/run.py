@@ -136,6 +136,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="run everything on the live robot and send nothing, at the end either; a simulated "
         "robot gets limp joints",
     )
+    parser.add_argument(
+        "--fetch",
+        nargs="?",
+        const="",
+        metavar="DIR|URL",
+        help="fetch the models and policies that are missing first, of GitHub or of a mirror",
+    )
     parser.add_argument("--quiet", action="store_true", help="no status line and no block table")
     parser.add_argument(
         "--ros-args",
@@ -150,7 +157,12 @@ def run(arguments: argparse.Namespace) -> int:
     # Imported here so that `unicon --help` stays fast and free of optional packages.
     from unicon_core.workflow import load_document
 
-    return run_document(arguments, load_document(arguments.workflow, arguments.overrides))
+    document = load_document(arguments.workflow, arguments.overrides)
+    if arguments.fetch is not None:
+        from unicon_ros.cli.assets import fetch_for
+
+        fetch_for(document, arguments.fetch or None)
+    return run_document(arguments, document)
 
 
 def run_document(arguments: argparse.Namespace, document: WorkflowDocument) -> int:

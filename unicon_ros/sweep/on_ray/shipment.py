@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import UniconError
-from unicon_core.resources import assets_root, config_roots
+from unicon_core.resources import assets_cache, assets_root, config_roots
 
 __all__ = ["FILES", "MOST_BYTES", "arrive", "manifest", "pack"]
 
@@ -46,6 +46,7 @@ def manifest(task: dict[str, Any]) -> dict[str, Any]:
         "python_path": [os.path.abspath(path) for path in sys.path if path],
         "folders": {name: os.environ.get(name, "") for name in FOLDERS},
         "assets": "" if assets is None else str(assets.absolute()),
+        "cache": str(assets_cache() or ""),
     }
 
 
@@ -127,6 +128,8 @@ def arrive(root: Path, told: dict[str, Any]) -> tuple[dict[str, Any], Callable[[
         os.environ[name] = os.pathsep.join(copy(each) for each in listed.split(os.pathsep) if each)
     if told["assets"]:
         os.environ["UNICON_ASSETS"] = copy(told["assets"])
+    if (cache := copy(told["cache"])) != told["cache"]:
+        os.environ["XDG_CACHE_HOME"] = str(Path(cache).parents[1])
     copies = [copy(path) for path in told["python_path"]]
     sys.path[:0] = [path for path in copies if path.startswith(str(files))]
     os.chdir(copy(told["cwd"]))

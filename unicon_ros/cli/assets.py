@@ -1,0 +1,217 @@
+"""`unicon assets`: other people's models and policies, from their public repositories.
+
+unicon assets list                   what there is, its size and licence, what is at hand
+unicon assets fetch g1_29dof h1      into the user's cache, or from a mirror: --from DIR or URL
+unicon assets path g1_29dof          its folder
+unicon assets verify [NAME …]        compares files with the SHA-256 of config/assets.yaml
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+from unicon_core.aligned import aligned
+from unicon_core.errors import UniconError
+from unicon_core.resources import assets_roots
+from unicon_ros.cli.console import CLEAR, is_terminal
+
+if TYPE_CHECKING:
+    from unicon_core.workflow.document import WorkflowDocument
+
+__all__ = ["add", "fetch_all", "fetch_for"]
+
+EVERY = 0.1
+"""Of the progress line in [s]."""
+HEAD = ("asset", "kind", "MB", "licence", "at hand")
+COPYLEFT = ("GPL", "MPL")
+
+
+def add(commands: Any) -> None:
+    """Add the command to the parser."""
+    parser = commands.add_parser(
+        "assets",
+        help="list and fetch public models and policies",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
+    listing = verbs.add_parser("list", help="what there is, and what is at hand")
+    listing.add_argument("--json", action="store_true", help="print JSON")
+    listing.set_defaults(function=_list)
+    fetching = verbs.add_parser("fetch", help="fetch assets into the user's cache")
+    fetching.add_argument("names", nargs="+", metavar="NAME")
+    fetching.add_argument(
+        "--from",
+        dest="mirror",
+        metavar="DIR|URL",
+        help="a mirror, which has NAME/FILE, instead of GitHub",
+    )
+    fetching.set_defaults(function=lambda arguments: fetch_all(arguments.names, arguments.mirror))
+    path = verbs.add_parser("path", help="print the folder of an asset that is at hand")
+    path.add_argument("name", metavar="NAME")
+    path.set_defaults(function=_path)
+    verify = verbs.add_parser("verify", help="compare files with their SHA-256")
+    verify.add_argument("names", nargs="*", metavar="NAME", help="all that was fetched if none")
+    verify.set_defaults(function=_verify)
+
+
+def fetch_all(names: Sequence[str], mirror: str | None = None) -> int:
+    """Fetch assets, and say what comes from where under which licence."""
+    from unicon_core.assets import Asset, fetch, load_assets, named
+    from unicon_core.assets.manifest import LICENCES
+
+    assets = named(names, load_assets())
+
+    def introduce(asset: Asset) -> None:
+        places = ", ".join(f"{s.repository}@{s.commit[:8]}" for s in asset.sources)
+        print(f"{asset.name}: {len(asset.files)} files, {asset.size / 1e6:.1f} MB of {places}")
+        said = f"  licence {asset.licence}"
+        if asset.files[0].name.startswith(LICENCES):
+            said += f", in its folder {LICENCES.rstrip('/')}"
+        if any(word in asset.licence for word in COPYLEFT):
+            said += "; who passes it on has duties"
+        print(said, flush=True)
+
+    for asset in assets:
+        introduce(asset)
+        with _Line(asset.name) as line:
+            got = fetch(asset, mirror=mirror, progress=line, waits=line.waits)
+        done = f"{got.fetched / 1e6:.1f} MB fetched" if got.fetched else "is there"
+        print(f"  {done}: {got.folder}")
+    return 0
+
+
+def fetch_for(document: WorkflowDocument, mirror: str | None = None) -> None:
+    """Fetch the assets that a workflow and its robot name and that are not at hand."""
+    from unicon_core.assets import load_assets
+    from unicon_core.workflow.members import load_robot_of
+
+    robot = load_robot_of(document)
+    models = [model for each in (robot, *robot.members.values()) for model in each.models.values()]
+    names = set()
+    for text in (*_strings(document.values), *models):
+        kind, _, rest = text.removeprefix("assets:").partition("/")
+        if text.startswith("assets:") and kind in ("models", "policies"):
+            names.add((text, rest.partition("/")[0]))
+    roots, known = [*assets_roots()], load_assets()
+    missing = {
+        name
+        for text, name in names
+        if name in known
+        and not any((root / text.removeprefix("assets:")).exists() for root in roots)
+    }
+    if missing:
+        fetch_all(sorted(missing), mirror)
+
+
+def _strings(value: Any) -> Iterator[str]:
+    """Yield the texts in a document."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, dict):
+        for each in value.values():
+            yield from _strings(each)
+    elif isinstance(value, list):
+        for each in value:
+            yield from _strings(each)
+
+
+class _Line:
+    """The progress line, on a terminal alone."""
+
+    def __init__(self, name: str) -> None:
+        self._name, self._next, self._shown = name, 0.0, False
+
+    def __enter__(self) -> _Line:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._shown:
+            print(CLEAR, end="", file=sys.stderr, flush=True)
+
+    def __call__(self, file: str, done: int, size: int) -> None:
+        now = time.monotonic()
+        if now < self._next or not is_terminal():
+            return
+        self._next, self._shown = now + EVERY, True
+        bar = "█" * round(20 * done / max(size, 1))
+        line = f"{CLEAR}{self._name} {bar:<20} {done / 1e6:6.1f} of {size / 1e6:.1f} MB  {file}"
+        print(line, end="", file=sys.stderr, flush=True)
+
+    def waits(self) -> None:
+        """Say that another process is at it."""
+        print(f"{self._name}: another process fetches it; waiting", file=sys.stderr, flush=True)
+
+
+def _list(arguments: argparse.Namespace) -> int:
+    from unicon_core.assets import asset_folder, load_assets
+
+    known = load_assets()
+    assets = {name: each[0] for name, each in known.items() if each[0].name == name}
+    folders = {name: asset_folder(asset) for name, asset in assets.items()}
+    if arguments.json:
+        told = [
+            {
+                "name": asset.name,
+                "kind": asset.kind,
+                "bytes": asset.size,
+                "files": len(asset.files),
+                "licence": asset.licence,
+                "repositories": [f"{s.repository}@{s.commit}" for s in asset.sources],
+                "folder": None if folders[name] is None else str(folders[name]),
+            }
+            for name, asset in assets.items()
+        ]
+        print(json.dumps(told, indent=2))
+        return 0
+    rows = [
+        (a.name, a.kind, f"{a.size / 1e6:.1f}", a.licence, str(folders[a.name] or "-"))
+        for a in assets.values()
+    ]
+    print("\n".join(aligned([HEAD, *rows])))
+    for name in known.keys() - assets.keys():
+        print(f"{name}: {' and '.join(asset.name for asset in known[name])}")
+    return 0
+
+
+def _path(arguments: argparse.Namespace) -> int:
+    from unicon_core.assets import asset_folder, load_assets, named
+
+    for asset in named([arguments.name], load_assets()):
+        folder = asset_folder(asset)
+        if folder is None:
+            raise UniconError(
+                f"asset {asset.name} is not at hand; get it: unicon assets fetch {asset.name}"
+            )
+        print(folder)
+    return 0
+
+
+def _verify(arguments: argparse.Namespace) -> int:
+    """Verify what is at hand; a folder of `UNICON_ASSETS` may have fewer files, or others."""
+    from unicon_core.assets import asset_folder, load_assets, named, wrong_files
+
+    assets = load_assets()
+    chosen = named(arguments.names or [*assets], assets)
+    found = {asset: asset_folder(asset) for asset in chosen}
+    if missing := [a.name for a, folder in found.items() if folder is None and arguments.names]:
+        raise UniconError(
+            f"not at hand: {', '.join(missing)}; get it: unicon assets fetch {' '.join(missing)}"
+        )
+    bad = 0
+    for asset, folder in found.items():
+        if folder is None:
+            continue
+        wrong = wrong_files(folder, asset)
+        bad += bool(wrong)
+        print(f"{asset.name}: {'differs' if wrong else 'as listed'}: {folder}")
+        for name, how in wrong.items():
+            print(f"  {name}: {how}")
+    if not any(found.values()):
+        print("nothing is at hand; see: unicon assets list")
+    return 1 if bad else 0
