@@ -24,6 +24,7 @@ from unicon_ros.cli import (
     bag,
     bench,
     check,
+    doctor,
     emulate,
     known,
     latches,
@@ -64,6 +65,7 @@ def _parser() -> argparse.ArgumentParser:
         known,
         assets,
         latches,
+        doctor,
     ):
         command.add(commands)
     return parser
