@@ -34,6 +34,7 @@ from unicon_ros.cli import (
     show,
     states,
     sweep,
+    talk,
     transfer,
     view,
 )
@@ -66,6 +67,7 @@ def _parser() -> argparse.ArgumentParser:
         assets,
         latches,
         doctor,
+        talk,
     ):
         command.add(commands)
     return parser
