@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from pathlib import Path
@@ -268,34 +269,42 @@ def test_the_assets_policies_are_imported(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "line"),
+    ("words", "said"),
     [
-        (
-            ("import",),
-            "policies import: give what to read and where to write: "
-            "unicon policies import FILE_OR_FOLDER --out DIR",
-        ),
-        (
-            ("import", "go2_velocity"),
-            "policies import: give what to read and where to write: "
-            "unicon policies import FILE_OR_FOLDER --out DIR",
-        ),
-        (
-            ("go2_velocity", "--out", "x"),
-            "policies: --out goes with import; write unicon policies NAME, or "
-            "unicon policies import FILE_OR_FOLDER --out DIR",
-        ),
-        (
-            ("imprt", "go2_velocity"),
-            "policies: go2_velocity goes with import; write unicon policies NAME, or "
-            "unicon policies import FILE_OR_FOLDER --out DIR",
-        ),
+        ("policies import", "unicon policies import: error: the following arguments are required"),
+        ("policies import go2_velocity", "are required: --out"),
+        ("policies fetch --out x", "unicon policies fetch: error: the following arguments"),
+        ("policies go2_velocity --out x", "unrecognized arguments: --out x"),
+        ("policies imprt go2_velocity", "unrecognized arguments: go2_velocity"),
+        ("robots new", "are required: MODEL"),
+        ("robots go2 x.xml", "unrecognized arguments: x.xml"),
     ],
 )
-def test_a_wrong_import_is_told(
-    arguments: tuple[str, ...], line: str, capsys: pytest.CaptureFixture[str]
+def test_a_wrong_use_is_told_with_the_usage(
+    words: str, said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert refused(capsys, "policies", *arguments) == line
+    with pytest.raises(SystemExit) as ended:
+        main(words.split())
+    assert ended.value.code == 2
+    told = capsys.readouterr().err
+    assert said in told
+    assert told.startswith("usage: unicon")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_list_is_had_as_json(kind: str, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = json.loads(unicon(capsys, kind, "--json"))
+    names = [row["name"] for row in rows]
+    assert names == sorted(names)
+    listed = unicon(capsys, kind).splitlines()
+    assert all(any(line.startswith(name) for line in listed) for name in names)
+    assert "leave out x" in refused(capsys, kind, "x", "--json")
+
+
+def test_the_json_of_robots_says_what_is_missing(capsys: pytest.CaptureFixture[str]) -> None:
+    rows = {row["name"]: row for row in json.loads(unicon(capsys, "robots", "--json"))}
+    assert rows["go2"]["missing"] == list(load_robot("go2").missing_facts())
+    assert (rows["go2"]["kind"], rows["go2"]["joints"]) == ("quadruped", 12)
 
 
 def test_an_import_to_where_nothing_can_be_written_is_told(

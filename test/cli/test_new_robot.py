@@ -191,8 +191,6 @@ def test_a_model_that_does_not_say_its_kind_is_asked_for(
     assert not out.exists()
     assert main(["robots", "new", str(path), "--out", str(out), "--kind", "quadruped"]) == 0
     assert load_robot(out).kind == "quadruped"
-    assert main(["robots", "go2", "--kind", "arm"]) == 1
-    assert "--kind goes with new" in capsys.readouterr().err
 
 
 def test_the_rover_is_wheeled(tmp_path: Path) -> None:
@@ -219,7 +217,6 @@ def test_nothing_is_overwritten_and_mistakes_are_told(
         ([str(empty), "--out", str(tmp_path / "e.yaml")], "no joint that turns or slides"),
         ([str(tmp_path / "none.xml")], "none.xml"),
         ([str(model), "--kind", "dog"], "--kind dog is none of quadruped, humanoid, wheeled, hand"),
-        ([], "robots new: give the model"),
     ):
         assert main(["robots", "new", *arguments]) == 1
         error = capsys.readouterr().err
@@ -227,4 +224,3 @@ def test_nothing_is_overwritten_and_mistakes_are_told(
         assert error.count("\n") == 1
     assert there.read_text("utf-8") == "mine"
     assert not (tmp_path / "e.yaml").exists()
-    assert main(["robots", "go2", "model"]) == 1

@@ -20,6 +20,7 @@ from unicon_core.policies.table import (
     joint_table,
     observation_rows,
     observation_table,
+    policies_rows,
     policies_table,
     policy_table,
 )
@@ -44,6 +45,7 @@ __all__ = [
     "load_policy",
     "observation_rows",
     "observation_table",
+    "policies_rows",
     "policies_table",
     "policy_names",
     "policy_states",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from itertools import accumulate
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,30 +25,43 @@ __all__ = [
     "joint_table",
     "observation_rows",
     "observation_table",
+    "policies_rows",
     "policies_table",
     "policy_table",
 ]
 
 
-def policies_table() -> str:
-    """Return one line for each policy in `config/policies/`; a broken one shows its error."""
-    rows = [["policy", "robot", "rate [Hz]", "joints", "source", "terms"]]
+def policies_rows() -> list[dict[str, Any]]:
+    """Return what is told of each policy in `config/policies/`: `error` of a broken one."""
+    rows: list[dict[str, Any]] = []
     for name in policy_names():
         try:
             contract = load_policy(name)
         except PolicyError as error:
-            rows.append([name, "?", "?", "?", str(error), ""])
+            rows.append({"name": name, "error": str(error)})
             continue
         rows.append(
-            [
-                name,
-                contract.robot or "-",
-                f"{1.0 / contract.period:g}",
-                str(len(contract.joints)),
-                contract.source,
-                " ".join(term.name for term in contract.terms),
-            ]
+            {
+                "name": name,
+                "robot": contract.robot,
+                "rate": 1.0 / contract.period,
+                "joints": len(contract.joints),
+                "source": contract.source,
+                "terms": [term.name for term in contract.terms],
+            }
         )
+    return rows
+
+
+def policies_table() -> str:
+    """Return one line for each policy in `config/policies/`; a broken one shows its error."""
+    rows = [["policy", "robot", "rate [Hz]", "joints", "source", "terms"]]
+    for row in policies_rows():
+        if "error" in row:
+            rows.append([row["name"], "?", "?", "?", row["error"], ""])
+            continue
+        facts = [row["robot"] or "-", f"{row['rate']:g}", str(row["joints"]), row["source"]]
+        rows.append([row["name"], *facts, " ".join(row["terms"])])
     return "\n".join(aligned(rows)) if len(rows) > 1 else "no policies in config/policies"
 
 

@@ -4,7 +4,7 @@ from unicon_core.robots.compose import compose, load_files, robot_files
 from unicon_core.robots.joint_index import joint_index
 from unicon_core.robots.load import load_robot, robot_names
 from unicon_core.robots.robot import Imu, Robot
-from unicon_core.robots.table import robot_table, robots_table
+from unicon_core.robots.table import robot_table, robots_rows, robots_table
 
 __all__ = [
     "Imu",
@@ -16,5 +16,6 @@ __all__ = [
     "robot_files",
     "robot_names",
     "robot_table",
+    "robots_rows",
     "robots_table",
 ]

@@ -15,7 +15,7 @@ from unicon_core.robots.load import load_robot, robot_names
 from unicon_core.robots.places import Place
 from unicon_core.robots.robot import JOINT_FIELDS, Robot
 
-__all__ = ["joint_limits", "robot_table", "robots_table"]
+__all__ = ["joint_limits", "robot_table", "robots_rows", "robots_table"]
 
 _UNITS = {
     "lower": "rad",
@@ -31,19 +31,38 @@ _WIDTH = 100
 _UNKNOWN = "unknown"
 
 
-def robots_table() -> str:
-    """Return one line per robot: name, kind, joints, protocol, and whether it can be driven."""
-    rows = [("name", "kind", "joints", "protocol", "description", "to drive it")]
+def robots_rows() -> list[dict[str, Any]]:
+    """Return what is told of each robot: `error` of a broken file, else its facts."""
+    rows: list[dict[str, Any]] = []
     for name in robot_names():
         try:
             robot = load_robot(name)
         except RobotError as error:
-            rows.append((name, "-", "-", "-", "-", f"file is wrong: {one_line(error)}"))
+            rows.append({"name": name, "error": one_line(error)})
             continue
-        missing = robot.missing_facts()
-        ready = f"missing: {', '.join(missing)}" if missing else "complete"
-        protocol = str(robot.transport["protocol"] or _UNKNOWN)
-        rows.append((name, robot.kind, str(robot.num_joints), protocol, robot.description, ready))
+        rows.append(
+            {
+                "name": name,
+                "kind": robot.kind,
+                "joints": robot.num_joints,
+                "protocol": robot.transport["protocol"],
+                "description": robot.description,
+                "missing": list(robot.missing_facts()),
+            }
+        )
+    return rows
+
+
+def robots_table() -> str:
+    """Return one line per robot: name, kind, joints, protocol, and whether it can be driven."""
+    rows = [("name", "kind", "joints", "protocol", "description", "to drive it")]
+    for row in robots_rows():
+        if "error" in row:
+            rows.append((row["name"], "-", "-", "-", "-", f"file is wrong: {row['error']}"))
+            continue
+        ready = f"missing: {', '.join(row['missing'])}" if row["missing"] else "complete"
+        protocol, count = str(row["protocol"] or _UNKNOWN), str(row["joints"])
+        rows.append((row["name"], row["kind"], count, protocol, row["description"], ready))
     return "\n".join(aligned(rows, right=(2,), underlined=False))
 
 

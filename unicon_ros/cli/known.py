@@ -4,142 +4,164 @@ from __future__ import annotations
 
 import argparse
 import inspect
+import json
 from typing import TYPE_CHECKING, Any
 
 from unicon_core.aligned import aligned
-from unicon_core.errors import PlatformError, PolicyError, RobotError, UniconError, WorkflowError
+from unicon_core.errors import PlatformError, UniconError, WorkflowError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
-__all__ = ["add"]
+    from unicon_core.robots import Robot
+
+__all__ = ["VERBS", "add"]
+
+
+VERBS = ("robots new", "policies import", "policies fetch")
+"""Commands of two words, each with its own help."""
 
 
 def add(commands: Any) -> None:
     """Add the commands to the parser."""
     for name, function, what in (
-        (
-            "robots",
-            _robots,
-            "robots and their joints, gains, limits and sources; `new MODEL` writes a file",
-        ),
-        (
-            "policies",
-            _policies,
-            "policies and their contracts; `import X --out DIR` converts one, `fetch URL --out "
-            "DIR` gets it first",
-        ),
+        ("robots", _robots, "robots and their joints, gains, limits and sources"),
+        ("policies", _policies, "policies and their contracts"),
         ("platforms", _platforms, "platforms and their options"),
         ("faces", _faces, "faces of emulated robots, by protocol, and their options"),
         ("blocks", _blocks, "blocks and their options"),
         ("workflows", _workflows, "workflows"),
     ):
-        parser = commands.add_parser(name, help=f"list the {what}")
+        verbs = [verb for verb in VERBS if verb.startswith(name)]
+        also = f"See also: {', '.join(f'unicon {verb} --help' for verb in verbs)}." if verbs else ""
+        parser = commands.add_parser(name, help=f"list the {what}", epilog=also)
         parser.add_argument("name", nargs="?", metavar="NAME", help="show this one in full")
-        if name == "robots":
-            parser.add_argument(
-                "model", nargs="?", metavar="MODEL", help="with `new`: MJCF or URDF"
-            )
-            parser.add_argument("--out", metavar="FILE", help="with `new`: where to write")
-            parser.add_argument(
-                "--kind",
-                metavar="KIND",
-                help="with `new`: what the robot is, where its model does not say",
-            )
+        parser.add_argument("--json", action="store_true", help="print the list as JSON")
+        parser.set_defaults(function=_listed(function, name))
         if name == "policies":
-            parser.add_argument(
-                "source",
-                nargs="?",
-                metavar="X",
-                help="with `import`: what to read; with `fetch`: hf://OWNER/REPO[@REV][/PATH], "
-                "wandb://ENTITY/PROJECT/RUN or file:///PATH",
-            )
-            parser.add_argument("--out", metavar="DIR", help="of both: where to write")
-            parser.add_argument("--sha256", metavar="HEX", help="with `fetch`: of the network")
-            parser.add_argument(
-                "--force", action="store_true", help="with `fetch`: replace a policy in DIR"
-            )
             parser.add_argument("--robot", metavar="ROBOT", help="robot that orders the joints")
+    new, imported, fetched = (
+        commands.add_parser(verb, help=what, description=what)
+        for verb, what in zip(
+            VERBS,
+            (
+                "write a robot file of what a model knows",
+                "convert a policy to policy.yaml and its network",
+                "fetch a policy from where it is published, and convert it",
+            ),
+        )
+    )
+    new.add_argument("model", metavar="MODEL", help="MJCF or URDF")
+    new.add_argument("--out", metavar="FILE", help="where to write (default: NAME.yaml)")
+    new.add_argument(
+        "--kind", metavar="KIND", help="what the robot is, where its model does not say"
+    )
+    new.set_defaults(function=_new)
+    imported.add_argument("source", metavar="FILE_OR_FOLDER", help="what to read")
+    fetched.add_argument(
+        "source",
+        metavar="URL",
+        help="hf://OWNER/REPO[@REV][/PATH], wandb://ENTITY/PROJECT/RUN or file:///PATH",
+    )
+    fetched.add_argument("--sha256", metavar="HEX", help="of the network; another one is refused")
+    fetched.add_argument("--force", action="store_true", help="replace a policy in DIR")
+    for parser, function in ((imported, _import), (fetched, _fetch)):
+        parser.add_argument("--out", metavar="DIR", required=True, help="where to write")
+        parser.add_argument("--robot", metavar="ROBOT", help="robot that orders the joints")
         parser.set_defaults(function=function)
 
 
+def _listed(
+    function: Callable[[argparse.Namespace], int], what: str
+) -> Callable[[argparse.Namespace], int]:
+    """Return a command that refuses `--json` beside a name."""
+
+    def run(arguments: argparse.Namespace) -> int:
+        if arguments.json and arguments.name:
+            raise UniconError(f"{what}: --json prints the list; leave out {arguments.name}")
+        return function(arguments)
+
+    return run
+
+
+def _json(rows: Any) -> int:
+    print(json.dumps(rows, indent=2, ensure_ascii=False))
+    return 0
+
+
 def _robots(arguments: argparse.Namespace) -> int:
-    from unicon_core.robots import load_robot, robot_table, robots_table
+    from unicon_core.robots import load_robot, robot_table, robots_rows, robots_table
 
-    model, out, kind = arguments.model, arguments.out, arguments.kind
-    if arguments.name == "new":
-        if not model:
-            raise RobotError("robots new: give the model: unicon robots new MODEL [--out FILE]")
-        from unicon_ros.cli.new_robot import new_robot
-
-        print(new_robot(model, out, kind))
-        return 0
-    if model or out or kind:
-        what = model or ("--out" if out else "--kind")
-        raise RobotError(
-            f"robots: {what} goes with new; write unicon robots NAME, or "
-            "unicon robots new MODEL --out FILE"
-        )
+    if arguments.json:
+        return _json(robots_rows())
     print(robot_table(load_robot(arguments.name)) if arguments.name else robots_table())
     return 0
 
 
+def _new(arguments: argparse.Namespace) -> int:
+    from unicon_ros.cli.new_robot import new_robot
+
+    print(new_robot(arguments.model, arguments.out, arguments.kind))
+    return 0
+
+
 def _policies(arguments: argparse.Namespace) -> int:
-    from unicon_core.policies import import_policy, load_policy, policies_table, policy_table
-    from unicon_core.robots import load_robot
+    from unicon_core.policies import load_policy, policies_rows, policies_table, policy_table
 
-    name, source, out = arguments.name, arguments.source, arguments.out
-    if name in ("import", "fetch"):
-        if not source or not out:
-            what = "FILE_OR_FOLDER" if name == "import" else "URL"
-            raise PolicyError(
-                f"policies {name}: give what to read and where to write: "
-                f"unicon policies {name} {what} --out DIR"
-            )
-    elif source or out:
-        raise PolicyError(
-            f"policies: {source or '--out'} goes with import; write unicon policies NAME, or "
-            "unicon policies import FILE_OR_FOLDER --out DIR"
-        )
-    if name != "fetch" and (arguments.sha256 or arguments.force):
-        raise PolicyError(
-            "policies: --sha256 and --force go with fetch: unicon policies fetch URL --out DIR"
-        )
-    robot = load_robot(arguments.robot) if arguments.robot else None
-    if name == "fetch":
-        from unicon_core.policies.fetch import fetch_policy
-
-        told = {"sha256": arguments.sha256, "force": arguments.force, "robot": robot}
-        print(fetch_policy(source, out, **told))
-    elif name == "import":
-        print(import_policy(source, out, robot=robot))
-    elif name:
-        print(policy_table(load_policy(name, robot=robot), robot))
+    if arguments.json:
+        return _json(policies_rows())
+    robot = _robot(arguments)
+    if arguments.name:
+        print(policy_table(load_policy(arguments.name, robot=robot), robot))
     else:
         print(policies_table())
     return 0
 
 
+def _import(arguments: argparse.Namespace) -> int:
+    from unicon_core.policies import import_policy
+
+    print(import_policy(arguments.source, arguments.out, robot=_robot(arguments)))
+    return 0
+
+
+def _fetch(arguments: argparse.Namespace) -> int:
+    from unicon_core.policies.fetch import fetch_policy
+
+    told = {"sha256": arguments.sha256, "force": arguments.force, "robot": _robot(arguments)}
+    print(fetch_policy(arguments.source, arguments.out, **told))
+    return 0
+
+
+def _robot(arguments: argparse.Namespace) -> Robot | None:
+    from unicon_core.robots import load_robot
+
+    return load_robot(arguments.robot) if arguments.robot else None
+
+
 def _platforms(arguments: argparse.Namespace) -> int:
-    return _factories("platforms", arguments.name, PlatformError)
+    return _factories("platforms", arguments, PlatformError)
 
 
 def _faces(arguments: argparse.Namespace) -> int:
-    return _factories("faces", arguments.name, PlatformError)
+    return _factories("faces", arguments, PlatformError)
 
 
 def _blocks(arguments: argparse.Namespace) -> int:
-    status = _factories("blocks", arguments.name, WorkflowError)
-    if arguments.name is None:
+    status = _factories("blocks", arguments, WorkflowError)
+    if arguments.name is None and not arguments.json:
         from unicon_core.workflow.flow_yaml import FLOW_WORDS
 
         print(f"\na flow also has policy: NAME, call: module:function and {', '.join(FLOW_WORDS)}")
     return status
 
 
-def _factories(kind: str, name: str | None, error: type[UniconError]) -> int:
+def _factories(kind: str, arguments: argparse.Namespace, error: type[UniconError]) -> int:
     from unicon_core.workflow.registry import find_factory, known
 
+    name = arguments.name
+    if arguments.json:
+        return _json([{"name": each, "factory": at} for each, at in sorted(known(kind).items())])
     if name is None:
         _print_table(sorted(known(kind).items()))
         return 0
@@ -177,6 +199,8 @@ def _workflows(arguments: argparse.Namespace) -> int:
             rows.append((name, str(load_document(name).values.get("description", ""))))
         except WorkflowError as error:  # one broken file hides no other
             rows.append((name, f"file is wrong: {error}"))
+    if arguments.json:
+        return _json([{"name": name, "description": text} for name, text in rows])
     _print_table(rows)
     return 0
 

@@ -86,7 +86,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(argv: Sequence[str] | None) -> int:
-    arguments = _parser().parse_args(argv)
+    words = [*(sys.argv[1:] if argv is None else argv)]
+    if " ".join(words[:2]) in known.VERBS:
+        words[:2] = [" ".join(words[:2])]
+    arguments = _parser().parse_args(words)
     try:
         return int(arguments.function(arguments))
     except UniconError as error:

@@ -15,9 +15,7 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from unicon_core.bounded_yaml import YamlError
 from unicon_core.errors import UniconError, alternatives
-from unicon_core.located_yaml import parse_value
 from unicon_core.signals import SIGNALS
 from unicon_ros.cli.workflow_arguments import positive
 
@@ -97,6 +95,8 @@ def _fitted(present: Any, value: Any, kind: str, where: str) -> Any:
 
 
 def _pub(arguments: argparse.Namespace) -> int:
+    from unicon_core.bounded_yaml import YamlError
+    from unicon_core.located_yaml import parse_value
     from unicon_ros import compat
     from unicon_ros.bridge.own_node import OwnNode
 
@@ -160,7 +160,7 @@ def _call(arguments: argparse.Namespace) -> int:
         client = own.node.create_client(Trigger, name)
         if not client.wait_for_service(timeout_sec=PATIENCE):
             known = [n for n, types in own.node.get_service_names_and_types()
-                     if "std_srvs/srv/Trigger" in types]  # fmt: skip
+                     if "std_srvs/srv/Trigger" in types and n != name]  # fmt: skip
             there = alternatives(name, known) if known else "no node offers any"
             raise UniconError(
                 f"no service {name} after {PATIENCE:g} s; {there}; a node's are "
