@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import gc
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,6 +20,8 @@ from peer import Peer
 from stolen import Stolen
 from turns import turn
 
+from unicon_core.errors import UniconError
+from unicon_core.resources import find_resource
 from unicon_ros.bench.domains import free_domain
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -141,6 +145,27 @@ def processes() -> Iterator[Callable[..., Peer]]:
 def under_colcon(request: pytest.FixtureRequest) -> bool:
     """Whether `colcon test` runs this pytest: it names the package as prefix of its report."""
     return request.config.getoption("junitprefix", default=None) == "unicon_ros"
+
+
+@pytest.fixture(scope="session")
+def at_hand() -> Callable[[str], None]:
+    """Skip where an asset that a shipped workflow or its robot names, or torch, is absent."""
+
+    def ask(name: str) -> None:
+        config = ROOT / "config"
+        text = (config / "workflows" / f"{name}.yaml").read_text("utf-8")
+        robot = re.search(r"^robot: (\w+)$", text, re.MULTILINE)
+        if robot is not None:
+            text += (config / "robots" / f"{robot[1]}.yaml").read_text("utf-8")
+        for reference in re.findall(r"assets:[\w./-]+", text):
+            try:
+                find_resource(reference, "asset")
+            except UniconError as error:
+                pytest.skip(str(error))
+        if "unicon_ros[torch]" in text and find_spec("torch") is None:
+            pytest.skip("TorchScript: pip install 'unicon_ros[torch]'")
+
+    return ask
 
 
 @pytest.fixture(scope="session")

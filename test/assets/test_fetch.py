@@ -206,6 +206,20 @@ def test_a_server_that_stalls_is_given_up_and_what_came_stays_for_the_next_try(
     assert begun[-1] == "bytes=300000-"
 
 
+def test_a_file_may_have_another_name_on_a_mirror(
+    cache: Path, server: Server, tmp_path: Path
+) -> None:
+    told = listed(FILES)
+    told["files"]["here/cube.xml"] = [*told["files"].pop("cube.xml"), "cube.xml"]
+    write_list(tmp_path / "config", {"cube": told})
+    folder = fetch(cube(), mirror=server.url).folder
+    assert (folder / "here" / "cube.xml").read_bytes() == FILES["cube.xml"]
+    told["files"]["here/cube.xml"][-1] = "../cube.xml"
+    write_list(tmp_path / "config", {"cube": told})
+    with pytest.raises(UniconError, match="paths without"):
+        load_assets()
+
+
 @pytest.mark.parametrize("change", ["longer", "shorter", "another"])
 def test_a_file_that_is_another_one_is_not_kept(cache: Path, server: Server, change: str) -> None:
     path = server.folder / "cube" / "meshes" / "cube.stl"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -63,7 +64,10 @@ def test_a_good_workflow_is_clean(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("name", workflow_names())
-def test_every_workflow_of_ours_is_clean(name: str, assets: Path) -> None:
+def test_every_workflow_of_ours_is_clean(
+    name: str, assets: Path, at_hand: Callable[[str], None]
+) -> None:
+    at_hand(name)
     result = check_workflow(name)
     assert result.clean, result.text()
 

@@ -6,6 +6,7 @@ are found soonest: each is told by the same comparison of runs.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -81,8 +82,11 @@ def test_right_copies_raise_no_alarm_in_the_twin(policy: str, tmp_path: Path, as
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", workflow_names())
-def test_no_contract_of_a_shipped_workflow_raises_an_alarm(name: str, assets: Path) -> None:
+def test_no_contract_of_a_shipped_workflow_raises_an_alarm(
+    name: str, assets: Path, at_hand: Callable[[str], None]
+) -> None:
     """A flow by itself may fall: of h1_stand nobody keeps the balance, g1_buttons is limp."""
+    at_hand(name)
     result = check_workflow(name, ["check.duration=5"], twin=True)
     assert not [each for each in result.findings if each.culprit != "flow"], result.text()
 

@@ -18,6 +18,11 @@ FACTS: dict[str, list[tuple[str, dict[str, Any]]]] = {
         ("go2", {"head": [0xFE, 0xEF], "level_flag": 0xFF, "motor_mode": 1}),
         ("go2", {"num_motor_slots": 20, "rate_hz": 500}),
     ],
+    "unitree_sdk2_python example/b2/low_level/b2_stand_example.py": [
+        ("b2", {"domain": 0, "state_topic": "rt/lowstate", "command_topic": "rt/lowcmd"}),
+        ("b2", {"head": [0xFE, 0xEF], "level_flag": 0xFF, "motor_mode": 1, "num_motor_slots": 20}),
+        ("b2", {"rate_hz": 500, "release": {"before": ["sport", 1005], "wait": 1.0}}),
+    ],
     "unitree_sdk2 example/h1/low_level/humanoid.hpp; unitree_rl_gym h1.yaml: weak_motor": [
         ("h1", {"head": [0xFE, 0xEF], "level_flag": 0xFF, "num_motor_slots": 20}),
         ("h1", {"motors": [*range(9), *range(10, 20)], "motor_mode": [10] * 9 + [1] * 10}),

@@ -22,6 +22,7 @@ def workflow(request: pytest.FixtureRequest) -> Iterator[Program]:
     text = load_document(request.param).path.read_text(encoding="utf-8")
     if "assets:" in text:
         request.getfixturevalue("assets")
+        request.getfixturevalue("at_hand")(request.param)
     loaded = load_workflow(request.param)
     yield loaded
     loaded.close()
@@ -83,6 +84,7 @@ def test_the_command_shows_it_in_every_form(
 ) -> None:
     if "assets:" in load_document(name).path.read_text(encoding="utf-8"):
         request.getfixturevalue("assets")
+        request.getfixturevalue("at_hand")(name)
     picture = tmp_path / "graph.svg"
     page = tmp_path / "graph.html"
     for form in ([], ["--source"], ["--mermaid"], ["--svg", str(picture)], ["--html", str(page)]):

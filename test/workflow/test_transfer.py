@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -103,7 +103,10 @@ def test_the_check_shows_what_is_held(partial: tuple[Path, list[str]]) -> None:
 
 
 @pytest.mark.parametrize("name", workflow_names())
-def test_every_workflow_runs_on_the_fake_robot_by_one_word(name: str, assets: Path) -> None:
+def test_every_workflow_runs_on_the_fake_robot_by_one_word(
+    name: str, assets: Path, at_hand: Callable[[str], None]
+) -> None:
+    at_hand(name)
     report, _ = run(name, {"platform": "fake"}, 1.0)
     assert report.platform == "fake"
     assert report.ticks > 0

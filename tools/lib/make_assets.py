@@ -10,13 +10,17 @@ import sys
 from pathlib import Path
 
 NETWORKS = (".onnx", ".pt")
-PLACED = {"a1_description/urdf/a1.urdf": "a1.urdf"}
-"""Files that lie elsewhere in the assets folder, where robot files name them."""
+PLACED = {
+    "a1_description/urdf/a1.urdf": "a1.urdf",
+    "motion.pt": "deploy_real/motion.pt",
+}
+"""Files that lie elsewhere in the assets folder: where robot files name them, or a contract."""
 SETS = {"g1": ("g1_29dof", "g1_velocity_mjlab")}
 """Names that stand for several assets."""
 HEAD = """\
 # Public models and policies, for `unicon assets`: what is fetched from where, and its licence.
-# Made by tools/lib/make_assets.py. A file: [number of its source, path there, bytes, SHA-256].
+# Made by tools/lib/make_assets.py. A file: [number of its source, path there, bytes, SHA-256], and
+# its name on a mirror where that is another.
 """
 
 
@@ -38,7 +42,10 @@ def main() -> None:
         for row in own:
             number = sources.index((row["repository"], row["commit"], row["licence"]))
             facts = f'{number}, "{row["path"]}", {row["bytes"]}, {row["sha256"]}'
-            print(f'    "{PLACED.get(row["file"], row["file"])}": [{facts}]')
+            placed = PLACED.get(row["file"], row["file"])
+            if placed != row["file"]:
+                facts += f', "{row["file"]}"'
+            print(f'    "{placed}": [{facts}]')
 
 
 main()

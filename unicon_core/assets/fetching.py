@@ -254,7 +254,7 @@ def _opener(mirror: str | Path | None, silence: float) -> _Opener:
         raise UniconError(f"--from {text}: no such folder; give one, or an http(s) address")
 
     def open_file(asset: Asset, file: AssetFile, begin: int) -> tuple[_Readable, int]:
-        path = folder / asset.name / file.name
+        path = folder / asset.name / file.mirrored
         try:
             found = path.open("rb")
         except OSError as error:
@@ -276,7 +276,7 @@ class _Web:
         """Open a file; one that the server only sends whole begins at 0."""
         url = file.source.url(file.path)
         if self._mirror:
-            url = f"{self._mirror}/{quote(f'{asset.name}/{file.name}', safe='/')}"
+            url = f"{self._mirror}/{quote(f'{asset.name}/{file.mirrored}', safe='/')}"
         asked = urllib.request.Request(url, headers={"User-Agent": "unicon"})
         if begin:
             asked.add_header("Range", f"bytes={begin}-")

@@ -48,6 +48,7 @@ class AssetFile:
         path: its path there.
         size: in [byte].
         sha256: 64 hexadecimal digits.
+        mirrored: its path below the asset's folder on a mirror.
     """
 
     name: str
@@ -55,6 +56,7 @@ class AssetFile:
     path: str
     size: int
     sha256: str
+    mirrored: str
 
 
 @dataclass(frozen=True)
@@ -155,12 +157,19 @@ def _asset(document: Located, key: Any) -> Asset:
 
 
 def _file(
-    name: str, sources: list[Source], source: int, path: str, size: int, sha: Any
+    name: str,
+    sources: list[Source],
+    source: int,
+    path: str,
+    size: int,
+    sha: Any,
+    mirrored: str = "",
 ) -> AssetFile:
     digits = isinstance(sha, str) and len(sha) == 64 and not set(sha) - set("0123456789abcdef")
-    if not (_plain(name) and _plain(path) and digits and 0 <= size <= LARGEST and source >= 0):
+    plain = all(map(_plain, (name, path, mirrored or name)))
+    if not (plain and digits and 0 <= size <= LARGEST and source >= 0):
         raise ValueError
-    return AssetFile(name, sources[source], path, size, sha)
+    return AssetFile(name, sources[source], path, size, sha, mirrored or name)
 
 
 def _plain(path: str) -> bool:
