@@ -35,7 +35,7 @@ MODELLED = {
 }
 """Those whose models are at hand; a humanoid hangs, since nobody balances it."""
 ALONE = ("--model=fake", "--posture=random", "--seed=3")
-NEEDS = {"dobot": "cyclonedds", "pnd": "cyclonedds", "ros": "rclpy"}
+NEEDS = {"booster": "cyclonedds", "dobot": "cyclonedds", "pnd": "cyclonedds", "ros": "rclpy"}
 NEEDS |= {"unitree": "cyclonedds", "unitree_dex3": "cyclonedds"}
 
 

@@ -29,6 +29,7 @@ DRIVES = {
     "aliengo": "unitree_legged",
     "atom": "dobot",
     "azureloong": "azureloong",
+    "b2": "unitree",
     "dex3_left": "unitree_dex3",
     "g1_23dof": "unitree",
     "g1_29dof": "unitree",
@@ -40,6 +41,7 @@ DRIVES = {
     "inspire_rh56_left": "inspire",
     "n1": "fourier",
     "rohand": "rohand",
+    "t1": "booster",
     "x2": "ros",
 }
 """The platform of each robot that can be served to another process."""
