@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 from pathlib import Path
 
@@ -74,9 +75,10 @@ def test_every_policy_is_listed_with_its_terms(capsys: pytest.CaptureFixture[str
 def test_every_factory_is_listed_with_where_it_is(
     kind: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    listed = dict(
-        line.split() for line in unicon(capsys, kind).splitlines() if len(line.split()) == 2
-    )
+    rows = [line.split() for line in unicon(capsys, kind).splitlines()]
+    listed = {
+        row[0]: row[1] for row in rows if len(row) > 1 and re.fullmatch(r"[\w.]+:\w+", row[1])
+    }
     assert listed == dict(known(kind))
 
 

@@ -16,6 +16,9 @@ from unicon_ros.peripherals.webxr.frames import BUTTONS as THEIRS
 from unicon_ros.peripherals.webxr.frames import PARTS
 from unicon_ros.peripherals.webxr.webxr import webxr
 
+EVIDENCE = "stand_in"
+"""What these tests run against, the most that config/evidence.yaml may say by them."""
+
 
 class Rig:
     """A headset's states, and the block behind them."""

@@ -20,6 +20,9 @@ from unicon_core.states import States
 from unicon_core.states.standard import BUTTONS, control_states
 from unicon_core.workflow.autowire import BuildContext
 
+EVIDENCE = "stand_in"
+"""What these tests run against, the most that config/evidence.yaml may say by them."""
+
 BELOW_RIGHT_LEFT_ABOVE = {
     "xbox": (0x130, 0x131, 0x133, 0x134),  # xpad.c: BTN_A, BTN_B, BTN_X, BTN_Y
     "playstation": (0x130, 0x131, 0x134, 0x133),  # cross, circle, square, triangle

@@ -32,6 +32,9 @@ from unicon_ros.hardware.arx.codec import (
     reply_of,
 )
 
+EVIDENCE = "frames"
+"""What these tests run against, the most that config/evidence.yaml may say by them."""
+
 FACE = "unicon_ros.hardware.arx.face:face"
 # What libhardware.so of real-stanford/arx5-sdk (lib/x86_64) wrote to the bus and read from it, its
 # socket being ours: four of 4,000 each, all of which are equal.

@@ -26,6 +26,9 @@ from unicon_ros.hardware.azureloong.codec import command_type, state_type
 from unicon_ros.hardware.azureloong.platform import make
 from unicon_ros.hardware.azureloong.wire import AzureWire
 
+EVIDENCE = "vendor"
+"""What these tests run against, the most that config/evidence.yaml may say by them."""
+
 FACE = "unicon_ros.hardware.azureloong.face:face"
 COMMAND = (
     "<hhiff155f12f"  # loong_jnt_sdk_datas.py: '2hi', 'ff', five times 31 floats, 6 + 6 fingers

@@ -31,6 +31,9 @@ from unicon_ros.hardware.booster.codec import BoosterFacts, command_arrays
 from unicon_ros.hardware.booster.face import face
 from unicon_ros.hardware.booster.wire import BoosterWire
 
+EVIDENCE = "vendor"
+"""What these tests run against, the most that config/evidence.yaml may say by them."""
+
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
 COUNT, N = 2000, T1.num_joints

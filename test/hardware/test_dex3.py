@@ -28,6 +28,9 @@ from unicon_ros.hardware.unitree_dex3.platform import Dex3, make
 from unicon_ros.hardware.unitree_dex3.wire import Dex3Wire
 from unicon_ros.hardware.wire import Counts
 
+EVIDENCE = "frames"
+"""What these tests run against, the most that config/evidence.yaml may say by them."""
+
 HAND = load_robot("dex3_left")
 FACTS = Dex3Facts.of(HAND)
 TELLS = ("joint_pos", "joint_vel", "joint_effort")

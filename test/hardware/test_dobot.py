@@ -29,6 +29,9 @@ from unicon_ros.hardware.dobot.platform import make
 from unicon_ros.hardware.dobot.wire import DobotWire
 from unicon_ros.hardware.wire import Counts
 
+EVIDENCE = "stand_in"
+"""What these tests run against, the most that config/evidence.yaml may say by them."""
+
 ATOM = load_robot("atom")
 TELLS = ("joint_pos", "joint_vel", "joint_effort", "base_quat", "base_ang_vel", "base_lin_acc")
 WANTED = 2

@@ -23,6 +23,9 @@ from unicon_ros.hardware.fourier.platform import Fourier, make
 from unicon_ros.hardware.fourier.wire import FourierWire
 from unicon_ros.hardware.udp import Udp
 
+EVIDENCE = "vendor"
+"""What these tests run against, the most that config/evidence.yaml may say by them."""
+
 FACE = "unicon_ros.hardware.fourier.face:face"
 NETWORK = "127.84.1.1"
 SCALES = {"stiffness_scale": [0.5] * 23, "damping_scale": [0.25] * 23, "timeout_mode": 3}

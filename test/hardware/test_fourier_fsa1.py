@@ -29,6 +29,9 @@ from unicon_ros.hardware.fourier.platform import Fourier, make
 from unicon_ros.hardware.fourier.zero import SAMPLES, Zero
 from unicon_ros.hardware.udp import Udp
 
+EVIDENCE = "vendor"
+"""What these tests run against, the most that config/evidence.yaml may say by them."""
+
 FACE = "unicon_ros.hardware.fourier.face:face"
 NETWORK = "127.85.1.1"
 FIGURES = {  # as somebody might have measured them

@@ -27,6 +27,9 @@ from unicon_ros.hardware.modbus.link import Link
 from unicon_ros.hardware.rohand.codec import check_protocol, registers_of
 from unicon_ros.hardware.rohand.face import face as rohand_face
 
+EVIDENCE = "stand_in"
+"""What these tests run against, the most that config/evidence.yaml may say by them."""
+
 LEFT, ROHAND = load_robot("inspire_rh56_left"), load_robot("rohand")
 RNG = np.random.default_rng(0)
 INSPIRE = {

@@ -27,6 +27,9 @@ from unicon_ros.hardware.inspire.dds.wire import InspireDdsWire
 from unicon_ros.hardware.inspire.platform import Inspire, make
 from unicon_ros.hardware.wire import Counts
 
+EVIDENCE = "stand_in"
+"""What these tests run against, the most that config/evidence.yaml may say by them."""
+
 FTP, DFX, DFX_RIGHT = map(
     load_robot, ("inspire_rh56_ftp_left", "inspire_rh56_dfx_left", "inspire_rh56_dfx_right")
 )

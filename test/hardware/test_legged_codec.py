@@ -20,6 +20,9 @@ from unicon_ros.hardware.unitree_legged.codec import (
 )
 from unicon_ros.hardware.unitree_legged.link import link_of
 
+EVIDENCE = "frames"
+"""What these tests run against, the most that config/evidence.yaml may say by them."""
+
 POS_STOP, VEL_STOP = 2.146e9, 16000.0
 COLUMNS = st.tuples(
     st.floats(-12.0, 12.0, width=32),

@@ -19,6 +19,9 @@ from vendor_robots import DRIVES, UNSEEING, completed, serve, stepped
 
 from unicon_core.robots import load_robot
 
+EVIDENCE = "stand_in"
+"""What these tests run against, the most that config/evidence.yaml may say by them."""
+
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
 SAG = 0.35

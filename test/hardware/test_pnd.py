@@ -28,6 +28,9 @@ from unicon_ros.hardware.pnd.platform import Pnd, make
 from unicon_ros.hardware.pnd.wire import PndWire
 from unicon_ros.hardware.wire import Counts
 
+EVIDENCE = "frames"
+"""What these tests run against, the most that config/evidence.yaml may say by them."""
+
 ADAM = load_robot("adam_lite")
 FACTS = PndFacts.of(ADAM)
 TELLS = ("joint_pos", "joint_vel", "joint_effort", "base_ang_vel", "base_lin_acc")

@@ -31,6 +31,9 @@ from unicon_ros.hardware.unitree.face import face
 from unicon_ros.hardware.unitree.facts import UnitreeFacts
 from unicon_ros.hardware.unitree.wire import UnitreeWire
 
+EVIDENCE = "vendor"
+"""What these tests run against, the most that config/evidence.yaml may say by them."""
+
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
 COUNT = 2000

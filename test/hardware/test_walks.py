@@ -16,6 +16,9 @@ from vendor_robots import serve
 
 from unicon_core.check import check_workflow
 
+EVIDENCE = {"robot": "stand_in", "policy": "vendor"}
+"""What these tests run against, the most that config/evidence.yaml may say by them."""
+
 pytest.importorskip("mujoco", reason="mujoco is not installed: pip install 'unicon_ros[sim]'")
 pytest.importorskip("onnxruntime", reason="pip install 'unicon_ros[sim]'")
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]

@@ -21,6 +21,9 @@ from unicon_core.workflow import Program
 from unicon_ros.hardware.xhand import wire
 from unicon_ros.hardware.xhand.platform import make
 
+EVIDENCE = "stand_in"
+"""What these tests run against, the most that config/evidence.yaml may say by them."""
+
 ROBOT = load_robot("xhand1_left")
 MODULES = Path(__file__).parent / "vendor_modules"
 

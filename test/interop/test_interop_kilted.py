@@ -13,6 +13,9 @@ pytest.importorskip("rclpy")
 
 from talkers import Talker, clean_environment
 
+EVIDENCE = "vendor"
+"""What these tests run against, the most that config/evidence.yaml may say by them."""
+
 pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(1200)]
 
 WORKFLOW = """\

@@ -16,6 +16,9 @@ from talkers import ROOT, Talker, clean_environment
 
 from unicon_core.robots import load_robot
 
+EVIDENCE = "stand_in"
+"""What these tests run against, the most that config/evidence.yaml may say by them."""
+
 pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(1500)]
 
 WORKFLOW = """\

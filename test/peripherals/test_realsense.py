@@ -29,6 +29,9 @@ from unicon_ros.peripherals.peripheral import Peripheral
 from unicon_ros.peripherals.realsense import messages, realsense
 from unicon_ros.peripherals.realsense_process import _found, _quaternion
 
+EVIDENCE = "vendor"
+"""What these tests run against, the most that config/evidence.yaml may say by them."""
+
 ROOT = Path(__file__).resolve().parent.parent.parent
 LARGE = ROOT / "config" / "dds" / "large_data.xml"
 

@@ -30,6 +30,9 @@ from unicon_ros.peripherals.v4l2 import Capture, Kernel
 from unicon_ros.peripherals.webcam import message_of, webcam
 from unicon_ros.peripherals.webcam_process import Rgb, _path
 
+EVIDENCE = "stand_in"
+"""What these tests run against, the most that config/evidence.yaml may say by them."""
+
 
 class Rig:
     """A block and its states."""

@@ -18,6 +18,9 @@ from unicon_core.workflow.autowire import BuildContext
 from unicon_ros.peripherals.peripheral import Peripheral
 from unicon_ros.peripherals.webxr.webxr import webxr
 
+EVIDENCE = "vendor"
+"""What these tests run against, the most that config/evidence.yaml may say by them."""
+
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(180)]
 pytest.importorskip("websockets", reason="pip install websockets")
 sync_api = pytest.importorskip("playwright.sync_api", reason="pip install playwright")

@@ -8,6 +8,9 @@ import pytest
 
 from unicon_core.conformance import Conformance
 
+EVIDENCE = "vendor"
+"""What these tests run against, the most that config/evidence.yaml may say by them."""
+
 pytest.importorskip("mujoco", reason="mujoco is not installed: pip install 'unicon_ros[sim]'")
 
 

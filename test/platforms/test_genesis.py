@@ -22,6 +22,9 @@ from unicon_core.robots import Robot, load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow
 
+EVIDENCE = "vendor"
+"""What these tests run against, the most that config/evidence.yaml may say by them."""
+
 mujoco = pytest.importorskip("mujoco", reason="pip install 'unicon_ros[sim]'")
 INSTALL = "pip install 'unicon_ros[sim-genesis]'"
 

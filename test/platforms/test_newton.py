@@ -16,6 +16,9 @@ from unicon_core.platforms.sim.newton.platform import NewtonPlatform
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow
 
+EVIDENCE = "vendor"
+"""What these tests run against, the most that config/evidence.yaml may say by them."""
+
 pytest.importorskip("mujoco", reason="pip install 'unicon_ros[sim]'")
 INSTALL = "pip install 'unicon_ros[sim-newton]'"
 

@@ -20,6 +20,9 @@ from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow
 
+EVIDENCE = "vendor"
+"""What these tests run against, the most that config/evidence.yaml may say by them."""
+
 needs_pybullet = pytest.mark.skipif(
     importlib.util.find_spec("pybullet") is None,
     reason="pybullet is not installed: pip install 'unicon_ros[sim-pybullet]' (Python 3.10, 3.11)",

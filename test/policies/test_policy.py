@@ -18,6 +18,9 @@ from unicon_core.policies import Policy, PolicyContract, load_policy, policy_sta
 from unicon_core.robots import Robot
 from unicon_core.states import States, StateSpec, standard_states
 
+EVIDENCE = "vendor"
+"""What these tests run against, the most that config/evidence.yaml may say by them."""
+
 pytest.importorskip("onnxruntime", reason="the policy block runs onnxruntime")
 
 

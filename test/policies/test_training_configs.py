@@ -10,6 +10,9 @@ from policy_helpers import JOINTS, robot, write_linear
 from unicon_core.errors import PolicyError
 from unicon_core.policies import load_policy
 
+EVIDENCE = "stand_in"
+"""What these tests run against, the most that config/evidence.yaml may say by them."""
+
 ENV = """\
 viewer:
   eye: !!python/tuple [7.5, 7.5, 7.5]

@@ -16,6 +16,9 @@ from unicon_core.policies import Policy, PolicyContract, load_policy, policy_sta
 from unicon_core.robots import Robot, load_robot
 from unicon_core.states import States, standard_states
 
+EVIDENCE = "vendor"
+"""What these tests run against, the most that config/evidence.yaml may say by them."""
+
 mujoco = pytest.importorskip("mujoco", reason="the walks need mujoco")
 pytest.importorskip("onnxruntime", reason="the policies need onnxruntime")
 

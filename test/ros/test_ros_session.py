@@ -28,6 +28,9 @@ from unicon_core.workflow import load_workflow
 from unicon_ros import compat
 from unicon_ros.bridge import RosSession
 
+EVIDENCE = "vendor"
+"""What these tests run against, the most that config/evidence.yaml may say by them."""
+
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
 
 

@@ -19,6 +19,7 @@ from unicon_core.check.pose import check_pose
 from unicon_core.check.reach import check_bodies, check_reach
 from unicon_core.check.result import CheckResult
 from unicon_core.check.safety import check_safety
+from unicon_core.check.seen import check_seen
 from unicon_core.check.start import check_gates, check_start
 from unicon_core.check.subject import Subject, build_subject
 from unicon_core.errors import (
@@ -138,6 +139,7 @@ def static_checks(subject: Subject, result: CheckResult) -> None:
         check_files(subject, result)
         check_bodies(subject, result)
         check_blocks(subject, result)
+        check_seen(subject, result)
     result.sort()
 
 

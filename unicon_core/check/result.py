@@ -24,6 +24,7 @@ CODES = {
     "joints.seen": "a policy sees joints that other blocks move",
     "joints.motors": "motor slots do not fit the joints",
     "joints.order": "the joints are named in another order than the figures have",
+    "evidence": "what the platform or the robot was run against, where that is little (a note)",
     "gains.differ": "the policy's gains are not the robot file's (a note)",
     "gains.symmetry": "left and right joints have different gains",
     "gains.damping": "a joint has stiffness but no damping",

@@ -10,6 +10,7 @@ import numpy as np
 
 from unicon_core.aligned import aligned
 from unicon_core.errors import RobotError, one_line
+from unicon_core.evidence import evidence_of, load_evidence
 from unicon_core.robots.hand import Hand
 from unicon_core.robots.load import load_robot, robot_names
 from unicon_core.robots.places import Place
@@ -28,12 +29,22 @@ _UNITS = {
     "damping": "N·m·s/rad",
 }
 _WIDTH = 100
+_AGAINST = {
+    "never": "nothing",
+    "stand_in": "our stand-in",
+    "frames": "its frames",
+    "vendor": "vendor's own",
+    "hardware": "hardware",
+    None: "-",
+}
+"""Levels of evidence, short."""
 _UNKNOWN = "unknown"
 
 
 def robots_rows() -> list[dict[str, Any]]:
     """Return what is told of each robot: `error` of a broken file, else its facts."""
     rows: list[dict[str, Any]] = []
+    ledger = load_evidence()
     for name in robot_names():
         try:
             robot = load_robot(name)
@@ -48,6 +59,7 @@ def robots_rows() -> list[dict[str, Any]]:
                 "protocol": robot.transport["protocol"],
                 "description": robot.description,
                 "missing": list(robot.missing_facts()),
+                "evidence": ledger["robot", name].level if ("robot", name) in ledger else None,
             }
         )
     return rows
@@ -55,14 +67,16 @@ def robots_rows() -> list[dict[str, Any]]:
 
 def robots_table() -> str:
     """Return one line per robot: name, kind, joints, protocol, and whether it can be driven."""
-    rows = [("name", "kind", "joints", "protocol", "description", "to drive it")]
+    head = ("name", "kind", "joints", "protocol", "description", "run against", "to drive it")
+    rows = [head]
     for row in robots_rows():
         if "error" in row:
-            rows.append((row["name"], "-", "-", "-", "-", f"file is wrong: {row['error']}"))
+            rows.append((row["name"], "-", "-", "-", "-", "-", f"file is wrong: {row['error']}"))
             continue
         ready = f"missing: {', '.join(row['missing'])}" if row["missing"] else "complete"
         protocol, count = str(row["protocol"] or _UNKNOWN), str(row["joints"])
-        rows.append((row["name"], row["kind"], count, protocol, row["description"], ready))
+        seen = _AGAINST[row["evidence"]]
+        rows.append((row["name"], row["kind"], count, protocol, row["description"], seen, ready))
     return "\n".join(aligned(rows, right=(2,), underlined=False))
 
 
@@ -72,11 +86,13 @@ def robot_table(robot: Robot) -> str:
     Args:
         robot: as `load_robot` returns it.
     """
+    seen = evidence_of("robot", robot.name)
     head = [
         (robot.name, robot.description),
         ("manufacturer", robot.manufacturer),
         ("kind", robot.kind),
         ("file", str(robot.path)),
+        ("evidence", "the ledger does not know it" if seen is None else str(seen)),
         ("models", ", ".join(f"{k} {path}" for k, path in robot.models.items()) or "none"),
         ("base frame", robot.base_frame),
         ("imu", _imu(robot)),

@@ -157,13 +157,18 @@ def _blocks(arguments: argparse.Namespace) -> int:
 
 
 def _factories(kind: str, arguments: argparse.Namespace, error: type[UniconError]) -> int:
+    from unicon_core.evidence import LEVELS, load_evidence
     from unicon_core.workflow.registry import find_factory, known
 
-    name = arguments.name
+    name, ledger = arguments.name, load_evidence() if kind == "platforms" else {}
+    seen = {n: e for (of, n), e in ledger.items() if of == "simulator"}
     if arguments.json:
-        return _json([{"name": each, "factory": at} for each, at in sorted(known(kind).items())])
+        rows = [{"name": each, "factory": at} for each, at in sorted(known(kind).items())]
+        return _json([row | ({"evidence": seen[row["name"]].level} if row["name"] in seen else {})
+                      for row in rows])  # fmt: skip
     if name is None:
-        _print_table(sorted(known(kind).items()))
+        words = {n: LEVELS["never"] if e.level == "never" else e.against for n, e in seen.items()}
+        _print_table([(each, at, words.get(each, "")) for each, at in sorted(known(kind).items())])
         return 0
     factory = find_factory(kind, name, error)
     target = known(kind).get(name, name)

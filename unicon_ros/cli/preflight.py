@@ -123,6 +123,7 @@ def _looked(
 def _static(program: Program, result: PreflightResult) -> None:
     """What `unicon run` would refuse, and what it would tell at its start."""
     from unicon_core.check import refuse_errors
+    from unicon_core.check.seen import little_seen
 
     try:
         told = refuse_errors(program)
@@ -133,6 +134,8 @@ def _static(program: Program, result: PreflightResult) -> None:
     result.add("check", True, "no error that a run would refuse")
     for line in told:
         result.add("check", None, line)
+    for evidence in little_seen([program.platform.facts], program.robot):
+        result.add("evidence", None, f"{evidence.kind} {evidence.name}: {evidence}")
 
 
 def _latched(document: WorkflowDocument, program: Program, result: PreflightResult) -> None:

@@ -196,6 +196,7 @@ def _run(
     arguments: argparse.Namespace, document: WorkflowDocument, console: Console, guard: Guard
 ) -> _Ended:
     from unicon_core.check import refuse_errors
+    from unicon_core.check.seen import little_seen
     from unicon_core.runtime import Runner, RunOptions
     from unicon_core.workflow import Program
     from unicon_ros.fault_record import FaultRecord
@@ -288,6 +289,9 @@ def _run(
         try:
             for line in refuse_errors(program, arguments.force):
                 console.warn(line)
+            if not program.platform.facts.simulated:
+                for evidence in little_seen([program.platform.facts], program.robot):
+                    console.say(f"{evidence.kind} {evidence.name}: {evidence}")
             runner = Runner(program, options)
             if session is not None:
                 session.attach(runner)

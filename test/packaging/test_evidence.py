@@ -1,0 +1,133 @@
+"""The ledger of evidence claims no more than its tests show, for all that there is."""
+
+from __future__ import annotations
+
+import ast
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from unicon_core.check.seen import little_seen
+from unicon_core.errors import UniconError
+from unicon_core.evidence import LEVELS, Evidence, load_evidence
+from unicon_core.platforms.platform import Facts
+from unicon_core.robots import load_robot, robot_names
+from unicon_core.workflow.registry import known
+from unicon_ros.cli.main import main
+
+ROOT = Path(__file__).resolve().parents[2]
+LEDGER = load_evidence()
+ORDER = list(LEVELS)
+SHOWN = sorted({each.test for each in LEDGER.values() if each.test})
+OURS = ("fake", "fake_robot", "replay", "ros")
+"""Platforms that are neither a simulator of others nor a robot."""
+
+
+def lies(each: Evidence) -> list[str]:
+    """Return what an entry of the ledger claims and nothing shows."""
+    found = []
+    if each.level not in ("never", "hardware") and not each.test:
+        found.append("no test shows it")
+    if each.test:
+        path = ROOT / each.test
+        if not path.is_file():
+            return [*found, f"{each.test} is not there"]
+        shown = re.search(r"^EVIDENCE = (.+)$", path.read_text("utf-8"), re.MULTILINE)
+        told = "never" if shown is None else ast.literal_eval(shown[1])
+        level = told.get(each.kind, "never") if isinstance(told, dict) else told
+        if ORDER.index(each.level) > ORDER.index(level):
+            found.append(f"level {each.level}, and {each.test} shows {level}")
+        if not re.fullmatch(r"20\d\d-\d\d-\d\d", each.date):
+            found.append(f"date {each.date!r}")
+        found += _of_git(each)
+    return found
+
+
+def _of_git(each: Evidence) -> list[str]:
+    """Return what is wrong with the commit of an entry; nothing without git."""
+    if not (ROOT / ".git").exists() or shutil.which("git") is None:
+        return []
+    git = ["git", "-C", str(ROOT)]
+    asked = [*git, "merge-base", "--is-ancestor", each.commit or "none", "HEAD"]
+    if subprocess.run(asked, capture_output=True).returncode:
+        return [f"commit {each.commit!r} is no ancestor of HEAD"]
+    asked = [*git, "cat-file", "-e", f"{each.commit}:{each.test}"]
+    if subprocess.run(asked, capture_output=True).returncode:
+        return [f"commit {each.commit} has no {each.test}"]
+    return []
+
+
+@pytest.mark.parametrize("key", LEDGER, ids="/".join)
+def test_an_entry_claims_no_more_than_its_test_shows(key: tuple[str, str]) -> None:
+    assert lies(LEDGER[key]) == []
+
+
+def test_all_that_there_is_has_an_entry_and_nothing_else() -> None:
+    names = {kind: {n for of, n in LEDGER if of == kind} for kind, _ in LEDGER}
+    assert names["robot"] == set(robot_names())
+    simulators = {n for n, at in known("platforms").items() if ".hardware." not in at}
+    assert names["simulator"] == simulators - set(OURS)
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"commit": "0" * 40}, "no ancestor of HEAD"),
+        ({"commit": ""}, "no ancestor of HEAD"),
+        ({"level": "hardware"}, "level hardware, and test/hardware/test_walks.py shows stand_in"),
+        ({"level": "vendor"}, "level vendor"),
+        ({"test": "test/hardware/test_gone.py"}, "is not there"),
+        ({"test": "test/cli/test_known.py"}, "shows never"),
+        ({"test": ""}, "no test shows it"),
+        ({"date": "soon"}, "date 'soon'"),
+    ],
+)
+def test_a_ledger_that_lies_is_found(changed: dict[str, str], said: str) -> None:
+    if "commit" in changed and (not (ROOT / ".git").exists() or shutil.which("git") is None):
+        pytest.skip("no git")
+    honest = vars(LEDGER["robot", "h1"])
+    assert any(said in each for each in lies(Evidence(**{**honest, **changed})))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("test", SHOWN)
+def test_what_shows_it_runs_here_or_says_why_not(test: str) -> None:
+    command = [sys.executable, "-m", "pytest", "-q", "-m", "", "-rs", "-x", test]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    if (
+        done.returncode == 5 or " passed" not in done.stdout
+    ):  # nothing was collected, or all skipped
+        assert "SKIPPED" in done.stdout, done.stdout
+        pytest.skip(done.stdout.strip().splitlines()[-2])
+    assert done.returncode == 0, done.stdout
+
+
+def test_little_is_said_of_what_was_hardly_run() -> None:
+    go2 = load_robot("go2")
+    gazebo = Facts("gazebo", simulated=True)
+    assert [each.level for each in little_seen([gazebo], go2)] == ["never"]
+    assert little_seen([Facts("mujoco", simulated=True)], go2) == []
+    (seen,) = little_seen([Facts("unitree", simulated=False)], go2)
+    assert str(seen).startswith("run against the vendor's own: the official Python SDK")
+
+
+def test_lists_say_what_was_never_run(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["platforms"]) == 0
+    listed = capsys.readouterr().out
+    for name in ("gazebo", "webots", "isaacgym", "isaaclab"):
+        assert re.search(rf"^{name} .* never run$", listed, re.MULTILINE)
+    assert re.search(r"^mujoco .* MuJoCo", listed, re.MULTILINE)
+
+
+def test_a_ledger_that_is_malformed_names_the_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("UNICON_PATH", str(tmp_path))
+    (tmp_path / "evidence.yaml").write_text("robot:\n  go2: {level: seen, against: me}\n", "utf-8")
+    with pytest.raises(UniconError, match=r"evidence\.yaml:2: give 'go2' as \{level: never\|"):
+        load_evidence()
