@@ -10,9 +10,18 @@ from contextlib import suppress
 
 from unicon_core.errors import PlatformError
 
-__all__ = ["ipv4_of"]
+__all__ = ["flags_of", "ipv4_of"]
 
-_SIOCGIFADDR = 0x8915
+_SIOCGIFADDR, _SIOCGIFFLAGS = 0x8915, 0x8913
+
+
+def flags_of(interface: str) -> int:
+    """Return the flags of a network interface, such as IFF_UP, of netdevice(7); 0 without it."""
+    with suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
+        request = struct.pack("256s", interface.encode()[:15])
+        found = fcntl.ioctl(asked.fileno(), _SIOCGIFFLAGS, request)
+        return int(struct.unpack_from("H", found, 16)[0])
+    return 0
 
 
 def ipv4_of(interface: str) -> str:

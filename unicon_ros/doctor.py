@@ -23,7 +23,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import unicon_core
-from unicon_core.interfaces import ipv4_of
+from unicon_core.interfaces import flags_of, ipv4_of
 from unicon_core.runtime.pacing import REAL_TIME
 
 __all__ = ["Finding", "examine"]
@@ -139,18 +139,17 @@ def _ros() -> Iterator[_Row]:
 
 
 def _network() -> Iterator[_Row]:
-    for number, name in socket.if_nameindex():
-        flags = int(_text(Path(f"/sys/class/net/{name}/flags")) or "0", 16)
+    for _, name in socket.if_nameindex():
+        flags = flags_of(name)
         try:
             address = ipv4_of(name)
         except Exception:
             address = "no IPv4 address"
-        up, multicast, loopback = flags & 0x1, flags & 0x1000, flags & 0x8  # netdevice(7)
+        up, multicast, loopback = flags & 0x1, flags & 0x1000, flags & 0x8
         said = f"{address}, {'up' if up else 'down'}, multicast {'on' if multicast else 'off'}"
         poor = up and not multicast and not loopback
         remedy = f"robots behind DDS are not found: ip link set {name} multicast on" if poor else ""
         yield name, "warning" if poor else "ok", said, remedy
-        del number
 
 
 def _robots() -> Iterator[_Row]:
