@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 import yaml
 
+from unicon_core import latches
 from unicon_core.check import check_workflow, refuse_errors
 from unicon_core.errors import MissingDependencyError, PlatformError, UniconError
 from unicon_core.robots import load_robot, robot_names
@@ -54,6 +55,7 @@ def unreachable(monkeypatch: pytest.MonkeyPatch) -> None:
     from unicon_ros.hardware.modbus import reached
     from unicon_ros.hardware.xhand.wire import XhandWire
 
+    monkeypatch.setattr(latches, "ipv4_of", str)  # it asks the kernel through a socket
     monkeypatch.setattr(socket, "socket", _reached)
     monkeypatch.setattr(Participant, "__init__", _reached)
     monkeypatch.setattr(reached, "open_serial", _reached)

@@ -17,7 +17,7 @@ from unicon_core.check.twin.perturb import Change, perturbations
 from unicon_core.check.twin.ranking import FOLLOWS, MENDED, SLIGHT, Compared, Tried, chosen, poor
 from unicon_core.check.twin.repair import repairs
 from unicon_core.check.twin.rivals import GAIT, rivals
-from unicon_core.check.twin.session import TwinSession
+from unicon_core.check.twin.session import TwinBlindError, TwinSession
 from unicon_core.errors import UniconError
 from unicon_core.models.find import Modelled
 from unicon_core.platforms.platform import Platform
@@ -57,6 +57,9 @@ def check_twin(
     pose = {"initial_pose": f"policy:{policies[0]}"} if len(policies) == 1 else {}
     try:
         session = TwinSession(on_platform(document, simulator, pose), settings.get("command"))
+    except TwinBlindError as blind:  # nobody can mend that an arm has no base that moves
+        result.note("twin.run", f"twin on platform {simulator!r}", str(blind))
+        return
     except UniconError as error:
         result.find_error("twin.run", f"twin on platform {simulator!r}", error)
         return

@@ -29,7 +29,12 @@ from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program
 from unicon_core.workflow.document import WorkflowDocument
 
-__all__ = ["TwinSession"]
+__all__ = ["TwinBlindError", "TwinSession"]
+
+
+class TwinBlindError(UniconError):
+    """There is no base whose motion tells how well a contract does."""
+
 
 _LONGEST = 60.0  # [s] of simulated time, for flows that do something before the policy
 _WALK = 0.6  # [m/s] commanded where neither workflow nor contract says anything
@@ -140,6 +145,11 @@ class TwinSession:
         try:
             untold = [name for name in JUDGED if name not in platform.facts.writes]
             if untold:
+                if not robot.floats:
+                    raise TwinBlindError(
+                        f"the base of robot {robot.name} is fixed: nothing was simulated, since "
+                        f"the twin judges by {', '.join(untold)}"
+                    )
                 raise PlatformError(
                     f"platform {platform.facts.name!r} does not tell {', '.join(untold)}, by which "
                     "the twin judges; leave --twin out"
