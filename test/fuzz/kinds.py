@@ -92,6 +92,7 @@ def platform_of(seed: str, dice: random.Random) -> str:
 
 
 def robot(dice: random.Random, folder: Path) -> Reader:
+    import_mujoco()  # of which what joints turn is asked, where gains are too hard
     name, text = dice.choice(seeds_of("robots"))
     path = folder / name
     if dice.random() < 0.4:  # the robot's wire alone
