@@ -291,7 +291,8 @@ def _run(
                 console.warn(line)
             if not program.platform.facts.simulated:
                 for evidence in little_seen([program.platform.facts], program.robot):
-                    console.say(f"{evidence.kind} {evidence.name}: {evidence}")
+                    if evidence.level in ("never", "stand_in"):
+                        console.say(f"{evidence.kind} {evidence.name}: {evidence}")
             runner = Runner(program, options)
             if session is not None:
                 session.attach(runner)
