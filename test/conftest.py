@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import os
-import re
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
@@ -151,18 +150,18 @@ def under_colcon(request: pytest.FixtureRequest) -> bool:
 def at_hand() -> Callable[[str], None]:
     """Skip where an asset that a shipped workflow or its robot names, or torch, is absent."""
 
+    from unicon_core.workflow import load_document
+    from unicon_ros.cli.assets import references
+
     def ask(name: str) -> None:
-        config = ROOT / "config"
-        text = (config / "workflows" / f"{name}.yaml").read_text("utf-8")
-        robot = re.search(r"^robot: (\w+)$", text, re.MULTILINE)
-        if robot is not None:
-            text += (config / "robots" / f"{robot[1]}.yaml").read_text("utf-8")
-        for reference in re.findall(r"assets:[\w./-]+", text):
+        document = load_document(name)
+        for reference in sorted(references(document)):
             try:
                 find_resource(reference, "asset")
             except UniconError as error:
                 pytest.skip(str(error))
-        if "unicon_ros[torch]" in text and find_spec("torch") is None:
+        needs_torch = "unicon_ros[torch]" in document.path.read_text("utf-8")
+        if needs_torch and find_spec("torch") is None:
             pytest.skip("TorchScript: pip install 'unicon_ros[torch]'")
 
     return ask

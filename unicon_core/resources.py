@@ -35,6 +35,8 @@ __all__ = [
     "user_folder",
 ]
 
+CHUNK = 1 << 20
+"""Bytes of a file that are in memory at once."""
 _SOURCE_TREE = Path(__file__).resolve().parent.parent
 _SHARE = Path("share") / "unicon_ros" / "config"
 
@@ -287,8 +289,12 @@ def file_beside(file: Path, reference: str | Path, what: str, *, error: type[Uni
 
 
 def sha256_of(path: Path) -> str:
-    """Return the SHA-256 of a file's bytes, 64 digits, as `sha256sum` tells it."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    """Return the SHA-256 of a file of any size, 64 digits, as `sha256sum` tells it."""
+    found = hashlib.sha256()
+    with path.open("rb") as file:
+        while chunk := file.read(CHUNK):
+            found.update(chunk)
+    return found.hexdigest()
 
 
 def same_modules() -> dict[str, str]:

@@ -23,6 +23,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import unicon_core
+from unicon_core.errors import PlatformError
 from unicon_core.interfaces import flags_of, ipv4_of
 from unicon_core.runtime.pacing import REAL_TIME
 
@@ -51,6 +52,8 @@ STOLEN = 2.0
 """Per cent of stolen time from which ticks come late."""
 FEW_FILES = 1024
 """Open files that a run with ROS and a page comes close to."""
+MANY_FILES = 200
+"""Of Fast DDS in /dev/shm, more than the processes that live would have."""
 LITTLE = 1e9
 """Free bytes below which recordings end early: a Go2 with all states takes some 1 MB/s."""
 
@@ -79,63 +82,56 @@ def examine() -> Iterator[Finding]:
     for look in (_python, _packages, _ros, _network, _robots, _time, _scheduling, _left, _disks):
         area = look.__name__.strip("_")
         try:
-            for name, level, said, remedy in look():
-                yield Finding(area, name, level, said, remedy)
+            for name, said, remedy, level in look():
+                yield Finding(area, name, level if remedy else "ok", said, remedy)
         except Exception as error:  # one that fails hides no other
             yield Finding(area, "", "warning", f"{type(error).__name__}: {error}", "report this")
 
 
 _Row = tuple[str, str, str, str]
+"""Name, what was found, the remedy, and the level where there is one."""
 
 
 def _python() -> Iterator[_Row]:
-    version = platform.python_version()
-    old = sys.version_info < OLDEST
-    remedy = f"install Python {'.'.join(map(str, OLDEST))} or newer" if old else ""
-    yield "Python", "error" if old else "ok", f"{version}, {sys.executable}", remedy
+    version, least = platform.python_version(), ".".join(map(str, OLDEST))
+    remedy = f"install Python {least} or newer" if sys.version_info < OLDEST else ""
+    yield "Python", f"{version}, {sys.executable}", remedy, "error"
     system = f"{platform.system()} {platform.release()}, {platform.machine()}"
-    linux = sys.platform == "linux"
-    yield "system", "ok" if linux else "error", system, "" if linux else "run on Linux"
-    yield (
-        "unicon_ros",
-        "ok",
-        f"{unicon_core.__version__}, {Path(unicon_core.__path__[0]).parent}",
-        "",
-    )
-    compiler = shutil.which("cc") or shutil.which("gcc") or ""
+    yield "system", system, "" if sys.platform == "linux" else "run on Linux", "error"
+    place = Path(unicon_core.__path__[0]).parent
+    yield "unicon_ros", f"{unicon_core.__version__}, {place}", "", "ok"
+    compiler = shutil.which("cc") or shutil.which("gcc")
     remedy = "" if compiler else "only C programs that share states need it: apt install gcc"
-    yield "C compiler", "ok" if compiler else "note", compiler or "none", remedy
+    yield "C compiler", compiler or "none", remedy, "note"
 
 
 def _packages() -> Iterator[_Row]:
     for module, extra in PACKAGES.items():
-        install = f"pip install 'unicon_ros[{extra}]'"
         if find_spec(module) is None:
-            yield module, "note", "not installed", install
+            yield module, "not installed", f"pip install 'unicon_ros[{extra}]'", "note"
             continue
         try:
             version = metadata.version(DISTRIBUTIONS.get(module, module))
         except metadata.PackageNotFoundError:  # of an installation of ROS
             version = "installed"
-        yield module, "ok", version, ""
+        yield module, version, "", "ok"
 
 
 def _ros() -> Iterator[_Row]:
     there = find_spec("rclpy") is not None
-    distribution = os.environ.get("ROS_DISTRO", "")
-    sourced = distribution or ("as wheels" if there else "not at hand")
+    sourced = os.environ.get("ROS_DISTRO", "") or ("as wheels" if there else "not at hand")
     remedy = "" if there else "for --ros: source an installation, or pip install 'unicon_ros[ros]'"
-    yield "ROS 2", "ok" if there else "note", sourced, remedy
+    yield "ROS 2", sourced, remedy, "note"
     domain = os.environ.get("ROS_DOMAIN_ID", "")
     fits = not domain or (domain.isdecimal() and int(domain) <= 232)
     remedy = "" if fits else "export ROS_DOMAIN_ID=0, or another number up to 101"
-    yield "domain", "ok" if fits else "error", domain or "0 (ROS_DOMAIN_ID is not set)", remedy
+    yield "domain", domain or "0 (ROS_DOMAIN_ID is not set)", remedy, "error"
     middleware = os.environ.get("RMW_IMPLEMENTATION", "the distribution's own")
-    yield "middleware", "ok", middleware, ""
+    yield "middleware", middleware, "", "ok"
     reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
     if os.environ.get("ROS_LOCALHOST_ONLY") == "1":
         reach = "LOCALHOST (ROS_LOCALHOST_ONLY)"
-    yield "discovery", "ok", reach, ""
+    yield "discovery", reach, "", "ok"
 
 
 def _network() -> Iterator[_Row]:
@@ -143,13 +139,13 @@ def _network() -> Iterator[_Row]:
         flags = flags_of(name)
         try:
             address = ipv4_of(name)
-        except Exception:
+        except PlatformError:
             address = "no IPv4 address"
         up, multicast, loopback = flags & 0x1, flags & 0x1000, flags & 0x8
         said = f"{address}, {'up' if up else 'down'}, multicast {'on' if multicast else 'off'}"
         poor = up and not multicast and not loopback
         remedy = f"robots behind DDS are not found: ip link set {name} multicast on" if poor else ""
-        yield name, "warning" if poor else "ok", said, remedy
+        yield name, said, remedy, "warning"
 
 
 def _robots() -> Iterator[_Row]:
@@ -168,7 +164,7 @@ def _robots() -> Iterator[_Row]:
         near = own and ipaddress.IPv4Address(address) in ipaddress.ip_network(f"{own}/24", False)
         said = f"{address} from {own}" if near else f"{address}: no interface is on its network"
         remedy = f"give an interface an address there: ip addr add {_beside(address)}/24 dev NAME"
-        yield ", ".join(names), "ok" if near else "note", said, "" if near else remedy
+        yield ", ".join(names), said, "" if near else remedy, "note"
 
 
 def _source_of(address: str) -> str:
@@ -189,62 +185,44 @@ def _time() -> Iterator[_Row]:
     source = _text(Path("/sys/devices/system/clocksource/clocksource0/current_clocksource"))
     slow = source in ("hpet", "acpi_pm")  # each look at them takes 1 µs and more
     remedy = "let the kernel use tsc or the hypervisor's clock: clocksource=tsc" if slow else ""
-    yield "clock source", "warning" if slow else "ok", source or "not said", remedy
-    synchronised = Path("/run/systemd/timesync/synchronized").exists() or bool(
-        shutil.which("chronyc")
-    )
-    remedy = "for several computers on one robot: apt install chrony" if not synchronised else ""
-    said = "synchronised" if synchronised else "nothing is known to synchronise it"
-    yield "clock of the day", "ok" if synchronised else "note", said, remedy
+    yield "clock source", source or "not said", remedy, "warning"
+    by_systemd = Path("/run/systemd/timesync/synchronized").exists()
+    if by_systemd or shutil.which("chronyc"):
+        yield "clock of the day", "synchronised", "", "ok"
+    else:
+        remedy = "for several computers on one robot: apt install chrony"
+        yield "clock of the day", "nothing is known to synchronise it", remedy, "note"
 
 
 def _scheduling() -> Iterator[_Row]:
     cores = len(os.sched_getaffinity(0))
-    yield (
-        "cores",
-        "ok" if cores > 1 else "warning",
-        f"{cores} of {os.cpu_count()}",
-        ("" if cores > 1 else "ROS and the tick share one: give it two"),
-    )
-    governors = {
-        _text(path)
-        for path in Path("/sys/devices/system/cpu").glob("cpu*/cpufreq/scaling_governor")
-    }
-    saves = bool(governors - {"performance", ""})
-    yield (
-        "CPU governor",
-        "warning" if saves else "ok",
-        ", ".join(sorted(governors)) or "not said",
-        ("ticks begin late after idling: cpupower frequency-set -g performance" if saves else ""),
-    )
+    remedy = "" if cores > 1 else "ROS and the tick share one: give it two"
+    yield "cores", f"{cores} of {os.cpu_count()}", remedy, "warning"
+    paths = Path("/sys/devices/system/cpu").glob("cpu*/cpufreq/scaling_governor")
+    governors = {_text(path) for path in paths}
+    saves = governors - {"performance", ""}
+    remedy = "ticks begin late after idling: cpupower frequency-set -g performance" if saves else ""
+    yield "CPU governor", ", ".join(sorted(governors)) or "not said", remedy, "warning"
     before, begun = _stolen(), time.monotonic()
     time.sleep(WATCHED)
     share = 100.0 * (_stolen() - before) / ((time.monotonic() - begun) * (os.cpu_count() or 1))
     poor = share >= STOLEN
-    yield (
-        "stolen time",
-        "warning" if poor else "ok",
-        f"{share:.1f} %",
-        ("the host gives this machine's time to others: ask for cores of its own" if poor else ""),
+    remedy = (
+        "the host gives this machine's time to others: ask for cores of its own" if poor else ""
     )
-    allowed = os.geteuid() == 0 or resource.getrlimit(resource.RLIMIT_RTPRIO)[0] != 0
-    yield (
-        "real-time priority",
-        "ok" if allowed else "warning",
-        "allowed" if allowed else "refused",
-        ("" if allowed else f"pacing.priority needs {REAL_TIME}, then log in again"),
-    )
+    yield "stolen time", f"{share:.1f} %", remedy, "warning"
+    root = os.geteuid() == 0
+    allowed = root or resource.getrlimit(resource.RLIMIT_RTPRIO)[0] != 0
+    remedy = "" if allowed else f"pacing.priority needs {REAL_TIME}, then log in again"
+    yield "real-time priority", "allowed" if allowed else "refused", remedy, "warning"
     limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
-    free = limit == resource.RLIM_INFINITY or os.geteuid() == 0
-    yield (
-        "memory lock",
-        "ok" if free else "note",
-        "unlimited" if free else f"{limit >> 20} MiB",
-        ("" if free else "pacing.lock_memory needs '<user> - memlock unlimited' in limits.conf"),
-    )
+    if root or limit == resource.RLIM_INFINITY:
+        yield "memory lock", "unlimited", "", "ok"
+    else:
+        remedy = "pacing.lock_memory needs '<user> - memlock unlimited' in limits.conf"
+        yield "memory lock", f"{limit >> 20} MiB", remedy, "note"
     files = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-    few = files < FEW_FILES
-    yield "open files", "warning" if few else "ok", str(files), "ulimit -n 4096" if few else ""
+    yield "open files", str(files), "ulimit -n 4096" if files < FEW_FILES else "", "warning"
 
 
 def _stolen() -> float:
@@ -260,29 +238,16 @@ def _left() -> Iterator[_Row]:
 
     found = [latched for _, latched in latches()]
     for each in found:
-        yield (
-            f"latch of {each.owner}",
-            "warning",
-            f"{each.kind}: {each.reason}",
-            clearing(each.owner),
-        )
+        said = f"{each.kind}: {each.reason}"
+        yield f"latch of {each.owner}", said, clearing(each.owner), "warning"
     if not found:
-        yield "latches", "ok", "none", ""
-    dead = [each.name for each in segments() if not each.alive]
-    yield (
-        "shared memory of dead runs",
-        "note" if dead else "ok",
-        ", ".join(dead) or "none",
-        ("unicon states --clean" if dead else ""),
-    )
-    fast = [*Path("/dev/shm").glob("fastrtps_*"), *Path("/dev/shm").glob("fastdds_*")]
-    many = len(fast) > 200
-    yield (
-        "shared memory of Fast DDS",
-        "note" if many else "ok",
-        f"{len(fast)} files",
-        ("what dead processes left: fastdds shm clean" if many else ""),
-    )
+        yield "latches", "none", "", "ok"
+    dead = ", ".join(each.name for each in segments() if not each.alive)
+    remedy = "unicon states --clean" if dead else ""
+    yield "shared memory of dead runs", dead or "none", remedy, "note"
+    files = sum(name.startswith(("fastrtps_", "fastdds_")) for name in os.listdir("/dev/shm"))
+    remedy = "what dead processes left: fastdds shm clean" if files > MANY_FILES else ""
+    yield "shared memory of Fast DDS", f"{files} files", remedy, "note"
 
 
 def _disks() -> Iterator[_Row]:
@@ -291,28 +256,19 @@ def _disks() -> Iterator[_Row]:
 
     assets = load_assets()
     each = named([*assets], assets)
-    here = [asset.name for asset in each if asset_folder(asset) is not None]
+    here = sum(asset_folder(asset) is not None for asset in each)
     where = ", ".join(map(str, assets_roots())) or "no folder yet"
-    yield (
-        "assets",
-        "ok" if here else "note",
-        f"{len(here)} of {len(each)} in {where}",
-        ("" if here else "public models and policies: unicon assets list"),
-    )
+    remedy = "" if here else "public models and policies: unicon assets list"
+    yield "assets", f"{here} of {len(each)} in {where}", remedy, "note"
     for name, folder in (("faults", user_folder("faults")), ("cache", assets_cache())):
         place = next((p for p in (folder, *folder.parents) if p.exists()), None) if folder else None
         if place is None:
-            yield name, "warning", "there is no home folder", "set HOME"
+            yield name, "there is no home folder", "set HOME", "warning"
             continue
         free, able = shutil.disk_usage(place).free, os.access(place, os.W_OK)
-        bad = not able or free < LITTLE
         said = f"{free / 1e9:.1f} GB free at {place}" + ("" if able else ", not writable")
-        yield (
-            name,
-            "warning" if bad else "ok",
-            said,
-            "make room or give write access" if bad else "",
-        )
+        remedy = "make room or give write access" if not able or free < LITTLE else ""
+        yield name, said, remedy, "warning"
 
 
 def _text(path: Path) -> str:

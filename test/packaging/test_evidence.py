@@ -110,9 +110,9 @@ def test_what_shows_it_runs_here_or_says_why_not(test: str) -> None:
 def test_little_is_said_of_what_was_hardly_run() -> None:
     go2 = load_robot("go2")
     gazebo = Facts("gazebo", simulated=True)
-    assert [each.level for each in little_seen([gazebo], go2)] == ["never"]
-    assert little_seen([Facts("mujoco", simulated=True)], go2) == []
-    (seen,) = little_seen([Facts("unitree", simulated=False)], go2)
+    assert [each.level for each in little_seen(gazebo, go2)] == ["never"]
+    assert little_seen(Facts("mujoco", simulated=True), go2) == []
+    (seen,) = little_seen(Facts("unitree", simulated=False), go2)
     assert str(seen).startswith("run against the vendor's own: the official Python SDK")
 
 

@@ -23,9 +23,9 @@ from typing import Protocol
 from urllib.parse import quote, urlsplit
 
 from unicon_core.assets.manifest import Asset, AssetFile
-from unicon_core.assets.state import CHUNK, digest, wrong_files
+from unicon_core.assets.state import wrong_files
 from unicon_core.errors import UniconError
-from unicon_core.resources import assets_cache
+from unicon_core.resources import CHUNK, assets_cache, sha256_of
 
 __all__ = ["Got", "fetch"]
 
@@ -187,7 +187,7 @@ def _file(
         except _Broken as broken:
             if attempt == ATTEMPTS - 1 or not broken.again:
                 raise UniconError(f"asset {asset.name}: {broken}") from broken
-    if digest(part) != file.sha256:
+    if sha256_of(part) != file.sha256:
         part.unlink()
         raise UniconError(
             f"asset {asset.name}: {file.name} has another SHA-256 than config/assets.yaml says "

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 from pathlib import Path
 
 from unicon_core.assets.manifest import Asset
-from unicon_core.resources import assets_roots
+from unicon_core.resources import assets_roots, sha256_of
 
-__all__ = ["CHUNK", "asset_folder", "digest", "wrong_files"]
-
-CHUNK = 1 << 20
+__all__ = ["asset_folder", "wrong_files"]
 
 
 def asset_folder(asset: Asset) -> Path | None:
@@ -33,25 +30,12 @@ def wrong_files(folder: Path, asset: Asset) -> dict[str, str]:
         differs = _differs(path, file.size)
         if not differs:
             try:
-                differs = "" if digest(path) == file.sha256 else "another SHA-256"
+                differs = "" if sha256_of(path) == file.sha256 else "another SHA-256"
             except OSError as error:
                 differs = error.strerror or str(error)
         if differs:
             wrong[file.name] = differs
     return wrong
-
-
-def digest(path: Path) -> str:
-    """Return the SHA-256 of a file of any size.
-
-    Raises:
-        OSError: it cannot be read.
-    """
-    found = hashlib.sha256()
-    with path.open("rb") as file:
-        while chunk := file.read(CHUNK):
-            found.update(chunk)
-    return found.hexdigest()
 
 
 def _differs(path: Path, size: int) -> str:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject
 from unicon_core.evidence import LEVELS, Evidence, load_evidence
@@ -16,23 +14,26 @@ ENOUGH = {"simulator": "vendor", "robot": "hardware"}
 """Levels from which nothing is said."""
 
 
-def little_seen(facts: Iterable[Facts], robot: Robot) -> list[Evidence]:
-    """Return what was hardly run of the platforms and robots of a workflow.
+def little_seen(facts: Facts, robot: Robot) -> list[Evidence]:
+    """Return what was hardly run of a workflow's platform, or of the robots that it drives.
 
     Args:
-        facts: of its platforms.
-        robot: its robot.
+        facts: of the platform.
+        robot: of the workflow.
     """
-    ledger, found = load_evidence(), []
-    for each in facts:
-        names = [name.name for name in (robot.members.values() or (robot,))]
-        keys = [("simulator", each.name)] if each.simulated else [("robot", n) for n in names]
-        found += [ledger[key] for key in keys if key in ledger]
-    levels = list(LEVELS)
-    return [e for e in found if levels.index(e.level) < levels.index(ENOUGH[e.kind])]
+    robots = [("robot", each.name) for each in (robot.members.values() or (robot,))]
+    ledger, levels = load_evidence(), list(LEVELS)
+    found = [
+        ledger.get(key) for key in ([("simulator", facts.name)] if facts.simulated else robots)
+    ]
+    return [
+        each
+        for each in found
+        if each is not None and levels.index(each.level) < levels.index(ENOUGH[each.kind])
+    ]
 
 
 def check_seen(subject: Subject, result: CheckResult) -> None:
     """Note what the workflow's platform was hardly run against."""
-    for each in little_seen([subject.platform], subject.robot):
+    for each in little_seen(subject.platform, subject.robot):
         result.note("evidence", f"{each.kind} {each.name}", str(each))

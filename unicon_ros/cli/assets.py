@@ -13,6 +13,7 @@ import json
 import sys
 import time
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from unicon_core.aligned import aligned
@@ -23,7 +24,7 @@ from unicon_ros.cli.console import CLEAR, is_terminal
 if TYPE_CHECKING:
     from unicon_core.workflow.document import WorkflowDocument
 
-__all__ = ["add", "fetch_all", "fetch_for"]
+__all__ = ["add", "fetch_all", "fetch_for", "references"]
 
 EVERY = 0.1
 """Of the progress line in [s]."""
@@ -86,25 +87,25 @@ def fetch_all(names: Sequence[str], mirror: str | None = None) -> int:
     return 0
 
 
-def fetch_for(document: WorkflowDocument, mirror: str | None = None) -> None:
-    """Fetch the assets that a workflow and its robot name and that are not at hand."""
-    from unicon_core.assets import load_assets
+def references(document: WorkflowDocument) -> set[str]:
+    """Return what a workflow and its robot name as `assets:PATH`."""
     from unicon_core.workflow.members import load_robot_of
 
     robot = load_robot_of(document)
     models = [model for each in (robot, *robot.members.values()) for model in each.models.values()]
-    names = set()
-    for text in (*_strings(document.values), *models):
-        kind, _, rest = text.removeprefix("assets:").partition("/")
-        if text.startswith("assets:") and kind in ("models", "policies"):
-            names.add((text, rest.partition("/")[0]))
-    roots, known = [*assets_roots()], load_assets()
-    missing = {
-        name
-        for text, name in names
-        if name in known
-        and not any((root / text.removeprefix("assets:")).exists() for root in roots)
-    }
+    named = (*_strings(document.values), *models)
+    return {text for text in named if text.startswith("assets:")}
+
+
+def fetch_for(document: WorkflowDocument, mirror: str | None = None) -> None:
+    """Fetch the assets that a workflow and its robot name and that are not at hand."""
+    from unicon_core.assets import load_assets
+
+    known, missing = load_assets(), set()
+    for reference in references(document):
+        path = Path(reference.removeprefix("assets:"))
+        if not any((root / path).exists() for root in assets_roots()):
+            missing |= set(path.parts[1:2]) & known.keys()
     if missing:
         fetch_all(sorted(missing), mirror)
 

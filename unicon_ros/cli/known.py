@@ -162,13 +162,13 @@ def _factories(kind: str, arguments: argparse.Namespace, error: type[UniconError
 
     name, ledger = arguments.name, load_evidence() if kind == "platforms" else {}
     seen = {n: e for (of, n), e in ledger.items() if of == "simulator"}
+    listed = sorted(known(kind).items())
     if arguments.json:
-        rows = [{"name": each, "factory": at} for each, at in sorted(known(kind).items())]
-        return _json([row | ({"evidence": seen[row["name"]].level} if row["name"] in seen else {})
-                      for row in rows])  # fmt: skip
+        levels = {each: {"evidence": evidence.level} for each, evidence in seen.items()}
+        return _json([{"name": n, "factory": at, **levels.get(n, {})} for n, at in listed])
     if name is None:
         words = {n: LEVELS["never"] if e.level == "never" else e.against for n, e in seen.items()}
-        _print_table([(each, at, words.get(each, "")) for each, at in sorted(known(kind).items())])
+        _print_table([(each, at, words.get(each, "")) for each, at in listed])
         return 0
     factory = find_factory(kind, name, error)
     target = known(kind).get(name, name)

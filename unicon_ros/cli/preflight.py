@@ -134,7 +134,7 @@ def _static(program: Program, result: PreflightResult) -> None:
     result.add("check", True, "no error that a run would refuse")
     for line in told:
         result.add("check", None, line)
-    for evidence in little_seen([program.platform.facts], program.robot):
+    for evidence in little_seen(program.platform.facts, program.robot):
         result.add("evidence", None, f"{evidence.kind} {evidence.name}: {evidence}")
 
 

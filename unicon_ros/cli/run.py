@@ -290,7 +290,7 @@ def _run(
             for line in refuse_errors(program, arguments.force):
                 console.warn(line)
             if not program.platform.facts.simulated:
-                for evidence in little_seen([program.platform.facts], program.robot):
+                for evidence in little_seen(program.platform.facts, program.robot):
                     if evidence.level in ("never", "stand_in"):
                         console.say(f"{evidence.kind} {evidence.name}: {evidence}")
             runner = Runner(program, options)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 from functools import partial
 from typing import Any
 
@@ -19,12 +18,6 @@ _DRIVES = Wants(most=None, least=30, ms=None, status=(0,), report=False)
 def _killed_on_its_answer(run: FaultRun) -> None:
     run.wait_for(lambda: "estop: " in run.peer_said())
     run.process.kill()
-
-
-def _interrupted(run: FaultRun) -> None:
-    run.wait_for_tick(run.case.at)
-    run.mark()
-    run.process.send_signal(signal.SIGINT)
 
 
 def _latches(name: str, wants: Wants = _REFUSED, **others: Any) -> Case:
@@ -48,5 +41,5 @@ CASES = (
         flow={"zip": [{f"{BLOCKS}:pressed": {"at": "{at}"}}, WOBBLE]},
         again=("--ros",),
     ),
-    _latches("Ctrl-C, then unicon run: it runs", _DRIVES, outside=_interrupted),
+    _latches("Ctrl-C, then unicon run: it runs", _DRIVES, fault={"signals": ["SIGINT"]}),
 )
