@@ -74,14 +74,15 @@ class Server(ThreadingHTTPServer):
         cut: bytes of a body after which the connection ends, once for each path.
         stall: bytes of a body after which nothing comes any more.
         whole: it knows no ranges.
-        pace: seconds between pieces of 64 KiB.
+        piece: bytes that are sent at once.
+        pace: seconds between pieces.
         asked: paths and ranges in the order in which they came.
     """
 
     daemon_threads = True
     cut = stall = 0
     whole = False
-    pace = 0.0
+    pace, piece = 0.0, 1 << 16
 
     def __init__(self, folder: Path) -> None:
         super().__init__(("127.0.0.1", 0), _Handler)
@@ -122,8 +123,8 @@ class _Handler(BaseHTTPRequestHandler):
         if server.cut and self.path not in server.was_cut and len(body) > server.cut:
             server.was_cut.add(self.path)
             body = body[: server.cut]
-        for k in range(0, len(body), 1 << 16):
-            self.wfile.write(body[k : k + (1 << 16)])
+        for k in range(0, len(body), server.piece):
+            self.wfile.write(body[k : k + server.piece])
             time.sleep(server.pace)
 
     def log_message(self, *_: object) -> None:
@@ -218,6 +219,15 @@ def test_a_file_may_have_another_name_on_a_mirror(
     write_list(tmp_path / "config", {"cube": told})
     with pytest.raises(UniconError, match="paths without"):
         load_assets()
+
+
+def test_a_server_that_drips_is_given_up(cache: Path, server: Server) -> None:
+    server.piece, server.pace = 64, 0.02  # 640 bytes in the time in which 4 KiB have to come
+    with pytest.raises(UniconError, match="nothing for too long"):
+        fetch(cube(), mirror=server.url, silence=0.2)
+    server.piece, server.pace = 1 << 16, 0.0
+    fetch(cube(), mirror=server.url)
+    assert everything(cache) == WHOLE
 
 
 @pytest.mark.parametrize("change", ["longer", "shorter", "another"])

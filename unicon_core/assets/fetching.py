@@ -296,7 +296,7 @@ class _Web:
 def _why(file: AssetFile, error: Exception, server: str = "the server") -> str:
     reason = getattr(error, "reason", error)
     if isinstance(reason, TimeoutError):
-        reason = "it sent nothing for too long"
+        reason = "it sent little or nothing for too long"
     return (
         f"{file.name}: {server}: {reason}; fetch again: it goes on where it ended, or give --from "
         "DIR or URL of a mirror"
