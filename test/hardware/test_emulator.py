@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from typing import Any
 
 import numpy as np
@@ -220,6 +221,24 @@ def test_a_gantry_lets_go_some_time_after_the_first_command() -> None:
     stage.tick(500)
     assert len(stage.of("let go")) == 1
     assert stage.face.told[-1]["base_pos_w"][2] < 0.5 * start  # without stiffness it lies down
+
+
+@pytest.mark.parametrize("busy", [0.0, 0.5])
+def test_a_second_in_which_its_time_stood_still_is_told(busy: float) -> None:
+    """A stall as of a busy machine; a driver sees joints that do not follow their velocities."""
+    stage = Stage()
+    hear, stalls = stage.face.hear, [busy]
+
+    def stalled() -> bool:
+        time.sleep(stalls.pop() if stalls else 0.0)
+        return hear()
+
+    stage.face.hear = stalled  # type: ignore[method-assign]
+    stage.emulator.run(1.1)
+    told = [line["missed"] for line in stage.of("late")]
+    assert all(line["of"] == 500 for line in stage.of("late"))
+    assert stage.of("ended")[0]["missed"] >= sum(told)
+    assert max(told, default=0) >= 500 * busy - 5
 
 
 def test_torques_are_limited_by_the_servo() -> None:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import PlatformError
 from unicon_core.platforms.kit.command import Command
+from unicon_core.platforms.kit.gantry import GANTRY
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.kit.servo import Servo
 from unicon_core.platforms.kit.start import start_of
@@ -66,7 +67,7 @@ class FakePlatform:
     kp (q* - q) + kd (qd* - qd) + tau_ff, clipped to the effort limits.
     """
 
-    facts = Facts("fake", simulated=True, batch=True, writes=SIMULATED)
+    facts = Facts("fake", simulated=True, batch=True, writes=SIMULATED, physics=(GANTRY,))
 
     def __init__(
         self, states: States, robot: Robot, period: float, scene: Scene, time_constant: float

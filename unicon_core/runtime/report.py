@@ -48,7 +48,7 @@ class Report:
         forced: codes of the check's errors that it was run with.
         base_displacement_m: base position at the end minus at the start, world frame; None where
             the robot's base is fixed, as are `fell` and `tilt_deg`.
-        fell: the base tilted by more than 60° from upright.
+        fell: the base tilted by more than 60° from upright; None where a simulator's gantry holds it.
         tilt_deg: largest tilt of the base from upright.
         sha256_commands: SHA-256 over the command states of every tick.
         dry: nothing was sent; the hash is of what would have been.
@@ -136,11 +136,12 @@ class Report:
         target.write_text(json.dumps(self.to_dict(), indent=2) + "\n", encoding="utf-8")
 
     def base_moved(self) -> str:
-        """Return in words how far the base moved and tilted, or that it is fixed."""
+        """Return in words how far the base moved and tilted, or that it is fixed or held."""
         if self.base_displacement_m is None or self.tilt_deg is None:
             return "fixed"
-        x, y, z = self.base_displacement_m
-        return f"moved {x:+.2f} {y:+.2f} {z:+.2f} m, tilted up to {self.tilt_deg:.0f}°"
+        x, y, z = (round(value, 2) + 0.0 for value in self.base_displacement_m)  # no -0.00
+        held = "hangs on a gantry (scene.gantry), " if self.fell is None else ""
+        return f"{held}moved {x:+.2f} {y:+.2f} {z:+.2f} m, tilted up to {self.tilt_deg:.0f}°"
 
     def wall_text(self) -> str:
         """Return wall time and rate in words; a pause of less than 10 ms is not worth one."""
@@ -189,6 +190,9 @@ class Monitor:
         states: of the workflow.
         dry: nothing is sent.
         fixed: the base cannot move, so that it neither falls nor gets anywhere.
+
+    Attributes:
+        held: a gantry holds the base, so that it cannot fall; the builder says it.
     """
 
     FALL_COSINE = 0.5
@@ -198,7 +202,7 @@ class Monitor:
     reads = ("base_pos_w", "projected_gravity", *COMMAND_STATES)
 
     def __init__(self, states: States, *, dry: bool = False, fixed: bool = False) -> None:
-        self._dry, self._fixed = dry, fixed
+        self._dry, self._fixed, self.held = dry, fixed, False
         self._pos = states["base_pos_w"].reshape(-1, 3)
         gravity = states["projected_gravity"].reshape(-1, 3)[:, 2]
         # `max` takes 1.3 µs where one number takes 0.1.
@@ -244,7 +248,7 @@ class Monitor:
         else:
             moved = self._pos[0] - self._start[0] if self._started else np.zeros(3)
             report.base_displacement_m = [round(float(value), 6) for value in moved]
-            report.fell = self.fell
+            report.fell = None if self.held else self.fell
             report.tilt_deg = round(math.degrees(math.acos(max(-1.0, min(-self._worst, 1.0)))), 1)
         report.sha256_commands = self.sha256
         report.dry = self._dry

@@ -199,6 +199,8 @@ class Program:
                     self.latches = latches_of(document, self.robot, self.tell)
                 self.platform = build_platform(document, self.context, dry=dry, silent=silent)
             self.context.platform = self.platform
+            held = document.get("scene", dict, {}).get("gantry") and self.platform.facts.simulated
+            self.monitor.held = bool(held)
         except BaseException:  # nobody else has them yet
             for arrival in self._arrivals:
                 arrival.close()

@@ -10,7 +10,7 @@ from unicon_core.errors import PlatformError, RobotError, WorkflowError, alterna
 from unicon_core.platforms.kit.scene import DISTURBANCES, SCENE_KEYS, Scene
 from unicon_core.platforms.platform import Facts
 from unicon_core.robots import joint_index
-from unicon_core.robots.joint_physics import joint_physics
+from unicon_core.robots.joint_physics import JOINT_PHYSICS, joint_physics
 from unicon_core.workflow.autowire import BuildContext
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.option_types import wrong_option
@@ -59,7 +59,7 @@ def read_scene(document: WorkflowDocument, context: BuildContext, facts: Facts) 
         raise document.error(str(error), "scene") from error
     unable = [word for word in physics.words if word not in facts.physics]
     if facts.simulated and unable:
-        able = ", ".join(facts.physics) or "nothing of joints"
+        able = ", ".join(filter(JOINT_PHYSICS.__contains__, facts.physics)) or "nothing of joints"
         file = context.robot.overlay or context.robot.path
         raise document.error(
             f"platform {facts.name!r} simulates no {unable[0]} of joints (it can: {able}); take it "

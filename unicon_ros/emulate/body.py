@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +15,13 @@ from numpy.typing import NDArray
 from unicon_core.errors import MissingDependencyError, ModelError, PlatformError
 from unicon_core.platforms.fake import FakePlatform
 from unicon_core.platforms.kit.disturbances import disturb
+from unicon_core.platforms.kit.gantry import let_go
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.kit.start import start_of
 from unicon_core.platforms.platform import Platform
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.workflow.registry import find_factory
-from unicon_ros.emulate.gantry import Gantry
 
 __all__ = ["JOINTS_ALONE", "POSTURES", "Body", "body_of", "random_posture"]
 
@@ -54,12 +55,12 @@ class Body:
     Attributes:
         platform: a simulator, whose states are those of the face.
         model: the file that it was read from; None of joints alone.
-        gantry: called before each step; None where nothing holds the base.
+        let_go: takes the gantry from its base; None where nothing holds it.
     """
 
     platform: Platform
     model: Path | None
-    gantry: Gantry | None
+    let_go: Callable[[], None] | None
 
 
 def body_of(
@@ -98,14 +99,16 @@ def body_of(
     scene = Scene(file, posture if posture != "random" else "default", seed=seed, folder=Path.cwd())
     if posture == "random":
         scene = replace(scene, pose=random_posture(robot, np.random.default_rng(seed)))
-    gantry: Gantry | None = None
     path: Path | None = None
+    free: Callable[[], None] | None = None
     if model == JOINTS_ALONE:
         platform: Any = JointsAlone(states, robot, period, scene)
     else:
         try:
-            platform, gantry = _simulated(states, robot, period, scene, lift if hang else None)
+            platform, base = _simulated(states, robot, period, scene, lift if hang else None)
             path = platform.model_path
+            if base is not None:
+                free = partial(let_go, platform.model, base)
         except (MissingDependencyError, ModelError) as error:
             if model is not None:
                 raise
@@ -114,7 +117,7 @@ def body_of(
     if not still:
         noise = {name: std for name, std in NOISE.items() if name in platform.facts.writes}
         platform = disturb(platform, replace(scene, noise=noise), states, robot, period)
-    return Body(platform, path, gantry)
+    return Body(platform, path, free)
 
 
 def random_posture(robot: Robot, random: np.random.Generator) -> NDArray[np.float32]:
@@ -159,7 +162,7 @@ class JointsAlone(FakePlatform):
 
 def _simulated(
     states: States, robot: Robot, period: float, scene: Scene, lift: float | None
-) -> tuple[Any, Gantry | None]:
+) -> tuple[Any, int | None]:
     make = find_factory("platforms", "mujoco", PlatformError)
     base: int | None = None
     if lift is not None:
@@ -170,8 +173,8 @@ def _simulated(
                 f"the base of robot {robot.name} does not move in {start.loaded.path}; it need not "
                 "hang"
             )
-        scene = replace(scene, initial_height=float(start.position[2]) + lift)
+        scene = replace(scene, gantry=True, initial_height=float(start.position[2]) + lift)
     # A whole number of steps in a tick.
     timestep = period / math.ceil(period / STEP - 1e-9)
     platform = make(states, robot, period, scene=scene, timestep=timestep)
-    return platform, None if base is None else Gantry(platform.model, platform.data, base)
+    return platform, base

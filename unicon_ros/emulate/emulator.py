@@ -35,6 +35,8 @@ __all__ = ["SILENCE", "Emulator", "emulated"]
 
 SILENCE = 0.5
 """After so long without a command, or its dead man's time, the next one is a first one, [s]."""
+LATE = 0.1
+"""Share of a second's frames that a busy machine may miss untold."""
 FASTEST = 5000.0
 """Of faces in [Hz]: a tick of Python takes 0.1 ms."""
 ROOM_TEMPERATURE = 25.0
@@ -73,7 +75,7 @@ class Emulator:
     ) -> None:
         self._states, self._face, self._body = states, face, body
         self._timed = face if isinstance(face, Timed) else None
-        self._gantry, self._let_go, self._goes_at = body.gantry, let_go, float("inf")
+        self._let_go, self._goes_at = let_go, float("inf")
         self._leaves_at = float("inf")
         self._say = say
         self._defects = defects or Defects()
@@ -136,12 +138,10 @@ class Emulator:
         elif self._obeyed:
             self._mind(now)
         self._defects.acted(states)
-        if self._gantry is not None:
-            self._gantry()
-            if now >= self._goes_at:
-                self._gantry.let_go()
-                self._gantry = None
-                self._say("let go", after=now)
+        if now >= self._goes_at and self._body.let_go is not None:
+            self._goes_at = float("inf")
+            self._body.let_go()
+            self._say("let go", after=now)
         self._body.platform.send()
         self.ticks += 1
 
@@ -207,7 +207,9 @@ class Emulator:
     def run(self, duration: float = float("inf")) -> None:
         """Tick in real time until stopped, at most so many seconds.
 
-        Ticks that the machine is too late for are left out and counted.
+        Ticks that the machine is too late for are left out and counted: meanwhile the robot's time
+        stands still, and a driver sees joints that do not follow their velocities. A second with
+        more than `LATE` of them left out is told.
 
         Raises:
             Fault: the physics blew up.
@@ -215,8 +217,14 @@ class Emulator:
         period, wait, now = round(1e9 / self._face.rate), WallClock(0).until, time.perf_counter_ns
         restore = prepare_process(Pacing(), lambda _: None)
         due = begun = now()
+        second, before = begun + 1_000_000_000, 0
         try:
             while not self._stop and due - begun < duration * 1e9:
+                if due >= second:
+                    missed = self.missed - before
+                    if missed > LATE * self._face.rate:
+                        self._say("late", missed=missed, of=round(self._face.rate))
+                    second, before = due + 1_000_000_000, self.missed
                 self.tick(time.monotonic())
                 due += period
                 late = now() - due

@@ -9,6 +9,7 @@
 | `ignored` | the first command of some that came while the robot does not obey |
 | `refused` | the same of commands that are not finite |
 | `silence` | no command has come for a while |
+| `late` | frames of the last second that a busy machine missed; the robot's time stood still then |
 | `let go` | the gantry holds it no longer |
 | `damping` | no joint has stiffness any more, `by` a command or the robot's own dead man |
 | `ended` | frames that were, those that a busy machine missed, and how far the base moved, [m] |

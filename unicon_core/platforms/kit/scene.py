@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from unicon_core.errors import PlatformError, alternatives
 from unicon_core.models.find import pick_model
 from unicon_core.platforms.kit.bodies import BODY_PHYSICS, wrong_bodies
+from unicon_core.platforms.kit.gantry import GANTRY
 from unicon_core.robots import Robot
 from unicon_core.robots.joint_physics import wrong_physics
 from unicon_core.robots.poses import named_pose, robot_poses
@@ -51,6 +52,8 @@ class Scene:
             `keyframe:NAME` of the model, or joints to [rad] over the default pose. In a workflow
             also `policy:NAME`, its default pose.
         initial_height: of the base in [m]; None sets the robot on the floor.
+        gantry: whether springs hold a base that can move where it begins, upright: nobody has to
+            balance it.
         terrain: a kind of ground, or a kind to its figures, see `terrain/words.py`.
         seed: of noise and pushes, and of ground that has none of its own; robot k of a batch draws
             from (seed, k), all stand on the same ground.
@@ -74,6 +77,7 @@ class Scene:
     model: str | Path | None = None
     initial_pose: str | Mapping[str, float] = "default"
     initial_height: float | None = None
+    gantry: bool = False
     terrain: str | Mapping[str, Any] = FLAT
     seed: int = 0
     delay: int = 0
@@ -136,9 +140,9 @@ class Scene:
 
     @property
     def bodies(self) -> list[str]:
-        """What is said of bodies and ground, as a platform's facts name what it can be told."""
+        """What is said of bodies, base and ground, in the words of a platform's facts."""
         said = {"payload": bool(self.payload), "contact_friction": self.contact_friction != 1.0}
-        words = [word for word in BODY_PHYSICS if said[word]]
+        words = [word for word in BODY_PHYSICS if said[word]] + [GANTRY] * self.gantry
         return words if self.uneven is None else [*words, TERRAIN]
 
     @cached_property

@@ -17,6 +17,7 @@ from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.platforms.kit.bodies import BODY_PHYSICS, tell_bodies
 from unicon_core.platforms.kit.clock import steps_in
 from unicon_core.platforms.kit.command import Command
+from unicon_core.platforms.kit.gantry import GANTRY, hold
 from unicon_core.platforms.kit.joint_delay import delay_of, strength_of
 from unicon_core.platforms.kit.joint_model import Passive, known_passive
 from unicon_core.platforms.kit.scene import TERRAIN, Scene
@@ -86,7 +87,7 @@ class MujocoPlatform:
         simulated=True,
         batch=True,
         writes=SIMULATED,
-        physics=(*JOINT_PHYSICS, *BODY_PHYSICS, TERRAIN),
+        physics=(*JOINT_PHYSICS, *BODY_PHYSICS, GANTRY, TERRAIN),
     )
 
     def __init__(
@@ -114,6 +115,8 @@ class MujocoPlatform:
         if qpos is None:
             qpos = initial_positions(models.flat, robot, scene)  # all ground is flat at the start
         self._scene, self._begins = scene, qpos
+        if scene.gantry and loaded.base is not None:
+            hold(model, loaded.base, qpos)
         # A blow-up must be seen: by itself MuJoCo would go on from the initial state.
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self._physics = physics = joint_physics(robot, scene.joints)
