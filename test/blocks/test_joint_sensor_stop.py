@@ -134,6 +134,23 @@ def test_sound_sensors_are_none(bench: Build, block: str) -> None:
     made.tick()
 
 
+def test_an_old_frame_behind_a_pause_is_none(bench: Build) -> None:
+    """A burst: its first frame was measured 50 ms ago, and is stamped as if it had just been."""
+    gait = Gait(bench())
+    made, gait.phase = gait.it.block("joint_sensor_stop"), np.zeros(12)  # all are quick at once
+    for k in range(51):
+        gait.frame(k)
+        made.tick()
+    for measured, stamped in ((1.02, 1.07), (1.08, 1.08), (1.10, 1.10), (1.12, 1.12)):
+        gait.frame(0, time=measured)
+        gait.it.states.stamp_ns = round((gait.time + stamped) * 1e9)
+        made.tick()
+    gait.frame(0, time=1.14)
+    gait.it.states.joint_pos[KNEE] += 0.3
+    with pytest.raises(Fault, match="encoder"):
+        made.tick()
+
+
 def test_velocities_of_the_same_bits_are_a_fault_where_joints_move_slowly(bench: Build) -> None:
     gait = Gait(bench())
     made, pos = gait.it.block("joint_sensor_stop"), gait.it.states.joint_pos

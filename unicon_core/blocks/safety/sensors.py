@@ -84,8 +84,13 @@ class JointSensorStop:
     FROZEN, MOTION = 0.2, 0.3
     """In [s], and of all joints together in [rad]."""
 
-    LONGEST = 0.1
-    """Between two frames, [s]: of a longer pause nobody knows how the joints moved in it."""
+    LONGEST = 0.05
+    """Between two frames, [s], or 2.5 ticks: of a longer pause nobody knows how the joints moved in
+    it, nor when its first frame was measured: a burst that a network held back begins with an old
+    one. Neither is judged."""
+
+    HELD_BACK = 1.0
+    """So long may a network do that, [s]."""
 
     def __init__(
         self,
@@ -100,6 +105,7 @@ class JointSensorStop:
         self._pos, self._vel, self._stamp, self._names = pos, vel, stamp, robot.joint_names
         self._step, self._drift, self._at = step, drift, NEVER
         self._period2 = (1.1 * period) ** 2  # frames come a little apart
+        self._longest, self._doubtful = max(self.LONGEST, 2.5 * period), False
         self.looked_at = (~robot.endless & ~robot.by_position).astype(np.float32)
         self._last, self._was = np.full_like(pos, np.nan), np.zeros_like(vel)
         self._start, self._same = np.zeros_like(pos), 0.0
@@ -123,8 +129,10 @@ class JointSensorStop:
         np.maximum(vel, was, out=high)
         frozen = vel.tobytes() == was.tobytes()
         last[...], was[...] = pos, vel
-        if not 0.0 < dt <= self.LONGEST:
+        paused = not 0.0 < dt <= self._longest
+        if paused or self._doubtful:
             total[...], self._start[...], self._same = 0.0, pos, 0.0
+            self._doubtful = paused and 0.0 < dt < self.HELD_BACK
             return
         if not frozen:
             self._start[...], self._same = pos, 0.0
