@@ -62,3 +62,17 @@ def test_nothing_claims_a_real_robot() -> None:
     """Who has run one writes so in the first lines, and here."""
     assert "Nothing here has moved a real robot yet." in TEXT
     assert not any("real" in against for _, _, against in rows().values())
+
+
+def test_every_unknown_fact_has_a_line_that_says_who_could_tell_it() -> None:
+    text = TEXT.split("### What no public source says", 1)[1].split("\n## ", 1)[0]
+    told: dict[str, set[str]] = {}
+    for line in text.splitlines():
+        if line.startswith("| `"):
+            robots, facts, who = line.strip("| ").split("|", 2)
+            assert who.strip(), line
+            told |= dict.fromkeys(
+                re.findall(r"`(.+?)`", robots), set(re.findall(r"`(.+?)`", facts))
+            )
+    unknown = {name: set(load_robot(name).unknown) for name in robot_names()}
+    assert told == {name: facts for name, facts in unknown.items() if facts}
