@@ -35,6 +35,7 @@ class Evidence:
         level: one of `LEVELS`.
         against: what exactly, in words.
         test: file that shows it; "" where none does.
+        report: file of `evidence/` beside the ledger that tells of a run on hardware; else "".
         commit: of the last run.
         date: of it, YYYY-MM-DD.
     """
@@ -44,6 +45,7 @@ class Evidence:
     level: str
     against: str
     test: str = ""
+    report: str = ""
     commit: str = ""
     date: str = ""
 

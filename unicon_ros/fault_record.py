@@ -100,7 +100,7 @@ class FaultRecord:
         self._ring.attach(runner)
         self._facts = facts_of(runner, dict.fromkeys(self._ring.moments))
         if self._recording is not None:
-            self._recording.attach(self._facts)
+            self._recording.attach(self._facts, runner.statistics)
 
     def write(self, report: Report) -> Path | None:
         """Write the record of a run with a fault, and return where; never raises.

@@ -21,6 +21,7 @@ from unicon_ros.recording.records import attachment, metadata
 from unicon_ros.recording.tick_message import kept_moments
 
 if TYPE_CHECKING:
+    from unicon_core.runtime.statistics import TickStatistics
     from unicon_ros.recorder import Recorder
 
 __all__ = ["RecordedTicks"]
@@ -56,6 +57,15 @@ class RecordedTicks:
         """Give the facts of the run to the recorder."""
         facts = {**facts, **layout_facts(self._layout, self._ring.outside)}
         self._recorder.add_record(partial(metadata, "unicon", facts))
+
+    def close(self, statistics: TickStatistics) -> None:
+        """Give what is known at the end of the run."""
+
+        def made() -> bytes:
+            late = json.dumps(statistics.lateness_us())
+            return metadata("unicon", {"overruns": str(statistics.overruns), "late_us": late})
+
+        self._recorder.add_record(made)
 
     def _take(self, raw: memoryview) -> None:
         row, memory = self._row, self._ring.newest

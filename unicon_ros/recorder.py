@@ -26,6 +26,7 @@ from unicon_ros.recording.recover import recover_aside
 from unicon_ros.recording.tick_message import Kept, tick_channel
 
 if TYPE_CHECKING:
+    from unicon_core.runtime.statistics import TickStatistics
     from unicon_core.runtime.tick_ring import TickRing
     from unicon_core.states import Layout
     from unicon_core.workflow import Program
@@ -234,6 +235,7 @@ class Recording:
         self._ticks: RecordedTicks | None = None
         self._wanted, self._jpeg = tuple(frames), jpeg
         self._frames: RecordedFrames | None = None
+        self._statistics: TickStatistics | None = None
 
     def counts(self) -> dict[str, Any]:
         """Return messages in the file, those dropped, bytes, and the error or "".
@@ -269,29 +271,32 @@ class Recording:
         except BaseException:
             recorder.close()
             raise
-        self._recorder = recorder
+        self._recorder, topics.block.close = recorder, self._close
         return {Stage.OBSERVE: [topics.block]}
 
     def _add_frames(self, recorder: Recorder, program: Program, topics: RecordedTopics) -> None:
         from unicon_ros.recorded_frames import RecordedFrames, chosen_sources
 
         sources = chosen_sources(program, self._wanted)
-        frames = RecordedFrames(recorder, sources, topics.now, self._jpeg, self._warn)
+        self._frames = RecordedFrames(recorder, sources, topics.now, self._jpeg, self._warn)
 
-        def close() -> None:
-            frames.close()
-            recorder.close()
-
-        self._frames, topics.block.close = frames, close
+    def _close(self) -> None:
+        assert self._recorder is not None
+        if self._frames is not None:
+            self._frames.close()
+        if self._ticks is not None and self._statistics is not None:
+            self._ticks.close(self._statistics)
+        self._recorder.close()
 
     def keep(self, ring: TickRing) -> None:
         """Record the ticks that a ring keeps; behind the hook."""
         assert self._recorder is not None
         self._ticks = RecordedTicks(self._recorder, ring)
 
-    def attach(self, facts: Mapping[str, str]) -> None:
-        """Get the facts of the run, and begin to write, before the first tick."""
+    def attach(self, facts: Mapping[str, str], statistics: TickStatistics) -> None:
+        """Get facts and statistics of the run, and begin to write, before the first tick."""
         assert self._recorder is not None
+        self._statistics = statistics
         if self._ticks is not None:
             self._ticks.attach(facts)
         self._recorder.start()

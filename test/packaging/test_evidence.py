@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -18,11 +19,14 @@ from unicon_core.platforms.platform import Facts
 from unicon_core.robots import load_robot, robot_names
 from unicon_core.workflow.registry import known
 from unicon_ros.cli.main import main
+from unicon_ros.run_report.report import SCHEMA
+from unicon_ros.run_report.signed import read_report, sign, signature_of, signed_by, text_of
 
 ROOT = Path(__file__).resolve().parents[2]
 LEDGER = load_evidence()
 ORDER = list(LEVELS)
 SHOWN = sorted({each.test for each in LEDGER.values() if each.test})
+REPORTS = ROOT / "config" / "evidence"
 OURS = ("fake", "fake_robot", "replay", "ros")
 """Platforms that are neither a simulator of others nor a robot."""
 
@@ -32,6 +36,8 @@ def lies(each: Evidence) -> list[str]:
     found = []
     if each.level not in ("never", "hardware") and not each.test:
         found.append("no test shows it")
+    if each.level == "hardware" or each.report:
+        found += _of_report(each, REPORTS)
     if each.test:
         path = ROOT / each.test
         if not path.is_file():
@@ -45,6 +51,27 @@ def lies(each: Evidence) -> list[str]:
             found.append(f"date {each.date!r}")
         found += _of_git(each)
     return found
+
+
+def _of_report(each: Evidence, folder: Path) -> list[str]:
+    """Return what an entry claims and its report does not tell, or that it was changed."""
+    path = folder / (each.report or "no report")
+    if Path(path.name) != Path(each.report) or not path.is_file():
+        return [f"no report tells of it: {path} is not there"]
+    try:
+        report = read_report(path)
+        if signature_of(path).exists() and shutil.which("ssh-keygen") is not None:
+            signed_by(path)
+    except UniconError as error:
+        return [str(error)]
+    protocol = load_robot(each.name).transport.get("protocol")
+    claimed = {"level": each.level, each.name: protocol, "date": each.date}
+    told = {**report, **report["robots"]} if isinstance(report.get("robots"), dict) else report
+    if each.commit and str(told.get("commit", each.commit)).startswith(each.commit):
+        told["commit"] = each.commit
+    claimed["commit"] = each.commit
+    wrong = [name for name, value in claimed.items() if told.get(name) != value]
+    return [f"{k} {claimed[k]!r} of a report that tells {told.get(k)!r}" for k in wrong]
 
 
 def _of_git(each: Evidence) -> list[str]:
@@ -91,6 +118,53 @@ def test_a_ledger_that_lies_is_found(changed: dict[str, str], said: str) -> None
         pytest.skip("no git")
     honest = vars(LEDGER["robot", "h1"])
     assert any(said in each for each in lies(Evidence(**{**honest, **changed})))
+
+
+HARDWARE = Evidence("robot", "go2", "hardware", "ours", "", "go2.yaml", "1234abcd", "2026-12-01")
+REPORT = {
+    "schema": SCHEMA,
+    "level": "hardware",
+    "robots": {"go2": "unitree_go"},
+    "date": "2026-12-01",
+    "commit": "1234abcd" * 5,
+}
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({}, ""),
+        ({"level": "stand_in"}, "level 'hardware' of a report that tells 'stand_in'"),
+        ({"robots": {"go2": "unitree_hg"}}, "go2 'unitree_go' of a report that tells 'unitree_hg'"),
+        ({"robots": {"h1": "unitree_go"}}, "go2 'unitree_go' of a report that tells None"),
+        ({"robots": "other"}, "go2 'unitree_go' of a report that tells None"),
+        ({"date": "2026-12-02"}, "date '2026-12-01' of a report that tells '2026-12-02'"),
+        ({"commit": "f" * 40}, "commit '1234abcd' of a report that tells 'fff"),
+        ({"schema": "unicon.robot/1"}, "go2.yaml is no report of a run"),
+    ],
+    ids=str,
+)
+def test_a_run_on_hardware_is_what_its_report_tells(
+    tmp_path: Path, changed: dict[str, object], said: str
+) -> None:
+    (tmp_path / "go2.yaml").write_text(text_of({**REPORT, **changed}), "utf-8")
+    found = _of_report(HARDWARE, tmp_path)
+    assert len(found) == bool(said), found
+    assert said in "".join(found)
+
+
+def test_hardware_without_a_report_or_with_a_changed_one_is_found(tmp_path: Path) -> None:
+    assert "no report tells of it" in lies(replace(HARDWARE, report=""))[0]
+    assert "no report tells of it" in lies(replace(HARDWARE, report="../evidence.yaml"))[0]
+    if shutil.which("ssh-keygen") is None:
+        pytest.skip("no ssh-keygen: apt install openssh-client")
+    report, key = tmp_path / "go2.yaml", tmp_path / "key"
+    subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", str(key)], check=True)
+    report.write_text(text_of(REPORT), "utf-8")
+    signature_of(report).write_bytes(sign(text_of(REPORT), key))
+    assert _of_report(HARDWARE, tmp_path) == []
+    report.write_text(f"{text_of(REPORT)}faults: []\n", "utf-8")
+    assert "is not what go2.yaml.sig signs" in _of_report(HARDWARE, tmp_path)[0]
 
 
 @pytest.mark.slow

@@ -30,6 +30,7 @@ from unicon_ros.cli import (
     latches,
     preflight,
     replay,
+    report_run,
     run,
     show,
     states,
@@ -68,6 +69,7 @@ def _parser() -> argparse.ArgumentParser:
         latches,
         doctor,
         talk,
+        report_run,
     ):
         command.add(commands)
     return parser

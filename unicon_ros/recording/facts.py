@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import platform
+import re
 import sys
 import time
 import uuid
@@ -35,11 +37,15 @@ __all__ = [
     "network_hash",
     "robot_facts",
     "robot_text",
+    "system_here",
     "versions_here",
 ]
 
 SCHEMA = "unicon.record/1"
-VERSIONS = ("numpy", "onnxruntime", "torch", "mujoco", "pybullet", "jax", "newton", "rclpy")
+VERSIONS = (
+    *("numpy", "onnxruntime", "torch", "mujoco", "pybullet", "jax", "newton", "rclpy"),
+    "cyclonedds",
+)
 
 
 def layout_facts(layout: Layout, kept: Kept) -> dict[str, str]:
@@ -107,6 +113,8 @@ def facts_of(runner: Runner, kept: Kept) -> dict[str, str]:
         **robot_facts(program.robot),
         "policies": json.dumps(policies),
         "versions": json.dumps(versions_here()),
+        "system": json.dumps(system_here()),
+        "wall_ns": str(time.time_ns() - time.monotonic_ns()),  # of stamps, to be compared
     }
 
 
@@ -142,6 +150,39 @@ def versions_here() -> dict[str, str]:
             with suppress(packages.PackageNotFoundError):
                 versions[name] = packages.version(name)
     return versions
+
+
+def system_here() -> dict[str, str]:
+    """Return what else a run may depend on: system, ROS, and the commit of our code; "" for none.
+
+    None of it names the machine.
+    """
+    system, middleware = {"ID": platform.system().lower()}, ""
+    with suppress(OSError):
+        system = platform.freedesktop_os_release()
+    if "rclpy" in sys.modules:
+        with suppress(Exception):  # there is none, and nobody uses ROS
+            from rclpy.utilities import get_rmw_implementation_identifier
+
+            middleware = str(get_rmw_implementation_identifier())
+    return {
+        "os": f"{system['ID']} {system.get('VERSION_ID', '')}".rstrip(),
+        "architecture": platform.machine(),
+        "kernel": platform.release(),
+        "ros": os.environ.get("ROS_DISTRO", ""),
+        "middleware": middleware,
+        "commit": _commit(Path(__file__).resolve().parents[2] / ".git"),
+    }
+
+
+def _commit(git: Path) -> str:
+    """Return what is checked out, "" where our code is installed; without starting git."""
+    head = _text_of(git / "HEAD").strip()
+    name = head.removeprefix("ref: ")
+    if name == head:
+        return head
+    packed = re.search(rf"^(\w+) {re.escape(name)}$", _text_of(git / "packed-refs"), re.MULTILINE)
+    return _text_of(git / name).strip() or (packed[1] if packed else "")
 
 
 def _platform_facts(program: Program) -> dict[str, Any]:

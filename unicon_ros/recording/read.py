@@ -107,6 +107,11 @@ class Record:
             )
         return period
 
+    @property
+    def whole(self) -> bool:
+        """Whether nobody cut it off, and nobody is writing it."""
+        return all(each.ended for each in self._scans)
+
     def told(self, name: str, kind: type[_T]) -> _T | None:
         """Return a fact that is written as JSON, None where there is none of that kind."""
         try:
@@ -292,7 +297,7 @@ def open_record(path: str | Path, looked: Sequence[Scan] | None = None) -> Recor
 
 
 def _record(paths: Sequence[Path], scans: Sequence[Scan]) -> Record:
-    facts = scans[0].facts
+    facts = {**scans[-1].facts, **scans[0].facts}  # the last one has what was told at the end
     for path, each in zip(paths, scans):
         if not each.facts.get("schema"):
             raise ValueError("it has no facts of unicon")
@@ -315,7 +320,7 @@ def _record(paths: Sequence[Path], scans: Sequence[Scan]) -> Record:
     heads = heads.view(_HEADS).reshape(-1)
     names = json.loads(facts["phases"])
     begins = [0]
-    first = int(facts.get("first_row", "0"))
+    first = int(scans[0].facts.get("first_row", "0"))
     for path, each in zip(paths, scans):
         if len(each.ticks) and int(each.facts.get("first_row", "0")) < first + begins[-1]:
             raise UniconError(

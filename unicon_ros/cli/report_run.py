@@ -1,0 +1,79 @@
+"""`unicon report-run BAG`: an anonymous report of a run for the ledger of evidence, and its check.
+
+unicon report-run walk.mcap                                     of a stand-in, if anybody's
+unicon report-run walk.mcap --hardware --sign ~/.ssh/id_ed25519
+unicon report-run --verify go2-2026-12-01.yaml --bag walk.mcap
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+from unicon_core.errors import UniconError
+
+__all__ = ["add"]
+
+
+def add(commands: Any) -> None:
+    """Add the command to the parser."""
+    parser = commands.add_parser(
+        "report-run",
+        help="report a run on hardware, without anybody's name, for the ledger of evidence",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    path: dict[str, Any] = {"type": Path, "metavar": "FILE"}
+    parser.add_argument("recording", nargs="?", type=Path, metavar="BAG", help="of the run")
+    parser.add_argument("--hardware", action="store_true", help="say that it was a robot of metal")
+    parser.add_argument("--out", **path, help="the report (default: ROBOT-DATE.yaml)")
+    parser.add_argument("--force", action="store_true", help="overwrite it")
+    parser.add_argument(
+        "--sign", type=Path, metavar="KEY", help="sign it with your SSH key, as FILE.sig"
+    )
+    parser.add_argument("--verify", **path, help="check the signature of a report")
+    parser.add_argument("--allowed-signers", **path, help="of --verify: keys that count, OpenSSH's")
+    parser.add_argument("--bag", type=Path, metavar="BAG", help="of --verify: its recording")
+    parser.set_defaults(function=_report_run)
+
+
+def _report_run(arguments: argparse.Namespace) -> int:
+    if (arguments.recording is None) == (arguments.verify is None):
+        raise UniconError("report-run: give the recording BAG of a run, or --verify FILE")
+    return _verify(arguments) if arguments.verify else _write(arguments)
+
+
+def _write(arguments: argparse.Namespace) -> int:
+    from unicon_ros.run_report import signed
+    from unicon_ros.run_report.report import report_of
+
+    report = report_of(arguments.recording, arguments.hardware)
+    robot = "-".join(report["robots"]) if isinstance(report["robots"], dict) else "robot"
+    out = arguments.out or Path(f"{robot}-{report['date']}.yaml")
+    signed.refuse_existing(out, arguments.force)
+    text = signed.text_of(report)
+    signature = signed.sign(text, arguments.sign) if arguments.sign is not None else b""
+    print(text)
+    sys.stdout.flush()  # what nobody could read is not written
+    signed.write_report(out, text, signature)
+    print(f"report     {out}: look through it before you share it; nothing was sent")
+    told = f"{signed.signature_of(out)}" if signature else "none; --sign KEY makes one"
+    print(f"signature  {told}")
+    return 0
+
+
+def _verify(arguments: argparse.Namespace) -> int:
+    from unicon_ros.recording import open_record
+    from unicon_ros.run_report import signed
+    from unicon_ros.run_report.report import recording_of
+
+    path, bag = arguments.verify, arguments.bag
+    report = signed.read_report(path)
+    if bag is not None:
+        if recording_of(open_record(bag)) != report.get("recording_sha256"):
+            raise UniconError(f"{path} is of another recording than {bag}; give the one it is of")
+        print(f"{bag} is the recording of it")
+    print(signed.signed_by(path, arguments.allowed_signers))
+    return 0
