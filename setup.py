@@ -70,6 +70,7 @@ EXTRAS = {
         "colcon-common-extensions",
         "setuptools>=70.1,<80",
     ],
+    "completion": ["argcomplete>=3"],
     # Minor versions are held: a new one may format or type differently and break `make check`.
     "dev": ["ruff==0.17.*", "mypy==2.4.*", "import-linter>=2.1", "types-PyYAML", "pdoc>=15"],
 }

@@ -5,6 +5,8 @@ from unicon_core import Chain, Loop, Program, elapsed, policy, pose, run
 
 from __future__ import annotations
 
+import sys
+import warnings
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -29,7 +31,15 @@ if TYPE_CHECKING:
     from unicon_core.workflow import Program, load_workflow
     from unicon_core.workflow.uses import block, elapsed, policy, pose
 
-__version__ = "0.1.0"
+__version__ = "0.3.0"
+
+if sys.platform != "linux":
+    warnings.warn(
+        f"unicon_ros runs on Linux alone, and this is {sys.platform!r}: use a container (docs/"
+        "install.md), a virtual machine or WSL 2",
+        RuntimeWarning,
+        stacklevel=2,
+    )
 
 _PLACES = {
     "unicon_core.errors": "Fault UniconError",

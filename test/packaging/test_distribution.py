@@ -112,3 +112,10 @@ def test_the_containers_install_extras_that_exist() -> None:
     assert words <= {"ARG", "FROM", "RUN", "COPY", "ENV", "ENTRYPOINT", "CMD"}
     told = json.loads((ROOT / ".devcontainer" / "devcontainer.json").read_text("utf-8"))
     assert told["postCreateCommand"] == "make venv"
+
+
+@pytest.mark.parametrize("system", ["darwin", "win32", "linux"])
+def test_an_import_elsewhere_than_on_linux_warns(system: str) -> None:
+    code = f"import sys; sys.platform = {system!r}; import unicon_core"
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ("runs on Linux alone" in said.stderr) is (system != "linux")

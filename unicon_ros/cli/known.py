@@ -84,16 +84,18 @@ def _listed(
     return run
 
 
-def _json(rows: Any) -> int:
-    print(json.dumps(rows, indent=2, ensure_ascii=False))
+def _rows(rows: list[dict[str, Any]], arguments: argparse.Namespace) -> int:
+    """Print a list as JSON, or its names alone."""
+    as_json = json.dumps(rows, indent=2, ensure_ascii=False) if arguments.json else ""
+    print(as_json or "\n".join(str(row["name"]) for row in rows))
     return 0
 
 
 def _robots(arguments: argparse.Namespace) -> int:
     from unicon_core.robots import load_robot, robot_table, robots_rows, robots_table
 
-    if arguments.json:
-        return _json(robots_rows())
+    if not arguments.name and (arguments.json or arguments.quiet):
+        return _rows(robots_rows(), arguments)
     print(robot_table(load_robot(arguments.name)) if arguments.name else robots_table())
     return 0
 
@@ -108,8 +110,8 @@ def _new(arguments: argparse.Namespace) -> int:
 def _policies(arguments: argparse.Namespace) -> int:
     from unicon_core.policies import load_policy, policies_rows, policies_table, policy_table
 
-    if arguments.json:
-        return _json(policies_rows())
+    if not arguments.name and (arguments.json or arguments.quiet):
+        return _rows(policies_rows(), arguments)
     robot = _robot(arguments)
     if arguments.name:
         print(policy_table(load_policy(arguments.name, robot=robot), robot))
@@ -149,7 +151,7 @@ def _faces(arguments: argparse.Namespace) -> int:
 
 def _blocks(arguments: argparse.Namespace) -> int:
     status = _factories("blocks", arguments, WorkflowError)
-    if arguments.name is None and not arguments.json:
+    if arguments.name is None and not (arguments.json or arguments.quiet):
         from unicon_core.workflow.flow_yaml import FLOW_WORDS
 
         print(f"\na flow also has policy: NAME, call: module:function and {', '.join(FLOW_WORDS)}")
@@ -163,9 +165,10 @@ def _factories(kind: str, arguments: argparse.Namespace, error: type[UniconError
     name, ledger = arguments.name, load_evidence() if kind == "platforms" else {}
     seen = {n: e for (of, n), e in ledger.items() if of == "simulator"}
     listed = sorted(known(kind).items())
-    if arguments.json:
+    if not name and (arguments.json or arguments.quiet):
         levels = {each: {"evidence": evidence.level} for each, evidence in seen.items()}
-        return _json([{"name": n, "factory": at, **levels.get(n, {})} for n, at in listed])
+        rows = [{"name": n, "factory": at, **levels.get(n, {})} for n, at in listed]
+        return _rows(rows, arguments)
     if name is None:
         words = {n: LEVELS["never"] if e.level == "never" else e.against for n, e in seen.items()}
         _print_table([(each, at, words.get(each, "")) for each, at in listed])
@@ -204,8 +207,8 @@ def _workflows(arguments: argparse.Namespace) -> int:
             rows.append((name, str(load_document(name).values.get("description", ""))))
         except WorkflowError as error:  # one broken file hides no other
             rows.append((name, f"file is wrong: {error}"))
-    if arguments.json:
-        return _json([{"name": name, "description": text} for name, text in rows])
+    if arguments.json or arguments.quiet:
+        return _rows([{"name": name, "description": text} for name, text in rows], arguments)
     _print_table(rows)
     return 0
 

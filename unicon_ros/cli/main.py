@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import argparse
 import errno
+import logging
 import os
 import sys
 import traceback
 from collections.abc import Sequence
 from contextlib import suppress
+from typing import Any
 
 import unicon_core
 from unicon_core.errors import UniconError
@@ -39,15 +41,30 @@ from unicon_ros.cli import (
     transfer,
     view,
 )
+from unicon_ros.cli.completion import complete
 
 __all__ = ["main"]
 
 
+class _Parser(argparse.ArgumentParser):
+    """A parser with what stands before a command and behind it."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        for short, word, what in (
+            ("-q", "--quiet", "less: no status line, no tables; of lists the names"),
+            ("-v", "--verbose", "more: what the parts log, and where an error comes from"),
+        ):
+            told = argparse.SUPPRESS  # what was said before the command stays
+            self.add_argument(short, word, action="store_true", default=told, help=what)
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="unicon",
         description="Run learned robot controllers on simulators and robots, mirrored to ROS 2.",
     )
+    parser.set_defaults(quiet=False, verbose=False)
     parser.add_argument("--version", action="version", version=unicon_core.__version__)
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for command in (
@@ -91,7 +108,13 @@ def _run(argv: Sequence[str] | None) -> int:
     words = [*(sys.argv[1:] if argv is None else argv)]
     if " ".join(words[:2]) in known.VERBS:
         words[:2] = [" ".join(words[:2])]
-    arguments = _parser().parse_args(words)
+    parser = _parser()
+    if "_ARGCOMPLETE" in os.environ:
+        complete(parser)
+    arguments = parser.parse_args(words)
+    if arguments.verbose:
+        logging.basicConfig(level=logging.INFO, format="unicon: %(name)s: %(message)s")
+        os.environ["UNICON_TRACEBACK"] = "1"
     try:
         return int(arguments.function(arguments))
     except UniconError as error:
@@ -126,7 +149,7 @@ def _unforeseen(error: Exception) -> int:
     text = " ".join(str(error).split())[:500]
     return _refuse(
         f"{type(error).__name__}: {text} ({os.path.basename(last.filename)}:{last.lineno}); "
-        "this was not foreseen: set UNICON_TRACEBACK=1 to see where it comes from, and report it"
+        "this was not foreseen: --verbose shows where it comes from; report it"
     )
 
 

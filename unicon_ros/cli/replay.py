@@ -44,7 +44,7 @@ def add(commands: Any) -> None:
     parser.set_defaults(function=partial(replay, parser))
 
 
-PLAYS = ("start", "loop", "rate", "duration", "ros", "map", "namespace", "frame_prefix", "quiet")
+PLAYS = ("start", "loop", "rate", "duration", "ros", "map", "namespace", "frame_prefix")
 """Options that go with `--play`, besides those of ROS."""
 
 
@@ -68,7 +68,7 @@ def _refuse_others(
     form: str,
 ) -> None:
     """Refuse what would be left alone in silence."""
-    own = ("bag", "verify", "play", "command", "function", *known)
+    own = ("bag", "verify", "play", "command", "function", "quiet", "verbose", *known)
     for name, value in vars(arguments).items():
         if name not in own and value != parser.get_default(name):
             word = {"workflow": "WORKFLOW", "overrides": "--set"}.get(name)

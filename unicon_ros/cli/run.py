@@ -143,7 +143,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="DIR|URL",
         help="fetch the models and policies that are missing first, of GitHub or of a mirror",
     )
-    parser.add_argument("--quiet", action="store_true", help="no status line and no block table")
     parser.add_argument(
         "--ros-args",
         nargs=argparse.REMAINDER,
