@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from unicon_ros.recorder import Recorder
     from unicon_ros.recording.mcap_file import Buffer
 
-__all__ = ["RecordedTopics"]
+__all__ = ["RecordedTopics", "string_message"]
 
 
 class RecordedTopics:
@@ -130,7 +130,7 @@ class RecordedTopics:
         if messages is None:
             return
         if messages.description:
-            described = _string_message(messages.description)
+            described = string_message(messages.description)
             self._latch("robot_description", "std_msgs/msg/String", described)
         if messages.static:
             self._latch("/tf_static", TF_MESSAGE, messages.static)
@@ -199,7 +199,7 @@ def _prepared(prepare: Callable[[], None], encode: Callable[[], bytes]) -> bytes
     return encode()
 
 
-def _string_message(text: str) -> bytes:
+def string_message(text: str) -> bytes:
     """Return a std_msgs/String as CDR: its length with the NUL at the end, then UTF-8."""
     raw = text.encode()
     return b"\x00\x01\x00\x00" + struct.pack("<I", len(raw) + 1) + raw + b"\x00"

@@ -37,9 +37,9 @@ def test_what_is_given_goes_before_the_robots_own(tmp_path: Path) -> None:
 
 def test_a_robot_without_a_model_says_so() -> None:
     with pytest.raises(
-        ModelError, match=r"robot aliengo names no model \(mjcf or urdf\); add models: "
+        ModelError, match=r"robot atom names no model \(mjcf or urdf\); add models: "
     ):
-        pick_model(load_robot("aliengo"))
+        pick_model(load_robot("atom"))
 
 
 def test_an_mjcf_goes_before_a_urdf() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -21,6 +22,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
+from worn_meshes import go2_with_meshes
 
 from unicon_core.errors import MissingDependencyError, UniconError
 from unicon_core.runtime import Runner
@@ -136,6 +138,26 @@ def test_a_late_joiner_gets_the_robot_description(
     assert heard[0].data.startswith("<?xml")
     for name in run.program.robot.joint_names:
         assert f'<joint name="{name}" type="revolute">' in heard[0].data
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_a_peer_gets_the_meshes_of_the_robot_or_what_is_lacking(
+    runs: Callable[..., Any], sway: Path, plain: Any, tmp_path: Path, there: bool
+) -> None:
+    model = go2_with_meshes(tmp_path / "my robot")
+    if not there:
+        (tmp_path / "my robot" / "meshes" / "thigh.STL").unlink()
+    sway.write_text(f"{sway.read_text()}scene: {{model: '{model}'}}\n")
+    run = runs(sway)
+    heard: list[String] = []
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    plain.create_subscription(String, "robot_description", heard.append, latched)
+    plain.spin_until(lambda: heard, "robot_description")
+    meshes = re.findall(r'<mesh filename="([^"]+)" scale="1 1 1" />', heard[0].data)
+    files = ["coque é.stl", "thigh.STL"][: 1 + there]
+    assert meshes == [(model.parent / "meshes" / name).as_uri() for name in files]
+    said = "robot_description shows primitives or less: 1 mesh files are absent (first: thigh.STL)"
+    assert sum(said in line for line in run.warnings) == (not there)
 
 
 @pytest.mark.parametrize("missing", ["take", "publish", "executor"])

@@ -35,6 +35,7 @@ class Client:
         self.messages: list[tuple[str, int, bytes]] = []
         self.statuses: list[str] = []
         self.answers: dict[int, bytes] = {}
+        self.assets: dict[int, tuple[bool, bytes]] = {}
         self.info: dict[str, Any] = {}
         self._topics: dict[int, str] = {}
         self._calls = 0
@@ -60,6 +61,9 @@ class Client:
         elif told[0] == 3:
             call, length = struct.unpack_from("<II", told, 5)
             self.answers[call] = told[13 + length :]
+        elif told[0] == 4:
+            call, refused, length = struct.unpack_from("<IBI", told, 1)
+            self.assets[call] = not refused, told[10:] if not refused else told[10 : 10 + length]
 
     def _told(self, told: dict[str, Any]) -> None:
         if told["op"] == "serverInfo":
@@ -105,6 +109,14 @@ class Client:
         self.until(lambda: self._calls in self.answers)
         raw = self.answers[self._calls]
         return bool(raw[4]), raw[12:-1].decode()
+
+    def fetch(self, uri: str) -> bytes | None:
+        """Return the asset of a URI, None where it is refused."""
+        self._calls += 1
+        self.say(op="fetchAsset", uri=uri, requestId=self._calls)
+        self.until(lambda: self._calls in self.assets)
+        given, told = self.assets[self._calls]
+        return told if given else None
 
     def close(self) -> None:
         """Leave."""

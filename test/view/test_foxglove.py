@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import socket
 import struct
@@ -14,6 +15,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote, unquote
 
 import numpy as np
 import pytest
@@ -26,6 +28,7 @@ pytest.importorskip("onnxruntime")
 from foxglove_client import Client
 from velocity_sent import VelocitySent
 from websockets.exceptions import InvalidStatus
+from worn_meshes import go2_with_meshes, write_stl
 
 from unicon_core.errors import UniconError
 from unicon_core.resources import find_config, same_modules
@@ -43,9 +46,9 @@ TOPICS = ("/joint_states", "/tf", "/odom")
 class Rig:
     """go2_teleop in a thread, seen through Foxglove."""
 
-    def __init__(self, **options: Any) -> None:
+    def __init__(self, *settings: str, **options: Any) -> None:
         self.lines = list[str]()
-        document = load_document("go2_teleop", ["ros=false"])
+        document = load_document("go2_teleop", ["ros=false", *settings])
         self.view = View({**OPTIONS, **options}, warn=self.lines.append)
         self.view.declare(document)
         self.sent = VelocitySent()
@@ -219,6 +222,41 @@ def test_another_sites_page_does_not_come_in(rig: Rig) -> None:
             Client(rig.view.address, origin)
         assert refused.value.response.status_code == 403
     Client(rig.view.address, "https://app.foxglove.dev").close()
+
+
+def test_the_meshes_that_the_description_names_are_given_and_no_other_files(
+    tmp_path: Path,
+) -> None:
+    model = go2_with_meshes(tmp_path / "my robot")
+    write_stl(model.parent / "meshes" / "other.stl")
+    rig = Rig(f"scene.model={model}", port=8785)
+    client = Client(rig.view.address)
+    try:
+        client.until(lambda: bool(client.info))
+        assert "assets" in client.info["capabilities"]
+        client.subscribe("/robot_description")
+        client.until(lambda: bool(client.messages))
+        _, _, raw = client.messages[0]
+        assert struct.unpack_from("<I", raw, 4)[0] == len(raw) - 8
+        text = raw[8:-1].decode()
+        uris = re.findall(r'<mesh filename="([^"]+)"', text)
+        # Foxglove asks a server for `package:` alone.
+        base = f"package://unicon{quote(str(model.parent))}/meshes/"
+        assert uris == [f"{base}coque%20%C3%A9.stl", f"{base}thigh.STL"]
+        for uri, name in zip(uris, ("coque é.stl", "thigh.STL")):
+            assert client.fetch(uri) == (model.parent / "meshes" / name).read_bytes()
+        neighbour = f"{base}other.stl"
+        others = ("file:///etc/passwd", "/etc/passwd", "package://unicon/etc/passwd", "", neighbour)
+        wrong = (model.as_uri(), (model.parent / "meshes" / "thigh.STL").as_uri(), unquote(uris[0]))
+        near = (f"{base}../meshes/thigh.STL", f"{uris[1]}/", f"{uris[1]}%00", uris[1].lower(), base)
+        for uri in (*others, *wrong, *near):
+            assert client.fetch(uri) is None, uri
+        (model.parent / "meshes" / "thigh.STL").unlink()
+        assert client.fetch(uris[1]) is None
+        assert client.fetch(uris[0]) is not None  # still there
+    finally:
+        client.close()
+        rig.end()
 
 
 @pytest.mark.slow

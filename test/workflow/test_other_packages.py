@@ -287,12 +287,12 @@ def test_without_a_share_a_package_is_where_its_registered_folder_is(registered:
 
 
 def test_meshes_of_a_package_are_found_on_the_ament_path(prefix: Path, tmp_path: Path) -> None:
-    from unicon_core.models.absent import _mesh_places
+    from unicon_core.models.absent import mesh_places
 
     mesh = prefix / "share" / "their_robots" / "meshes" / "box.stl"
     mesh.parent.mkdir()
     mesh.touch()
-    places = _mesh_places(tmp_path / "r.urdf", tmp_path, "package://their_robots/meshes/box.stl")
+    places = mesh_places(tmp_path / "r.urdf", tmp_path, "package://their_robots/meshes/box.stl")
     assert mesh in places
 
 

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
+from os.path import isfile
 from pathlib import Path
 from typing import Any
 
 from unicon_core.packages import PACKAGE, share_folder
 
-__all__ = ["delete", "drop_absent_meshes", "drop_absent_textures"]
+__all__ = ["delete", "drop_absent_meshes", "drop_absent_textures", "mesh_places", "model_folders"]
 
 _MESHES = (".stl", ".obj", ".msh")  # what MuJoCo reads; COLLADA counts as absent
+_ATTACHED = re.compile(r"""<model\s[^<>]*?\bfile\s*=\s*["']([^"'<>]+)["']""")
 
 
-def _mesh_places(path: Path, folder: Path, file: str) -> Iterator[Path]:
+def mesh_places(path: Path, folder: Path, file: str) -> Iterator[Path]:
     """Yield where a mesh may be: in meshdir, beside the model, in the ROS package it names."""
     name = file.removeprefix(PACKAGE)
     yield folder / name
@@ -30,6 +33,14 @@ def _mesh_places(path: Path, folder: Path, file: str) -> Iterator[Path]:
                 yield above / rest
 
 
+def model_folders(path: Path) -> dict[Path, None]:
+    """Return the folders of a model and of those that it attaches: each has its own meshes."""
+    text = path.read_text("utf-8", "replace") if isfile(path) else ""
+    return dict.fromkeys(
+        path.parent / Path(file).parent for file in (".", *_ATTACHED.findall(text))
+    )
+
+
 def drop_absent_meshes(
     spec: Any, path: Path, floats: bool, shapes: dict[str, list[str]]
 ) -> list[str]:
@@ -41,17 +52,21 @@ def drop_absent_meshes(
         floats: the robot needs geoms that keep it on the floor.
         shapes: takes up, for each body, the absent files of its geoms that may collide.
     """
-    folder = path.parent / (spec.compiler.meshdir or spec.meshdir or "")
+    urdf, folders = path.suffix.lower() == ".urdf", model_folders(path)
     absent: dict[str, Any] = {}
     for mesh in spec.meshes:
         if not mesh.file or mesh.file in spec.assets:
             continue
         readable = Path(mesh.file).suffix.lower() in _MESHES
-        there = (place for place in _mesh_places(path, folder, mesh.file) if place.is_file())
+        folder = mesh.compiler.meshdir or spec.compiler.meshdir or spec.meshdir or ""
+        looked = (mesh_places(path, each / folder, mesh.file) for each in folders)
+        there = (place for places in looked for place in places if isfile(place))
         found = next(there, None) if readable else None
         if found is None:
             absent[mesh.name or Path(mesh.file).stem] = mesh
-        elif mesh.file.startswith(PACKAGE):
+        elif mesh.file.startswith(PACKAGE) or (
+            urdf and not isfile(path.parent / folder / mesh.file)  # where alone MuJoCo looks
+        ):
             mesh.file = str(found.resolve())
     if not absent:
         return []

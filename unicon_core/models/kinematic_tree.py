@@ -121,6 +121,12 @@ class _Reader:
         shift = np.zeros(3)
         joints = [j for j in range(first, first + count) if is_simple(self._mujoco, model, j)]
         if not joints:
+            base = self.links[parent]
+            here = not position.any() and abs(quat[0]) > 1.0 - 1e-9
+            if here and name == base.name and not base.mass:  # in a massless `base`, as A1's trunk
+                self.of_body[body] = parent, shift
+                self._dress(base, body, shift)
+                return
             self.links.append(Link(name, parent, position, quat))
         for number, joint in enumerate(joints):
             anchor, axis = np.array(model.jnt_pos[joint]), np.array(model.jnt_axis[joint])

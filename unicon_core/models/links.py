@@ -13,15 +13,16 @@ __all__ = ["Geom", "Link"]
 
 @dataclass
 class Geom:
-    """One primitive of a link.
+    """One shape of a link.
 
     Attributes:
-        shape: `box`, `sphere` or `cylinder`.
-        size: box: edges; sphere: radius; cylinder: radius, length; in [m].
+        shape: `box`, `sphere`, `cylinder` or `mesh`.
+        size: box: edges; sphere: radius; cylinder: radius, length; in [m]; mesh: scale.
         position: in the link's frame, [m], shape (3,).
         quat: geom to link, wxyz.
-        rgba: colour.
+        rgba: colour; empty for that of a mesh's own file.
         number: of the model's geom of which it is a part, -1 for none.
+        uri: of a mesh's file.
     """
 
     shape: str
@@ -30,6 +31,7 @@ class Geom:
     quat: Float
     rgba: tuple[float, ...]
     number: int = -1
+    uri: str = ""
 
 
 @dataclass
@@ -50,7 +52,8 @@ class Link:
         centre: centre of mass in the link's frame in [m], shape (3,).
         inertia_quat: principal axes to link, wxyz.
         inertia: principal moments in [kg·m²], shape (3,).
-        geoms: what it looks like.
+        geoms: what it looks like, in primitives.
+        looks: what it looks like with meshes; None where it has none.
         number: of the model's joint that carries it, -1 where it is fixed.
     """
 
@@ -69,4 +72,5 @@ class Link:
     inertia_quat: Float = field(default_factory=lambda: np.array((1.0, 0.0, 0.0, 0.0)))
     inertia: Float = field(default_factory=lambda: np.zeros(3))
     geoms: list[Geom] = field(default_factory=list)
+    looks: list[Geom] | None = None
     number: int = -1

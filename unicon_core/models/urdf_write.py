@@ -1,7 +1,8 @@
-"""robot_description: a URDF of primitives made from the robot's MuJoCo model, for rviz and tf.
+"""robot_description: a URDF made from the robot's MuJoCo model, for rviz and tf.
 
-Capsules become a cylinder and two spheres, meshes their bounding boxes; names of links and joints
-are the model's, limits of effort and speed the robot file's.
+Capsules become a cylinder and two spheres, meshes their bounding boxes, or in a `<visual>` their
+files where the links have `looks`; names of links and joints are the model's, limits of effort and
+speed the robot file's.
 """
 
 from __future__ import annotations
@@ -31,9 +32,10 @@ def urdf(links: Sequence[Link], robot: Robot) -> str:
         element = Xml.SubElement(root, "link", name=link.name)
         if link.mass > 0.0:
             _inertial(element, link)
+        for geom in link.geoms if link.looks is None else link.looks:
+            _geom(Xml.SubElement(element, "visual"), geom, True)
         for geom in link.geoms:
-            for use in ("visual", "collision"):
-                _geom(Xml.SubElement(element, use), geom, use == "visual")
+            _geom(Xml.SubElement(element, "collision"), geom, False)
     for link in links:
         if link.parent >= 0:
             _joint(root, link, links[link.parent].name, robot)
@@ -70,10 +72,12 @@ def _geom(element: Xml.Element, geom: Geom, visual: bool) -> None:
         Xml.SubElement(shape, "box", size=_numbers(geom.size))
     elif geom.shape == "sphere":
         Xml.SubElement(shape, "sphere", radius=f"{geom.size[0]:.6g}")
+    elif geom.shape == "mesh":
+        Xml.SubElement(shape, "mesh", filename=geom.uri, scale=_numbers(geom.size))
     else:
         radius, length = geom.size
         Xml.SubElement(shape, "cylinder", radius=f"{radius:.6g}", length=f"{length:.6g}")
-    if visual:
+    if visual and geom.rgba:
         material = Xml.SubElement(element, "material", name="c" + "_".join(map(str, geom.rgba)))
         Xml.SubElement(material, "color", rgba=_numbers(geom.rgba))
 

@@ -69,6 +69,8 @@ class RobotFrames:
             warn(f"no robot_description and no frames of the links: {error}")
             return
         if messages.description:
+            if messages.lacking:
+                warn(f"robot_description shows primitives or less: {messages.lacking}")
             self._latch("robot_description", "std_msgs/msg/String", messages.description)
         if messages.static:
             self._latch("/tf_static", TF_MESSAGE, messages.static)

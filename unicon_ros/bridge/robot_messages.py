@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from unicon_core.models.find import model_of
 from unicon_core.models.footprint import Footprint
-from unicon_core.models.kinematic_tree import read_tree
-from unicon_core.models.load import load_model
+from unicon_core.models.looks import dressed
 from unicon_core.models.urdf_write import urdf
 from unicon_core.workflow import Program
 from unicon_msgs_map import Encoder
@@ -38,6 +37,7 @@ class RobotMessages:
 
     Attributes:
         description: the URDF; empty where it is not wanted.
+        lacking: meshes that it has not, in one line; empty where all are there.
         reads: the states that /tf is made of.
 
     Raises:
@@ -54,8 +54,7 @@ class RobotMessages:
         description: bool = True,
     ) -> None:
         robot, arrays = program.robot, arrays_of(program)
-        loaded = load_model(model_of(program.platform, robot), robot, quiet=True)
-        tree = read_tree(loaded.model, robot)
+        loaded, tree, self.lacking = dressed(model_of(program.platform, robot), robot)
         self.description = urdf(tree, robot) if description else ""
         shown = tree if links else tree[:1]
         self._poses = LinkTransforms(shown, arrays["joint_pos"])

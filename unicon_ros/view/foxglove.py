@@ -1,8 +1,9 @@
 """Foxglove: a WebSocket server of foxglove-sdk with the bytes that ROS gets, for `--view=foxglove`.
 
 Topics are those of the run's message map, encoded by the bridge's own encoders; /tf, /tf_static and
-robot_description besides. A client may publish what the map takes as a velocity (`cmd_vel`), set
-the parameters of `unicon_node` that count at once, and call its services.
+robot_description besides, and the meshes that this names. A client may publish what the map takes
+as a velocity (`cmd_vel`), set the parameters of `unicon_node` that count at once, and call its
+services.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from unicon_core.workflow import Program
 from unicon_msgs_map.layout.messages import Messages, shared_messages
 from unicon_ros.recorded_topics import RecordedTopics
 from unicon_ros.view.front import Front, hidden_address
+from unicon_ros.view.mesh_server import MeshServer
 from unicon_ros.view.publishers import Publishers
 from unicon_ros.view.shown import Shown
 from unicon_ros.view.source import Remote, Source
@@ -103,6 +105,7 @@ class Foxglove:
             server_listener=cast(Any, _Listener(self)),
             supported_encodings=["cdr", "json"],
             services=self._services(websocket),
+            asset_handler=self._topics.meshes.fetch,
             context=self._context,
             message_backlog_size=BACKLOG,
         )
@@ -254,6 +257,7 @@ class _Topics:
     def __init__(self, foxglove: Any, context: Any) -> None:
         self._foxglove, self._context = foxglove, context
         self._latched: dict[int, tuple[Any, bytes]] = {}
+        self.meshes = MeshServer()
 
     def start(self) -> None:
         """Nothing has to begin."""
@@ -279,12 +283,14 @@ class _Topics:
             message_encoding="cdr",
             context=self._context,
         )
+        if latched and topic.endswith("robot_description"):
+            latched = self.meshes.offered(latched)
         if latched:
             self._latched[made.id()] = made, latched
 
         def write(stamp_ns: int, message: bytes) -> bool:
             if made.has_sinks():
-                made.log(bytes(message), log_time=stamp_ns)
+                made.log(latched or bytes(message), log_time=stamp_ns)
             return True
 
         return write
