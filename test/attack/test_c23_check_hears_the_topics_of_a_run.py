@@ -38,7 +38,7 @@ def said(folder: Path, capsys: pytest.CaptureFixture[str], **values: str) -> tup
     path = folder / "attack.yaml"
     path.write_text(text, encoding="utf-8")
     status = main(["check", str(path)])
-    return status, capsys.readouterr().out
+    return status, " ".join(capsys.readouterr().out.split())
 
 
 def test_a_state_that_only_a_topic_writes_is_written(

@@ -39,13 +39,16 @@ def test_all_mistakes_of_a_file_are_told_at_once(capsys: pytest.CaptureFixture[s
     assert numbers == sorted(numbers)
 
 
-def test_check_has_a_finding_for_each_mistake(capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_has_a_finding_for_each_mistake(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(MANY.parent)
     assert main(["check", "go2_stand", "--set", f"robot={MANY}"]) == 1
-    told = capsys.readouterr().out.replace(f"{MANY.parent}/", "")
+    told = " ".join(capsys.readouterr().out.split())
     assert f"{len(LINES) - 1} findings" in told
     for line in LINES[1:]:
         number, _, finding = line.strip().partition(". ")
-        assert f"  {number}. robot: {finding}  [build]" in told
+        assert f" {number}. robot: {finding} [build]" in told
 
 
 def test_file_of_another_version_is_told_that_alone(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from unicon_core.check.mirror import check_mirrored
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.safety import limits_targets
 from unicon_core.check.subject import Subject, listed
+from unicon_core.figures import figure, span
 from unicon_core.platforms.platform import info_of
 from unicon_core.robots import joint_index
 
@@ -57,7 +58,7 @@ def _action(subject: Subject, policy: PolicyResult) -> None:
     most = np.where(velocity, speed, effort)
     lower = np.where(position, robot.lower[own].astype(np.float64), -most)
     upper = np.where(position, robot.upper[own].astype(np.float64), most)
-    span = upper - lower
+    room = upper - lower
     at = joint_index(joints, contract.joints)
     stiffness, damping = (
         gain[at].astype(np.float64) for gain in (contract.stiffness, contract.damping)
@@ -68,12 +69,12 @@ def _action(subject: Subject, policy: PolicyResult) -> None:
     rows = [
         [
             name,
-            f"{offset[i]:g}",
-            f"{scale[i]:g}",
-            f"{clip[0, i]:g} … {clip[1, i]:g}",
-            f"{low[i]:.4g} … {high[i]:.4g}",
-            f"{lower[i]:.4g} … {upper[i]:.4g}",
-            f"{share[i]:.2f}" if np.isfinite(share[i]) else "?",
+            figure(offset[i]),
+            figure(scale[i]),
+            span(clip[0, i], clip[1, i]),
+            span(low[i], high[i], form=".4g"),
+            span(lower[i], upper[i], form=".4g"),
+            figure(share[i], ".2f") if np.isfinite(share[i]) else "?",
             "outside" if outside[i] else "",
         ]
         for i, name in enumerate(joints)
@@ -112,7 +113,7 @@ def _action(subject: Subject, policy: PolicyResult) -> None:
             f"({limp.size} joints)",
             "give action.kind velocity or torque there, or the stiffness that it was trained with",
         )
-    jumps = np.flatnonzero(position & (np.abs(scale) > span))
+    jumps = np.flatnonzero(position & (np.abs(scale) > room))
     if jumps.size:
         i = jumps[0]
         # An action in radians (scale 1) may well span more than a narrow joint's range.
@@ -120,7 +121,7 @@ def _action(subject: Subject, policy: PolicyResult) -> None:
             "action.scale",
             "action.scale",
             f"one unit of action moves {joints[i]} by {scale[i]:g} rad, and its whole range is "
-            f"{span[i]:.4g} ({jumps.size} joints)",
+            f"{room[i]:.4g} ({jumps.size} joints)",
             "give the scale that it was trained with, in [rad]",
             error=bool((np.abs(scale[jumps]) > LARGEST_SCALE + 1e-6).any()),
         )
@@ -141,8 +142,8 @@ def _action(subject: Subject, policy: PolicyResult) -> None:
         policy.find(
             "action.offset",
             "action.offset",
-            f"action 0 puts {joints[i]} at {offset[i]:g} rad, its limits are "
-            f"[{lower[i]:.4g}, {upper[i]:.4g}]",
+            f"action 0 puts {joints[i]} at {figure(offset[i])} rad, its limits are "
+            f"[{span(lower[i], upper[i], ', ', '.4g')}]",
             "correct the offset (the default pose) or the robot's limits",
         )
     if action.kinds:
@@ -213,7 +214,7 @@ def check_commands(subject: Subject, result: CheckResult) -> None:
     """Note what is commanded without a bound of its own: cautious ones hold then."""
     open_ended = [each for each in subject.program.command_bounds if not each.given]
     if open_ended:
-        held = ", ".join(f"{b.axis} to {b.low:g}…{b.high:g} {b.unit}" for b in open_ended)
+        held = ", ".join(f"{b.axis} to {span(b.low, b.high, '…')} {b.unit}" for b in open_ended)
         result.note(
             "command.bounds",
             "velocity_command",
@@ -235,8 +236,8 @@ def _commands(subject: Subject, policy: PolicyResult) -> None:
                     policy.result.find(
                         "command.range",
                         "velocity_command",
-                        f"{axis} {value:g} is outside [{low:g}, {high:g}], for which policy "
-                        f"{policy.key!r} was trained",
+                        f"{axis} {figure(value)} is outside [{span(low, high, ', ')}], for which "
+                        f"policy {policy.key!r} was trained",
                         "command less",
                         document.where("commands", i),
                     )

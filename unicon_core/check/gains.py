@@ -13,6 +13,7 @@ from unicon_core.check.model_facts import ModelJoints, model_joints
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import Subject, listed
 from unicon_core.errors import MissingDependencyError, ModelError
+from unicon_core.figures import figure, span
 from unicon_core.models.find import model_of
 from unicon_core.models.load import load_model
 from unicon_core.platforms.platform import info_of
@@ -44,8 +45,7 @@ mujoco_playground, 0.02 to 0.06 in contracts that give a damping."""
 
 
 def _numbers(values: NDArray[np.floating[Any]]) -> list[str]:
-    """Return figures for a table, `?` where one is not known."""
-    return ["?" if np.isnan(value) else f"{value:.4g}" for value in values]
+    return [figure(value, ".4g") for value in values]
 
 
 def check_gains(subject: Subject, result: CheckResult) -> None:
@@ -119,9 +119,9 @@ def _held(
     result.find(
         "gains.stiff",
         culprit,
-        f"{robot.joint_names[i]}: {kp[i]:g} N·m/rad and {kd[i]:g} N·m·s/rad reach its effort limit "
-        f"of {effort[i]:g} N·m within {error[i]:.2g} rad or {rate[i]:.2g} rad/s{swings} "
-        f"({hard.size} joints)",
+        f"{robot.joint_names[i]}: {figure(kp[i])} N·m/rad and {figure(kd[i])} N·m·s/rad reach its "
+        f"effort limit of {effort[i]:g} N·m within {error[i]:.2g} rad or {rate[i]:.2g} rad/s"
+        f"{swings} ({hard.size} joints)",
         f"correct stiffness and damping, or joints.effort in {robot.path.name}",
         where,
     )
@@ -204,7 +204,7 @@ def _plausible(robot: Robot, policy: PolicyResult, passive: NDArray[np.float64])
     bare = np.flatnonzero((kp > 0.0) & (kd <= 0.0))
     if bare.size:
         names = listed(joints[i] for i in bare)
-        evidence = f"{names}: stiffness {kp[bare[0]]:g} and damping {kd[bare[0]]:g}"
+        evidence = f"{names}: stiffness {kp[bare[0]]:g} and damping {figure(kd[bare[0]])}"
         if (passive[own][bare] >= PASSIVE * kp[bare]).all():
             evidence += "; the model's joints damp themselves, a motor has to be told"
             policy.note("gains.damping", "damping", evidence)
@@ -237,7 +237,7 @@ def _plausible(robot: Robot, policy: PolicyResult, passive: NDArray[np.float64])
             "gains.swapped",
             "stiffness and damping",
             f"damping is greater than stiffness at {stiffer.size} of {len(kp)} joints "
-            f"({joints[i]}: kp {kp[i]:g}, kd {kd[i]:g})",
+            f"({joints[i]}: kp {figure(kp[i])}, kd {kd[i]:g})",
             "exchange stiffness and damping",
         )
 
@@ -297,4 +297,4 @@ def check_limits(subject: Subject, result: CheckResult) -> None:
 
 
 def _spans(lower: NDArray[np.float64], upper: NDArray[np.float64]) -> list[str]:
-    return [f"{low} … {high}" for low, high in zip(_numbers(lower), _numbers(upper))]
+    return [span(*limits, form=".4g") for limits in zip(lower, upper)]

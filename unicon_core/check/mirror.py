@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from unicon_core.check.result import PolicyResult
 from unicon_core.check.subject import listed
+from unicon_core.figures import figure
 
 __all__ = ["check_mirrored", "mirror_pairs", "odd_pairs"]
 
@@ -84,6 +85,6 @@ def check_mirrored(
         policy.find(
             code,
             what,
-            f"{left} has {sides[left]:g} and {right} has {sides[right]:g}{more}",
+            f"{left} has {figure(sides[left])} and {right} has {figure(sides[right])}{more}",
             f"bring {what} into the order of joints: {listed(joints, 3)}",
         )

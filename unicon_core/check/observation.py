@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import Subject
+from unicon_core.figures import figure, span
 from unicon_core.platforms.platform import info_of
 from unicon_core.policies import PolicyContract, TermSlice, term_slices
 from unicon_core.policies.contract import Feed
@@ -59,7 +60,7 @@ def _row(part: TermSlice, frame: str) -> list[str]:
     term = part.term
     index = "" if term.index is None else f"[{','.join(map(str, term.index))}]"
     offset = term.subtract if isinstance(term.subtract, str) else _values(part.subtract, 0.0, "-")
-    clip = "-" if term.clip is None else f"{part.low.min():g} … {part.high.max():g}"
+    clip = "-" if term.clip is None else span(part.low.min(), part.high.max())
     return [
         term.name,
         term.state + index,
@@ -77,7 +78,7 @@ def _values(values: NDArray[np.float32], neutral: float, same: str) -> str:
     if (values == neutral).all():
         return same
     low, high = float(values.min()), float(values.max())
-    return f"{low:g}" if low == high else f"{low:g} … {high:g}"
+    return figure(low) if low == high else span(low, high)
 
 
 def _layout(contract: PolicyContract) -> str:
@@ -147,7 +148,7 @@ def _term(subject: Subject, policy: PolicyResult, part: TermSlice) -> None:
         policy.find(
             "observation.clip",
             culprit,
-            f"it is clipped to {part.low.max():g} … {part.high.min():g}",
+            f"it is clipped to {span(part.low.max(), part.high.min())}",
             "give the lowest value first and a greater one second",
         )
     if term.state == "base_quat" and term.index is None:
@@ -185,7 +186,7 @@ def check_frames(subject: Subject, result: CheckResult) -> None:
     lines = ["quaternions are w, x, y, z and turn base into world; ROS messages are x, y, z, w"]
     if robot.imu is not None and np.isfinite(robot.imu.quat).all():
         turned = not np.allclose(np.abs(robot.imu.quat), (1, 0, 0, 0), atol=1e-6)
-        how = f"turned by {np.round(robot.imu.quat, 4).tolist()}" if turned else "aligned"
+        how = f"turned by {_vector(robot.imu.quat, 4)}" if turned else "aligned"
         lines.append(f"IMU {robot.imu.frame}: {how} with {robot.base_frame}")
     result.table("Conventions", ["state", "elements", "frame", "unit", "source"], rows, lines)
     if not subject.platform.simulated:
@@ -199,8 +200,11 @@ def check_frames(subject: Subject, result: CheckResult) -> None:
         result.find(
             "observation.frame",
             f"platform {subject.platform.name!r}",
-            f"base_quat {[round(v, 3) for v in (w, x, y, z)]} puts gravity at "
-            f"{np.round(down, 3).tolist()} and projected_gravity says "
-            f"{np.round(gravity, 3).tolist()}",
+            f"base_quat {_vector((w, x, y, z))} puts gravity at {_vector(down)} and "
+            f"projected_gravity says {_vector(gravity)}",
             "deliver base_quat as w, x, y, z of length 1, base to world",
         )
+
+
+def _vector(values: Iterable[float], digits: int = 3) -> str:
+    return f"[{', '.join(figure(round(float(value), digits), '') for value in values)}]"

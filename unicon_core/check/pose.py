@@ -12,6 +12,7 @@ from unicon_core.check.collision import check_collision
 from unicon_core.check.mirror import check_mirrored, mirror_pairs
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import Subject, listed
+from unicon_core.figures import figure, span
 from unicon_core.models.posed import PosedModel, foot_geoms
 from unicon_core.platforms.platform import Resettable
 from unicon_core.robots import Robot, joint_index
@@ -66,9 +67,9 @@ def _limits(robot: Robot, policy: PolicyResult) -> None:
     rows = [
         [
             name,
-            f"{pose[i]:g}",
-            "?" if np.isnan(own[i]) else f"{own[i]:g}",
-            f"{lower[i]:.4g} … {upper[i]:.4g}",
+            figure(pose[i]),
+            figure(own[i]),
+            span(lower[i], upper[i], form=".4g"),
             "outside" if outside[i] else "≠" if far[i] else "",
         ]
         for i, name in enumerate(joints)
@@ -81,8 +82,8 @@ def _limits(robot: Robot, policy: PolicyResult) -> None:
         policy.find(
             "pose.limits",
             "default_joint_pos",
-            f"{joints[i]} is {pose[i]:g} rad, its limits are [{lower[i]:.4g}, {upper[i]:.4g}] "
-            f"({wrong.size} joints)",
+            f"{joints[i]} is {figure(pose[i])} rad, its limits are "
+            f"[{span(lower[i], upper[i], ', ', '.4g')}] ({wrong.size} joints)",
             "correct the pose, its order or its unit (degrees?)",
         )
     if far.any():
@@ -121,7 +122,7 @@ def _feet(robot: Robot, policy: PolicyResult, posed: PosedModel) -> None:
     if not lowest:
         return
     ground = min(lowest.values())
-    rows = [[foot, f"{1e3 * (height - ground):.0f}"] for foot, height in lowest.items()]
+    rows = [[foot, figure(1e3 * (height - ground), ".0f")] for foot, height in lowest.items()]
     title = f"Feet in the default pose of policy {policy.key}"
     result.table(title, ["foot", "height [mm]"], rows)
     others = {geom: height for geom, height in heights.items() if geom not in geoms}

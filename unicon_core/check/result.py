@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from unicon_core.aligned import aligned
 from unicon_core.errors import UniconError, alternatives
+from unicon_core.terminal import WIDTH, near, wrapped
 
 if TYPE_CHECKING:
     from unicon_core.policies import PolicyContract
@@ -177,12 +179,14 @@ class Section:
     rows: tuple[tuple[str, ...], ...]
     lines: tuple[str, ...] = ()
 
-    def text(self) -> str:
-        """Return the table with its heading."""
-        parts = [self.title]
+    def text(self, width: int = WIDTH) -> str:
+        """Return the table with its heading, in lines of at most so many columns."""
+        lines = wrapped(self.title, width, "", "  ")
         if self.rows:
-            parts += [f"  {line}" for line in aligned([self.columns, *self.rows])]
-        return "\n".join([*parts, *(f"  {line}" for line in self.lines)])
+            rows = [[near(cell) for cell in row] for row in (self.columns, *self.rows)]
+            lines += [f"  {line}".rstrip() for line in aligned(rows, width=width - 2)]
+        below = (wrapped(near(line), width, "  ", "    ") for line in self.lines)
+        return "\n".join(chain(lines, *below))
 
 
 @dataclass
@@ -271,18 +275,28 @@ class CheckResult:
         """Whether nothing fails the check."""
         return not self.findings
 
-    def text(self) -> str:
-        """Return tables, notes, findings and the verdict, for a terminal."""
-        parts = [f"check {self.workflow}" + (f": {self.subject}" if self.subject else "")]
-        parts += [section.text() for section in self.sections]
-        if self.notes:
-            parts.append("\n".join(["Notes", *(f"  · {note}" for note in self.notes)]))
-        if self.findings:
-            numbered = [f"  {i}. {finding}" for i, finding in enumerate(self.findings, 1)]
-            parts.append("\n".join(["Findings", *numbered]))
+    def text(self, width: int = WIDTH) -> str:
+        """Return findings, notes and the verdict, then tables and the verdict, for a terminal.
+
+        Args:
+            width: columns that a line may take.
+        """
+        head = f"check {self.workflow}" + (f": {self.subject}" if self.subject else "")
+        parts = ["\n".join(wrapped(near(head), width, "", "  "))]
+        for title, found, form in (
+            ("Findings", self.findings, "  {}. "),
+            ("Notes", self.notes, "  · "),
+        ):
+            marks = [form.format(i + 1) for i in range(len(found))]
+            told = (
+                wrapped(near(str(each)), width, mark, " " * len(mark))
+                for mark, each in zip(marks, found)
+            )
+            parts += ["\n".join(chain([title], *told))] if found else []
         count = len(self.findings)
-        parts.append("clean" if self.clean else f"{count} finding{'s' if count > 1 else ''}")
-        return "\n\n".join(parts)
+        verdict = "clean" if self.clean else f"{count} finding{'s' if count > 1 else ''}"
+        tables = [section.text(width) for section in self.sections]
+        return "\n\n".join([*parts, verdict, *tables, *([verdict] if tables else [])])
 
     def to_json(self) -> dict[str, Any]:
         """Return all as plain values."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import Fault
+from unicon_core.figures import figure
 from unicon_core.robots import Robot
 
 __all__ = ["Alone", "NoCommand", "Variant"]
@@ -86,8 +86,8 @@ class NoCommand:
         """Look."""
         if not self._command.any():
             return ""
-        vx, vy, wz = np.round(self._command.reshape(-1, 3)[0].astype(float), 3).tolist()
+        vx, vy, wz = (figure(v, ".3g") for v in self._command.reshape(-1, 3)[0])
         return (
-            f"velocity_command is vx {vx:g} m/s, vy {vy:g} m/s, wz {wz:g} rad/s, and a robot "
+            f"velocity_command is vx {vx} m/s, vy {vy} m/s, wz {wz} rad/s, and a robot "
             "begins at zero; let go of the stick, or stop whoever publishes it"
         )

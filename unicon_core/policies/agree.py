@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from unicon_core.figures import figure
 from unicon_core.policies.facts import Facts, dig, says
 
 __all__ = ["check_agreement"]
@@ -47,7 +48,8 @@ def check_agreement(facts: Facts, other: Facts, given: Mapping[str, Any]) -> Non
             if np.isclose(a, b, rtol=relative, atol=absolute):
                 continue
             differs = (
-                f"{key} of {joint} is {a:g} here and {b:g} in the metadata of {other.path.name}"
+                f"{key} of {joint} is {figure(a)} here and {figure(b)} in the metadata of "
+                f"{other.path.name}"
             )
             if not says(given, key):
                 raise facts.error(

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from unicon_core.errors import PolicyError
 from unicon_core.policies.contract import ObservationSpec, ObservationTerm, PolicyContract
 from unicon_core.policies.lane import Input, Lane, Published
+from unicon_core.policies.misfit import explain_size
 from unicon_core.policies.networks import Network, Tensor
 from unicon_core.policies.observation import Observation
 from unicon_core.policies.prefixed import PackedStates
@@ -99,7 +100,8 @@ class Binding:
     def _check_size(self, observation: Observation, tensor: Tensor) -> None:
         if tensor.dtype != "float32":
             raise self._fail(f"input {tensor} is not float32; export the network in float32")
-        if tensor.takes(observation.size):
+        takes = tensor.width
+        if not isinstance(takes, int) or takes == observation.size:
             return
         start, parts = 0, []
         for part in observation.slices:
@@ -108,10 +110,17 @@ class Binding:
             times = f" = {elements} × {history}" if history > 1 else ""
             parts.append(f"{part.term.name} [{start}:{start + width}]{times}")
             start += width
+        contract = self._contract
+        action = self._tensors_out.get(contract.outputs.get("action", ""))
+        counts = [len(self._joints), len(contract.joints)]
+        if action is not None and isinstance(action.width, int):
+            counts.append(action.width)
+        why = explain_size(observation.slices, takes, self._joints, counts)
         raise self._fail(
             f"the observation has {observation.size} values and the network's input "
-            f"{tensor.name!r} takes {tensor.width}; terms: {', '.join(parts)}; correct "
-            f"observation.terms in {self._contract.path.name}"
+            f"{tensor.name!r} takes {takes}"
+            + (f": {why}" if why else f"; terms: {', '.join(parts)}")
+            + f"; correct observation.terms in {contract.path.name}"
         )
 
     def _input(self, canonical: str, tensor: Tensor) -> Input:

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import PolicyError, UniconError, alternatives
+from unicon_core.figures import figure
 from unicon_core.models.find import pick_model
 from unicon_core.models.joints import drives, position_gains
 from unicon_core.models.load import load_model
@@ -152,7 +153,7 @@ class FromModel:
     def _take(self, key: str, value: list[Any], where: str) -> None:
         self.given[key] = value
         self.taken[key] = where
-        shown = value if key == "joints" else [f"{number:g}" for number in value]
+        shown = value if key == "joints" else list(map(figure, value))
         self.notes.append(f"{key} is taken from the {where}: {', '.join(shown)}")
 
     def _default_joint_pos(

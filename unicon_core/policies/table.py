@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from unicon_core.aligned import aligned
 from unicon_core.errors import PolicyError
+from unicon_core.figures import figure, span
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.load import load_policy, policy_names
 from unicon_core.policies.policy_states import policy_states
@@ -93,15 +94,15 @@ def policy_table(contract: PolicyContract, robot: Robot | None = None) -> str:
     if action.filter is not None:
         lines.append(f"filter       {action.filter}, begins with {action.filter.start}")
     if contract.command is not None:
-        slew = ", ".join(f"{rate:g}" for rate in contract.command.slew)
+        slew = ", ".join(map(figure, contract.command.slew))
         lines.append(f"command      changes by at most {slew} [m/s², m/s², rad/s²] (slew)")
     for name, (low, high) in contract.command_ranges.items():
-        lines.append(f"command      {name} from {low:g} to {high:g}")
+        lines.append(f"command      {name} from {span(low, high, ' to ')}")
     if contract.phase is not None:
-        offsets = ", ".join(f"{offset:.4g}" for offset in contract.phase.offsets)
+        offsets = ", ".join(figure(offset, ".4g") for offset in contract.phase.offsets)
         stand = contract.phase.stand
         words = {"None": "keeps running", "freeze": "stands still", "zero": "sine and cosine are 0"}
-        still = words.get(str(stand)) or f"stands at {stand:.4g} rad"
+        still = words.get(str(stand)) or f"stands at {figure(float(stand or 0), '.4g')} rad"
         lines.append(
             f"gait phase   period {contract.phase.period:g} s, offsets {offsets} rad, "
             f"{still} without a command"
@@ -137,15 +138,12 @@ def joint_rows(contract: PolicyContract, robot: Robot | None = None) -> list[lis
         row = [str(i), name]
         if robot is not None:
             row.append(str(place.get(name, "missing")))
-        row += [
-            f"{contract.stiffness[i]:g}",
-            f"{contract.damping[i]:g}",
-            f"{contract.default_joint_pos[i]:g}",
-        ]
+        facts = (contract.stiffness, contract.damping, contract.default_joint_pos)
+        row += [figure(values[i]) for values in facts]
         if name in action.joints:
             j = action.joints.index(name)
-            clip = "-" if action.clip is None else _range(*action.clip[:, j])
-            row += [f"{action.scale[j]:g}", f"{action.offset[j]:g}", clip]
+            clip = "-" if action.clip is None else span(action.clip[0, j], action.clip[1, j], "…")
+            row += [figure(action.scale[j]), figure(action.offset[j]), clip]
             row += [action.kinds[j]] if action.kinds else []
         else:
             row += ["held", "-", "-", *more]
@@ -202,7 +200,7 @@ def observation_rows(
                 if isinstance(term.subtract, str)
                 else _values(part.subtract, "-", 0.0),
                 _values(part.scale, "1", 1.0),
-                "-" if term.clip is None else _range(float(part.low.min()), float(part.high.max())),
+                "-" if term.clip is None else span(part.low.min(), part.high.max(), "…"),
                 str(term.history),
                 part.unit or "-",
             ]
@@ -242,12 +240,8 @@ def _values(values: NDArray[np.float32], same: str, neutral: float) -> str:
     if (values == neutral).all():
         return same
     if (values == values[0]).all():
-        return f"{values[0]:g}"
-    return f"{values.min():g}…{values.max():g}"
-
-
-def _range(low: float, high: float) -> str:
-    return f"{low:g}…{high:g}"
+        return figure(values[0])
+    return span(values.min(), values.max(), "…")
 
 
 def _pairs(items: Iterable[tuple[str, str]]) -> str:

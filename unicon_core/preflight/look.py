@@ -10,6 +10,7 @@ import time
 import numpy as np
 
 from unicon_core.errors import Fault, UniconError
+from unicon_core.figures import figure
 from unicon_core.flow import Node, Zip, compile_graph
 from unicon_core.flow.stage import Stage
 from unicon_core.gates.data import Rate
@@ -177,7 +178,8 @@ def _posture(program: Program) -> str:
     robot, pos = program.robot, program.states["joint_pos"]
     room = np.fmin(pos - robot.lower, robot.upper - pos)  # NaN where no limit is known
     order = np.argsort(np.nan_to_num(room, nan=np.inf))[:NEAREST]
-    named = [f"{robot.joint_names[i]} {room[i]:.2f} rad" for i in order if np.isfinite(room[i])]
+    known = [i for i in order if np.isfinite(room[i])]
+    named = [f"{robot.joint_names[i]} {figure(room[i], '.2f')} rad" for i in known]
     return f"nearest to a limit: {', '.join(named)}" if named else ""
 
 

@@ -20,6 +20,7 @@ import numpy as np
 from unicon_core.blocks.joint_command import robot_gains
 from unicon_core.bounds import within
 from unicon_core.errors import Fault
+from unicon_core.figures import figure
 from unicon_core.flow import Zip, as_block
 from unicon_core.flow.stage import Stage
 from unicon_core.runtime.beforehand import prepared, waiting_tree
@@ -217,8 +218,8 @@ def verdicts(moved: list[Moved], angle: float) -> list[tuple[str, str, str, str,
         (
             each.joint,
             each.follower,
-            f"{1e3 * each.share * angle:+.1f} of {1e3 * angle:.0f} mrad",
-            f"{each.share:+.2f}",
+            f"{figure(1e3 * each.share * angle, '+.1f')} of {1e3 * angle:.0f} mrad",
+            figure(each.share, "+.2f"),
             each.wrong or _right(each),
         )
         for each in moved

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
-
-import numpy as np
 
 from unicon_core.aligned import aligned
 from unicon_core.errors import RobotError, one_line
 from unicon_core.evidence import evidence_of, load_evidence
+from unicon_core.figures import figure, span
 from unicon_core.robots.hand import Hand
 from unicon_core.robots.load import load_robot, robot_names
 from unicon_core.robots.places import Place
@@ -99,7 +98,7 @@ def robot_table(robot: Robot) -> str:
         ("fingertips" if robot.kind == "hand" else "feet", ", ".join(robot.feet) or "-"),
     ]
     if robot.command_ranges:
-        ranges = [f"{k} {low:g}…{high:g}" for k, (low, high) in robot.command_ranges.items()]
+        ranges = [f"{k} {span(*bounds, '…')}" for k, bounds in robot.command_ranges.items()]
         head.append(("commands", ", ".join(ranges)))
     head += [(f"group {group}", ", ".join(names)) for group, names in robot.groups.items()]
     head += [(f"end effector {name}", _place(place)) for name, place in robot.end_effectors.items()]
@@ -124,7 +123,7 @@ def joint_limits(robot: Robot) -> list[tuple[str, ...]]:
     rows = [("#", f"joint ({order})", *JOINT_FIELDS), ("", "", *(_UNITS[k] for k in JOINT_FIELDS))]
     columns = [robot.joint_fact(key) for key in JOINT_FIELDS]
     for i, name in enumerate(robot.joint_names):
-        rows.append((str(i), name, *(_figure(float(column[i])) for column in columns)))
+        rows.append((str(i), name, *(figure(column[i], ".4g") for column in columns)))
     return rows
 
 
@@ -134,20 +133,19 @@ def _joints(robot: Robot) -> str:
     return "\n".join(aligned(rows, right=right, underlined=False))
 
 
-def _figure(value: float) -> str:
-    return "?" if np.isnan(value) else f"{value:.4g}"
-
-
 def _imu(robot: Robot) -> str:
     if robot.imu is None:
         return _UNKNOWN.upper() if "imu" in robot.unknown else "none"
-    position = " ".join(_figure(float(x)) for x in robot.imu.position)
-    quat = " ".join(_figure(float(x)) for x in robot.imu.quat)
+    position, quat = (_vector(each) for each in (robot.imu.position, robot.imu.quat))
     return f"{robot.imu.frame}, position [{position}] m, quat wxyz [{quat}]"
 
 
+def _vector(values: Iterable[float]) -> str:
+    return " ".join(figure(value, ".4g") for value in values)
+
+
 def _place(place: Place) -> str:
-    position, quat = (" ".join(f"{x:.4g}" for x in part) for part in (place.position, place.quat))
+    position, quat = (_vector(each) for each in (place.position, place.quat))
     return f"on {place.body}, position [{position}] m, quat wxyz [{quat}]"
 
 
@@ -173,10 +171,14 @@ def _flat(mapping: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]
         if isinstance(value, Mapping):
             rows += _flat(value, f"{prefix}{key}.")
         elif isinstance(value, Sequence) and not isinstance(value, str):
-            rows.append((f"{prefix}{key}", " ".join(map(str, value))))
+            rows.append((f"{prefix}{key}", " ".join(map(_said, value))))
         else:
-            rows.append((f"{prefix}{key}", "?" if value is None else str(value)))
+            rows.append((f"{prefix}{key}", "?" if value is None else _said(value)))
     return rows
+
+
+def _said(value: Any) -> str:
+    return figure(value, "") if isinstance(value, float) else str(value)
 
 
 def _wrapped(rows: Sequence[tuple[str, str]], indent: str = "") -> str:

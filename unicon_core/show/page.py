@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from unicon_core import __version__
+from unicon_core.figures import span
 from unicon_core.page import figure, page, pairs, place, table, units
 from unicon_core.show.parts import parts_rows
 from unicon_core.show.state_table import state_rows
@@ -69,7 +70,7 @@ def _facts(program: Program) -> Iterator[tuple[str, str]]:
     if program.duration is not None:
         yield "duration", f"{program.duration:g} s at most"
     yield "states", f"{len(program.states)}{batch}, {layout.nbytes} bytes, layout {layout.hash}"
-    bounds = (f"{b.axis} {b.low:g}…{b.high:g}" for b in program.command_bounds)
+    bounds = (f"{b.axis} {span(b.low, b.high, '…')}" for b in program.command_bounds)
     yield "velocity command", ", ".join(bounds) or "not read"
     yield "safety", ", ".join(program.safety) or "none"
     for name, why in program.safety_left_out.items():

@@ -34,6 +34,7 @@ def check(arguments: argparse.Namespace) -> int:
     """Run the command; exit status 0 clean, 1 findings."""
     from unicon_core.check import CheckResult, check_workflow
     from unicon_core.check.subject import Subject
+    from unicon_core.terminal import terminal_width
 
     def mirror(subject: Subject, result: CheckResult) -> None:
         values = subject.document.values
@@ -56,7 +57,9 @@ def check(arguments: argparse.Namespace) -> int:
         more=[mirror],
         hooks=[heard],
     )
-    print(result.text())
+    if arguments.quiet:
+        result.sections.clear()
+    print(result.text(terminal_width()))
     if arguments.json:
         result.write(arguments.json)
     return 1 if result.findings else 0

@@ -19,6 +19,7 @@ from unicon_core.check.twin.repair import repairs
 from unicon_core.check.twin.rivals import GAIT, rivals
 from unicon_core.check.twin.session import TwinBlindError, TwinSession
 from unicon_core.errors import UniconError
+from unicon_core.figures import figure
 from unicon_core.models.find import Modelled
 from unicon_core.platforms.platform import Platform
 from unicon_core.workflow.document import WorkflowDocument
@@ -350,4 +351,5 @@ def _strays(given: Measures) -> str:
 
 
 def _velocity(values: tuple[float, float, float]) -> str:
-    return f"vx {values[0]:.2f}, vy {values[1]:.2f} m/s, wz {values[2]:.2f} rad/s"
+    vx, vy, wz = (figure(value, ".2f") for value in values)
+    return f"vx {vx}, vy {vy} m/s, wz {wz} rad/s"

@@ -17,6 +17,7 @@ from unicon_core.check.result import PolicyResult
 from unicon_core.check.subject import listed
 from unicon_core.check.twin.measures import Measures
 from unicon_core.check.twin.perturb import Change
+from unicon_core.figures import figure, span
 from unicon_core.policies import PolicyContract
 from unicon_core.robots import Robot, joint_index
 
@@ -87,7 +88,7 @@ def find_pressing(policy: PolicyResult, robot: Robot, given: Measures) -> None:
         policy.find(
             "twin.saturated",
             f"position of {joint}",
-            f"the joint is at its position limit for {share:.0%} of the time ({robot.lower[i]:g} … "
-            f"{robot.upper[i]:g} rad, default {rest:g})",
+            f"the joint is at its position limit for {share:.0%} of the time "
+            f"({span(robot.lower[i], robot.upper[i])} rad, default {figure(rest)})",
             "compare default pose, action.scale and the joint's limits with the training side",
         )
