@@ -5,6 +5,7 @@ from unicon_core import Chain, Loop, Program, elapsed, policy, pose, run
 
 from __future__ import annotations
 
+import os
 import sys
 import warnings
 from importlib import import_module
@@ -32,6 +33,9 @@ if TYPE_CHECKING:
     from unicon_core.workflow.uses import block, elapsed, policy, pose
 
 __version__ = "0.3.0"
+
+# onnxruntime 1.32 else queues for its maker what machine this is, in a thread beside the tick.
+os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 if sys.platform != "linux":
     warnings.warn(

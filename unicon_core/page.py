@@ -11,11 +11,23 @@ import html
 import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from unicon_core.errors import UniconError
 
-__all__ = ["figure", "findings", "number", "page", "pairs", "place", "table", "units", "write_file"]
+__all__ = [
+    "figure",
+    "findings",
+    "number",
+    "page",
+    "pairs",
+    "place",
+    "refuse_unwritable",
+    "table",
+    "units",
+    "write_file",
+]
 
 _STYLE = """
 :root { color-scheme: light dark; --text: #222; --pale: #666; --line: #ddd; --box: #f2f5fb;
@@ -132,18 +144,36 @@ def number(value: float) -> str:
     return f"{value:.3g}" if math.isfinite(value) else "–"
 
 
-def write_file(path: Path, content: bytes) -> None:
-    """Write a file so that nobody ever sees half of it.
+def refuse_unwritable(path: Path) -> None:
+    """Refuse a file that could not be written later, before any work is done for it.
+
+    Raises:
+        UniconError: it is a folder, or it or the folder that it would be in cannot be written.
+    """
+    there = next(each for each in (path, *path.absolute().parents) if each.exists())
+    if path.is_dir() or (there != path and not there.is_dir()) or not os.access(there, os.W_OK):
+        why = "it is a folder" if path.is_dir() else f"{there} cannot be written to"
+        raise UniconError(f"cannot write {path}: {why}; give a path in a writable folder")
+
+
+def write_file(path: Path, content: bytes, folders: bool = False) -> None:
+    """Write a file so that nobody ever sees half of it, with `folders` made as needed.
 
     Raises:
         UniconError: it cannot be written.
     """
     half = path.with_name(f".{path.name}.{os.getpid()}")
     try:
+        if path.exists() and not path.is_file():  # a device, which stays one
+            path.write_bytes(content)
+            return
+        if folders:
+            path.parent.mkdir(parents=True, exist_ok=True)
         half.write_bytes(content)
         half.replace(path)
     except OSError as error:
-        half.unlink(missing_ok=True)
+        with suppress(OSError):
+            half.unlink(missing_ok=True)
         raise UniconError(
             f"cannot write {path}: {error.strerror}; give a path in a writable folder with room"
         ) from error

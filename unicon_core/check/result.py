@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from unicon_core.aligned import aligned
 from unicon_core.errors import UniconError, alternatives
+from unicon_core.page import write_file
 from unicon_core.terminal import WIDTH, near, wrapped
 
 if TYPE_CHECKING:
@@ -311,10 +312,8 @@ class CheckResult:
 
     def write(self, path: str | Path) -> None:
         """Write `to_json` to a file, folders made as needed."""
-        target = Path(path)
-        target.parent.mkdir(parents=True, exist_ok=True)
         text = json.dumps(self.to_json(), indent=2, ensure_ascii=False)
-        target.write_text(text + "\n", encoding="utf-8")
+        write_file(Path(path), f"{text}\n".encode(), folders=True)
 
 
 @dataclass(frozen=True)

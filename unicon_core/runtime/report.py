@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from unicon_core.errors import Fault
+from unicon_core.page import write_file
 from unicon_core.runtime.spare_files import out_of_files
 from unicon_core.runtime.statistics import TickStatistics
 from unicon_core.states import States
@@ -48,7 +49,7 @@ class Report:
         forced: codes of the check's errors that it was run with.
         base_displacement_m: base position at the end minus at the start, world frame; None where
             the robot's base is fixed, as are `fell` and `tilt_deg`.
-        fell: the base tilted by more than 60° from upright; None where a simulator's gantry holds it.
+        fell: the base tilted by more than 60° from upright; None where a gantry holds it.
         tilt_deg: largest tilt of the base from upright.
         sha256_commands: SHA-256 over the command states of every tick.
         dry: nothing was sent; the hash is of what would have been.
@@ -131,9 +132,7 @@ class Report:
 
     def write(self, path: str | Path) -> None:
         """Write the report as JSON, folders made as needed."""
-        target = Path(path)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_text(json.dumps(self.to_dict(), indent=2) + "\n", encoding="utf-8")
+        write_file(Path(path), f"{json.dumps(self.to_dict(), indent=2)}\n".encode(), folders=True)
 
     def base_moved(self) -> str:
         """Return in words how far the base moved and tilted, or that it is fixed or held."""

@@ -57,9 +57,9 @@ def check(arguments: argparse.Namespace) -> int:
         more=[mirror],
         hooks=[heard],
     )
+    if arguments.json:
+        result.write(arguments.json)
     if arguments.quiet:
         result.sections.clear()
     print(result.text(terminal_width()))
-    if arguments.json:
-        result.write(arguments.json)
     return 1 if result.findings else 0

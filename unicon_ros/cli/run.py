@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from unicon_core.errors import UniconError
 from unicon_core.outlet import relayed_stderr
+from unicon_core.page import refuse_unwritable
 from unicon_core.signals import SIGNALS, Guard
 from unicon_ros.cli.console import Console
 from unicon_ros.cli.operator import listen
@@ -246,6 +247,8 @@ def _run(
                 arguments.record_jpeg,
             )
             hooks.append(recording.hook)
+        for path in filter(None, (arguments.report, arguments.picture, arguments.trace)):
+            refuse_unwritable(Path(path))
         with_page = bool(arguments.report) and arguments.report.lower().endswith(".html")
         if arguments.picture or with_page:
             from unicon_ros.report.pictured import Pictured
@@ -393,6 +396,8 @@ def _write(arguments: argparse.Namespace, ended: _Ended) -> tuple[list[str], lis
     ):
         if not path:
             continue
+        if path.endswith(".html") and sys.stderr.isatty():  # its pictures take seconds
+            print(f"unicon: writing {path}", file=sys.stderr)
         try:
             write()
             written.append(f"{name:<14}{path}{hint}")
