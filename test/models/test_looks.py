@@ -235,6 +235,6 @@ def test_a_trunk_in_a_base_of_nothing_is_one_link(robot: Robot, tmp_path: Path) 
         "</body></body></worldbody></mujoco>"
     )
     root, _ = described(path, replace(robot, base_frame="trunk"))
-    assert [link.get("name") for link in root.iter("link")][:3] == ["base_link", "trunk", "hip"]
+    assert [link.get("name") for link in root.iter("link")][:3] == ["trunk", "base_link", "hip"]
     assert shapes(root, "trunk") == ["sphere"]
-    assert root.find("link[@name='trunk']/inertial") is not None
+    assert root.find("link[@name='trunk_inertia']/inertial") is not None

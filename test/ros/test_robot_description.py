@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as Xml
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from unicon_core.models.quaternions import multiply, rotate
 from unicon_core.models.urdf_write import _rpy, urdf
 from unicon_core.robots import Robot, load_robot
 from unicon_msgs_map import Encoder
+from unicon_ros.bridge.bindings import robot_variables
 from unicon_ros.bridge.transforms import LinkTransforms, tf_entry
 
 mujoco = pytest.importorskip("mujoco")
@@ -165,6 +167,22 @@ def test_masses_limits_and_the_imu_frame_are_in_the_urdf() -> None:
     names = {link.get("name") for link in root.iter("link")}
     assert names - children == {"base_link"}  # one tree
     assert "imu_link" in names
+
+
+@pytest.mark.parametrize("base_frame", ["base_link", "trunk", ""])
+def test_the_root_is_what_odometry_calls_the_base(base_frame: str) -> None:
+    """A frame has one parent: `odom` that of the root, which has no inertia of its own."""
+    robot = replace(load_robot("go2"), base_frame=base_frame)
+    model, _ = model_of(robot)
+    root = Xml.fromstring(urdf(read_tree(model, robot), robot))
+    children = [child.get("link") for child in root.iter("child")]
+    names = {str(link.get("name")): link for link in root.iter("link")}
+    base = base_frame or "base_link"
+    assert names.keys() - set(children) == {base}
+    assert len(children) == len({*children})
+    assert "base_link" in names
+    assert names[base].find("inertial") is None
+    assert robot_variables(robot)["base_frame"] == base
 
 
 def test_roll_pitch_yaw_give_the_rotation_back_straight_up_and_down_too() -> None:

@@ -23,7 +23,8 @@ from unicon_core.robots import Robot
 __all__ = ["frame_of", "read_tree", "tree_of"]
 
 BASE = "base_link"
-"""Root of every tree (REP-105), whatever the robot calls its base."""
+"""In every tree (REP-105): its root, or where the robot calls its base otherwise fixed to that. The
+root is what odometry and /tf call the base, since a frame has one parent."""
 
 
 def tree_of(robot: Robot, path: Path) -> list[Link]:
@@ -83,25 +84,24 @@ class _Reader:
 
     def _read(self) -> None:
         robot, model = self._robot, self._model
-        self.links.append(Link(BASE, -1))
-        if robot.base_frame and robot.base_frame != BASE:
-            self.links.append(Link(robot.base_frame, 0))
-        root, none = len(self.links) - 1, np.zeros(3)
-        self.of_body[self._root] = (root, none)
+        base, none = Link(robot.base_frame or BASE, -1), np.zeros(3)
+        self.links.append(base)
+        if base.name != BASE:
+            self.links.append(Link(BASE, 0))
+        self.of_body[self._root] = (0, none)
         if self._root:
-            base = self.links[root]
             self._dress(base, self._root, none)
-            if root == 0:  # tools refuse inertia at the root: a link of its own carries it
-                self.links.append(replace(base, name=f"{BASE}_inertia", parent=0, geoms=[]))
-                base.mass = 0.0
         for body in range(1, model.nbody):
             parent = int(model.body_parentid[body])
             if body != self._root and parent in self.of_body and self._belongs(body):
                 self._add_body(body, parent)
+        if base.mass:  # tools refuse inertia at the root: a link of its own carries it
+            self.links.append(replace(base, name=f"{base.name}_inertia", parent=0, geoms=[]))
+            base.mass = 0.0
         imu = robot.imu
         taken = {link.name for link in self.links}
         if imu is not None and imu.frame not in taken and np.isfinite(imu.position).all():
-            link = Link(imu.frame, root, imu.position.astype(float))
+            link = Link(imu.frame, 0, imu.position.astype(float))
             if np.isfinite(imu.quat).all():
                 link.quat = imu.quat.astype(float)
             self.links.append(link)

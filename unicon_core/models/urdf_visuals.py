@@ -13,12 +13,11 @@ from unicon_core.models.links import Geom, Link
 from unicon_core.models.mesh_files import MeshFiles
 from unicon_core.models.quaternions import about, multiply
 from unicon_core.models.urdf_repair import repaired_urdf
-from unicon_core.robots import Robot
 
 __all__ = ["give_visuals"]
 
 
-def give_visuals(path: Path, links: Sequence[Link], robot: Robot, files: MeshFiles) -> set[str]:
+def give_visuals(path: Path, links: Sequence[Link], files: MeshFiles) -> set[str]:
     """Give links the visuals of a URDF, if any is a mesh; return the names of its links."""
     root = Xml.fromstring(repaired_urdf(path, []) or path.read_text("utf-8-sig", "replace"))
     compiler = root.find("mujoco/compiler")
@@ -30,13 +29,12 @@ def give_visuals(path: Path, links: Sequence[Link], robot: Robot, files: MeshFil
     }
     children = {child.get("link") for child in root.iter("child")}
     by_name: dict[str, Link] = {link.name: link for link in links}
-    base = links[1] if links[1:] and links[1].name == robot.base_frame else links[0]
     looks: dict[str, list[Geom]] = {}
     blind: set[str] = set()
     for element in root.findall("link"):
         name = element.get("name", "")
         if name not in by_name and name not in children:
-            name = base.name  # the root is called as the robot file says
+            name = links[0].name  # the root is called as the robot file says
         visuals = [_visual(v, path, folder, colours, files) for v in element.findall("visual")]
         looks.setdefault(name, []).extend(geom for geom in visuals if geom is not None)
         if visuals:
