@@ -56,7 +56,7 @@ waits = compat.ReusedWaitSet([subscription], node.context)
 print(json.dumps({
     "publish": publish != publisher.publish,
     "take": take is not None and take() is None,
-    "serve": asked,
+    "serve": sorted({*asked}),  # it may be due again
     "wait": waits.wait(0.01),
     "events": not lacking and len(publisher.event_handlers) >= len(names),
 }))
