@@ -92,6 +92,7 @@ def test_urdf_gives_its_speeds_and_names_the_model_beside_it(
         30.0,
     ]
     assert "joints.default" in capsys.readouterr().out
+    assert new.sources["joints"] == "cart.urdf: names, limits, effort, velocity; order: its joints"
 
 
 LIMB = """\
@@ -191,6 +192,92 @@ def test_a_model_that_does_not_say_its_kind_is_asked_for(
     assert not out.exists()
     assert main(["robots", "new", str(path), "--out", str(out), "--kind", "quadruped"]) == 0
     assert load_robot(out).kind == "quadruped"
+
+
+def actuators(joints: list[str]) -> str:
+    return f"<actuator>{''.join(f'<motor joint={name!r}/>' for name in joints)}</actuator>"
+
+
+DRIVEN = [f"x{leg}_{number}" for leg in range(4) for number in (1, 2)]
+
+
+def corners(*names: str) -> str:
+    """Return a robot whose last geoms are called as a Spot's in MuJoCo Playground."""
+    text = body(limbs(4, "x"), free=True)
+    for i, name in enumerate(names):
+        end = f'<body name="x{i}_end" pos="0 0 -0.2"><geom'
+        text = text.replace(end, f'{end} name="{name}"')
+    return text
+
+
+@pytest.mark.parametrize(
+    ("model", "feet", "told"),
+    [
+        (corners("FL", "FR", "HL", "HR"), ("FL", "FR", "HL", "HR"), None),
+        (corners("FL", "FR"), tuple(f"x{i}_lower" for i in range(4)), None),
+        (
+            body(limbs(4, "x"), free=True).replace('<body name="x0_lower"', "<body"),
+            ("x1_lower", "x2_lower", "x3_lower"),
+            "3 feet were found for the 4 legs of a quadruped (x1_lower, x2_lower, x3_lower): ",
+        ),
+        (  # a camera of the base that is called by the feet it sees
+            body(limbs(2, "x") + '<site name="foot_camera"/>', free=True),
+            ("x0_lower", "x1_lower"),
+            None,
+        ),
+        (
+            body(limbs(2, "x"), free=True).replace("_end", "_foot"),
+            ("x0_foot", "x1_foot"),
+            None,
+        ),
+    ],
+)
+def test_feet_lie_at_the_ends_of_the_legs(
+    model: str,
+    feet: tuple[str, ...],
+    told: str | None,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (tmp_path / "mine.xml").write_text(model, "utf-8")
+    assert written(str(tmp_path / "mine.xml"), tmp_path).feet == feet
+    out = capsys.readouterr().out
+    assert told in out if told else "feet were found" not in out
+
+
+def test_joints_without_an_actuator_are_left_out_where_others_have_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    play = '<joint name="{joint}_play" axis="0 1 0" range="-.01 .01"/>'  # as Open Duck's backlash
+    plain = body(limbs(4, "x", end=play), free=True)
+    pulled = '<tendon><fixed name="t"><joint joint="x0_play" coef="1"/></fixed></tendon>'
+    pulled += actuators(DRIVEN).replace("</", '<motor tendon="t"/></')
+    for model, number in (
+        (plain.replace("</mujoco>", actuators(DRIVEN) + "</mujoco>"), 8),
+        (plain.replace("</mujoco>", pulled + "</mujoco>"), 9),
+        (plain, 12),  # a model without actuators: all of its joints
+    ):
+        (tmp_path / "mine.xml").write_text(model, "utf-8")
+        (tmp_path / "mine.yaml").unlink(missing_ok=True)
+        new = written(str(tmp_path / "mine.xml"), tmp_path)
+        assert (new.kind, len(new.joint_names)) == ("quadruped", number)
+        told = f"{12 - number} joints are left out, since the model has no actuator for them: "
+        assert (told in capsys.readouterr().out) == (number < 12)
+
+
+@pytest.mark.parametrize(
+    ("said", "name"), [('model="my dog"', "my_dog"), ("", "file"), ('model=""', "file")]
+)
+def test_a_robot_is_called_as_its_model(
+    said: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    text = body(limbs(2, "x"), free=True).replace("<mujoco", f"<mujoco {said}", 1)
+    Path("file.xml").write_text(text, "utf-8")
+    assert main(["robots", "new", "file.xml"]) == 0
+    new = load_robot(tmp_path / f"{name}.yaml")
+    assert new.name == name
+    assert new.sources["joints"] == "file.xml: names, limits; order: its joints"
 
 
 def test_the_rover_is_wheeled(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -312,6 +313,18 @@ def test_wrong_arguments_get_one_line(
     assert words in error
     assert len(error.splitlines()) == 1
     assert "foreseen" not in error
+
+
+def test_a_robot_without_a_protocol_is_asked_for_its_face(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    new = replace(ROBOT, transport={"protocol": None})
+    monkeypatch.setattr("unicon_core.robots.load_robot", lambda name: new)
+    assert main(["emulate", "mine"]) == 1
+    error = capsys.readouterr().err
+    assert f"{ROBOT.path} names no protocol under transport; give --face, one of " in error
+    assert "ros, unitree_dex3, unitree_go, " in error
+    assert error.endswith(", or your own module:function\n")
 
 
 def test_a_face_without_an_address_is_given_none(capsys: pytest.CaptureFixture[str]) -> None:

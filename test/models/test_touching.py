@@ -16,7 +16,7 @@ from unicon_core.models.footprint import Footprint
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel
 from unicon_core.models.posed import PosedModel
-from unicon_core.models.touching import may_touch, on_floor, solid
+from unicon_core.models.touching import floors, may_touch, on_floor, solid
 from unicon_core.robots import load_robot
 from unicon_core.workflow import Program
 from unicon_core.workflow.document import load_document
@@ -98,6 +98,48 @@ def test_a_floor_is_added_by_the_name_that_pairs_give_it(called: str, tmp_path: 
     assert loaded.model.geom(called).type == int(mujoco.mjtGeom.mjGEOM_PLANE)
     assert names(loaded, on_floor(loaded)) == {*FEET}
     assert "the model has no surroundings: a floor was added" in loaded.notes
+
+
+def in_body(path: Path, floor: str = FLOOR) -> Path:
+    """Put the floor into a body that stands still, as Open Duck's scenes do."""
+    text = path.read_text(encoding="utf-8")
+    end = text.index("/>", start := text.index(FLOOR)) + 2
+    own = f'<body name="floor" pos="0 0 0.1">{floor}{text[start + len(FLOOR) : end]}</body>'
+    path.write_text(text[:start] + own + text[end:], encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("pairs", [None, "floor", "ground"])
+def test_a_floor_in_a_body_that_stands_still_is_the_floor(
+    pairs: str | None, tmp_path: Path
+) -> None:
+    loaded = load(in_body(go2(tmp_path, pairs=pairs, bits=pairs is None)))
+    assert [loaded.model.geom(floor).name for floor in floors(loaded.model)] == ["floor"]
+    assert {*FEET} <= names(loaded, on_floor(loaded))
+    posed = PosedModel(loaded)
+    posed.put(load_robot("go2").default_joint_pos, (0, 0, 1, 1, 0, 0, 0))
+    plain = PosedModel(load(MODEL))
+    plain.put(load_robot("go2").default_joint_pos, (0, 0, 0.9, 1, 0, 0, 0))
+    assert min(posed.heights().values()) == pytest.approx(min(plain.heights().values()))
+
+
+def test_a_field_of_heights_in_a_body_that_stands_still_is_the_floor(tmp_path: Path) -> None:
+    path = in_body(go2(tmp_path, pairs="ground"), '<geom name="floor" hfield="f" type="hfield"')
+    field = '<asset><hfield name="f" nrow="2" ncol="2" size="5 5 1 1" elevation="0 0 0 0"/></asset>'
+    text = path.read_text().replace("<worldbody>", f"{field}<worldbody>", 1)
+    path.write_text(text, encoding="utf-8")
+    loaded = load(path)
+    assert not floors(loaded.model)
+    foot = loaded.model.geom("FL").id
+    assert may_touch(loaded.model, loaded.model.geom("floor").id, foot)
+
+
+def test_a_floor_is_added_by_a_name_that_is_free(tmp_path: Path) -> None:
+    path = go2(tmp_path, pairs=None, floor=False, bits=True)
+    text = path.read_text().replace('<geom name="FR"', '<geom name="floor"')
+    path.write_text(text, encoding="utf-8")
+    loaded = load(path)
+    assert [loaded.model.geom(floor).name for floor in floors(loaded.model)] == ["floor_"]
 
 
 def test_pairs_that_name_another_floor_take_the_one_that_is_there(tmp_path: Path) -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import platform
 import re
+import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -342,8 +344,13 @@ def test_a_missing_rclpy_names_the_command_that_installs_it(
         raise ImportError(name)
 
     monkeypatch.setattr("unicon_ros.compat.loading.importlib.import_module", absent)
-    with pytest.raises(MissingDependencyError, match=r"needs rclpy: source /opt/ros/<distro>"):
-        RosSession()
+    extra = ", or pip install 'unicon_ros[ros]'" if sys.version_info < (3, 12) else ""
+    for machine, words in (("x86_64", extra), ("aarch64", "")):  # it has no wheels for others
+        monkeypatch.setattr(platform, "machine", lambda machine=machine: machine)
+        with pytest.raises(MissingDependencyError) as caught:
+            RosSession()
+        told = str(caught.value)
+        assert told.endswith(f"needs rclpy: source /opt/ros/<distro>/setup.bash{words}")
 
 
 def test_the_middlewares_threads_do_not_preempt_the_tick_and_pythons_are_left_alone(

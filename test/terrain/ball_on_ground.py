@@ -15,7 +15,9 @@ from unicon_core.terrain.words import read_terrain
 BALL = """\
 <mujoco>
   <worldbody>
+    {open}
     <geom name="floor" type="plane" size="0 0 1" pos="0 0 {height}" friction="0.8 0.01 0.001"/>
+    {close}
     {around}
     <body name="ball" pos="0 0 0.5"><freejoint/>
       <geom name="ball" size="0.1" mass="1" condim="4" friction="0.5 0.02 0.001" {geom}/>
@@ -27,12 +29,13 @@ BALL = """\
   {more}
 </mujoco>
 """
+NOTHING = {"open": "", "close": "", "around": "", "geom": "", "more": ""}
 
 
 def laid(said: Any, height: float = 0.0, **text: str) -> Any:
     """Return the compiled model of a ball on ground whose floor was at a height in [m]."""
     mujoco = pytest.importorskip("mujoco")
-    xml = BALL.format(height=height, **{"around": "", "geom": "", "more": "", **text})
+    xml = BALL.format(height=height, **{**NOTHING, **text})
     model = mujoco.MjModel.from_xml_string(xml)
     terrain = read_terrain(said, 0)
     assert terrain is not None

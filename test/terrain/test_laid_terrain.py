@@ -72,6 +72,22 @@ def test_other_surroundings_are_told(around: str, told: str) -> None:
         laid({"stairs": FAR}, around=around)
 
 
+def test_ground_lies_on_a_floor_that_a_body_has_which_stands_still() -> None:
+    model = laid({"rough": FAR}, height=0.5, open='<body pos="1 2 -0.2">', close="</body>")
+    plain = laid({"rough": FAR}, height=0.3)
+    data, other = mujoco.MjData(model), mujoco.MjData(plain)
+    for one, made in ((model, data), (plain, other)):
+        mujoco.mj_kinematics(one, made)
+    assert data.geom("floor").xpos[2] == pytest.approx(other.geom("floor").xpos[2])
+    assert data.geom("floor").xpos[2] < 0.3
+    np.testing.assert_allclose(data.geom("terrain_0").xpos, other.geom("terrain_0").xpos)
+
+
+def test_a_floor_in_a_body_that_is_not_level_is_told() -> None:
+    with pytest.raises(ModelError, match="needs one level floor"):
+        laid({"rough": FAR}, open='<body euler="10 0 0">', close="</body>")
+
+
 def test_what_touches_nothing_is_no_surrounding() -> None:
     look = '<geom type="box" size="1 1 1" pos="5 0 0" contype="0" conaffinity="0"/>'
     assert laid({"stairs": FAR}, around=look).ngeom > 5

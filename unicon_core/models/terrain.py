@@ -10,7 +10,7 @@ from unicon_core.errors import ModelError
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.terrain_contacts import TOUCH, floor_contact, give_pair, give_patch
-from unicon_core.models.touching import floors, solid
+from unicon_core.models.touching import around, floors
 from unicon_core.robots import Robot
 from unicon_core.terrain.build import ground_of
 from unicon_core.terrain.ground import THICK, Ground
@@ -97,7 +97,7 @@ def laying(loaded: LoadedModel, ground: Ground) -> Callable[[Any], None]:
                 give_patch(geom, contact, friction, rank)
             for pair in pairs:
                 give_pair(spec, pair, plane.name, geom.name, friction)
-        plane.pos = [plane.pos[0], plane.pos[1], height + ground.floor]
+        plane.pos = [plane.pos[0], plane.pos[1], plane.pos[2] + ground.floor]
         # Cameras see from a hundredth of the extent on, and windows show all of it.
         for word in ("extent", "meansize", "center"):
             setattr(spec.stat, word, getattr(loaded.model.stat, word))
@@ -107,34 +107,29 @@ def laying(loaded: LoadedModel, ground: Ground) -> Callable[[Any], None]:
 
 def _floor_of(loaded: LoadedModel) -> tuple[int, float]:
     """Return the one level plane that lies around a robot, and its height in [m]."""
-    model, planes = loaded.model, floors(loaded.model)
-    around = [
-        geom
-        for geom in range(model.ngeom)
-        if model.body_weldid[model.geom_bodyid[geom]] == 0
-        and geom not in planes
-        and solid(model, geom)
-        and model.body_rootid[model.geom_bodyid[geom]]
-        != model.body_rootid[model.jnt_bodyid[loaded.joints[0]]]
-    ]
-    if around:
-        names = ", ".join(model.geom(g).name or f"geom {g}" for g in around[:3])
+    mujoco, model, planes = import_mujoco(), loaded.model, floors(loaded.model)
+    others = around(loaded)
+    if others:
+        names = ", ".join(model.geom(g).name or f"geom {g}" for g in others[:3])
         raise ModelError(
             f"model {loaded.path} has surroundings of its own ({names}): scene.terrain needs a "
             "floor alone; leave one of the two out"
         )
-    quat = model.geom_quat[planes[0]] if planes else None
-    if len(planes) != 1 or quat is None or quat[1] ** 2 + quat[2] ** 2 > 1e-12:
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    bodies = model.geom_bodyid[planes]  # the floor is lowered in its body's frame
+    upright = (*data.geom_xmat[planes, 8], *data.xmat[bodies, 8])
+    if len(planes) != 1 or min(upright) < 1.0 - 2e-12:
         raise ModelError(
             f"model {loaded.path} has {len(planes)} planes: scene.terrain needs one level floor; "
             "leave terrain out, or name another model (scene: {model: PATH})"
         )
-    return planes[0], float(model.geom_pos[planes[0], 2])
+    return planes[0], float(data.geom_xpos[planes[0], 2])
 
 
 def _plane_of(spec: Any) -> Any:
     plane = import_mujoco().mjtGeom.mjGEOM_PLANE
-    return next(geom for geom in spec.worldbody.geoms if geom.type == plane)
+    return next(geom for geom in spec.geoms if geom.type == plane)
 
 
 def _geoms(spec: Any, plane: Any, ground: Ground, height: float) -> list[tuple[Any, float]]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 
-__all__ = ["Contact", "contact_of", "floors", "may_touch", "on_floor", "solid"]
+__all__ = ["Contact", "around", "contact_of", "floors", "may_touch", "on_floor", "solid", "still"]
 
 
 class Contact(NamedTuple):
@@ -62,11 +62,29 @@ def contact_of(model: Any, one: int, other: int) -> Contact:
     return Contact(int(dims.max()), friction.max(axis=0))
 
 
+def still(model: Any) -> list[int]:
+    """Return the geoms of the world and of the bodies that are fixed to it."""
+    return np.flatnonzero(model.body_weldid[model.geom_bodyid] == 0).tolist()
+
+
 def floors(model: Any) -> list[int]:
-    """Return the planes of the world."""
+    """Return the planes that stand still."""
     plane = int(import_mujoco().mjtGeom.mjGEOM_PLANE)
-    geoms = range(model.ngeom)
-    return [i for i in geoms if model.geom_type[i] == plane and model.geom_bodyid[i] == 0]
+    return [i for i in still(model) if model.geom_type[i] == plane]
+
+
+def around(loaded: LoadedModel) -> list[int]:
+    """Return what a robot may touch around it and is no floor: solid geoms that stand still."""
+    model = loaded.model
+    root = model.body_rootid[model.jnt_bodyid[loaded.joints[0]]]
+    planes = floors(model)
+    return [
+        geom
+        for geom in still(model)
+        if geom not in planes
+        and solid(model, geom)
+        and model.body_rootid[model.geom_bodyid[geom]] != root
+    ]
 
 
 def on_floor(loaded: LoadedModel) -> list[int]:

@@ -97,11 +97,16 @@ def emulate(arguments: argparse.Namespace) -> int:
     # Imported here so that `unicon --help` stays fast and free of optional packages.
     from unicon_core.robots import load_robot
     from unicon_core.signals import SIGNALS
-    from unicon_core.workflow.registry import find_factory
+    from unicon_core.workflow.registry import find_factory, known
     from unicon_ros.emulate.emulator import emulated
 
     robot = load_robot(arguments.robot)
-    name = arguments.face or str(robot.transport.get("protocol"))
+    name = arguments.face or robot.transport.get("protocol")
+    if name is None:
+        raise RobotError(
+            f"robot {robot.name}: {robot.path} names no protocol under transport; give --face, "
+            f"one of {', '.join(sorted(known('faces')))}, or your own module:function"
+        )
     factory = find_factory("faces", name, PlatformError)
     robot = _told(robot, arguments.variant)
     emulator = emulated(

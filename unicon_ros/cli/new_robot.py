@@ -23,16 +23,18 @@ from unicon_core.robots import Robot
 from unicon_core.robots.checks import LARGEST
 from unicon_core.robots.robot import JOINT_FIELDS
 from unicon_core.robots.validate import KINDS, SCHEMA, validate
-from unicon_ros.cli.robot_kind import kind_of, wheels_of
+from unicon_ros.cli.robot_feet import feet_of
+from unicon_ros.cli.robot_kind import kind_of, legs_of, wheels_of
 
 __all__ = ["new_robot"]
 
 Float = NDArray[np.float64]
 
-_FOOT = re.compile(r"foot|feet|toe", re.IGNORECASE)
-_ANKLE = re.compile(r"ankle", re.IGNORECASE)
 _IMU = re.compile(r"(^|_)imu", re.IGNORECASE)
+_NAMELESS = "MuJoCo Model"
+"""What MuJoCo calls a model that has no name."""
 _STANDING = re.compile(r"home|stand|default|init", re.IGNORECASE)
+_LEGS = {"humanoid": 2, "quadruped": 4}
 _LYING = re.compile(r"rest|lie|lying|prone|crouch|sit", re.IGNORECASE)
 
 
@@ -40,7 +42,8 @@ _LYING = re.compile(r"rest|lie|lying|prone|crouch|sit", re.IGNORECASE)
 class _Facts:
     """What was found: figures by key of a joint, shape (n,), NaN where it is not said.
 
-    `hangs`: its base should move freely, and the model fixes it.
+    `hangs`: its base should move freely, and the model fixes it. `passive`: joints left out, which
+    have no actuator where others have one.
     """
 
     name: str
@@ -49,6 +52,7 @@ class _Facts:
     base: str
     hangs: bool
     joints: tuple[str, ...]
+    passive: list[str]
     figures: dict[str, Float]
     imu: tuple[str, Float, Float] | None
     feet: list[str]
@@ -60,7 +64,7 @@ def new_robot(model: str, out: str | None, kind: str | None = None) -> str:
 
     Args:
         model: path, `assets:PATH` or `robot_descriptions:NAME` of an MJCF or a URDF.
-        out: the file; NAME.yaml of the model's file where it is None.
+        out: the file; NAME.yaml of what the model calls itself, or of its file, where it is None.
         kind: of the robot; what the model says where it is None.
 
     Raises:
@@ -68,7 +72,8 @@ def new_robot(model: str, out: str | None, kind: str | None = None) -> str:
         RobotError: the file exists, or cannot be written, or the model does not say the kind.
     """
     path = find_model(model, Path.cwd())
-    file = Path(out) if out else Path(re.sub(r"[^A-Za-z0-9_]", "_", path.stem) + ".yaml")
+    bare = load_model(path, _robot(path, (), "arm"), quiet=True)
+    file = Path(out) if out else Path(f"{_name(bare)}.yaml")
     if file.suffix != ".yaml":
         raise RobotError(f"robots new: {file} is not a .yaml file; give --out NAME.yaml")
     if file.exists():
@@ -77,7 +82,7 @@ def new_robot(model: str, out: str | None, kind: str | None = None) -> str:
         raise RobotError(
             f"robots new: --kind {kind} is none of {', '.join(KINDS)}; give one of them"
         )
-    facts = _facts(path, file.stem, kind)
+    facts = _facts(bare, file.stem, kind)
     models, named = _models(model, path, file)
     text = _text(facts, models)
     validate(parse_yaml(text, file, RobotError))
@@ -97,6 +102,17 @@ def new_robot(model: str, out: str | None, kind: str | None = None) -> str:
         "look at all of it, correct what your robot has otherwise, and take from unknown what you "
         "give, with its source",
     ]
+    if facts.passive:
+        lines.append(
+            f"{len(facts.passive)} joints are left out, since the model has no actuator for them: "
+            f"{', '.join(facts.passive)}; they stay passive in it: add those that a motor turns"
+        )
+    if len(facts.feet) != _LEGS.get(facts.kind, len(facts.feet)):
+        lines.append(
+            f"{len(facts.feet)} feet were found for the {_LEGS[facts.kind]} legs of a "
+            f"{facts.kind} ({', '.join(facts.feet) or 'none'}): name a body, site or geom of the "
+            "model for each under feet"
+        )
     if facts.hangs:
         lines.append(
             f"the model fixes its base, so the robot hangs in the air: write <freejoint/> into "
@@ -105,10 +121,15 @@ def new_robot(model: str, out: str | None, kind: str | None = None) -> str:
     return "\n".join([*lines, *named])
 
 
-def _facts(path: Path, name: str, kind: str | None) -> _Facts:
-    bare = load_model(path, _robot(path, (), "arm"), quiet=True)
-    model = bare.model
-    simple = _simple(model)
+def _name(bare: LoadedModel) -> str:
+    """Return what a model calls itself, else its file's stem, as the name of a file."""
+    own = bytes(bare.model.names).split(b"\0")[0].decode("utf-8", "replace")
+    return re.sub(r"[^A-Za-z0-9_]", "_", bare.path.stem if own in ("", _NAMELESS) else own)
+
+
+def _facts(bare: LoadedModel, name: str, kind: str | None) -> _Facts:
+    path, model = bare.path, bare.model
+    simple, passive = _driven(model, _simple(model))
     names = [model.joint(i).name for i in simple]
     if not all(names) or not names:
         what = "a joint without a name" if names else "no joint that turns or slides"
@@ -116,24 +137,28 @@ def _facts(path: Path, name: str, kind: str | None) -> _Facts:
     joints, order = _ordered(path, model, names)
     kind, reason = (kind, "as given") if kind else kind_of(model, simple, str(path))
     wheels = wheels_of(model, simple)
+    feet = feet_of(model, legs_of(model, simple)) if kind in _LEGS else []
     loaded = load_model(path, _robot(path, joints, kind), quiet=True)
     model = loaded.model
-    feet = _feet(model) if kind in ("quadruped", "humanoid") else []
     base = _base(loaded)
     hangs = kind not in ("hand", "arm") and loaded.base is None
     figures, sources = _figures(loaded, joints, path)
     for i in (i for i, joint in enumerate(joints) if joint in wheels):
         figures["lower"][i], figures["upper"][i] = -np.inf, np.inf
     imu = _imu(model, base)
-    sources = {"joints": f"{path.name}: names, limits, effort, velocity; order: {order}"} | sources
+    known = [key for key in ("effort", "velocity") if not np.isnan(figures[key]).all()]
+    if not np.isnan((figures["lower"], figures["upper"])).all():
+        known.insert(0, "limits")
+    said = ", ".join(("names", *known))
+    sources = {"joints": f"{path.name}: {said}; order: {order}"} | sources
     if imu is not None:
         sources["imu"] = f"{path.name}: {imu[0]}"
     if feet:
-        sources["feet"] = f"{path.name}: names"
+        sources["feet"] = f"{path.name}: names at the ends of its legs"
     sources["transport"] = "not known"
-    return _Facts(
-        name, kind, reason, model.body(base).name, hangs, joints, figures, imu, feet, sources
-    )
+    names = [model.joint(i).name or f"joint {i}" for i in passive]
+    body = model.body(base).name
+    return _Facts(name, kind, reason, body, hangs, joints, names, figures, imu, feet, sources)
 
 
 def _simple(model: Any) -> list[int]:
@@ -143,6 +168,19 @@ def _simple(model: Any) -> list[int]:
     roots = [int(model.body_rootid[model.jnt_bodyid[i]]) for i in joints]
     most = max(roots, key=roots.count, default=0)
     return [i for i, root in zip(joints, roots) if root == most]
+
+
+def _driven(model: Any, joints: list[int]) -> tuple[list[int], list[int]]:
+    """Return the joints with an actuator, and the others; all of a model without actuators."""
+    mujoco = import_mujoco()
+    driven, tendon = {*drives(mujoco, model)}, int(mujoco.mjtTrn.mjTRN_TENDON)
+    for pulled in model.actuator_trnid[model.actuator_trntype == tendon, 0]:
+        first, count = int(model.tendon_adr[pulled]), int(model.tendon_num[pulled])
+        wraps = slice(first, first + count)
+        fixed = model.wrap_type[wraps] == int(mujoco.mjtWrap.mjWRAP_JOINT)
+        driven |= {*model.wrap_objid[wraps][fixed].tolist()}
+    own = [joint for joint in joints if joint in driven]
+    return (own, [joint for joint in joints if joint not in driven]) if own else (joints, [])
 
 
 def _robot(path: Path, joints: tuple[str, ...], kind: str) -> Robot:
@@ -178,25 +216,6 @@ def _ordered(path: Path, model: Any, names: list[str]) -> tuple[tuple[str, ...],
     if path.suffix.lower() != ".urdf" and set(names) <= set(first):
         return tuple(sorted(names, key=first.__getitem__)), "its actuators"
     return tuple(names), "its joints"
-
-
-def _named(model: Any, kind: str) -> list[str]:
-    counts = {"body": model.nbody, "site": model.nsite, "geom": model.ngeom}
-    return [getattr(model, kind)(i).name for i in range(counts[kind])]
-
-
-def _feet(model: Any) -> list[str]:
-    """Return bodies, else sites, else geoms called feet; else the last links behind the ankles."""
-    for kind in ("body", "site", "geom"):
-        found = [name for name in _named(model, kind) if name and _FOOT.search(name)]
-        if found:
-            return list(dict.fromkeys(found))
-    legs = [name for name in _named(model, "geom") if re.fullmatch("[FR][LR]", name)]
-    if legs:
-        return legs
-    parents = set(map(int, model.body_parentid))
-    bodies = enumerate(_named(model, "body"))
-    return [name for i, name in bodies if i not in parents and _ANKLE.search(name)]
 
 
 def _base(loaded: LoadedModel) -> int:

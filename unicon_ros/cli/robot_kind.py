@@ -19,7 +19,7 @@ from unicon_core.models.joints import free_joint
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.robots.validate import KINDS
 
-__all__ = ["kind_of", "wheels_of"]
+__all__ = ["kind_of", "legs_of", "wheels_of"]
 
 _LEG = re.compile(
     r"hip|knee|ankle|thigh|calf|shank|abad|foot|toe|(^|_)u?leg(_|\d|$)|(^|_)(haa|[hkf]fe)(_|$)",
@@ -64,6 +64,12 @@ def wheels_of(model: Any, joints: Sequence[int]) -> set[str]:
     return {model.joint(limb.joints[0]).name for limb in limbs if limb.wheel}
 
 
+def legs_of(model: Any, joints: Sequence[int]) -> list[tuple[int, ...]]:
+    """Return the joints of each leg, tip first; see `kind_of`."""
+    legs, _ = _legs(model, joints, _limbs(model, joints))
+    return [leg.joints for leg in legs]
+
+
 def kind_of(model: Any, joints: Sequence[int], source: str) -> tuple[str, str]:
     """Return the kind of a robot, and what in its model says so.
 
@@ -84,18 +90,12 @@ def kind_of(model: Any, joints: Sequence[int], source: str) -> tuple[str, str]:
     fingers = any(_FINGER.search(model.joint(joint).name) for joint in joints)
     if not leggy and fingers and carrying <= _OF_WRIST:
         return "hand", "its joints are called as a hand's are"
-    own = model.body_rootid == model.body_rootid[model.jnt_bodyid[joints[0]]]
-    low = min(limb.height for limb in limbs)
-    near = low + _NEAR * (float(_heights(model)[own].max()) - low)
-    down = [limb for limb in limbs if limb.height <= near]
+    down = _down(model, joints, limbs)
     wheels = [limb for limb in limbs if limb.wheel]
     if len(wheels) > 1 and all(limb.wheel for limb in down):
         return "wheeled", f"{len(wheels)} limbs end in a wheel"
     free = free_joint(import_mujoco(), model, joints[0]) is not None
-    legs = [limb for limb in down if len(limb.joints) > 1]
-    said = "reach the ground"
-    if len(legs) not in (2, 4):
-        legs, said = [limb for limb in limbs if limb.leggy], "are called as legs are"
+    legs, said = _legs(model, joints, limbs)
     if (free or leggy) and len(legs) in (2, 4):
         return ("humanoid" if len(legs) == 2 else "quadruped"), f"{len(legs)} limbs {said}"
     arms = any(_ARM.search(model.joint(joint).name) for joint in joints)
@@ -106,6 +106,22 @@ def kind_of(model: Any, joints: Sequence[int], source: str) -> tuple[str, str]:
         f"reach the ground, {'a' if free else 'no'} free joint; give --kind, one of "
         f"{', '.join(KINDS)}"
     )
+
+
+def _down(model: Any, joints: Sequence[int], limbs: list[_Limb]) -> list[_Limb]:
+    """Return the limbs that reach the ground."""
+    own = model.body_rootid == model.body_rootid[model.jnt_bodyid[joints[0]]]
+    low = min(limb.height for limb in limbs)
+    near = low + _NEAR * (float(_heights(model)[own].max()) - low)
+    return [limb for limb in limbs if limb.height <= near]
+
+
+def _legs(model: Any, joints: Sequence[int], limbs: list[_Limb]) -> tuple[list[_Limb], str]:
+    """Return the legs, and what makes them such."""
+    legs = [limb for limb in _down(model, joints, limbs) if len(limb.joints) > 1]
+    if len(legs) in (2, 4):
+        return legs, "reach the ground"
+    return [limb for limb in limbs if limb.leggy], "are called as legs are"
 
 
 def _endless(model: Any, joint: int) -> bool:

@@ -12,7 +12,7 @@ from unicon_core.errors import MissingDependencyError
 
 __all__ = ["fast_dds_profiles", "import_rclpy", "imported_first", "is_fast_dds", "message_class"]
 
-_WHEELS = "pip install 'ros-rclpy[fastrtps]==7.1.6' ros-jazzy-common-interfaces"
+_WHEELS = "pip install 'unicon_ros[ros]'"
 _SOURCE = "source /opt/ros/<distro>/setup.bash"
 
 _first: bool | None = None  # whether nobody had imported rclpy before us
@@ -35,7 +35,9 @@ def import_rclpy(what: str = "the ROS 2 bridge") -> Any:
         for module in ("executors", "node", "qos", "callback_groups", "signals"):
             importlib.import_module(f"rclpy.{module}")
     except ImportError as error:
-        wheels = platform.machine() == "x86_64" and platform.system() == "Linux"
+        # Where the extra's wheels are not for this machine or Python, it installs nothing.
+        where = platform.system(), platform.machine(), platform.python_implementation()
+        wheels = where == ("Linux", "x86_64", "CPython") and sys.version_info < (3, 15)
         install = f"{_SOURCE}, or {_WHEELS}" if wheels else _SOURCE
         raise MissingDependencyError(what, "rclpy", install) from error
     return rclpy

@@ -18,7 +18,7 @@ from unicon_core.errors import PlatformError, alternatives
 from unicon_core.models.actuators import actuator_kind
 from unicon_core.models.joints import drives
 from unicon_core.models.loaded import LoadedModel, import_mujoco
-from unicon_core.models.touching import contact_of, floors, may_touch, on_floor
+from unicon_core.models.touching import around, contact_of, floors, may_touch, on_floor
 from unicon_core.platforms.kit.start import Start
 from unicon_core.robots import Robot
 
@@ -149,15 +149,8 @@ def lost(start: Start, robot: Robot, figures: JointModel, represents: Collection
     ]
     has["targets"] = f"control ranges that cut the targets of {len(cut)} joints" if cut else ""
     has["constraints"] = f"{model.neq} equality constraints" if model.neq else ""
-    planes = set(floors(model))
-    around = [
-        geom
-        for geom in range(model.ngeom)
-        if not model.geom_bodyid[geom]
-        and geom not in planes
-        and (model.geom_contype[geom] or model.geom_conaffinity[geom])
-    ]
-    has["terrain"] = f"{len(around)} geoms of the surroundings" if around else ""
+    others = around(loaded)
+    has["terrain"] = f"{len(others)} geoms of the surroundings" if others else ""
     return [f"left out: {what}" for word, what in has.items() if what and word not in represents]
 
 

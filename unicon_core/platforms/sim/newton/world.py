@@ -17,7 +17,7 @@ from unicon_core.models.links import Link
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.models.physical import physical_links
 from unicon_core.models.quaternions import rotate
-from unicon_core.models.touching import solid
+from unicon_core.models.touching import solid, still
 from unicon_core.platforms.kit.base import rotation
 from unicon_core.platforms.kit.joint_model import JointModel
 from unicon_core.platforms.kit.start import Start
@@ -115,9 +115,13 @@ class _Builder:
                 first = next(one for one in link.geoms if one.number == geom)
                 self._shape(bodies[-1], geom, self._place(geom, first.position), first.quat)
         builder.add_articulation(order, label=self._robot.name)
-        for geom in range(model.ngeom):
-            if not model.geom_bodyid[geom] and geom not in self._shapes and solid(model, geom):
-                self._shape(_WORLD, geom, model.geom_pos[geom], model.geom_quat[geom])
+        mujoco, quat = import_mujoco(), np.zeros(4)
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        for geom in still(model):
+            if geom not in self._shapes and solid(model, geom):
+                mujoco.mju_mat2Quat(quat, data.geom_xmat[geom])
+                self._shape(_WORLD, geom, data.geom_xpos[geom], quat)
         self._exclude()
         self._pair()
         return builder, joints
