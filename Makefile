@@ -58,14 +58,15 @@ test: $(STAMP)
 
 # Parts of the slow tests, by folders of test/; `others` is what no part names.
 SLOW_ros := ros
-SLOW_processes := clients interop packaging ros_slow
+SLOW_processes := clients interop ros_slow
+SLOW_packages := packaging
 SLOW_robots := attack gates hardware
 SLOW_simulators := ik images models peripherals platforms terrain transfer whole_body
 SLOW_check := check
 SLOW_fuzz := fuzz mutation
 SLOW_files := map policies workflow
 SLOW_soak := bench runtime soak states
-SLOW_PARTS := ros processes robots simulators check fuzz files soak
+SLOW_PARTS := ros processes packages robots simulators check fuzz files soak
 SLOW_others := $(filter-out $(foreach part,$(SLOW_PARTS),$(SLOW_$(part))),\
 	$(patsubst test/%/,%,$(dir $(wildcard test/*/*.py))) $(notdir $(wildcard test/test_*.py)))
 PART ?=
