@@ -24,6 +24,7 @@ EXTRAS = [
     "webxr",
     "sweep",
     "lerobot",
+    "completion",
     "hw-unitree",
     "hw-arx",
     "test",
