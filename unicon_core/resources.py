@@ -31,6 +31,7 @@ __all__ = [
     "find_resource",
     "list_config",
     "looked_in",
+    "lying_here",
     "same_modules",
     "user_folder",
 ]
@@ -134,9 +135,25 @@ def find_config(
             return path
     known = alternatives(text, list_config(kind, suffix))
     raise error(
-        f"unknown {kind.rstrip('s')} {text!r}; {known}; {looked_in(kind)}; "
+        f"unknown {kind.rstrip('s')} {text!r}; {lying_here(text, suffix, relative_to)}{known}; "
+        f"{looked_in(kind)}; "
         f"or give a path to a {suffix} file"
     )
+
+
+def lying_here(name: str, suffix: str = "", relative_to: Path | None = None) -> str:
+    """Return how to write the path of what a bare name may mean, for messages; "" if nothing does.
+
+    Args:
+        name: that was not found.
+        suffix: ending of the file that is wanted, "" for a folder too.
+        relative_to: folder that is looked in before the working folder.
+    """
+    for base in (relative_to or Path.cwd(), Path.cwd()) if name else ():
+        for tried in (name, f"{name}{suffix}", f"{Path(name).stem}{suffix}"):
+            if os.path.isfile(base / tried) or (not suffix and os.path.isdir(base / tried)):
+                return f"there is ./{tried} here: write ./{tried}; "
+    return ""
 
 
 def _given(text: str) -> Path:

@@ -140,6 +140,20 @@ def test_each_fault_is_told_for_what_it_is(tmp_path: Path, fault: str, said: str
         assert float(whole.joints["gap"].max()) > 10 * float(found.joints["gap"].max())
 
 
+def test_who_hardly_moves_is_not_judged(tmp_path: Path) -> None:
+    """Two stands: one settles, the other sways a little against it."""
+    real, sim = walk(seed=1), walk(seed=2)
+    sim["joint_pos"] = 0.5 + 0.3 * np.exp(-np.arange(300) / 30.0)[:, None] * np.ones(12)
+    real["joint_pos"] = 0.5 - 0.01 * sim["joint_pos"]
+    said = findings(compared(tmp_path, real, sim, Options(max_shift=0.0)))
+    assert not [text for text in said if text.startswith(("A sign", "Moves", "Later"))]
+    [still] = [text for text in said if text.startswith("Hardly moves")]
+    assert still.startswith(
+        "Hardly moves (below 0.02 rad rms in a run): sign, range and lag not judged: "
+    )
+    assert still.endswith(" and 8 more.")
+
+
 def test_joints_are_matched_by_their_names(tmp_path: Path) -> None:
     real, sim = walk(seed=1), walk(seed=2)
     order = np.random.default_rng(0).permutation(12)

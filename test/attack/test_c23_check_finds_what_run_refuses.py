@@ -60,7 +60,7 @@ def test_a_pose_of_nan_is_refused_by_both(
     flow = "flow={pose: {to: {FR_hip_joint: .nan}}}"
     assert main(["check", path, "--set", flow]) == 1
     assert main(["run", path, "--set", flow, "--quiet"]) == 1
-    assert "to is {'FR_hip_joint': nan}; give " in capsys.readouterr().err
+    assert "to.FR_hip_joint is nan; give a number" in capsys.readouterr().err
 
 
 PLATFORM = """

@@ -73,6 +73,20 @@ def test_the_largest_tilt_is_told(path: Path) -> None:
     assert "tilted up to 30°, did not fall" in report.summary()
 
 
+def test_a_base_that_sinks_upright_is_told(path: Path) -> None:
+    def sink(workflow: Program) -> dict[Stage, list[Block]]:
+        base, tick = workflow.states.base_pos_w, workflow.states.tick
+
+        def lowered() -> None:
+            base[2] = 0.3 if tick < 10 else 0.02
+
+        return {Stage.INPUT: [Block("sink", lowered, amends=("base_pos_w",))]}
+
+    report = Runner(load_workflow(path, hooks=[sink]), RunOptions(speed="max")).run()
+    assert (report.fell, report.sank) == (False, True)
+    assert "did not fall, sank by 0.28 m" in report.summary()
+
+
 def test_a_fixed_base_neither_falls_nor_moves(path: Path) -> None:
     """An arm whose platform says any gravity: nothing of it can fall."""
 

@@ -34,6 +34,7 @@ from unicon_core.errors import CheckError, RobotError
 from unicon_core.robots import load_robot, robot_names
 from unicon_core.workflow import load_workflow
 from unicon_core.workflow.document import workflow_names
+from unicon_ros.cli.main import main
 
 
 @pytest.fixture
@@ -391,10 +392,32 @@ def test_names_in_another_order_than_the_figures_are_told_first(folder: Path) ->
     first = result.findings[0]
     assert first.code == "joints.order"
     assert first.culprit == "policy 'walk', joints (or default_joint_pos, action.scale)"
-    assert "in the joint order of the other kind of simulator (FL_hip_joint, FL_thigh_joint" in (
-        first.evidence
-    )
+    told = "in the joint order of the other kind of simulator (FL_thigh_joint for FR_hip_joint, "
+    assert told in first.evidence
     assert {"pose.symmetry", "pose.limits"} <= {*codes(result)[1:]}
+
+
+def test_what_was_taken_from_the_model_is_told(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_workflow(folder, {"joints": None})
+    given = "policies.walk={path: ./policy, given: {joints: {from: model}}}"
+    told = "joints is taken from the depth first order of go2.xml: FR_hip_joint, FR_thigh_joint, "
+    assert told in note_of(check_workflow(path, [given]), "policy.source")
+    assert main(["show", str(path), "--set", given]) == 0
+    assert f"note: {told}" in capsys.readouterr().out
+
+
+def test_two_exchanged_names_are_told_alone(folder: Path) -> None:
+    names = list(JOINTS)
+    names[1], names[5] = names[5], names[1]  # of other legs
+    first = check(folder, {"joints": names}).findings[0]
+    assert first.code == "joints.order"
+    assert first.evidence == (
+        "default_joint_pos is not the same on both sides; with FR_calf_joint and FL_thigh_joint "
+        "exchanged all of it is"
+    )
+    assert first.remedy == ("exchange FR_calf_joint and FL_thigh_joint in joints, or their figures")
 
 
 def test_one_odd_figure_is_no_other_order(folder: Path) -> None:

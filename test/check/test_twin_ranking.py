@@ -45,11 +45,12 @@ def contract(joints: tuple[str, ...] = LEGS) -> PolicyContract:
 
 
 def run(score: float, rate: float = 2.0, **more: Any) -> Measures:
-    """A run that stays up and has this score and this rate of targets in [rad/s]."""
+    """A walk that stays up and has this score and this rate of targets in [rad/s]."""
     smoothness = float(np.exp(-((rate / 15.0) ** 2)))
     tracking = (score - 0.3 * smoothness) / 0.7
     figures = {"survived_s": 5.0, "survival": 1.0, "smoothness": smoothness, **more}
-    return Measures(5.0, "", target_rate=rate, tracking=tracking, **figures)
+    walk = (0.6, 0.0, 0.0)
+    return Measures(5.0, "", command=walk, target_rate=rate, tracking=tracking, **figures)
 
 
 FALL = Measures(5.0, "", survived_s=2.0, fell=True, survival=0.4, tracking=0.3, smoothness=0.9)

@@ -70,3 +70,8 @@ def write_all(root: Path) -> None:
     write_policy(root / "wrong_size", inputs=48)
     (write_policy(root / "no_network") / "policy.onnx").unlink()
     (write_policy(root / "no_external_data", external=True) / "policy.onnx.data").unlink()
+    path = write_policy(root / "short_names") / "policy.yaml"
+    path.write_text(path.read_text().replace("_joint\n", "\n"))
+    path = write_policy(root / "from_model") / "policy.yaml"
+    values = yaml.safe_load(path.read_text()) | {"joints": {"from": "model"}}
+    path.write_text(yaml.safe_dump(values, sort_keys=False))

@@ -56,7 +56,7 @@ def test_a_shell_whose_argcomplete_is_another_pythons_gets_nothing(
     assert capsys.readouterr().out == ""
 
 
-@pytest.mark.parametrize("words", (["-q", "robots"], ["robots", "--quiet"]))
+@pytest.mark.parametrize("words", [["-q", "robots"], ["robots", "--quiet"]])
 def test_a_quiet_list_is_its_names(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(words) == 0
     names = capsys.readouterr().out.splitlines()

@@ -238,7 +238,10 @@ def test_a_bare_network_is_imported_and_what_must_be_given_is_told(
         "action.scale",
         "observation.terms",
     ]
-    refusal = refused(capsys, "policies", str(out))
+    assert main(["policies", str(out)]) == 1
+    known, refusal = capsys.readouterr()
+    assert known.startswith(f"{out}/policy.yaml  (from policy.yaml, incomplete)\nschema: ")
+    assert "onnx: policy.onnx" in known
     assert all(name in refusal for name in names)
     # What was asked for is enough: added to the file that was written, the policy is whole.
     values = yaml.safe_load((out / "policy.yaml").read_text())
@@ -246,6 +249,85 @@ def test_a_bare_network_is_imported_and_what_must_be_given_is_told(
     values |= {name.split(".")[0]: contract[name.split(".")[0]] for name in names}
     (out / "policy.yaml").write_text(yaml.safe_dump(values))
     assert "45 values" in unicon(capsys, "policies", str(out))
+
+
+def test_an_import_replaces_no_policy_unless_it_is_told_to(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    good, out = policy_folders.write_policy(tmp_path / "good"), tmp_path / "out"
+    words = ("policies", "import", str(good), "--out", str(out))
+    unicon(capsys, *words)
+    (out / "policy.yaml").write_text("edited")
+    assert refused(capsys, *words) == (
+        f"{out}/policy.yaml is there; give another --out, or replace it: --force"
+    )
+    assert (out / "policy.yaml").read_text() == "edited"
+    unicon(capsys, *words, "--force")
+    assert load_policy(out).name == "good"
+
+
+def test_a_bare_name_that_lies_there_is_imported(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    policy_folders.write_policy(tmp_path / "good")
+    monkeypatch.chdir(tmp_path)
+    unicon(capsys, "policies", "import", "good", "--out", "out")
+    line = refused(capsys, "policies", "good")
+    assert line.startswith("unknown policy 'good'; there is ./good here: write ./good; ")
+    (tmp_path / "walk.yaml").write_text("robot: go2\nplatform: fake\nflow: pose\n")
+    line = refused(capsys, "run", "walk.yml")
+    assert line.startswith("unknown workflow 'walk.yml'; there is ./walk.yaml here: write ./walk")
+
+
+def test_a_file_of_another_kind_is_no_policy(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot, out = ROOT / "config" / "robots" / "go2.yaml", tmp_path / "out"
+    line = refused(capsys, "policies", "import", str(robot), "--out", str(out))
+    assert "this file is a robot, not a policy; name it as `robot: FILE` in a workflow" in line
+    assert not out.exists()
+    line = refused(capsys, "sweep", str(robot))
+    assert "this file is a robot, not a sweep; " in line
+
+
+JOINTS_FILE = "- a_hip\n- a_knee\n- b_hip\n- b_knee\n"
+
+
+@pytest.mark.parametrize("joints", ["a_hip,a_knee,b_hip,b_knee", "FILE"])
+def test_patterns_are_resolved_when_they_are_imported(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], joints: str
+) -> None:
+    params = tmp_path / "flat" / "2025-06-01_12-00-00" / "params"
+    params.mkdir(parents=True)
+    policy_folders.write_network(params / "policy.onnx", 21, 4)
+    robot = {
+        "init_state": {"joint_pos": {".*_hip": 0.1, ".*_knee": -1.5}},
+        "actuators": {"all": {"joint_names_expr": [".*"], "stiffness": 25.0, "damping": 0.5}},
+    }
+    action = {"class_type": "m:JointPositionAction", "joint_names": [".*"], "scale": 0.25}
+    asset = {"name": "robot", "joint_names": [".*_knee"]}
+    seen = {"func": "m:joint_pos_rel", "params": {"asset_cfg": asset}}
+    values = {
+        "sim": {"dt": 0.005}, "decimation": 4, "scene": {"robot": robot},
+        "observations": {"policy": {"knees": seen}}, "actions": {"joint_pos": action},
+    }  # fmt: skip
+    (params / "env.yaml").write_text(yaml.safe_dump(values))
+    words = ["policies", "import", str(params.parent), "--out", str(tmp_path / "out")]
+    assert refused(capsys, *words) == (
+        f"{params}/env.yaml: pose and gains stand there by patterns of joint names, and it does "
+        "not say joints (the joint names in policy order); name them: --joints NAME,NAME… or "
+        "--joints FILE, or of a robot's model: --robot ROBOT --joints '{from: model}'"
+    )
+    assert not (tmp_path / "out").exists()
+    if joints == "FILE":
+        joints = str(tmp_path / "joints.yaml")
+        Path(joints).write_text(JOINTS_FILE)
+    unicon(capsys, *words, "--joints", joints)
+    contract = load_policy(tmp_path / "out")
+    assert contract.name == "flat"
+    assert contract.default_joint_pos.tolist() == pytest.approx([0.1, -1.5, 0.1, -1.5])
+    assert contract.stiffness.tolist() == [25.0] * 4
+    assert contract.terms[0].index == (1, 3)
 
 
 def test_the_assets_policies_are_imported(

@@ -143,7 +143,7 @@ def deploy(dice: random.Random, folder: Path) -> Reader:
     given: dict[str, Any] = {}
     if name != "deploy.yaml":
         contract = tree((POLICY / "policy.yaml").read_text("utf-8"))
-        given = {"joints": contract["joints"], "stiffness": 20.0, "damping": 1.0}
+        given = {key: contract[key] for key in ("joints", "inputs", "outputs", "recurrent")}
     if dice.random() < 0.3:
         given = mutate_tree(given or {"period": 0.02, "action.scale": 0.25}, dice)
         given = given if isinstance(given, dict) else {}

@@ -423,9 +423,10 @@ sim: {dt: 0.005, device: 'cuda:0'}
 decimation: 4
 scene:
   robot:
-    init_state: {joint_pos: {.*_hip_joint: 0.1, .*_thigh_joint: 0.8, .*_calf_joint: -1.5}}
+    init_state:
+      joint_pos: {.R_hip_joint: -0.1, .L_hip_joint: 0.1, .*_thigh_joint: 0.8, .*_calf_joint: -1.6}
     actuators:
-      legs: {joint_names_expr: [.*], stiffness: 25.0, damping: {.*_hip_joint: 0.5, .*: 0.8}}
+      legs: {joint_names_expr: [.*], stiffness: 40.0, damping: {.*_hip_joint: 1.0, .*: 1.0}}
 observations:
   policy:
     concatenate_terms: true
@@ -434,13 +435,19 @@ observations:
     projected_gravity: {func: 'mdp.observations:projected_gravity', scale: null, clip: null}
     velocity_commands: {func: 'mdp.observations:generated_commands', params: {}}
     joint_angles: {func: 'mdp.observations:joint_pos_rel', history_length: 1}
-    joint_vel: {func: 'mdp.observations:joint_vel_rel', scale: 0.05}
-    actions: {func: 'mdp.observations:last_action'}
+    joint_vel:
+      func: mdp.observations:joint_vel_rel
+      params:
+        asset_cfg: {name: robot, joint_names: ['F.*', .*], joint_ids: [0, 1], preserve_order: true}
+      modifiers: null
+      scale: 0.05
+    actions: {func: 'mdp.observations:last_action', params: {action_name: joint_pos}}
 actions:
   joint_pos:
     class_type: isaaclab.envs.mdp.actions.joint_actions:JointPositionAction
     joint_names: ['.*']
-    scale: {.*_hip_joint: 0.125, '^(?!.*_hip_joint).*': 0.25}
+    preserve_order: false
+    scale: {.*_hip_joint: 0.25, '^(?!.*_hip_joint).*': 0.25}
     offset: 0.0
     use_default_offset: true
 commands: {base_velocity: {ranges: {lin_vel_x: [-1.0, 1.0], heading: null}}}

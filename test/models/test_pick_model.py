@@ -37,7 +37,7 @@ def test_what_is_given_goes_before_the_robots_own(tmp_path: Path) -> None:
 
 def test_a_robot_without_a_model_says_so() -> None:
     with pytest.raises(
-        ModelError, match=r"robot atom names no model \(mjcf or urdf\); add models: "
+        ModelError, match=r"\(mjcf or urdf\); put one beside .*atom\.yaml and add models: \{mjcf: F"
     ):
         pick_model(load_robot("atom"))
 

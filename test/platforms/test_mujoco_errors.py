@@ -90,8 +90,9 @@ def test_no_model_at_all(build: Build, tmp_path: Path) -> None:
     with pytest.raises(ModelError) as error:
         build(model=None)
     assert message(error, tmp_path) == (
-        "robot toy names no model (mjcf or urdf); add models: {mjcf: PATH} to DIR/toy.yaml, or "
-        "let the workflow name one: scene: {model: PATH}"
+        "robot toy names no model (mjcf or urdf); put one beside DIR/toy.yaml and add models: "
+        "{mjcf: FILE} ({urdf: FILE} for a URDF), or let the workflow name one anywhere: "
+        "scene: {model: PATH}"
     )
 
 
@@ -116,7 +117,8 @@ def test_period_that_is_no_whole_number_of_steps(build: Build, tmp_path: Path) -
         build(period=0.005)
     assert message(error, tmp_path) == (
         "a tick of 0.005 s is not a whole number of physics steps of 0.002 s (model DIR/toy.xml); "
-        "set timestep to 0.0025 or 0.00166667, or the period to 0.004 or 0.006"
+        "write platforms: {mujoco: {timestep: 0.0025}} (or 0.001666666667), or correct the period "
+        "to 0.004 or 0.006"
     )
 
 

@@ -100,6 +100,18 @@ def test_a_good_file_is_read(tmp_path: Path) -> None:
             ":6: default_joint_pos[1] is 'x'; give a number",
         ),
         (
+            "default_joint_pos: [0.1, 0.2, 0.3, 0.4]",
+            "default_joint_pos: {a_hip: 0.1, a_knee: 0.2, b_knee: 0.4}",
+            ":6: default_joint_pos is a mapping without b_hip; give a list with one value per "
+            "joint, in policy order",
+        ),
+        (
+            "default_joint_pos: [0.1, 0.2, 0.3, 0.4]",
+            "default_joint_pos: [0.1, 0.2, -45, 0.4]",
+            ":6: default_joint_pos[2] is -45.0; it must be at least -12.5664 rad; are these "
+            "degrees?",
+        ),
+        (
             "[a_hip, a_knee, b_hip, b_knee]",
             "[a_hip, a_knee, a_hip, b_knee]",
             ":5: joint 'a_hip' stands twice in joints; name each joint once",
@@ -140,6 +152,11 @@ def test_a_good_file_is_read(tmp_path: Path) -> None:
             "state: base_ang_vel, scale: 0.25",
             "state: base_ang_vel, scale: 0.25, history: 0",
             ":14: observation.terms[0].history is 0; give a whole number from 1",
+        ),
+        (
+            "state: base_ang_vel, scale: 0.25",
+            "state: base_ang_vel, scale: 0.25, history: 10001",
+            ":14: observation.terms[0].history is 10001; give at most 10000 frames",
         ),
         (
             "state: base_ang_vel, scale: 0.25",

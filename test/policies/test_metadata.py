@@ -46,8 +46,8 @@ def test_old_mjlab_keys_leave_period_and_scales_to_be_given(tmp_path: Path) -> N
         load_policy(path)
     assert str(caught.value) == (
         f"{path}: the mjlab metadata does not say period (the control period in [s]); "
-        "observation.scale (one factor for every term, or scale of single terms); give it under "
-        "'given' in the workflow, with the keys of policy.yaml"
+        "observation.scale (scale of each term, or under 'given' one factor for all); give it "
+        "under 'given' in the workflow, with the keys of policy.yaml"
     )
     contract = load_policy(path, given={"period": 0.02, "observation.scale": 1.0})
     assert contract.name == "walk"
@@ -340,6 +340,49 @@ HOLOSOMA = {
     "kd": json.dumps([2.5, 6.3, 2.5, 6.3]),
     "command_ranges": json.dumps({"lin_vel_x": [-1.0, 1.0], "ang_vel_yaw": [-0.5, 0.5]}),
 }
+
+
+def test_the_scales_that_an_import_leaves_open_are_no_ones(tmp_path: Path) -> None:
+    report = import_policy(write(tmp_path, OLD), tmp_path / "out", given={"period": 0.02})
+    text = report.path.read_text("utf-8")
+    assert "so add:\n#   scale of each term: where ? stands; 1.0 for none\n" in text
+    with pytest.raises(PolicyError, match=r"terms\[0\]\.scale is '\?'; give a number"):
+        load_policy(report.path)
+    report.path.write_text(text.replace("scale: '?'", "scale: 0.5"), "utf-8")
+    assert {float(term.scale[0]) for term in load_policy(report.path).terms} == {0.5}
+    report.path.write_text(text, "utf-8")
+    given = load_policy(report.path, given={"observation.scale": 2.0})
+    assert {float(term.scale[0]) for term in given.terms} == {2.0}
+
+
+def test_a_policy_yaml_beside_metadata_may_have_the_names_of_the_robot(tmp_path: Path) -> None:
+    given = {"period": 0.02, "observation.scale": 1.0}
+    report = import_policy(write(tmp_path, OLD), tmp_path / "out", given=given)
+    text = report.path.read_text("utf-8")
+    for name in JOINTS:
+        text = text.replace(name, f"{name}_joint")
+    report.path.write_text(text, "utf-8")
+    assert load_policy(report.path).joints == tuple(f"{name}_joint" for name in JOINTS)
+    report.path.write_text(text.replace("stiffness: [", "stiffness: [1"), "utf-8")
+    with pytest.raises(PolicyError, match="stiffness of a_hip_joint is 1"):
+        load_policy(report.path)
+
+
+def test_a_term_that_the_metadata_lack_is_given_with_the_others(tmp_path: Path) -> None:
+    names = OLD["observation_names"].split(",")
+    metadata = {**OLD, "observation_names": ",".join(names[:-1])}
+    given = {"period": 0.02, "observation.scale": 1.0}
+    path = write(tmp_path, metadata)
+    added = {"name": names[-1], "state": "action"}
+    terms = [*names[:-1], added]
+    contract = load_policy(path, given=given)
+    states = States({**standard_states(JOINTS), **policy_states(contract, JOINTS)})
+    with pytest.raises(PolicyError, match=r"; give observation\.terms under 'given'$"):
+        Policy(contract, states, robot())
+    contract = load_policy(path, given=given | {"observation.terms": terms})
+    assert [term.name for term in contract.terms] == names
+    with pytest.raises(PolicyError, match="name the same terms in the same order; others may"):
+        load_policy(path, given=given | {"observation.terms": [added, *names[1:-1]]})
 
 
 def test_holosoma_says_joints_gains_and_ranges_only(tmp_path: Path) -> None:

@@ -134,6 +134,128 @@ def test_isaac_lab_patterns_are_resolved_once_the_joints_are_given(tmp_path: Pat
     assert contract.command_ranges == {"lin_vel_x": (-1.0, 1.0)}
 
 
+def chosen(names: str, kept: bool, ids: str = "'slice(None, None, None)'") -> str:
+    order = str(kept).lower()
+    return f"{{name: robot, joint_names: {names}, preserve_order: {order}, joint_ids: {ids}}}"
+
+
+SLICE = """\
+          joint_ids: !!python/object/apply:builtins.slice [null, null, null]
+"""
+STATED = "[b_hip, b_knee, a_hip, a_knee]"
+VEL = "joint_vel_rel\n"
+ANGLES = f"        asset_cfg:\n{SLICE}"
+
+
+def stated(names: str, kept: bool) -> list[tuple[str, str]]:
+    """The action and the terms of joints name them."""
+    own = chosen(names, kept)
+    return [
+        ("joint_names: ['.*']", f"joint_names: {names}\n    preserve_order: {str(kept).lower()}"),
+        (ANGLES, f"        asset_cfg: {own}\n"),
+        (VEL, f"{VEL}      params: {{asset_cfg: {own}}}\n"),
+    ]
+
+
+def test_isaac_joints_named_one_by_one_in_an_order_that_is_kept_are_the_joints(
+    tmp_path: Path,
+) -> None:
+    path = write(tmp_path, ENV, *stated(STATED, True))
+    contract = load_policy(path)
+    names = ("b_hip", "b_knee", "a_hip", "a_knee")
+    assert contract.joints == contract.action.joints == names
+    assert contract.stiffness.tolist() == [25.0, 35.0, 25.0, 25.0]
+    assert contract.action.scale.tolist() == [0.125, 0.25, 0.125, 0.25]
+    assert all(term.index is None for term in contract.terms)
+    # Whatever order is given, the network's stays.
+    again = load_policy(path, given={"joints": list(JOINTS)})
+    assert again.joints == JOINTS
+    assert again.action.joints == names
+    assert [t.index for t in again.terms] == [None, None, None, (2, 3, 0, 1), (2, 3, 0, 1), None]
+
+
+def test_isaac_joints_whose_order_is_not_kept_are_in_that_of_the_articulation(
+    tmp_path: Path,
+) -> None:
+    path = write(tmp_path, ENV, *stated(STATED, False))
+    with pytest.raises(PolicyError, match=r"does not say joints \(the joint names in policy order"):
+        load_policy(path)
+    contract = load_policy(path, given={"joints": list(JOINTS)})
+    assert contract.action.joints == JOINTS
+    assert all(term.index is None for term in contract.terms)
+
+
+def test_a_term_without_an_order_of_its_own_asks_for_that_of_the_articulation(
+    tmp_path: Path,
+) -> None:
+    path = write(tmp_path, ENV, *stated(STATED, True)[:2])
+    with pytest.raises(PolicyError) as caught:
+        load_policy(path)
+    assert (
+        "does not say joints (the joint names in policy order; term 'joint_vel' has them in the "
+        "articulation's order); give it"
+    ) in str(caught.value)
+    contract = load_policy(path, given={"joints": list(JOINTS)})
+    assert [term.index for term in contract.terms[3:5]] == [(2, 3, 0, 1), None]
+
+
+@pytest.mark.parametrize(
+    ("asset", "index"),
+    [
+        (chosen("['.*_knee', a_hip]", False), (0, 1, 3)),
+        (chosen("['.*_knee', a_hip]", True), (1, 3, 0)),
+        (chosen("'.*_hip'", False, "[0, 2]"), (0, 2)),
+        (chosen("null", False, "[3, 0]"), (3, 0)),
+    ],
+)
+def test_an_isaac_term_sees_the_joints_that_it_names(
+    tmp_path: Path, asset: str, index: tuple[int, ...]
+) -> None:
+    path = write(tmp_path, ENV, (ANGLES, f"        asset_cfg: {asset}\n"))
+    contract = load_policy(path, given={"joints": list(JOINTS)})
+    assert [term.index for term in contract.terms[3:5]] == [index, None]
+
+
+def test_an_isaac_name_that_is_no_joint_is_refused(tmp_path: Path) -> None:
+    path = write(tmp_path, ENV, (ANGLES, f"        asset_cfg: {chosen('[a_hip, c_hip]', True)}\n"))
+    with pytest.raises(PolicyError) as caught:
+        load_policy(path, given={"joints": list(JOINTS)})
+    assert str(caught.value) == (
+        f"{path}:40: 'joint_angles': joint_names has 'c_hip', which is none of the joints; did you "
+        "mean 'b_hip'? known: a_hip, a_knee, b_hip, b_knee"
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (
+            (VEL, f"{VEL}      modifiers: [{{func: 'isaaclab.utils.modifiers:scale'}}]\n"),
+            "joint_vel.state (env.yaml gives it modifiers (isaaclab.utils.modifiers:scale), ",
+        ),
+        ((VEL, f"{VEL}      params: {{asset_cfg: {{name: arm}}}}\n"), "params.asset_cfg (arm), "),
+        (
+            (VEL, f"{VEL}      params: {{lag: 3}}\n"),
+            "joint_vel.state (env.yaml gives it params.lag",
+        ),
+        (("command_name: base_velocity", "command_name: pose"), "it params.command_name (pose), "),
+    ],
+)
+def test_what_changes_an_isaac_term_and_is_not_read_must_be_given(
+    tmp_path: Path, change: tuple[str, str], said: str
+) -> None:
+    path, given = write(tmp_path, ENV, change), {"joints": list(JOINTS)}
+    with pytest.raises(PolicyError) as caught:
+        load_policy(path, given=given)
+    assert said in str(caught.value)
+    assert "which is not read: give its state, index, subtract, scale and clip" in str(caught.value)
+    name = "joint_vel" if change[0] == VEL else "velocity_commands"
+    terms = {name: {"state": "joint_vel", "scale": 0.1}}
+    contract = load_policy(path, given=given | {"observation.terms": terms})
+    (term,) = (term for term in contract.terms if term.name == name)
+    assert term.scale == pytest.approx(0.1)
+
+
 def test_isaac_counts_the_joints_of_a_model_breadth_first(tmp_path: Path) -> None:
     pytest.importorskip("mujoco")
     model = tmp_path / "robot.xml"
@@ -160,13 +282,14 @@ def test_isaac_counts_the_joints_of_a_model_breadth_first(tmp_path: Path) -> Non
     assert load_policy(path, robot=machine, given=given).joints == JOINTS
 
 
-def test_other_actions_than_position_targets_are_refused(tmp_path: Path) -> None:
-    path = write(tmp_path, ENV, (":JointPositionAction", ":JointEffortAction"))
+@pytest.mark.parametrize("kind", ["JointEffortAction", "RelativeJointPositionAction"])
+def test_other_actions_than_position_targets_are_refused(tmp_path: Path, kind: str) -> None:
+    path = write(tmp_path, ENV, (":JointPositionAction", f":{kind}"))
     with pytest.raises(PolicyError) as caught:
         load_policy(path)
     assert str(caught.value) == (
         f"{path}:51: action 'joint_pos' is isaaclab.envs.mdp.actions.joint_actions:"
-        "JointEffortAction; only joint position targets can be run"
+        f"{kind}; only joint position targets can be run"
     )
 
 

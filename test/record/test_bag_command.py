@@ -10,6 +10,7 @@ import struct
 import sys
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -148,6 +149,17 @@ def test_what_is_no_size_and_no_time_splits_nothing(text: str, tmp_path: Path) -
 
 
 # -- info and recover ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("skipped", "missing"), [(1, 0), (3, 2)])
+def test_a_change_of_phase_skips_a_tick_that_nobody_misses(
+    bag: Path, monkeypatch: pytest.MonkeyPatch, skipped: int, missing: int
+) -> None:
+    record = open_record(bag)
+    ticks = np.arange(100) + skipped * (np.arange(100) >= 60)
+    changed = replace(record, ticks=ticks, phases=("run",) * 60 + ("damp",) * 40)
+    monkeypatch.setattr("unicon_ros.recording.info.open_record", lambda *_: changed)
+    assert info_of(bag)["missing_ticks"] == missing
 
 
 def test_info_of_ours_of_others_and_of_what_is_cut_off(

@@ -121,7 +121,7 @@ def test_the_metadata_say_what_made_the_rows(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"sha256": "0" * 64, "identity": {}}, "has another sweep: its schema, workflow"),
+        ({"sha256": "0" * 64, "identity": {}}, "has another sweep: it differs in schema, workflow"),
         ({"versions": {"numpy": "0.1"}}, "numpy was 0.1 and is "),
         ({"code": "0" * 64}, "it was made by other code of the same version"),
         ({"program": "other"}, "robot, model or policy are other files by now"),
@@ -140,7 +140,7 @@ def test_another_sweep_is_refused(tmp_path: Path, change: dict[str, Any], told: 
 def test_another_file_in_the_same_folder_is_refused(tmp_path: Path) -> None:
     filled(tmp_path, range(2)).close()
     other = plan_of(tmp_path, TEXT + "repeat: 1\nduration: 0.5\n")
-    with pytest.raises(UniconError, match="has another sweep: its duration_s is not this one's"):
+    with pytest.raises(UniconError, match="has another sweep: it differs in duration_s"):
         filled(tmp_path, range(0), other)
 
 

@@ -18,6 +18,9 @@ def check_files(subject: Subject, result: CheckResult) -> None:
     if subject.model is not None:
         files.append(("model", subject.model.path))
     expected = {}
+    for policy in subject.policy_results(result):
+        for note in policy.contract.notes:
+            policy.note("policy.source", "", note)
     for key, contract in subject.policies.items():
         files.append((f"policy {key}", contract.path))
         if contract.model != contract.path:

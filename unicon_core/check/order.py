@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import chain, combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.check.mirror import mirror_pairs, odd_pairs
+from unicon_core.check.mirror import odd_pairs
 from unicon_core.check.model_facts import joint_depths
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import Subject, listed
@@ -92,24 +93,51 @@ def _order(robot: Robot, model: LoadedModel, policy: PolicyResult) -> None:
     if "default_joint_pos" not in odd:
         return
     told = {name: figures[name] for name in odd}
-    for name, order in joint_orders(joints, robot, joint_depths(model, robot, joints)).items():
+    pose, verb = contract.default_joint_pos, "is" if len(odd) == 1 else "are"
+
+    def fits(order: Sequence[str]) -> bool:
         index = joint_index(order, robot.joint_names)
-        pose = contract.default_joint_pos
         outside = (pose < robot.lower[index] - 1e-4) | (pose > robot.upper[index] + 1e-4)
-        if not outside.any() and not _odd(order, told):
-            policy.find(
-                "joints.order",
-                f"joints (or {listed(odd)})",
-                f"{listed(odd)} {'is' if len(odd) == 1 else 'are'} not the same on both sides for "
-                f"joints {listed(joints)}; in {name} ({listed(order)}) all of it is",
+        return not outside.any() and not _odd(order, told)
+
+    def find(evidence: str, remedy: str) -> None:
+        culprit = f"joints (or {listed(odd)})"
+        what = f"{listed(odd)} {verb} not the same on both sides; {evidence}"
+        policy.find("joints.order", culprit, what, remedy)
+
+    swaps = [swap for swap in _exchanges(joints, told) if fits(swap)]
+    if swaps:  # several may fit: the robot's own pose tells which
+        usual = robot.default_joint_pos
+
+        def apart(order: list[str]) -> float:
+            return float(np.abs(pose - usual[joint_index(order, robot.joint_names)]).sum())
+
+        best = min(swaps, key=apart)
+        both = " and ".join(old for old, new in zip(joints, best) if old != new)
+        find(
+            f"with {both} exchanged all of it is",
+            f"exchange {both} in joints, or their figures",
+        )
+        return
+    for name, order in joint_orders(joints, robot, joint_depths(model, robot, joints)).items():
+        if fits(order):
+            moved = [f"{new} for {old}" for old, new in zip(joints, order) if old != new]
+            find(
+                f"in {name} ({listed(moved)}) all of it is",
                 "write joints in the order of the figures, or the figures in that of joints",
             )
             return
 
 
-def _odd(joints: Sequence[str], figures: Figures) -> bool:
-    """Whether a figure differs between the sides."""
-    if not mirror_pairs(joints):
-        return False
+def _exchanges(joints: Sequence[str], figures: Figures) -> Iterator[list[str]]:
+    """Yield the joints with two exchanged, of those that differ between the sides."""
+    odd = [name for pair in _odd(joints, figures) for name in pair]
+    for a, b in combinations(dict.fromkeys(odd), 2):
+        yield [{a: b, b: a}.get(name, name) for name in joints]
+
+
+def _odd(joints: Sequence[str], figures: Figures) -> list[tuple[str, str]]:
+    """Return the pairs (left, right) of which a figure differs."""
     limits = {"default_joint_pos": POSE_TOLERANCE}
-    return any(odd_pairs(joints, values, limits.get(what)) for what, values in figures.items())
+    found = (odd_pairs(joints, values, limits.get(what)) for what, values in figures.items())
+    return list(chain(*found))

@@ -53,6 +53,7 @@ CODES = {
     "timing.trigger": "ticks shall come with data of a platform that cannot tell when they arrive",
     "command.range": "the workflow commands more than the policy was trained for",
     "command.bounds": "nobody says how much may be commanded (a note)",
+    "policy.source": "what was read of a policy, and from where, or left open (a note)",
     "pose.differ": "the policy's default pose is not the robot file's (a note)",
     "pose.limits": "the default pose is outside the limits",
     "pose.symmetry": "the default pose is not the same on both sides",

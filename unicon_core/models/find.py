@@ -77,8 +77,9 @@ def pick_model(
     found = next((robot.models[kind] for kind in MODEL_FORMATS if kind in robot.models), None)
     if found is None:
         raise ModelError(
-            f"robot {robot.name} names no model ({' or '.join(MODEL_FORMATS)}); add models: "
-            f"{{mjcf: PATH}} to {robot.path}, or let the workflow name one: scene: {{model: PATH}}"
+            f"robot {robot.name} names no model ({' or '.join(MODEL_FORMATS)}); put one beside "
+            f"{robot.path} and add models: {{mjcf: FILE}} ({{urdf: FILE}} for a URDF), or let the "
+            "workflow name one anywhere: scene: {model: PATH}"
         )
     return find_model(found, robot.path.parent)
 

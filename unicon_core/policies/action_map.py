@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.errors import PolicyError, alternatives
+from unicon_core.errors import PolicyError, RobotError, alternatives
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.controller import ControllerContract
 from unicon_core.policies.filters import Filter, make_filter
@@ -31,10 +32,16 @@ def lacking_joints(contract: ControllerContract, robot: Robot) -> str:
     if len(lacking) == 1:
         name = lacking[0]
         return f"robot {robot.name} has no joint {name!r}; {alternatives(name, robot.joint_names)}"
-    return (
+    lacks = (
         f"robot {robot.name} lacks {len(lacking)} of the {len(contract.joints)} joints needed: "
-        f"{', '.join(lacking)}; choose a robot that has them, or a policy made for {robot.name}"
+        f"{', '.join(lacking)}; "
     )
+    with suppress(RobotError):
+        meant = joint_index(lacking, robot.joint_names, loose=True)
+        names = ", ".join(robot.joint_names[i] for i in meant)
+        how = "import it (unicon policies import) and name them in its joints"
+        return f"{lacks}did you mean {names}? {how}"
+    return f"{lacks}choose a robot that has them, or a policy made for {robot.name}"
 
 
 class ActionMap:

@@ -9,6 +9,7 @@ import numpy as np
 
 from unicon_core.figures import figure
 from unicon_core.policies.facts import Facts, dig, says
+from unicon_core.robots.joint_index import plain_name
 
 __all__ = ["check_agreement"]
 
@@ -29,6 +30,8 @@ def check_agreement(facts: Facts, other: Facts, given: Mapping[str, Any]) -> Non
     joints, names = facts.values.get("joints"), other.values.get("joints")
     if not isinstance(joints, list) or not isinstance(names, list):
         return
+    mine_of = {plain_name(str(name)): name for name in joints}  # a robot's names, with _joint
+    names = [mine_of.get(plain_name(str(name)), name) for name in names]
     unknown = [name for name in joints if name not in names]
     if unknown:
         raise facts.error(

@@ -120,7 +120,11 @@ class Binding:
             f"the observation has {observation.size} values and the network's input "
             f"{tensor.name!r} takes {takes}"
             + (f": {why}" if why else f"; terms: {', '.join(parts)}")
-            + f"; correct observation.terms in {contract.path.name}"
+            + (
+                f"; correct observation.terms in {contract.path.name}"
+                if contract.source == "policy.yaml"
+                else "; give observation.terms under 'given'"
+            )
         )
 
     def _input(self, canonical: str, tensor: Tensor) -> Input:

@@ -29,9 +29,10 @@ from unicon_core.policies.fact_value import is_whole
 from unicon_core.policies.facts import Facts, missing_facts
 from unicon_core.policies.motion.spec import motion_spec
 
-__all__ = ["build_contract"]
+__all__ = ["IncompletePolicyError", "build_contract"]
 
 SCHEMA = "unicon.policy/1"
+MOST_FRAMES = 10_000  # of a history
 
 _KEYS = (
     "schema", "name", "description", "onnx", "torchscript", "sha256", "period", "robot", "joints",
@@ -42,6 +43,19 @@ _KEYS = (
 _OBSERVATION = ("terms", "layout", "newest", "start")
 _TERM = ("name", "state", "index", "subtract", "scale", "clip", "history", "filter")
 _PHASE = ("period", "offsets", "stand", "resume", "stand_below", "command")
+
+
+class IncompletePolicyError(PolicyError):
+    """A policy lacks facts.
+
+    Args:
+        message: which, and how to give them.
+        facts: what it says.
+    """
+
+    def __init__(self, message: str, facts: Facts) -> None:
+        super().__init__(message)
+        self.facts = facts
 
 
 def build_contract(facts: Facts) -> PolicyContract:
@@ -58,8 +72,8 @@ def build_contract(facts: Facts) -> PolicyContract:
             if facts.source == "policy.yaml"
             else "give it under 'given' in the workflow, with the keys of policy.yaml"
         )
-        raise PolicyError(
-            f"{facts.path}: the {facts.source} does not say {names}; {remedy}{facts.offer}"
+        raise IncompletePolicyError(
+            f"{facts.path}: the {facts.source} does not say {names}; {remedy}{facts.offer}", facts
         )
     root = _Value(facts, (), facts.values).mapping(_KEYS)
     schema = root.at("schema", SCHEMA)
@@ -67,7 +81,9 @@ def build_contract(facts: Facts) -> PolicyContract:
         raise schema.refuse(f"this program reads {SCHEMA!r}")
     joints = root.at("joints").names()
     count = len(joints)
-    default = root.at("default_joint_pos").vector(-POSITION, POSITION, count)
+    default = root.at("default_joint_pos").vector(
+        -POSITION, POSITION, count, " rad; are these degrees?"
+    )
     period = root.at("period").positive("the control period in [s]")
     action = action_spec(root.at("action"), joints, default, period)
     stiffness, damping = joint_gains(root, joints, action)
@@ -161,6 +177,8 @@ def _term(term: _Value, period: float) -> ObservationTerm:
         taken = subtract.finite()
     if not is_whole(history.value, 1):
         raise history.refuse("give a whole number from 1")
+    if history.value > MOST_FRAMES:
+        raise history.refuse(f"give at most {MOST_FRAMES} frames")
     return ObservationTerm(
         term.value["name"],
         state.value,

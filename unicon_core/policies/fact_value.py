@@ -120,9 +120,16 @@ class FactValue:
         return float(array[0])
 
     def vector(
-        self, lowest: float, highest: float, count: int | None = None
+        self, lowest: float, highest: float, count: int | None = None, hint: str = ""
     ) -> NDArray[np.float32]:
         """Numbers within bounds; with a count one for each joint, or one for all of them."""
+        if count is not None and isinstance(self.value, Mapping):
+            joints = self.facts.values["joints"] if len(self.where) == 1 else ()
+            lacking = ", ".join(name for name in joints if name not in self.value)
+            raise self.fail(
+                f"is a mapping{f' without {lacking}' if lacking else ''}; give a list with one "
+                "value per joint, in policy order"
+            )
         array = self.finite()
         if count is not None and array.size == 1:
             array = np.full(count, array[0], np.float32)
@@ -135,7 +142,7 @@ class FactValue:
         if bad.size:
             i = int(bad[0])
             bound = f"at least {lowest:g}" if array[i] < lowest else f"at most {highest:g}"
-            raise self.part(i, None).fail(f"is {array[i]}; it must be {bound}")
+            raise self.part(i, None).fail(f"is {array[i]}; it must be {bound}{hint}")
         return array
 
     def clip(self, count: int | None = None) -> NDArray[np.float32] | None:

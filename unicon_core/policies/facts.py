@@ -18,6 +18,7 @@ from unicon_core.located_yaml import Where
 from unicon_core.resources import file_beside
 
 __all__ = [
+    "TO_GIVE",
     "Facts",
     "dig",
     "dotted",
@@ -57,6 +58,8 @@ _TERMS: dict[str, dict[str, Any]] = {
     "command_ang_vel": {"state": "velocity_command", "index": [2]},
 }
 
+TO_GIVE = "?"
+"""A factor in a policy.yaml that an import wrote and nobody has filled in yet."""
 # Facts without which a policy cannot run, and what each is, for messages.
 _NEEDED = {
     "period": "the control period in [s]",
@@ -67,8 +70,9 @@ _NEEDED = {
     "action.scale": "in [rad], one number or one for each joint",
     "observation.terms": "the terms of the network's input, in order",
 }
+_BY_JOINTS = ("default_joint_pos", "stiffness", "damping", "action.scale")
 _ASKED = {
-    "observation.scale": "one factor for every term, or scale of single terms",
+    "observation.scale": "scale of each term, or under 'given' one factor for all",
     "observation.layout": "term_major or frame_major",
     "observation.newest": "last or first",
     "phase": "the gait clock: period in [s], offsets in [rad]",
@@ -173,6 +177,8 @@ def missing_facts(facts: Facts) -> dict[str, str]:
     """Return the facts that are needed and not known: dotted name -> what it is."""
     values, place = facts.values, "observation.terms"
     missing = {name: what for name, what in _NEEDED.items() if _said(values, name) is None}
+    if facts.by_pattern and "joints" in missing:  # by which the source says these
+        missing = {name: what for name, what in missing.items() if name not in _BY_JOINTS}
     terms, inputs = _said(values, place), values.get("inputs")
     if terms == []:
         missing[place] = _NEEDED[place]
@@ -251,7 +257,8 @@ def merge_given(facts: Facts, given: Mapping[str, Any]) -> None:
     Args:
         facts: changed in place.
         given: keys of `policy.yaml`, nested or dotted (`action.scale`); `observation.terms` may be
-            a mapping from a term's name to what is to be added, and `observation.scale` one factor
+            a mapping from a term's name to what is to be added, or the list with terms that the
+            source lacks, and `observation.scale` one factor
             for every term whose scale was not said.
 
     Raises:
@@ -285,8 +292,12 @@ def merge_given(facts: Facts, given: Mapping[str, Any]) -> None:
 def _answered(name: str, given: Mapping[str, Any], values: Mapping[str, Any]) -> bool:
     if any(_said(tree, name) is not None for tree in (given, values)):
         return True
+    listed = _said(values, "observation.terms")
+    terms = listed if isinstance(listed, list) else []
+    if name.startswith("observation.terms."):
+        term, _, key = name.removeprefix("observation.terms.").rpartition(".")
+        return any(dig(each, "name") == term and dig(each, key) is not None for each in terms)
     if name == "observation.scale":
-        terms = values.get("observation", {}).get("terms", [])
         return bool(terms) and all("scale" in term for term in terms)
     return False
 
@@ -307,11 +318,16 @@ def _merge_terms(facts: Facts, observation: dict[str, Any]) -> None:
         names = [term.get("name") for term in terms]
         if isinstance(given, Sequence):
             order = [item.get("name") if isinstance(item, Mapping) else item for item in given]
+            added = all(isinstance(name, str) for name in order)
+            if added and order != names and [name for name in order if name in names] == names:
+                said = dict(zip(names, terms))
+                terms[:] = [said.get(name, {"name": name}) for name in order]
+                names = order
             if order != names:
                 raise PolicyError(
                     f"{facts.path}: given observation.terms are {', '.join(map(str, order))} but "
                     f"the {facts.source} says {', '.join(map(str, names))}; name the same terms in "
-                    "the same order, or correct the file"
+                    "the same order; others may stand between them"
                 )
             given = {item["name"]: item for item in given if isinstance(item, Mapping)}
         for name, extra in given.items():
@@ -325,8 +341,8 @@ def _merge_terms(facts: Facts, observation: dict[str, Any]) -> None:
     scale = observation.pop("scale", None)
     if scale is not None:
         for term in terms or ():
-            if isinstance(term, dict):
-                term.setdefault("scale", scale)
+            if isinstance(term, dict) and term.get("scale", TO_GIVE) == TO_GIVE:
+                term["scale"] = scale
         facts.asks.pop("observation.scale", None)
 
 
@@ -336,7 +352,7 @@ def _merge(facts: Facts, said: dict[str, Any], given: Mapping[str, Any], where: 
         known = said.get(key)
         if isinstance(value, Mapping) and isinstance(known, dict):
             _merge(facts, known, value, place)
-        elif known is None or _same(known, value, facts.tolerance):
+        elif known in (None, TO_GIVE) or _same(known, value, facts.tolerance):
             said[key] = value
         else:
             word = facts.keys.get(place)
@@ -353,9 +369,9 @@ def _same(known: Any, value: Any, tolerance: tuple[float, float]) -> bool:
         return True
     try:
         a, b = np.asarray(known, dtype=float), np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return False
-    if a.shape != b.shape and a.size > 1 and b.size > 1:
+    if a.shape != b.shape and 1 not in (a.size, b.size):
         return False
     return bool(np.allclose(a, b, rtol=tolerance[0], atol=tolerance[1]))
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import glob
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
@@ -24,7 +24,7 @@ import yaml
 
 from unicon_core.errors import MissingDependencyError, PolicyError, alternatives
 from unicon_core.located_yaml import read_yaml
-from unicon_core.policies.load import ImportReport, import_policy
+from unicon_core.policies.load import ImportReport, import_policy, refuse_to_replace
 from unicon_core.resources import sha256_of
 from unicon_core.robots import Robot
 
@@ -69,6 +69,7 @@ def fetch_policy(
     sha256: str | None = None,
     force: bool = False,
     robot: Robot | None = None,
+    given: Mapping[str, Any] | None = None,
 ) -> FetchReport:
     """Fetch a policy, and write it as `policy.yaml` with its network beside it.
 
@@ -78,6 +79,7 @@ def fetch_policy(
         sha256: of the network's file, 64 digits; another one is refused.
         force: replace the folder of a policy that is there.
         robot: as of `load_policy`.
+        given: as of `load_policy`.
 
     Raises:
         PolicyError: it cannot be had, is another one than `sha256` says, or the folder is there.
@@ -86,11 +88,9 @@ def fetch_policy(
     out = Path(os.path.abspath(out_dir))
     if sha256 is not None and (len(sha256) != 64 or set(sha256.lower()) - set("0123456789abcdef")):
         raise PolicyError(f"--sha256 {sha256}: give the 64 digits of 'sha256sum'")
-    if os.path.lexists(out):
-        if not force:
-            raise PolicyError(f"{out} is there; give another --out, or replace it: --force")
-        if out.is_symlink() or not (out / "policy.yaml").is_file():
-            raise PolicyError(f"{out} is not the folder of a policy; give another --out")
+    refuse_to_replace(out, force)
+    if os.path.lexists(out) and (out.is_symlink() or not (out / "policy.yaml").is_file()):
+        raise PolicyError(f"{out} is not the folder of a policy; give another --out")
     get = _source(url)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -100,7 +100,7 @@ def fetch_policy(
     with folder as name:
         fetched = get(Path(name) / "fetched")
         new = Path(name) / "new"
-        report = import_policy(fetched.path, new, robot=robot)
+        report = import_policy(fetched.path, new, robot=robot, given=given)
         digests = _digests(new, url, sha256)
         _note(new / "policy.yaml", fetched.source)
         _put(new, out, Path(name) / "old")

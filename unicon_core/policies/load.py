@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from unicon_core.bounded_yaml import YamlError
 from unicon_core.errors import PolicyError, alternatives
-from unicon_core.located_yaml import read_yaml
+from unicon_core.located_yaml import parse_value, read_yaml
 from unicon_core.policies.agree import check_agreement
 from unicon_core.policies.build import build_contract
 from unicon_core.policies.chain_facts import check_chain
@@ -32,15 +34,29 @@ from unicon_core.policies.policy_yaml import (
 )
 from unicon_core.policies.registered import registered_policy
 from unicon_core.registered import registered
-from unicon_core.resources import config_roots, find_resource, list_config, looked_in, sha256_of
+from unicon_core.resources import (
+    config_roots,
+    find_resource,
+    list_config,
+    looked_in,
+    lying_here,
+    sha256_of,
+)
 from unicon_core.robots import Robot, load_robot
 
-__all__ = ["ImportReport", "import_policy", "load_policy", "policy_names"]
+__all__ = [
+    "ImportReport",
+    "given_names",
+    "import_policy",
+    "load_policy",
+    "policy_names",
+    "refuse_to_replace",
+]
 
 _TORCHSCRIPT = (".pt", ".pth", ".jit")
 # Files that carry no name of their own: the policy is called after the folder.
 _PLAIN_STEMS = ("policy", "deploy", "env", "model", "config")
-_PLAIN_FOLDERS = ("params", "exported", "config")
+_PLAIN_FOLDERS = re.compile(r"params|exported|config|[\d_.T:-]{8,}")  # or a date
 
 
 @dataclass(frozen=True)
@@ -106,25 +122,59 @@ def import_policy(
     *,
     robot: Robot | None = None,
     given: Mapping[str, Any] | None = None,
+    force: bool = False,
 ) -> ImportReport:
     """Write a policy of any known format as `policy.yaml`, and list what its source did not say.
 
     Args:
-        reference: as for `load_policy`.
+        reference: as for `load_policy`; a path that is there comes before a name.
         out_dir: folder to write to; the network is copied there.
         robot: as for `load_policy`.
         given: as for `load_policy`.
+        force: replace a `policy.yaml` that is there.
 
     Raises:
-        PolicyError: as for `load_policy`, except that missing facts are listed, not refused.
+        PolicyError: as for `load_policy`, except that missing facts are listed, not refused, but
+            for joints by which the source's patterns are resolved; or a policy is there.
     """
+    if not str(reference).startswith("assets:") and os.path.exists(os.path.expanduser(reference)):
+        reference = Path(reference)
+    refuse_to_replace(Path(out_dir) / "policy.yaml", force)
     facts = _read(reference, robot, given or {})
     missing = missing_facts(facts)
+    if facts.by_pattern and "joints" in missing:
+        raise PolicyError(
+            f"{facts.path}: pose and gains stand there by patterns of joint names, and it does not "
+            f"say joints ({missing['joints']}); name them: --joints NAME,NAME… or --joints FILE, "
+            "or of a robot's model: --robot ROBOT --joints '{from: model}'"
+        )
     if missing:
         path = write_partial_yaml(facts, missing, out_dir)
     else:
         path = write_policy_yaml(_contract(facts), out_dir)
     return ImportReport(path, facts.source, missing, tuple(facts.notes))
+
+
+def refuse_to_replace(path: Path, force: bool) -> None:
+    """Raise a PolicyError where something is at a path that is to be written, unless `force`."""
+    if os.path.lexists(path) and not force:
+        raise PolicyError(f"{path} is there; give another --out, or replace it: --force")
+
+
+def given_names(text: str) -> dict[str, Any]:
+    """Return the fact `joints` of `--joints`: names with commas, a file of a list, or a mapping.
+
+    Raises:
+        PolicyError: the file is no YAML.
+    """
+    if os.path.isfile(os.path.expanduser(text)):
+        value = read_yaml(Path(text).expanduser(), PolicyError).value
+    else:
+        try:
+            value = parse_value(text)
+        except YamlError as error:
+            raise PolicyError(f"--joints {text}: {error}; give NAME,NAME… or a file") from error
+    return {"joints": re.split(r"[\s,]+", value.strip(" ,")) if isinstance(value, str) else value}
 
 
 def _config_policy(name: str) -> Path | None:
@@ -150,7 +200,7 @@ def _locate(reference: str | Path) -> Path:
     else:
         known = alternatives(text, policy_names())
         raise PolicyError(
-            f"unknown policy {text!r}; {known}; {looked_in('policies')}; "
+            f"unknown policy {text!r}; {lying_here(text)}{known}; {looked_in('policies')}; "
             "or give a path to a folder or file"
         )
     if not os.path.isdir(path):
@@ -315,7 +365,7 @@ def _name_of(path: Path) -> str:
     if path.stem not in _PLAIN_STEMS:
         return path.stem
     folder = path.parent
-    while folder.name in _PLAIN_FOLDERS:
+    while _PLAIN_FOLDERS.fullmatch(folder.name):
         folder = folder.parent
     return folder.name or path.stem
 

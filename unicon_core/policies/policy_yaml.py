@@ -14,7 +14,8 @@ import yaml
 from numpy.typing import NDArray
 
 from unicon_core.errors import PolicyError
-from unicon_core.located_yaml import read_yaml
+from unicon_core.file_kinds import other_kind
+from unicon_core.located_yaml import Tagged, read_yaml
 from unicon_core.policies.build import SCHEMA
 from unicon_core.policies.contract import (
     FilterSpec,
@@ -22,12 +23,13 @@ from unicon_core.policies.contract import (
     ObservationTerm,
     PolicyContract,
 )
-from unicon_core.policies.facts import Facts
+from unicon_core.policies.facts import TO_GIVE, Facts
 from unicon_core.policies.networks.onnx_file import read_onnx
 from unicon_core.resources import sha256_of
 
 __all__ = [
     "contract_values",
+    "known_text",
     "policy_yaml_facts",
     "write_partial_yaml",
     "write_policy_yaml",
@@ -43,6 +45,16 @@ def policy_yaml_facts(path: Path) -> Facts:
     located = read_yaml(path, PolicyError, foreign=True)
     if not isinstance(located.value, Mapping):
         raise located.error((), f"no policy; start it with 'schema: {SCHEMA}'")
+    other = other_kind(located.value, "policy")
+    if other:
+        raise located.error(("schema",), other)
+    for key, value in located.value.items():
+        if isinstance(value, Mapping) and "from" in value:
+            raise located.error(
+                (key,),
+                f"{key} is {dict(value)}, which belongs under 'given' of the workflow; give the "
+                "values here, or remove it",
+            )
     return Facts(path, "policy.yaml", dict(located.value), located.lines)
 
 
@@ -90,8 +102,19 @@ def write_partial_yaml(facts: Facts, missing: Mapping[str, str], out_dir: str | 
             values["sha256"] = sha256_of(model)
     values |= {k: v for k, v in facts.values.items() if k not in values}
     lines = [f"# The {facts.source} of {facts.path.name} does not say, so add:"]
-    lines += [f"#   {name}: {what}".rstrip(": ") for name, what in missing.items()]
+    for name, what in missing.items():
+        if name == "observation.scale":
+            name, what = "scale of each term", f"where {TO_GIVE} stands; 1.0 for none"
+            said = values["observation"]
+            terms = [{**term, "scale": term.get("scale", TO_GIVE)} for term in said["terms"]]
+            values["observation"] = {**said, "terms": terms}
+        lines.append(f"#   {name}: {what}".rstrip(": "))
     return _write(Path(out_dir), "\n".join(lines) + "\n" + _dump(values), model)
+
+
+def known_text(facts: Facts) -> str:
+    """Return what an incomplete source says, as `policy.yaml` has it."""
+    return f"{facts.path}  (from {facts.source}, incomplete)\n{_dump(facts.values)}".rstrip()
 
 
 def _write(folder: Path, text: str, model: Path | None) -> Path:
@@ -238,6 +261,7 @@ def _list(dumper: yaml.SafeDumper, values: list[Any]) -> yaml.Node:
 
 
 _Dumper.add_representer(list, _list)
+_Dumper.add_representer(Tagged, lambda dumper, value: dumper.represent_str(str(value.value)))
 
 
 def _dump(values: dict[str, Any]) -> str:

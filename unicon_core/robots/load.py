@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import RobotError, WorkflowError
+from unicon_core.file_kinds import other_kind
 from unicon_core.located_yaml import Located, read_yaml
 from unicon_core.resources import find_config, list_config
 from unicon_core.robots.capsules import capsules_of
@@ -40,6 +41,9 @@ def load_robot(name_or_path: str | Path) -> Robot:
     """
     path = find_config("robots", name_or_path, ".yaml", error=RobotError)
     located = read_yaml(path, RobotError)
+    other = other_kind(located.value, "robot")
+    if other:
+        raise located.error(("schema",), other)
     return _extended(located) if is_overlay(located) else _robot(located)
 
 

@@ -270,10 +270,10 @@ def _unknown(located: Located, document: dict[str, Any]) -> Problems:
     nulls = _nulls(document)
     for i, fact in enumerate(unknown):
         if fact != "joint_order" and fact not in nulls:
-            known = alternatives(fact, [*nulls, "joint_order"])
-            yield located.error(
-                ("unknown", i), f"unknown names {fact!r}, which is given or no fact; {known}"
-            )
+            why = f"is no fact; {alternatives(fact, [*nulls, 'joint_order'])}"
+            if _given(document, fact):
+                why = "is given now: take it from unknown"
+            yield located.error(("unknown", i), f"unknown names {fact!r}, which {why}")
         if fact in unknown[:i]:
             yield located.error(("unknown", i), f"unknown names {fact!r} twice; remove one")
     for fact in nulls:
@@ -282,6 +282,16 @@ def _unknown(located: Located, document: dict[str, Any]) -> Problems:
                 _place(document, fact),
                 f"{fact} is not given, and 'unknown' does not name it; add {fact!r} to unknown",
             )
+
+
+def _given(document: dict[str, Any], fact: str) -> bool:
+    part, _, key = fact.partition(".")
+    if part == "joints":
+        return key in JOINT_FIELDS and any(j.get(key) is not None for j in _joints(document))
+    if not key:
+        return part in ("imu", "feet", "fingertips") and bool(document.get(part))
+    value = document.get(part) if part in ("imu", "transport") else None
+    return isinstance(value, dict) and value.get(key) is not None
 
 
 def _place(document: dict[str, Any], fact: str) -> Where:

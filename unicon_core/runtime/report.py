@@ -50,6 +50,7 @@ class Report:
         base_displacement_m: base position at the end minus at the start, world frame; None where
             the robot's base is fixed, as are `fell` and `tilt_deg`.
         fell: the base tilted by more than 60° from upright; None where a gantry holds it.
+        sank: the base of the first robot ended below half of the height where it began.
         tilt_deg: largest tilt of the base from upright.
         sha256_commands: SHA-256 over the command states of every tick.
         dry: nothing was sent; the hash is of what would have been.
@@ -79,6 +80,7 @@ class Report:
     forced: list[str] = field(default_factory=list)
     base_displacement_m: list[float] | None = field(default_factory=lambda: [0.0, 0.0, 0.0])
     fell: bool | None = False
+    sank: bool = False
     tilt_deg: float | None = 0.0
     sha256_commands: str = ""
     dry: bool = False
@@ -153,6 +155,8 @@ class Report:
         if self.overrun_blocks:
             share += f", most by {', '.join(list(self.overrun_blocks)[:3])}"
         upright = "" if self.faults or self.fell is None else ", did not fall"
+        if self.sank and self.base_displacement_m is not None:
+            upright += f", sank by {-self.base_displacement_m[2]:.2f} m"
         lines = [
             f"workflow      {self.workflow} on {self.robot} ({self.platform})",
             f"ticks         {self.ticks}, {self.duration_s:.2f} s of ticks",
@@ -196,6 +200,10 @@ class Monitor:
 
     FALL_COSINE = 0.5
     """Cosine of the tilt that counts as a fall: 60° from upright."""
+    FALL_HEIGHT = 0.5
+    """Share of its height at first below which a base has sunk."""
+    ODOMETRY = 0.1
+    """Height in [m] up to which an odometry may have begun, and no base is judged."""
 
     name = "report"
     reads = ("base_pos_w", "projected_gravity", *COMMAND_STATES)
@@ -248,6 +256,11 @@ class Monitor:
             moved = self._pos[0] - self._start[0] if self._started else np.zeros(3)
             report.base_displacement_m = [round(float(value), 6) for value in moved]
             report.fell = None if self.held else self.fell
+            first = self._start[0, 2]
+            known = (
+                self._started and first > self.ODOMETRY
+            )  # else it may begin at a zero of its own
+            report.sank = bool(known and first + moved[2] < self.FALL_HEIGHT * first)
             report.tilt_deg = round(math.degrees(math.acos(max(-1.0, min(-self._worst, 1.0)))), 1)
         report.sha256_commands = self.sha256
         report.dry = self._dry

@@ -119,6 +119,7 @@ def _policies(program: Program) -> Iterator[str]:
                 "contract": f"{place(contract.path)} ({contract.source})",
                 "network": place(contract.model),
                 "rate": f"{1 / contract.period:g} Hz",
+                **({"taken": "; ".join(contract.notes)} if contract.notes else {}),
             }
         )
         prefix = prefix_of(name, program.policies)

@@ -54,6 +54,7 @@ def show_text(
 
         for name, contract in policies.items():
             parts += [f"joints of policy {name}", joint_table(contract, robot)]
+            parts += [f"note: {note}" for note in contract.notes]
             prefix = prefix_of(name, policies)
             seen = PrefixedStates(states, prefix) if prefix else states
             table = observation_table(contract, robot, seen)

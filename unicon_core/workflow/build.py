@@ -168,7 +168,8 @@ class Builder:
             rate, wanted = 1.0 / period, 1.0 / contract.period
             raise WorkflowError(
                 f"block {block.name!r}: {contract.name} is made for {wanted:g} Hz, which does not "
-                f"divide the workflow's rate of {rate:g} Hz; set rate: {wanted:g} or a multiple",
+                f"divide the workflow's rate of {rate:g} Hz; set rate: {wanted:.10g} or a "
+                f"multiple, or correct the period of {contract.name} (training: dt × decimation)",
                 block.where,
             )
         own = getattr(block.tick, "every_tick", False)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import WorkflowError, alternatives
+from unicon_core.file_kinds import other_kind
 from unicon_core.located_yaml import Located, read_yaml
 from unicon_core.resources import find_config, list_config
 from unicon_core.workflow.overrides import set_value, split_setting
@@ -24,13 +25,6 @@ __all__ = [
 ]
 
 SCHEMA = "unicon.workflow/1"
-
-OTHER_FILES = {
-    "sweep": "run it with `unicon sweep FILE`",
-    "robot": "name it as `robot: FILE` in a workflow, or see it with `unicon robots FILE`",
-    "policy": "name its folder under `policies:` in a workflow",
-}
-"""Files with a schema of their own, and what is done with them."""
 
 KEYS = {
     "schema": "unicon.workflow/1",
@@ -184,11 +178,9 @@ def document_of(values: Mapping[str, Any], path: Path, line: int) -> WorkflowDoc
 def _checked(document: WorkflowDocument) -> WorkflowDocument:
     values = document.values
     schema = values.get("schema", SCHEMA)
-    kind = str(schema).removeprefix("unicon.").rpartition("/")[0]
-    if kind in OTHER_FILES:
-        raise document.error(
-            f"this file is a {kind}, not a workflow; {OTHER_FILES[kind]}", "schema"
-        )
+    other = other_kind(values, "workflow")
+    if other:
+        raise document.error(other, "schema")
     for key in values:
         if key not in KEYS:
             raise document.error(f"unknown key {key!r}; {alternatives(str(key), KEYS)}", key)

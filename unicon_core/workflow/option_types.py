@@ -45,6 +45,7 @@ def wrong_option(factory: Callable[..., Any], options: Mapping[str, Any]) -> str
     for name, value in options.items():
         hint = hints.get(name, Any)
         if not _fits(value, hint):
+            name, value, hint = _placed(name, value, hint)
             return f"{name} is {_short(value)}; give {_wanted(hint)}"
     return None
 
@@ -68,7 +69,7 @@ def _fits(value: Any, hint: Any) -> bool:
             return hint is bool
         nan = isinstance(value, float) and math.isnan(value)
         return isinstance(value, _PLAIN[hint][0]) and not nan
-    if isinstance(origin, type) and issubclass(origin, Mapping):
+    if _is_mapping(origin):
         return isinstance(value, Mapping) and all(
             _fits(k, inner[0]) and _fits(v, inner[1]) for k, v in value.items()
         )
@@ -78,13 +79,29 @@ def _fits(value: Any, hint: Any) -> bool:
     return True
 
 
+def _placed(name: str, value: Any, hint: Any) -> tuple[str, Any, Any]:
+    """Return the place, within mappings, of what does not fit."""
+    hints = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
+    maps = [get_args(each) for each in hints if _is_mapping(get_origin(each))]
+    if isinstance(value, Mapping) and len(maps) == 1:
+        keys, inner = maps[0]
+        for key, part in value.items():
+            if _fits(key, keys) and not _fits(part, inner):
+                return _placed(f"{name}.{key}", part, inner)
+    return name, value, hint
+
+
+def _is_mapping(origin: Any) -> bool:
+    return isinstance(origin, type) and issubclass(origin, Mapping)
+
+
 def _wanted(hint: Any) -> str:
     origin, inner = get_origin(hint), get_args(hint)
     if origin in (Union, types.UnionType):
         return " or ".join(dict.fromkeys(map(_wanted, inner)))
     if origin is Literal:
         return ", ".join(map(str, inner))
-    if isinstance(origin, type) and issubclass(origin, Mapping):
+    if _is_mapping(origin):
         return f"a mapping of {_wanted(inner[0])} to {_wanted(inner[1])}"
     if isinstance(origin, type) and issubclass(origin, Sequence):
         return f"a list, each {_wanted(inner[0])}"

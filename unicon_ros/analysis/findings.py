@@ -12,9 +12,13 @@ from unicon_ros.analysis.comparison import LAG_S, Comparison, gap_spread
 __all__ = ["findings"]
 
 SURE = 0.8
-"""|correlation| from which on gain and sign of a joint mean something."""
+"""|correlation| from which on gain and sign of a joint that moves mean something."""
 VERY_SURE = 0.95
 """The same of a lag: curves of another shape have one, too."""
+MOVES_RAD = 0.02
+"""Standard deviation of a position in [rad] from which a joint moves. Noise n makes the gain of a
+spread s smaller by (n / s)²: by 8 % for n = 0.006, which is that of the ±0.01 rad in training and
+more than an encoder's. go2_walk has 0.040 or more, its hips straight ahead 0.011; stands 0.003."""
 LAG_SAMPLES = 2
 """By which a joint is later than most of the others."""
 GAIN = 1.25
@@ -30,14 +34,18 @@ def findings(comparison: Comparison) -> list[str]:
     """Return what stands out, the most important first."""
     both, joints = comparison.together, comparison.joints
     said = [_ranked(comparison), *_falls(both.falls)]
+    least = np.minimum(*(side["joint_pos"].std(axis=0) for side in (both.real, both.sim)))
+    still = least < MOVES_RAD
     for cycle in comparison.swapped:
+        if still[list(cycle)].any():
+            continue
         names = [both.joints[k] for k in cycle]
         said.append(
             f"{' and '.join(names)} look swapped: each moves as the other does in the simulator."
             if len(names) == 2
             else f"{', '.join(names)} look swapped in a ring."
         )
-    correlation = np.nan_to_num(joints["correlation"])
+    correlation = np.where(still, 0.0, np.nan_to_num(joints["correlation"]))
 
     def tell(text: str, which: NDArray[np.bool_]) -> None:
         if which.any():
@@ -63,6 +71,9 @@ def findings(comparison: Comparison) -> list[str]:
     bias = np.abs(joints["position_bias"])
     beside = (bias >= BIAS) & (bias**2 > 0.5 * joints["position_rmse"] ** 2)
     tell(f"Off by a constant, up to {bias.max():.2f} rad (a wrong zero, or a weak motor)", beside)
+    if joints["gap"].any():
+        small = f"below {MOVES_RAD:g} rad rms in a run"
+        tell(f"Hardly moves ({small}): sign, range and lag not judged", still)
     return said
 
 

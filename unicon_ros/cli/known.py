@@ -64,10 +64,16 @@ def add(commands: Any) -> None:
         help="hf://OWNER/REPO[@REV][/PATH], wandb://ENTITY/PROJECT/RUN or file:///PATH",
     )
     fetched.add_argument("--sha256", metavar="HEX", help="of the network; another one is refused")
-    fetched.add_argument("--force", action="store_true", help="replace a policy in DIR")
     for parser, function in ((imported, _import), (fetched, _fetch)):
         parser.add_argument("--out", metavar="DIR", required=True, help="where to write")
+        parser.add_argument("--force", action="store_true", help="replace a policy in DIR")
         parser.add_argument("--robot", metavar="ROBOT", help="robot that orders the joints")
+        parser.add_argument(
+            "--joints",
+            metavar="NAMES",
+            help="in the training side's order, where the source does not say it: NAME,NAME…, a "
+            "file with a list, or '{from: model}' of ROBOT",
+        )
         parser.set_defaults(function=function)
 
 
@@ -109,30 +115,44 @@ def _new(arguments: argparse.Namespace) -> int:
 
 def _policies(arguments: argparse.Namespace) -> int:
     from unicon_core.policies import load_policy, policies_rows, policies_table, policy_table
+    from unicon_core.policies.build import IncompletePolicyError
+    from unicon_core.policies.policy_yaml import known_text
 
     if not arguments.name and (arguments.json or arguments.quiet):
         return _rows(policies_rows(), arguments)
     robot = _robot(arguments)
-    if arguments.name:
-        print(policy_table(load_policy(arguments.name, robot=robot), robot))
-    else:
+    if not arguments.name:
         print(policies_table())
+        return 0
+    try:
+        contract = load_policy(arguments.name, robot=robot)
+    except IncompletePolicyError as error:
+        print(known_text(error.facts))
+        raise
+    print(policy_table(contract, robot))
     return 0
 
 
 def _import(arguments: argparse.Namespace) -> int:
     from unicon_core.policies import import_policy
 
-    print(import_policy(arguments.source, arguments.out, robot=_robot(arguments)))
+    print(import_policy(arguments.source, arguments.out, **_told(arguments)))
     return 0
 
 
 def _fetch(arguments: argparse.Namespace) -> int:
     from unicon_core.policies.fetch import fetch_policy
 
-    told = {"sha256": arguments.sha256, "force": arguments.force, "robot": _robot(arguments)}
+    told = {"sha256": arguments.sha256, **_told(arguments)}
     print(fetch_policy(arguments.source, arguments.out, **told))
     return 0
+
+
+def _told(arguments: argparse.Namespace) -> dict[str, Any]:
+    from unicon_core.policies.load import given_names
+
+    given = given_names(arguments.joints) if arguments.joints else None
+    return {"force": arguments.force, "robot": _robot(arguments), "given": given}
 
 
 def _robot(arguments: argparse.Namespace) -> Robot | None:

@@ -65,7 +65,9 @@ def _ticks(record: Record) -> dict[str, Any]:
         period = record.period
     except UniconError:
         period = 0.0
-    missing = int(np.maximum(np.diff(record.ticks) - 1, 0).sum()) if len(record.ticks) else 0
+    phases = np.asarray(record.phases)
+    skipped = np.diff(record.ticks) - 1 - (phases[1:] != phases[:-1])  # a new phase skips one
+    missing = int(np.maximum(skipped, 0).sum())
     return told | {
         "period_s": period,
         "ticks": len(record.ticks),

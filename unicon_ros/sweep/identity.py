@@ -60,7 +60,7 @@ def changes(there: Mapping[str, Any], here: Mapping[str, Any], identity: Mapping
     if there["sha256"] != here["sha256"]:
         said = there["identity"]
         which = [key for key in identity if said.get(key) != identity[key]]
-        return f"its {', '.join(which) or 'file'} is not this one's"
+        return f"it differs in {', '.join(which) or 'the file'}"
     if there.get("versions") != here["versions"]:
         found = differing(there.get("versions") or {}, here["versions"])
         return ", ".join(f"{name} was {old} and is {new}" for name, old, new in found)

@@ -20,6 +20,7 @@ from typing import Any
 
 from unicon_core.bounds import DURATION
 from unicon_core.errors import UniconError, alternatives
+from unicon_core.file_kinds import other_kind
 from unicon_core.located_yaml import Located, read_yaml
 from unicon_core.workflow.overrides import split_setting
 from unicon_ros.sweep.draws import Parameter, parameter, setting_of
@@ -123,6 +124,9 @@ def read_sweep(path: str | Path, overrides: Iterable[str] = ()) -> SweepFile:
         UniconError: it is not a sweep; with file and line.
     """
     located = read_yaml(Path(path), UniconError)
+    other = other_kind(located.value, "sweep")
+    if other:
+        raise located.error(("schema",), other)
     return _Reader(located).read(tuple(overrides))
 
 

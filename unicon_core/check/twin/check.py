@@ -30,6 +30,8 @@ __all__ = ["check_twin"]
 MARGIN = 0.1
 """A broken contract that loses less in its first run is compared with the given one."""
 COLUMNS = ("contract", "outcome", "score", "tracking", "error", "rate [rad/s]")
+STANDING = [{"velocity_command": {"constant": [0, 0, 0]}}]
+"""`commands:` of a workflow that only stands."""
 _PATIENCE = 120.0  # [s] of wall time for the search
 
 
@@ -56,8 +58,17 @@ def check_twin(
         )
     policies = list(document.get("policies", dict, {}))
     pose = {"initial_pose": f"policy:{policies[0]}"} if len(policies) == 1 else {}
+    command = settings.get("command")
+    if command is None and document.values.get("commands") == STANDING:
+        command = [0.0, 0.0, 0.0]
+        result.note(
+            "twin.command",
+            "commands",
+            "the workflow commands to stand, and so does the twin, which tells less; let it walk "
+            "by check: {command: [0.6, 0, 0]}",
+        )
     try:
-        session = TwinSession(on_platform(document, simulator, pose), settings.get("command"))
+        session = TwinSession(on_platform(document, simulator, pose), command)
     except TwinBlindError as blind:  # nobody can mend that an arm has no base that moves
         result.note("twin.run", f"twin on platform {simulator!r}", str(blind))
         return
@@ -115,22 +126,35 @@ class _Twin:
             self.suspect(given, suspects)
         self.tables(given)
         told = any(finding.code == "twin.suspect" for finding in result.findings)
-        if not poor(given) and given.tracks and len(self.policies) == 1 and not told:
+        walks = given.tracks and any(given.command) and not poor(given) and not given.rests
+        if walks and len(self.policies) == 1 and not told:
             self.rival(given)
 
     def suspect(
         self, given: Measures, suspects: list[tuple[PolicyResult, Change, Measures]]
     ) -> None:
         """Of a contract that walks: what walks clearly better, and what as well."""
-        if given.follows and any(not broken.unlikely for _, broken, _ in suspects):
+        likely = any(not broken.unlikely for _, broken, _ in suspects)
+        if likely and given.follows and not given.rests:
             found = self.mend(given, MARGIN, self.seconds)  # the first seconds were good
             if found:
                 best = found[0]
                 self.add(f"mended: {best.change.name}", best.measures)
                 self.better(best.policy, best.change, self.compared(best.policy, best.change))
+        resting = [broken.name for _, broken, measures in suspects if measures.rests]
+        if given.rests and resting:
+            names = listed(resting)
+            suspects[0][0].note(
+                "twin.suspect",
+                "",
+                f"it rests, and with {names} it does, too: the network hardly responds, so the "
+                "twin cannot tell whether the contract is right",
+            )
         for policy, broken, measures in suspects:
+            if given.rests and measures.rests:
+                continue
             # Scales of 1 have been left out by nobody, and who only stands up does so anyhow.
-            telling = given.tracks and not broken.unlikely
+            telling = given.tracks and any(given.command) and not broken.unlikely
             compared = self.compared(policy, broken) if telling else None
             if compared is not None and compared.clear:
                 self.better(policy, broken, compared)
@@ -208,7 +232,8 @@ class _Twin:
                 "",
                 f"{what} (score {given.score:.2f}), and none of the usual mistakes explains it",
                 "compare default pose, gains, action scale, terms and the model with the training "
-                "side",
+                "side"
+                + ("; if it only stands: check: {command: [0, 0, 0]}" if given.rests else ""),
             )
         else:
             self.policies[0].note(code, "", what)

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.robots import Robot
+from unicon_core.runtime.report import Monitor
 from unicon_core.states import States
 
 __all__ = ["JUDGED", "Measures", "Recorder"]
@@ -44,10 +45,12 @@ SMOOTH_RATE = 15.0
 """Rate of targets in [rad/s] at which smoothness has fallen to 1/e."""
 START = 1.0
 """Time from rest that tracking leaves out in [s]."""
-FALL_COSINE = 0.5
-"""A base tilted by more than 60° has fallen, as in the report of a run."""
-FALL_HEIGHT = 0.5
-"""A base below this share of its height when the policy took over has fallen."""
+FALL_COSINE, FALL_HEIGHT = Monitor.FALL_COSINE, Monitor.FALL_HEIGHT
+"""A base that tilts further, or sinks below this share of its height when the policy took over, has
+fallen."""
+AT_REST = 0.1
+"""Targets that change less in [rad/s], of a base that is slower in [m/s] and [rad/s], show nothing:
+a tenth of the calmest walk."""
 AT_LIMIT = 0.005
 """A joint within this distance of its limit in [rad] is at the limit."""
 
@@ -115,6 +118,11 @@ class Measures:
     def stands(self) -> bool:
         """Whether the run ended neither with a fall nor with a fault."""
         return not self.fell and not self.fault
+
+    @property
+    def rests(self) -> bool:
+        """Whether it stands and neither targets nor base moved worth telling."""
+        return self.stands and max(self.target_rate, *map(abs, self.velocity)) < AT_REST
 
     def outcome(self) -> str:
         """Return in a few words how it ended."""

@@ -251,6 +251,8 @@ class TwinSession:
         """
         if self._wanted is None:
             return []
+        if not self._wanted.any():
+            return [self._wanted.tolist()]
         walks = [(self._wanted * factor).tolist() for factor in (1.0, 0.85, 1.15)]
         if any(_range(self.program, "ang_vel_z") or (_CURVE,)):
             curve = np.array([0.0, 0.0, _CURVE])

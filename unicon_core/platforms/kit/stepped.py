@@ -79,7 +79,8 @@ class SteppedSimulator(ABC):
         told_of = (*self.facts.notes, *self.notes)
         self.facts = replace(self.facts, writes=tuple(told), notes=told_of)
         self._names, self.start, self.model_path = robot.joint_names, start, start.loaded.path
-        self.timestep, self.decimation = timestep, steps_in(period, timestep, self.model_path)
+        self.timestep = timestep
+        self.decimation = steps_in(period, timestep, self.model_path, self.facts.name)
         self._tick_ns = tick_ns(timestep, self.decimation)
         self.num_robots, self._alone = states.num_robots or 1, states.num_robots is None
         self._command = Command(states, robot.joint_names)

@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import PolicyError, alternatives
-from unicon_core.located_yaml import Tagged, Where, read_yaml
+from unicon_core.located_yaml import Where, read_yaml
 from unicon_core.policies.facts import Facts, dig, term_state
 from unicon_core.policies.importers.source_reader import SourceReader
-from unicon_core.policies.importers.training import clip_before_scale, command_ranges
+from unicon_core.policies.importers.training import chosen_ids, clip_before_scale, command_ranges
 
 __all__ = ["deploy_yaml_facts", "is_deploy_yaml"]
 
@@ -200,11 +200,12 @@ class _Deploy(SourceReader):
     ) -> dict[str, Any]:
         term: dict[str, Any] = {"name": name, **term_state(name, absolute=True)}
         params = value.get("params")
-        joint_ids = dig(params, "asset_cfg", "joint_ids")
-        if isinstance(joint_ids, list):
-            term["index"] = joint_ids
-        elif joint_ids is not None and not isinstance(joint_ids, Tagged):
-            raise self.fail(where, f"{name}: joint_ids is {joint_ids!r}; give places, or null")
+        try:
+            places = chosen_ids(dig(params, "asset_cfg", "joint_ids"))
+        except ValueError as error:
+            raise self.fail(where, f"{name}: {error}") from error
+        if places is not None:
+            term["index"] = places
         if name == "gait_phase" and isinstance(params, Mapping) and "period" in params:
             self.say(("phase",), {"period": params["period"], "offsets": [0.0]}, (*where, "params"))
         scale = value.get("scale")

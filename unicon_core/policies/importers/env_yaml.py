@@ -1,30 +1,37 @@
 """Isaac Lab's `params/env.yaml` (the dumped environment) as facts, as far as it says them.
 
 From isaac-sim/IsaacLab: period = `sim.dt` · `decimation`; pose, gains and scale stand as patterns
-over joint names, so they are known once `joints` is given (the joint order is in the robot's USD
-file only); a term is named by its function (`…mdp.observations:joint_pos_rel`), clipped, then
-scaled; its history is oldest first and flattened term by term.
+over joint names, so they are known once the joints are. The articulation's order is in the robot's
+USD file only, so `joints` must be given, unless the action and each term of joints name them one
+by one with `preserve_order` (`managers/scene_entity_cfg.py`, `envs/mdp/actions/joint_actions.py`),
+as robot_lab does. A term is named by its function (`…mdp.observations:joint_pos_rel`), clipped,
+then scaled; its history is oldest first and flattened term by term.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import PolicyError
-from unicon_core.located_yaml import Located, read_yaml
+from unicon_core.located_yaml import Located, Where, read_yaml
 from unicon_core.policies.facts import Facts, dig, given_joints, term_state
 from unicon_core.policies.importers.training import (
+    chosen_ids,
+    chosen_joints,
     command_ranges,
     matching,
     say_period,
+    stated_order,
     values_by_pattern,
 )
 
 __all__ = ["env_yaml_facts", "is_env_yaml"]
 
 _GROUPS = ("policy", "actor")
+_OF_JOINTS = ("joint_pos", "joint_vel")
 
 
 def is_env_yaml(values: Any) -> bool:
@@ -50,22 +57,39 @@ def env_yaml_facts(path: Path, given: Mapping[str, Any]) -> Facts:
     located = read_yaml(path, PolicyError, foreign=True)
     document = located.value
     facts = Facts(path, "Isaac Lab env.yaml", by_pattern=True)
-    joints = given_joints(path, given)
+    name, action = _action_term(located)
+    where, terms = _terms(located)
+    joints = given_joints(path, given) or _stated_joints(facts, action, terms)
     say_period(facts, document["sim"].get("dt"), document["decimation"], "sim.dt · decimation")
     if joints is not None:
         facts.values["joints"] = joints
         _robot(facts, document, joints)
-    _action(facts, located, joints)
-    _observation(facts, located)
+    _action(facts, located, name, action, joints)
+    _observation(facts, located, where, terms, joints)
     ranges = command_ranges(dig(document, "commands", "base_velocity", "ranges"))
     if ranges:
         facts.values["command_ranges"] = ranges
-    if joints is None:
-        facts.notes.append(
-            "env.yaml: pose, gains and scale stand there by name patterns; "
-            "they are known once joints is given"
-        )
     return facts
+
+
+def _stated_joints(
+    facts: Facts, action: Mapping[str, Any], terms: Mapping[str, Mapping[str, Any]]
+) -> list[str] | None:
+    """Return the joints in the action's order, where all that is of joints states its own order."""
+    stated = stated_order(action)
+    if stated is None:
+        return None
+    for name, term in terms.items():
+        chosen = dig(term, "params", "asset_cfg")
+        state = term_state(_function(term)).get("state", chosen and "joint_pos")
+        if state not in _OF_JOINTS:
+            continue
+        own = stated_order(chosen)
+        if own is None:
+            facts.asks["joints"] = f"term {name!r} has them in the articulation's order"
+            return None
+        stated = list(dict.fromkeys([*stated, *own]))
+    return stated
 
 
 def _robot(facts: Facts, document: Mapping[str, Any], joints: list[str]) -> None:
@@ -87,7 +111,7 @@ def _robot(facts: Facts, document: Mapping[str, Any], joints: list[str]) -> None
             facts.values[key] = [found[joint] for joint in joints]
 
 
-def _action(facts: Facts, located: Located, joints: list[str] | None) -> None:
+def _action_term(located: Located) -> tuple[str, Mapping[str, Any]]:
     actions = located.value.get("actions")
     terms = {
         name: term
@@ -102,18 +126,25 @@ def _action(facts: Facts, located: Located, joints: list[str] | None) -> None:
         )
     name, term = next(iter(terms.items()))
     kind = str(term.get("class_type", ""))
-    if kind and "JointPositionAction" not in kind:
+    if kind and not re.search(r"\bJointPositionAction", kind):
         raise located.error(
             ("actions", name),
             f"action {name!r} is {kind}; only joint position targets can be run",
         )
+    return name, term
+
+
+def _action(
+    facts: Facts,
+    located: Located,
+    name: str,
+    term: Mapping[str, Any],
+    joints: list[str] | None,
+) -> None:
     action: dict[str, Any] = {"feedback": "raw"}
-    moved = joints
-    patterns = term.get("joint_names")
-    if joints is not None and isinstance(patterns, list):
-        moved = matching(patterns, joints)
-        if moved and moved != joints:
-            action["joints"] = moved
+    moved = (joints and _chosen(located, ("actions", name), name, term, joints)) or joints
+    if moved and moved != joints:
+        action["joints"] = moved
     scale = term.get("scale")
     if isinstance(scale, (int, float)):
         action["scale"] = scale
@@ -126,11 +157,34 @@ def _action(facts: Facts, located: Located, joints: list[str] | None) -> None:
         resolved = values_by_pattern(offset, moved or [], default=0.0)
         action["offset"] = offset if isinstance(offset, (int, float)) else resolved
     facts.values["action"] = action
+    if term.get("clip") is not None:
+        facts.notes.append(f"env.yaml: actions.{name}.clip, bounds of its targets, is not imported")
     for key in ("scale", "offset"):
         facts.keys[("action", key)] = f"actions.{name}.{key}"
 
 
-def _observation(facts: Facts, located: Located) -> None:
+def _chosen(
+    located: Located, where: Where, name: str, chosen: Any, joints: list[str]
+) -> list[str] | None:
+    """Return the joints that an action or a term chooses; None: all, in the articulation's order.
+
+    Raises:
+        PolicyError: one that it names is not among the joints.
+    """
+    try:
+        named = chosen_joints(chosen, joints)
+        if named is not None:
+            return named
+        ids = chosen_ids(dig(chosen, "joint_ids"))
+        if ids is not None and not all(0 <= i < len(joints) for i in ids):
+            raise ValueError(f"joint_ids is {ids}, and there are {len(joints)} joints")
+    except ValueError as error:
+        raise located.error(where, f"{name!r}: {error}") from error
+    return None if ids is None else [joints[i] for i in ids]
+
+
+def _terms(located: Located) -> tuple[Where, dict[str, Mapping[str, Any]]]:
+    """Return where the terms stand, and each by its name."""
     observations = located.value["observations"]
     name = next((g for g in _GROUPS if isinstance(dig(observations, g), Mapping)), None)
     if name is None:
@@ -141,24 +195,80 @@ def _observation(facts: Facts, located: Located) -> None:
             ("observations", name),
             f"observations.{name} is not concatenated; only one input vector can be run",
         )
-    shared = group.get("history_length")
+    terms = {
+        key: value for key, value in group.items() if isinstance(value, Mapping) and "func" in value
+    }
+    return ("observations", name), terms
+
+
+def _function(term: Mapping[str, Any]) -> str:
+    return str(term["func"]).rsplit(":", 1)[-1].rsplit(".", 1)[-1]
+
+
+def _observation(
+    facts: Facts,
+    located: Located,
+    where: Where,
+    said: Mapping[str, Mapping[str, Any]],
+    joints: list[str] | None,
+) -> None:
+    shared = dig(located.value, *map(str, where), "history_length")
     terms: list[dict[str, Any]] = []
-    for key, value in group.items():
-        if not isinstance(value, Mapping) or "func" not in value:
-            continue
-        function = str(value["func"]).rsplit(":", 1)[-1].rsplit(".", 1)[-1]
+    for key, value in said.items():
+        function = _function(value)
         term: dict[str, Any] = {"name": key, **term_state(function, absolute=True)}
         if not term_state(function):
             facts.notes.append(f"env.yaml: no state is known for {key!r} (function {function})")
-        scale = value.get("scale")
-        term["scale"] = 1.0 if scale is None else scale
-        clip = value.get("clip")
-        if clip is not None:
-            term["clip"] = clip
+        unread = _unread(located.value, value, function)
+        if unread:
+            term = {"name": key}
+            facts.asks[f"observation.terms.{key}.state"] = (
+                f"env.yaml gives it {unread}, which is not read: give its state, index, subtract, "
+                "scale and clip"
+            )
+        elif joints is not None and term.get("state", "joint_pos") in _OF_JOINTS:
+            chosen = dig(value, "params", "asset_cfg")
+            of_it = _chosen(located, (*where, key), key, chosen, joints)
+            if of_it is not None and of_it != joints:
+                term["index"] = [joints.index(joint) for joint in of_it]
+        if function == "gait_phase" and not unread:
+            period = dig(value, "params", "period")
+            facts.values["phase"] = {"period": period, "offsets": [0.0]}
+        if not unread:
+            term["scale"] = 1.0 if value.get("scale") is None else value["scale"]
+            term |= {} if value.get("clip") is None else {"clip": value["clip"]}
         length = shared if shared is not None else value.get("history_length")
         term["history"] = 1 if length in (None, 0) else length
-        facts.lines[("observation", "terms", len(terms))] = located.lines[
-            ("observations", name, key)
-        ]
+        facts.lines[("observation", "terms", len(terms))] = located.lines[(*where, key)]
         terms.append(term)
     facts.values["observation"] = {"layout": "term_major", "newest": "last", "terms": terms}
+
+
+def _unread(document: Mapping[str, Any], term: Mapping[str, Any], function: str) -> str:
+    """Return what changes a term and is not understood, "" where nothing does.
+
+    The parameters of a function without a known state are whoever's who gives its state.
+    """
+    modifiers = term.get("modifiers")
+    if modifiers:
+        listed = modifiers if isinstance(modifiers, list) else [modifiers]
+        return f"modifiers ({', '.join(str(dig(each, 'func') or each) for each in listed)})"
+    params = term.get("params") or {}
+    if not term_state(function):
+        return ""
+    if not isinstance(params, Mapping):
+        return f"params ({params})"
+    for key, value in params.items():
+        if value is None:
+            continue
+        known = {
+            "asset_cfg": dig(value, "name") in (None, "robot") and isinstance(value, Mapping),
+            "command_name": value == "base_velocity"
+            or "VelocityCommand" in str(dig(document, "commands", str(value), "class_type")),
+            "action_name": isinstance(value, str) and value in document["actions"],
+            "period": function == "gait_phase",
+        }
+        if not known.get(key):
+            shown = dig(value, "name") or value
+            return f"params.{key} ({shown})"
+    return ""

@@ -1,6 +1,8 @@
-"""What the training configurations share: period, command ranges, values by joint-name pattern.
+"""What the training configurations share: period, command ranges, joints and values by pattern.
 
-A value by pattern stands as Isaac Lab writes it: a number, or {pattern: number}.
+A value by pattern stands as Isaac Lab writes it: a number, or {pattern: number}. Joints are chosen
+as its `SceneEntityCfg` does: by `joint_names`, which are patterns, in the articulation's order
+unless `preserve_order` is set, else by `joint_ids`.
 """
 
 from __future__ import annotations
@@ -10,19 +12,25 @@ import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from unicon_core.errors import alternatives
+from unicon_core.located_yaml import Tagged
 from unicon_core.policies.facts import Facts
 
 __all__ = [
     "RENAMED_RANGES",
+    "chosen_ids",
+    "chosen_joints",
     "clip_before_scale",
     "command_ranges",
     "matching",
     "say_period",
+    "stated_order",
     "values_by_pattern",
 ]
 
 # A command's name in legged_gym and holosoma -> its name in a contract.
 RENAMED_RANGES = {"ang_vel_yaw": "ang_vel_z"}
+_ALL = "slice(None, None, None)"  # as Isaac Lab dumps it
 
 
 def say_period(facts: Facts, dt: Any, decimation: Any, word: str) -> None:
@@ -78,6 +86,62 @@ def _matches(pattern: object, joint: str) -> bool:
 def matching(patterns: Sequence[object], joints: Sequence[str]) -> list[str]:
     """Return the joints whose whole name matches one of the patterns, in joint order."""
     return [joint for joint in joints if any(_matches(p, joint) for p in patterns)]
+
+
+def stated_order(chosen: Any) -> list[str] | None:
+    """Return the joints where they are named one by one in an order that is kept, else None.
+
+    Args:
+        chosen: holds `joint_names` and `preserve_order`.
+    """
+    names = _names(chosen)
+    said = bool(names) and all(re.fullmatch(r"[\w/-]+", name) for name in names)
+    kept = isinstance(chosen, Mapping) and chosen.get("preserve_order") is True
+    return list(dict.fromkeys(names)) if said and (kept or len(names) == 1) else None
+
+
+def chosen_joints(chosen: Any, joints: Sequence[str]) -> list[str] | None:
+    """Return the joints that `joint_names` and `preserve_order` choose; None: it has no names.
+
+    Args:
+        chosen: holds them.
+        joints: all joints, in the articulation's order.
+
+    Raises:
+        ValueError: a name or pattern is none of the joints.
+    """
+    names = _names(chosen)
+    for name in names:
+        if not matching([name], joints):
+            raise ValueError(
+                f"joint_names has {name!r}, which is none of the joints; "
+                f"{alternatives(name, joints)}"
+            )
+    if not names:
+        return None
+    if chosen.get("preserve_order") is True:
+        return list(dict.fromkeys(joint for name in names for joint in matching([name], joints)))
+    return matching(names, joints)
+
+
+def chosen_ids(joint_ids: Any) -> list[int] | None:
+    """Return the places that `joint_ids` chooses; None: all.
+
+    Raises:
+        ValueError: it is something else.
+    """
+    if joint_ids is None or joint_ids == _ALL or isinstance(joint_ids, Tagged):
+        return None
+    if not isinstance(joint_ids, list) or not all(isinstance(i, int) for i in joint_ids):
+        raise ValueError(f"joint_ids is {joint_ids!r}; give places, or null")
+    return joint_ids
+
+
+def _names(chosen: Any) -> list[str]:
+    names = chosen.get("joint_names") if isinstance(chosen, Mapping) else None
+    return (
+        list(map(str, names)) if isinstance(names, list) else [] if names is None else [str(names)]
+    )
 
 
 def values_by_pattern(

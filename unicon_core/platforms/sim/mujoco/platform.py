@@ -108,7 +108,7 @@ class MujocoPlatform:
         model = self.model = loaded.model
         tell_bodies(loaded, scene.payload, scene.contact_friction)
         self.model_path = loaded.path
-        self.decimation = steps_in(period, float(model.opt.timestep), loaded.path)
+        self.decimation = steps_in(period, float(model.opt.timestep), loaded.path, "mujoco")
         unmeasured = BASE_STATES if loaded.base is None else ()
         writes = [name for name in SIMULATED if name in states and name not in unmeasured]
         self.facts = replace(self.facts, writes=tuple(writes))
