@@ -203,7 +203,7 @@ class Monitor:
     FALL_HEIGHT = 0.5
     """Share of its height at first below which a base has sunk."""
     ODOMETRY = 0.1
-    """Height in [m] up to which an odometry may have begun, and no base is judged."""
+    """Height in [m] up to which no base is judged: an odometry may begin at a zero of its own."""
 
     name = "report"
     reads = ("base_pos_w", "projected_gravity", *COMMAND_STATES)
