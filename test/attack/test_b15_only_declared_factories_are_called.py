@@ -64,6 +64,7 @@ def test_an_undeclared_function_is_refused_before_the_call(
 ) -> None:
     path = workflow(folder, BASE.replace("{hold: {duration: 0.1}}", f"{{call: {call}}}"))
     status, spoken = told(capsys, command, path)
+    spoken = " ".join(spoken.split())
     assert status == 1
     assert not (folder / "pwn").exists()
     assert "does not say that it makes one, so it is not called" in spoken
@@ -79,7 +80,7 @@ def test_an_undeclared_platform_is_refused_before_the_call(
     status, spoken = told(capsys, command, path, "--set", "platform=attack_module:make")
     assert status == 1
     assert not (folder / "pwn").exists()
-    assert "annotate what it returns (-> Platform" in spoken
+    assert "annotate what it returns (-> Platform" in " ".join(spoken.split())
 
 
 @pytest.mark.parametrize("name", ["block", "ticking", "Counting"])

@@ -34,9 +34,12 @@ def state(spec: str) -> str:
 
 WORKFLOWS = {
     "pose to a number": (with_flow("{pose: {to: -1}}"), "block 'pose': to is -1; give a text or"),
-    "pose to nan": (with_flow("{pose: {to: {'*_hip_joint': .nan}}}"), "block 'pose': to is "),
+    "pose to nan": (
+        with_flow("{pose: {to: {'*_hip_joint': .nan}}}"),
+        "block 'pose': to.*_hip_joint is ",
+    ),
     "sway by a list": (with_flow("{sway: ['a']}"), "block 'sway': gains is ['a']; give a mapping"),
-    "sway by rows": (with_flow("{sway: {gains: {'*': ['a', 1, 2]}}}"), "block 'sway': gains is "),
+    "sway by rows": (with_flow("{sway: {gains: {'*': ['a', 1, 2]}}}"), "block 'sway': gains.* is "),
     "endless pose": (with_flow("{pose: {to: stand, duration: 1e308}}"), "duration is 1e+308; give"),
     "hold for inf": (with_flow("{hold: {duration: .inf}}"), "duration is inf; give a time"),
     "hold for nan": (with_flow("{hold: {duration: .nan}}"), "duration is nan; give a number"),

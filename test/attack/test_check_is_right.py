@@ -117,7 +117,7 @@ def test_a_policy_that_only_stands_up_is_not_suspect(folder: Path) -> None:
     path = write_workflow(folder, {"observation.terms": terms}, inputs=15)
     result = check_workflow(path, ["check.duration=1"], twin=True)
     assert result.clean, result.text()
-    assert "it does as well" in note_of(result, "twin.suspect")
+    assert "the network hardly responds" in note_of(result, "twin.suspect")
 
 
 def test_scales_that_are_one_are_doubled_by_nobody(folder: Path) -> None:

@@ -247,7 +247,7 @@ def _observation(
 def _unread(document: Mapping[str, Any], term: Mapping[str, Any], function: str) -> str:
     """Return what changes a term and is not understood, "" where nothing does.
 
-    The parameters of a function without a known state are whoever's who gives its state.
+    A function without a known state has parameters that only a given state can mind.
     """
     modifiers = term.get("modifiers")
     if modifiers:
