@@ -290,7 +290,7 @@ ROWS = [
         ("JointSensorStop._look", "beyond[k] > step", "False"),
         ("JointSensorStop._look", "sum_of > self._drift + ", "sum_of > 100 * self._drift + "),
         ("JointSensorStop._look", "total[...] = 0.0", "pass"),
-        ("JointSensorStop.__call__", "dt <= self.LONGEST", "dt"),
+        ("JointSensorStop.__call__", "dt <= self._longest", "dt"),
         ("JointSensorStop.__call__", "off *= self.looked_at", "pass"),
     ),
     *_rows(

@@ -20,7 +20,7 @@ from unicon_core.models.quaternions import Float, about, multiply, rotate
 from unicon_core.models.touching import solid
 from unicon_core.robots import Robot
 
-__all__ = ["frame_of", "read_tree", "tree_of"]
+__all__ = ["BASE", "frame_of", "read_tree", "tree_of"]
 
 BASE = "base_link"
 """In every tree (REP-105): its root, or where the robot calls its base otherwise fixed to that. The
@@ -84,11 +84,13 @@ class _Reader:
 
     def _read(self) -> None:
         robot, model = self._robot, self._model
-        base, none = Link(robot.base_frame or BASE, -1), np.zeros(3)
-        self.links.append(base)
-        if base.name != BASE:
-            self.links.append(Link(BASE, 0))
-        self.of_body[self._root] = (0, none)
+        none = np.zeros(3)
+        names = dict.fromkeys((BASE, robot.base_frame or BASE))
+        # Odometry tells of a base that moves; a fixed one stands below `base_link` in the world.
+        for name in reversed(names) if self._root else names:
+            self.links.append(Link(name, min(len(self.links), 1) - 1))
+        base, root = self.links[0], 0 if self._root else len(names) - 1
+        self.of_body[self._root] = (root, none)
         if self._root:
             self._dress(base, self._root, none)
         for body in range(1, model.nbody):
@@ -101,7 +103,7 @@ class _Reader:
         imu = robot.imu
         taken = {link.name for link in self.links}
         if imu is not None and imu.frame not in taken and np.isfinite(imu.position).all():
-            link = Link(imu.frame, 0, imu.position.astype(float))
+            link = Link(imu.frame, root, imu.position.astype(float))
             if np.isfinite(imu.quat).all():
                 link.quat = imu.quat.astype(float)
             self.links.append(link)

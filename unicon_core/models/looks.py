@@ -56,7 +56,11 @@ def dressed(path: Path, robot: Robot) -> tuple[LoadedModel, list[Link], str]:
     loaded = load_model(path, robot, quiet=True, prepare=note)
     links = read_tree(loaded.model, robot)
     files = MeshFiles(_models(path, robot))
-    own = give_visuals(path, links, files) if path.suffix.lower() == ".urdf" else set()
+    own = (
+        give_visuals(path, links, robot.base_frame, files)
+        if path.suffix.lower() == ".urdf"
+        else set()
+    )
     for link in links:
         if link.name not in own:
             _dress(link, loaded.model, references, files)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from unicon_core.models.kinematic_tree import BASE
 from unicon_core.models.links import Geom, Link
 from unicon_core.models.mesh_files import MeshFiles
 from unicon_core.models.quaternions import about, multiply
@@ -17,7 +18,7 @@ from unicon_core.models.urdf_repair import repaired_urdf
 __all__ = ["give_visuals"]
 
 
-def give_visuals(path: Path, links: Sequence[Link], files: MeshFiles) -> set[str]:
+def give_visuals(path: Path, links: Sequence[Link], base_frame: str, files: MeshFiles) -> set[str]:
     """Give links the visuals of a URDF, if any is a mesh; return the names of its links."""
     root = Xml.fromstring(repaired_urdf(path, []) or path.read_text("utf-8-sig", "replace"))
     compiler = root.find("mujoco/compiler")
@@ -34,7 +35,7 @@ def give_visuals(path: Path, links: Sequence[Link], files: MeshFiles) -> set[str
     for element in root.findall("link"):
         name = element.get("name", "")
         if name not in by_name and name not in children:
-            name = links[0].name  # the root is called as the robot file says
+            name = base_frame or BASE  # the root is called as the robot file says
         visuals = [_visual(v, path, folder, colours, files) for v in element.findall("visual")]
         looks.setdefault(name, []).extend(geom for geom in visuals if geom is not None)
         if visuals:
