@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from unicon_core import __version__
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.workflow import Program, load_document
 from unicon_ros.cli.main import main
@@ -97,7 +98,8 @@ def test_prometheus_reads_what_the_run_does(metering: Metering) -> None:
         time.sleep(0.1)
     found = metering.figures()
     names = {name for name, _ in found}
-    about = {"workflow": 'walk "a\\b', "robot": "go2", "platform": "fake", "version": "0.1.0"}
+    about = {"workflow": 'walk "a\\b', "robot": "go2", "platform": "fake"}
+    about |= {"version": __version__}
     assert found["unicon_run_info", tuple(about.items())] == 1
     ticks = found["unicon_ticks_total", ()]
     assert ticks > 20
