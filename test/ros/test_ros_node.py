@@ -217,6 +217,7 @@ pacing: {hang: 20}
 ASKS = "waiting for the operator's go"
 
 
+@pytest.mark.alone  # a caller whose answer takes 10 s gives up
 def test_a_robot_waits_for_the_operator_and_start_is_his_go(
     nodes: Start, peers: Start, tmp_path: Path
 ) -> None:
