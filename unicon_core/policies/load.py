@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from unicon_core.bounded_yaml import YamlError
 from unicon_core.errors import PolicyError, alternatives
-from unicon_core.located_yaml import parse_value, read_yaml
+from unicon_core.located_yaml import read_yaml
 from unicon_core.policies.agree import check_agreement
 from unicon_core.policies.build import build_contract
 from unicon_core.policies.chain_facts import check_chain
@@ -46,7 +45,6 @@ from unicon_core.robots import Robot, load_robot
 
 __all__ = [
     "ImportReport",
-    "given_names",
     "import_policy",
     "load_policy",
     "policy_names",
@@ -159,22 +157,6 @@ def refuse_to_replace(path: Path, force: bool) -> None:
     """Raise a PolicyError where something is at a path that is to be written, unless `force`."""
     if os.path.lexists(path) and not force:
         raise PolicyError(f"{path} is there; give another --out, or replace it: --force")
-
-
-def given_names(text: str) -> dict[str, Any]:
-    """Return the fact `joints` of `--joints`: names with commas, a file of a list, or a mapping.
-
-    Raises:
-        PolicyError: the file is no YAML.
-    """
-    if os.path.isfile(os.path.expanduser(text)):
-        value = read_yaml(Path(text).expanduser(), PolicyError).value
-    else:
-        try:
-            value = parse_value(text)
-        except YamlError as error:
-            raise PolicyError(f"--joints {text}: {error}; give NAME,NAME… or a file") from error
-    return {"joints": re.split(r"[\s,]+", value.strip(" ,")) if isinstance(value, str) else value}
 
 
 def _config_policy(name: str) -> Path | None:

@@ -5,10 +5,13 @@ from __future__ import annotations
 import argparse
 import inspect
 import json
+import os
+import re
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from unicon_core.aligned import aligned
-from unicon_core.errors import PlatformError, UniconError, WorkflowError
+from unicon_core.errors import PlatformError, PolicyError, UniconError, WorkflowError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -149,10 +152,24 @@ def _fetch(arguments: argparse.Namespace) -> int:
 
 
 def _told(arguments: argparse.Namespace) -> dict[str, Any]:
-    from unicon_core.policies.load import given_names
-
-    given = given_names(arguments.joints) if arguments.joints else None
+    given = {"joints": _joints(arguments.joints)} if arguments.joints else None
     return {"force": arguments.force, "robot": _robot(arguments), "given": given}
+
+
+def _joints(text: str) -> Any:
+    """Return what `--joints` says: names with commas, a file of a list, or a mapping."""
+    from unicon_core.bounded_yaml import YamlError
+    from unicon_core.located_yaml import parse_value, read_yaml
+
+    path = Path(text).expanduser()
+    if os.path.isfile(path):
+        value = read_yaml(path, PolicyError).value
+    else:
+        try:
+            value = parse_value(text)
+        except YamlError as error:
+            raise PolicyError(f"--joints {text}: {error}; give NAME,NAME… or a file") from error
+    return re.split(r"[\s,]+", value.strip(" ,")) if isinstance(value, str) else value
 
 
 def _robot(arguments: argparse.Namespace) -> Robot | None:
