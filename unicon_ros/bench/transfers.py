@@ -191,7 +191,8 @@ def _run(path: Path, values: Mapping[str, Any], transfer: Transfer) -> tuple[boo
     if said["faults"]:
         return False, said["faults"][0]
     moved = (robot.moved or said["base_displacement_m"])[0]
-    held = ", hanging on a gantry" if "--hang" in transfer.robot else ""
+    hangs = "--hang" in transfer.robot or said["fell"] is None  # here or in the scene
+    held = ", hanging on a gantry" if hangs else ""
     fell = ", and fell" if said["fell"] else ""
     told = f"{said['ticks']} ticks, {moved:+.2f} m ahead{held}{fell}"
     return done.returncode == 0 and not fell, told
