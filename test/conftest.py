@@ -40,6 +40,8 @@ for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"):
     os.environ[name] = str(ROOT / "config" / "dds" / "fast_discovery.xml")
 settings.register_profile("busy", deadline=None)  # a busy machine takes its time for an example
 settings.load_profile("busy")
+if (ASSETS := ROOT.parent / "shared" / "assets").is_dir():
+    os.environ.setdefault("UNICON_ASSETS", str(ASSETS))
 os.environ.setdefault("UNICON_TURNS", LOG_DIR)  # workers have that of who starts them
 SMOKE = os.environ.get("UNICON_TESTS") == "smoke"
 
@@ -170,8 +172,7 @@ def at_hand() -> Callable[[str], None]:
 @pytest.fixture(scope="session")
 def assets() -> Path:
     """The folder with other people's models and policies, which are not part of the repository."""
-    named = os.environ.get("UNICON_ASSETS")
-    folder = Path(named) if named else ROOT.parent / "shared" / "assets"
+    folder = Path(os.environ.get("UNICON_ASSETS") or ASSETS)
     if not (folder / "README.md").is_file():
         pytest.skip(f"no assets at {folder}: set UNICON_ASSETS to the folder with the test assets")
     return folder

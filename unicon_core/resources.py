@@ -188,10 +188,10 @@ def assets_root() -> Path | None:
 def assets_roots() -> Iterator[Path]:
     """Yield the existing folders of other people's models and policies, the first one wins.
 
-    `UNICON_ASSETS`, else `../shared/assets` beside the source tree; then what was fetched.
+    `UNICON_ASSETS`, then what was fetched.
     """
     given = os.environ.get("UNICON_ASSETS")
-    own = Path(given).expanduser() if given else _SOURCE_TREE.parent / "shared" / "assets"
+    own = Path(given).expanduser() if given else None
     for path in (own, assets_cache()):
         if path is not None and os.path.isdir(path):
             yield path

@@ -89,6 +89,27 @@ def test_the_library_path_of_a_sourced_ros_stays(make_venv: ModuleType) -> None:
     assert make_venv.clean_environment(sourced) == sourced
 
 
+def test_uv_gets_what_pip_is_set_to(make_venv: ModuleType) -> None:
+    listed = (
+        ":env:.constraint='/g.txt'\nglobal.constraint='/h.txt'\n"
+        "global.index-url='https://a/simple'\nglobal.extra-index-url='file:///b https://c'\n"
+        "install.find-links='/d\\n/e'\n:env:.cert='/f.crt'\n"
+    )
+    found = make_venv.uv_environment(listed)
+    assert found.pop("UV_INDEX_STRATEGY") == "unsafe-best-match"  # as pip does
+    assert found == {
+        "UV_DEFAULT_INDEX": "https://a/simple",
+        "UV_INDEX": "file:///b https://c",
+        "UV_FIND_LINKS": "/d,/e",
+        "UV_CONSTRAINT": "/g.txt",
+        "UV_SYSTEM_CERTS": "1",
+    }
+
+
+def test_pip_installs_where_uv_has_no_equal_of_a_setting(make_venv: ModuleType) -> None:
+    assert make_venv.uv_environment("global.proxy='http://p'\n") is None
+
+
 @pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
 def test_make_venv_with_an_old_python_prints_one_line_and_creates_nothing(tmp_path: Path) -> None:
     # A stand-in python3 that runs the script under a version that is too old.

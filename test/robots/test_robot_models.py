@@ -1,7 +1,7 @@
 """Names, order and limits agree with the vendors' models, where these are at hand.
 
 The models are other people's and are not part of the project: they are found through
-`UNICON_ASSETS`, else beside the checkout.
+`UNICON_ASSETS`.
 """
 
 from __future__ import annotations

@@ -230,7 +230,8 @@ def test_a_robot_waits_for_the_operator_and_start_is_his_go(
     callers, waits = [], []
     for each in (words, again):
         callers.append(peers("caller", "unicon", *each))
-        assert callers[-1].end(60)[0] == 0
+        status, errors = callers[-1].end(60)
+        assert status == 0, errors
         waits.append(node.errors.count(ASKS))
     lines = [line for caller in callers for line in caller.lines]
     told = [(line["word"], line.get("message", line.get("state"))) for line in lines]

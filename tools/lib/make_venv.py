@@ -5,6 +5,7 @@ not a syntax error: keep this file free of syntax newer than Python 3.6.
 """
 
 import argparse
+import ast
 import os
 import platform
 import subprocess
@@ -33,6 +34,16 @@ EXTRAS = [
 # ros-wheels-bootstrapper starts Python a second time with a library path of its own venv and leaves
 # both variables to every child process; in another venv they load the wrong libraries.
 BOOTSTRAP_GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
+# Settings of pip, and uv's variable for each (docs.astral.sh/uv/reference/environment); both take
+# several values with spaces between them.
+UV_SETTINGS = {
+    "index-url": "UV_DEFAULT_INDEX",
+    "extra-index-url": "UV_INDEX",
+    "find-links": "UV_FIND_LINKS",
+    "constraint": "UV_CONSTRAINT",
+}
+# What uv does by itself or does not need.
+UV_NEEDS_NOT = ("cert", "default-timeout", "timeout", "disable-pip-version-check", "cache-dir")
 
 
 def obstacle(version, has_venv):
@@ -87,6 +98,39 @@ def clean_environment(environ):
     return env
 
 
+def uv_environment(pip_config):
+    """Return uv's variables for pip's settings; None where it has no equal of one of them.
+
+    Args:
+        pip_config: as `pip config list` prints it, such as `global.index-url='https://…'`.
+    """
+    found = {"UV_INDEX_STRATEGY": "unsafe-best-match", "UV_SYSTEM_CERTS": "1"}  # as pip does
+    for line in reversed(pip_config.splitlines()):  # pip's variables come first, and win
+        name, _, value = line.partition("=")
+        key = name.rpartition(".")[2]
+        if key in UV_SETTINGS:
+            separator = "," if key == "find-links" else " "
+            found[UV_SETTINGS[key]] = separator.join(ast.literal_eval(value).split())
+        elif key not in UV_NEEDS_NOT:
+            return None
+    return found
+
+
+def install(python, arguments, env, with_uv):
+    """Install with uv, which takes a quarter of the time, else with pip; return the exit status."""
+    pip = [python, "-m", "pip", "--disable-pip-version-check"]
+    config = subprocess.run([*pip, "config", "list"], env=env, stdout=subprocess.PIPE)
+    settings = uv_environment(config.stdout.decode()) if with_uv else None
+    if settings is not None and not subprocess.call([*pip, "install", "--quiet", "uv"], env=env):
+        uv = os.path.join(os.path.dirname(python), "uv")
+        command = [uv, "pip", "install", "--quiet", "--python", python, *arguments]
+        if not subprocess.call(command, env={**env, **settings}):
+            return 0
+        print("make venv: uv failed (see above); pip tries it")
+        sys.stdout.flush()
+    return subprocess.call([*pip, "install", "--quiet", *arguments], env=env)
+
+
 def has_modules(*names):
     """Return whether all these modules import."""
     try:
@@ -128,9 +172,8 @@ def main():
     package = ".[{}]".format(",".join(extras))
     print(f"make venv: installing {package} and what it needs; this takes a minute or two")
     sys.stdout.flush()
-    pip = [python, "-m", "pip", "--disable-pip-version-check", "install", "--quiet"]
-    done = subprocess.run([*pip, "--editable", package, *constraints], env=env)
-    if done.returncode:
+    # uv does not look at the packages of a sourced ROS.
+    if install(python, ["--editable", package, *constraints], env, with_uv=not venv_args):
         sys.exit("make venv: pip failed (see above): mend that and run 'make venv' again")
     if note:
         print("make venv: " + note)
