@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,9 +20,9 @@ pytest.importorskip("mujoco", reason="mujoco is not installed: pip install 'unic
 from unicon_core.platforms.sim.mujoco.platform import make
 
 
-def held(scene: Scene, robots: int | None = None) -> Any:
-    """Return a Go2 in MuJoCo, its states beside it."""
-    robot = load_robot("go2")
+def held(scene: Scene, robots: int | None = None, name: str = "go2") -> Any:
+    """Return a robot in MuJoCo, its states beside it."""
+    robot = load_robot(name)
     states = States(Layout(standard_states(robot.joint_names), robots))
     return states, make(states, robot, 0.02, scene=scene)
 
@@ -51,6 +52,17 @@ def test_a_gantry_bears_a_limp_robot_and_brings_it_back(terrain: str) -> None:
     platform.change(Scene(initial_height=0.6, terrain=terrain))  # as one without it
     limp(states, platform, 1.0)
     assert states["base_pos_w"][2] < 0.4
+
+
+@pytest.mark.parametrize("name", ["a1", "b2", "g1_29dof", "go1", "h1", "h1_2", "t1"])
+def test_a_gantry_bears_robots_of_all_weights(assets: Path, name: str) -> None:
+    """Of a Go1, whose model integrates its damping explicitly, the physics blew up."""
+    if not (assets / "models" / name).is_dir():
+        pytest.skip(f"no model of {name} in {assets}")
+    states, platform = held(Scene(gantry=True, initial_height=2.0), name=name)
+    limp(states, platform, 2.0)
+    assert states["base_pos_w"] == pytest.approx([0.0, 0.0, 2.0], abs=0.01)
+    assert states["projected_gravity"][2] < -0.99
 
 
 def test_it_holds_every_robot_of_a_batch() -> None:

@@ -25,13 +25,18 @@ def hold(model: Any, base: int, qpos: NDArray[np.float64]) -> None:
         f = k (p* - p) - 2 m w v,   t = k (q* - q) - 2 sqrt(k m) r omega,   k = m w²
 
     with the mass m [kg] of all that hangs, and p* higher by g / w², so that the springs bear it.
-    MuJoCo's free joint has one stiffness, in [N/m] and in [N·m/rad].
+    MuJoCo's free joint has one stiffness, in [N/m] and in [N·m/rad]. A light base on limp legs
+    needs dampers that are integrated implicitly, so Euler does that from here on, even where the
+    model forbids it (`eulerdamp`).
 
     Args:
         model: the `MjModel`, which is changed.
         base: number of its free joint.
         qpos: where the robot begins, shape (nq,).
     """
+    from mujoco import mjtDisableBit
+
+    model.opt.disableflags &= ~int(mjtDisableBit.mjDSBL_EULERDAMP)
     w, mass = 2.0 * math.pi * FREQUENCY, float(model.body_subtreemass[model.jnt_bodyid[base]])
     pose, twist = int(model.jnt_qposadr[base]), int(model.jnt_dofadr[base])
     model.jnt_stiffness[base] = mass * w * w
