@@ -43,6 +43,7 @@ def main(name: str, module: str, domain: str) -> None:
     commands, period = 0, 1.0 / made.rate
     states["joint_pos_target"][...] = states["joint_pos"]
     rng = np.random.default_rng(1)
+    before = time.monotonic()
     while not ended:
         states["base_ang_vel"][...] = rng.normal(size=3) * 1e-3  # or the IMU is told to stand still
         made.now = time.monotonic()
@@ -54,7 +55,10 @@ def main(name: str, module: str, domain: str) -> None:
             commands += 1
         driven = states["joint_stiffness"].any() or robot.position_controlled
         away = states["joint_pos_target"] - states["joint_pos"]
-        states["joint_pos"] += FOLLOWS * driven * away
+        now, step = time.monotonic(), FOLLOWS * driven * away
+        states["joint_pos"] += step
+        states["joint_vel"][...] = step / (now - before)
+        before = now
         time.sleep(period)
     stiffness = float(states["joint_stiffness"].max())
     say(end=states["joint_pos"].tolist(), stiffness=stiffness, commands=commands)
