@@ -269,11 +269,28 @@ def test_encoder_stop_counts_ticks_and_motion(bench: Build) -> None:
         return k
 
     assert ticks(0.2) == 4  # the fifth tick, 0.1 s after it froze
-    assert ticks(0.01) in (9, 10)  # as soon as the target is 0.1 rad away
+    assert ticks(0.01) in (13, 14)  # 0.1 s after the target is 0.1 rad away
     motion = 3.1
     assert ticks(0.1) == 30  # just inside
     motion, timeout = 0.1, 1.0
     assert ticks(0.1) == 30
+
+
+def test_a_joint_that_rested_has_no_less_time_to_follow_than_one_that_moves(bench: Build) -> None:
+    it = made(bench)
+    block = it.block("encoder_stop")
+    for _ in range(100):
+        block.tick()
+    for _ in range(4):
+        it.states.joint_pos_target[3] += 0.2
+        block.tick()
+        it.states.joint_pos[5] += 0.01  # the others' noise is none of its business
+    it.states.joint_pos[3] += 0.01
+    block.tick()
+    for _ in range(4):
+        it.states.joint_pos_target[3] += 0.2
+        block.tick()
+    assert ticks_until_fault(block)[0] == 0
 
 
 @BATCH

@@ -36,14 +36,15 @@ def encoder_stop(
     timeout: float = 0.1,
     motion: float = 0.1,
 ) -> EncoderStop:
-    """Stop where a joint's position has the same bits for some time though its target moves.
+    """Stop where a joint's position keeps its bits for some time after its target has moved.
 
     A joint that takes positions and closes the loop itself is not looked at: the fingers of a hand
     are meant to stop at what they grip, and tell the same position until they let go.
 
     Args:
-        timeout: in [s] of ticks with the same bits.
-        motion: by which the target has moved meanwhile, in [rad].
+        timeout: in [s] of ticks with the same bits, from the one on in which the target was first
+            so far away.
+        motion: by which the target has moved since the position last changed, in [rad].
     """
     timeout = within(timeout, "timeout", "s", STALE, what="encoder_stop")
     motion = within(motion, "motion", "rad", POSITION, what="encoder_stop")
@@ -75,7 +76,7 @@ class EncoderStop:
         self._names, self._ticks, self._motion = joint_names, ticks, motion
         self._last, self._reference = np.full_like(pos, np.nan), np.zeros_like(pos)
         self._moves = np.ones(pos.shape, np.bool_)
-        self._since = np.zeros(pos.shape, np.int64)
+        self._since, self._asked_at = (np.zeros(pos.shape, np.int64) for _ in range(2))
         self._tick = self._all = self._began = 0
         self._asked = np.zeros_like(pos)
         self.looked_at = np.ones(pos.shape, np.bool_)
@@ -108,9 +109,11 @@ class EncoderStop:
             self._look()
 
     def _look(self) -> None:
+        over = ~(np.abs(self._asked) <= self._motion) & (self._stiffness > 0.0) & self.looked_at
+        # A joint that rested before has no less time to follow.
+        np.copyto(self._asked_at, self._tick, where=over & (self._asked_at <= self._since))
         same = self._tick - self._since
-        stuck = (same >= self._ticks) & ~(np.abs(self._asked) <= self._motion)
-        stuck &= (self._stiffness > 0.0) & self.looked_at
+        stuck = over & (self._tick - self._asked_at + 1 >= self._ticks)
         if stuck.any():
             index = tuple(int(i) for i in np.argwhere(stuck)[0])
             who = f"robot {index[0]}, " if len(index) > 1 else ""
