@@ -49,7 +49,7 @@ def test_its_commands_run_and_go2_walks_in_both(
         assert main(command[1:]) == 0, command
         printed = capsys.readouterr().out
         if command[1] == "analyze":
-            assert "differs most" in printed
+            assert "No joint stands out" in printed  # both are the same sound robot
             continue
         rows = [line.split() for line in printed.splitlines() if "3/3" in line]
         assert [row[0] for row in rows] == ["mujoco", "pybullet"]
