@@ -11,7 +11,7 @@ import pytest
 
 from unicon_core.errors import WorkflowError
 from unicon_core.located_yaml import read_yaml
-from unicon_core.workflow import load_document, workflow_names
+from unicon_core.workflow import load_document, load_workflow, workflow_names
 from unicon_core.workflow.overrides import set_value, split_setting
 from unicon_core.workflow.platform_use import read_platforms
 from unicon_ros.cli.main import main
@@ -174,3 +174,10 @@ def test_options_below_the_platforms_name_are_told_where_they_stand(tmp_path: Pa
     document = load_document(path, ["platform.unitree.address=lo"])
     with pytest.raises(WorkflowError, match=r"or --set platforms\.unitree\.address=VALUE"):
         read_platforms(document)
+
+
+@pytest.mark.parametrize("setting", ["scene.push.velocty=1", "scene.joints.*_knee.damping=1"])
+def test_an_option_that_was_set_is_named_and_not_the_line_that_lacks_it(setting: str) -> None:
+    with pytest.raises(WorkflowError) as caught:
+        load_workflow("go2_walk", [setting])
+    assert str(caught.value).startswith(f"--set {setting.partition('=')[0]}: scene.")

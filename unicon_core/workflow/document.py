@@ -92,8 +92,11 @@ class WorkflowDocument:
         return self.located.where(path)
 
     def error(self, message: str, *path: str | int) -> WorkflowError:
-        """Return the error for a value."""
-        return WorkflowError(message, self.where(*path))
+        """Return the error for a value, or for what was set below it and the message names."""
+        below = ".".join(map(str, (*path, "")))
+        named = (x for x in self.overridden if x.startswith(below) and _last(x) in message)
+        found = next(named, "") if path else ""
+        return WorkflowError(message, f"--set {found}" if found else self.where(*path))
 
     def get(self, key: str, kind: type | tuple[type, ...], default: Any = None) -> Any:
         """Return a top-level value of the kind wanted.
@@ -111,6 +114,11 @@ class WorkflowDocument:
         if isinstance(value, float) and not math.isfinite(value):
             raise self.error(f"{key}: {value!r} is not a finite number", key)
         return value
+
+
+def _last(dotted: str) -> str:
+    """Return the last key of a path as messages quote it."""
+    return repr(dotted.rpartition(".")[2])
 
 
 _KIND_NAMES = {dict: "mapping", list: "list", str: "word", int: "number", float: "number"}
