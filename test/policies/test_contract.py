@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -223,6 +224,25 @@ def test_a_term_without_a_state_is_asked_for_by_name(tmp_path: Path) -> None:
         ": the policy.yaml does not say observation.terms.ang_vel.state (the state that it is "
         "taken from); add it to policy.yaml"
     )
+
+
+@pytest.mark.parametrize(
+    ("observation", "expected"),
+    [
+        ("{terms: [5]}", "observation.terms[0] has no name; "),
+        ("{terms: 5}", "observation.terms is not a list; "),
+    ],
+)
+def test_a_wrong_observation_is_refused_where_terms_are_given(
+    tmp_path: Path, observation: str, expected: str
+) -> None:
+    path = write(tmp_path)
+    text = path.read_text("utf-8")
+    path.write_text(f"{text[: text.index('observation:')]}observation: {observation}\n", "utf-8")
+    write_toy(tmp_path / "network")
+    (tmp_path / "policy.onnx").write_bytes((tmp_path / "network/policy.onnx").read_bytes())
+    with pytest.raises(PolicyError, match=re.escape(expected)):
+        load_policy(path, given={"observation.terms": {"ang_vel": {"scale": 1.0}}})
 
 
 def test_what_is_written_reads_back_equal(tmp_path: Path) -> None:

@@ -322,6 +322,28 @@ def test_exact_values_may_replace_rounded_ones(tmp_path: Path) -> None:
     np.testing.assert_array_equal(contract.stiffness, np.float32(exact))
 
 
+@pytest.mark.parametrize("term", [0.05, None, "fast", [1.0], True])
+def test_a_given_term_that_is_no_mapping_is_named(tmp_path: Path, term: Any) -> None:
+    path = write(tmp_path, OLD)
+    with pytest.raises(PolicyError) as caught:
+        load_policy(path, given={"observation.terms": {"joint_pos": term}})
+    assert str(caught.value) == (
+        f"{path}: given observation.terms.joint_pos is {term}; give a mapping, such as "
+        "{scale: 0.05}"
+    )
+
+
+@pytest.mark.parametrize("terms", [5, True, float("nan"), "joint_pos"])
+def test_given_terms_that_are_no_collection_are_refused(tmp_path: Path, terms: Any) -> None:
+    path = write(tmp_path, OLD)
+    with pytest.raises(PolicyError) as caught:
+        load_policy(path, given={"observation": {"terms": terms}})
+    assert str(caught.value) == (
+        f"{path}: given observation.terms is {terms}; give a mapping, such as "
+        "{joint_vel: {scale: 0.05}}, or a list"
+    )
+
+
 def test_given_terms_must_be_those_of_the_source(tmp_path: Path) -> None:
     path = write(tmp_path, OLD)
     with pytest.raises(PolicyError) as caught:

@@ -6,14 +6,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from unicon_core.errors import PolicyError, alternatives
+from unicon_core.errors import PolicyError
 from unicon_core.located_yaml import Where
 from unicon_core.resources import file_beside
 
@@ -22,10 +20,9 @@ __all__ = [
     "Facts",
     "dig",
     "dotted",
-    "given_joints",
-    "merge_given",
     "missing_facts",
     "says",
+    "shown",
     "term_state",
 ]
 
@@ -136,7 +133,7 @@ class Facts:
             if name is None:
                 continue
             if not isinstance(name, str):
-                raise self.error((key,), f"{key} is {_show(name)}; name a file")
+                raise self.error((key,), f"{key} is {shown(name)}; name a file")
             try:
                 return file_beside(self.path, name, key, error=PolicyError)
             except PolicyError as error:
@@ -237,145 +234,7 @@ def _said(values: Any, name: str) -> Any:
     return dig(values, *name.split("."))
 
 
-def given_joints(path: Path, given: Mapping[str, Any]) -> list[str] | None:
-    """Return the joint names that the user gives, by which a source's patterns are resolved.
-
-    Raises:
-        PolicyError: they are not a list of names.
-    """
-    joints = given.get("joints")
-    if joints is None:
-        return None
-    if not isinstance(joints, (list, tuple)) or not all(isinstance(j, str) for j in joints):
-        raise PolicyError(f"{path}: given joints is {_show(joints)}; give a list of joint names")
-    return list(joints)
-
-
-def merge_given(facts: Facts, given: Mapping[str, Any]) -> None:
-    """Add facts that the user gives; a fact that the source says otherwise is refused.
-
-    Args:
-        facts: changed in place.
-        given: keys of `policy.yaml`, nested or dotted (`action.scale`); `observation.terms` may be
-            a mapping from a term's name to what is to be added, or the list with terms that the
-            source lacks, and `observation.scale` one factor
-            for every term whose scale was not said.
-
-    Raises:
-        PolicyError: a given fact contradicts the source, or names no term.
-    """
-    nested: dict[str, Any] = {}
-    for key, value in given.items():
-        place = nested
-        *path, last = str(key).split(".")
-        for step in path:
-            place = place.setdefault(step, {})
-            if not isinstance(place, dict):
-                raise PolicyError(
-                    f"{facts.path}: given {_show(key)}: {step} is given as {_show(place)} too; "
-                    "write it once, as a mapping"
-                )
-        if isinstance(value, Mapping) and isinstance(place.get(last), dict):
-            place[last].update(value)
-        else:
-            place[last] = dict(value) if isinstance(value, Mapping) else value
-    observation = nested.get("observation")
-    if isinstance(observation, dict):
-        nested["observation"] = observation = dict(observation)
-        _merge_terms(facts, observation)
-    _merge(facts, facts.values, nested, ())
-    for name in list(facts.asks):
-        if _answered(name, nested, facts.values):
-            del facts.asks[name]
-
-
-def _answered(name: str, given: Mapping[str, Any], values: Mapping[str, Any]) -> bool:
-    if any(_said(tree, name) is not None for tree in (given, values)):
-        return True
-    listed = _said(values, "observation.terms")
-    terms = listed if isinstance(listed, list) else []
-    if name.startswith("observation.terms."):
-        term, _, key = name.removeprefix("observation.terms.").rpartition(".")
-        return any(dig(each, "name") == term and dig(each, key) is not None for each in terms)
-    if name == "observation.scale":
-        return bool(terms) and all("scale" in term for term in terms)
-    return False
-
-
-def _merge_terms(facts: Facts, observation: dict[str, Any]) -> None:
-    """Bring given terms into the source's list of terms, by name."""
-    given = observation.pop("terms", None)
-    target = facts.values.setdefault("observation", {})
-    terms = target.get("terms")
-    if given is not None and not terms:
-        if isinstance(given, Mapping):
-            raise PolicyError(
-                f"{facts.path}: given observation.terms changes terms by name, and the "
-                f"{facts.source} has none; give the whole list of terms in order"
-            )
-        target["terms"] = terms = list(given)
-    elif given is not None and terms:
-        names = [term.get("name") for term in terms]
-        if isinstance(given, Sequence):
-            order = [item.get("name") if isinstance(item, Mapping) else item for item in given]
-            added = all(isinstance(name, str) for name in order)
-            if added and order != names and [name for name in order if name in names] == names:
-                said = dict(zip(names, terms))
-                terms[:] = [said.get(name, {"name": name}) for name in order]
-                names = order
-            if order != names:
-                raise PolicyError(
-                    f"{facts.path}: given observation.terms are {', '.join(map(str, order))} but "
-                    f"the {facts.source} says {', '.join(map(str, names))}; name the same terms in "
-                    "the same order; others may stand between them"
-                )
-            given = {item["name"]: item for item in given if isinstance(item, Mapping)}
-        for name, extra in given.items():
-            if name not in names:
-                raise PolicyError(
-                    f"{facts.path}: given observation.terms has no term {name!r} to change; "
-                    f"{alternatives(str(name), map(str, names))}"
-                )
-            i = names.index(name)
-            _merge(facts, terms[i], dict(extra), ("observation", "terms", i))
-    scale = observation.pop("scale", None)
-    if scale is not None:
-        for term in terms or ():
-            if isinstance(term, dict) and term.get("scale", TO_GIVE) == TO_GIVE:
-                term["scale"] = scale
-        facts.asks.pop("observation.scale", None)
-
-
-def _merge(facts: Facts, said: dict[str, Any], given: Mapping[str, Any], where: Where) -> None:
-    for key, value in given.items():
-        place = (*where, key)
-        known = said.get(key)
-        if isinstance(value, Mapping) and isinstance(known, dict):
-            _merge(facts, known, value, place)
-        elif known in (None, TO_GIVE) or _same(known, value, facts.tolerance):
-            said[key] = value
-        else:
-            word = facts.keys.get(place)
-            raise facts.error(
-                place,
-                f"{facts.source} says {dotted(place)} is {_show(known)}"
-                f"{f' ({word})' if word else ''} and given says {_show(value)}; "
-                "remove it from 'given', or correct the file",
-            )
-
-
-def _same(known: Any, value: Any, tolerance: tuple[float, float]) -> bool:
-    if known == value:
-        return True
-    try:
-        a, b = np.asarray(known, dtype=float), np.asarray(value, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        return False
-    if a.shape != b.shape and 1 not in (a.size, b.size):
-        return False
-    return bool(np.allclose(a, b, rtol=tolerance[0], atol=tolerance[1]))
-
-
-def _show(value: Any, limit: int = 60) -> str:
+def shown(value: Any, limit: int = 60) -> str:
+    """Return a value for a message, cut off after so many characters."""
     text = " ".join(str(value).split())
     return text if len(text) <= limit else f"{text[: limit - 1]}…"

@@ -15,8 +15,9 @@ from unicon_core.policies.agree import check_agreement
 from unicon_core.policies.build import build_contract
 from unicon_core.policies.chain_facts import check_chain
 from unicon_core.policies.contract import PolicyContract
-from unicon_core.policies.facts import Facts, merge_given, missing_facts
+from unicon_core.policies.facts import Facts, missing_facts
 from unicon_core.policies.from_model import FromModel
+from unicon_core.policies.given import merge_given
 from unicon_core.policies.importers.configurations import (
     configuration_facts,
     counts_motors,

@@ -16,7 +16,8 @@ from typing import Any
 
 from unicon_core.errors import PolicyError
 from unicon_core.located_yaml import read_yaml
-from unicon_core.policies.facts import Facts, dig, given_joints
+from unicon_core.policies.facts import Facts, dig
+from unicon_core.policies.given import given_joints
 from unicon_core.policies.importers.source_reader import SourceReader
 
 __all__ = ["booster_facts", "is_booster"]

@@ -17,7 +17,8 @@ from typing import Any
 
 from unicon_core.errors import PolicyError
 from unicon_core.located_yaml import Located, Where, read_yaml
-from unicon_core.policies.facts import Facts, dig, given_joints, term_state
+from unicon_core.policies.facts import Facts, dig, term_state
+from unicon_core.policies.given import given_joints
 from unicon_core.policies.importers.training import (
     chosen_ids,
     chosen_joints,

@@ -14,7 +14,8 @@ from typing import Any
 
 from unicon_core.errors import PolicyError
 from unicon_core.located_yaml import read_yaml
-from unicon_core.policies.facts import Facts, dig, given_joints
+from unicon_core.policies.facts import Facts, dig
+from unicon_core.policies.given import given_joints
 from unicon_core.policies.importers.training import command_ranges, say_period, values_by_pattern
 
 __all__ = ["is_legged_gym", "legged_gym_facts"]

@@ -16,7 +16,8 @@ from typing import Any
 
 from unicon_core.errors import PolicyError
 from unicon_core.located_yaml import read_yaml
-from unicon_core.policies.facts import Facts, given_joints
+from unicon_core.policies.facts import Facts
+from unicon_core.policies.given import given_joints
 from unicon_core.policies.importers.source_reader import SourceReader, listed
 
 __all__ = ["is_unitree_rl_gym", "unitree_rl_gym_facts"]

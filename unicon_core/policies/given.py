@@ -1,0 +1,192 @@
+"""What a user gives beside a source, merged into its facts: for importers and `load_policy`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from unicon_core.errors import PolicyError, alternatives
+from unicon_core.located_yaml import Where
+from unicon_core.policies.facts import TO_GIVE, Facts, dig, dotted, shown
+
+__all__ = ["given_joints", "merge_given"]
+
+
+def given_joints(path: Path, given: Mapping[str, Any]) -> list[str] | None:
+    """Return the joint names that the user gives, by which a source's patterns are resolved.
+
+    Raises:
+        PolicyError: they are not a list of names.
+    """
+    joints = given.get("joints")
+    if joints is None:
+        return None
+    if not isinstance(joints, (list, tuple)) or not all(isinstance(j, str) for j in joints):
+        raise PolicyError(f"{path}: given joints is {shown(joints)}; give a list of joint names")
+    return list(joints)
+
+
+def merge_given(facts: Facts, given: Mapping[str, Any]) -> None:
+    """Add facts that the user gives; a fact that the source says otherwise is refused.
+
+    Args:
+        facts: changed in place.
+        given: keys of `policy.yaml`, nested or dotted (`action.scale`); `observation.terms` may be
+            a mapping from a term's name to what is to be added, or the list with terms that the
+            source lacks, and `observation.scale` one factor
+            for every term whose scale was not said.
+
+    Raises:
+        PolicyError: a given fact contradicts the source, or names no term.
+    """
+    nested: dict[str, Any] = {}
+    for key, value in given.items():
+        place = nested
+        *path, last = str(key).split(".")
+        for step in path:
+            place = place.setdefault(step, {})
+            if not isinstance(place, dict):
+                raise PolicyError(
+                    f"{facts.path}: given {shown(key)}: {step} is given as {shown(place)} too; "
+                    "write it once, as a mapping"
+                )
+        if isinstance(value, Mapping) and isinstance(place.get(last), dict):
+            place[last].update(value)
+        else:
+            place[last] = dict(value) if isinstance(value, Mapping) else value
+    observation = nested.get("observation")
+    if isinstance(observation, dict):
+        nested["observation"] = observation = dict(observation)
+        _merge_terms(facts, observation)
+        if not observation:  # all of it was of the terms
+            del nested["observation"]
+    _merge(facts, facts.values, nested, ())
+    for name in list(facts.asks):
+        if _answered(name, nested, facts.values):
+            del facts.asks[name]
+
+
+def _answered(name: str, given: Mapping[str, Any], values: Mapping[str, Any]) -> bool:
+    if any(dig(tree, *name.split(".")) is not None for tree in (given, values)):
+        return True
+    listed = dig(values, "observation", "terms")
+    terms = listed if isinstance(listed, list) else []
+    if name.startswith("observation.terms."):
+        term, _, key = name.removeprefix("observation.terms.").rpartition(".")
+        return any(dig(each, "name") == term and dig(each, key) is not None for each in terms)
+    if name == "observation.scale":
+        return bool(terms) and all("scale" in term for term in terms)
+    return False
+
+
+def _merge_terms(facts: Facts, observation: dict[str, Any]) -> None:
+    """Bring given terms into the source's list of terms, by name."""
+    given = _checked_terms(facts, observation.pop("terms", None))
+    if facts.values.get("observation") is None:
+        facts.values["observation"] = {}
+    target = facts.values["observation"]
+    terms = dig(target, "terms")
+    if not isinstance(target, dict) or (terms and not _are_mappings(terms)):
+        return  # build_contract refuses the source
+    if given is not None and not terms:
+        if isinstance(given, Mapping):
+            raise PolicyError(
+                f"{facts.path}: given observation.terms changes terms by name, and the "
+                f"{facts.source} has none; give the whole list of terms in order"
+            )
+        target["terms"] = terms = list(given)
+    elif given is not None:
+        changes = _by_name if isinstance(given, Mapping) else _in_order
+        for i, extra in changes(facts, terms, given):
+            _merge(facts, terms[i], dict(extra), ("observation", "terms", i))
+    scale = observation.pop("scale", None)
+    if scale is not None:
+        for term in terms or ():
+            if isinstance(term, dict) and term.get("scale", TO_GIVE) == TO_GIVE:
+                term["scale"] = scale
+        facts.asks.pop("observation.scale", None)
+
+
+def _are_mappings(terms: Any) -> bool:
+    return isinstance(terms, list) and all(isinstance(term, dict) for term in terms)
+
+
+def _checked_terms(facts: Facts, given: Any) -> Any:
+    """Itself: nothing, a list, or a mapping from names to mappings."""
+    place, wrong, remedy = "observation.terms", given, "{joint_vel: {scale: 0.05}}, or a list"
+    if given is None or isinstance(given, (list, tuple)):
+        return given
+    if isinstance(given, Mapping):
+        odd = next((name for name in given if not isinstance(given[name], Mapping)), None)
+        if odd is None:
+            return given
+        place, wrong, remedy = f"{place}.{odd}", given[odd], "{scale: 0.05}"
+    raise PolicyError(
+        f"{facts.path}: given {place} is {shown(wrong)}; give a mapping, such as {remedy}"
+    )
+
+
+Changes = list[tuple[int, Mapping[str, Any]]]
+"""Place of a term, and what is added to it."""
+
+
+def _by_name(facts: Facts, terms: list[dict[str, Any]], given: Mapping[str, Any]) -> Changes:
+    names = [term.get("name") for term in terms]
+    for name in given:
+        if name not in names:
+            raise PolicyError(
+                f"{facts.path}: given observation.terms has no term {name!r} to change; "
+                f"{alternatives(str(name), map(str, names))}"
+            )
+    return [(names.index(name), extra) for name, extra in given.items()]
+
+
+def _in_order(facts: Facts, terms: list[dict[str, Any]], given: Sequence[Any]) -> Changes:
+    """The source's terms, which are named in their order; others between them are put in."""
+    names = [term.get("name") for term in terms]
+    order = [item.get("name") if isinstance(item, Mapping) else item for item in given]
+    added = all(isinstance(name, str) for name in order)
+    if added and order != names and [name for name in order if name in names] == names:
+        said = dict(zip(names, terms))
+        terms[:] = [said.get(name, {"name": name}) for name in order]
+        names = order
+    if order != names:
+        raise PolicyError(
+            f"{facts.path}: given observation.terms are {', '.join(map(str, order))} but "
+            f"the {facts.source} says {', '.join(map(str, names))}; name the same terms in "
+            "the same order; others may stand between them"
+        )
+    return [(i, item) for i, item in enumerate(given) if isinstance(item, Mapping)]
+
+
+def _merge(facts: Facts, said: dict[str, Any], given: Mapping[str, Any], where: Where) -> None:
+    for key, value in given.items():
+        place = (*where, key)
+        known = said.get(key)
+        if isinstance(value, Mapping) and isinstance(known, dict):
+            _merge(facts, known, value, place)
+        elif known in (None, TO_GIVE) or _same(known, value, facts.tolerance):
+            said[key] = value
+        else:
+            word = facts.keys.get(place)
+            raise facts.error(
+                place,
+                f"{facts.source} says {dotted(place)} is {shown(known)}"
+                f"{f' ({word})' if word else ''} and given says {shown(value)}; "
+                "remove it from 'given', or correct the file",
+            )
+
+
+def _same(known: Any, value: Any, tolerance: tuple[float, float]) -> bool:
+    if known == value:
+        return True
+    try:
+        a, b = np.asarray(known, dtype=float), np.asarray(value, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        return False
+    if a.shape != b.shape and 1 not in (a.size, b.size):
+        return False
+    return bool(np.allclose(a, b, rtol=tolerance[0], atol=tolerance[1]))
