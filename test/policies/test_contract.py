@@ -11,7 +11,13 @@ import yaml
 from policy_helpers import JOINTS, robot, toy_values, write_toy
 
 from unicon_core.errors import PolicyError
-from unicon_core.policies import PolicyContract, load_policy, policy_names, write_policy_yaml
+from unicon_core.policies import (
+    PolicyContract,
+    import_policy,
+    load_policy,
+    policy_names,
+    write_policy_yaml,
+)
 from unicon_core.policies.build import build_contract
 from unicon_core.policies.policy_yaml import contract_values, policy_yaml_facts
 
@@ -76,10 +82,28 @@ def test_a_good_file_is_read(tmp_path: Path) -> None:
         ("period: 0.02", "period: 0", ":4: period is 0; give the control period in [s], above 0"),
         (
             "period: 0.02",
-            "rate: 50",
+            "",
             ": the policy.yaml does not say period (the control period in [s]); "
             "add it to policy.yaml",
         ),
+        # A misspelt fact is no missing one.
+        (
+            "stiffness:",
+            "stifness:",
+            ":8: unknown key 'stifness'; did you mean 'stiffness'? known: ",
+        ),
+        (
+            "{scale: 0.25}",
+            "{scal: 0.25}",
+            ":7: unknown key 'scal' in action; did you mean 'scale'? known: ",
+        ),
+        ("  terms:", "  trms:", ":13: unknown key 'trms' in observation; did you mean 'terms'? "),
+        (
+            "state: base_ang_vel,",
+            "stat: base_ang_vel,",
+            ":14: unknown key 'stat' in observation.terms[0]; did you mean 'state'? known: ",
+        ),
+        ("action: {scale: 0.25}", "action: 0.25", ":7: action is 0.25; give a mapping"),
         (
             "stiffness: [10, 20, 30, 40]",
             "stiffness: [10, 20, 30]",
@@ -200,7 +224,9 @@ def test_a_good_file_is_read(tmp_path: Path) -> None:
 )
 def test_a_wrong_file_gets_one_line(tmp_path: Path, old: str, new: str, expected: str) -> None:
     text = message(write(tmp_path, (old, new)))
-    if expected.endswith(": "):  # what follows is a list of names, or the parser's own words
+    if expected.endswith(
+        (": ", "? ")
+    ):  # what follows is a list of names, or the parser's own words
         assert text.startswith(expected)
     else:
         assert text == expected
@@ -218,6 +244,14 @@ def test_all_missing_facts_are_named_at_once(tmp_path: Path) -> None:
     )
 
 
+def test_an_import_refuses_a_misspelt_fact_too(tmp_path: Path) -> None:
+    values = toy_values()
+    path = write_toy(tmp_path / "in", {**values, "stifness": values.pop("stiffness")})
+    with pytest.raises(PolicyError, match="unknown key 'stifness'; did you mean 'stiffness'"):
+        import_policy(path, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_term_without_a_state_is_asked_for_by_name(tmp_path: Path) -> None:
     text = message(write(tmp_path, ("state: base_ang_vel, ", "")))
     assert text == (
@@ -229,6 +263,7 @@ def test_a_term_without_a_state_is_asked_for_by_name(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("observation", "expected"),
     [
+        ("5", "observation is 5; "),
         ("{terms: [5]}", "observation.terms[0] has no name; "),
         ("{terms: 5}", "observation.terms is not a list; "),
     ],

@@ -15,12 +15,12 @@ from unicon_core.policies.contract import ActionKind, ActionSpec, CommandSpec, F
 from unicon_core.policies.fact_value import FactValue, is_whole
 from unicon_core.robots import joint_index
 
-__all__ = ["action_spec", "command_spec", "filter_spec", "joint_gains"]
+__all__ = ["ACTION_KEYS", "action_spec", "command_spec", "filter_spec", "joint_gains"]
 
 Floats = NDArray[np.float32]
 
 KINDS: tuple[ActionKind, ...] = ("position", "velocity", "torque")
-_ACTION = ("kind", "scale", "offset", "clip", "joints", "filter", "feedback")
+ACTION_KEYS = ("kind", "scale", "offset", "clip", "joints", "filter", "feedback")
 _FILTER = ("low_pass", "alpha", "moving_average", "start")
 _SCALES = {"position": ACTION_SCALE, "velocity": VELOCITY, "torque": EFFORT}
 _OFFSETS = {"position": POSITION, "velocity": VELOCITY, "torque": EFFORT}
@@ -45,7 +45,7 @@ def action_spec(
     Raises:
         PolicyError: a fact is wrong.
     """
-    action.mapping(_ACTION)
+    action.mapping(ACTION_KEYS)
     listed, offset = action.at("joints"), action.at("offset")
     moved = joints if listed.value is None else listed.names()
     for name in moved:

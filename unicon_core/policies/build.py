@@ -11,6 +11,7 @@ import numpy as np
 from unicon_core.bounds import POSITION, SCALE
 from unicon_core.errors import PolicyError
 from unicon_core.policies.action_facts import (
+    ACTION_KEYS,
     action_spec,
     command_spec,
     filter_spec,
@@ -29,7 +30,7 @@ from unicon_core.policies.fact_value import is_whole
 from unicon_core.policies.facts import Facts, missing_facts
 from unicon_core.policies.motion.spec import motion_spec
 
-__all__ = ["IncompletePolicyError", "build_contract"]
+__all__ = ["IncompletePolicyError", "build_contract", "check_keys"]
 
 SCHEMA = "unicon.policy/1"
 MOST_FRAMES = 10_000  # of a history
@@ -64,6 +65,7 @@ def build_contract(facts: Facts) -> PolicyContract:
     Raises:
         PolicyError: facts are missing (all are named, with how to give them) or wrong.
     """
+    check_keys(facts)
     missing = missing_facts(facts)
     if missing:
         names = "; ".join(f"{name} ({what})" if what else name for name, what in missing.items())
@@ -75,7 +77,7 @@ def build_contract(facts: Facts) -> PolicyContract:
         raise IncompletePolicyError(
             f"{facts.path}: the {facts.source} does not say {names}; {remedy}{facts.offer}", facts
         )
-    root = _Value(facts, (), facts.values).mapping(_KEYS)
+    root = _Value(facts, (), facts.values)
     schema = root.at("schema", SCHEMA)
     if schema.value != SCHEMA:
         raise schema.refuse(f"this program reads {SCHEMA!r}")
@@ -130,6 +132,23 @@ def build_contract(facts: Facts) -> PolicyContract:
     )
 
 
+def check_keys(facts: Facts) -> None:
+    """Refuse an unknown key, which may be a missing fact misspelt.
+
+    Raises:
+        PolicyError: a key is unknown, or what has keys is no mapping.
+    """
+    root = _Value(facts, (), facts.values).mapping(_KEYS)
+    for key, known in (("action", ACTION_KEYS), ("observation", _OBSERVATION)):
+        if root.at(key).value is not None:
+            root.at(key).mapping(known)
+    observation = root.at("observation")
+    terms = observation.value and observation.at("terms").value
+    for i, term in enumerate(terms if isinstance(terms, list) else ()):
+        if isinstance(term, Mapping):
+            observation.at("terms").at(i).mapping(_TERM)
+
+
 def _tensors(names: _Value) -> dict[str, str]:
     return {str(k): str(v) for k, v in names.entries().items()} if names.value else {}
 
@@ -137,7 +156,7 @@ def _tensors(names: _Value) -> dict[str, str]:
 def _observation(observation: _Value, period: float, optional: bool) -> ObservationSpec:
     if observation.value is None and optional:
         return ObservationSpec(())
-    listed = observation.mapping(_OBSERVATION).at("terms")
+    listed = observation.at("terms")
     if not isinstance(listed.value or [], (list, tuple)):
         raise listed.fail("is not a list; give '- {name: …, state: …}'")
     terms = tuple(_term(listed.at(i), period) for i in range(len(listed.value or ())))
@@ -160,7 +179,6 @@ def _observation(observation: _Value, period: float, optional: bool) -> Observat
 def _term(term: _Value, period: float) -> ObservationTerm:
     if not isinstance(term.value, Mapping) or not isinstance(term.value.get("name"), str):
         raise term.fail("has no name; give 'name:' and 'state:'")
-    term.mapping(_TERM)
     state, index, subtract = term.at("state"), term.at("index"), term.at("subtract")
     scale, history = term.at("scale"), term.at("history", 1)
     if not isinstance(state.value, str):

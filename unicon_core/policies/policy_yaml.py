@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from unicon_core.errors import PolicyError
 from unicon_core.file_kinds import other_kind
 from unicon_core.located_yaml import Tagged, read_yaml
-from unicon_core.policies.build import SCHEMA
+from unicon_core.policies.build import SCHEMA, check_keys
 from unicon_core.policies.contract import (
     FilterSpec,
     MotionSpec,
@@ -90,8 +90,9 @@ def write_partial_yaml(facts: Facts, missing: Mapping[str, str], out_dir: str | 
         out_dir: folder; made where it is missing.
 
     Raises:
-        PolicyError: as for `write_policy_yaml`.
+        PolicyError: as for `write_policy_yaml`; or a key is unknown.
     """
+    check_keys(facts)
     key = "torchscript" if "torchscript" in facts.values else "onnx"
     model = None
     values: dict[str, Any] = {"schema": SCHEMA}
