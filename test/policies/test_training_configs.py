@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import yaml
 from policy_helpers import JOINTS, robot, write_linear
 
 from unicon_core.errors import PolicyError
-from unicon_core.policies import load_policy
+from unicon_core.policies import import_policy, load_policy
 
 EVIDENCE = "stand_in"
 """What these tests run against, the most that config/evidence.yaml may say by them."""
@@ -280,6 +281,65 @@ def test_isaac_counts_the_joints_of_a_model_breadth_first(tmp_path: Path) -> Non
     assert contract.stiffness.tolist() == [25.0, 25.0, 25.0, 35.0]
     given = {"joints": {"from": "model", "order": "depth_first"}}
     assert load_policy(path, robot=machine, given=given).joints == JOINTS
+
+
+ARM = [*JOINTS[:2], "arm", *JOINTS[2:]]
+
+
+def test_joints_that_no_actuator_matches_are_named(tmp_path: Path) -> None:
+    path = write(tmp_path, ENV)
+    with pytest.raises(PolicyError) as caught:
+        load_policy(path, given={"joints": ARM})
+    assert (
+        "does not say stiffness (in [N·m/rad], policy order; no actuator's joint_names_expr "
+        "matches arm; the network's output is as wide as the 4 others: if they are all that it was "
+        "trained with, give joints without these: --joints a_hip,a_knee,b_hip,b_knee); damping (in "
+        "[N·m·s/rad], policy order; no actuator's joint_names_expr matches arm); give it under "
+    ) in str(caught.value)
+    write_linear(tmp_path / "run" / "exported" / "policy.onnx", 27, 5)
+    with pytest.raises(
+        PolicyError, match=r"\(in \[N·m/rad\], policy order; no [^;]+ arm\); damping"
+    ):
+        load_policy(path, given={"joints": ARM})
+
+
+def test_gains_of_some_joints_stay_in_what_an_import_writes(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    drives = "".join(f'<position joint="{joint}" kp="500" kv="40"/>' for joint in ARM)
+    bodies = "".join(f"<body><geom size='0.1'/><joint name='{joint}'/></body>" for joint in ARM)
+    (tmp_path / "robot.xml").write_text(
+        f"<mujoco><worldbody><body><freejoint/><geom size='0.1'/>{bodies}</body></worldbody>"
+        f"<actuator>{drives}</actuator></mujoco>",
+        "utf-8",
+    )
+    made = robot(ARM)
+    machine = type(made)(
+        **{**vars(made), "models": {"mjcf": "robot.xml"}, "path": tmp_path / "toy.yaml"}
+    )
+    path = write(tmp_path, ENV, ("damping: 0.9", "damping: null"))
+    report = import_policy(path, tmp_path / "out", robot=machine, given={"joints": ARM})
+    assert list(report.missing) == ["stiffness", "damping"]
+    values = yaml.safe_load(report.path.read_text("utf-8"))
+    assert values["stiffness"] == [25.0, 25.0, "?", 25.0, 35.0]
+    assert values["damping"] == [0.5, 0.8, "?", 0.5, "?"]
+    with pytest.raises(PolicyError) as caught:
+        load_policy(report.path, robot=machine)
+    assert str(caught.value) == (
+        f"{report.path}: the policy.yaml does not say stiffness (in [N·m/rad], policy order; ? "
+        "stands for arm); damping (in [N·m·s/rad], policy order; ? stands for arm, b_knee); add it "
+        "to policy.yaml"
+    )
+    model = {"from": "model"}
+    for source in (path, report.path):  # gains of the model are other ones
+        given = {"joints": ARM, "stiffness": model, "damping": 0.7}
+        with pytest.raises(
+            PolicyError, match=r"stiffness is \[25.0, 25.0, '\?', 25.0, 35.0\] and "
+        ):
+            load_policy(source, robot=machine, given=given)
+        given = {"joints": ARM, "stiffness": [25, 25, 9, 25, 35], "damping": [0.5, 0.8, 1, 0.5, 2]}
+        contract = load_policy(source, robot=machine, given=given)
+        assert contract.stiffness.tolist() == [25.0, 25.0, 9.0, 25.0, 35.0]
+        assert contract.damping == pytest.approx([0.5, 0.8, 1.0, 0.5, 2.0])
 
 
 @pytest.mark.parametrize("kind", ["JointEffortAction", "RelativeJointPositionAction"])

@@ -20,7 +20,9 @@ __all__ = [
     "Facts",
     "dig",
     "dotted",
+    "is_open",
     "missing_facts",
+    "open_joints",
     "says",
     "shown",
     "term_state",
@@ -56,7 +58,7 @@ _TERMS: dict[str, dict[str, Any]] = {
 }
 
 TO_GIVE = "?"
-"""A factor in a policy.yaml that an import wrote and nobody has filled in yet."""
+"""A factor or gain in a policy.yaml that an import wrote and nobody has filled in yet."""
 # Facts without which a policy cannot run, and what each is, for messages.
 _NEEDED = {
     "period": "the control period in [s]",
@@ -174,6 +176,11 @@ def missing_facts(facts: Facts) -> dict[str, str]:
     """Return the facts that are needed and not known: dotted name -> what it is."""
     values, place = facts.values, "observation.terms"
     missing = {name: what for name, what in _NEEDED.items() if _said(values, name) is None}
+    for name in _BY_JOINTS:
+        left = open_joints(facts, name)
+        missing |= (
+            {name: f"{_NEEDED[name]}; {TO_GIVE} stands for {', '.join(left)}"} if left else {}
+        )
     if facts.by_pattern and "joints" in missing:  # by which the source says these
         missing = {name: what for name, what in missing.items() if name not in _BY_JOINTS}
     terms, inputs = _said(values, place), values.get("inputs")
@@ -188,6 +195,20 @@ def missing_facts(facts: Facts) -> dict[str, str]:
         meaning = _ASKED.get(name) or _NEEDED.get(name, "")
         missing[name] = "; ".join(filter(None, (meaning, detail)))
     return missing
+
+
+def open_joints(facts: Facts, name: str) -> list[str]:
+    """Return the joints for which a list of the facts has `?`."""
+    values, joints = _said(facts.values, name), facts.values.get("joints")
+    if not isinstance(values, list) or not isinstance(joints, list) or len(values) != len(joints):
+        return []
+    return [str(joint) for joint, value in zip(joints, values) if is_open(value)]
+
+
+def is_open(value: Any) -> bool:
+    """Return whether a value, or one of a list, is still to be given."""
+    listed = value if isinstance(value, list) else [value]
+    return any(isinstance(each, str) and each == TO_GIVE for each in listed)
 
 
 def dig(tree: Any, *keys: str) -> Any:

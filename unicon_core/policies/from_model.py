@@ -25,6 +25,7 @@ from unicon_core.models.find import pick_model
 from unicon_core.models.joints import drives, position_gains
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import import_mujoco
+from unicon_core.policies.facts import Facts, is_open, missing_facts
 from unicon_core.robots import Robot, load_robot
 
 __all__ = ["FromModel"]
@@ -35,6 +36,7 @@ _OPTIONS = {
     "stiffness": (),
     "damping": ("of",),
 }
+GAINS = ("stiffness", "damping")
 _ORDERS = ("depth_first", "breadth_first", "actuators")
 
 
@@ -208,15 +210,18 @@ class FromModel:
                 )
         return [gain[place] for gain in gains if gain is not None]
 
-    def offer(self, missing: Iterable[str], by_pattern: bool) -> str:
+    def offer(self, facts: Facts) -> str:
         """Return what the model could say of missing facts, "" where it is nothing.
 
+        Where the source has gains of some joints, those of the model are other ones.
+
         Args:
-            missing: names of facts.
-            by_pattern: the source says the others once it knows the joints.
+            facts: of the source.
         """
-        wanted = [key for key in _OPTIONS if key in missing]
-        if by_pattern and "joints" in wanted:
+        missing = missing_facts(facts)
+        partly = any(is_open(facts.values.get(key)) for key in GAINS)
+        wanted = [key for key in _OPTIONS if key in missing and not (partly and key in GAINS)]
+        if facts.by_pattern and "joints" in wanted:  # the source says the others by them
             wanted = ["joints"]
         if not wanted or self._robot is None or self._robot.members:
             return ""

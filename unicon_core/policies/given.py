@@ -10,7 +10,7 @@ import numpy as np
 
 from unicon_core.errors import PolicyError, alternatives
 from unicon_core.located_yaml import Where
-from unicon_core.policies.facts import TO_GIVE, Facts, dig, dotted, shown
+from unicon_core.policies.facts import TO_GIVE, Facts, dig, dotted, is_open, shown
 
 __all__ = ["given_joints", "merge_given"]
 
@@ -70,7 +70,8 @@ def merge_given(facts: Facts, given: Mapping[str, Any]) -> None:
 
 
 def _answered(name: str, given: Mapping[str, Any], values: Mapping[str, Any]) -> bool:
-    if any(dig(tree, *name.split(".")) is not None for tree in (given, values)):
+    said = [dig(tree, *name.split(".")) for tree in (given, values)]
+    if any(value is not None and not is_open(value) for value in said):
         return True
     listed = dig(values, "observation", "terms")
     terms = listed if isinstance(listed, list) else []
@@ -165,7 +166,7 @@ def _in_order(facts: Facts, terms: list[dict[str, Any]], given: Sequence[Any]) -
 def _merge(facts: Facts, said: dict[str, Any], given: Mapping[str, Any], where: Where) -> None:
     for key, value in given.items():
         place = (*where, key)
-        known = said.get(key)
+        known = _filled(said.get(key), value)
         if isinstance(value, Mapping) and isinstance(known, dict):
             _merge(facts, known, value, place)
         elif known in (None, TO_GIVE) or _same(known, value, facts.tolerance):
@@ -174,10 +175,20 @@ def _merge(facts: Facts, said: dict[str, Any], given: Mapping[str, Any], where: 
             word = facts.keys.get(place)
             raise facts.error(
                 place,
-                f"{facts.source} says {dotted(place)} is {shown(known)}"
+                f"{facts.source} says {dotted(place)} is {shown(said[key])}"
                 f"{f' ({word})' if word else ''} and given says {shown(value)}; "
                 "remove it from 'given', or correct the file",
             )
+
+
+def _filled(known: Any, given: Any) -> Any:
+    """What the source says, the values that it leaves open in a list taken from what is given."""
+    if not isinstance(known, list) or not is_open(known):
+        return known
+    values = given if isinstance(given, (list, tuple)) else [given] * len(known)
+    if len(values) != len(known):
+        return known
+    return [value if is_open(each) else each for each, value in zip(known, values)]
 
 
 def _same(known: Any, value: Any, tolerance: tuple[float, float]) -> bool:

@@ -23,7 +23,7 @@ from unicon_core.policies.importers.configurations import (
     counts_motors,
     is_configuration,
 )
-from unicon_core.policies.importers.env_yaml import is_env_yaml
+from unicon_core.policies.importers.env_yaml import is_env_yaml, suggest_joints
 from unicon_core.policies.importers.metadata import has_metadata, metadata_facts, settled
 from unicon_core.policies.motion.spec import given_clip
 from unicon_core.policies.networks.onnx_file import OnnxFile, read_onnx
@@ -266,6 +266,7 @@ def _read(
                 f"copy {lost[0].name} to {onnx.path.parent}",
             )
         _name_tensors(facts, onnx)
+        suggest_joints(facts, [tensor.width for tensor in onnx.outputs])
         if facts.path != onnx.path and has_metadata(onnx):
             whole = facts.source == "policy.yaml"
             once, notes = settled(onnx, facts.values, facts.path.name, whole=whole)
@@ -276,7 +277,7 @@ def _read(
         facts.values.setdefault("inputs", {"observation": "observation"})
         facts.values.setdefault("outputs", {"action": "action"})
     facts.notes += said.notes
-    facts.offer = said.offer(missing_facts(facts), facts.by_pattern)
+    facts.offer = said.offer(facts)
     return facts
 
 

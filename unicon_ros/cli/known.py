@@ -75,7 +75,8 @@ def add(commands: Any) -> None:
             "--joints",
             metavar="NAMES",
             help="in the training side's order, where the source does not say it: NAME,NAME…, a "
-            "file with a list, or '{from: model}' of ROBOT",
+            "file with a list, or '{from: model}' of ROBOT, or of some of its joints: "
+            "'{from: model, only: [PATTERN, …]}'",
         )
         parser.set_defaults(function=function)
 

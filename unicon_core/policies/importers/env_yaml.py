@@ -11,13 +11,13 @@ then scaled; its history is oldest first and flattened term by term.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import PolicyError
 from unicon_core.located_yaml import Located, Where, read_yaml
-from unicon_core.policies.facts import Facts, dig, term_state
+from unicon_core.policies.facts import TO_GIVE, Facts, dig, open_joints, term_state
 from unicon_core.policies.given import given_joints
 from unicon_core.policies.importers.training import (
     chosen_ids,
@@ -29,9 +29,10 @@ from unicon_core.policies.importers.training import (
     values_by_pattern,
 )
 
-__all__ = ["env_yaml_facts", "is_env_yaml"]
+__all__ = ["env_yaml_facts", "is_env_yaml", "suggest_joints"]
 
 _GROUPS = ("policy", "actor")
+_GAINS = ("stiffness", "damping")
 _OF_JOINTS = ("joint_pos", "joint_vel")
 
 
@@ -100,16 +101,39 @@ def _robot(facts: Facts, document: Mapping[str, Any], joints: list[str]) -> None
     if pose is not None:
         facts.values["default_joint_pos"] = pose
     actuators = dig(document, "scene", "robot", "actuators")
-    for key in ("stiffness", "damping"):
+    for key in _GAINS:
         found: dict[str, float] = {}
+        moved: list[str] = []
         for actuator in (actuators or {}).values() if isinstance(actuators, Mapping) else ():
             patterns = dig(actuator, "joint_names_expr") or []
             own = matching(patterns if isinstance(patterns, list) else [patterns], joints)
+            moved += own
             for joint in own:
                 gain = values_by_pattern(dig(actuator, key), [joint])
                 found |= {} if gain is None else {joint: gain[0]}
-        if all(joint in found for joint in joints):
-            facts.values[key] = [found[joint] for joint in joints]
+        if found:
+            facts.values[key] = [found.get(joint, TO_GIVE) for joint in joints]
+        bare = [joint for joint in joints if joint not in moved]
+        if found and bare:
+            facts.asks[key] = f"no actuator's joint_names_expr matches {', '.join(bare)}"
+
+
+def suggest_joints(facts: Facts, widths: Collection[int | str]) -> None:
+    """Where the network moves as many joints as have gains, say that those may be all.
+
+    Args:
+        facts: changed in place.
+        widths: of the network's outputs.
+    """
+    for key in _GAINS:
+        bare = open_joints(facts, key)
+        driven = [joint for joint in facts.values.get("joints", ()) if joint not in bare]
+        if key in facts.asks and bare and len(driven) in widths:
+            facts.asks[key] += (
+                f"; the network's output is as wide as the {len(driven)} others: if they are all "
+                f"that it was trained with, give joints without these: --joints {','.join(driven)}"
+            )
+            return  # said once
 
 
 def _action_term(located: Located) -> tuple[str, Mapping[str, Any]]:
