@@ -112,7 +112,10 @@ def test_joints_that_no_policy_moves_are_told(folder: Path) -> None:
     result = check(folder, {"action.joints": list(JOINTS[:9])}, inputs=42)
     # 12 positions, 12 velocities, 9 actions; but the network has 12 outputs
     assert codes(result) == ["build"]
-    assert "12 values for 9 joints" in result.findings[0].evidence
+    assert (
+        "joints has 9 names, the network's output 'actions' 12 values"
+        in result.findings[0].evidence
+    )
 
 
 def test_the_action_of_fewer_joints_holds_the_rest(folder: Path) -> None:

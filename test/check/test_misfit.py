@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from check_helpers import check, text_of
+from check_helpers import POLICY, check, text_of
 
 pytest.importorskip("mujoco", reason="the workflow simulates")
 
@@ -57,8 +57,18 @@ def test_one_explanation_is_told(
     assert told(tmp_path, changes, inputs) == f": {why}"
 
 
-def test_the_networks_own_number_of_joints_is_plausible(tmp_path: Path) -> None:
-    assert told(tmp_path, {}, 33, outputs=8) == f": it has 12 joints, not 8, in {JOINTS}"
+@pytest.mark.parametrize("number", [11, 13])
+def test_a_wrong_number_of_joints_is_told_before_the_size(tmp_path: Path, number: int) -> None:
+    line = text_of(check(tmp_path / "toy", {}, inputs=9 + 3 * number, outputs=number), "build")
+    assert f"joints has 12 names, the network's output 'actions' {number} values: " in line
+    assert "; correct joints in policy.yaml" in line
+    assert "observation" not in line
+
+
+def test_the_number_of_joints_that_the_network_moves_is_plausible(tmp_path: Path) -> None:
+    moved = {"action.joints": POLICY["joints"][:8]}
+    why = "it has 12 joints, not 8, in joint_pos, joint_vel"
+    assert told(tmp_path, moved, 33, outputs=8) == f": {why}"
 
 
 @pytest.mark.parametrize(

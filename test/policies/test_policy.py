@@ -261,8 +261,8 @@ def test_an_output_of_another_size_names_the_joints(tmp_path: Path) -> None:
     with pytest.raises(PolicyError) as caught:
         Policy(contract, states_of(contract, machine), machine)
     assert str(caught.value) == (
-        "policy toy: output actions (1 × 5, float32) has 5 values for 4 joints (a_hip, a_knee, "
-        "b_hip, b_knee); correct 'joints' or 'action.joints'"
+        "policy toy: joints has 4 names, the network's output 'actions' 5 values: a_hip, a_knee, "
+        "b_hip, b_knee; correct joints in policy.yaml"
     )
 
 

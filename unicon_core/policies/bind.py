@@ -57,6 +57,7 @@ class Binding:
         observation: Observation | None = None
         obs = np.zeros((self._rows, 0), np.float32)
         inputs: list[Input] = []
+        self._check_joints()
         for canonical, name in self._contract.inputs.items():
             tensor = self._tensor("input", name, self._tensors_in)
             if canonical == "observation":
@@ -97,6 +98,23 @@ class Binding:
             )
         return view.reshape(self._rows, size)
 
+    def _check_joints(self) -> None:
+        """The action has the joints' number; a wrong one is seen in the observation's size, too."""
+        action = self._contract.action
+        tensor = self._tensors_out.get(self._contract.outputs.get("action", ""))
+        if tensor is not None and not tensor.takes(len(action.joints)):
+            key = "joints" if action.joints == self._contract.joints else "action.joints"
+            raise self._fail(
+                f"{key} has {len(action.joints)} names, the network's output {tensor.name!r} "
+                f"{tensor.width} values: {', '.join(action.joints)}; {self._remedy(key)}"
+            )
+
+    def _remedy(self, key: str) -> str:
+        contract = self._contract
+        if contract.source == "policy.yaml":
+            return f"correct {key} in {contract.path.name}"
+        return f"give {key} under 'given'"
+
     def _check_size(self, observation: Observation, tensor: Tensor) -> None:
         if tensor.dtype != "float32":
             raise self._fail(f"input {tensor} is not float32; export the network in float32")
@@ -111,20 +129,13 @@ class Binding:
             parts.append(f"{part.term.name} [{start}:{start + width}]{times}")
             start += width
         contract = self._contract
-        action = self._tensors_out.get(contract.outputs.get("action", ""))
-        counts = [len(self._joints), len(contract.joints)]
-        if action is not None and isinstance(action.width, int):
-            counts.append(action.width)
+        counts = [len(each) for each in (self._joints, contract.joints, contract.action.joints)]
         why = explain_size(observation.slices, takes, self._joints, counts)
         raise self._fail(
             f"the observation has {observation.size} values and the network's input "
             f"{tensor.name!r} takes {takes}"
             + (f": {why}" if why else f"; terms: {', '.join(parts)}")
-            + (
-                f"; correct observation.terms in {contract.path.name}"
-                if contract.source == "policy.yaml"
-                else "; give observation.terms under 'given'"
-            )
+            + f"; {self._remedy('observation.terms')}"
         )
 
     def _input(self, canonical: str, tensor: Tensor) -> Input:
@@ -153,11 +164,6 @@ class Binding:
         for canonical, name in outputs.items():
             tensor = self._tensor("output", name, self._tensors_out)
             if canonical == "action":
-                if not tensor.takes(len(joints)):
-                    raise self._fail(
-                        f"output {tensor} has {tensor.width} values for {len(joints)} joints "
-                        f"({', '.join(joints)}); correct 'joints' or 'action.joints'"
-                    )
                 self._fetches[name] = action
                 if canonical in self._states:
                     self._published.append((self._view(canonical, len(joints)), action))
