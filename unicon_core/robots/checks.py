@@ -14,7 +14,7 @@ from typing import Any
 from unicon_core.bounds import DAMPING, EFFORT, POSITION, STIFFNESS, VELOCITY
 from unicon_core.errors import UniconError, alternatives
 from unicon_core.located_yaml import Located, Where
-from unicon_core.robots.robot import JOINT_FIELDS
+from unicon_core.robots.robot import JOINT_FIELDS, JOINT_ORDER
 
 __all__ = [
     "IMU_KEYS",
@@ -72,6 +72,7 @@ def check_keys(
         if key not in required and key not in optional:
             misspelt.update(meant(key, required))
             known = alternatives(str(key), required + optional)
+            known = JOINT_ORDER if key == "joint_order" else known
             yield located.error((*where, key), f"{place}unknown key {key!r}; {known}")
     for key in required:
         if key not in mapping and key not in misspelt:

@@ -16,7 +16,7 @@ from unicon_core.robots.capsules import Capsule
 from unicon_core.robots.hand import Hand
 from unicon_core.robots.places import Place
 
-__all__ = ["JOINT_FIELDS", "MODEL_FORMATS", "Imu", "Robot"]
+__all__ = ["JOINT_FIELDS", "JOINT_ORDER", "MODEL_FORMATS", "Imu", "Robot"]
 
 MODEL_FORMATS = ("mjcf", "urdf")
 
@@ -32,6 +32,9 @@ JOINT_FIELDS = {
     "stiffness": "joint_stiffness",
     "damping": "joint_damping",
 }
+
+JOINT_ORDER = "order `joints:` as the robot does and take joint_order out of `unknown`"
+"""How the fact `joint_order` is given, which is no key of a robot file."""
 
 _NEEDED = ("lower", "upper", "default")
 # What a servo needs besides whose loop is closed by us; a hand that takes positions has its own.

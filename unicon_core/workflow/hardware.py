@@ -10,6 +10,7 @@ from typing import Any
 from unicon_core.errors import PlatformError, RobotError, alternatives
 from unicon_core.platforms.platform import Facts, Platform, WaitsForData
 from unicon_core.robots import Robot
+from unicon_core.robots.robot import JOINT_ORDER
 from unicon_core.states import States
 from unicon_core.workflow.registry import Factory, product_of
 
@@ -98,10 +99,12 @@ def refuse_incomplete(robot: Robot, platform: str) -> None:
     """
     missing = robot.missing_facts()
     if missing:
+        order = any(fact.startswith("joint_order") for fact in missing)  # also "… of MEMBER"
         raise RobotError(
             f"robot {robot.name} cannot be driven on platform {platform!r}: {robot.path} does not "
             f"say {', '.join(missing)}; find it in the vendor's documents and add it with its "
-            "source, or simulate: platform=mujoco"
+            f"source{f' (joint_order: {JOINT_ORDER})' if order else ''}, or simulate: "
+            "platform=mujoco"
         )
 
 
