@@ -262,6 +262,27 @@ def test_a_robot_without_its_model_is_joints_alone_and_says_so() -> None:
     assert stage.face.closed == 0
 
 
+def test_a_robot_that_no_run_would_drive_has_no_command_and_says_what_it_lacks() -> None:
+    class Plain(Scripted):
+        platform, reach = "ros", {"frames": False}
+
+    def ready(robot: str) -> dict[str, Any]:
+        lines: list[dict[str, Any]] = []
+        emulated(
+            load_robot(robot),
+            lambda states, robot: Plain(states),
+            model="fake",
+            say=lambda kind, **facts: lines.append(facts),
+        ).close()
+        return lines[0]
+
+    known, lacking = ready("go2"), ready("aliengo")
+    assert "--set robot=go2 --set platform=ros" in known["command"]
+    assert "refused" not in known
+    assert lacking["command"] == ""
+    assert "does not say joints.stiffness, joints.damping; find" in lacking["refused"]
+
+
 def test_joints_alone_are_no_faster_than_the_robots() -> None:
     stage = Stage(posture="default", still=True)
     stage.face.commands = [(ROBOT.upper, 60.0)]

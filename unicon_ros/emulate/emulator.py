@@ -106,7 +106,7 @@ class Emulator:
             robot=robot.name,
             protocol=robot.transport.get("protocol"),
             where=getattr(face, "where", ""),
-            command=reaching(robot, face),
+            **reaching(robot, face),
             rate=face.rate,
             model=body.model and str(body.model),
             posture=posture,

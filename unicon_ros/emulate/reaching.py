@@ -9,6 +9,7 @@ import shlex
 from unicon_core.errors import RobotError
 from unicon_core.resources import find_config
 from unicon_core.robots import Robot, robot_names
+from unicon_core.workflow.hardware import refuse_incomplete
 from unicon_ros.emulate.face import Face
 
 __all__ = ["WORKFLOW", "reaching"]
@@ -17,8 +18,10 @@ WORKFLOW = "h1_stand"
 """Goes to the default pose; any robot does."""
 
 
-def reaching(robot: Robot, face: Face) -> str:
-    """Return the shell command that drives an emulated robot to its default pose.
+def reaching(robot: Robot, face: Face) -> dict[str, str]:
+    """Return `command`, which drives an emulated robot to its default pose in a shell.
+
+    A robot whose file lacks what driving it needs has none, and `refused` says what is lacking.
 
     Args:
         robot: its file.
@@ -27,7 +30,11 @@ def reaching(robot: Robot, face: Face) -> str:
     """
     platform, reach = getattr(face, "platform", ""), getattr(face, "reach", {})
     if not platform:
-        return ""
+        return {"command": ""}
+    try:
+        refuse_incomplete(robot, platform)
+    except RobotError as error:
+        return {"command": "", "refused": str(error)}
     settings = {"robot": _named(robot), "platform": platform}
     settings |= {f"platforms.{platform}.{option}": value for option, value in reach.items()}
     words = ["unicon", "run", WORKFLOW]
@@ -35,7 +42,8 @@ def reaching(robot: Robot, face: Face) -> str:
         shown = value if isinstance(value, str) else json.dumps(value)
         words += ["--set", f"{path}={shown}"]
     domain = os.environ.get("ROS_DOMAIN_ID") if platform == "ros" else None
-    return shlex.join([*([f"ROS_DOMAIN_ID={domain}"] if domain else []), *words, "--yes"])
+    domains = [f"ROS_DOMAIN_ID={domain}"] if domain else []
+    return {"command": shlex.join([*domains, *words, "--yes"])}
 
 
 def _named(robot: Robot) -> str:

@@ -2,7 +2,7 @@
 
 | kind | says |
 |---|---|
-| `ready` | it is there: robot, protocol, `command` that reaches it, rate [Hz], model, posture |
+| `ready` | it is there: robot, rate [Hz], model, posture, `command` that reaches it or `refused` |
 | `first` | how far the first command, and each after a silence, was from where joints were, [rad] |
 | `command` | every command, where that was asked for, with its largest stiffness, [N·m/rad] |
 | `commands` | after every 50 of them: how many, the largest distance and step between two, [rad] |
