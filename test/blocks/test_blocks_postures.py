@@ -231,9 +231,14 @@ def test_unknown_pose_and_gains_are_named(bench: Build) -> None:
     with pytest.raises(RobotError) as error:
         it.block("pose", to="rest")
     assert str(error.value) == (
-        "block 'pose': robot go2 does not say the rest pose of joint FL_thigh_joint; "
+        "block 'pose': robot go2 does not say `rest` (the rest pose) of FL_thigh_joint; "
         f"give it in {it.robot.path}, or give joints and positions"
     )
+    it.robot = dataclasses.replace(it.robot, default_joint_pos=np.full_like(unknown, np.nan))
+    with pytest.raises(
+        RobotError, match=r"say `default` \(the stand pose\) of FR_hip_joint and 11"
+    ):
+        it.block("pose", to="stand")
     it.robot = dataclasses.replace(it.robot, joint_damping=unknown)
     with pytest.raises(RobotError) as error:
         it.block("hold")

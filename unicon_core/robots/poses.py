@@ -55,9 +55,12 @@ def named_pose(to: str | Mapping[str, float], robot: Robot, what: str) -> tuple[
         if to not in poses:
             raise WorkflowError(f"no pose {to!r}; {alternatives(to, poses)}; or joints to [rad]")
         if np.isnan(poses[to]).any():
-            joint = robot.joint_names[int(np.argmax(np.isnan(poses[to])))]
+            key = "default" if poses[to] is robot.default_joint_pos else "rest"
+            first, *more = np.flatnonzero(np.isnan(poses[to])).tolist()
+            joint = robot.joint_names[first]
+            also = f" and {len(more)} more joint{'s' * (len(more) > 1)}" if more else ""
             raise RobotError(
-                f"{what}: robot {robot.name} does not say the {to} pose of joint {joint}; "
+                f"{what}: robot {robot.name} does not say `{key}` (the {to} pose) of {joint}{also}; "
                 f"give it in {robot.file_of(joint)}, or give joints and positions"
             )
         return poses[to].astype(np.float32), np.ones(robot.num_joints, np.float32)
