@@ -221,6 +221,11 @@ def test_wrong_options(bench: Build, block: str, options: dict[str, Any], messag
     assert str(error.value).startswith(message)
 
 
+def test_the_gains_of_another_robot_are_told_what_any_robot_does(bench: Build) -> None:
+    with pytest.raises(WorkflowError, match=r"no joint like '\*_knee'.*, or run h1_stand, which"):
+        bench().block("sway", gains={"*_knee": [0.1, 0.0, 0.0]})
+
+
 def test_unknown_pose_and_gains_are_named(bench: Build) -> None:
     import dataclasses
 

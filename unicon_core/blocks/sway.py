@@ -16,6 +16,9 @@ from unicon_core.robots.poses import joints_like, named_pose
 
 __all__ = ["Sway", "sway"]
 
+OTHERS = "give gains of its joints, or run h1_stand, which names none"
+"""What helps a robot that the workflow was not written for."""
+
 
 def sway(
     command: JointCommand,
@@ -47,7 +50,7 @@ def sway(
     for pattern, row in gains.items():
         if not isinstance(row, Sequence) or len(row) != 3:
             raise WorkflowError(f"gains of {pattern!r} are {row!r}; give [per vx, per vy, per wz]")
-        matrix[joints_like(pattern, robot)] += np.asarray(row, np.float32)
+        matrix[joints_like(pattern, robot, OTHERS)] += np.asarray(row, np.float32)
     if len(amplitude) != 3:
         raise WorkflowError(f"amplitude is {list(amplitude)}; give [vx, vy, wz]")
     centre, said = named_pose(around, robot, "block 'sway'")

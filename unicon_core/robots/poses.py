@@ -23,8 +23,13 @@ def robot_poses(robot: Robot) -> dict[str, Float]:
     return {"default": standing, "stand": standing, "rest": lying, "lie": lying}
 
 
-def joints_like(pattern: str, robot: Robot) -> list[int]:
+def joints_like(pattern: str, robot: Robot, remedy: str = "") -> list[int]:
     """Return the joints whose names match a pattern with `*` and `?`, never empty.
+
+    Args:
+        pattern: of names.
+        robot: whose joints.
+        remedy: where the caller knows more of one than the names.
 
     Raises:
         WorkflowError: none does.
@@ -33,7 +38,7 @@ def joints_like(pattern: str, robot: Robot) -> list[int]:
     if not found:
         raise WorkflowError(
             f"robot {robot.name} has no joint like {pattern!r}; "
-            f"{alternatives(pattern, robot.joint_names)}"
+            f"{alternatives(pattern, robot.joint_names)}{f'; {remedy}' if remedy else ''}"
         )
     return found
 
