@@ -10,9 +10,11 @@ import pytest
 
 from unicon_core.errors import UniconError
 from unicon_core.flow import Block, Stage
-from unicon_core.runtime import RunOptions, run
+from unicon_core.runtime import Runner, RunOptions, run
+from unicon_core.runtime.options import never_ends
 from unicon_core.workflow import Program
 from unicon_core.workflow.uses import block
+from unicon_ros.cli.main import main
 
 
 @pytest.mark.parametrize(
@@ -48,3 +50,41 @@ def test_a_wrong_option_is_named_before_anything_runs(options: dict[str, Any], w
 @pytest.mark.parametrize("duration", [0, 2, 0.5, np.float32(0.5), np.int64(1), None])
 def test_a_duration_is_any_number_of_seconds(duration: Any) -> None:
     assert RunOptions(duration=duration).duration == duration
+
+
+@pytest.mark.parametrize(
+    ("described", "duration", "endless"),
+    [
+        ({}, None, True),
+        ({}, 2.0, False),
+        ({"duration": 2.0}, None, False),
+        ({"flow": block("hold", duration=2.0)}, None, False),
+        ({"platform": "fake"}, None, False),  # whose `recv` may end a run
+    ],
+)
+def test_it_is_known_of_a_run_that_it_never_ends_by_itself(
+    described: dict[str, Any], duration: float | None, endless: bool
+) -> None:
+    pytest.importorskip("mujoco")
+    walks = block("velocity_command", schedule=[[0.0, 0.5, 0.0, 0.0]])
+    said = {"platform": "mujoco", "flow": block("hold"), "commands": [walks]} | described
+    program = Program(robot="go2", rate=50, **said)
+    assert never_ends(program, RunOptions(duration=duration)) is endless
+    program.close()
+
+
+def test_the_command_line_says_so_at_its_start(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("mujoco")
+    words = ["run", "h1_stand", "--set", "robot=go2", "--no-ros", "--quiet", "--speed"]
+
+    def stopped(*_: Any) -> None:
+        raise UniconError("stopped")
+
+    monkeypatch.setattr(Runner, "run", stopped)
+    told = []
+    for more in (["max"], ["real"], ["max", "--duration", "1"]):
+        assert main([*words, *more]) == 1
+        told.append("h1_stand never ends by itself: Ctrl-C does" in capfd.readouterr().err)
+    assert told == [True, False, False]

@@ -83,7 +83,7 @@ class VelocityCommand:
         ticks: int | None,
     ) -> None:
         self._out, self._starts, self._values, self._step = out, starts, values, step
-        self._ticks = ticks
+        self._ticks, self.endless = ticks, ticks is None
         self._change = np.zeros_like(out)
         self._zero = np.zeros(3, np.float32)
         self.reset()

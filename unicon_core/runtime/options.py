@@ -9,13 +9,17 @@ from numbers import Real
 from typing import Any, Literal, get_args
 
 from unicon_core.errors import PlatformError, UniconError, alternatives
+from unicon_core.flow import Stage, as_block
+from unicon_core.flow.check_ends import never_done
 from unicon_core.platforms.platform import WaitsForData
 from unicon_core.workflow import Program
 
-__all__ = ["RunOptions", "refuse_pace"]
+__all__ = ["RunOptions", "never_ends", "refuse_pace"]
 
 
 Speed = Literal["real", "max"]
+
+_PLATFORM = (Stage.RECV, Stage.SEND)
 
 
 @dataclass(frozen=True)
@@ -65,6 +69,14 @@ class RunOptions:
             if name not in known:
                 raise UniconError(f"unknown option {name!r} of run; {alternatives(name, known)}")
         return cls(**options)
+
+
+def never_ends(program: Program, options: RunOptions) -> bool:
+    """Return True where it is proven that a run ends only when somebody ends it."""
+    if options.duration is not None or program.duration is not None:
+        return False
+    given = [n for s, nodes in program.stages.items() if s not in _PLATFORM for n in nodes]
+    return as_block(program.platform.recv).endless and all(map(never_done, given))
 
 
 def refuse_pace(program: Program, options: RunOptions) -> None:

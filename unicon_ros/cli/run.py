@@ -198,6 +198,7 @@ def _run(
     from unicon_core.check import refuse_errors
     from unicon_core.check.seen import little_seen
     from unicon_core.runtime import Runner, RunOptions
+    from unicon_core.runtime.options import never_ends
     from unicon_core.workflow import Program
     from unicon_ros.fault_record import FaultRecord
 
@@ -295,6 +296,8 @@ def _run(
                 for evidence in little_seen(program.platform.facts, program.robot):
                     if evidence.level in ("never", "stand_in"):
                         console.say(f"{evidence.kind} {evidence.name}: {evidence}")
+            if arguments.speed == "max" and never_ends(program, options):
+                console.say(f"{program.name} never ends by itself: Ctrl-C does, or --duration S")
             runner = Runner(program, options)
             if session is not None:
                 session.attach(runner)
