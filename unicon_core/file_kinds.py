@@ -1,18 +1,26 @@
-"""What kind of file a YAML document of ours is, for every loader that is handed another one."""
+"""What kind of file a loader was handed: a YAML document of ours, or a pointer of Git LFS."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
-__all__ = ["other_kind"]
+__all__ = ["is_lfs_pointer", "other_kind"]
 
+_POINTER = b"version https://git-lfs"
 _KINDS = {
     "workflow": "run it with `unicon run FILE`",
     "sweep": "run it with `unicon sweep FILE`",
     "robot": "name it as `robot: FILE` in a workflow, or see it with `unicon robots FILE`",
     "policy": "name its folder under `policies:` in a workflow",
 }
+
+
+def is_lfs_pointer(path: Path) -> bool:
+    """Return whether a file only names what `git lfs pull` would bring."""
+    with path.open("rb") as file:
+        return file.read(len(_POINTER)) == _POINTER
 
 
 def other_kind(values: Any, wanted: str) -> str:

@@ -94,6 +94,10 @@ def test_absent_meshes_are_left_out_with_one_line(
     line = "1 mesh files are absent (first: skin.stl): 2 geoms left out, 1 of them may collide"
     assert platform.info()["notes"][0] == line
     assert load_model(path, robot).absent == {path: line}
+    pointer = "version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 1\n"
+    path.with_name("skin.stl").write_text(pointer)
+    line += "; 1 of the files is a Git LFS pointer: run 'git lfs pull'"
+    assert load_model(path, robot).absent == {path: line}
 
 
 def test_body_that_weighs_nothing_without_its_mesh_is_an_error(

@@ -322,6 +322,10 @@ def test_an_absent_texture_is_left_out(
     platform = make(states_of(robot), robot, 0.002, scene=Scene(model=path))
     assert platform.info()["notes"][0] == "1 textures are absent (logo): left out"
     assert platform.model.ntex == 0
+    path.with_name("logo.png").write_text("version https://git-lfs.github.com/spec/v1\n")
+    platform = make(states_of(robot), robot, 0.002, scene=Scene(model=path))
+    note = platform.info()["notes"][0]
+    assert note.endswith("left out; 1 of the files is a Git LFS pointer: run 'git lfs pull'")
 
 
 # -- actuators of any kind -----------------------------------------------------------------------

@@ -8,6 +8,7 @@ from os.path import isfile
 from pathlib import Path
 from typing import Any
 
+from unicon_core.file_kinds import is_lfs_pointer
 from unicon_core.packages import PACKAGE, share_folder
 
 __all__ = ["delete", "drop_absent_meshes", "drop_absent_textures", "mesh_places", "model_folders"]
@@ -54,18 +55,20 @@ def drop_absent_meshes(
     """
     urdf, folders = path.suffix.lower() == ".urdf", model_folders(path)
     absent: dict[str, Any] = {}
+    pointers = 0
     for mesh in spec.meshes:
         if not mesh.file or mesh.file in spec.assets:
             continue
         readable = Path(mesh.file).suffix.lower() in _MESHES
         folder = mesh.compiler.meshdir or spec.compiler.meshdir or spec.meshdir or ""
         looked = (mesh_places(path, each / folder, mesh.file) for each in folders)
-        there = (place for places in looked for place in places if isfile(place))
-        found = next(there, None) if readable else None
+        there = [place for places in looked for place in places if isfile(place)]
+        found = next((p for p in there if readable and not is_lfs_pointer(p)), None)
         if found is None:
+            pointers += any(map(is_lfs_pointer, there))
             absent[mesh.name or Path(mesh.file).stem] = mesh
         elif mesh.file.startswith(PACKAGE) or (
-            urdf and not isfile(path.parent / folder / mesh.file)  # where alone MuJoCo looks
+            urdf and found != path.parent / folder / mesh.file  # where alone MuJoCo looks
         ):
             mesh.file = str(found.resolve())
     if not absent:
@@ -94,16 +97,19 @@ def drop_absent_meshes(
     paired = {name for pair in spec.pairs for name in (pair.geomname1, pair.geomname2)}
     if floats and not any(g.contype or g.conaffinity or g.name in paired for g in own):
         note += "; nothing else of it does, so it falls through the floor: add the files"
-    return [note]
+    return [note + _pull(pointers)]
 
 
 def drop_absent_textures(spec: Any, path: Path) -> list[str]:
     """Take the textures without a file out; return a line that says so, if any."""
     folder = path.parent / (spec.compiler.texturedir or spec.texturedir or "")
+    pointers = set()
 
     def lacks(texture: Any) -> bool:
-        files = [file for file in (texture.file, *texture.cubefiles) if file]
-        return not all((folder / file).is_file() for file in files)
+        files = [folder / file for file in (texture.file, *texture.cubefiles) if file]
+        there = [file for file in files if file.is_file()]
+        pointers.update(file for file in there if is_lfs_pointer(file))
+        return len(there) < len(files) or not pointers.isdisjoint(files)
 
     absent = [texture for texture in spec.textures if lacks(texture)]
     if not absent:
@@ -113,7 +119,13 @@ def drop_absent_textures(spec: Any, path: Path) -> list[str]:
         material.textures = ["" if name in names else name for name in material.textures]
     for texture in absent:
         delete(spec, texture)
-    return [f"{len(names)} textures are absent ({', '.join(sorted(names))}): left out"]
+    note = f"{len(names)} textures are absent ({', '.join(sorted(names))}): left out"
+    return [note + _pull(len(pointers))]
+
+
+def _pull(pointers: int) -> str:
+    are = f"{pointers} of the files {'is a' if pointers == 1 else 'are'} Git LFS pointer"
+    return f"; {are}{'s' * (pointers > 1)}: run 'git lfs pull'" if pointers else ""
 
 
 def delete(spec: Any, element: Any) -> None:

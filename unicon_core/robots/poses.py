@@ -65,8 +65,8 @@ def named_pose(to: str | Mapping[str, float], robot: Robot, what: str) -> tuple[
             joint = robot.joint_names[first]
             also = f" and {len(more)} more joint{'s' * (len(more) > 1)}" if more else ""
             raise RobotError(
-                f"{what}: robot {robot.name} does not say `{key}` (the {to} pose) of {joint}{also}; "
-                f"give it in {robot.file_of(joint)}, or give joints and positions"
+                f"{what}: robot {robot.name} does not say `{key}` (the {to} pose) of {joint}"
+                f"{also}; give it in {robot.file_of(joint)}, or give joints and positions"
             )
         return poses[to].astype(np.float32), np.ones(robot.num_joints, np.float32)
     pose = np.zeros(robot.num_joints, np.float32)

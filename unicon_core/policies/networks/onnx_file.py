@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from unicon_core.errors import PolicyError
+from unicon_core.file_kinds import is_lfs_pointer
 from unicon_core.policies.networks.network import Tensor
 
 __all__ = ["OnnxFile", "read_onnx", "short_text"]
@@ -79,7 +80,7 @@ def read_onnx(path: Path) -> OnnxFile:
     try:
         return _model(path, memoryview(data))
     except (IndexError, ValueError) as error:
-        if data.startswith(b"version https://git-lfs"):
+        if is_lfs_pointer(path):
             raise PolicyError(
                 f"{path}: a Git LFS pointer, not the model; run 'git lfs pull' there"
             ) from error
