@@ -56,12 +56,14 @@ def test_a_target_moves_no_faster_than_told_and_arrives(following: Bench) -> Non
     assert before[1:].tolist() == BEGIN[1:].tolist()
 
 
-def test_positions_stay_within_the_limits_and_do_not_wind_up(following: Bench) -> None:
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_positions_stay_within_the_limits_and_do_not_wind_up(following: Bench, sign: float) -> None:
+    end = following.robot.upper if sign > 0.0 else following.robot.lower
     block = following.block("forward_command", max_rate=100.0)
-    following.states.joint_pos_command[...] = 1e30
-    np.testing.assert_allclose(ticked(following, block, 200), following.robot.upper)
-    following.states.joint_pos_command[...] = following.robot.upper - 0.01
-    np.testing.assert_allclose(ticked(following, block, 2), following.robot.upper - 0.01)
+    following.states.joint_pos_command[...] = sign * 1e30
+    np.testing.assert_allclose(ticked(following, block, 200), end)
+    following.states.joint_pos_command[...] = end - sign * 0.01
+    np.testing.assert_allclose(ticked(following, block, 2), end - sign * 0.01)
 
 
 def test_feed_forward_is_bounded_and_gone_with_the_command(following: Bench) -> None:

@@ -254,7 +254,12 @@ ROWS = [
         BLOCKS,
         ("EncoderStop.__call__", REMOVED),
         ("EncoderStop._look", REMOVED),
-        ("EncoderStop._look", "same >= self._ticks", "same >= 10 * self._ticks"),
+        (
+            "EncoderStop._look",
+            "self._asked_at + 1 >= self._ticks",
+            "self._asked_at + 1 >= 10 * self._ticks",
+        ),
+        ("EncoderStop._look", "where=over & (self._asked_at <= self._since)", "where=over & False"),
         ("EncoderStop.__call__", "self._motion**2", "(10 * self._motion)**2"),
         (
             "EncoderStop._look",

@@ -103,7 +103,7 @@ def drop_absent_meshes(
 def drop_absent_textures(spec: Any, path: Path) -> list[str]:
     """Take the textures without a file out; return a line that says so, if any."""
     folder = path.parent / (spec.compiler.texturedir or spec.texturedir or "")
-    pointers = set()
+    pointers: set[Path] = set()
 
     def lacks(texture: Any) -> bool:
         files = [folder / file for file in (texture.file, *texture.cubefiles) if file]

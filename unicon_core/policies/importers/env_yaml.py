@@ -146,8 +146,8 @@ def _action_term(located: Located) -> tuple[str, Mapping[str, Any]]:
     if len(terms) != 1:
         raise located.error(
             ("actions",),
-            f"actions has {len(terms)} terms ({', '.join(terms) or 'none'}); only one of joint "
-            "position targets can be run",
+            f"actions has {len(terms)} terms ({', '.join(map(str, terms)) or 'none'}); only one of "
+            "joint position targets can be run",
         )
     name, term = next(iter(terms.items()))
     kind = str(term.get("class_type", ""))
