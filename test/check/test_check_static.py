@@ -276,6 +276,37 @@ def test_a_term_times_zero_is_found(folder: Path) -> None:
     assert line.startswith("policy 'walk', term 'gravity': scale is 0")
 
 
+@pytest.mark.parametrize(
+    ("term", "scale", "said"),
+    [
+        (
+            1,
+            -1.0,
+            "'gravity': scale is -1 at 3 of 3 elements of projected_gravity: was ",
+        ),
+        (
+            3,
+            [1.0] * 11 + [-1.0],
+            "'joint_pos': scale is -1 at 1 of 12 elements of joint_pos: was it",
+        ),
+        (
+            4,
+            57.3,
+            "'joint_vel': scale is 57.3 at 12 of 12 elements of joint_vel: was it tr",
+        ),
+    ],
+)
+def test_an_odd_scale_is_noted(folder: Path, term: int, scale: Any, said: str) -> None:
+    result = check(folder, {f"observation.terms.{term}.scale": scale})
+    assert result.clean, result.text()
+    assert f"policy 'walk', term {said}" in note_of(result, "observation.scale")
+
+
+def test_usual_scales_are_not_noted(folder: Path) -> None:
+    changes = {"observation.terms.2.scale": [-2.0, 2.0, 1.0], "observation.terms.4.scale": 1.0}
+    assert "observation.scale" not in [note.code for note in check(folder, changes).notes]
+
+
 def test_a_term_clipped_to_one_value_is_found(folder: Path) -> None:
     line = text_of(check(folder, {"observation.terms.4.clip": [0.0, 0.0]}), "observation.clip")
     assert line.startswith("policy 'walk', term 'joint_vel': it is clipped to 0 … 0")

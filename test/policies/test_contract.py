@@ -137,6 +137,11 @@ def test_a_good_file_is_read(tmp_path: Path) -> None:
             "degrees?",
         ),
         (
+            "default_joint_pos: [0.1, 0.2, 0.3, 0.4]",
+            "default_joint_pos: [0.1, 51.57, 0.3, 0.4]",  # not the nearest float32
+            ":6: default_joint_pos[1] is 51.57; it must be at most 12.5664 rad; are these degrees?",
+        ),
+        (
             "[a_hip, a_knee, b_hip, b_knee]",
             "[a_hip, a_knee, a_hip, b_knee]",
             ":5: joint 'a_hip' stands twice in joints; name each joint once",
@@ -242,6 +247,12 @@ def test_all_missing_facts_are_named_at_once(tmp_path: Path) -> None:
         "or one for each joint); observation.terms (the terms of the network's input, in order); "
         "add it to policy.yaml"
     )
+
+
+def test_joints_that_are_no_list_are_refused(tmp_path: Path) -> None:
+    path = write_toy(tmp_path, toy_values(joints=3))
+    with pytest.raises(PolicyError, match="joints is 3; give a list of joint names"):
+        load_policy(path)
 
 
 def test_an_import_refuses_a_misspelt_fact_too(tmp_path: Path) -> None:

@@ -319,7 +319,9 @@ def test_gains_of_some_joints_stay_in_what_an_import_writes(tmp_path: Path) -> N
     path = write(tmp_path, ENV, ("damping: 0.9", "damping: null"))
     report = import_policy(path, tmp_path / "out", robot=machine, given={"joints": ARM})
     assert list(report.missing) == ["stiffness", "damping"]
-    values = yaml.safe_load(report.path.read_text("utf-8"))
+    text = report.path.read_text("utf-8")
+    assert text.startswith("# env.yaml does not say, so add:\n#   stiffness: in [N·m/rad], policy ")
+    values = yaml.safe_load(text)
     assert values["stiffness"] == [25.0, 25.0, "?", 25.0, 35.0]
     assert values["damping"] == [0.5, 0.8, "?", 0.5, "?"]
     with pytest.raises(PolicyError) as caught:

@@ -23,6 +23,9 @@ __all__ = ["check_frames", "check_observation"]
 NOT_ON_HARDWARE = ("base_lin_vel", "base_pos_w")
 """What no sensor of a legged robot measures: it takes an estimator or a tracking system."""
 
+SIGNED = ("projected_gravity", "base_ang_vel", "joint_pos", "joint_vel")
+"""What policies see with the sign that it has here; joint velocities by a factor of 0.05 to 1."""
+
 
 def check_observation(subject: Subject, result: CheckResult) -> None:
     """Add a table of terms and one of the network's input for each policy, and findings."""
@@ -144,6 +147,20 @@ def _term(subject: Subject, policy: PolicyResult, part: TermSlice) -> None:
             "scale is 0: the network would not see it",
             "give the scale that it was trained with, or leave the term out",
         )
+    for odd, hint in (
+        ((part.scale < 0.0) & (term.state in SIGNED), "was it trained with the other sign?"),
+        (
+            (part.scale > 1.0) & (term.state == "joint_vel"),
+            "was it trained with degrees? it is in rad/s here",
+        ),
+    ):
+        if odd.any():
+            policy.note(
+                "observation.scale",
+                culprit,
+                f"scale is {figure(part.scale[odd][0])} at {np.count_nonzero(odd)} of {odd.size} "
+                f"elements of {term.state}: {hint}",
+            )
     if (part.low >= part.high).any():
         policy.find(
             "observation.clip",

@@ -43,7 +43,7 @@ CODES = {
     "action.reach": "clipped actions reach far outside the limits, and nothing limits targets",
     "action.unsent": "the platform does not send the velocities or torques that are commanded",
     "action.torque": "one unit of action asks for more torque than there is (a note)",
-    "observation.scale": "a term is multiplied by 0 (some of its elements: a note)",
+    "observation.scale": "a term is multiplied by 0 (some elements, or an odd factor: a note)",
     "observation.clip": "a term is clipped to a single value",
     "observation.measured": "a term cannot be measured on this platform",
     "observation.frame": "the platform's orientation and gravity contradict each other",

@@ -142,7 +142,7 @@ class FactValue:
         if bad.size:
             i = int(bad[0])
             bound = f"at least {lowest:g}" if array[i] < lowest else f"at most {highest:g}"
-            raise self.part(i, None).fail(f"is {array[i]}; it must be {bound}{hint}")
+            raise self.part(i, None).fail(f"is {array[i]!s}; it must be {bound}{hint}")
         return array
 
     def clip(self, count: int | None = None) -> NDArray[np.float32] | None:

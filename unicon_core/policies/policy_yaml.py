@@ -102,7 +102,7 @@ def write_partial_yaml(facts: Facts, missing: Mapping[str, str], out_dir: str | 
         if os.path.isfile(model):
             values["sha256"] = sha256_of(model)
     values |= {k: v for k, v in facts.values.items() if k not in values}
-    lines = [f"# The {facts.source} of {facts.path.name} does not say, so add:"]
+    lines = [f"# {facts.path.name} does not say, so add:"]
     for name, what in missing.items():
         if name == "observation.scale":
             name, what = "scale of each term", f"where {TO_GIVE} stands; 1.0 for none"

@@ -127,8 +127,8 @@ def suggest_joints(facts: Facts, widths: Collection[int | str]) -> None:
     """
     for key in _GAINS:
         bare = open_joints(facts, key)
-        driven = [joint for joint in facts.values.get("joints", ()) if joint not in bare]
-        if key in facts.asks and bare and len(driven) in widths:
+        driven = [joint for joint in facts.values["joints"] if joint not in bare] if bare else []
+        if driven and key in facts.asks and len(driven) in widths:
             facts.asks[key] += (
                 f"; the network's output is as wide as the {len(driven)} others: if they are all "
                 f"that it was trained with, give joints without these: --joints {','.join(driven)}"
