@@ -12,6 +12,7 @@ import threading
 import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from io import TextIOWrapper
 from queue import SimpleQueue
 from select import select
 from typing import Generic, TypeVar
@@ -108,7 +109,7 @@ def open_standard_files() -> None:
     """Open the null device where standard input, output or error is closed (`unicon … >&- 2>&-`).
 
     Else the next file that is opened, such as a recording, would get its number, and with it what
-    libraries write to standard error.
+    libraries write to standard error. What a terminal cannot show (`LC_ALL=C`) is replaced.
     """
     while (handle := os.open(os.devnull, os.O_RDWR)) <= STDERR:
         os.set_inheritable(handle, True)
@@ -117,6 +118,9 @@ def open_standard_files() -> None:
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - until the process ends
     if sys.stderr is None:
         sys.stderr = open(os.devnull, "w")  # noqa: SIM115
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="replace")
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
@@ -48,6 +49,13 @@ def check_golden(name: str, told: str) -> None:
         GOLDEN.mkdir(exist_ok=True)
         golden.write_text(told, encoding="utf-8")
     assert told == golden.read_text(encoding="utf-8")
+
+
+def test_what_a_terminal_cannot_show_is_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
+    told = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
+    monkeypatch.setattr("sys.stdout", told)
+    assert main(["robots", "go2"]) == 0
+    assert b"N?m" in told.buffer.getvalue()  # type: ignore[attr-defined]
 
 
 # -- lists ---------------------------------------------------------------------------------------
