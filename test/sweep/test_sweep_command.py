@@ -344,13 +344,14 @@ def test_a_gate_for_each_of_what_is_not_varied_is_told_before_anything_runs(
         assert "'scene.seat' is not varied; did you mean 'scene.seed'?" in told
 
 
-def test_a_row_that_lacks_breaks_every_gate(done: Path, tmp_path: Path) -> None:
+def test_no_gate_is_known_or_holds_while_a_row_lacks(done: Path, tmp_path: Path) -> None:
     out = shutil.copytree(done, tmp_path / "out")
     said = json.loads((out / "sweep.json").read_text())
     said["identity"]["repeat"] = 2
     (out / "sweep.json").write_text(json.dumps(said))
     assert Results(out).lacking == 20
     assert not read_gate("fall<2").holds(Results(out))
+    assert read_gate("fall<2").told(Results(out)) == "gate fall<2: not known yet"
     assert read_gate("fall<2").holds(Results(done))
 
 

@@ -104,6 +104,8 @@ class Gate:
 
     def told(self, results: Results) -> str:
         """Return the condition, what was found where it is worst, and whether it holds."""
+        if results.lacking:
+            return f"gate {self.text}: not known yet"
         verdict = "holds" if self.holds(results) else "BROKEN"
         where, value = next(iter(self.values(results)), (None, float("nan")))
         at = f" at {where}" if self.each else ""
