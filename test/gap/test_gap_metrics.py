@@ -225,6 +225,8 @@ def test_fall_time_is_when_the_base_stays_down() -> None:
     ]
     for leans, time in cases:
         np.testing.assert_allclose(fall_time(gravity(*leans), 0.1, for_s=0.3), time)
+    ended = [fall_time(gravity(*leans), 0.1, 0.3, whole=True) for leans, _ in cases]
+    np.testing.assert_allclose(ended, [np.nan, 0.5, np.nan, 0.0])  # the third one only leans
     both = fall_time(np.stack([gravity(*leans) for leans, _ in cases]), 0.1, for_s=0.3)
     np.testing.assert_allclose(both, [time for _, time in cases])
 

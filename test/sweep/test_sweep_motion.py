@@ -94,6 +94,11 @@ def test_nothing_counts_after_a_fall_and_one_sample_says_nothing() -> None:
     states["projected_gravity"][:] = (1.0, 0.0, 0.0)
     figures = moved(states, PERIOD)
     assert (figures["fall_s"], figures["distance_m"], figures["speed_error"]) == (0.0, 0.0, None)
+    states["projected_gravity"][:35] = (0.0, 0.0, -1.0)
+    assert moved(states, PERIOD)["fall_s"] == 0.7  # and not 0.7000000000000001
+    short = {name: values[:37] for name, values in states.items()}
+    assert moved(short, PERIOD)["fall_s"] == 0.7
+    assert moved(short, PERIOD, whole=True)["fall_s"] is None  # it leans at the end
     one = {name: values[:1] for name, values in states.items()}
     assert set(moved(one, PERIOD).values()) == {None}
 

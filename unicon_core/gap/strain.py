@@ -94,13 +94,16 @@ def compare(real: ArrayLike, sim: ArrayLike) -> Array:
     return ratio
 
 
-def fall_time(projected_gravity: ArrayLike, period: float, for_s: float = 0.1) -> Array:
+def fall_time(
+    projected_gravity: ArrayLike, period: float, for_s: float = 0.1, whole: bool = False
+) -> Array:
     """Return when the base leaned too far and stayed there, in [s]; NaN where it did not fall.
 
     Args:
         projected_gravity: unit vector of gravity in the base frame, shape (…, n, 3).
         period: between two samples in [s].
         for_s: how long it stays so, in [s]; until the end counts too, since runs end with a fall.
+        whole: the end does not count: it was not the fall that ended the run.
 
     Returns:
         Time of the first such sample, shape (…,).
@@ -121,4 +124,6 @@ def fall_time(projected_gravity: ArrayLike, period: float, for_s: float = 0.1) -
     np.cumsum(leans, axis=-1, out=total[..., 1:])
     ends = np.minimum(np.arange(count) + held, count)
     down = leans & (total[..., ends] - total[..., :count] == ends - np.arange(count))
+    if whole:
+        down[..., max(0, count - held + 1) :] = False
     return np.where(down.any(axis=-1), period * np.argmax(down, axis=-1), np.nan)

@@ -31,6 +31,9 @@ NEAR = 0.01
 FULL = 0.99
 """Share of the limit of effort that counts as hit."""
 
+_BY_ITSELF = ("done", "duration")
+"""Ends of a rollout that a lean has no part in."""
+
 _LOOKED_AT = (
     *("joint_pos", "joint_vel", "joint_effort", "base_pos_w", "base_quat", "projected_gravity"),
     *("base_ang_vel", "velocity_command"),
@@ -180,13 +183,13 @@ class Figures:
 
     def _of_base(self, states: Mapping[str, Array], rollout: Rollout) -> dict[str, Any]:
         wide = {name: values.astype(np.float64) for name, values in states.items()}
-        row: dict[str, Any] = moved(wide, self._period)
+        row: dict[str, Any] = moved(wide, self._period, rollout.ended in _BY_ITSELF)
         upright = -states["projected_gravity"][:, 2].astype(np.float64)
         leans = upright < math.cos(LEANS)
         fell = row["fall_s"] is not None or bool(rollout.fault and leans[-1])
         if fell and row["fall_s"] is None:  # a fault came before it had leaned long enough
             first = len(leans) - int(np.argmin(leans[::-1])) if not leans.all() else 0
-            row["fall_s"] = first * self._period
+            row["fall_s"] = round(first * self._period, 9)
         lowest = float(np.clip(upright.min(), -1.0, 1.0))
         return row | {"fell": fell, "tilt_deg": math.degrees(math.acos(lowest))}
 

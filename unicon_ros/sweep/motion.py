@@ -34,7 +34,9 @@ def finite_rows(states: Mapping[str, NDArray[Any]]) -> int:
     return len(good) if good.all() else int(np.argmin(good))
 
 
-def moved(states: Mapping[str, Array], period: float) -> dict[str, float | None]:
+def moved(
+    states: Mapping[str, Array], period: float, whole: bool = False
+) -> dict[str, float | None]:
     """Return what the base did until it fell.
 
     Args:
@@ -42,6 +44,7 @@ def moved(states: Mapping[str, Array], period: float) -> dict[str, float | None]
             `projected_gravity` and `velocity_command` (vx, vy [m/s], wz [rad/s], in the base's
             heading frame) over time, shape (n, d), all finite.
         period: between two samples in [s].
+        whole: a lean until the end is no fall, see `fall_time`.
 
     Returns:
         `distance_m`: way in the commanded direction; `commanded_m`: integral of the commanded
@@ -60,7 +63,7 @@ def moved(states: Mapping[str, Array], period: float) -> dict[str, float | None]
     if len(command) < 2:
         return figures
     figures["commanded_m"] = float(np.sum(np.linalg.norm(command[:-1, :2], axis=1)) * period)
-    fall = float(fall_time(states["projected_gravity"], period))
+    fall = round(float(fall_time(states["projected_gravity"], period, whole=whole)), 9)
     if not math.isnan(fall):
         figures["fall_s"] = fall
         upright = round(fall / period)
