@@ -280,6 +280,18 @@ def test_a_robot_is_called_as_its_model(
     assert new.sources["joints"] == "file.xml: names, limits; order: its joints"
 
 
+def test_a_scene_is_called_as_the_model_that_it_includes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("dog.xml").write_text(body(limbs(4, "x"), free=True), "utf-8")
+    for k, said in enumerate(("", 'model="dog scene"')):
+        Path("scene.xml").write_text(f'<mujoco {said}><include file="dog.xml"/></mujoco>', "utf-8")
+        assert main(["robots", "new", "scene.xml"]) == 0
+        assert load_robot(tmp_path / "dog.yaml").models == {"mjcf": "scene.xml"}, k
+        Path("dog.yaml").unlink()
+
+
 def test_the_rover_is_wheeled(tmp_path: Path) -> None:
     new = written(str(ROOT / "examples/rover/rover.xml"), tmp_path)
     shipped = load_robot(ROOT / "examples/rover/rover.yaml")

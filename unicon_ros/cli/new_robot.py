@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import xml.etree.ElementTree as ET
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -122,9 +123,17 @@ def new_robot(model: str, out: str | None, kind: str | None = None) -> str:
 
 
 def _name(bare: LoadedModel) -> str:
-    """Return what a model calls itself, else its file's stem, as the name of a file."""
+    """Return what a model calls itself, else its file's stem, as the name of a file.
+
+    A scene is called as the file that it includes.
+    """
     own = bytes(bare.model.names).split(b"\0")[0].decode("utf-8", "replace")
-    return re.sub(r"[^A-Za-z0-9_]", "_", bare.path.stem if own in ("", _NAMELESS) else own)
+    own = bare.path.stem if own in ("", _NAMELESS) else own
+    if own.lower().endswith("scene"):
+        with suppress(ET.ParseError):  # MuJoCo reads more than XML
+            files = (each.get("file", "") for each in ET.parse(bare.path).iter("include"))
+            own = next((Path(file).stem for file in files if file), own)
+    return re.sub(r"[^A-Za-z0-9_]", "_", own)
 
 
 def _facts(bare: LoadedModel, name: str, kind: str | None) -> _Facts:
