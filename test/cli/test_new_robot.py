@@ -292,6 +292,20 @@ def test_a_scene_is_called_as_the_model_that_it_includes(
         Path("dog.yaml").unlink()
 
 
+def test_joints_that_damp_themselves_are_told_where_actuators_do_not(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = body(limbs(1, "x"), free=False).replace('range="-1 1"', 'range="-1 1" damping="0.56"')
+    for kv, told in (("", True), ('kv="2"', False)):
+        actuators = "".join(f'<position joint="x0_{i}" kp="17" {kv}/>' for i in (1, 2))
+        (tmp_path / "x.xml").write_text(
+            text.replace("</mujoco>", f"<actuator>{actuators}</actuator></mujoco>"), "utf-8"
+        )
+        new = written(str(tmp_path / "x.xml"), tmp_path, f"x{told}")
+        assert np.isnan(new.joint_damping).all() == told
+        assert ("by 0.56 N·m·s/rad at most: damping: 0.0" in capsys.readouterr().out) == told
+
+
 def test_the_rover_is_wheeled(tmp_path: Path) -> None:
     new = written(str(ROOT / "examples/rover/rover.xml"), tmp_path)
     shipped = load_robot(ROOT / "examples/rover/rover.yaml")

@@ -44,7 +44,7 @@ class _Facts:
     """What was found: figures by key of a joint, shape (n,), NaN where it is not said.
 
     `hangs`: its base should move freely, and the model fixes it. `passive`: joints left out, which
-    have no actuator where others have one.
+    have no actuator where others have one. `damped`: damping of the joints themselves.
     """
 
     name: str
@@ -55,6 +55,7 @@ class _Facts:
     joints: tuple[str, ...]
     passive: list[str]
     figures: dict[str, Float]
+    damped: Float
     imu: tuple[str, Float, Float] | None
     feet: list[str]
     sources: dict[str, str]
@@ -107,6 +108,12 @@ def new_robot(model: str, out: str | None, kind: str | None = None) -> str:
         lines.append(
             f"{len(facts.passive)} joints are left out, since the model has no actuator for them: "
             f"{', '.join(facts.passive)}; they stay passive in it: add those that a motor turns"
+        )
+    stiff = ~np.isnan(facts.figures["stiffness"])
+    if (stiff & np.isnan(facts.figures["damping"]) & (facts.damped > 0.0)).any():
+        lines.append(
+            "the model's actuators do not damp and its joints do, by "
+            f"{facts.damped[stiff].max():.3g} N·m·s/rad at most: damping: 0.0 simulates it as it is"
         )
     if len(facts.feet) != _LEGS.get(facts.kind, len(facts.feet)):
         lines.append(
@@ -167,7 +174,10 @@ def _facts(bare: LoadedModel, name: str, kind: str | None) -> _Facts:
     sources["transport"] = "not known"
     names = [model.joint(i).name or f"joint {i}" for i in passive]
     body = model.body(base).name
-    return _Facts(name, kind, reason, body, hangs, joints, names, figures, imu, feet, sources)
+    damped = np.array([model.dof_damping[model.jnt_dofadr[i]] for i in loaded.joints])
+    return _Facts(
+        name, kind, reason, body, hangs, joints, names, figures, damped, imu, feet, sources
+    )
 
 
 def _simple(model: Any) -> list[int]:
