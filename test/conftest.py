@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import shutil
+import signal
 import tempfile
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -38,6 +39,10 @@ os.environ["UNICON_FAULTS"] = f"{LOG_DIR}/faults"  # not the user's
 os.environ["UNICON_LATCHES"] = f"{LOG_DIR}/latches"
 for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"):
     os.environ[name] = str(ROOT / "config" / "dds" / "fast_discovery.xml")
+# A shell's background job and nohup ignore them, and so would the processes that tests interrupt.
+for number, usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
+    if signal.getsignal(number) is signal.SIG_IGN:
+        signal.signal(number, usual)
 settings.register_profile("busy", deadline=None)  # a busy machine takes its time for an example
 settings.load_profile("busy")
 if (ASSETS := ROOT.parent / "shared" / "assets").is_dir():

@@ -190,8 +190,10 @@ def test_who_is_killed_leaves_a_fault_that_names_it(workflow: Path) -> None:
     third = "left, right, third"
     right = begin(workflow, 1, together("right", third))
     assert right.stdout is not None
-    while "waiting for 'third'" not in right.stdout.readline():  # it has never begun
-        pass
+    said = [""]
+    while "waiting for 'third'" not in said[-1]:  # it has never begun
+        said.append(right.stdout.readline())
+        assert said[-1], said
     right.send_signal(signal.SIGKILL)
     right.communicate()
     ((began, _, _, faults),) = ended(left)

@@ -124,7 +124,13 @@ class Agreement:
                 self._moment = 0
 
     def _follow(self, now_ns: int, there: list[str], heard: Mapping[str, Word]) -> None:
-        """Repeat the moment that another one names, and stay with it in the end."""
+        """Repeat the moment that another one names, and stay with it in the end.
+
+        Where the lists of robots differ, the other one may lack nobody: who does waits on.
+        """
+        if self.lacking and not self._alone:
+            self._moment = 0
+            return
         if not (self._moment and self._leader in there):
             self._leader = there[0]
         named = heard[self._leader].moment_ns
