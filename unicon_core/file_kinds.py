@@ -18,9 +18,12 @@ _KINDS = {
 
 
 def is_lfs_pointer(path: Path) -> bool:
-    """Return whether a file only names what `git lfs pull` would bring."""
-    with path.open("rb") as file:
-        return file.read(len(_POINTER)) == _POINTER
+    """Return whether a file only names what `git lfs pull` would bring; False of an unreadable."""
+    try:
+        with path.open("rb") as file:
+            return file.read(len(_POINTER)) == _POINTER
+    except OSError:  # its loader says so
+        return False
 
 
 def other_kind(values: Any, wanted: str) -> str:

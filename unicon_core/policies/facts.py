@@ -16,6 +16,7 @@ from unicon_core.located_yaml import Where
 from unicon_core.resources import file_beside
 
 __all__ = [
+    "GAINS",
     "TO_GIVE",
     "Facts",
     "dig",
@@ -69,7 +70,8 @@ _NEEDED = {
     "action.scale": "in [rad], one number or one for each joint",
     "observation.terms": "the terms of the network's input, in order",
 }
-_BY_JOINTS = ("default_joint_pos", "stiffness", "damping", "action.scale")
+GAINS = ("stiffness", "damping")
+_BY_JOINTS = ("default_joint_pos", *GAINS, "action.scale")
 _ASKED = {
     "observation.scale": "scale of each term, or under 'given' one factor for all",
     "observation.layout": "term_major or frame_major",
@@ -177,10 +179,8 @@ def missing_facts(facts: Facts) -> dict[str, str]:
     values, place = facts.values, "observation.terms"
     missing = {name: what for name, what in _NEEDED.items() if _said(values, name) is None}
     for name in _BY_JOINTS:
-        left = open_joints(facts, name)
-        missing |= (
-            {name: f"{_NEEDED[name]}; {TO_GIVE} stands for {', '.join(left)}"} if left else {}
-        )
+        if left := open_joints(facts, name):
+            missing[name] = f"{_NEEDED[name]}; {TO_GIVE} stands for {', '.join(left)}"
     if facts.by_pattern and "joints" in missing:  # by which the source says these
         missing = {name: what for name, what in missing.items() if name not in _BY_JOINTS}
     terms, inputs = _said(values, place), values.get("inputs")

@@ -25,7 +25,7 @@ from unicon_core.models.find import pick_model
 from unicon_core.models.joints import drives, position_gains
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import import_mujoco
-from unicon_core.policies.facts import Facts, is_open, missing_facts
+from unicon_core.policies.facts import GAINS, Facts, is_open, missing_facts
 from unicon_core.robots import Robot, load_robot
 
 __all__ = ["FromModel"]
@@ -36,7 +36,6 @@ _OPTIONS = {
     "stiffness": (),
     "damping": ("of",),
 }
-GAINS = ("stiffness", "damping")
 _ORDERS = ("depth_first", "breadth_first", "actuators")
 
 

@@ -126,17 +126,16 @@ class Agreement:
     def _follow(self, now_ns: int, there: list[str], heard: Mapping[str, Word]) -> None:
         """Repeat the moment that another one names, and stay with it in the end.
 
-        Where the lists of robots differ, the other one may lack nobody: who does waits on.
+        Where the lists of robots differ, the other one may lack nobody: who does takes up no
+        moment. One that was taken up stays, whoever is lost behind its decision.
         """
-        if self.lacking and not self._alone:
-            self._moment = 0
-            return
         if not (self._moment and self._leader in there):
             self._leader = there[0]
         named = heard[self._leader].moment_ns
         left = named - now_ns
         if named != self._moment:  # a new one; of one that comes too late or from nowhere nothing
-            self._moment = named if DECIDE_NS < left <= 2 * LEAD_NS else 0
+            takes = self._alone or not self.lacking
+            self._moment = named if takes and DECIDE_NS < left <= 2 * LEAD_NS else 0
         elif self._moment and left <= COMMIT_NS:
             self.among = tuple(n for n in there if n == self._me or heard[n].moment_ns == named)
             self.late = left <= 0

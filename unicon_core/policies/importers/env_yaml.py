@@ -17,7 +17,7 @@ from typing import Any
 
 from unicon_core.errors import PolicyError
 from unicon_core.located_yaml import Located, Where, read_yaml
-from unicon_core.policies.facts import TO_GIVE, Facts, dig, open_joints, term_state
+from unicon_core.policies.facts import GAINS, TO_GIVE, Facts, dig, open_joints, term_state
 from unicon_core.policies.given import given_joints
 from unicon_core.policies.importers.training import (
     chosen_ids,
@@ -32,7 +32,6 @@ from unicon_core.policies.importers.training import (
 __all__ = ["env_yaml_facts", "is_env_yaml", "suggest_joints"]
 
 _GROUPS = ("policy", "actor")
-_GAINS = ("stiffness", "damping")
 _OF_JOINTS = ("joint_pos", "joint_vel")
 
 
@@ -101,7 +100,7 @@ def _robot(facts: Facts, document: Mapping[str, Any], joints: list[str]) -> None
     if pose is not None:
         facts.values["default_joint_pos"] = pose
     actuators = dig(document, "scene", "robot", "actuators")
-    for key in _GAINS:
+    for key in GAINS:
         found: dict[str, float] = {}
         moved: list[str] = []
         for actuator in (actuators or {}).values() if isinstance(actuators, Mapping) else ():
@@ -125,7 +124,7 @@ def suggest_joints(facts: Facts, widths: Collection[int | str]) -> None:
         facts: changed in place.
         widths: of the network's outputs.
     """
-    for key in _GAINS:
+    for key in GAINS:
         bare = open_joints(facts, key)
         driven = [joint for joint in facts.values["joints"] if joint not in bare] if bare else []
         if driven and key in facts.asks and len(driven) in widths:
