@@ -52,9 +52,10 @@ class Peer:
         return slow_state(self.name, options.pop("motors", motors), imu, tick, **options)
 
     def later(self) -> int:
-        """Return the tick of the next frame; the robot's clock goes on between two of them."""
-        gone = round(1e3 * (time.monotonic() - self.began))
-        self.tick = max(self.tick + 2, 1000 + gone)
+        """Return the tick of the next frame, [ms]: at least 2 ms later, by the real clock, too."""
+        early = self.began + 1e-3 * (self.tick + 2 - 1000) - time.monotonic()
+        time.sleep(max(early, 0.0))
+        self.tick = 1000 + round(1e3 * (time.monotonic() - self.began))
         return self.tick
 
     def good(self) -> None:
