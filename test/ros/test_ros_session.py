@@ -344,7 +344,7 @@ def test_a_missing_rclpy_names_the_command_that_installs_it(
         raise ImportError(name)
 
     monkeypatch.setattr("unicon_ros.compat.loading.importlib.import_module", absent)
-    extra = ", or pip install 'unicon_ros[ros]'" if sys.version_info < (3, 12) else ""
+    extra = ", or pip install 'unicon_ros[ros]'" if sys.version_info < (3, 15) else ""
     for machine, words in (("x86_64", extra), ("aarch64", "")):  # it has no wheels for others
         monkeypatch.setattr(platform, "machine", lambda machine=machine: machine)
         with pytest.raises(MissingDependencyError) as caught:
