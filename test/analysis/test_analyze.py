@@ -37,6 +37,7 @@ def first(comparison: Comparison) -> str:
     return comparison.together.joints[comparison.order[0]]
 
 
+@pytest.mark.slow
 def test_the_report_names_the_weak_motor_and_needs_nothing_beside_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

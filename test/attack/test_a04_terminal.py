@@ -26,6 +26,7 @@ def gaps(run: Run) -> float:
     return max(b - a for a, b in pairwise(times)) * 1e-9
 
 
+@pytest.mark.slow
 def test_ctrl_s_on_the_terminal_does_not_stop_the_commands(tmp_path: Path) -> None:
     ours, theirs = pty.openpty()
     run = Run(tmp_path, arguments=[], more="duration: 4.0\npacing: {hang: 10.0}")
@@ -42,6 +43,7 @@ def test_ctrl_s_on_the_terminal_does_not_stop_the_commands(tmp_path: Path) -> No
     os.close(theirs)
 
 
+@pytest.mark.slow
 def test_a_pipe_that_nobody_reads_does_not_stop_the_commands(tmp_path: Path) -> None:
     reader, writer = os.pipe()
     fcntl.fcntl(writer, fcntl.F_SETPIPE_SZ, 4096)
@@ -61,6 +63,7 @@ def test_a_pipe_that_nobody_reads_does_not_stop_the_commands(tmp_path: Path) -> 
     os.close(writer)
 
 
+@pytest.mark.slow
 def test_a_background_job_is_not_stopped_by_its_own_status_line(tmp_path: Path) -> None:
     ours, theirs = pty.openpty()
     attributes = termios.tcgetattr(theirs)

@@ -419,6 +419,7 @@ def test_a_message_larger_than_the_memory_for_many_is_recorded(tmp_path: Path) -
     assert read_by_both(tmp_path / "run.mcap") == {"/topic": [0, 1, 2]}
 
 
+@pytest.mark.slow
 def test_two_runs_of_one_name_at_once_are_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

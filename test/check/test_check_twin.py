@@ -23,6 +23,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "toy"
 
 
+@pytest.mark.slow
 def test_a_policy_that_does_not_move_is_found(folder: Path) -> None:
     result = check_workflow(write_workflow(folder), ["check.duration=2"], twin=True)
     line = text_of(result, "twin.command")
@@ -213,6 +214,7 @@ def test_the_twin_runs_on_the_simulator_that_the_workflow_names(folder: Path, mi
     assert not any(note.code == "twin.platform" for note in result.notes)
 
 
+@pytest.mark.slow
 def test_that_it_runs_elsewhere_is_told(folder: Path) -> None:
     path = write_workflow(folder, None, {"platform": "fake", "scene": None})
     result = check_workflow(path, ["check.duration=1"], twin=True)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -23,6 +24,11 @@ from unicon_core.workflow.document import workflow_names
 _STATIC = [variant for variant in VARIANTS if not variant.twin]
 _TWIN = [variant for variant in VARIANTS if variant.twin]
 _QUICK = {"mjlab": "terms_order", "holosoma": "training_order"}
+
+
+def slow(value: str) -> Any:
+    """Return a parameter of a test that `make test-slow` runs."""
+    return pytest.param(value, marks=pytest.mark.slow)
 
 
 def _name(variant: Variant) -> str:
@@ -49,7 +55,7 @@ def _run(variant: Variant, folder: Path, assets: Path) -> None:
     assert_named(check_workflow(path, twin=True), variant)
 
 
-@pytest.mark.parametrize("policy", sorted(_QUICK))
+@pytest.mark.parametrize("policy", ["holosoma", slow("mjlab")])
 def test_a_mistake_is_found_in_the_twin(policy: str, tmp_path: Path, assets: Path) -> None:
     variant = next(v for v in _TWIN if (v.policy, v.name) == (policy, _QUICK[policy]))
     _run(variant, tmp_path / "v", assets)
@@ -64,7 +70,7 @@ def test_every_mistake_is_found_in_the_twin(variant: Variant, tmp_path: Path, as
 NAMES = sorted({*WORKFLOWS.values()} - {"rover_drive", "g1_dance"})  # are run as copies
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [slow(n) if n == "g1_holosoma" else n for n in NAMES])
 def test_the_good_ones_raise_no_alarm(name: str, assets: Path) -> None:
     result = check_workflow(name, twin=True)
     assert result.clean, result.text()
@@ -73,7 +79,7 @@ def test_the_good_ones_raise_no_alarm(name: str, assets: Path) -> None:
     assert max(scores[1:]) < scores[0] - 0.25
 
 
-@pytest.mark.parametrize("policy", ["filtered", "rover", "dance"])
+@pytest.mark.parametrize("policy", ["filtered", slow("rover"), "dance"])
 def test_right_copies_raise_no_alarm_in_the_twin(policy: str, tmp_path: Path, assets: Path) -> None:
     result = check_workflow(Draft(policy, tmp_path / "copy", assets).write(), twin=True)
     assert result.clean, result.text()

@@ -105,6 +105,7 @@ RUNS = [
 MODELS = {"go1": "go1/go1.urdf", "a1": "a1/a1.urdf"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "generation", "physics"), RUNS)
 def test_a_robot_stands_up_and_lies_down_through_all_gates(
     emulated: Callable[..., Process],

@@ -15,7 +15,7 @@ from vendor_robots import DRIVES, completed, serve
 
 pytestmark = pytest.mark.timeout(120)
 
-QUICK = ("go2", "go1", "rohand")
+QUICK = ("go1", "rohand")
 
 
 @pytest.mark.parametrize(

@@ -115,6 +115,7 @@ def test_the_node_runs_the_workflow_of_its_parameter_and_ends_on_sigint(
     assert "Traceback" not in output
 
 
+@pytest.mark.slow
 def test_colcon_test_passes_and_did_run_tests(workspace: Workspace) -> None:
     done = subprocess.run(
         [workspace.colcon, "test", "--return-code-on-test-failure"],

@@ -42,6 +42,7 @@ def ran(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.slow
 def test_its_simulator_passes_the_whole_suite(folder: Path) -> None:
     done = ran(folder, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_my_simulator.py")
     found = re.search(r"(\d+) passed", done.stdout)

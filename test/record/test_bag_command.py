@@ -495,6 +495,7 @@ def test_what_a_bag_lacks_is_absent_and_not_zero(
     assert np.isfinite(record.states("base_quat")).all()
 
 
+@pytest.mark.slow
 def test_identical_motion_with_and_without_recorded_targets_does_not_differ(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -225,18 +225,23 @@ def test_a_fault_whose_record_is_gone_is_still_one(
 # -- levels ----------------------------------------------------------------------------------------
 
 
+def slow(*values: Any) -> Any:
+    """Return parameters of a test that `make test-slow` runs."""
+    return pytest.param(*values, marks=pytest.mark.slow)
+
+
 @pytest.mark.parametrize(
     ("facts", "level", "why"),
     [
         ({}, "hardware", "who reports says so"),
         ({"platform": "fake_robot"}, "never", "is simulated"),
-        ({"platform": "unitree+mujoco"}, "never", "is simulated"),
-        ({"platform_facts": ""}, "never", "is simulated"),
+        slow({"platform": "unitree+mujoco"}, "never", "is simulated"),
+        slow({"platform_facts": ""}, "never", "is simulated"),
         ({"dry": "true"}, "never", "nothing was sent"),
         ({"options": {"address": "127.0.0.1"}}, "stand_in", "loopback"),
-        ({"options": {"address": "lo"}}, "stand_in", "loopback"),
-        ({"options": {"device": "/dev/pts/4"}}, "stand_in", "virtual"),
-        ({"robot_file": "transport: {address: 127.3.0.1}"}, "stand_in", "loopback"),
+        slow({"options": {"address": "lo"}}, "stand_in", "loopback"),
+        slow({"options": {"device": "/dev/pts/4"}}, "stand_in", "virtual"),
+        slow({"robot_file": "transport: {address: 127.3.0.1}"}, "stand_in", "loopback"),
         ({"options": {"peer": "unitree_mujoco"}}, "vendor", "simulator"),
     ],
     ids=str,

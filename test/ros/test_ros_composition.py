@@ -74,6 +74,7 @@ def test_a_users_node_lives_in_the_same_executor(context: Context, react: Path) 
     teleop.destroy_node()
 
 
+@pytest.mark.slow
 def test_diagnostics_tell_rate_overruns_topics_and_then_the_fault(
     context: Context, react: Path
 ) -> None:

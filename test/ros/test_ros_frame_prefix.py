@@ -75,6 +75,7 @@ def frames_of(path: Path, prefix: str, monkeypatch: pytest.MonkeyPatch) -> dict[
     return found
 
 
+@pytest.mark.slow
 def test_two_nodes_in_two_namespaces_have_no_frame_in_common(
     nodes: Callable[..., Any], peers: Callable[..., Any], sway: Path
 ) -> None:

@@ -10,6 +10,7 @@ import pytest
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 
 
+@pytest.mark.slow
 def test_a_plain_peer_makes_the_go2_walk_backwards_where_the_script_says_forwards(
     runs: Callable[..., Any], peers: Callable[..., Any]
 ) -> None:

@@ -125,6 +125,7 @@ make.facts = FACTS
 """
 
 
+@pytest.mark.slow
 def test_odometry_of_somebody_else_comes_in_and_its_silence_is_a_fault(
     runs: Callable[..., Any],
     peers: Callable[..., Any],

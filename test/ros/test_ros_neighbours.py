@@ -70,6 +70,7 @@ def values(status: Any) -> dict[str, str]:
     return {each.key: each.value for each in status.values}
 
 
+@pytest.mark.slow
 def test_who_harms_a_run_is_told_once(runs: Any, visitor: Visitor, sway: Path) -> None:
     run = runs(sway)
     visitor.listen()

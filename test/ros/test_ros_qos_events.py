@@ -144,6 +144,7 @@ def test_a_late_publisher_is_told_once_for_each_episode(heard: tuple[Run, Any, T
     assert counted == topic.events.counts()["deadlines missed"]
 
 
+@pytest.mark.slow
 def test_the_diagnostics_warn_while_deadlines_are_missed(heard: tuple[Run, Any, Twists]) -> None:
     run, topic, peer = heard
     assert status(run)[2]["/cmd_vel deadlines missed"] == "0"

@@ -151,6 +151,7 @@ def _note(heard: list[tuple[int, int]], count: Callable[[], int], stamp: Any) ->
     heard.append((count(), int(stamp)))
 
 
+@pytest.mark.slow
 def test_a_controller_manager_runs_our_robot_as_topic_based_hardware(
     runs: Callable[..., Any], peers: Callable[..., Peer], tmp_path: Path
 ) -> None:

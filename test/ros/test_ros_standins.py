@@ -25,6 +25,7 @@ def told_of(path: Path, *arguments: str, workflow: str = "go2_walk") -> tuple[in
     return status, json.loads(path.read_text()) if path.exists() else {}
 
 
+@pytest.mark.slow
 def test_preflight_sees_all_and_the_robot_hears_nothing(
     processes: Callable[..., Peer], tmp_path: Path
 ) -> None:

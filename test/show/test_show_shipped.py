@@ -16,8 +16,16 @@ from unicon_core.show.mermaid import ENTITIES
 from unicon_core.workflow import Program, load_document, load_workflow, workflow_names
 from unicon_ros.cli.main import main
 
+QUICK = ("go2_walk", "go2_desk", "g1_vr")
+"""The smallest, one of several processes and the largest; the slow tests take all."""
 
-@pytest.fixture(scope="module", params=workflow_names())
+WORKFLOWS = [
+    name if name in QUICK else pytest.param(name, marks=pytest.mark.slow)
+    for name in workflow_names()
+]
+
+
+@pytest.fixture(scope="module", params=WORKFLOWS)
 def workflow(request: pytest.FixtureRequest) -> Iterator[Program]:
     text = load_document(request.param).path.read_text(encoding="utf-8")
     if "assets:" in text:
@@ -75,7 +83,7 @@ def test_source_calls_every_block_and_compiles(workflow: Program) -> None:
             assert re.search(rf"\bb\d+_{clean}\(\)", source)
 
 
-@pytest.mark.parametrize("name", workflow_names())
+@pytest.mark.parametrize("name", WORKFLOWS)
 def test_the_command_shows_it_in_every_form(
     name: str,
     request: pytest.FixtureRequest,

@@ -84,6 +84,7 @@ def killed_writers(times: int, seed: int) -> None:
     reader.close()
 
 
+@pytest.mark.slow
 def test_what_a_killed_writer_leaves_is_whole_and_known_to_be_stale(folder: Path) -> None:
     killed_writers(20, seed=1)
     assert len(list(folder.iterdir())) == 1

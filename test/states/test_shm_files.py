@@ -343,6 +343,7 @@ def race(sweeping: bool) -> None:
         end(pid)
 
 
+@pytest.mark.slow
 def test_of_writers_that_race_one_wins(folder):
     for round_ in range(10):
         race(sweeping=round_ % 2 == 1)

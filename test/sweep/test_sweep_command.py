@@ -242,6 +242,7 @@ def engine_of(done: Path, tmp_path: Path, **changed: Any) -> LocalEngine:
     return LocalEngine(plan_of(done).task(), how["workers"], how["timeout"], tmp_path)
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_killed_or_stopped_loses_no_row(done: Path, tmp_path: Path) -> None:
     engine, results = engine_of(done, tmp_path, timeout=2.0), Results(done)
     found: dict[int, Result] = {}
@@ -261,6 +262,7 @@ def test_a_worker_that_is_killed_or_stopped_loses_no_row(done: Path, tmp_path: P
         assert {name: row[name] for name in COLUMNS} == result.figures
 
 
+@pytest.mark.slow
 def test_a_row_that_kills_each_worker_is_told_as_crashed(
     done: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

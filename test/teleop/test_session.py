@@ -31,6 +31,7 @@ def replays(recording: Path) -> Record:
     return record
 
 
+@pytest.mark.slow
 def test_a_session_of_the_arm_replays_to_the_same_commands(tmp_path: Path) -> None:
     text = (ROOT / "config" / "workflows" / "arx_vr.yaml").read_text("utf-8")
     path, recording = tmp_path / "arx.yaml", tmp_path / "session.mcap"

@@ -91,6 +91,7 @@ def in_time(*processes: subprocess.Popen[str], runs: int, apart: float | None = 
     assert apart is None or sorted(began)[len(began) // 2] < apart
 
 
+@pytest.mark.slow
 @pytest.mark.alone
 def test_two_robots_begin_together_three_times_in_a_row(workflow: Path) -> None:
     left, right = (begin(workflow, 3, together(me)) for me in ("left", "right"))

@@ -237,6 +237,7 @@ def test_a_robot_whose_facts_are_missing_may_be_simulated() -> None:
     assert not report.faults
 
 
+@pytest.mark.slow
 def test_joints_that_rested_may_step_with_a_policys_first_action() -> None:
     """`encoder_stop` took joints that had rested in `pose` for stuck in the tick of the step."""
     report, _ = run("go2_walk", {"platform": "fake_robot", "start.gates": False}, 5.0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -41,8 +41,6 @@ class JointDelay:
         delay: in physics steps, shape (n,).
         decimation: physics steps in a tick.
     """
-
-    memory = ("_past", "_tick")
 
     def __init__(self, rows: Array, delay: NDArray[np.int64], decimation: int) -> None:
         self._rows = rows
