@@ -120,6 +120,9 @@ def test_a_cancel_stops_within_two_ticks_and_the_joints_stay_there(
         client.tell(json.dumps({"cancel": name}))
         ended = result_of(client, name)
         assert (ended["status"], ended["code"], ended["reason"]) == (CANCELED, 0, "canceled")
+        client.wait_for(
+            lambda attempt=attempt: len(client.of("cancel answered")) > attempt, "its answer"
+        )
         answer = client.of("cancel answered")[-1]
         assert (answer["code"], answer["goals"]) == (0, 1)
         sent = client.of("cancel sent")[-1]["at"]
