@@ -27,7 +27,8 @@ if TYPE_CHECKING:
         Zip,
     )
     from unicon_core.robots import load_robot
-    from unicon_core.runtime import Report, Runner, RunOptions, run
+    from unicon_core.run_program import run
+    from unicon_core.runtime import Report, Runner, RunOptions
     from unicon_core.states import States, StateSpec
     from unicon_core.workflow import Program, load_workflow
     from unicon_core.workflow.uses import block, elapsed, policy, pose
@@ -49,7 +50,8 @@ _PLACES = {
     "unicon_core.errors": "Fault UniconError",
     "unicon_core.flow": "Amends Block Chain Every Loop Reads Stage Switch When Writes Zip",
     "unicon_core.robots": "load_robot",
-    "unicon_core.runtime": "Report RunOptions Runner run",
+    "unicon_core.run_program": "run",
+    "unicon_core.runtime": "Report RunOptions Runner",
     "unicon_core.states": "StateSpec States",
     "unicon_core.workflow": "Program load_workflow",
     "unicon_core.workflow.uses": "block elapsed policy pose",

@@ -8,7 +8,7 @@ from itertools import zip_longest
 
 from unicon_core.terminal import display_width, word_parts, words, wrapped
 
-__all__ = ["aligned"]
+__all__ = ["aligned", "number_text"]
 
 Rows = Sequence[Sequence[str]]
 
@@ -105,3 +105,8 @@ def _lines(
         if underlined and row is rows[0]:
             lines.append((" " * gap).join("─" * width for width in widths).rstrip())
     return lines
+
+
+def number_text(value: float) -> str:
+    """Return a number as tables show it: whole ones in full, others to 4 digits."""
+    return str(value) if isinstance(value, int) else f"{value:.4g}"

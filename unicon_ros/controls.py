@@ -4,18 +4,27 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from unicon_core.platforms.platform import Pausable
 from unicon_core.runtime import Runner
-
-if TYPE_CHECKING:
-    from unicon_ros.bridge.estop import EmergencyStop
 
 __all__ = ["Answer", "Controls"]
 
 Answer = tuple[bool, str]
 """Success, and a line for the caller."""
+
+
+class StopLatch(Protocol):
+    """An emergency stop, as seen during a pause and before a start."""
+
+    def refusal(self) -> str:
+        """Return why nothing may start, or ""."""
+        ...
+
+    def look(self) -> object:
+        """Take a request, if there is one; raise where it is pressed."""
+        ...
 
 
 class Controls:
@@ -31,7 +40,7 @@ class Controls:
         others: looked at during a pause too, when no block is.
     """
 
-    def __init__(self, serve: Callable[[float], None], estop: EmergencyStop | None = None) -> None:
+    def __init__(self, serve: Callable[[float], None], estop: StopLatch | None = None) -> None:
         self.runner: Runner | None = None
         self.paused = False
         self.others: list[Callable[[], object]] = []

@@ -36,7 +36,7 @@ from unicon_ros.recording.tick_message import tick_channel
 if TYPE_CHECKING:
     from unicon_core.runtime import Report, Runner
     from unicon_core.workflow import Program
-    from unicon_ros.recorder import Recording
+    from unicon_ros.run_recording import Recording
 
 __all__ = ["KEPT", "OFF", "FaultRecord", "fault_folder"]
 

@@ -320,7 +320,7 @@ class UniconNode(LifecycleNode):
         hooks: list[Hook] = [session.hook, self.tuning.hook]
         recording = None
         if settings["record"]:
-            from unicon_ros.recorder import Recording, names_in
+            from unicon_ros.run_recording import Recording, names_in
 
             patient = settings.speed == "max"
             split = settings["record_split"]

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from unicon_core.errors import MissingDependencyError, UniconError, alternatives, one_line
 from unicon_ros.bridge.images import JPEG, STAMP, FrameMessage, jpeg_message
 from unicon_ros.recording.background import calm
-from unicon_ros.recording.frames import FRAMES
+from unicon_ros.recording.tick_message import FRAMES
 
 if TYPE_CHECKING:
     from unicon_core.workflow import Program

@@ -23,7 +23,8 @@ from unicon_core.errors import EmergencyStopPressed, Fault, PlatformError
 from unicon_core.flow import Block, Zip
 from unicon_core.latches import ESTOP, FAULT, Latch, boot_id, latches, of_robot, robot_key
 from unicon_core.robots import load_robot
-from unicon_core.runtime import Report, run
+from unicon_core.run_program import run
+from unicon_core.runtime import Report
 from unicon_core.workflow.uses import block
 from unicon_ros.cli.main import main
 

@@ -21,8 +21,8 @@ from unicon_core.workflow.autowire import BuildContext
 from unicon_ros.bridge.images import frame_message, jpeg_message
 from unicon_ros.fault_record import FaultRecord
 from unicon_ros.peripherals.peripheral import FrameSource, peripheral_states
-from unicon_ros.recorder import Recording
 from unicon_ros.recording import Record, open_record
+from unicon_ros.run_recording import Recording
 
 __all__ = ["Camera", "camera", "clock", "picture", "run"]
 

@@ -30,11 +30,12 @@ from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program, load_document
 from unicon_ros.cli.main import main
 from unicon_ros.fault_record import FaultRecord
-from unicon_ros.recorder import Recorder, Recording
+from unicon_ros.recorder import Recorder
 from unicon_ros.recording import Record, open_record, recover
 from unicon_ros.recording.bag_folder import Split
 from unicon_ros.recording.info import info_of
 from unicon_ros.recording.scan import Scan, scan
+from unicon_ros.run_recording import Recording
 
 GO2 = load_robot("go2")
 recovery = sys.modules["unicon_ros.recording.recover"]  # its package has a function of that name

@@ -25,9 +25,10 @@ from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program, load_document
 from unicon_ros.cli.main import main
 from unicon_ros.fault_record import FaultRecord
-from unicon_ros.recorder import Recorder, Recording
+from unicon_ros.recorder import Recorder
 from unicon_ros.recording import Record, open_record
 from unicon_ros.recording.background import CHUNK_BYTES, CHUNK_ROWS
+from unicon_ros.run_recording import Recording
 
 RATE = 500
 

@@ -29,9 +29,10 @@ from unicon_ros.bridge.images import frame_message
 from unicon_ros.cli.main import main
 from unicon_ros.peripherals.peripheral import FrameSource
 from unicon_ros.recorded_frames import RecordedFrames
-from unicon_ros.recorder import Recorder, Recording
+from unicon_ros.recorder import Recorder
 from unicon_ros.recording import open_record
 from unicon_ros.recording.large import Large
+from unicon_ros.run_recording import Recording
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 

@@ -22,8 +22,8 @@ from unicon_core.policies import load_policy
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program, WorkflowDocument, load_document
 from unicon_ros.fault_record import FaultRecord
-from unicon_ros.recorder import Recording
 from unicon_ros.recording import Record, open_record
+from unicon_ros.run_recording import Recording
 
 FLOW = {"chain": [{"pose": {"duration": 0.4}}, "hold"]}
 

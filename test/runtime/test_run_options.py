@@ -10,7 +10,8 @@ import pytest
 
 from unicon_core.errors import UniconError
 from unicon_core.flow import Block, Stage
-from unicon_core.runtime import Runner, RunOptions, run
+from unicon_core.run_program import run
+from unicon_core.runtime import Runner, RunOptions
 from unicon_core.runtime.options import never_ends
 from unicon_core.workflow import Program
 from unicon_core.workflow.uses import block

@@ -19,7 +19,7 @@ from pages import looked_at, read_page
 
 from unicon_core.errors import MissingDependencyError, UniconError
 from unicon_core.robots import load_robot
-from unicon_ros.analysis.run import read_run
+from unicon_ros.analysis.read import read_run
 from unicon_ros.bench.networks import random_policy
 from unicon_ros.cli.main import main
 from unicon_ros.sweep import pool
@@ -81,7 +81,7 @@ def test_a_fixed_base_has_no_falls_and_no_distance(tmp_path: Path) -> None:
         for name in ("fell", "fall_s", "tilt_deg", "distance_m", "speed_error"):
             assert row[name] is None, name
     assert fall_words(results).startswith("no fall is known: the base is fixed")
-    assert not read_gate("fall<0.5").holds(results)
+    assert not results.holds(read_gate("fall<0.5"))
 
 
 def test_every_row_has_its_figures(done: Path) -> None:
@@ -326,11 +326,11 @@ def test_a_gate_for_each_value_names_the_worst(
     done: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     results, each = Results(done), " for each scene.push.velocity"
-    found = dict(read_gate(f"fall<0.5{each}").values(results))
+    found = dict(results.compared(read_gate(f"fall<0.5{each}")))
     assert set(found) == {0.2, 4.0}
-    together = read_gate("fall<0.5").values(results)
+    together = results.compared(read_gate("fall<0.5"))
     assert together == [(None, pytest.approx(np.mean(list(found.values()))))]
-    assert [value for value, _ in read_gate(f"fall>0.5{each}").values(results)] == [0.2, 4.0]
+    assert [value for value, _ in results.compared(read_gate(f"fall>0.5{each}"))] == [0.2, 4.0]
     assert main(["sweep", "report", str(done), "--gate", f"fall<{found[4.0] / 2}{each}"]) == 1
     assert f"{found[4.0]:.4g} at 4.0, BROKEN" in capsys.readouterr().out
     assert main(["sweep", "report", str(done), "--gate", f"fall<=1{each}"]) == 0
@@ -352,9 +352,9 @@ def test_no_gate_is_known_or_holds_while_a_row_lacks(done: Path, tmp_path: Path)
     said["identity"]["repeat"] = 2
     (out / "sweep.json").write_text(json.dumps(said))
     assert Results(out).lacking == 20
-    assert not read_gate("fall<2").holds(Results(out))
-    assert read_gate("fall<2").told(Results(out)) == "gate fall<2: not known yet"
-    assert read_gate("fall<2").holds(Results(done))
+    assert not Results(out).holds(read_gate("fall<2"))
+    assert Results(out).verdict(read_gate("fall<2")) == "gate fall<2: not known yet"
+    assert Results(done).holds(read_gate("fall<2"))
 
 
 def run_here(folder: Path, *overrides: str) -> Path:

@@ -34,7 +34,8 @@ from unicon_core.errors import (
     alternatives,
 )
 from unicon_core.workflow import Hook
-from unicon_core.workflow.document import WorkflowDocument, load_document
+from unicon_core.workflow.document import WorkflowDocument
+from unicon_core.workflow.load import load_document
 
 __all__ = ["check_section", "check_workflow", "static_checks"]
 

@@ -3,7 +3,6 @@
 from unicon_core.runtime.options import RunOptions
 from unicon_core.runtime.pacing import Pacing, WallClock, WarmUp, prepare_process
 from unicon_core.runtime.report import Monitor, Report
-from unicon_core.runtime.run_program import run
 from unicon_core.runtime.runner import Runner
 from unicon_core.runtime.statistics import TickStatistics, percentiles
 
@@ -18,5 +17,4 @@ __all__ = [
     "WarmUp",
     "percentiles",
     "prepare_process",
-    "run",
 ]

@@ -36,9 +36,10 @@ from unicon_core.workflow.build import (
 )
 from unicon_core.workflow.command_bounds import CommandBound, bound_commands
 from unicon_core.workflow.division import check_places, is_divided, of_part, publishers
-from unicon_core.workflow.document import WorkflowDocument, document_of, load_document
+from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.gate import Gate
 from unicon_core.workflow.live_twin import build_twin, twin_of
+from unicon_core.workflow.load import document_of, load_document
 from unicon_core.workflow.members import load_robot_of
 from unicon_core.workflow.parts import read_parts, read_store
 from unicon_core.workflow.platforms import build_platform, latches_of

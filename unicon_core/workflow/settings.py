@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 from unicon_core.bounds import DURATION
 from unicon_core.errors import UniconError, WorkflowError
 from unicon_core.resources import find_config
+from unicon_core.workflow.document import WorkflowDocument
 
 if TYPE_CHECKING:
     from unicon_core.runtime.pacing import Pacing
-    from unicon_core.workflow.document import WorkflowDocument
     from unicon_core.workflow.start import StartSettings
 
 __all__ = ["DEFAULT_SAFETY", "Safety", "check_settings", "pacing_of", "safety_of", "start_of"]

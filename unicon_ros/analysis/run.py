@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 from unicon_core.errors import UniconError
 from unicon_core.gap.trajectories import Array
 
-__all__ = ["BASE", "FEWEST", "JOINTS", "Run", "Window", "make_run", "read_run", "rising"]
+__all__ = ["BASE", "FEWEST", "JOINTS", "Run", "Window", "make_run", "rising"]
 
 JOINTS = (
     "joint_pos",
@@ -73,23 +72,6 @@ class Run:
 
 Window = tuple[float, float]
 """From when to when, in [s] since the file's first sample."""
-
-
-def read_run(path: Path, window: Window = (0.0, math.inf)) -> Run:
-    """Read a run from a record of ours or from an `.npz`.
-
-    Raises:
-        UniconError: it cannot be read, or does not hold what a comparison needs.
-    """
-    if path.exists() and not (path.is_file() or path.is_dir()):  # a pipe would never end
-        raise UniconError(f"{path} is neither a file nor a folder; give a recording")
-    if path.suffix.lower() == ".npz":
-        from unicon_ros.analysis.npz import read_npz
-
-        return read_npz(path, window)
-    from unicon_ros.analysis.record import read_record
-
-    return read_record(path, window)
 
 
 def make_run(

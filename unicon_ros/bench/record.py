@@ -22,7 +22,7 @@ from unicon_ros.bench.domains import stay_on_loopback
 from unicon_ros.bench.report import Bench
 from unicon_ros.bench.samples import Samples
 from unicon_ros.fault_record import FaultRecord
-from unicon_ros.recorder import Recording
+from unicon_ros.run_recording import Recording
 
 __all__ = ["RATE", "SETTLED", "run", "walk"]
 

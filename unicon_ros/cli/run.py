@@ -231,7 +231,7 @@ def _run(
         if arguments.record_jpeg and not arguments.record_frames:
             raise UniconError("--record-jpeg goes with --record-frames all; add it")
         if arguments.record:
-            from unicon_ros.recorder import Recording, names_in
+            from unicon_ros.run_recording import Recording, names_in
 
             map_name = arguments.map or document.get("map", str)
             patient = arguments.speed == "max"

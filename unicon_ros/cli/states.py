@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from unicon_core.aligned import aligned
+from unicon_core.aligned import aligned, number_text
 from unicon_core.errors import StateError, UniconError
 from unicon_ros.cli.workflow_arguments import add_overrides, positive
 
@@ -246,11 +246,6 @@ def summary(value: Array) -> str:
     known = flat[~unknown]
     least, most = number_text(known.min().item()), number_text(known.max().item())
     return (f"all {least}" if least == most else f"{least} … {most}") + lost
-
-
-def number_text(value: float) -> str:
-    """Return a number as tables show it: whole ones in full, others to 4 digits."""
-    return str(value) if isinstance(value, int) else f"{value:.4g}"
 
 
 # -- leftovers -----------------------------------------------------------------------------------

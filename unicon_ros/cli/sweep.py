@@ -253,7 +253,7 @@ def _ended(results: Results, gates: list[Gate]) -> int:
     except MissingDependencyError as error:
         print(f"unicon: warning: no report: {error}", file=sys.stderr)
     for gate in gates:
-        print(gate.told(results))
-    if not all(gate.holds(results) for gate in gates):
+        print(results.verdict(gate))
+    if not all(results.holds(gate) for gate in gates):
         return 1
     return 3 if results.failed else 0

@@ -9,11 +9,11 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Protocol
 
+from unicon_core.aligned import number_text
 from unicon_core.errors import StateError, alternatives
 from unicon_core.signals import SIGNALS
 from unicon_core.states import Layout, States
 from unicon_core.states.backends.shm import Segment, ShmWatcher, segment_path
-from unicon_ros.cli.states import number_text
 
 __all__ = ["watch"]
 

@@ -4,20 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unicon_ros.recording.records import MESSAGE_HEAD
+from unicon_ros.recording.scan import Scan
+from unicon_ros.recording.tick_message import FRAMES
 
-if TYPE_CHECKING:
-    from unicon_ros.recording.scan import Scan
-
-__all__ = ["FRAMES", "Frames", "frames_in"]
-
-FRAMES = "/unicon/frames/"
-"""Topics of frames begin so; behind it stands the name of their handle without `_handle`."""
+__all__ = ["Frames", "frames_in"]
 
 _HEAD = np.dtype(
     [

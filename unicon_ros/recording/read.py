@@ -20,9 +20,9 @@ from unicon_core.errors import StateError, UniconError, alternatives
 from unicon_core.runtime.tick_ring import DONE, HEAD
 from unicon_core.states import Layout, States
 from unicon_ros.recording.facts import SCHEMA
-from unicon_ros.recording.frames import FRAMES, Frames, frames_in
+from unicon_ros.recording.frames import Frames, frames_in
 from unicon_ros.recording.scan import Scan, gather, scan
-from unicon_ros.recording.tick_message import Kept, Moment, kept_moments
+from unicon_ros.recording.tick_message import FRAMES, Kept, Moment, kept_moments
 
 __all__ = ["Record", "files_of", "missing", "open_record"]
 

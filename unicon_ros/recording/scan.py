@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_ros.recording.frames import FRAMES
 from unicon_ros.recording.records import (
     ATTACHMENT,
     CHANNEL,
@@ -31,7 +30,7 @@ from unicon_ros.recording.records import (
     METADATA,
     SCHEMA,
 )
-from unicon_ros.recording.tick_message import TOPIC
+from unicon_ros.recording.tick_message import FRAMES, TOPIC
 
 __all__ = ["Scan", "gather", "scan"]
 

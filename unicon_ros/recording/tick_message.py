@@ -18,9 +18,12 @@ from unicon_core.runtime.tick_ring import HEAD
 from unicon_core.states import Layout
 from unicon_ros.recording.records import Channel
 
-__all__ = ["TOPIC", "Kept", "Moment", "kept_moments", "tick_channel"]
+__all__ = ["FRAMES", "TOPIC", "Kept", "Moment", "kept_moments", "tick_channel"]
 
 TOPIC = "/unicon/ticks"
+
+FRAMES = "/unicon/frames/"
+"""Topics of frames begin so; behind it stands the name of their handle without `_handle`."""
 
 Kept = Mapping[str, frozenset[str] | None]
 """Moment to the states that are kept there; None for all."""

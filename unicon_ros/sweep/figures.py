@@ -16,7 +16,8 @@ from unicon_core.gap.strain import LEANS
 from unicon_core.robots import Robot, joint_index
 from unicon_core.runtime.rollouts import Rollout
 from unicon_core.states import States
-from unicon_ros.analysis.run import FEWEST, Run, read_run
+from unicon_ros.analysis.read import read_run
+from unicon_ros.analysis.run import FEWEST, Run
 from unicon_ros.sweep.kept_states import columns_of
 from unicon_ros.sweep.motion import apart, finite_rows, moved
 

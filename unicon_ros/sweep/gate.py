@@ -6,23 +6,17 @@ import operator
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import Any
 
 from unicon_core.errors import UniconError, alternatives
 from unicon_ros.sweep.figures import COLUMNS
-from unicon_ros.sweep.proportions import wilson
 
-if TYPE_CHECKING:
-    from unicon_ros.sweep.results import Results
-
-__all__ = ["Gate", "read_gate"]
+__all__ = ["SHARES", "Gate", "read_gate"]
 
 _EACH = " for each "
 _FORM = re.compile(r"\s*(\w+)(?:\.(\w+))?\s*(<=|>=|<|>)\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*")
 _SIGNS = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
-_SHARES = {"fall": "fell", "fault": "fault"}
+SHARES = {"fall": "fell", "fault": "fault"}
 """Word to the column whose share of rollouts it is."""
 _OF_SHARES = ("rate", "lower", "upper")
 _OF_FIGURES = ("mean", "min", "max", "p05", "p50", "p95")
@@ -60,56 +54,9 @@ class Gate:
                 f"{alternatives(self.each, parameters)}"
             )
 
-    def values(self, results: Results) -> list[tuple[Any, float]]:
-        """Return each value of the parameter, or None, and what is compared there; worst first.
-
-        Raises:
-            UniconError: the parameter was not varied.
-        """
-        places: dict[str, list[int]] = {"": list(range(len(results.good)))}
-        shown: dict[str, Any] = {"": None}
-        if self.each:
-            self.check(results.parameters)
-            places, shown = {}, {}
-            for place, value in enumerate(results.varied(self.each)):
-                places.setdefault(repr(value), []).append(place)
-                shown[repr(value)] = value
-        found = [(shown[key], self._of(results, rows)) for key, rows in places.items()]
-        upwards = self.sign.startswith(">")
-        return sorted(found, key=lambda x: (x[1] == x[1], x[1] if upwards else -x[1]))
-
-    def _of(self, results: Results, places: list[int]) -> float:
-        """What is compared of some rows with a result; NaN where nothing can be."""
-        column = results.column(_SHARES.get(self.word, self.word))
-        there = [column[place] for place in places]
-        if self.word in _SHARES:
-            good = [value for value in there if value is not None]
-            if not good:
-                return float("nan")
-            hits = sum(map(bool, good))
-            low, high = wilson(hits, len(good))
-            return {"rate": hits / len(good), "lower": low, "upper": high}[self.statistic]
-        values = np.array([v for v in there if v is not None], np.float64)
-        if not len(values):
-            return float("nan")
-        if self.statistic.startswith("p"):
-            return float(np.percentile(values, int(self.statistic[1:])))
-        return float(getattr(np, self.statistic)(values))
-
-    def holds(self, results: Results) -> bool:
-        """Return whether it holds; a rollout without a result breaks every gate."""
-        complete = not results.lacking and not results.failed
-        found = self.values(results)
-        return complete and bool(found) and all(_SIGNS[self.sign](v, self.bar) for _, v in found)
-
-    def told(self, results: Results) -> str:
-        """Return the condition, what was found where it is worst, and whether it holds."""
-        if results.lacking:
-            return f"gate {self.text}: not known yet"
-        verdict = "holds" if self.holds(results) else "BROKEN"
-        where, value = next(iter(self.values(results)), (None, float("nan")))
-        at = f" at {where}" if self.each else ""
-        return f"gate {self.text}: {value:.4g}{at}, {verdict}"
+    def met(self, value: float) -> bool:
+        """Return whether a value holds the condition; NaN never does."""
+        return bool(_SIGNS[self.sign](value, self.bar))
 
 
 def read_gate(text: str) -> Gate:
@@ -134,11 +81,11 @@ def read_gate(text: str) -> Gate:
         )
     word, statistic, sign = found[1], found[2], found[3]
     figures = [name for name, column in COLUMNS.items() if column.kind in (int, float)]
-    if word not in _SHARES and word not in figures:
+    if word not in SHARES and word not in figures:
         raise UniconError(
-            f"gate {text!r}: no figure {word!r}; {alternatives(word, [*_SHARES, *figures])}"
+            f"gate {text!r}: no figure {word!r}; {alternatives(word, [*SHARES, *figures])}"
         )
-    known: Any = _OF_SHARES if word in _SHARES else _OF_FIGURES
+    known: Any = _OF_SHARES if word in SHARES else _OF_FIGURES
     statistic = statistic or known[0]
     if statistic not in known:
         raise UniconError(

@@ -11,9 +11,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from unicon_core.errors import UniconError
 from unicon_ros.sweep.figures import COLUMNS
 from unicon_ros.sweep.folder import SWEEP, read_sweep_json, require_pyarrow
+from unicon_ros.sweep.gate import SHARES, Gate
+from unicon_ros.sweep.proportions import wilson
 from unicon_ros.sweep.shards import SETTINGS, VARIED, read_shards
 from unicon_ros.sweep.sweep_file import SCHEMA
 
@@ -129,6 +133,54 @@ class Results:
             seen.setdefault(key, program) != program
             for key, program in zip(keys, self.column("program"))
         )
+
+    def compared(self, gate: Gate) -> list[tuple[Any, float]]:
+        """Return each value of a gate's parameter, or None, and what is compared; worst first.
+
+        Raises:
+            UniconError: the parameter was not varied.
+        """
+        places: dict[str, list[int]] = {"": list(range(len(self.good)))}
+        shown: dict[str, Any] = {"": None}
+        if gate.each:
+            gate.check(self.parameters)
+            places, shown = {}, {}
+            for place, value in enumerate(self.varied(gate.each)):
+                places.setdefault(repr(value), []).append(place)
+                shown[repr(value)] = value
+        found = [(shown[key], self._statistic(gate, rows)) for key, rows in places.items()]
+        upwards = gate.sign.startswith(">")
+        return sorted(found, key=lambda x: (x[1] == x[1], x[1] if upwards else -x[1]))
+
+    def _statistic(self, gate: Gate, places: list[int]) -> float:
+        """What is compared of some rows with a result; NaN where nothing can be."""
+        column = self.column(SHARES.get(gate.word, gate.word))
+        there = [column[place] for place in places if column[place] is not None]
+        if not there:
+            return float("nan")
+        if gate.word in SHARES:
+            hits = sum(map(bool, there))
+            low, high = wilson(hits, len(there))
+            return {"rate": hits / len(there), "lower": low, "upper": high}[gate.statistic]
+        values = np.array(there, np.float64)
+        if gate.statistic.startswith("p"):
+            return float(np.percentile(values, int(gate.statistic[1:])))
+        return float(getattr(np, gate.statistic)(values))
+
+    def holds(self, gate: Gate) -> bool:
+        """Return whether a gate holds; a rollout without a result breaks every gate."""
+        found = self.compared(gate)
+        complete = not self.lacking and not self.failed
+        return complete and bool(found) and all(gate.met(value) for _, value in found)
+
+    def verdict(self, gate: Gate) -> str:
+        """Return the condition, what was found where it is worst, and whether it holds."""
+        if self.lacking:
+            return f"gate {gate.text}: not known yet"
+        verdict = "holds" if self.holds(gate) else "BROKEN"
+        where, value = next(iter(self.compared(gate)), (None, float("nan")))
+        at = f" at {where}" if gate.each else ""
+        return f"gate {gate.text}: {value:.4g}{at}, {verdict}"
 
     def worst(self, count: int) -> list[int]:
         """Return the places of the worst rows, the worst first.

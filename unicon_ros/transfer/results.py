@@ -13,7 +13,7 @@ import yaml
 
 from unicon_core import __version__
 from unicon_core.errors import UniconError
-from unicon_ros.analysis.run import read_run
+from unicon_ros.analysis.read import read_run
 from unicon_ros.bench.report import machine
 from unicon_ros.sweep.motion import apart
 from unicon_ros.transfer.plan import Plan

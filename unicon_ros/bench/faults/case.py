@@ -6,12 +6,9 @@ import json
 import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from unicon_ros.bench.faults.fault_run import FaultRun
 
 __all__ = [
     "AS_THEY_ARE",
@@ -116,7 +113,7 @@ class Case:
         arguments: further arguments of `unicon run` (or ROS arguments of the node); `{folder}` is
             the case's folder.
         duration: of the run in [s].
-        outside: what the bench does to the process meanwhile.
+        outside: what the bench does to the process meanwhile; gets the FaultRun.
         peer: module in `peers` and its arguments, started first; `{at}` in them is the tick,
             `{workflow}` the file.
         node: run by `unicon_node` instead of `unicon run`.
@@ -145,7 +142,7 @@ class Case:
     workflow: Mapping[str, Any] = field(default_factory=dict)
     arguments: tuple[str, ...] = ()
     duration: float = 1.2
-    outside: Callable[[FaultRun], None] | None = None
+    outside: Callable[[Any], None] | None = None
     peer: tuple[str, ...] = ()
     node: bool = False
     topics: bool = False

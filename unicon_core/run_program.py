@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from typing import Any, Protocol
 
+from unicon_core.check import refuse_errors
 from unicon_core.runtime.options import RunOptions
 from unicon_core.runtime.report import Report
 from unicon_core.runtime.runner import Runner
@@ -42,9 +43,6 @@ def run(program: Program, *attached: Attached, force: Sequence[str] = (), **opti
         CheckError: what `unicon check` calls an error.
         UniconError: an option is unknown or wrong, or it cannot be run.
     """
-    # Imported here: the check builds programs itself.
-    from unicon_core.check import refuse_errors
-
     with ExitStack() as rest:
         for each in attached:
             rest.callback(each.close)
