@@ -25,7 +25,7 @@ from pathlib import Path
 import unicon_core
 from unicon_core.errors import PlatformError
 from unicon_core.interfaces import flags_of, ipv4_of
-from unicon_core.runtime.pacing import REAL_TIME
+from unicon_core.pacing import REAL_TIME
 
 __all__ = ["Finding", "examine"]
 

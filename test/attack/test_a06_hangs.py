@@ -12,8 +12,8 @@ from runs import Run
 
 from unicon_core.errors import PlatformError
 from unicon_core.flow import Block, Stage
+from unicon_core.pacing import CATCH_UP
 from unicon_core.runtime import Runner
-from unicon_core.runtime.pacing import CATCH_UP
 from unicon_core.workflow import load_workflow
 
 

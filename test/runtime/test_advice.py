@@ -11,11 +11,11 @@ import pytest
 
 from unicon_core import Program, block
 from unicon_core.errors import Silence
+from unicon_core.pacing import Pacing
 from unicon_core.platforms.fake import FakeRobot
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.runtime.advice import FEWEST, LATE, Starvation, advice_of
-from unicon_core.runtime.pacing import Pacing
 from unicon_core.runtime.statistics import TickStatistics
 from unicon_core.workflow import load_workflow
 

@@ -7,8 +7,8 @@ import hashlib
 import numpy as np
 import pytest
 
+from unicon_core.blocks.monitor import Monitor
 from unicon_core.robots import load_robot
-from unicon_core.runtime import Monitor, Report
 from unicon_core.states import Layout, States
 from unicon_core.states.standard import COMMAND_STATES, standard_states
 
@@ -28,15 +28,14 @@ def made(num_robots: int | None = None, **dtypes: str) -> States:
     ids=["back to back", "three robots", "one of another type"],
 )
 def test_the_hash_is_of_all_commands_of_all_ticks(states: States) -> None:
-    monitor, expected, report = Monitor(states), hashlib.sha256(), Report("w", "r", "p")
+    monitor, expected = Monitor(states), hashlib.sha256()
     generator = np.random.default_rng(0)
     for _ in range(3):
         for name in COMMAND_STATES:
             states[name][...] = generator.normal(size=states[name].shape)
             expected.update(states[name].tobytes())
         monitor()
-    monitor.fill(report)
-    assert report.sha256_commands == expected.hexdigest()
+    assert monitor.found()["sha256_commands"] == expected.hexdigest()
 
 
 @pytest.mark.parametrize("num_robots", [None, 3])

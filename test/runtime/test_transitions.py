@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 
 from unicon_core import Block, Program, Stage, block, policy, pose
-from unicon_core.blocks.approach import Approach, Entry
+from unicon_core.blocks.approach import Approach, Entry, Target
 from unicon_core.errors import Fault, Hung, PlatformError
-from unicon_core.gates.beginning import Target, first_command
+from unicon_core.gates.beginning import first_command
+from unicon_core.pacing import WallClock
 from unicon_core.platforms.child.platform import SILENCE, WATCHDOG
 from unicon_core.platforms.kit.damping import BLEND, DAMPING_TIME, Damping, LastSent
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.runtime.damp import Damp as DampPhase
-from unicon_core.runtime.pacing import WallClock
 from unicon_core.runtime.phases import WIND_DOWN
 from unicon_core.runtime.waiting import PATIENCE, REPEAT, Waiting
 from unicon_core.states import States, standard_states

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from unicon_core.flow import Stage
+from unicon_core.pacing import staying
 from unicon_core.runtime import Runner, RunOptions, ticker
 from unicon_core.runtime.arrivals import awaited
-from unicon_core.runtime.pacing import staying
 from unicon_core.workflow import Program, load_workflow
 
 pytestmark = pytest.mark.alone

@@ -3,15 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from unicon_core.gates.beginning import Target
 from unicon_core.platforms.kit.damping import LastSent
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
 
-__all__ = ["Approach", "Entry"]
+__all__ = ["Approach", "Entry", "Target"]
+
+Float = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """Where joints are to be and how stiffly, in the robot's order, each of shape (n,).
+
+    Attributes:
+        joint_pos: in [rad].
+        stiffness: in [N·m/rad].
+        damping: in [N·m·s/rad].
+        source: who says so, for messages.
+    """
+
+    joint_pos: Float
+    stiffness: Float
+    damping: Float
+    source: str
 
 
 class Approach:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.blocks.approach import Target
 from unicon_core.blocks.hold import Damp, Hold
 from unicon_core.blocks.joint_command import robot_gains
 from unicon_core.blocks.pose import Pose
@@ -16,34 +14,15 @@ from unicon_core.flow.nodes import chooser_of
 from unicon_core.flow.stage import Stage
 from unicon_core.policies.controller import controller_contract
 from unicon_core.robots import joint_index
+from unicon_core.workflow.program_data import ProgramData
 
-if TYPE_CHECKING:
-    from unicon_core.workflow import Program
-
-__all__ = ["Target", "beginning", "first_command"]
+__all__ = ["beginning", "first_command"]
 
 Float = NDArray[np.float32]
 TARGET = "joint_pos_target"
 
 
-@dataclass(frozen=True, eq=False)
-class Target:
-    """Where joints are to be and how stiffly, in the robot's order, each of shape (n,).
-
-    Attributes:
-        joint_pos: in [rad].
-        stiffness: in [N·m/rad].
-        damping: in [N·m·s/rad].
-        source: who says so, for messages.
-    """
-
-    joint_pos: Float
-    stiffness: Float
-    damping: Float
-    source: str
-
-
-def beginning(program: Program) -> Target:
+def beginning(program: ProgramData) -> Target:
     """Return where the flow of a program begins, from the present states on.
 
     A controller begins at its default pose with its gains; joints to which it gives no stiffness,
@@ -81,7 +60,7 @@ def beginning(program: Program) -> Target:
     return Target(measured, stiffness, damping, f"the default pose of {contract.name!r}")
 
 
-def first_command(program: Program) -> Target:
+def first_command(program: ProgramData) -> Target:
     """Return the first command that the flow would send from the present states on.
 
     The flow and the safety blocks are evaluated once and made fresh again, and all states are put

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from unicon_core.blocks.safety.ranges import RangeStop
@@ -25,9 +23,7 @@ from unicon_core.platforms.platform import (
 )
 from unicon_core.robots import Robot, robot_files
 from unicon_core.states.standard import JOINT_STATES
-
-if TYPE_CHECKING:
-    from unicon_core.workflow import Program
+from unicon_core.workflow.program_data import ProgramData
 
 __all__ = ["gates_of"]
 
@@ -41,7 +37,7 @@ LASTING = 0.5
 IMU = ("base_quat", "projected_gravity", "base_ang_vel", "base_lin_acc")
 
 
-def gates_of(program: Program) -> list[StartGate]:
+def gates_of(program: ProgramData) -> list[StartGate]:
     """Return the gates of a program, each for what its platform tells.
 
     None where the program says so (`start: {gates: false}`), where the robot is in another part,
@@ -56,7 +52,7 @@ def gates_of(program: Program) -> list[StartGate]:
     return [Passing(gate) for gate in gates] if program.platform.facts.simulated else gates
 
 
-def _gates(program: Program) -> list[StartGate]:
+def _gates(program: ProgramData) -> list[StartGate]:
     states, robot, platform = program.states, program.robot, program.platform
     period, facts = program.period, platform.facts
     source = f"platform {facts.name!r}"
@@ -112,7 +108,7 @@ def _names(robot: Robot) -> str:
     return " or ".join(dict.fromkeys(path.name for path in robot_files(robot).values()))
 
 
-def _stops(program: Program, measured: set[str]) -> list[StartGate]:
+def _stops(program: ProgramData, measured: set[str]) -> list[StartGate]:
     """The workflow's own stops, as far as they look at nothing but what is measured."""
     stops = [
         block
@@ -133,11 +129,13 @@ def _stops(program: Program, measured: set[str]) -> list[StartGate]:
     ]
 
 
-def _lasting(program: Program) -> int:
+def _lasting(program: ProgramData) -> int:
     return round(LASTING / program.period)
 
 
-def _imu_stop(program: Program, told: dict[str, np.typing.NDArray[np.float32]]) -> Heeding | None:
+def _imu_stop(
+    program: ProgramData, told: dict[str, np.typing.NDArray[np.float32]]
+) -> Heeding | None:
     needs = ("base_quat", "base_ang_vel", "projected_gravity", "joint_pos")
     if any(name not in told for name in needs):
         return None
@@ -148,7 +146,7 @@ def _imu_stop(program: Program, told: dict[str, np.typing.NDArray[np.float32]]) 
     return Heeding("imu_stop", "", stop, remedy, stop.reset, _lasting(program))
 
 
-def _tilt(program: Program, told: dict[str, np.typing.NDArray[np.float32]]) -> list[StartGate]:
+def _tilt(program: ProgramData, told: dict[str, np.typing.NDArray[np.float32]]) -> list[StartGate]:
     """The workflow's own `tilt_stop`, or that of a robot that walks."""
     stops = [block.tick for block in program.blocks if isinstance(block.tick, TiltStop)]
     if not stops and program.robot.walks and "projected_gravity" in told:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.blocks.approach import Target
 from unicon_core.errors import Fault, UniconError
-from unicon_core.gates.beginning import Target, beginning, first_command
+from unicon_core.gates.beginning import beginning, first_command
 from unicon_core.preflight.result import PreflightResult
 from unicon_core.workflow import Program
 

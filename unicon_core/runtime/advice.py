@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from unicon_core.runtime.pacing import REAL_TIME, Pacing
+from unicon_core.pacing import REAL_TIME, Pacing
 from unicon_core.runtime.statistics import TickStatistics
 
 __all__ = ["FEWEST", "LATE", "Starvation", "advice_of"]

@@ -6,8 +6,8 @@ import time
 
 from unicon_core.errors import Fault
 from unicon_core.flow import Tick, Zip, compile_graph
+from unicon_core.pacing import WallClock
 from unicon_core.platforms.kit.damping import DAMPING_TIME, Damping
-from unicon_core.runtime.pacing import WallClock
 from unicon_core.signals import Interrupted
 from unicon_core.workflow import Program
 

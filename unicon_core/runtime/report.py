@@ -2,29 +2,19 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
-import math
 import traceback
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import Any
 
 from unicon_core.errors import Fault
 from unicon_core.page import write_file
 from unicon_core.runtime.spare_files import out_of_files
 from unicon_core.runtime.statistics import TickStatistics
-from unicon_core.states import States
-from unicon_core.states.stacked import flat
-from unicon_core.states.standard import COMMAND_STATES
+from unicon_core.workflow.program_data import ProgramData
 
-if TYPE_CHECKING:
-    from unicon_core.workflow import Program
-
-__all__ = ["Monitor", "Report", "reason_of"]
+__all__ = ["Report", "reason_of"]
 
 
 @dataclass
@@ -93,7 +83,7 @@ class Report:
 
     @classmethod
     def of(
-        cls, program: Program, statistics: TickStatistics, wall: float, paused: float = 0.0
+        cls, program: ProgramData, statistics: TickStatistics, wall: float, paused: float = 0.0
     ) -> Report:
         """Return what a program did, but for what its runner alone knows.
 
@@ -104,7 +94,7 @@ class Report:
             paused: how long of it the run stood still in [s].
         """
         ticks, overruns = statistics.count, statistics.overruns
-        report = cls(
+        return cls(
             program.name,
             program.robot.name,
             program.platform.facts.name,
@@ -121,9 +111,8 @@ class Report:
             safety_left_out=dict(program.safety_left_out),
             forced=list(program.forced),
             blocks=statistics.block_us(),
+            **program.monitor.found(),
         )
-        program.monitor.fill(report)
-        return report
 
     def to_dict(self) -> dict[str, Any]:
         """Return the report as plain values; `bridge` only where ROS was on."""
@@ -184,86 +173,6 @@ class Report:
         lines.append(f"ended         {self.ended}")
         lines.append(f"faults        {'; '.join(self.faults) or 'none'}")
         return "\n".join(lines)
-
-
-class Monitor:
-    """Watches a run for its report: displacement, fall, hash of the commands; after `send`.
-
-    Args:
-        states: of the workflow.
-        dry: nothing is sent.
-        fixed: the base cannot move, so that it neither falls nor gets anywhere.
-
-    Attributes:
-        held: a gantry holds the base, so that it cannot fall; the builder says it.
-    """
-
-    FALL_COSINE = 0.5
-    """Cosine of the tilt that counts as a fall: 60° from upright."""
-    FALL_HEIGHT = 0.5
-    """Share of its height at first below which a base has sunk."""
-    ODOMETRY = 0.1
-    """Height in [m] up to which no base is judged: an odometry may begin at a zero of its own."""
-
-    name = "report"
-    reads = ("base_pos_w", "projected_gravity", *COMMAND_STATES)
-
-    def __init__(self, states: States, *, dry: bool = False, fixed: bool = False) -> None:
-        self._dry, self._fixed, self.held = dry, fixed, False
-        self._pos = states["base_pos_w"].reshape(-1, 3)
-        gravity = states["projected_gravity"].reshape(-1, 3)[:, 2]
-        # `max` takes 1.3 µs where one number takes 0.1.
-        self._least_upright = partial(gravity.item, 0) if len(gravity) == 1 else gravity.max
-        self._start = self._pos.copy()
-        self._commands = [view.data for view in flat([states[n] for n in COMMAND_STATES])]
-        self.begin()
-
-    def begin(self) -> None:
-        """Begin a run; that of before does not count any more."""
-        self._started = False
-        self._hash = hashlib.sha256()
-        self._worst = -1.0
-
-    def __call__(self) -> None:
-        if not self._started:
-            self._start[...] = self._pos
-            self._started = True
-        for view in self._commands:
-            self._hash.update(view)
-        upright = self._least_upright()
-        if not upright <= self._worst:
-            self._worst = upright if upright > self._worst else 1.0  # NaN is the worst
-
-    @property
-    def fell(self) -> bool:
-        """Whether the base tilted further than a walking robot comes back from."""
-        return not self._worst <= -self.FALL_COSINE
-
-    @property
-    def sha256(self) -> str:
-        """SHA-256 over the command states of every tick so far."""
-        return self._hash.hexdigest()
-
-    def finish(self) -> None:
-        """Let nothing count that comes from here on."""
-        self._pos = self._pos.copy()
-
-    def fill(self, report: Report) -> None:
-        """Write what was seen into the report."""
-        if self._fixed:
-            report.base_displacement_m = report.fell = report.tilt_deg = None
-        else:
-            moved = self._pos[0] - self._start[0] if self._started else np.zeros(3)
-            report.base_displacement_m = [round(float(value), 6) for value in moved]
-            report.fell = None if self.held else self.fell
-            first = self._start[0, 2]
-            known = (
-                self._started and first > self.ODOMETRY
-            )  # else it may begin at a zero of its own
-            report.sank = bool(known and first + moved[2] < self.FALL_HEIGHT * first)
-            report.tilt_deg = round(math.degrees(math.acos(max(-1.0, min(-self._worst, 1.0)))), 1)
-        report.sha256_commands = self.sha256
-        report.dry = self._dry
 
 
 def reason_of(error: BaseException) -> str:

@@ -10,10 +10,10 @@ import numpy as np
 
 from unicon_core.errors import Hung
 from unicon_core.flow import Node, compile_graph
+from unicon_core.pacing import CATCH_UP, WallClock, WarmUp, staying
 from unicon_core.platforms.platform import CountsArrivals
 from unicon_core.runtime.arrivals import Arrivals, awaited
 from unicon_core.runtime.detail import Detail
-from unicon_core.runtime.pacing import CATCH_UP, WallClock, WarmUp, staying
 from unicon_core.runtime.statistics import TickStatistics
 from unicon_core.workflow import Program
 from unicon_core.workflow.gate import NEVER_NS

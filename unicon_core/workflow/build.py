@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from unicon_core.blocks.safety.stops import Finite
 from unicon_core.errors import UniconError, WorkflowError, alternatives
@@ -38,13 +38,11 @@ from unicon_core.workflow.members import (
 )
 from unicon_core.workflow.platforms import facts_of_all, find_platforms
 from unicon_core.workflow.policies import declared_states, policy_factory
+from unicon_core.workflow.program_data import ProgramData
 from unicon_core.workflow.registry import Factory, find_factory
 from unicon_core.workflow.settings import safety_of
 from unicon_core.workflow.uses import EXPRESSION, Use
 from unicon_core.workflow.warm_ups import WarmUps
-
-if TYPE_CHECKING:
-    from unicon_core.workflow.program import Program
 
 __all__ = [
     "Builder",
@@ -88,7 +86,7 @@ class Builder:
         warm_ups: gives them warm-ups.
     """
 
-    def __init__(self, program: Program, warm_ups: WarmUps) -> None:
+    def __init__(self, program: ProgramData, warm_ups: WarmUps) -> None:
         self._program, self._warm_ups = program, warm_ups
         self._context = program.context
 

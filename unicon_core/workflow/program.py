@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from unicon_core.blocks.approach import Entry
+from unicon_core.blocks.monitor import Monitor
 from unicon_core.flow import Block, Node, as_block, blocks_of
 from unicon_core.flow.stage import Stage
+from unicon_core.gates.build import gates_of
 from unicon_core.platforms.kit.damping import LastSent
 from unicon_core.platforms.part import PartPlatform
 from unicon_core.platforms.platform import Platform, RequiresStates, WarmsUp
@@ -26,6 +27,7 @@ from unicon_core.states import Layout, States
 from unicon_core.states.groups import groups_of
 from unicon_core.states.links import Incoming
 from unicon_core.workflow.autowire import BuildContext
+from unicon_core.workflow.bounded_flow import bound_commands
 from unicon_core.workflow.build import (
     Builder,
     Sections,
@@ -34,7 +36,6 @@ from unicon_core.workflow.build import (
     sections_of,
     specs_of,
 )
-from unicon_core.workflow.command_bounds import CommandBound, bound_commands
 from unicon_core.workflow.division import check_places, is_divided, of_part, publishers
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.gate import Gate
@@ -44,17 +45,13 @@ from unicon_core.workflow.members import load_robot_of
 from unicon_core.workflow.parts import read_parts, read_store
 from unicon_core.workflow.platforms import build_platform, latches_of
 from unicon_core.workflow.policies import load_policies, with_weldable
+from unicon_core.workflow.program_data import ProgramData
 from unicon_core.workflow.safety_set import completed, left_out
 from unicon_core.workflow.settings import pacing_of, safety_of, start_of
 from unicon_core.workflow.silent import refuse_parts, withheld
 from unicon_core.workflow.tick_tree import tick_tree, with_flow
 from unicon_core.workflow.uses import EXPRESSION, Use
 from unicon_core.workflow.warm_ups import WarmUps
-
-if TYPE_CHECKING:
-    from unicon_core.gates.gate import StartGate
-    from unicon_core.latches import Latch
-    from unicon_core.runtime.pacing import Pacing
 
 __all__ = ["Hook", "Program", "load_workflow"]
 
@@ -66,7 +63,7 @@ MOST_ROBOTS = 4096
 """Of a batch: each takes half a megabyte and 1.5 ms to begin in MuJoCo."""
 
 
-class Program:
+class Program(ProgramData):
     """Robot, platform, states and the graph of a tick.
 
     Args:
@@ -79,43 +76,6 @@ class Program:
             joints. The command states hold what would have been sent.
         instead: makes what stands in the place of the platform, which is not opened.
         contracts: policies by their name, in place of those of the document.
-
-    Attributes:
-        document: what it was built from, for messages and the check.
-        name: of the workflow.
-        dry: no hardware is open, and nothing is published.
-        silent: nothing is sent; see the argument.
-        part: of a divided workflow, "" for all of it.
-        parts: what the workflow says of its parts, or None.
-        store: where its states go besides, or None.
-        robot: the robot file.
-        policies: name to policy contract.
-        period: of a tick in [s].
-        duration: in [s] of ticks after which a run ends; None: when the flow is done.
-        pacing: how ticks are timed.
-        start: how a robot begins to move.
-        states: all states.
-        platform: the built platform.
-        blocks: all blocks in order of building, for closing.
-        outside: those of `blocks` that hooks gave.
-        stages: the nodes of each stage, as they were given.
-        root: the whole tree of a tick: what the command does not depend on is put off, and
-            neighbouring copies are fused.
-        wind_down: the same with the flow that follows the run, or None: the platform damps at once.
-        critical: the blocks that the command depends on.
-        monitor: watches the run for its report.
-        gate: what every command passes last.
-        gates: asked before anything is sent, until all hold.
-        sending: `send` of the platform, without the gate; of a silent run what stands for it.
-        hearing: what a tick without commands runs: recv, estimate, input.
-        looking: observers, but for the report.
-        command_bounds: what the velocity command is held to; empty where nobody reads it.
-        safety: labels of the blocks of its own between the flow and `send`.
-        latches: of the robots that it drives, which an emergency stop sets; none of simulators.
-        safety_left_out: of a robot, safety blocks that it does not have, each with the reason.
-        warn: takes what blocks tell while they tick, one line each; the runner sets its own.
-        paced: the clock paces ticks; else they are as fast as they can.
-        forced: codes of the check's errors that somebody decided to run with.
 
     Raises:
         UniconError: anything that the user can mend; one line with culprit and remedy.
@@ -142,8 +102,8 @@ class Program:
         self.policies = load_policies(document, self.robot) | dict(contracts or {})
         self.robot = with_weldable(document, self.robot, self.policies)
         self.period = period_of(document, self.policies)
-        self.duration: float | None = document.get("duration", (int, float))
-        self.pacing: Pacing = pacing_of(document)
+        self.duration = document.get("duration", (int, float))
+        self.pacing = pacing_of(document)
         self.start = start_of(document)
         sections, ending = sections_of(document)
         trees = [node for nodes in sections.values() for node in nodes]
@@ -179,17 +139,14 @@ class Program:
             paced=lambda: self.paced,
             lag=0.0 if self.has_platform else self.period,
         )
-        # Imported here: the runner's package imports this one.
-        from unicon_core.runtime.report import Monitor
-
         self.monitor = Monitor(self.states, dry=silent, fixed=not self.robot.floats)
-        self.warn: Callable[[str], None] = print
+        self.warn = print
         self._arrivals: list[Incoming] = []
         if self.parts is not None and part:
             self._arrivals = self.parts.incoming(part, self.states, self.tell)
-        self.blocks: list[Block] = []
-        self.outside: list[Block] = []
-        self.latches: list[Latch] = []
+        self.blocks = []
+        self.outside = []
+        self.latches = []
         try:
             if instead is not None:
                 self.platform = instead(self.states)
@@ -206,11 +163,11 @@ class Program:
             for arrival in self._arrivals:
                 arrival.close()
             raise
-        self.stages: dict[Stage, list[Node]] = {stage: [] for stage in Stage}
-        self.gates: list[StartGate] = []
-        self.command_bounds: tuple[CommandBound, ...] = ()
-        self.forced: tuple[str, ...] = ()
-        self.safety_left_out: dict[str, str] = {}
+        self.stages = {stage: [] for stage in Stage}
+        self.gates = []
+        self.command_bounds = ()
+        self.forced = ()
+        self.safety_left_out = {}
         self._closed = False
         try:
             with SIGNALS.guard(damp=self.damp_now):
@@ -268,9 +225,6 @@ class Program:
             needing = [block for block in self.critical if getattr(block.tick, "needs", True)]
             ordered = sorted(needing, key=lambda block: block.name)
             platform.require({state: b.name for b in ordered for state in (*b.reads, *b.amends)})
-        # Imported here: some gates are safety blocks, which import this package.
-        from unicon_core.gates.build import gates_of
-
         self.gates += gates_of(self)
 
     def _beside(self) -> None:
@@ -330,48 +284,6 @@ class Program:
         entry = as_block(Entry(self.states, self.gate.sent, ticks))
         entry.stage = Stage.SAFETY
         return {Stage.SAFETY: [entry, *self.stages[Stage.SAFETY]]}
-
-    @property
-    def has_platform(self) -> bool:
-        """Whether the robot is here: false of a part whose states come from another one."""
-        return self.parts is None or self.part in ("", self.parts.first)
-
-    # -- while it runs --------------------------------------------------------------------------
-
-    def tell(self, message: str) -> None:
-        """Hand on what a block tells, to whoever listens by then."""
-        self.warn(message)
-
-    def close(self) -> None:
-        """Close the platform first (it damps), then the blocks in reverse order of building, once.
-
-        Nothing is sent from then on. Everything is closed before the first error is raised.
-        """
-        if self._closed:
-            return
-        self._closed = True
-        self.gate.close()
-        errors: list[Exception] = []
-        closers: list[Callable[[], object]] = [self.platform.close]
-        closers += [block.close for block in reversed(self.blocks) if block.close is not None]
-        for close in closers:
-            try:
-                close()
-            except Exception as error:
-                errors.append(error)
-        if errors:
-            raise errors[0]
-
-    def damp_now(self) -> bool:
-        """Close in the middle of whatever runs, for a second signal; False where it closes already.
-
-        The platform damps. What its closing finds wrong is not told: a signal handler has no ear.
-        """
-        if self._closed:
-            return False
-        with suppress(Exception):
-            self.close()
-        return True
 
 
 def load_workflow(

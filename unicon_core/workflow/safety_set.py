@@ -7,7 +7,6 @@ A workflow adds to them by listing others, and sets their options by listing the
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
 
 from unicon_core.errors import UniconError, WorkflowError
 from unicon_core.flow import Node, blocks_of
@@ -15,11 +14,9 @@ from unicon_core.platforms.platform import Platform
 from unicon_core.states.standard import BASE_STATES, COMMAND_STATES, CONTROL_STATES, HARDWARE_STATES
 from unicon_core.workflow.autowire import state_names
 from unicon_core.workflow.build import Builder, factory_of
+from unicon_core.workflow.program_data import ProgramData
 from unicon_core.workflow.registry import find_factory
 from unicon_core.workflow.uses import EXPRESSION, Use
-
-if TYPE_CHECKING:
-    from unicon_core.workflow.program import Program
 
 __all__ = ["ROBOT_SAFETY", "TELLS", "completed", "left_out"]
 
@@ -66,7 +63,7 @@ def left_out(nodes: Iterable[Node], platform: Platform, members: Iterable[str] =
 
 
 def completed(
-    program: Program, builder: Builder, listed: Sequence[Node]
+    program: ProgramData, builder: Builder, listed: Sequence[Node]
 ) -> tuple[list[Node], dict[str, str]]:
     """Return a robot's safety blocks, built, and why others are left out.
 

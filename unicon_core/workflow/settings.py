@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 from unicon_core.bounds import DURATION
 from unicon_core.errors import UniconError, WorkflowError
+from unicon_core.pacing import Pacing
 from unicon_core.resources import find_config
 from unicon_core.workflow.document import WorkflowDocument
 
 if TYPE_CHECKING:
-    from unicon_core.runtime.pacing import Pacing
     from unicon_core.workflow.start import StartSettings
 
 __all__ = ["DEFAULT_SAFETY", "Safety", "check_settings", "pacing_of", "safety_of", "start_of"]
@@ -79,9 +79,6 @@ def pacing_of(document: WorkflowDocument) -> Pacing:
     Raises:
         WorkflowError: `pacing` is wrong; with file and line.
     """
-    # Imported here: the runner's package imports this one.
-    from unicon_core.runtime.pacing import Pacing
-
     try:
         return Pacing.from_dict(document.get("pacing", dict, {}))
     except UniconError as error:

@@ -15,7 +15,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -29,10 +29,8 @@ from unicon_core.states.standard import control_states
 from unicon_core.workflow.autowire import BuildContext
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.expression import EntryCondition
+from unicon_core.workflow.program_data import ProgramData
 from unicon_core.workflow.uses import Use
-
-if TYPE_CHECKING:
-    from unicon_core.workflow.program import Program
 
 __all__ = ["skills_of", "skills_switch"]
 
@@ -171,6 +169,6 @@ def _checked(
     return said
 
 
-def skills_of(program: Program) -> Skills | None:
+def skills_of(program: ProgramData) -> Skills | None:
     """Return what chooses between the skills of a program, None where it has none."""
     return next((b.tick for b in program.blocks if isinstance(b.tick, Skills)), None)

@@ -38,7 +38,7 @@ _CODE = {
 _AGE = """
 import time
 done = time.monotonic()
-from unicon_core.runtime.pacing import process_age_s
+from unicon_core.pacing import process_age_s
 print(process_age_s() - (time.monotonic() - done))
 """
 

@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 
 from unicon_core.errors import Fault, PlatformError, UniconError
+from unicon_core.pacing import Pacing, WallClock, prepare_process
 from unicon_core.platforms.kit.command import FiniteCheck
 from unicon_core.platforms.kit.damping import LastSent
 from unicon_core.robots import Robot
-from unicon_core.runtime.pacing import Pacing, WallClock, prepare_process
 from unicon_core.states import States, standard_states
 from unicon_core.states.standard import COMMAND_STATES, hardware_states
 from unicon_core.workflow.autowire import refuse_options

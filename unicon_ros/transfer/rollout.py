@@ -15,8 +15,8 @@ import numpy as np
 
 from unicon_core.check import refuse_errors
 from unicon_core.errors import MissingDependencyError, UniconError
+from unicon_core.pacing import process_age_s
 from unicon_core.platforms.platform import info_of
-from unicon_core.runtime.pacing import process_age_s
 from unicon_core.runtime.report import Report
 from unicon_core.runtime.rollouts import Look, Rollout
 from unicon_core.runtime.statistics import percentiles
@@ -103,8 +103,10 @@ class TimedRunner(RowRunner):
                 f"it has no tick: they are {program.period:g} s; give a longer --duration"
             )
         told = super().of(kept, rollout)
-        row, report = told["row"], Report(program.name, program.robot.name, "")
-        program.monitor.fill(report)
+        row, report = (
+            told["row"],
+            Report(program.name, program.robot.name, "", **program.monitor.found()),
+        )
         places = columns_of(program.states, KEPT)
         states = {name: rollout.states[:, place] for name, place in places.items()}
         networks = {k.partition(" ")[2]: v for k, v in kept.facts.items() if k[:8] == "network "}

@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.blocks.monitor import Monitor
 from unicon_core.robots import Robot
-from unicon_core.runtime.report import Monitor
 from unicon_core.states import States
 
 __all__ = ["JUDGED", "Measures", "Recorder"]

@@ -1,0 +1,147 @@
+"""ProgramData: what a program consists of, for whatever reads it; `Program` builds it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+
+from unicon_core.blocks.monitor import Monitor
+from unicon_core.flow import Block, Node
+from unicon_core.flow.stage import Stage
+from unicon_core.gates.gate import StartGate
+from unicon_core.latches import Latch
+from unicon_core.pacing import Pacing
+from unicon_core.platforms.platform import Platform
+from unicon_core.policies import PolicyContract
+from unicon_core.robots import Robot
+from unicon_core.states import States
+from unicon_core.states.links import Store
+from unicon_core.workflow.autowire import BuildContext
+from unicon_core.workflow.command_bounds import CommandBound
+from unicon_core.workflow.document import WorkflowDocument
+from unicon_core.workflow.gate import Gate
+from unicon_core.workflow.parts import Parts
+from unicon_core.workflow.start import StartSettings
+
+__all__ = ["ProgramData"]
+
+
+class ProgramData:
+    """Robot, platform, states and the graph of a tick.
+
+    Attributes:
+        document: what it was built from, for messages and the check.
+        name: of the workflow.
+        dry: no hardware is open, and nothing is published.
+        silent: nothing is sent; see the argument.
+        part: of a divided workflow, "" for all of it.
+        parts: what the workflow says of its parts, or None.
+        store: where its states go besides, or None.
+        robot: the robot file.
+        policies: name to policy contract.
+        period: of a tick in [s].
+        duration: in [s] of ticks after which a run ends; None: when the flow is done.
+        pacing: how ticks are timed.
+        start: how a robot begins to move.
+        states: all states.
+        platform: the built platform.
+        blocks: all blocks in order of building, for closing.
+        outside: those of `blocks` that hooks gave.
+        stages: the nodes of each stage, as they were given.
+        root: the whole tree of a tick: what the command does not depend on is put off, and
+            neighbouring copies are fused.
+        wind_down: the same with the flow that follows the run, or None: the platform damps at once.
+        critical: the blocks that the command depends on.
+        monitor: watches the run for its report.
+        gate: what every command passes last.
+        gates: asked before anything is sent, until all hold.
+        sending: `send` of the platform, without the gate; of a silent run what stands for it.
+        hearing: what a tick without commands runs: recv, estimate, input.
+        looking: observers, but for the report.
+        command_bounds: what the velocity command is held to; empty where nobody reads it.
+        safety: labels of the blocks of its own between the flow and `send`.
+        latches: of the robots that it drives, which an emergency stop sets; none of simulators.
+        safety_left_out: of a robot, safety blocks that it does not have, each with the reason.
+        warn: takes what blocks tell while they tick, one line each; the runner sets its own.
+        paced: the clock paces ticks; else they are as fast as they can.
+        forced: codes of the check's errors that somebody decided to run with.
+    """
+
+    document: WorkflowDocument
+    name: str
+    dry: bool
+    silent: bool
+    part: str
+    parts: Parts | None
+    store: Store | None
+    robot: Robot
+    policies: dict[str, PolicyContract]
+    period: float
+    duration: float | None
+    pacing: Pacing
+    start: StartSettings
+    states: States
+    context: BuildContext
+    platform: Platform
+    blocks: list[Block]
+    outside: list[Block]
+    stages: dict[Stage, list[Node]]
+    root: Node
+    wind_down: Node | None
+    critical: frozenset[Block]
+    monitor: Monitor
+    gate: Gate
+    gates: list[StartGate]
+    sending: Callable[[], object]
+    hearing: list[Node]
+    looking: list[Node]
+    command_bounds: tuple[CommandBound, ...]
+    safety: tuple[str, ...]
+    latches: list[Latch]
+    safety_left_out: dict[str, str]
+    warn: Callable[[str], None]
+    paced: bool
+    forced: tuple[str, ...]
+    _closed: bool
+
+    @property
+    def has_platform(self) -> bool:
+        """Whether the robot is here: false of a part whose states come from another one."""
+        return self.parts is None or self.part in ("", self.parts.first)
+
+    # -- while it runs --------------------------------------------------------------------------
+
+    def tell(self, message: str) -> None:
+        """Hand on what a block tells, to whoever listens by then."""
+        self.warn(message)
+
+    def close(self) -> None:
+        """Close the platform first (it damps), then the blocks in reverse order of building, once.
+
+        Nothing is sent from then on. Everything is closed before the first error is raised.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        self.gate.close()
+        errors: list[Exception] = []
+        closers: list[Callable[[], object]] = [self.platform.close]
+        closers += [block.close for block in reversed(self.blocks) if block.close is not None]
+        for close in closers:
+            try:
+                close()
+            except Exception as error:
+                errors.append(error)
+        if errors:
+            raise errors[0]
+
+    def damp_now(self) -> bool:
+        """Close in the middle of whatever runs, for a second signal; False where it closes already.
+
+        The platform damps. What its closing finds wrong is not told: a signal handler has no ear.
+        """
+        if self._closed:
+            return False
+        with suppress(Exception):
+            self.close()
+        return True
