@@ -97,7 +97,7 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     Each run collects garbage before it freezes what there is: 0.24 s and more beside 7,500 tests,
     which was most of what most runs took. Young garbage is enough; all is frozen, as ever.
     """
-    from unicon_core.runtime import pacing
+    from unicon_core import pacing
 
     young = SimpleNamespace(**vars(gc))
     young.collect = partial(gc.collect, 1)
@@ -107,7 +107,7 @@ def pytest_collection_finish(session: pytest.Session) -> None:
 @pytest.fixture(autouse=True)
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let runs in this process be held up by a busy machine; who tests hangs says `pacing.hang`."""
-    from unicon_core.runtime import pacing
+    from unicon_core import pacing
 
     for simulated in pacing.HANG:
         monkeypatch.setitem(pacing.HANG, simulated, 20.0)

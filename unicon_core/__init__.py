@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from unicon_core.workflow import Program, load_workflow
     from unicon_core.workflow.uses import block, elapsed, policy, pose
 
-__version__ = "0.3.0"
+__version__ = "0.4.0"
 
 # onnxruntime 1.32 else queues for its maker what machine this is, in a thread beside the tick.
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")

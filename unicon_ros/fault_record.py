@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING
 
 from unicon_core.errors import UniconError
 from unicon_core.flow import Block, Stage
+from unicon_core.memory import to_json
 from unicon_core.resources import user_folder
 from unicon_core.runtime.tick_ring import FEWEST, TickRing
 from unicon_ros.recording import McapFile, recover
@@ -175,7 +176,7 @@ def _fill(
     def add(name: str, text: str) -> None:
         file.add_record(attachment(name, "application/json", now, text.encode()))
 
-    built = None if ring.built is None else ring.built.content()
+    built = None if ring.built is None else to_json(ring.built)
     add("memory.json", json.dumps({"trouble": ring.trouble, "built": built, "memories": content}))
     add("report.json", json.dumps(report.to_dict(), default=str))
     file.add(tick_channel(1, runner.program.states.layout, dict.fromkeys(ring.moments)))

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING
 
-from unicon_core.memory import Remembered
+from unicon_core.memory import Snapshot
 from unicon_core.runtime.tick_ring import HEAD, KeptMemory, TickRing
 from unicon_ros.recording.facts import content_of, layout_facts
 from unicon_ros.recording.records import attachment, metadata
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from unicon_ros.recorder import Recorder
 
 __all__ = ["RecordedTicks"]
-
-NOTHING = Remembered([], [], {}, ["everything"])
 
 
 class RecordedTicks:
@@ -81,7 +79,11 @@ class RecordedTicks:
         self._rows += 1
 
     def _remember(self, memory: KeptMemory | None, states: bytes) -> None:
-        found = memory if memory is not None else KeptMemory(self._rows, False, NOTHING)
+        found = (
+            memory
+            if memory is not None
+            else KeptMemory(self._rows, False, Snapshot(), {"every block": "is unknown"})
+        )
         self._recorder.add_record(_attachment(found, self._rows, self._ring.trouble, states))
 
 

@@ -375,14 +375,14 @@ def test_a_solver_without_an_answer_keeps_the_joints_still(welder: Reaching) -> 
 
 def test_a_memory_goes_on_to_the_bit(arm: Robot) -> None:
     one, other = Reaching(arm), Reaching(arm)
-    memories = [Memory({"reach": it.reach.tick}, it.states) for it in (one, other)]
+    memories = [Memory({"reach": it.reach.tick}, it.states.buffer) for it in (one, other)]
     one.aim(shift=(0.1, 0.05, 0.0))
     one.run(10)
     kept, states = memories[0].take(), one.states.snapshot()
-    assert kept.unkept == []
+    assert memories[0].unproven == {}
     wanted = one.run(20)
     other.states.restore(states)
-    memories[1].restore(kept.content())
+    memories[1].put_back(kept)
     assert other.run(20).tobytes() == wanted.tobytes()
 
 

@@ -22,6 +22,7 @@ from replaying import cut_off, replay
 from unicon_core import Zip, pose
 from unicon_core.errors import StateError, UniconError
 from unicon_core.flow import Block, Stage
+from unicon_core.memory import from_json
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.workflow import Program, load_workflow
 from unicon_ros import fault_record
@@ -334,15 +335,15 @@ def test_states_that_are_too_large_are_told_and_the_rest_is_written(tmp_path: Pa
 
 def test_a_block_that_cannot_be_looked_into_is_no_fault(tmp_path: Path) -> None:
     class Trap:
-        def memory(self) -> object:
+        def save(self) -> object:
             raise RuntimeError("a trap")
 
-        def restore(self, memory: object) -> None: ...
+        def load(self, saved: object) -> None: ...
 
-    trap = Trap()
+        def __call__(self) -> bool:
+            return False
 
-    def block() -> bool:
-        return trap is None
+    block = Trap()
 
     warnings: list[str] = []
     record = FaultRecord(str(tmp_path), warn=warnings.append)
@@ -365,8 +366,8 @@ def test_a_block_that_cannot_be_looked_into_is_no_fault(tmp_path: Path) -> None:
     assert report.faults[0].startswith("ValueError: the fault")
     assert path is not None
     (memory,) = open_record(path).memories
-    assert len(memory["unkept"]) == 1
-    assert memory["owners"]
+    assert list(memory["unproven"].values()) == ["a trap"]
+    assert set(from_json(memory["blocks"])) == {"pose", "sent", "run"}
     assert warnings == []
 
 

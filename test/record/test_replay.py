@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import os
 import random
 from collections.abc import Callable
@@ -17,7 +18,11 @@ pytest.importorskip("onnxruntime", reason="the policies are ONNX networks")
 from policies_of_all_kinds import KINDS, write_policy
 from replaying import cut_off, replay
 
+from unicon_core.errors import UniconError
+from unicon_core.flow import Amends
+from unicon_core.memory import Snapshot, to_json
 from unicon_core.workflow import Program
+from unicon_ros.recording import open_record
 
 pytestmark = pytest.mark.usefixtures("short_ring")
 
@@ -31,7 +36,7 @@ def held(workflow: Any, folder: Path, ticks: int, **options: Any) -> None:
     told = cut_off(workflow, folder, ticks, overrides=overrides, **options)
     record = told.record
     assert told.report.faults == ["tripped by the test"]
-    assert all(not each["unkept"] for each in record.memories)
+    assert all(not each["unproven"] for each in record.memories)
     assert int(record.ended.sum()) == len(record.ticks) - 1
     assert record.ticks.tolist() == list(range(ticks + 1))[-len(record.ticks) :]
     assert replay(record) == []
@@ -48,7 +53,7 @@ def test_without_its_memory_a_replay_differs(tmp_path: Path) -> None:
     overrides = UNSAFE | {"flow.chain.0.pose.duration": 9.0}
     record = cut_off("go2_walk", tmp_path, 200, overrides=overrides).record
     for memory in record.memories:
-        memory |= {"owners": {}, "kept": {}}
+        memory |= {"blocks": to_json(Snapshot())}
     assert replay(record)
 
 
@@ -236,3 +241,34 @@ def test_a_live_twin_goes_on_where_it_was(tmp_path: Path) -> None:
     told = cut_off("go2_walk", tmp_path, 610, overrides=twin)
     assert told.record.ticks[0] % 7 != 1  # it begins within a window of the twin
     assert replay(told.record) == []
+
+
+def test_the_record_of_an_older_version_is_read_and_its_replay_refused(tmp_path: Path) -> None:
+    packed = Path(__file__).with_name("data") / "hold_0_3.mcap.gz"
+    path = tmp_path / "hold.mcap"
+    path.write_bytes(gzip.decompress(packed.read_bytes()))
+    record = open_record(path)
+    assert len(record.ticks) == 10
+    assert np.isfinite(record.states("joint_pos")).all()
+    with pytest.raises(UniconError, match=r"needs that version: pip install unicon_ros==0\.3\.0"):
+        replay(record)
+
+
+class Counting:
+    """A user's block that remembers and does not say so."""
+
+    def __init__(self, joint_effort_ff: Amends) -> None:
+        self.effort, self.count = joint_effort_ff, 0
+
+    def __call__(self) -> None:
+        self.count += 1
+        self.effort += np.float32(1e-3 * self.count)
+
+
+def test_a_replay_names_blocks_that_declare_no_memory(tmp_path: Path) -> None:
+    flow = {"zip": [{"hold": {}}, {"call": "test_replay:Counting"}]}
+    record = cut_off(written(tmp_path, flow), tmp_path / "faults", 30).record
+    (note,) = [each for each in replay(record) if "lacks the memory" in each]
+    assert note == (
+        "the record lacks the memory of block 'call' (declares no memory); unicon check names it"
+    )

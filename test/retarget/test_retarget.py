@@ -242,8 +242,8 @@ def test_it_goes_on_to_the_bit_from_its_memory(tmp_path: Path) -> None:
     first, second = (Led(tmp_path, filter=5.0, max_rate=4.0) for _ in range(2))
     for poses in hands(0):
         first.see(poses)
-    content = Memory({"retarget": first.lead.tick}, first.states).take().content()
-    Memory({"retarget": second.lead.tick}, second.states).restore(content)
+    snapshot = Memory({"retarget": first.lead.tick}).take()
+    Memory({"retarget": second.lead.tick}).put_back(snapshot)
     for poses in hands(40):
         assert first.see(poses).tobytes() == second.see(poses).tobytes()
 

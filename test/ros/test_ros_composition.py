@@ -19,7 +19,7 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 
-from unicon_core.runtime import pacing
+from unicon_core import pacing
 from unicon_ros.node import UniconNode
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]

@@ -150,7 +150,7 @@ def test_a_block_that_holds_an_iterator_is_built_anew() -> None:
     program = Program(document(), hooks=[hook])
     program.outside.clear()  # as if the workflow had named it
     rollouts = Rollouts(program)
-    assert "holds what cannot be set back" in rollouts.why_not
+    assert rollouts.why_not == "block 'counted': declares no memory"
     program.close()
 
 

@@ -47,6 +47,8 @@ class Approach:
             no longer than that.
     """
 
+    memory = ("_from", "_way", "_tick")
+
     name = "approach"
     reads = ("joint_pos",)
     writes = COMMAND_STATES
@@ -94,12 +96,15 @@ class Entry:
         ticks: length of the blend.
     """
 
+    memory = ("_held", "_tick", "_last")
+
     name = "entry"
     reads = ("joint_pos",)
     amends = COMMAND_STATES
 
     def __init__(self, states: States, last: LastSent, ticks: int) -> None:
-        self._pairs = [(states[name], last.states[name].copy()) for name in COMMAND_STATES]
+        self._held = [last.states[name].copy() for name in COMMAND_STATES]
+        self._pairs = [(states[name], held) for name, held in zip(COMMAND_STATES, self._held)]
         self._last, self._ticks, self._tick = last, ticks, 0
         self._measured = states["joint_pos"]
 

@@ -46,6 +46,8 @@ def blend_in(
 class BlendIn:
     """The tick of `blend_in`."""
 
+    memory = ("_held", "_own", "_mixed", "_tick", "_sent")
+
     def __init__(
         self, context: BuildContext, live: tuple[NDArray[np.float32], ...], ticks: int
     ) -> None:

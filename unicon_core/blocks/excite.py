@@ -199,6 +199,8 @@ def _drawn(seed: int, knot: int, count: int) -> NDArray[np.float64]:
 class Excite:
     """The tick of `excite`."""
 
+    memory = ("_start", "_way", "_approach", "_tick")
+
     def __init__(
         self,
         command: JointCommand,

@@ -35,12 +35,16 @@ def fade_in(
 class FadeIn:
     """The tick of `fade_in`."""
 
+    memory = ("_whole", "_left", "_tick")
+
     stage = Stage.SAFETY
 
     def __init__(self, faded: tuple[NDArray[np.float32], ...], ticks: int) -> None:
         self._ticks, self._tick = ticks, 0
         # What is there, what it was whole, and what was left of it in the tick before.
-        self._views = [(live, live.copy(), np.full_like(live, np.nan)) for live in faded]
+        self._whole = [live.copy() for live in faded]
+        self._left = [np.full_like(live, np.nan) for live in faded]
+        self._views = list(zip(faded, self._whole, self._left))
 
     def __call__(self) -> None:
         if self._tick < self._ticks:

@@ -146,6 +146,8 @@ class ForwardCommand:
             follows them.
     """
 
+    memory = ("held", "ticks", "_offset", "_heard", "_refused")
+
     def __init__(
         self,
         command: JointCommand,

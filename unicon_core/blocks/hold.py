@@ -32,6 +32,8 @@ def hold(
 class Hold:
     """The tick of `hold`."""
 
+    memory = ("_held", "_tick")
+
     def __init__(
         self, command: JointCommand, robot: Robot, ticks: int | None, keep_gains: bool
     ) -> None:
@@ -82,6 +84,8 @@ def damp(
 
 class Damp:
     """The tick of `damp`."""
+
+    memory = ("_tick",)
 
     def __init__(
         self, command: JointCommand, gain: np.typing.NDArray[np.float32], ticks: int | None

@@ -74,6 +74,8 @@ setattr(motor_heat, "declares", _declares)  # noqa: B010  a function has no such
 class MotorHeat:
     """The tick of `motor_heat`."""
 
+    memory = ("_now",)
+
     endless = True
 
     def __init__(

@@ -46,6 +46,8 @@ def pose(
 class Pose:
     """The tick of `pose`."""
 
+    memory = ("_start", "_way", "_first", "_ticks", "_tick")
+
     def __init__(
         self,
         command: JointCommand,
@@ -70,7 +72,8 @@ class Pose:
         self._start, self._way = (np.zeros_like(command.joint_pos_target) for _ in range(2))
         # The states, what they held at the beginning, and the gains that they go to.
         states = (command.joint_stiffness, command.joint_damping)
-        self._fades = [(out, out.copy(), gain) for out, gain in zip(states, gains)]
+        self._first = [out.copy() for out in states]
+        self._fades = list(zip(states, self._first, gains))
         self._tick = 0
 
     def __call__(self) -> bool:

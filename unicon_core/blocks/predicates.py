@@ -28,6 +28,8 @@ def elapsed(*, period: float, seconds: float) -> Elapsed:
 class Elapsed:
     """The tick of `elapsed`."""
 
+    memory = ("_tick",)
+
     def __init__(self, ticks: int) -> None:
         self._ticks, self._tick = ticks, 0
 
@@ -78,6 +80,8 @@ def commanded(
 class Commanded:
     """The tick of `commanded`."""
 
+    memory = ("_left",)
+
     def __init__(self, command: NDArray[np.float32], least: float, ticks: int) -> None:
         self._command, self._least, self._ticks = command.reshape(-1), least, ticks
         self._left = 0
@@ -109,6 +113,8 @@ def settled(
 
 class Settled:
     """The tick of `settled`."""
+
+    memory = ("_slow",)
 
     def __init__(self, joint_vel: NDArray[np.float32], velocity: float, ticks: int) -> None:
         self._vel, self._bound, self._ticks = joint_vel, velocity, ticks

@@ -36,6 +36,8 @@ def projected_gravity(base_quat: Reads, projected_gravity: Writes) -> Callable[[
 class BatchGravity:
     """The tick of `projected_gravity` for many robots; the third row of R(q), negated."""
 
+    memory = ()
+
     def __init__(self, quat: NDArray[np.float32], out: NDArray[np.float32]) -> None:
         self._w, self._x, self._y, self._z = (quat[..., i] for i in range(4))
         self._parts = tuple(out[..., i] for i in range(3))

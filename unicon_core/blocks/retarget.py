@@ -180,6 +180,8 @@ class Retarget:
         scale: the robot's length for one of the human's, of each finger, shape (f,).
     """
 
+    memory = ("scale", "_retargeting", "_lengths", "_smooth", "_sent", "_follows", "_told")
+
     reads: tuple[str, ...] = ()
     writes: tuple[str, ...] = ()
     moves: tuple[str, ...] = ()

@@ -72,6 +72,8 @@ def sway(
 class Sway:
     """The tick of `sway`."""
 
+    memory = ("_filtered", "_tick")
+
     def __init__(
         self,
         command: JointCommand,

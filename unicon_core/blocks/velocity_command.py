@@ -74,6 +74,8 @@ def velocity_command(
 class VelocityCommand:
     """The tick of `velocity_command`."""
 
+    memory = ("_tick", "_row")
+
     def __init__(
         self,
         out: NDArray[np.float32],

@@ -10,7 +10,7 @@ from unicon_core.check.action import check_action, check_commands, check_timing
 from unicon_core.check.action_rates import check_fed
 from unicon_core.check.files import check_files, check_robot
 from unicon_core.check.gains import check_gains, check_held, check_limits
-from unicon_core.check.graph import check_blocks
+from unicon_core.check.graph import check_blocks, check_memory
 from unicon_core.check.joints import check_joints
 from unicon_core.check.observation import check_frames, check_observation
 from unicon_core.check.order import check_order
@@ -140,6 +140,7 @@ def static_checks(subject: Subject, result: CheckResult) -> None:
         check_files(subject, result)
         check_bodies(subject, result)
         check_blocks(subject, result)
+        check_memory(subject, result)
         check_seen(subject, result)
     result.sort()
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from unicon_core.check.memory_proof import prove
 from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject
+from unicon_core.flow import Stage
 from unicon_core.flow.checks import check_graph
+from unicon_core.flow.nodes import unfused
+from unicon_core.memory import holder_of
 from unicon_core.show.tree import is_critical
 from unicon_core.workflow.tick_tree import given_in
 
-__all__ = ["check_blocks"]
+__all__ = ["check_blocks", "check_memory"]
 
 
 def check_blocks(subject: Subject, result: CheckResult) -> None:
@@ -31,3 +35,36 @@ def check_blocks(subject: Subject, result: CheckResult) -> None:
     result.table("Blocks", columns, rows)
     for found in check_graph(program.root, program.states, given=given_in(program.states)):
         result.find("graph", found.culprit, found.evidence, found.remedy, found.where)
+
+
+def check_memory(subject: Subject, result: CheckResult) -> None:
+    """Note what a user's own blocks remember without declaring it: no record holds it."""
+    states = subject.program.states
+    for block in (part for each in subject.blocks for part in unfused(each)):
+        outside = getattr(block.tick, "outside", False) or block.stage in (Stage.RECV, Stage.SEND)
+        if outside or not _foreign(block.tick):
+            continue
+        proof = prove(block, states)
+        names = ", ".join(proof.hidden or proof.undeclared)
+        if proof.hidden:
+            evidence = (
+                f"its next tick depends on {names}, which it does not declare: a replay differs"
+            )
+        elif proof.undeclared:
+            evidence = f"it changes {names}, which it does not declare, though to no effect here"
+        elif proof.trouble:
+            evidence = f"its memory could not be proven: {proof.trouble}"
+        else:
+            continue
+        remedy = (
+            "write memory = (NAME, …) in its class, or () where no tick depends on the last one"
+        )
+        result.find(
+            "blocks.memory", f"block {block.name!r}", evidence, remedy, block.where, error=False
+        )
+
+
+def _foreign(tick: object) -> bool:
+    holder = holder_of(tick)
+    module = getattr(holder, "__module__", None) or type(holder).__module__
+    return not module.startswith("unicon_")

@@ -22,6 +22,7 @@ __all__ = ["CAUSES", "CODES", "FIRM", "CheckResult", "Finding", "PolicyResult", 
 CODES = {
     "build": "the workflow cannot be built",
     "graph": "the graph of blocks is wrong",
+    "blocks.memory": "a block remembers what it does not declare (a note)",
     "joints.held": "joints that no policy moves (a note)",
     "joints.welded": "the simulated model lacks joints that no policy moves (a note)",
     "joints.seen": "a policy sees joints that other blocks move",

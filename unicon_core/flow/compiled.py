@@ -37,7 +37,7 @@ class CompiledGraph:
         detailed: each block has a stamp of its own.
         groups: the numbers of the blocks that share a stamp where not, in their order: that of the
             last one. The last group has none: it ends with the tick, as the ticker notes.
-        places: `id` of a chain or switch to the variable of `memory` that tells which of its
+        places: `id` of a chain or switch to the variable of `save` that tells which of its
             children runs; less than 0 before the first one.
     """
 
@@ -64,7 +64,7 @@ class CompiledGraph:
         self.step, self.deferred = self._ways[:2] if each else self._ways[2:]
         self.stamps[:] = 0
 
-    def memory(self) -> dict[str, int]:
+    def save(self) -> dict[str, int]:
         """Return the variables that live from tick to tick: where chains and switches are.
 
         What says that something was put off is not among them: it is 0 between two ticks.
@@ -72,22 +72,22 @@ class CompiledGraph:
         return {name: cell.cell_contents for name, cell in self._counters().items()}
 
     def cells(self, names: Iterable[str]) -> tuple[CellType, ...]:
-        """Return what holds some variables of `memory`, to look at them in every tick."""
+        """Return what holds some variables of `save`, to look at them in every tick."""
         counters = self._counters()
         return tuple(counters[name] for name in names)
 
-    def restore(self, memory: Mapping[str, int]) -> None:
+    def load(self, saved: Mapping[str, int]) -> None:
         """Go on where another graph of the same tree was, between two ticks.
 
         Raises:
             ValueError: it is of another tree.
         """
         counters = self._counters()
-        own, theirs = _places(counters), _places(memory)
+        own, theirs = _places(counters), _places(saved)
         if [kind for kind, _ in own] != [kind for kind, _ in theirs]:
             raise ValueError("the flow is another one")
         for (_, name), (_, their) in zip(own, theirs):
-            counters[name].cell_contents = memory[their]
+            counters[name].cell_contents = saved[their]
 
     def _counters(self) -> dict[str, CellType]:
         """Return the generated functions' own variables: all else that they enclose are objects."""

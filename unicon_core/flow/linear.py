@@ -35,6 +35,8 @@ class LinearMap:
         StateError: shapes or an index that do not fit.
     """
 
+    memory = ()
+
     source: Array
     target: Array
     index: Any = None

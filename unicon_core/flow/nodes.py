@@ -7,7 +7,7 @@ entered again starts anew. Equations: UniCon paper, section 3.2.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from operator import index as index_of
 from typing import TypeAlias
@@ -31,6 +31,7 @@ __all__ = [
     "blocks_of",
     "children_of",
     "chooser_of",
+    "unfused",
     "with_children",
 ]
 
@@ -178,6 +179,8 @@ class Blender:
         arrays: the command states' views, float32.
     """
 
+    memory = ("_held", "_own")
+
     def __init__(self, arrays: Mapping[str, object]) -> None:
         self._live = [np.asarray(array) for array in arrays.values()]
         self._held = [array.copy() for array in self._live]
@@ -230,6 +233,15 @@ def children_of(node: Node) -> tuple[Node, ...]:
     if isinstance(node, (Every, Deferred)):
         return (node.child,)
     return ()
+
+
+def unfused(node: Node) -> Iterator[Block]:
+    """Yield a block, or the blocks that were fused into it; nothing of other nodes."""
+    if isinstance(node, Block):
+        if not node.parts:
+            yield node
+        for part in node.parts:
+            yield from unfused(part)
 
 
 def with_children(node: Node, children: Sequence[Node]) -> Node:

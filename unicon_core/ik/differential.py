@@ -61,6 +61,8 @@ class DifferentialIk:
         halved: steps that the true distances have halved.
     """
 
+    memory = ("pos", "failures", "halved", "_active", "_waiting")
+
     def __init__(
         self,
         chain: Chain,

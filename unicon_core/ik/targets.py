@@ -32,6 +32,8 @@ class Target:
         tell: takes one line, once for each time that it is refused.
     """
 
+    memory = ("_told",)
+
     def __init__(
         self,
         effector: str,

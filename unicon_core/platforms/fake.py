@@ -154,6 +154,14 @@ class FakePlatform:
         self._servo.torque[...] = 0.0
         self._ticks = 0
 
+    def save(self) -> list[Any]:
+        """Return what the joints go on from."""
+        return [self._pos.copy(), self._vel.copy(), self._servo.torque.copy(), self._ticks]
+
+    def load(self, saved: list[Any]) -> None:
+        """Go on as another platform would that was built alike."""
+        self._pos[...], self._vel[...], self._servo.torque[...], self._ticks = saved
+
     def close(self) -> None:
         """Let go; there is nothing to damp."""
 

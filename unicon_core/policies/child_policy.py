@@ -53,6 +53,8 @@ class ChildPolicy(Policy):
         UniconError: what was raised in the child.
     """
 
+    memory = ("_question", "_held", "_computed", "_tick", "_asked", "_of")
+
     every_tick = True
     """It keeps its period by itself."""
 
@@ -150,7 +152,7 @@ class ChildPolicy(Policy):
         if not lane.action_finite():
             raise Fault(self._blame_action())
         self._held[...] = lane.action
-        for source, target in lane.memory:
+        for source, target in lane.recurrent:
             target[...] = source
         self._of, self._asked = self._asked, -1
 

@@ -50,6 +50,8 @@ class DrivenPolicy:
             or move none.
     """
 
+    memory = ("policy", "_kept")
+
     def __init__(
         self,
         make: Callable[[States], Policy],
@@ -88,7 +90,8 @@ class DrivenPolicy:
             at = slice(int(places[0]), int(places[-1]) + 1)
         self._at, self._targets = at, [(states[n], self._copy[n]) for n in targets]
         own = [name for name in self.writes if name not in targets]
-        self._own = [(states[name], self._copy[name]) for name in own]
+        self._kept = [self._copy[name] for name in own]
+        self._own = [(states[name], kept) for name, kept in zip(own, self._kept)]
         default = robot.default_joint_pos.copy()
         for name, position in zip(self.contract.joints, self.contract.default_joint_pos):
             default[robot.joint_names.index(name)] = position

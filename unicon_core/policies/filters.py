@@ -57,6 +57,8 @@ def make_filter(spec: FilterSpec, shape: tuple[int, ...], period: float) -> Filt
 class _LowPass:
     """A first-order low pass."""
 
+    memory = ("_kept", "_fresh")
+
     def __init__(self, alpha: float, shape: tuple[int, ...], zeros: bool) -> None:
         self._new, self._old, self._zeros = np.float32(alpha), np.float32(1.0 - alpha), zeros
         self._kept, self._now, self._rest = (np.zeros(shape, np.float32) for _ in range(3))
@@ -82,6 +84,8 @@ class _LowPass:
 
 class _Mean:
     """A moving average, over a ring whose last n samples always stand in one piece."""
+
+    memory = ("_ring", "_head", "_fresh")
 
     def __init__(self, n: int, shape: tuple[int, ...], zeros: bool) -> None:
         self._n, self._zeros = n, zeros

@@ -28,6 +28,8 @@ Published: TypeAlias = tuple[NDArray[np.float32], NDArray[np.float32]]
 class Input:
     """An input beside the observation: a state, or the number of calls since the reset."""
 
+    memory = ("gather",)
+
     gather: Observation | None
     values: NDArray[np.float32]
     cast: NDArray[Any] | None
@@ -46,7 +48,7 @@ class Lane:
         obs: the input vector, shape (rows, size).
         action: the output, shape (rows, m).
         inputs: what else the network takes.
-        memory: outputs of the network and the inputs that they are fed back to.
+        recurrent: outputs of the network and the inputs that they are fed back to.
         runs: calls of the network, one for all rows or one for each.
         published: views of states and the arrays here that are copied into them after a tick.
         assemble: writes the inputs of this tick; until `advance` it may be done again and again.
@@ -59,11 +61,13 @@ class Lane:
         held: for so many calls after `step_zero` it stays at that.
     """
 
+    memory = ("observation", "action", "inputs", "recurrent", "_remembering", "_smooth", "_steps")
+
     observation: Observation | None
     obs: NDArray[np.float32]
     action: NDArray[np.float32]
     inputs: list[Input]
-    memory: list[tuple[NDArray[Any], NDArray[Any]]]
+    recurrent: list[tuple[NDArray[Any], NDArray[Any]]]
     runs: list[Callable[[], None]]
     published: list[Published]
 
@@ -81,7 +85,7 @@ class Lane:
         only = not self.inputs
         self.assemble = self._write if only else self._assemble
         self.finite = self._obs_finite if only else self._finite
-        nothing_kept = only and not self.memory and not self._remembering
+        nothing_kept = only and not self.recurrent and not self._remembering
         self.advance = _keep if nothing_kept and self._advance is nothing else self._go_on
 
     def _run_rows(self) -> None:
@@ -105,7 +109,7 @@ class Lane:
         self._remember()
 
     def _remember(self) -> None:
-        for source, target in self.memory:
+        for source, target in self.recurrent:
             target[...] = source
         for run in self._remembering:
             run.commit()
@@ -144,7 +148,7 @@ class Lane:
         """Forget history, memory and the number of calls."""
         if self.observation is not None:
             self.observation.reset()
-        for source, target in self.memory:
+        for source, target in self.recurrent:
             source[...] = 0
             target[...] = 0
         for run in self._remembering:

@@ -42,6 +42,8 @@ class Observation:
         PolicyError: as `term_slices`.
     """
 
+    memory = ("_smoothing", "_ring", "_head", "_fresh")
+
     def __init__(
         self,
         contract: PolicyContract,
@@ -93,6 +95,8 @@ class Observation:
             for p in self.slices
             if (f := p.term.filter) is not None
         )
+        self._smoothing = [each for _, each in self._filters]
+        self._ring, self._head = np.zeros((0, rows * self.frame_size), np.float32), 0
         if self._history > 1:
             self._make_ring(spec, rows)
 
@@ -100,7 +104,6 @@ class Observation:
         """Lay out a ring of 2·H frames; the last H frames always stand in one piece in it."""
         h, d = self._history, self.frame_size
         self._ring = np.zeros((2 * h, rows * d), np.float32)
-        self._head = 0
         frames: list[tuple[int, int, TermSlice]] = []  # (age of the frame, order, term)
         for order, part in enumerate(self.slices):
             frames += [(age, order, part) for age in range(part.term.history)]

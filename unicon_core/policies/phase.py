@@ -40,6 +40,8 @@ class GaitPhase:
         PolicyError: a state is not declared, or has another size.
     """
 
+    memory = ("phase", "_clock", "_standing")
+
     name = "gait_phase"
 
     def __init__(self, spec: PhaseSpec, states: PackedStates, period: float) -> None:

@@ -57,6 +57,8 @@ class Policy:
         MissingDependencyError: the runtime of its network is not installed.
     """
 
+    memory: tuple[str, ...] = ("lane", "phase", "tracker", "_begun")
+
     def __init__(
         self,
         contract: PolicyContract,

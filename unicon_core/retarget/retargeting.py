@@ -52,6 +52,8 @@ class Retargeting:
         errors: how far each tip is from where its finger's vector leads, in [m], shape (f,).
     """
 
+    memory = ("q", "_before")
+
     def __init__(self, model: HandModel, contact: float) -> None:
         self.model, self._contact = model, contact
         self.q, self.errors = model.default.copy(), np.zeros(len(model.fingers))

@@ -93,7 +93,6 @@ class Rollouts:
         self._rows = np.zeros((256, self._float.size), np.float32)
         self._memory = memory_of(program, self)
         self._built = self._memory.take()
-        self._counters = self._graph.memory()
         self.why_not = self._obstacle()
         self._act: Callable[[], None] | None = None
         if beside and not self.why_not and isinstance(program.platform, Postpones):
@@ -107,8 +106,8 @@ class Rollouts:
         program = self.program
         if not isinstance(program.platform, Changeable):
             return f"platform {program.platform.facts.name!r} cannot begin in another scene"
-        if self._built.unkept:
-            return f"{self._built.unkept[0]} holds what cannot be set back"
+        for name, reason in self._memory.unproven.items():
+            return f"block {name!r}: {reason}"
         if len(program.stages[Stage.RECV]) > 1 or program.store is not None:
             return "something comes from outside, or leaves"
         return ""
@@ -131,7 +130,6 @@ class Rollouts:
         platform.change(scene)
         self._graph.reset()
         self._memory.put_back(self._built)
-        self._graph.restore(self._counters)
         program.gate.sent.forget()
         program.monitor.begin()
         self.why_not = ""

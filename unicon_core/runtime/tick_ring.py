@@ -12,14 +12,14 @@ import struct
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from unicon_core.flow import Block, Node, Stage, Switch
-from unicon_core.flow.nodes import blocks_of, children_of
-from unicon_core.memory import Memory, Remembered
+from unicon_core.flow.nodes import blocks_of, children_of, unfused
+from unicon_core.memory import Memory, Snapshot
 from unicon_core.runtime.phases import Phase
 
 if TYPE_CHECKING:
@@ -27,7 +27,16 @@ if TYPE_CHECKING:
     from unicon_core.runtime.runner import Runner
     from unicon_core.workflow import Program
 
-__all__ = ["DONE", "ENDED", "FEWEST", "HEAD", "PHASES", "KeptMemory", "TickRing"]
+__all__ = [
+    "DONE",
+    "ENDED",
+    "FEWEST",
+    "HEAD",
+    "PHASES",
+    "KeptMemory",
+    "TickRing",
+    "memory_of",
+]
 
 KEPT_S = 10.0
 """Of ticks that are kept at least in [s]; up to half as much more, since it begins at a memory."""
@@ -67,11 +76,13 @@ class KeptMemory:
         row: number of the tick, counted from the first one that was kept in the run.
         anew: it was not what the tick before had left: the flow was reset.
         remembered: the memory.
+        unproven: block to why its memory is not among it.
     """
 
     row: int
     anew: bool
-    remembered: Remembered
+    remembered: Snapshot
+    unproven: dict[str, str] = field(default_factory=dict)
 
 
 class TickRing:
@@ -120,7 +131,7 @@ class TickRing:
             self.capacity, self._stride = least, 1 << 62
         self.rows = 0
         self.trouble = ""
-        self.built: Remembered | None = None
+        self.built: Snapshot | None = None
         # Written once, so that no page of it is new to a tick.
         self._data = memoryview(np.full(self.capacity * self.row_bytes, 0xFF, np.uint8).data)
         starts = range(HEAD.size, len(self._data), self.row_bytes)
@@ -227,7 +238,8 @@ class TickRing:
         if self._memory is None:
             return
         try:
-            self._memories.append(KeptMemory(self.rows, anew, self._memory.take()))
+            taken = self._memory.take()
+            self._memories.append(KeptMemory(self.rows, anew, taken, {**self._memory.unproven}))
             while self._memories[0].row < self.rows - self.capacity:
                 self._memories.popleft()
         except Exception as error:  # a run does not end because of its record
@@ -279,29 +291,34 @@ def _changed(nodes: Sequence[Node], more: Sequence[str] = ()) -> frozenset[str] 
     return frozenset({*found, *more, *BETWEEN})
 
 
-def memory_of(program: Program, runner: HasGraphs) -> Memory:
+def memory_of(program: Program, runner: HasGraphs, *, platform: bool = False) -> Memory:
     """Return the memory of a program's own blocks and of the flow's nodes, all phases together.
 
-    What came from outside is left out: the platform, devices and the hooks, whose doing is in the
-    ticks. A camera's frames would be felt: four of 640 x 480 take 0.2 ms to copy.
+    What came from outside is left out: devices and the hooks, whose doing is in the ticks, and the
+    platform, unless it is asked for.
+
+    Args:
+        program: its trees.
+        runner: that ticks them.
+        platform: whether that of a simulator counts, too.
     """
     trees = [tree for tree in (program.root, program.wind_down) if tree is not None]
     nodes = list(dict.fromkeys(node for tree in trees for node in _nodes(tree)))
     foreign = (Stage.RECV, Stage.SEND)
     roots: dict[str, Any] = {}
-    leave: list[Any] = [program, program.platform, program.robot, program.context, runner, *nodes]
     for node in nodes:
         if isinstance(node, Switch) and node.blender is not None:
             roots[_label("blend", roots)] = node.blender
-        if isinstance(node, Block):
+        for block in unfused(node):
             # Of the observers those count that write states, which a safety block may read.
-            seen = node.stage is Stage.OBSERVE and not node.writes
-            device = getattr(node.tick, "outside", False)
-            if node.stage in foreign or seen or device or node in program.outside:
-                leave.append(node.tick)
-            else:
-                roots[_label(node.name, roots)] = node.tick
-    return Memory(roots | runner.graphs(), program.states, leave)
+            seen = block.stage is Stage.OBSERVE and not block.writes
+            device = getattr(block.tick, "outside", False)
+            if not (block.stage in foreign or seen or device or block in program.outside):
+                roots[_label(block.name, roots)] = block.tick
+    roots |= {"sent": program.gate.sent, **runner.graphs()}
+    if platform:
+        roots["platform"] = program.platform
+    return Memory(roots, program.states.buffer)
 
 
 def _nodes(node: Node) -> Iterator[Node]:

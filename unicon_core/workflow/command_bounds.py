@@ -111,6 +111,8 @@ class CommandBounds:
         warn: gets one line for each episode.
     """
 
+    memory = ("_last",)
+
     name = "command bounds"
     amends = (COMMAND,)
     endless = True

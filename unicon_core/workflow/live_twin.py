@@ -19,6 +19,7 @@ from unicon_core.bounds import POSITION, within
 from unicon_core.errors import Fault, PlatformError, UniconError, WorkflowError, alternatives
 from unicon_core.flow import Block
 from unicon_core.gap import aligned_mse
+from unicon_core.memory import Library
 from unicon_core.platforms.kit.beside import PLACE, Beside
 from unicon_core.robots import Robot
 from unicon_core.states import States, StateSpec
@@ -231,22 +232,22 @@ class LiveTwin:
         self._kept = self._in_window = 0
         self._alone = True
 
-    def memory(self) -> dict[str, Any]:
+    def save(self) -> dict[str, Any]:
         """Return what gap, lag and simulation go on from, for a replay."""
         past = (self._kept, self._in_window, self._alone)
-        remember = getattr(self._beside.platform, "memory", None)
+        simulator = self._beside.platform
         return {
             "past": self._past.copy(),
             "counts": past,
-            "simulator": None if remember is None else remember(),
+            "simulator": simulator.save() if isinstance(simulator, Library) else None,
         }
 
-    def restore(self, memory: Mapping[str, Any]) -> None:
+    def load(self, saved: Mapping[str, Any]) -> None:
         """Go on as another twin would that was built alike."""
-        self._past[...] = memory["past"]
-        self._kept, self._in_window, self._alone = memory["counts"]
-        if memory["simulator"] is not None:
-            simulator: Any = self._beside.platform
-            simulator.restore(memory["simulator"])
+        self._past[...] = saved["past"]
+        self._kept, self._in_window, self._alone = saved["counts"]
+        simulator = self._beside.platform
+        if isinstance(simulator, Library) and saved["simulator"] is not None:
+            simulator.load(saved["simulator"])
         else:
             self._alone = True

@@ -19,6 +19,7 @@ import yaml
 
 from unicon_core import __version__
 from unicon_core.flow import Stage
+from unicon_core.memory import to_json
 from unicon_core.robots import Robot, robot_files
 from unicon_core.runtime.tick_ring import PHASES, KeptMemory
 from unicon_ros.recording.tick_message import Kept
@@ -139,7 +140,8 @@ def content_of(memory: KeptMemory, row: int) -> dict[str, Any]:
         memory: it.
         row: index of the tick in the file.
     """
-    return {"before": row, "anew": memory.anew, **memory.remembered.content()}
+    blocks = to_json(memory.remembered)
+    return {"before": row, "anew": memory.anew, "blocks": blocks, "unproven": memory.unproven}
 
 
 def versions_here() -> dict[str, str]:

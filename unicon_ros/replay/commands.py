@@ -35,6 +35,8 @@ class Recorded:
         approach: how long the joints go from where they are to the first target, in [s].
     """
 
+    memory = ("_from", "_tick")
+
     name = "recorded"
     reads = ("joint_pos",)
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from unicon_core.errors import StateError, UniconError, one_line
 from unicon_core.flow import Block, Node, Stage, blocks_of, compile_graph
 from unicon_core.flow.compiled import CompiledGraph
-from unicon_core.memory import changes
+from unicon_core.memory import Snapshot, changes, from_json
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.runtime.beforehand import approach_tree, waiting_tree
 from unicon_core.runtime.phases import Phase
@@ -90,7 +90,7 @@ class Replayed:
             runner = Runner(self.program, RunOptions(warn=_quiet))
             self._graphs = runner.graphs()
             self._memory = memory_of(self.program, runner)
-            self._fresh = self._memory.take().content()
+            self._fresh = self._memory.take()
             self._memories = _memories(record)
         except BaseException:
             self.program.close()
@@ -253,14 +253,13 @@ class Replayed:
 
     # -- what was remembered --------------------------------------------------------------------
 
-    def _restore(self, content: Mapping[str, Any]) -> None:
+    def _restore(self, snapshot: Snapshot) -> None:
+        own = self._fresh.keys()
+        self.homeless |= snapshot.keys() - own
         try:
-            _refuse_other_sizes(content, self._fresh)
-            own = _labels(self._fresh)
-            owners = {p: v for p, v in content["owners"].items() if _label(p) in own}
-            self.homeless |= _labels(content) - own
-            self._memory.restore(self._fresh)
-            self._memory.restore({**content, "owners": owners})
+            self._memory.put_back(self._fresh)
+            here = ((label, saved) for label, saved in snapshot.items() if label in own)
+            self._memory.put_back(Snapshot(here))
         except StateError as error:
             raise StateError(
                 f"workflow {self.program.name} cannot go on in the middle of the recorded run: "
@@ -288,7 +287,7 @@ def _written(program: Program, *stages: Stage) -> set[str]:
     return {state for block in blocks for state in (*block.writes, *block.amends)}
 
 
-def _memories(record: Record) -> dict[int, Mapping[str, Any]]:
+def _memories(record: Record) -> dict[int, Snapshot]:
     """Return what is to be given to freshly built blocks, by the row before which it is."""
     kept = {each["before"]: each for each in record.memories}
     if not kept:
@@ -298,44 +297,28 @@ def _memories(record: Record) -> dict[int, Mapping[str, Any]]:
                 "that nothing after it can be foretold; record again with this version"
             )
         return {}
+    if any("owners" in each for each in kept.values()):
+        version = (record.told("versions", dict) or {}).get("unicon_ros", "an older one")
+        raise UniconError(
+            f"the record holds the memory of its blocks as unicon_ros {version} wrote it, from "
+            "before blocks declared it; its states are read, but --verify needs that version: "
+            f"pip install unicon_ros=={version}"
+        )
     told = record.files.get("memory.json")
     built = None if told is None else json.loads(told).get("built")
-    if built is None and record.ticks[0] == 0:  # it holds the run from its first tick
-        built = kept.get(0)
-    given: dict[int, Mapping[str, Any]] = {
-        row: each for row, each in kept.items() if row == 0 or each["anew"]
-    }
-    if built is None:
-        return given
     try:
+        given = {
+            row: from_json(each["blocks"]) for row, each in kept.items() if row == 0 or each["anew"]
+        }
+        if built is not None:
+            built = from_json(built)
+        elif record.ticks[0] == 0:  # it holds the run from its first tick
+            built = given.get(0)
+        if built is None:
+            return given
         return {row: changes(each, built) for row, each in given.items()}
     except _WRONG as error:
         raise StateError(f"the record's memory.json is damaged: {error!r}") from error
-
-
-def _labels(content: Mapping[str, Any]) -> set[str]:
-    return {_label(path) for path in (*content["owners"], *content["kept"])}
-
-
-def _label(path: str) -> str:
-    """Return the block that a path of a memory begins with."""
-    return path.split(".")[0].split("[")[0]
-
-
-def _refuse_other_sizes(content: Mapping[str, Any], fresh: Mapping[str, Any]) -> None:
-    """Refuse arrays of other shapes, which would be put in the place of those that are used."""
-    for path, pairs in content["owners"].items():
-        own = {str(key): value for key, value in fresh["owners"].get(path, ())}
-        for key, value in pairs:
-            here = own.get(str(key))
-            if not (isinstance(value, dict) and isinstance(here, dict)):
-                continue
-            if "array" in value and "array" in here:
-                shapes = [each["array"]["shape"] for each in (value, here)]
-                if shapes[0] != shapes[1]:
-                    raise StateError(
-                        f"{path}.{key} has shape {shapes[0]} in the record and {shapes[1]} here"
-                    )
 
 
 def _factor(own: Any, recorded: Any) -> float | None:

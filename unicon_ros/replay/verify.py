@@ -70,6 +70,11 @@ def verify(record: Record, document: WorkflowDocument) -> Verdict:
         f"what {name!r} remembered is left out: there is no such block here"
         for name in sorted(replayed.homeless)
     ]
+    unproven = {name: why for each in record.memories for name, why in each["unproven"].items()}
+    notes += [
+        f"the record lacks the memory of block {name!r} ({why}); unicon check names it"
+        for name, why in unproven.items()
+    ]
     notes += [f"{n} ticks {which} cannot be replayed" for which, n in replayed.skipped.items()]
     if not ticks:
         raise StateError(f"nothing in the record can be replayed: {'; '.join(notes)}")

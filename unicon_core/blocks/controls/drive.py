@@ -36,8 +36,10 @@ def drive(
         hold: button that has to be held, a dead-man switch; None for no such.
 
     Raises:
-        WorkflowError: an option is not plausible.
+        WorkflowError: an option is not plausible, or it is for several robots.
     """
+    if sticks.ndim != 1:
+        raise WorkflowError("one operator drives one robot; leave num_robots out")
     within(dead_zone, "dead_zone", "", 0.9, above=False)
     speeds = np.array(speed, np.float64)
     if speeds.shape != (3,) or not np.isfinite(speeds).all() or (speeds < 0.0).any():
@@ -62,6 +64,8 @@ def button_named(name: str, option: str) -> int:
 
 class Drive:
     """The tick of `drive`."""
+
+    memory = ()
 
     endless = True
 

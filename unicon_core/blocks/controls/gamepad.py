@@ -74,6 +74,8 @@ setattr(gamepad, "declares", declares_controls)  # noqa: B010  a function has no
 class Gamepad:
     """The tick of `gamepad`."""
 
+    memory = ()
+
     def __init__(
         self, controls: Controls, device: str, context: BuildContext, mapping: str = "auto"
     ) -> None:

@@ -77,6 +77,8 @@ def _needed() -> tuple[str, ...]:
 class HeadsetControls:
     """The tick of `headset_controls`."""
 
+    memory = ()
+
     endless = True
 
     def __init__(

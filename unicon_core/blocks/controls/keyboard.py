@@ -64,6 +64,8 @@ setattr(keyboard, "declares", declares_controls)  # noqa: B010  a function has n
 class Keyboard:
     """The tick of `keyboard`."""
 
+    memory = ("_left",)
+
     def __init__(self, controls: Controls, ticks: int, context: BuildContext) -> None:
         self._controls, self._ticks, self._context = controls, ticks, context
         self._left = [0] * (4 + len(BUTTONS))

@@ -178,6 +178,8 @@ def way_of(
 class Modes:
     """The tick of `modes`."""
 
+    memory = ("_before", "_now", "_ticks")
+
     endless = True
     word = "mode"
 

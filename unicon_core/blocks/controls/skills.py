@@ -40,6 +40,8 @@ class Skills(Modes):
         names: of the skills, in the order of the workflow; the first is the one to begin with.
     """
 
+    memory = ("_wished", "_asked", "_next")
+
     word = "skill"
 
     def __init__(
@@ -129,6 +131,8 @@ class Ended:
     Args:
         skills: gives the selector, which is built by the time of the first tick.
     """
+
+    memory = ()
 
     endless = True
 

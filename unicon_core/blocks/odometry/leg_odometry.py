@@ -181,6 +181,8 @@ class LegOdometry:
         context: of the workflow.
     """
 
+    memory = ("_standing", "_filter", "_last", "_hanging", "_way", "_rotation", "_told", "_place")
+
     estimates = True  # what it writes takes the place of what a platform measures
 
     def __init__(

@@ -44,6 +44,8 @@ class Standing:
         height: of the base over the feet that stand in [m], None where none does.
     """
 
+    memory = ("contact", "any", "height", "_since")
+
     def __init__(
         self, feet: Feet, robot: Robot, joint_noise: float, threshold: float | None
     ) -> None:

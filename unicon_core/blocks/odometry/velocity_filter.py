@@ -51,6 +51,8 @@ class VelocityFilter:
         variance: of the velocity along each axis in [m²/s²].
     """
 
+    memory = ("velocity", "bias", "variance", "_last", "_both", "_of_bias")
+
     def __init__(self, acceleration_noise: float) -> None:
         self._noise = acceleration_noise**2 * PERIOD
         self.reset()

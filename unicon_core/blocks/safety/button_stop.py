@@ -54,6 +54,8 @@ setattr(button_stop, "declares", declares_controls)  # noqa: B010  a function ha
 class ButtonStop:
     """The tick of `button_stop`."""
 
+    memory = ("_silent",)
+
     endless = True
 
     def __init__(
@@ -113,6 +115,8 @@ class RemoteStop:
     Attributes:
         names: of the buttons.
     """
+
+    memory = ("_ticks",)
 
     endless = True
 

@@ -97,6 +97,8 @@ def observation_range(
 class ObservationRange:
     """The tick of `observation_range`."""
 
+    memory = ("_lower", "_upper")
+
     def __init__(
         self,
         observation: NDArray[np.float32],

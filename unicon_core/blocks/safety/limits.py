@@ -87,6 +87,8 @@ def joint_limits(
 class JointLimits:
     """The tick of `joint_limits`."""
 
+    memory = ()
+
     stage = Stage.SAFETY
     clamps = True
 
@@ -150,6 +152,8 @@ def effort_limits(
 
 class EffortLimits:
     """The tick of `effort_limits`."""
+
+    memory = ()
 
     stage = Stage.SAFETY
     clamps = True
@@ -279,6 +283,8 @@ def rate_limit(
 
 class RateLimit:
     """The tick of `rate_limit`."""
+
+    memory = ("_last", "_fresh")
 
     stage = Stage.SAFETY
     clamps = True

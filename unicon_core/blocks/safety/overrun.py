@@ -50,6 +50,8 @@ overrun_stop.pure = False  # type: ignore[attr-defined]  # a dry run would be a 
 class OverrunStop:
     """The tick of `overrun_stop`."""
 
+    memory = ()
+
     stage = Stage.SAFETY
 
     def __init__(self, period: float, count: int, window: float, *, paced: bool) -> None:

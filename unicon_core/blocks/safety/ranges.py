@@ -133,6 +133,8 @@ class RangeStop:
         said: what a value beyond them is not: "plausible", unless given.
     """
 
+    memory = ()
+
     stage = Stage.SAFETY
     needs = True
 

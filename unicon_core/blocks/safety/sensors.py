@@ -69,6 +69,8 @@ def joint_sensor_stop(
 class JointSensorStop:
     """The tick of `joint_sensor_stop`."""
 
+    memory = ("_at", "_doubtful", "_last", "_was", "_start", "_same", "_sum")
+
     stage = Stage.SAFETY
     patient = True  # one frame more is no harm
 

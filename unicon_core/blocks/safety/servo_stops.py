@@ -50,6 +50,8 @@ def tracking_stop(
 class TrackingStop:
     """The tick of `tracking_stop`."""
 
+    memory = ("_count", "_counting")
+
     stage = Stage.SAFETY
     awaits = True  # that the robot follows its commands
 
@@ -128,6 +130,8 @@ def power_stop(
 
 class PowerStop:
     """The tick of `power_stop`."""
+
+    memory = ("_count",)
 
     stage = Stage.SAFETY
 

@@ -40,6 +40,8 @@ def velocity_limits(
 class VelocityLimits:
     """The tick of `velocity_limits`."""
 
+    memory = ()
+
     stage = Stage.SAFETY
     clamps = True
     limits = "joint_vel_target"

@@ -66,6 +66,8 @@ def finite(
 class Finite(FiniteCheck):
     """The tick of `finite`."""
 
+    memory = ()
+
     stage = Stage.SAFETY
 
     def __init__(self, commands: dict[str, NDArray[np.float32]], joint_names: Sequence[str]):
@@ -86,6 +88,8 @@ def tilt_stop(projected_gravity: Reads, *, angle: float = 1.0) -> TiltStop:
 
 class TiltStop:
     """The tick of `tilt_stop`."""
+
+    memory = ()
 
     stage = Stage.SAFETY
 
@@ -159,6 +163,8 @@ def velocity_stop(
 class VelocityStop:
     """The tick of `velocity_stop`."""
 
+    memory = ()
+
     stage = Stage.SAFETY
 
     def __init__(
@@ -194,6 +200,8 @@ def stale_stop(stamp_ns: Reads, *, period: float, timeout: float = 0.1) -> Stale
 
 class StaleStop:
     """The tick of `stale_stop`."""
+
+    memory = ("_last", "_same")
 
     stage = Stage.SAFETY
 

@@ -59,6 +59,8 @@ def encoder_stop(
 class EncoderStop:
     """The tick of `encoder_stop`."""
 
+    memory = ("_last", "_reference", "_since", "_asked_at", "_tick", "_all", "_began")
+
     stage = Stage.SAFETY
     awaits = True  # that the robot follows its commands
 
@@ -188,6 +190,21 @@ def imu_stop(
 
 class ImuStop:
     """The tick of `imu_stop`."""
+
+    memory = (
+        "_at",
+        "_wait",
+        "_last_gyro",
+        "_last_rest",
+        "_last_quat",
+        "_turned",
+        "_from_quat",
+        "_from_gyro",
+        "_error",
+        "_apart",
+        "_same",
+        "_reference",
+    )
 
     stage = Stage.SAFETY
 

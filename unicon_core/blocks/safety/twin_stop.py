@@ -30,6 +30,8 @@ def twin_stop(
 class TwinStop:
     """The tick of `twin_stop`; it looks right behind the twin, which simulates behind `send`."""
 
+    memory = ("_count",)
+
     stage = Stage.SAFETY
     awaits = True  # that the robot follows its commands
     patient = True

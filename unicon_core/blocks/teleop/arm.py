@@ -33,6 +33,8 @@ class Arm:
         WorkflowError: nobody says where the end effector is.
     """
 
+    memory = ("theirs", "hand", "_clutches", "_kind")
+
     def __init__(
         self,
         element: int,

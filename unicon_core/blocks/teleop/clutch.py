@@ -26,6 +26,8 @@ class Clutch:
         engaged: it is, just now.
     """
 
+    memory = ("engaged", "_open", "_ticks")
+
     def __init__(self, mode: Mode, sure: int) -> None:
         self._mode, self._sure = mode, max(1, sure)
         self.engaged = False

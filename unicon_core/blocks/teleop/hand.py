@@ -61,6 +61,8 @@ class Hand:
         spin: angular velocity of the target in [rad/s], base's frame.
     """
 
+    memory = ("live", "position", "quat", "velocity", "spin", "_theirs", "_ours", "_seen", "_level")
+
     def __init__(self, workspace: Workspace, pace: Pace, period: float) -> None:
         self._workspace, self._pace = workspace, pace
         self._way, self._turn = pace.speed * period, pace.turn * period

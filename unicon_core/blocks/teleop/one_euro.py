@@ -24,6 +24,8 @@ class OneEuro:
         slope: by how much the cut-off rises with the speed, in [Hz] for 1 m/s, or 1 rad/s.
     """
 
+    memory = ("_position", "_quat", "_speed", "_turn")
+
     def __init__(self, cutoff: float, slope: float) -> None:
         self._cutoff, self._slope = cutoff, slope
         self._position: Vector | None = None

@@ -76,6 +76,8 @@ class Headset:
         WorkflowError: there is no such device.
     """
 
+    memory = ("fresh", "dt", "age", "_last")
+
     def __init__(self, states: States, name: str) -> None:
         self.name, self.reads = name, list[str]()
         self._states = states
@@ -150,6 +152,8 @@ class Side:
         closed: button or fingers are.
         home: the button is pressed.
     """
+
+    memory = ("kind", "closed", "home", "position", "quat", "_smooth")
 
     def __init__(
         self,

@@ -188,6 +188,8 @@ class Teleop:
         stale: a headset's frame that is older has no hands, in [s].
     """
 
+    memory = ("_headset", "_arms")
+
     endless = True
 
     def __init__(

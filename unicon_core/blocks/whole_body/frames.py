@@ -129,6 +129,8 @@ class FramePoses:
         world: scratch for the pose of the base, shape (7,); None for poses in the base frame.
     """
 
+    memory = ()
+
     def __init__(
         self,
         frames: Frames,

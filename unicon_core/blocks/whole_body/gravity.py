@@ -116,6 +116,8 @@ class Gravity:
         torque: that was added last in [N·m], shape (n,).
     """
 
+    memory = ()
+
     def __init__(
         self,
         weight: Weight,

@@ -112,6 +112,8 @@ class MovingTarget:
         period: of a tick in [s].
     """
 
+    memory = ("_ticks",)
+
     def __init__(
         self,
         stamp: NDArray[Any],

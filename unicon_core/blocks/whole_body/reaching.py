@@ -52,6 +52,8 @@ class Reach:
         notes: what to know of it, one line each.
     """
 
+    memory = ("ik", "_targets", "_silent", "_have", "_measured", "_seen", "_failures", "_failing")
+
     def __init__(
         self,
         ik: DifferentialIk,

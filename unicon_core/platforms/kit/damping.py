@@ -55,10 +55,13 @@ class LastSent:
         states: the command states of then.
     """
 
+    memory = ("any", "_buffer")
+
     def __init__(self, states: States) -> None:
         self.any = False
         self.states = States(subset(states.layout, COMMAND_STATES))
-        self._copies = Copies(states, self.states.layout, self.states.buffer.data)
+        self._buffer = self.states.buffer
+        self._copies = Copies(states, self.states.layout, self._buffer.data)
 
     def forget(self) -> None:
         """Be as before anything was sent."""

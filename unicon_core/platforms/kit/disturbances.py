@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import PlatformError, alternatives
+from unicon_core.memory import Library, load, save
 from unicon_core.platforms.kit.command import Command
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.platform import (
@@ -37,6 +38,7 @@ def disturb(
     around = Disturbances(platform, scene, states, robot, period)
     methods = ["recv", "send", "reset"]
     methods += ["change"] if isinstance(platform, Changeable) else []
+    methods += ["save", "load"] if isinstance(platform, Library) else []
     for method in methods:  # in place: whatever else it can do, it still can
         setattr(platform, method, getattr(around, method))
     return platform
@@ -58,6 +60,8 @@ def _refuse(platform: Platform, scene: Scene) -> None:
 class Disturbances:
     """What stands in place of the platform's own recv, send and reset; see `disturb`."""
 
+    memory = ("_rngs", "_ticks", "_queue")
+
     def __init__(
         self, platform: Platform, scene: Scene, states: States, robot: Robot, period: float
     ) -> None:
@@ -66,6 +70,7 @@ class Disturbances:
             platform.reset if isinstance(platform, Resettable) else lambda: None
         )
         self._change = platform.change if isinstance(platform, Changeable) else None
+        self._physics = (platform.save, platform.load) if isinstance(platform, Library) else None
         self._push = platform.push if isinstance(platform, Pushable) else None
         self._platform, self._states = platform, states
         self._period, self._batch = period, states.num_robots
@@ -128,6 +133,17 @@ class Disturbances:
     def _write(self, values: list[NDArray[Any]]) -> None:
         for view, value in zip(self._views, values):
             view[...] = value
+
+    def save(self) -> list[Any]:
+        """Return what the physics and the disturbances go on from."""
+        assert self._physics is not None  # it is not put where the platform has none
+        return [self._physics[0](), save(self)]
+
+    def load(self, saved: list[Any]) -> None:
+        """Go on as another platform would that was built alike."""
+        assert self._physics is not None
+        self._physics[1](saved[0])
+        load(self, saved[1])
 
     def change(self, scene: Scene) -> None:
         """Begin anew in another scene; see `Changeable`."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any
 
@@ -42,6 +42,8 @@ class JointDelay:
         decimation: physics steps in a tick.
     """
 
+    memory = ("_past", "_tick")
+
     def __init__(self, rows: Array, delay: NDArray[np.int64], decimation: int) -> None:
         self._rows = rows
         ticks, begin = np.divmod(delay, decimation)
@@ -63,14 +65,6 @@ class JointDelay:
             late = self._past[(self._tick - ages) % depth, ..., self._joints]
             yield steps, late.transpose(self._order)
         self._tick += 1
-
-    def memory(self) -> list[Any]:
-        """Return the commands on their way."""
-        return [self._past.copy(), self._tick]
-
-    def restore(self, memory: Sequence[Any]) -> None:
-        """Go on as another one would that was built alike."""
-        self._past[...], self._tick = memory
 
     def reset(self) -> None:
         """Begin anew with the next command."""

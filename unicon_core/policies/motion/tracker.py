@@ -65,6 +65,8 @@ class MotionTracker:
         PolicyError: what a term reads cannot be told.
     """
 
+    memory = ("done", "_tick", "_begun", "_turn", "_shift")
+
     def __init__(
         self,
         contract: PolicyContract,

@@ -249,13 +249,13 @@ class Question:
         """Drop the answer that is awaited; the network begins anew with what is asked next."""
         self._anew, self._awaited = True, False
 
-    def memory(self) -> list[Any]:
+    def save(self) -> list[Any]:
         """Return what is awaited; what the network remembers inside itself cannot be had."""
         return [self._awaited, *(there.copy() for there, _ in self._asked)]
 
-    def restore(self, memory: list[Any]) -> None:
+    def load(self, saved: list[Any]) -> None:
         """Ask once more what was awaited."""
-        awaited, *asked = memory
+        awaited, *asked = saved
         self.forget()
         if awaited:
             for (there, _), values in zip(self._asked, asked):

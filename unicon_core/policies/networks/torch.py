@@ -120,6 +120,7 @@ class _Remembering:
     def __init__(self, run: Callable[[], None], memory: TorchMemory) -> None:
         self._run = run
         self.commit, self.reset = memory.commit, memory.reset
+        self.save, self.load = memory.save, memory.load
 
     def __call__(self) -> None:
         self._run()

@@ -78,14 +78,14 @@ class TorchMemory:
                 kept.copy_(initial)
             self._kept = [copy.deepcopy(value) for _, _, value in self._set]
 
-    def memory(self) -> Any:
-        """Return what is kept, as arrays; `restore` takes it back."""
+    def save(self) -> Any:
+        """Return what is kept, as arrays; `load` takes it back."""
         fixed = [kept.detach().cpu().numpy().copy() for _, kept, _ in self._in_place]
         return [fixed, [_plain(self._torch, value) for value in self._kept]]
 
-    def restore(self, memory: Any) -> None:
+    def load(self, saved: Any) -> None:
         """Keep what another one did."""
-        fixed, kept = memory
+        fixed, kept = saved
         with self._torch.inference_mode():
             for (_, tensor, _), values in zip(self._in_place, fixed):
                 tensor.copy_(self._torch.from_numpy(values))

@@ -8,13 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.memory import load, save
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.posed import PosedModel
 from unicon_core.platforms.sim.mujoco.simulated_robot import SimulatedRobot
 
 __all__ = ["Placement"]
 
-_KEPT = ("qpos", "qvel", "ctrl", "qacc_warmstart")
+_COMPUTED = ("sensordata", "qacc", "qfrc_actuator")
+"""Results of the tick that the next one reads, and `mj_step1` does not compute."""
 
 
 class Placement:
@@ -33,6 +35,7 @@ class Placement:
             "joint_vel": ("qvel", model.jnt_dofadr[loaded.joints]),
         }
         self._base, self._posed = loaded.base, PosedModel(loaded)
+        self._kind = int(self._mujoco.mjtState.mjSTATE_INTEGRATION)
 
     def put(self, measured: Mapping[str, NDArray[Any]]) -> None:
         """Put every robot where one was measured; commands on their way stay on it."""
@@ -64,23 +67,30 @@ class Placement:
             in_base = np.asarray(measured["base_lin_vel"], np.float64)
             mujoco.mju_rotVecQuat(twist[:3], in_base, pose[3:])
 
-    def memory(self) -> list[dict[str, Any]]:
+    def save(self) -> list[dict[str, Any]]:
         """Return what the physics of each robot go on from."""
-        kept = []
-        for robot in self._robots:
-            one: dict[str, Any] = {name: getattr(robot.data, name).copy() for name in _KEPT}
-            one |= {"ticks": robot.ticks, "command": robot.command.copy()}
-            one["delay"] = None if robot.delay is None else robot.delay.memory()
-            kept.append(one)
-        return kept
+        return [self._save(robot) for robot in self._robots]
 
-    def restore(self, memory: list[dict[str, Any]]) -> None:
+    def _save(self, robot: SimulatedRobot) -> dict[str, Any]:
+        state = np.zeros(self._mujoco.mj_stateSize(robot.model, self._kind))
+        self._mujoco.mj_getState(robot.model, robot.data, state, self._kind)
+        found = {name: getattr(robot.data, name).copy() for name in _COMPUTED}
+        return {
+            **found,
+            "state": state,
+            "ticks": robot.ticks,
+            "command": robot.command.copy(),
+            "delay": None if robot.delay is None else save(robot.delay),
+        }
+
+    def load(self, saved: list[dict[str, Any]]) -> None:
         """Go on as the robots of another platform would that was built alike."""
-        for robot, kept in zip(self._robots, memory):
-            for name in _KEPT:
-                getattr(robot.data, name)[:] = kept[name]
+        for robot, kept in zip(self._robots, saved, strict=True):
+            self._mujoco.mj_setState(robot.model, robot.data, kept["state"], self._kind)
             robot.ticks = kept["ticks"]
             robot.command[...] = kept["command"]
             if robot.delay is not None:
-                robot.delay.restore(kept["delay"])
+                load(robot.delay, kept["delay"])
             self._mujoco.mj_step1(robot.model, robot.data)
+            for name in _COMPUTED:
+                getattr(robot.data, name)[:] = kept[name]

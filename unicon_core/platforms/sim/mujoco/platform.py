@@ -240,13 +240,13 @@ class MujocoPlatform:
         """Put the robot where one was measured, every one of a batch; see `Placeable`."""
         self._placement.put(measured)
 
-    def memory(self) -> list[dict[str, Any]]:
+    def save(self) -> list[dict[str, Any]]:
         """Return what the physics go on from, for a replay."""
-        return self._placement.memory()
+        return self._placement.save()
 
-    def restore(self, memory: list[dict[str, Any]]) -> None:
+    def load(self, saved: list[dict[str, Any]]) -> None:
         """Go on as another platform would that was built alike."""
-        self._placement.restore(memory)
+        self._placement.load(saved)
 
     def close(self) -> None:
         """Let go; a simulation has no motors to damp."""

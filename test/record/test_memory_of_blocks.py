@@ -1,0 +1,188 @@
+"""Every registered block remembers what it declares, and nothing else."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from unicon_core.blocks.controls.device import declares_controls
+from unicon_core.check.memory_proof import prove
+from unicon_core.errors import Fault
+from unicon_core.flow import Block, Stage, compile_graph
+from unicon_core.flow.compiled import CompiledGraph
+from unicon_core.flow.nodes import unfused
+from unicon_core.memory import Memory, from_json, to_json
+from unicon_core.runtime.tick_ring import memory_of
+from unicon_core.states import StateSpec
+from unicon_core.states.standard import forwarded_states, hardware_states
+from unicon_core.testing import Bench
+from unicon_core.workflow import Program, load_document, workflow_names
+from unicon_core.workflow.live_twin import twin_states
+from unicon_core.workflow.registry import known
+
+OPTIONS: dict[str, dict[str, Any]] = {
+    "action_stop": {},
+    "blend_in": {},
+    "commanded": {},
+    "command_stop": {},
+    "copy": {"source": "joint_pos", "target": "joint_pos_target"},
+    "damp": {"duration": 0.3},
+    "effort_limits": {"scale": 0.3},
+    "elapsed": {"seconds": 0.2},
+    "encoder_stop": {},
+    "excite": {"signal": "chirp"},
+    "fade_in": {},
+    "finite": {},
+    "forward_command": {"integral": 2.0, "silent": "home", "start_tolerance": 0.2},
+    "hardware_stop": {},
+    "height_stop": {"lowest": 0.1},
+    "hold": {"duration": 0.3},
+    "imu_stop": {},
+    "joint_limits": {},
+    "joint_sensor_stop": {},
+    "linear_map": {"source": "joint_vel", "target": "joint_effort_ff", "scale": -0.5},
+    "motor_heat": {},
+    "observation_range": {"file": "seen.npz"},
+    "observation_stop": {"file": "known.npz"},
+    "overrun_stop": {},
+    "range_stop": {},
+    "pose": {"to": "stand", "duration": 0.2, "fade_in": 0.1},
+    "power_stop": {"limit": 900.0},
+    "projected_gravity": {},
+    "rate_limit": {},
+    "remote_stop": {"on": ["L2", "B"]},
+    "settled": {"velocity": 0.1},
+    "stale_stop": {},
+    "sway": {"gains": {"*": [0.1, 0.2, 0.3]}, "amplitude": [0.1, 0.2, 0.3]},
+    "tilt_stop": {},
+    "tilted": {},
+    "tracking_stop": {},
+    "twin_stop": {},
+    "velocity_command": {"constant": [1, 2, 3], "ramp": 1.0},
+    "velocity_limits": {"scale": 0.02},
+    "velocity_stop": {},
+}
+"""Blocks that are built alone, with options that make them remember."""
+
+DEVICES = {"camera", "gamepad", "keyboard", "livox", "realsense", "webcam", "webxr"}
+"""Blocks whose values come from outside; a record has them at their moment."""
+
+
+class Ticks:
+    """The compiled tick of a program."""
+
+    def __init__(self, program: Program) -> None:
+        self.program, self.graph = program, compile_graph(program.root)
+
+    def graphs(self) -> dict[str, CompiledGraph]:
+        return {"run": self.graph}
+
+    def run(self, count: int) -> list[bytes]:
+        """Return the states behind each tick, also of one that raised a fault."""
+        found = []
+        for _ in range(count):
+            try:
+                self.graph.step()
+                self.graph.deferred()
+            except Fault:
+                self.graph.reset()
+            found.append(self.program.states.buffer.tobytes())
+        return found
+
+
+@pytest.fixture
+def program(at_hand: Callable[[str], None]) -> Iterator[Callable[..., Program]]:
+    made: list[Program] = []
+
+    def build(name: str, **overrides: Any) -> Program:
+        at_hand(name)
+        made.append(Program(load_document(name, overrides)))
+        return made[-1]
+
+    yield build
+    for each in made:
+        each.close()
+
+
+def proven(blocks: list[Block], states: Any) -> set[str]:
+    """Return the names of blocks, all of which are proven."""
+    for block in blocks:
+        proof = prove(block, states)
+        assert (block.name, proof.hidden, proof.trouble) == (block.name, (), "")
+        assert block.name == "overrun_stop" or not proof.undeclared  # which has a clock
+    return {block.name.split(" of ")[0].rstrip(" 0123456789") for block in blocks}
+
+
+def own(program: Program) -> list[Block]:
+    """Return the blocks of a program that a snapshot holds."""
+    blocks = [part for block in program.blocks for part in unfused(block)]
+    return [
+        block
+        for block in blocks
+        if block.stage not in (Stage.RECV, Stage.SEND) and not getattr(block.tick, "outside", False)
+    ]
+
+
+@pytest.mark.parametrize("name", OPTIONS)
+def test_a_block_remembers_what_it_declares(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    np.savez("known.npz", lower=np.full(4, -9.0, np.float32), upper=np.full(4, 9.0, np.float32))
+    robot = Bench().robot
+    states = forwarded_states(robot.joint_names) | hardware_states(robot.joint_names)
+    states |= twin_states(robot) | declares_controls()
+    states |= {"observation": StateSpec((4,)), "action": StateSpec((4,))}
+    bench = Bench(states=states)
+    block = bench.block(name, **OPTIONS[name])
+    assert Memory({name: block.tick}, bench.states.buffer).unproven == {}
+    proven([block], bench.states)
+
+
+@pytest.mark.parametrize("name", workflow_names())
+def test_blocks_of_shipped_workflows_do(name: str, program: Callable[..., Program]) -> None:
+    built = program(name, platform="fake")
+    assert memory_of(built, Ticks(built)).unproven == {}
+    proven(own(built), built.states)
+
+
+def test_no_registered_block_is_left_out() -> None:
+    there = {*OPTIONS, *DEVICES, "recorded"}  # whose replay is test_replay's
+    for name in workflow_names():
+        text = load_document(name).path.read_text(encoding="utf-8")
+        there |= {block for block in known("blocks") if block in text}
+    assert set(known("blocks")) <= there
+
+
+QUICK = {("go2_walk", None), ("g1_vr", None), ("go2_stand", 16)}
+
+
+@pytest.mark.parametrize(
+    ("name", "batch"),
+    [
+        case if case in QUICK else pytest.param(*case, marks=pytest.mark.slow)
+        for case in itertools.product(workflow_names(), (None, 16))
+    ],
+)
+def test_what_is_restored_ticks_on_with_the_same_bytes(
+    name: str, batch: int | None, program: Callable[..., Program]
+) -> None:
+    try:
+        built = program(name, platform="mujoco", **({} if batch is None else {"num_robots": batch}))
+    except Exception as error:
+        pytest.skip(str(error)) if batch else pytest.fail(str(error))
+    ticks = Ticks(built)
+    memory = memory_of(built, ticks, platform=True)
+    assert memory.unproven == {}
+    ticks.run(150)
+    states, snapshot = built.states.snapshot(), memory.take()
+    written = from_json(to_json(snapshot))
+    first = ticks.run(1000 if batch is None else 200)
+    built.states.restore(states)
+    memory.put_back(written)
+    assert ticks.run(len(first)) == first

@@ -1,0 +1,288 @@
+"""Proof of a block's declared memory: snapshot, tick, restore, tick again, and compare.
+
+The second time everything that the block changed without declaring it holds other values: numbers
+of an array are spoiled, all else is as the first time left it. A block whose outputs differ then
+remembers something that it does not declare. What it changed is found by a walk over attributes,
+enclosed and global variables, class attributes, iterators and caches.
+"""
+
+from __future__ import annotations
+
+import random
+import sys
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from functools import partial
+from types import BuiltinMethodType, FunctionType, GeneratorType, MethodType, ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.flow import Block
+from unicon_core.memory import UNDECLARED, Memory, declared, holder_of
+from unicon_core.states import States
+
+__all__ = ["Proof", "prove"]
+
+TICKS = 16
+"""Ticks in front of the snapshot, and behind it."""
+MOST = 20_000
+"""Objects that the walk looks into."""
+_ATOMS = (type(None), bool, int, float, complex, str, bytes)
+
+
+@dataclass(frozen=True)
+class Proof:
+    """What was found out about a block.
+
+    Attributes:
+        hidden: undeclared attributes and variables, on which the next tick depends.
+        undeclared: those that change and did not make a difference here.
+        trouble: why nothing is known, or "".
+    """
+
+    hidden: tuple[str, ...] = ()
+    undeclared: tuple[str, ...] = ()
+    trouble: str = ""
+
+
+def prove(block: Block, states: States, ticks: int = TICKS, seed: int = 0) -> Proof:
+    """Return whether a block remembers what it declares, and nothing else.
+
+    The states are as before at the end; the block is made fresh.
+
+    Args:
+        block: is called; nothing is sent.
+        states: that it reads and writes.
+        ticks: how many go in front of the snapshot, and behind it.
+        seed: of what it reads.
+    """
+    kept = states.snapshot()
+    inputs = _Inputs(block, states, seed)
+    try:
+        memory = Memory({block.name: block.tick}, states.buffer)
+        for why in memory.unproven.values():
+            if why != UNDECLARED:
+                return Proof(trouble=why)
+        _run(block, states, inputs, range(ticks))
+        middle, remembered = states.snapshot(), memory.take()
+        before = _walk(block.tick, states)
+        first = _run(block, states, inputs, range(ticks, 2 * ticks))
+        changed = _changed(before, _walk(block.tick, states))
+        states.restore(middle)
+        memory.put_back(remembered)
+        _spoil(changed)
+        second = _run(block, states, inputs, range(ticks, 2 * ticks))
+    except Exception as error:  # a block of somebody's may raise anything
+        return Proof(trouble=f"{type(error).__name__}: {error}")
+    finally:
+        if block.reset is not None:
+            block.reset()
+        states.restore(kept)
+    paths = tuple(sorted(change.path for change in changed))
+    if first == second:
+        return Proof(undeclared=tuple(each.path for each in changed if each.array is None))
+    return Proof(hidden=paths or ("something that was not found",))
+
+
+class _Inputs:
+    """Random values of what a block reads, the same each time."""
+
+    def __init__(self, block: Block, states: States, seed: int) -> None:
+        names = [*block.reads, *block.amends] or [*states]
+        self._views = [(name, states[name], states[name].copy()) for name in names]
+        self._seed = seed
+
+    def put(self, tick: int) -> None:
+        rng = np.random.default_rng((self._seed, tick))
+        for name, view, initial in self._views:
+            if view.dtype.kind == "f":
+                noise = rng.normal(0.0, 0.05, view.shape)
+                view[...] = np.where(np.isfinite(initial), initial, 0.0) + noise
+            elif name == "stamp_ns":
+                view[...] = (tick + 1) * 5_000_000
+            elif view.dtype.kind in "iub" and name != "tick":
+                view[...] = rng.integers(0, 2, view.shape)
+
+
+def _run(block: Block, states: States, inputs: _Inputs, ticks: Sequence[int]) -> list[Any]:
+    """Return what each tick wrote, or raised."""
+    found: list[Any] = []
+    for tick in ticks:
+        inputs.put(tick)
+        try:
+            done = bool(block.tick())
+            found.append((done, states.buffer.tobytes()))
+            if done and block.reset is not None:
+                block.reset()
+        except Exception as error:  # a safety block on noise: it raises the same again
+            found.append(repr(error))
+    return found
+
+
+@dataclass
+class _Place:
+    """Something that may change: where it is, and what it is now."""
+
+    path: str
+    value: Any
+    array: NDArray[Any] | None = field(default=None, repr=False)
+
+
+def _changed(before: dict[str, _Place], after: dict[str, _Place]) -> list[_Place]:
+    missing = _Place("", object())
+    return [
+        _Place(path, before.get(path, missing).value, place.array)
+        for path, place in after.items()
+        if place.value != before.get(path, missing).value
+    ]
+
+
+def _spoil(changed: list[_Place]) -> None:
+    """Put other numbers where a tick put some, in arrays."""
+    for place in changed:
+        array = place.array
+        if array is None or not array.flags.writeable or not isinstance(place.value, bytes):
+            continue
+        was = np.frombuffer(place.value, array.dtype)
+        if was.size == array.size and array.dtype.kind in "fiu":
+            moved = was.reshape(array.shape) != array
+            array[moved] = np.nan if array.dtype.kind == "f" else 77
+
+
+def _walk(root: Any, states: States) -> dict[str, _Place]:
+    """Return what a block can change without declaring it, by path."""
+    walker = _Walker(holder_of(root), states)
+    walker.follow(root, "")
+    return walker.places
+
+
+class _Walker:
+    def __init__(self, holder: Any, states: States) -> None:
+        self.places: dict[str, _Place] = {}
+        self._states = states.buffer
+        self._seen: dict[int, Any] = {id(states): states}
+        self._todo: deque[tuple[str, Any]] = deque()
+        self._module = _package(holder)
+
+    def follow(self, root: Any, path: str) -> None:
+        self._todo.append((path, root))
+        while self._todo and len(self._seen) < MOST:
+            path, value = self._todo.popleft()
+            if id(value) in self._seen:
+                continue
+            self._seen[id(value)] = value
+            for name, each in self._parts(value, path):
+                self._take(name, each)
+
+    def _take(self, path: str, value: Any) -> None:
+        if isinstance(value, np.ndarray):
+            if not np.may_share_memory(value, self._states) and not value.dtype.hasobject:
+                self.places[path] = _Place(path, value.tobytes(), value)
+        elif isinstance(value, (*_ATOMS, np.generic, Enum)):
+            self.places[path] = _Place(path, (type(value), repr(value)))
+        elif isinstance(value, np.random.Generator):
+            self.places[path] = _Place(path, repr(value.bit_generator.state))
+        elif isinstance(value, random.Random):
+            self.places[path] = _Place(path, value.getstate())
+        elif isinstance(value, GeneratorType):
+            frame = value.gi_frame
+            self.places[path] = _Place(path, None if frame is None else frame.f_lasti)
+            self._todo.append((path, value))
+        elif hasattr(type(value), "__next__"):
+            self.places[path] = _Place(path, repr(value.__reduce__()))
+        elif hasattr(value, "cache_info"):
+            self.places[path] = _Place(path, repr(value.cache_info()))
+        else:
+            if isinstance(value, (list, dict, set, deque, bytearray)):
+                self.places[path] = _Place(path, len(value))
+            self._todo.append((path, value))
+
+    def _parts(self, value: Any, path: str) -> Iterator[tuple[str, Any]]:
+        if isinstance(value, partial):
+            yield from enumerated(path, (value.func, *value.args, *value.keywords.values()))
+        elif isinstance(value, MethodType):
+            yield path, value.__func__
+            yield path, value.__self__
+        elif isinstance(value, BuiltinMethodType):
+            if not isinstance(value.__self__, ModuleType):
+                yield f"{path}.self", value.__self__
+        elif isinstance(value, FunctionType):
+            yield from self._of_function(value, path)
+        elif isinstance(value, GeneratorType):
+            if value.gi_frame is not None:
+                yield from ((f"{path}.{n}", each) for n, each in value.gi_frame.f_locals.items())
+        elif isinstance(value, (list, tuple, deque, set, frozenset)):
+            yield from enumerated(path, value)
+        elif isinstance(value, dict):
+            yield from ((f"{path}[{key!r}]", each) for key, each in value.items())
+        elif isinstance(value, type) or _package(value) in (self._module, "unicon_core"):
+            yield from self._of_object(value, path)
+
+    def _of_function(self, function: FunctionType, path: str) -> Iterator[tuple[str, Any]]:
+        code = function.__code__
+        for name, cell in zip(code.co_freevars, function.__closure__ or ()):
+            try:
+                yield _joined(path, name), cell.cell_contents
+            except ValueError:  # nothing was put into it yet
+                continue
+        yield from enumerated(_joined(path, "default"), function.__defaults__ or ())
+        yield from ((_joined(path, n), each) for n, each in vars(function).items())
+        if _package(function) != self._module:
+            return
+        for name in _names(code):
+            each = function.__globals__.get(name)
+            if each is not None and not isinstance(each, ModuleType):
+                yield f"global {name}", each
+
+    def _of_object(self, value: Any, path: str) -> Iterator[tuple[str, Any]]:
+        kind = value if isinstance(value, type) else type(value)
+        own = declared(kind) or ()
+        if _package(value) == self._module:
+            for base in kind.__mro__[:-1]:
+                for name, each in vars(base).items():
+                    if not (name.startswith("__") or name == "memory" or hasattr(each, "__set__")):
+                        yield f"{base.__name__}.{name}", each
+        if isinstance(value, type):
+            return
+        slots = [s for base in kind.__mro__ for s in vars(base).get("__slots__", ())]
+        names = {**getattr(value, "__dict__", {}), **{s: getattr(value, s, None) for s in slots}}
+        for name, each in names.items():
+            if name not in own or not _plain(each):
+                yield _joined(path, name), each
+
+
+def _joined(path: str, name: str) -> str:
+    return f"{path}.{name}" if path else name
+
+
+def enumerated(path: str, values: Any) -> Iterator[tuple[str, Any]]:
+    """Yield elements with their paths."""
+    yield from ((f"{path}[{i}]", each) for i, each in enumerate(values))
+
+
+def _plain(value: Any) -> bool:
+    """Return whether a declared attribute is a value, not an object with a memory of its own."""
+    if isinstance(value, (list, tuple, deque)):
+        return all(map(_plain, value))
+    if isinstance(value, dict):
+        return all(map(_plain, value.values()))
+    return isinstance(value, (*_ATOMS, np.ndarray, np.generic, np.random.Generator, Enum))
+
+
+def _names(code: Any) -> Iterator[str]:
+    yield from code.co_names
+    for constant in code.co_consts:
+        if hasattr(constant, "co_names"):
+            yield from _names(constant)
+
+
+def _package(value: Any) -> str:
+    kind: Callable[..., Any] | type = (
+        value if isinstance(value, (type, FunctionType)) else type(value)
+    )
+    root = (getattr(kind, "__module__", None) or "").partition(".")[0]
+    return "" if root in sys.stdlib_module_names and root != "__main__" else root

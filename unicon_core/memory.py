@@ -1,0 +1,418 @@
+"""Memory: what a tick leaves to the next one, as blocks declare it.
+
+    class Ramp:
+        memory = ("_tick", "_held")
+
+A class names the attributes that it carries from tick to tick: numbers, texts, NumPy arrays, lists
+and dictionaries of them, generators of random numbers, and objects that declare a memory of their
+own. `memory = ()` declares that there is none. Buffers that a tick fills before it reads them are
+none either. What lives in another library has two methods instead: `save` returns such values,
+`load` takes them. Nothing of this runs in a tick: a snapshot gathers attributes, a restore sets
+them.
+"""
+
+from __future__ import annotations
+
+import base64
+import dis
+import hashlib
+import json
+import math
+from collections import deque
+from collections.abc import Iterator, Mapping
+from enum import Enum
+from functools import lru_cache, partial
+from types import BuiltinMethodType, FunctionType, MethodType, ModuleType
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.errors import StateError, one_line
+
+__all__ = [
+    "UNDECLARED",
+    "Library",
+    "Memory",
+    "Snapshot",
+    "changes",
+    "declared",
+    "from_json",
+    "holder_of",
+    "load",
+    "save",
+    "to_json",
+]
+
+UNDECLARED = "declares no memory"
+"""Reason of `Memory.unproven` for a block that may have one all the same."""
+
+_ATOMS = frozenset({type(None), bool, int, float, str})
+_SAME: Any = object()
+_WRONG = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
+
+
+@runtime_checkable
+class Library(Protocol):
+    """An object whose memory lies in another library: a network, a simulator."""
+
+    def save(self) -> Any:
+        """Return its memory as numbers, texts, arrays and lists of them."""
+        ...
+
+    def load(self, saved: Any) -> None:
+        """Continue as the object did that returned `saved`."""
+        ...
+
+
+class Snapshot(dict[str, Any]):
+    """Block to what it remembered."""
+
+
+class _Component(dict[str, Any]):
+    """The memory of an object that declares one: attribute to value."""
+
+
+class _Library(list[Any]):
+    """What a `Library` saved, in a list of one."""
+
+
+class _Generator(list[Any]):
+    """The state of a generator of random numbers, in a list of one."""
+
+
+class _Member(list[str]):
+    """Class and name of a member of an enumeration."""
+
+
+@lru_cache(maxsize=1024)
+def declared(kind: Any) -> tuple[str, ...] | None:
+    """Return the attributes that a class and its bases declare; None where none declares any."""
+    found = [vars(base)["memory"] for base in kind.__mro__ if "memory" in vars(base)]
+    found = [names for names in found if isinstance(names, tuple)]
+    return tuple(dict.fromkeys(name for names in found for name in names)) if found else None
+
+
+def _names_of(holder: Any) -> tuple[str, ...] | None:
+    kind: Any = type(holder)
+    return declared(kind)
+
+
+def holder_of(tick: Any) -> Any:
+    """Return the object that remembers for a block's function: that of a method, or itself."""
+    while isinstance(tick, (partial, MethodType)):
+        tick = tick.func if isinstance(tick, partial) else tick.__self__
+    return tick
+
+
+class Memory:
+    """The memory of some blocks.
+
+    Args:
+        holders: label to the object of each, or its function.
+        states: buffer of the states, for functions that enclose views of it.
+
+    Attributes:
+        unproven: block to why its memory is not known: it declares none and may have one, it
+            declares what it lacks, or what cannot be saved.
+    """
+
+    def __init__(self, holders: Mapping[str, Any], states: NDArray[np.uint8] | None = None) -> None:
+        self._holders: dict[str, Any] = {}
+        self.unproven: dict[str, str] = {}
+        for label, tick in holders.items():
+            holder = holder_of(tick)
+            if _declares(holder):
+                self._holders[label] = holder
+            elif not _stateless(holder, states):
+                self.unproven[label] = UNDECLARED
+        self.take()
+
+    def take(self) -> Snapshot:
+        """Return what the blocks remember now, without those of `unproven`; between two ticks."""
+        found = Snapshot()
+        for label, holder in tuple(self._holders.items()):
+            try:
+                found[label] = save(holder, label)
+            except Exception as error:  # whatever a block raises, the memory of others is kept
+                del self._holders[label]
+                self.unproven[label] = one_line(error)
+        return found
+
+    def put_back(self, snapshot: Snapshot) -> None:
+        """Let the blocks continue from a snapshot of theirs, or of blocks that were built alike.
+
+        Blocks that the snapshot lacks keep their memory.
+
+        Raises:
+            StateError: the blocks differ; the message says in what.
+        """
+        for label, saved in snapshot.items():
+            if label not in self._holders:
+                raise StateError(
+                    f"the snapshot is of another program: it has a block {label!r}, which this "
+                    f"one lacks; this one has {', '.join(self._holders) or 'none'}"
+                )
+            load(self._holders[label], saved, label)
+
+    @property
+    def layout(self) -> dict[str, str]:
+        """Attribute, with its block, to type, or dtype and shape."""
+        return dict(_layout(self.take()))
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of the layout, hexadecimal."""
+        return hashlib.sha256(json.dumps(self.layout, sort_keys=True).encode()).hexdigest()
+
+
+def _declares(holder: Any) -> bool:
+    return _names_of(holder) is not None or isinstance(holder, Library)
+
+
+def _stateless(holder: Any, states: NDArray[np.uint8] | None) -> bool:
+    """Return whether an object that declares nothing has nothing to remember with."""
+    if isinstance(holder, FunctionType):
+        code = holder.__code__
+        rebound = any(
+            each.opname == "STORE_DEREF" and each.argval in code.co_freevars
+            for each in dis.get_instructions(code)
+        )
+        cells = holder.__closure__ or ()
+        return not rebound and all(_fixed(cell.cell_contents, states) for cell in cells)
+    return _fixed(holder, states) or not (getattr(holder, "__dict__", True))
+
+
+def _fixed(value: Any, states: NDArray[np.uint8] | None) -> bool:
+    """Return whether a value that a function encloses is a state, a constant or stateless."""
+    if isinstance(value, BuiltinMethodType):
+        value = value.__self__
+    if isinstance(value, np.ndarray):
+        return not value.flags.writeable or (
+            states is not None and np.may_share_memory(value, states)
+        )
+    if isinstance(value, (tuple, frozenset)):
+        return all(_fixed(each, states) for each in value)
+    if isinstance(value, FunctionType):
+        return _stateless(value, states)
+    return type(value) in _ATOMS or isinstance(value, (ModuleType, type, np.generic, np.ufunc))
+
+
+def save(holder: Any, path: str = "") -> Any:
+    """Return what an object remembers that declares it, or is a `Library`."""
+    names = _names_of(holder)
+    if names is None:
+        return _Library([_copied(holder.save(), path)])
+    missing = [name for name in names if not hasattr(holder, name)]
+    if missing:
+        raise StateError(
+            f"{path}: {type(holder).__name__}.memory names {missing[0]!r}, which it lacks; it has "
+            + (", ".join(vars(holder)) or "no attributes")
+        )
+    return _Component((name, _copied(getattr(holder, name), f"{path}.{name}")) for name in names)
+
+
+def _copied(value: Any, path: str) -> Any:
+    """Return a value that stays as it is when the block goes on."""
+    kind = type(value)
+    if kind in _ATOMS or isinstance(value, np.generic):
+        return value
+    if kind is np.ndarray and not value.dtype.hasobject:
+        return value.copy()
+    if kind in (list, tuple):
+        return kind(_copied(each, f"{path}[{i}]") for i, each in enumerate(value))
+    if kind is dict:
+        return {key: _copied(each, f"{path}[{key!r}]") for key, each in value.items()}
+    if kind is deque:
+        return deque((_copied(each, path) for each in value), value.maxlen)
+    if isinstance(value, Enum):
+        return _Member([kind.__qualname__, value.name])
+    if isinstance(value, np.random.Generator):
+        return _Generator([_copied(value.bit_generator.state, path)])
+    if _declares(value):
+        return save(value, path)
+    raise StateError(
+        f"{path} is a {kind.__name__}, which no snapshot can hold; name numbers, arrays and lists "
+        f"of them, give {kind.__name__} a memory = (…) of its own, or save and load"
+    )
+
+
+def load(holder: Any, saved: Any, path: str = "") -> None:
+    """Let an object continue from what `save` returned of one that was built alike.
+
+    Raises:
+        StateError: it was built otherwise.
+    """
+    if isinstance(saved, _Library):
+        if not isinstance(holder, Library):
+            raise _differs(path, "an object that another library holds", holder)
+        try:
+            holder.load(_copied(saved[0], path))
+        except _WRONG as error:
+            raise StateError(
+                f"{path}: {type(holder).__name__} takes no such memory: {error}"
+            ) from error
+        return
+    names = _names_of(holder)
+    if not isinstance(saved, _Component) or names is None or not set(saved) <= set(names):
+        raise _differs(path, ", ".join(saved) if isinstance(saved, dict) else saved, names)
+    for name, value in saved.items():
+        there = getattr(holder, name)
+        new = _into(there, value, f"{path}.{name}")
+        if new is not there:
+            object.__setattr__(holder, name, new)
+
+
+def _into(there: Any, saved: Any, path: str) -> Any:
+    """Return what an attribute is to be: what is there, changed in place, or a new value."""
+    kind = type(saved)
+    if kind is np.ndarray:
+        if type(there) is not np.ndarray:
+            return saved.copy()
+        if (there.shape, there.dtype) != (saved.shape, saved.dtype):
+            raise _differs(path, _shown(saved), _shown(there))
+        there[...] = saved
+        return there
+    if kind in (_Component, _Library):
+        if not _declares(there):
+            raise _differs(path, "an object", there)
+        load(there, saved, path)
+        return there
+    if kind is _Generator:
+        if not isinstance(there, np.random.Generator):
+            raise _differs(path, "a generator of random numbers", there)
+        there.bit_generator.state = saved[0]
+        return there
+    if kind is _Member:
+        if not isinstance(there, Enum) or type(there).__qualname__ != saved[0]:
+            raise _differs(path, saved[0], there)
+        return type(there)[saved[1]]
+    if kind in (list, tuple):
+        here = list(there) if type(there) is kind and len(there) == len(saved) else []
+        here += [None] * (len(saved) - len(here))
+        new = [_into(a, b, f"{path}[{i}]") for i, (a, b) in enumerate(zip(here, saved))]
+        if kind is list and type(there) is list:
+            there[:] = new
+            return there
+        return kind(new)
+    if kind is dict:
+        known = there if type(there) is dict else {}
+        fresh = {
+            key: _into(known.get(key), each, f"{path}[{key!r}]") for key, each in saved.items()
+        }
+        if known is not there:
+            return fresh
+        there.clear()
+        there.update(fresh)
+        return there
+    if kind is deque and type(there) is deque and there.maxlen == saved.maxlen:
+        there.clear()
+        there.extend(_copied(saved, path))
+        return there
+    return _copied(saved, path)
+
+
+def changes(snapshot: Snapshot, built: Snapshot) -> Snapshot:
+    """Return what of a snapshot is not as it was when the blocks had just been built.
+
+    A replay with another option restores nothing that the option alone decides.
+    """
+    found = _changes(snapshot, built)
+    return Snapshot() if found is _SAME else found
+
+
+def _changes(snapshot: Any, built: Any) -> Any:
+    if isinstance(snapshot, (_Component, Snapshot)) and type(built) is type(snapshot):
+        found = {name: _changes(each, built.get(name)) for name, each in snapshot.items()}
+        kept = {name: each for name, each in found.items() if each is not _SAME}
+        return type(snapshot)(kept) if kept or not snapshot else _SAME
+    return _SAME if to_json(snapshot) == to_json(built) else snapshot
+
+
+def _differs(path: str, saved: Any, here: Any) -> StateError:
+    return StateError(
+        f"the snapshot is of another program: {path} is {saved} in it and {here} here; build the "
+        "program of the same workflow, policies and version"
+    )
+
+
+def _layout(value: Any, path: str = "") -> Iterator[tuple[str, str]]:
+    if isinstance(value, dict):
+        for key, each in value.items():
+            yield from _layout(each, f"{path}.{key}" if path else str(key))
+    else:
+        yield path, _shown(value)
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, np.ndarray):
+        return f"{value.dtype}{list(value.shape)}"
+    return type(value).__name__.lstrip("_").lower()
+
+
+# -- in files --------------------------------------------------------------------------------------
+
+_NAMED: dict[str, Any] = {
+    "snapshot": Snapshot,
+    "component": _Component,
+    "library": _Library,
+    "generator": _Generator,
+    "member": _Member,
+    "list": list,
+    "tuple": tuple,
+    "deque": deque,
+    "dict": dict,
+}
+_NAMES = {kind: name for name, kind in _NAMED.items()}
+
+
+def to_json(value: Any) -> Any:
+    """Return a snapshot, or a value of one, as JSON can write it, without the loss of a bit."""
+    kind = type(value)
+    if kind is float:
+        return value if math.isfinite(value) else {"float": repr(value)}
+    if kind in _ATOMS:
+        return value
+    if isinstance(value, (np.ndarray, np.generic)):
+        array = np.asarray(value)
+        data = base64.b64encode(array.tobytes()).decode()
+        content = {"dtype": array.dtype.str, "shape": list(array.shape), "data": data}
+        return {"array" if kind is np.ndarray else "scalar": content}
+    name = _NAMES[kind]
+    if isinstance(value, dict):
+        return {name: [[to_json(key), to_json(each)] for key, each in value.items()]}
+    elements = [to_json(each) for each in value]
+    return {name: [elements, value.maxlen] if kind is deque else elements}
+
+
+def from_json(value: Any) -> Any:
+    """Read what `to_json` returned. Nothing of it is imported or run.
+
+    Raises:
+        StateError: it is something else.
+    """
+    try:
+        return _read(value)
+    except _WRONG as error:
+        raise StateError(f"not a memory of blocks: {error}; write it with to_json") from error
+
+
+def _read(value: Any) -> Any:
+    if not isinstance(value, dict):
+        if type(value) not in _ATOMS:
+            raise ValueError(f"{value!r} stands in it")
+        return value
+    ((name, content),) = value.items()
+    if name == "float":
+        return float(content)
+    if name in ("array", "scalar"):
+        dtype = np.dtype(content["dtype"])
+        flat = np.frombuffer(base64.b64decode(content["data"], validate=True), dtype)
+        array = flat.reshape(content["shape"]).copy()
+        return array if name == "array" else array[()]
+    if name == "deque":
+        return deque(map(_read, content[0]), content[1])
+    kind = _NAMED[name]
+    if issubclass(kind, dict):
+        return kind((_read(key), _read(each)) for key, each in content)
+    return kind(map(_read, content))
