@@ -8,8 +8,6 @@ from itertools import zip_longest
 
 from unicon_core.terminal import display_width, word_parts, words, wrapped
 
-__all__ = ["aligned", "number_text"]
-
 Rows = Sequence[Sequence[str]]
 
 

@@ -15,17 +15,6 @@ from typing import Any
 
 import yaml
 
-__all__ = [
-    "MAX_DEPTH",
-    "MAX_NODES",
-    "MAX_SIZE",
-    "Node",
-    "YamlError",
-    "compose",
-    "plain",
-    "printable",
-]
-
 MAX_SIZE = 4 * 1024 * 1024
 """Characters of one document; the largest that we know of, a dumped Isaac Lab environment, has
 0.1 million."""

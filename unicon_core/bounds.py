@@ -13,26 +13,6 @@ from typing import Any
 
 from unicon_core.errors import WorkflowError
 
-__all__ = [
-    "ACTION_SCALE",
-    "DAMPING",
-    "DURATION",
-    "EFFORT",
-    "GAIN_SCALES",
-    "POSE_DURATION",
-    "POSE_SPEED",
-    "POSITION",
-    "SCALE",
-    "SHARE",
-    "STALE",
-    "STIFFNESS",
-    "TILT",
-    "TRIP_SHARE",
-    "VELOCITY",
-    "VELOCITY_FACTOR",
-    "within",
-]
-
 POSITION = 4.0 * math.pi
 """|position| in [rad], [m] of sliding joints: two turns; go2's rear thighs have 4.54."""
 VELOCITY = 200.0

@@ -23,25 +23,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-__all__ = [
-    "CheckError",
-    "EmergencyStopPressed",
-    "Fault",
-    "Hung",
-    "MissingDependencyError",
-    "ModelError",
-    "PlatformError",
-    "PolicyError",
-    "RobotError",
-    "RobotFileError",
-    "Silence",
-    "StateError",
-    "UniconError",
-    "WorkflowError",
-    "alternatives",
-    "one_line",
-]
-
 
 class UniconError(Exception):
     """Base of every error that a user can cause and mend; `str()` is the one line to print.

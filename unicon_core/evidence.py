@@ -13,8 +13,6 @@ from unicon_core.errors import UniconError
 from unicon_core.located_yaml import read_yaml
 from unicon_core.resources import config_roots
 
-__all__ = ["LEVELS", "Evidence", "evidence_of", "load_evidence"]
-
 LEVELS = {
     "never": "never run",
     "stand_in": "run against our own stand-in",

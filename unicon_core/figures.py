@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["figure", "span"]
-
 
 def figure(value: float, form: str = "g") -> str:
     """Return a number as text: `?` for one that is not known, and no zero with a minus sign."""

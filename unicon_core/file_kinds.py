@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-__all__ = ["is_lfs_pointer", "other_kind"]
-
 _POINTER = b"version https://git-lfs"
 _KINDS = {
     "workflow": "run it with `unicon run FILE`",

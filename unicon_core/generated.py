@@ -15,8 +15,6 @@ import threading
 from collections.abc import Mapping
 from typing import Any
 
-__all__ = ["BUILTINS", "check_source", "define", "is_identifier", "parse"]
-
 BUILTINS: dict[str, Any] = {
     f.__name__: f for f in (abs, all, any, bool, bytes, divmod, len, max, min, round)
 }

@@ -19,8 +19,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["FrameRing", "clean_frames"]
-
 FOLDER = Path("/dev/shm")
 _PREFIX = "unicon_frames_"
 _HEAD = 8  # int64 in front of the slots' own: latest handle, slots, bytes of a frame, locked, spare

@@ -10,8 +10,6 @@ from contextlib import suppress
 
 from unicon_core.errors import PlatformError
 
-__all__ = ["flags_of", "ipv4_of"]
-
 _SIOCGIFADDR, _SIOCGIFFLAGS = 0x8915, 0x8913
 
 

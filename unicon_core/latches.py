@@ -31,20 +31,6 @@ from unicon_core.resources import user_folder
 if TYPE_CHECKING:
     from unicon_core.robots import Robot
 
-__all__ = [
-    "ESTOP",
-    "FAULT",
-    "PATIENCE",
-    "Latch",
-    "Latched",
-    "boot_id",
-    "clearing",
-    "latch_folder",
-    "latches",
-    "of_robot",
-    "robot_key",
-]
-
 ESTOP, FAULT = "estop", "fault"
 """Kinds: no start at all before ~/clear_estop; no start by itself."""
 

@@ -15,8 +15,6 @@ from typing import Any
 from unicon_core.bounded_yaml import MAX_SIZE, Node, YamlError, compose, plain
 from unicon_core.errors import UniconError
 
-__all__ = ["Located", "Tagged", "Where", "parse_value", "parse_yaml", "read_text", "read_yaml"]
-
 Where = tuple[str | int, ...]
 
 _PYTHON = "tag:yaml.org,2002:python/"

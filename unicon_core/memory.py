@@ -30,20 +30,6 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import StateError, one_line
 
-__all__ = [
-    "UNDECLARED",
-    "Library",
-    "Memory",
-    "Snapshot",
-    "changes",
-    "declared",
-    "from_json",
-    "holder_of",
-    "load",
-    "save",
-    "to_json",
-]
-
 UNDECLARED = "declares no memory"
 """Reason of `Memory.unproven` for a block that may have one all the same."""
 

@@ -17,8 +17,6 @@ from queue import SimpleQueue
 from select import select
 from typing import Generic, TypeVar
 
-__all__ = ["Outlet", "open_standard_files", "relayed_stderr", "to_stderr"]
-
 CAPACITY = 256
 """Lines that may wait."""
 

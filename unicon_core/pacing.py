@@ -21,8 +21,6 @@ from typing import Any, Literal
 
 from unicon_core.errors import UniconError
 
-__all__ = ["Pacing", "WallClock", "WarmUp", "prepare_process", "process_age_s", "staying"]
-
 _PR_SET_TIMERSLACK = 29  # linux/prctl.h
 _SCHED_SETATTR = {"x86_64": 314, "aarch64": 274}  # asm/unistd.h
 

@@ -23,16 +23,6 @@ from pathlib import Path
 from unicon_core.errors import UniconError, alternatives
 from unicon_core.registered import path_of, registered
 
-__all__ = [
-    "PACKAGE",
-    "RESOURCE",
-    "indexed_folders",
-    "package_file",
-    "registered_folders",
-    "share_folder",
-    "shares",
-]
-
 PACKAGE = "package://"
 RESOURCE = "unicon.config"
 _INDEX = Path("share") / "ament_index" / "resource_index"

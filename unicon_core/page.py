@@ -16,19 +16,6 @@ from pathlib import Path
 
 from unicon_core.errors import UniconError
 
-__all__ = [
-    "figure",
-    "findings",
-    "number",
-    "page",
-    "pairs",
-    "place",
-    "refuse_unwritable",
-    "table",
-    "units",
-    "write_file",
-]
-
 _STYLE = """
 :root { color-scheme: light dark; --text: #222; --pale: #666; --line: #ddd; --box: #f2f5fb;
         --mark: #1f4e9c; --page: #fff; --card: #fff; --flow: #f8fafc; --edge: #9ca3af;

@@ -10,8 +10,6 @@ from pathlib import Path
 
 from unicon_core.errors import UniconError
 
-__all__ = ["all_registered", "path_of", "registered"]
-
 
 def registered(kind: str) -> Mapping[str, EntryPoint]:
     """Return name to entry point of a group; of two with one name the first found.

@@ -21,21 +21,6 @@ from pathlib import Path
 from unicon_core.errors import UniconError, alternatives
 from unicon_core.packages import PACKAGE, indexed_folders, package_file, registered_folders
 
-__all__ = [
-    "assets_cache",
-    "assets_root",
-    "assets_roots",
-    "config_roots",
-    "file_beside",
-    "find_config",
-    "find_resource",
-    "list_config",
-    "looked_in",
-    "lying_here",
-    "same_modules",
-    "user_folder",
-]
-
 CHUNK = 1 << 20
 """Bytes of a file that are in memory at once."""
 _SOURCE_TREE = Path(__file__).resolve().parent.parent

@@ -12,8 +12,6 @@ from unicon_core.runtime.report import Report
 from unicon_core.runtime.runner import Runner
 from unicon_core.workflow import Program
 
-__all__ = ["Attached", "run"]
-
 
 class Attached(Protocol):
     """What comes along with a run, such as a ROS session."""

@@ -20,8 +20,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from types import FrameType
 
-__all__ = ["SIGNALS", "Guard", "Interrupted", "Signals", "signal_name"]
-
 _UNTOUCHED = {
     # Not to be caught, or their default is to go on.
     *("SIGKILL", "SIGSTOP", "SIGCONT", "SIGCHLD", "SIGCLD", "SIGURG", "SIGWINCH"),

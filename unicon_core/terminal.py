@@ -8,8 +8,6 @@ import sys
 import unicodedata
 from pathlib import Path
 
-__all__ = ["WIDTH", "display_width", "near", "terminal_width", "word_parts", "words", "wrapped"]
-
 WIDTH = 80
 """Columns of what is printed, but to a terminal that is wider."""
 

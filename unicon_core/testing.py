@@ -17,8 +17,6 @@ from unicon_core.states import States, StateSpec, standard_states
 from unicon_core.workflow.autowire import BuildContext, autowire
 from unicon_core.workflow.registry import find_factory
 
-__all__ = ["Bench"]
-
 
 class Bench:
     """A robot's states and what builds blocks on them.

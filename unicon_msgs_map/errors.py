@@ -14,15 +14,6 @@ from __future__ import annotations
 
 from unicon_core.errors import UniconError
 
-__all__ = [
-    "MapDependencyError",
-    "MapError",
-    "MapFileError",
-    "MapStateError",
-    "MessageTypeError",
-    "count_of",
-]
-
 
 class MapError(UniconError):
     """Base of every error of this package; `where` is `file:line: entry` of the culprit."""

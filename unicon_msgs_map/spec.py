@@ -11,16 +11,6 @@ from unicon_msgs_map.layout.paths import Path, Reference
 if TYPE_CHECKING:
     from unicon_msgs_map.layout.messages import Messages
 
-__all__ = [
-    "FieldSpec",
-    "MessageMap",
-    "PublishSpec",
-    "Qos",
-    "SubscribeSpec",
-    "TopicSpec",
-    "TrajectorySpec",
-]
-
 Numbers = float | tuple[float, ...]
 
 

@@ -9,8 +9,6 @@ from typing import Protocol
 from unicon_core.platforms.platform import Pausable
 from unicon_core.runtime import Runner
 
-__all__ = ["Answer", "Controls"]
-
 Answer = tuple[bool, str]
 """Success, and a line for the caller."""
 

@@ -27,8 +27,6 @@ from unicon_core.errors import PlatformError
 from unicon_core.interfaces import flags_of, ipv4_of
 from unicon_core.pacing import REAL_TIME
 
-__all__ = ["Finding", "examine"]
-
 OLDEST = (3, 10)
 PACKAGES = {
     "mujoco": "sim",

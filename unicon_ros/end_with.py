@@ -17,8 +17,6 @@ from pathlib import Path
 
 from unicon_core.errors import UniconError
 
-__all__ = ["NOBODY", "PARENT", "end_with", "is_launch"]
-
 PARENT, NOBODY = "parent", "nobody"
 SET_PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of linux/prctl.h
 PROC = Path("/proc")

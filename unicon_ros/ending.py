@@ -7,8 +7,6 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-__all__ = ["exits_within"]
-
 PATIENCE = 5.0
 """How long the middleware may take to go, [s]; it takes 0.1 to 0.5 on a busy machine."""
 

@@ -39,8 +39,6 @@ if TYPE_CHECKING:
     from unicon_core.workflow import Program
     from unicon_ros.run_recording import Recording
 
-__all__ = ["KEPT", "OFF", "FaultRecord", "fault_folder"]
-
 OFF = "off"
 KEPT = 10
 """Records in a folder; older ones make room."""

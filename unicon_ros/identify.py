@@ -22,8 +22,6 @@ from unicon_core.states.standard import COMMAND_STATES
 from unicon_ros.recording import Record
 from unicon_ros.replay.workflow import recorded_workflow, robot_of
 
-__all__ = ["fit_record", "motion_of"]
-
 
 def fit_record(
     record: Record,

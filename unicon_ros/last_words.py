@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-__all__ = ["LOG_BYTES", "last_words"]
-
 LAST_WORDS = 4096
 """Bytes of a log that are looked at for a reason."""
 LOG_BYTES = 10_000_000

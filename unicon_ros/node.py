@@ -42,8 +42,6 @@ from unicon_ros.controls import Answer
 from unicon_ros.fault_record import FaultRecord
 from unicon_ros.parameters import Parameters
 
-__all__ = ["UniconNode"]
-
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 ENDING = ("deactivate", "shutdown")
 """Transitions that end a run."""

@@ -16,8 +16,6 @@ from unicon_core.signals import SIGNALS, Interrupted
 from unicon_ros import compat
 from unicon_ros.end_with import end_with
 
-__all__ = ["main"]
-
 USAGE = """\
 usage: unicon_node [--end-with PID|parent|nobody] --ros-args -p workflow:=NAME [-p name:=value …]
          [-r from:=to …]

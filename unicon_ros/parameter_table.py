@@ -4,19 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-__all__ = [
-    "AT_CONFIGURE",
-    "AT_ONCE",
-    "DECLARED",
-    "FRAMES",
-    "INTROSPECTION",
-    "LIMITS",
-    "NO_LIMIT",
-    "RANGES",
-    "SCALES",
-    "WORDS",
-]
-
 NO_LIMIT = 100.0
 """A command limit from here on does nothing, [m/s] and [rad/s]."""
 

@@ -19,8 +19,6 @@ from unicon_ros.bridge.declare import declare, fitted
 from unicon_ros.bridge.tuning import Tuning, too_little_damping
 from unicon_ros.parameter_table import DECLARED, LIMITS, RANGES, SCALES, WORDS
 
-__all__ = ["Parameters"]
-
 DEFAULTS = {name: value for name, value, _ in DECLARED}
 FOREIGN = ("qos_overrides.", "start_type_description_service", "use_sim_time", "bond")
 """Parameters that rclpy itself declares, or looks at."""

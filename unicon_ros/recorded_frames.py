@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from unicon_ros.recorder import Recorder
     from unicon_ros.recording.large import Large
 
-__all__ = ["ALL", "RecordedFrames", "chosen_sources"]
-
 ALL = "all"
 """The word for every ring that a workflow has."""
 

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from unicon_core.runtime.statistics import TickStatistics
     from unicon_ros.recorder import Recorder
 
-__all__ = ["RecordedTicks"]
-
 
 class RecordedTicks:
     """Takes the ticks of a ring; makes the facts and memories that go with them.

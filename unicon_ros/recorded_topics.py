@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from unicon_ros.recorder import Recorder
     from unicon_ros.recording.mcap_file import Buffer
 
-__all__ = ["RecordedTopics", "string_message"]
-
 
 class RecordedTopics:
     """Taps what passes; `block` records the rest, and the latched topics in the first tick.

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from unicon_msgs_map.layout.messages import MessageDefinition
     from unicon_ros.recording.large import Large
 
-__all__ = ["Recorder"]
-
 
 class Recorder(Background):
     """An MCAP file that is being written; what goes wrong at its beginning is told in a line.

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from unicon_ros.recorded_frames import RecordedFrames
     from unicon_ros.recorded_topics import RecordedTopics
 
-__all__ = ["Recording", "names_in"]
-
 
 class Recording:
     """Records the messages of a run, what came in and what goes out, and every state of every tick.

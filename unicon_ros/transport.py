@@ -20,8 +20,6 @@ from pathlib import Path
 from unicon_core.resources import find_config
 from unicon_ros import compat
 
-__all__ = ["changes", "without_shared_memory"]
-
 TRANSPORTS = "FASTDDS_BUILTIN_TRANSPORTS"
 PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 RANGE, LOCALHOST_ONLY = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY"

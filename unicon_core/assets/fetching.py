@@ -27,8 +27,6 @@ from unicon_core.assets.state import wrong_files
 from unicon_core.errors import UniconError
 from unicon_core.resources import CHUNK, assets_cache, sha256_of
 
-__all__ = ["Got", "fetch"]
-
 SILENCE = 30.0
 """In [s]: a server that sends nothing for so long is given up."""
 LEAST = 4096

@@ -12,8 +12,6 @@ from unicon_core.errors import UniconError, alternatives
 from unicon_core.located_yaml import Located, read_yaml
 from unicon_core.resources import config_roots
 
-__all__ = ["FOLDERS", "LICENCES", "Asset", "AssetFile", "Source", "load_assets", "named"]
-
 FOLDERS = {"model": "models", "policy": "policies"}
 """Kinds of assets, and the folder of each below the assets folder."""
 LICENCES = "LICENSES/"

@@ -8,8 +8,6 @@ from pathlib import Path
 from unicon_core.assets.manifest import Asset
 from unicon_core.resources import assets_roots, sha256_of
 
-__all__ = ["asset_folder", "wrong_files"]
-
 
 def asset_folder(asset: Asset) -> Path | None:
     """Return the folder of an asset that is at hand, `UNICON_ASSETS` before the cache; or None."""

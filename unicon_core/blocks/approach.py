@@ -12,8 +12,6 @@ from unicon_core.platforms.kit.damping import LastSent
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
 
-__all__ = ["Approach", "Entry", "Target"]
-
 Float = NDArray[np.float32]
 
 

@@ -9,8 +9,6 @@ from unicon_core.blocks.joint_command import ticks_of
 from unicon_core.flow.block import Amends
 from unicon_core.workflow.autowire import BuildContext
 
-__all__ = ["BlendIn", "blend_in"]
-
 RATES = ("joint_vel_target", "joint_effort_ff")
 
 

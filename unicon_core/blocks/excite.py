@@ -19,8 +19,6 @@ from unicon_core.errors import WorkflowError, alternatives
 from unicon_core.robots import Robot
 from unicon_core.robots.poses import joints_like, named_pose
 
-__all__ = ["SIGNALS", "Excite", "excite"]
-
 Float = NDArray[np.float32]
 Signal = Literal["sine", "chirp", "square", "triangle", "random"]
 

@@ -9,8 +9,6 @@ from unicon_core.blocks.joint_command import ticks_of
 from unicon_core.flow.block import Amends
 from unicon_core.flow.stage import Stage
 
-__all__ = ["FadeIn", "fade_in"]
-
 
 def fade_in(
     joint_stiffness: Amends,

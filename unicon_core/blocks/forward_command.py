@@ -29,8 +29,6 @@ from unicon_core.states import StateSpec
 from unicon_core.states.standard import forwarded_states
 from unicon_core.workflow.autowire import BuildContext
 
-__all__ = ["Commanded", "ForwardCommand", "forward_command"]
-
 MAX_RATE = 2.0
 """In [rad/s], unless told: an arm that is jogged has 0.5 to 3, and a person can step back."""
 

@@ -8,8 +8,6 @@ from unicon_core.blocks.joint_command import JointCommand, robot_gains, ticks_of
 from unicon_core.bounds import DAMPING, within
 from unicon_core.robots import Robot
 
-__all__ = ["Damp", "Hold", "damp", "hold"]
-
 
 def hold(
     command: JointCommand,

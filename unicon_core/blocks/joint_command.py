@@ -15,8 +15,6 @@ from unicon_core.errors import RobotError, WorkflowError
 from unicon_core.flow.block import Bundle, Reads, Writes
 from unicon_core.robots import Robot
 
-__all__ = ["LONGEST_S", "Gain", "JointCommand", "robot_gains", "ticks_of"]
-
 Float = NDArray[np.float32]
 
 LONGEST_S = 1e9

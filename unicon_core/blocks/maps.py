@@ -11,8 +11,6 @@ from unicon_core.errors import StateError, alternatives
 from unicon_core.flow.linear import LinearMap
 from unicon_core.states import States
 
-__all__ = ["copy", "linear_map"]
-
 
 def copy(
     *,

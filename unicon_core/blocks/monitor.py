@@ -13,8 +13,6 @@ from unicon_core.states import States
 from unicon_core.states.stacked import flat
 from unicon_core.states.standard import COMMAND_STATES
 
-__all__ = ["Monitor"]
-
 
 class Monitor:
     """Watches a run for its report: displacement, fall, hash of the commands; after `send`.

@@ -20,8 +20,6 @@ from unicon_core.robots import Robot
 from unicon_core.states import StateSpec
 from unicon_core.states.standard import hardware_states
 
-__all__ = ["MotorHeat", "motor_heat"]
-
 STATE = "motor_temperature"
 RISE = 100.0
 """In [K/(N·m)²]: leg motors with gears have 0.05 to 1."""

@@ -12,8 +12,6 @@ from unicon_core.bounds import DURATION, POSE_DURATION, POSE_SPEED, within
 from unicon_core.robots import Robot
 from unicon_core.robots.poses import named_pose
 
-__all__ = ["Pose", "pose"]
-
 
 def pose(
     command: JointCommand,

@@ -13,8 +13,6 @@ from unicon_core.blocks.joint_command import ticks_of
 from unicon_core.errors import WorkflowError
 from unicon_core.flow.block import Reads
 
-__all__ = ["Commanded", "Elapsed", "Settled", "commanded", "elapsed", "settled", "tilted"]
-
 
 def elapsed(*, period: float, seconds: float) -> Elapsed:
     """Hold from the tick on in which a time has passed since entry.

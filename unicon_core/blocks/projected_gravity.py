@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from unicon_core.flow.block import Reads, Writes
 
-__all__ = ["BatchGravity", "projected_gravity"]
-
 
 def projected_gravity(base_quat: Reads, projected_gravity: Writes) -> Callable[[], None]:
     """Turn the unit vector of gravity into the base frame: g = R(q)ᵀ (0, 0, -1).

@@ -28,8 +28,6 @@ from unicon_core.states import StateSpec
 from unicon_core.states.standard import forwarded_states
 from unicon_core.workflow.autowire import BuildContext
 
-__all__ = ["Retarget", "retarget"]
-
 SCALES = 0.2, 5.0
 FASTEST = 1000.0
 """In [Hz]: what cuts off there cuts nothing."""

@@ -8,8 +8,6 @@ from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel
 from unicon_core.workflow.autowire import BuildContext
 
-__all__ = ["model_for"]
-
 
 def model_for(block: str, context: BuildContext) -> LoadedModel:
     """Return the model that the platform simulates; of a robot, or of what it carries, its own.

@@ -14,8 +14,6 @@ from unicon_core.flow.block import Reads
 from unicon_core.robots import Robot
 from unicon_core.robots.poses import joints_like, named_pose
 
-__all__ = ["Sway", "sway"]
-
 OTHERS = "give gains of its joints, or run h1_stand, which names none"
 """What helps a robot that the workflow was not written for."""
 

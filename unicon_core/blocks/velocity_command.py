@@ -12,8 +12,6 @@ from unicon_core.blocks.joint_command import LONGEST_S, ticks_of
 from unicon_core.errors import WorkflowError
 from unicon_core.flow.block import Writes
 
-__all__ = ["VelocityCommand", "velocity_command"]
-
 
 def velocity_command(
     velocity_command: Writes,

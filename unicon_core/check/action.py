@@ -17,8 +17,6 @@ from unicon_core.figures import figure, span
 from unicon_core.platforms.platform import info_of
 from unicon_core.robots import joint_index
 
-__all__ = ["check_action", "check_commands", "check_timing"]
-
 PLAUSIBLE_ACTION = 1.0
 """Action that a trained policy reaches in every walk; used where the contract has no clip."""
 UNIT_TORQUE = 2.0

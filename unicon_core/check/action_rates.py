@@ -15,8 +15,6 @@ from unicon_core.check.safety import has_limits
 from unicon_core.check.subject import Subject, listed
 from unicon_core.flow import Stage
 
-__all__ = ["check_fed", "check_rates"]
-
 _STATES = {
     "position": "joint_pos_target",
     "velocity": "joint_vel_target",

@@ -37,8 +37,6 @@ from unicon_core.workflow import Hook
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.load import load_document
 
-__all__ = ["check_section", "check_workflow", "static_checks"]
-
 SETTINGS = {
     "accept": "codes of findings that shall be notes",
     "duration": "simulated time of a run of the twin [s]",

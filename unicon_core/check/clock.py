@@ -6,8 +6,6 @@ import numpy as np
 
 from unicon_core.check.result import PolicyResult
 
-__all__ = ["check_clock"]
-
 TURN = 2.0 * np.pi + 1e-3
 """In [rad]: phases beyond it are in degrees."""
 GAIT = (0.1, 10.0)

@@ -11,8 +11,6 @@ from unicon_core.models.posed import foot_bodies, foot_geoms
 from unicon_core.models.touching import floors, on_floor
 from unicon_core.robots import Robot
 
-__all__ = ["check_collision"]
-
 
 def check_collision(loaded: LoadedModel, robot: Robot, result: CheckResult, where: Any) -> None:
     """Find a robot that would fall through the floor; note meshes that are absent.

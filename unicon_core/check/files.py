@@ -8,8 +8,6 @@ from unicon_core.policies.networks.onnx_file import read_onnx
 from unicon_core.resources import sha256_of
 from unicon_core.robots import robot_files
 
-__all__ = ["check_files", "check_robot"]
-
 
 def check_files(subject: Subject, result: CheckResult) -> None:
     """Add the table of files; loading refuses a network that is not the contract's."""

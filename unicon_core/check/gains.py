@@ -19,8 +19,6 @@ from unicon_core.models.load import load_model
 from unicon_core.platforms.platform import info_of
 from unicon_core.robots import Robot, joint_index
 
-__all__ = ["check_gains", "check_held", "check_limits", "counted_twice"]
-
 EFFORT_FACTOR = 3.0
 """Robot file and model may differ by variants of a motor (35 and 50 N·m), not by this."""
 SOFTEST_LIMIT = 0.1

@@ -13,8 +13,6 @@ from unicon_core.errors import CheckError, WorkflowError, alternatives
 if TYPE_CHECKING:
     from unicon_core.workflow import Program
 
-__all__ = ["refuse_errors"]
-
 TOLD = {
     "safety.none": "commands are sent as they are, also those that are not finite or beyond the "
     "limits of a joint",

@@ -12,8 +12,6 @@ from unicon_core.memory import holder_of
 from unicon_core.show.tree import is_critical
 from unicon_core.workflow.tick_tree import given_in
 
-__all__ = ["check_blocks", "check_memory"]
-
 
 def check_blocks(subject: Subject, result: CheckResult) -> None:
     """Add the table of blocks with what they read and write, and what is wrong with the graph.

@@ -9,8 +9,6 @@ from unicon_core.check.subject import Subject, listed
 from unicon_core.policies.driven import DrivenPolicy
 from unicon_core.robots import Robot
 
-__all__ = ["check_joints"]
-
 
 def check_joints(subject: Subject, result: CheckResult) -> None:
     """Add the table of joints; motor slots that do not fit are findings."""

@@ -25,8 +25,6 @@ from unicon_core.flow import Block
 from unicon_core.memory import UNDECLARED, Memory, declared, holder_of
 from unicon_core.states import States
 
-__all__ = ["Proof", "prove"]
-
 TICKS = 16
 """Ticks in front of the snapshot, and behind it."""
 MOST = 20_000

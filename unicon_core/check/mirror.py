@@ -12,8 +12,6 @@ from unicon_core.check.result import PolicyResult
 from unicon_core.check.subject import listed
 from unicon_core.figures import figure
 
-__all__ = ["check_mirrored", "mirror_pairs", "odd_pairs"]
-
 ROUNDING = 0.02
 """Relative difference by which mirrored figures may differ (exports round to 3 decimals)."""
 

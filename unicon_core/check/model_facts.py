@@ -14,8 +14,6 @@ from unicon_core.models.kinematic_tree import read_tree
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.robots import Robot
 
-__all__ = ["ModelJoints", "joint_depths", "model_joints"]
-
 Float = NDArray[np.float64]
 
 

@@ -18,8 +18,6 @@ from unicon_core.policies.networks.onnx_file import read_onnx
 from unicon_core.policies.table import input_places
 from unicon_core.states.standard import ESTIMATORS
 
-__all__ = ["check_frames", "check_observation"]
-
 NOT_ON_HARDWARE = ("base_lin_vel", "base_pos_w")
 """What no sensor of a legged robot measures: it takes an estimator or a tracking system."""
 

@@ -15,8 +15,6 @@ from unicon_core.check.subject import Subject, listed
 from unicon_core.models.loaded import LoadedModel
 from unicon_core.robots import Robot, joint_index
 
-__all__ = ["check_order", "joint_orders", "other_order"]
-
 POSE_TOLERANCE = 0.02
 """In [rad] or [m]: by how much a pose may differ between sides."""
 

@@ -12,9 +12,6 @@ from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow.division import is_divided, owner_of
 from unicon_core.workflow.parts import Parts, read_store
 
-__all__ = ["check_keys", "check_parts"]
-
-
 Writers = Mapping[str, Mapping[str, str]]
 """State to the parts that write it, each with the block that does."""
 

@@ -17,8 +17,6 @@ from unicon_core.models.posed import PosedModel, foot_geoms
 from unicon_core.platforms.platform import Resettable
 from unicon_core.robots import Robot, joint_index
 
-__all__ = ["check_pose"]
-
 BELOW_FEET = 0.01
 """How far another part may be below the feet in [m]."""
 TILTED_FOOT = 0.03

@@ -6,8 +6,6 @@ from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject
 from unicon_core.errors import alternatives
 
-__all__ = ["check_bodies", "check_reach"]
-
 
 def check_reach(subject: Subject, result: CheckResult) -> None:
     """Note the pairs of capsules that a block `reach` leaves out."""

@@ -17,8 +17,6 @@ from unicon_core.terminal import WIDTH, near, wrapped
 if TYPE_CHECKING:
     from unicon_core.policies import PolicyContract
 
-__all__ = ["CAUSES", "CODES", "FIRM", "CheckResult", "Finding", "PolicyResult", "Section"]
-
 CODES = {
     "build": "the workflow cannot be built",
     "graph": "the graph of blocks is wrong",

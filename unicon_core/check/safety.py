@@ -13,8 +13,6 @@ from unicon_core.flow import Block, Chain, Every, Loop, Node, Switch, When, bloc
 from unicon_core.flow.nodes import children_of
 from unicon_core.flow.stage import Stage
 
-__all__ = ["check_safety", "has_limits", "limits_targets"]
-
 TARGET = "joint_pos_target"
 """What limits are for."""
 GIVEN = ("tick", "velocity_command")

@@ -8,8 +8,6 @@ from unicon_core.evidence import LEVELS, Evidence, load_evidence
 from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
 
-__all__ = ["check_seen", "little_seen"]
-
 ENOUGH = {"simulator": "vendor", "robot": "hardware"}
 """Levels from which nothing is said."""
 

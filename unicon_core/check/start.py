@@ -12,8 +12,6 @@ from unicon_core.policies.controller import controller_contract
 from unicon_core.robots import joint_index
 from unicon_core.workflow.platform_use import read_platforms
 
-__all__ = ["check_gates", "check_start"]
-
 STEP = 0.3
 """In [rad]: a servo that is given a target farther away than this moves with a jerk."""
 

@@ -23,8 +23,6 @@ from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.hardware import can_wait
 from unicon_core.workflow.platforms import facts_of_all, find_platforms, platform_options
 
-__all__ = ["Subject", "build_subject", "declared_platform"]
-
 
 @dataclass
 class Subject:

@@ -10,8 +10,6 @@ import pytest
 
 from unicon_core.conformance.rig import Rig
 
-__all__ = ["Build", "Case"]
-
 # Before they are imported: else pytest says of an assertion of theirs only that it failed.
 pytest.register_assert_rewrite(*(f"{__package__}.{part}" for part in ("contract", "mechanics")))
 

@@ -12,8 +12,6 @@ from unicon_core.conformance.rig import TIMESTEP, Rig
 from unicon_core.errors import Fault, PlatformError
 from unicon_core.platforms.platform import SIMULATED, Pushable, Resettable
 
-__all__ = ["Contract"]
-
 _NOISE = {"noise": {"joint_pos": 0.01, "base_ang_vel": 0.1}, "push": {"every": 0.03, "velocity": 1}}
 
 

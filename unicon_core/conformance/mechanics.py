@@ -18,8 +18,6 @@ from unicon_core.conformance.rig import (
 )
 from unicon_core.platforms.kit.base import rotation
 
-__all__ = ["Mechanics"]
-
 KNEE_INERTIA = 0.003 + 0.4 * 0.1**2
 """Of the shank about the knee in [kg·m²], the thigh standing still."""
 

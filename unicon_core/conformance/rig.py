@@ -23,8 +23,6 @@ from unicon_core.states import States, standard_states
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow.registry import find_factory
 
-__all__ = ["EFFORT_LIMIT", "FRICTION", "IMU_POSITION", "JOINTS", "TIMESTEP", "Rig"]
-
 Array = NDArray[Any]
 
 TIMESTEP = 0.001

@@ -17,8 +17,6 @@ from unicon_core.errors import WorkflowError
 from unicon_core.flow.linear import LinearMap
 from unicon_core.flow.stage import Stage
 
-__all__ = ["Access", "Amends", "Block", "Bundle", "Reads", "Share", "Tick", "Writes", "as_block"]
-
 Tick: TypeAlias = Callable[[], object]
 """A parameter-less function; a true result means done."""
 

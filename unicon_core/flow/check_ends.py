@@ -19,8 +19,6 @@ from unicon_core.flow.nodes import (
     children_of,
 )
 
-__all__ = ["never_done", "never_reached"]
-
 
 def never_done(node: Node) -> bool:
     """Return True where it is proven that a node is never done.

@@ -21,8 +21,6 @@ from unicon_core.flow.nodes import (
 from unicon_core.flow.stage import Stage
 from unicon_core.states.standard import ESTIMATORS
 
-__all__ = ["behind_send", "reads_before_writes"]
-
 States = frozenset[str]
 
 

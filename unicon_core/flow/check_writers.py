@@ -8,8 +8,6 @@ from unicon_core.flow.block import Block
 from unicon_core.flow.finding import Finding
 from unicon_core.flow.nodes import Chain, Node, Switch, When, children_of
 
-__all__ = ["two_writers"]
-
 
 class _Writer(NamedTuple):
     block: Block

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from unicon_core.flow.block import Block
 from unicon_core.flow.scope import LABEL
 
-__all__ = ["CompiledGraph"]
-
 WITHIN = ("due", "ending", "anew")
 """Variables that tell `deferred` what `step` put off: they are 0 between two ticks."""
 

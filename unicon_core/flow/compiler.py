@@ -27,8 +27,6 @@ from unicon_core.flow.nodes import (
 )
 from unicon_core.flow.scope import Lines, Scope, indent
 
-__all__ = ["compile_graph"]
-
 
 def compile_graph(root: Node, *, trace: bool = False) -> CompiledGraph:
     """Compile a tree of nodes.

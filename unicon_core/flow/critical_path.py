@@ -14,8 +14,6 @@ from unicon_core.flow.block import Block
 from unicon_core.flow.nodes import Deferred, Loop, Node, Zip, blocks_of, children_of, with_children
 from unicon_core.flow.stage import FIXED, Stage
 
-__all__ = ["CriticalPath", "critical_path", "is_patient"]
-
 
 def is_patient(node: Node) -> bool:
     """Return whether a safety block looks for so many ticks that it may look after `send`.

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 from unicon_core.flow.block import Block
 
-__all__ = ["Finding"]
-
 
 @dataclass(frozen=True)
 class Finding:

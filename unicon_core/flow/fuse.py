@@ -23,8 +23,6 @@ from unicon_core.states import States
 from unicon_core.states.screen import Range, Screen
 from unicon_core.states.stacked import places
 
-__all__ = ["fuse"]
-
 Indices = NDArray[np.intp]
 Array = NDArray[Any]
 

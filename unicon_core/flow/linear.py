@@ -10,8 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from unicon_core.errors import StateError
 
-__all__ = ["LinearMap"]
-
 Array = NDArray[Any]
 
 

@@ -17,24 +17,6 @@ import numpy as np
 from unicon_core.errors import WorkflowError
 from unicon_core.flow.block import Block, Tick, as_block
 
-__all__ = [
-    "Blender",
-    "Chain",
-    "Deferred",
-    "Every",
-    "Loop",
-    "Node",
-    "Switch",
-    "When",
-    "Zip",
-    "as_node",
-    "blocks_of",
-    "children_of",
-    "chooser_of",
-    "unfused",
-    "with_children",
-]
-
 
 class _Several:
     def __init__(self, *children: Node | Tick, where: str = "") -> None:

@@ -9,8 +9,6 @@ from typing import Any, TypeAlias
 
 from unicon_core.generated import define
 
-__all__ = ["LABEL", "Lines", "Scope", "indent"]
-
 Lines: TypeAlias = list[str]
 
 LABEL = "<unicon graph>"

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 from enum import Enum
 
-__all__ = ["FIXED", "Stage"]
-
 
 class Stage(Enum):
     """The stages of a tick, in their order."""

@@ -14,8 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 from unicon_core.gap.alignment import admissible_shifts, correlations
 from unicon_core.gap.trajectories import Array, two
 
-__all__ = ["Affine", "affine"]
-
 STILL = 1e-7
 """Share of an element's largest number below which its spread is rounding: float32 has 1e-7."""
 

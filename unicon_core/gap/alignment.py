@@ -29,15 +29,6 @@ from numpy.typing import ArrayLike, NDArray
 from unicon_core.errors import UniconError
 from unicon_core.gap.trajectories import Array, two
 
-__all__ = [
-    "Aligned",
-    "admissible_shifts",
-    "aligned_mse",
-    "correlations",
-    "shift_losses",
-    "smallest_means",
-]
-
 CANDIDATES = 16
 """Shifts that are compared once more, to the last bit, where rounding hides which is best."""
 

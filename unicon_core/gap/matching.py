@@ -9,8 +9,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from unicon_core.gap.trajectories import Array, two
 
-__all__ = ["Matching", "assign", "match_elements"]
-
 CLEARLY = 0.5
 """The cost within a cycle is below that share of it as named. What differs less may be noise:
 joints of a trot move in pairs."""

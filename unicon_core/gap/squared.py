@@ -8,8 +8,6 @@ from numpy.typing import ArrayLike
 from unicon_core.errors import UniconError
 from unicon_core.gap.trajectories import Array, two
 
-__all__ = ["mse", "rmse"]
-
 _AXES = {"all": (-2, -1), "element": (-2,), "frame": (-1,)}
 
 

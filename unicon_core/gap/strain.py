@@ -15,8 +15,6 @@ from numpy.typing import ArrayLike
 from unicon_core.errors import UniconError
 from unicon_core.gap.trajectories import Array, one
 
-__all__ = ["Load", "Warming", "compare", "fall_time", "load", "warming"]
-
 LEANS = 0.8
 """Between the base's z axis and the vertical in [rad]: too far. `tilt_stop` ends a run at 1."""
 

@@ -12,8 +12,6 @@ from numpy.typing import ArrayLike
 from unicon_core.errors import UniconError
 from unicon_core.gap.trajectories import Array, two
 
-__all__ = ["chamfer", "spectral_distance", "wasserstein"]
-
 ROWS = 512
 """Samples whose distances to all others are held at once."""
 

@@ -9,8 +9,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from unicon_core.errors import UniconError
 
-__all__ = ["Array", "one", "two"]
-
 Array = NDArray[np.float64]
 
 LARGEST = 1e100

@@ -21,8 +21,6 @@ from unicon_core.errors import UniconError
 from unicon_core.gap.alignment import smallest_means
 from unicon_core.gap.trajectories import Array, two
 
-__all__ = ["unfolded_mse"]
-
 
 def unfolded_mse(real: ArrayLike, sim: ArrayLike) -> Array:
     """Return the unfolded MSE in the elements' unit², shape (…,).

@@ -16,8 +16,6 @@ from unicon_core.policies.controller import controller_contract
 from unicon_core.robots import joint_index
 from unicon_core.workflow.program_data import ProgramData
 
-__all__ = ["beginning", "first_command"]
-
 Float = NDArray[np.float32]
 TARGET = "joint_pos_target"
 

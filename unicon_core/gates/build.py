@@ -25,8 +25,6 @@ from unicon_core.robots import Robot, robot_files
 from unicon_core.states.standard import JOINT_STATES
 from unicon_core.workflow.program_data import ProgramData
 
-__all__ = ["gates_of"]
-
 MARGIN = 0.05
 """How far beyond its limits a joint may be measured at the start, [rad]: encoders have offsets."""
 TILT = 1.0

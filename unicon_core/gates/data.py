@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from unicon_core.states import States
 
-__all__ = ["Changing", "Rate", "Told"]
-
 Array = NDArray[Any]
 
 

@@ -7,8 +7,6 @@ from typing import Protocol
 
 from unicon_core.errors import Fault
 
-__all__ = ["Heeding", "Passing", "StartGate"]
-
 
 class StartGate(Protocol):
     """Asked once a tick before anything is sent, behind recv and estimate.

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from unicon_core.gates.gate import StartGate
 
-__all__ = ["Imu"]
-
 GRAVITY = 9.81
 """In [m/s²]."""
 ACCELERATION = 1.5

@@ -11,8 +11,6 @@ from unicon_core.errors import Fault
 from unicon_core.figures import figure
 from unicon_core.robots import Robot
 
-__all__ = ["Alone", "NoCommand", "Variant"]
-
 
 class Variant:
     """Gate `variant`: the robot says of itself what the robot file says of it.

@@ -26,8 +26,6 @@ from unicon_core.robots import Robot
 from unicon_core.robots.joint_physics import JOINT_PHYSICS, joint_physics
 from unicon_core.robots.poses import joints_like
 
-__all__ = ["fit"]
-
 Float = NDArray[np.float64]
 
 # What a figure is varied by for its derivative, and how far off it may well be beforehand: the

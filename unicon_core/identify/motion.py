@@ -13,8 +13,6 @@ from unicon_core.errors import UniconError
 from unicon_core.platforms.kit.beside import PLACE
 from unicon_core.states.standard import COMMAND_STATES
 
-__all__ = ["FEWEST", "Motion"]
-
 FEWEST = 8
 """Windows: with less there is nothing to hold a fit against."""
 FALLEN = 0.5

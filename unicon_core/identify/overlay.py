@@ -5,8 +5,6 @@ from __future__ import annotations
 from unicon_core.identify.found import Fit
 from unicon_core.robots import Robot
 
-__all__ = ["overlay_text"]
-
 
 def overlay_text(robot: Robot, extends: str, found: Fit, where: str) -> str:
     """Return the text of an overlay.

@@ -20,8 +20,6 @@ from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.platform import Resettable
 from unicon_core.robots import Robot
 
-__all__ = ["Joints", "Replays", "replayed"]
-
 Float = NDArray[np.float64]
 Joints = Mapping[str, Mapping[str, float]]
 """Joint to figures, as of `scene.joints`."""

@@ -9,8 +9,6 @@ from unicon_core.ik.chain import Chain
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.models.rows import index_of
 
-__all__ = ["Apart"]
-
 Float = NDArray[np.float64]
 
 # a × n = (a @ _CROSS).reshape(3, 3) @ n

@@ -17,8 +17,6 @@ from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.rows import index_of
 from unicon_core.robots import Robot
 
-__all__ = ["Chain"]
-
 Float = NDArray[np.float64]
 
 

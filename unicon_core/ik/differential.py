@@ -16,8 +16,6 @@ from unicon_core.ik.settings import Settings, Weights
 from unicon_core.ik.tasks import Pose, Tasks
 from unicon_core.robots import Robot
 
-__all__ = ["DifferentialIk"]
-
 Float = NDArray[np.float64]
 
 _LEAST = 1e-8

@@ -15,8 +15,6 @@ from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.robots import Robot
 
-__all__ = ["CAPSULE", "FRAME", "Pair", "add_reaching", "load_reaching"]
-
 FRAME, CAPSULE = "unicon_frame_", "unicon_capsule_"
 """In front of the names of bodies and geoms that are added."""
 

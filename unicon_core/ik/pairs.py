@@ -15,8 +15,6 @@ from unicon_core.ik.model import CAPSULE, Pair, load_reaching
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.robots import Robot
 
-__all__ = ["Reaching", "load_apart"]
-
 _FAR = 1e2
 """Margin in [m] within which all of a robot is."""
 _BY_SHAPE = 1e-3

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import MissingDependencyError
 
-__all__ = ["Quadratic"]
-
 Float = NDArray[np.float64]
 
 MOST_ROWS = 32

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["APART", "Settings", "Weights"]
-
 APART = 0.02
 """Between capsules in [m]: targets of arms that a walking robot swings are off by 4 to 12 mm."""
 

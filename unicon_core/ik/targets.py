@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from unicon_core.ik.tasks import Pose
 from unicon_core.ik.turns import turned_by
 
-__all__ = ["LONGEST", "Target"]
-
 LONGEST = 0.3
 """In [s], over which a target's velocity is believed: a hand turns round in as much."""
 _UNIT = 0.05

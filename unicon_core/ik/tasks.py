@@ -13,8 +13,6 @@ from unicon_core.ik.chain import Chain
 from unicon_core.ik.settings import Weights
 from unicon_core.ik.turns import turn_between
 
-__all__ = ["Pose", "Tasks"]
-
 Float = NDArray[np.float64]
 Pose: TypeAlias = tuple[Sequence[float], Sequence[float]]
 """Position in [m] and unit quaternion wxyz, in the base frame."""

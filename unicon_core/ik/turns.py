@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-__all__ = ["turn_between", "turned_by"]
-
 Floats = Sequence[float]
 
 

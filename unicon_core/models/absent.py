@@ -11,8 +11,6 @@ from typing import Any
 from unicon_core.file_kinds import is_lfs_pointer
 from unicon_core.packages import PACKAGE, share_folder
 
-__all__ = ["delete", "drop_absent_meshes", "drop_absent_textures", "mesh_places", "model_folders"]
-
 _MESHES = (".stl", ".obj", ".msh")  # what MuJoCo reads; COLLADA counts as absent
 _ATTACHED = re.compile(r"""<model\s[^<>]*?\bfile\s*=\s*["']([^"'<>]+)["']""")
 

@@ -12,8 +12,6 @@ from unicon_core.models.joints import drives
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.robots import Robot
 
-__all__ = ["actuator_kind", "effort_range", "effort_ranges", "mend_actuators"]
-
 Float = NDArray[np.float64]
 
 

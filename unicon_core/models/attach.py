@@ -12,8 +12,6 @@ from unicon_core.models.absent import delete
 from unicon_core.robots import Robot
 from unicon_core.robots.joint_index import plain_name
 
-__all__ = ["attach_members", "lacking_members"]
-
 _ROTOR = 0.01
 """[kg·m²]; 0.01 s of the servo's 1 N·m·s/rad: it does not show in how a hand moves."""
 

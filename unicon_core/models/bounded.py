@@ -20,8 +20,6 @@ import numpy as np
 
 from unicon_core.errors import ModelError
 
-__all__ = ["refuse_endless", "refuse_not_finite"]
-
 COPIES = 5_000
 """Elements made by repetition: MuJoCo takes 1 to 3 s for so many, and 4 times that for twice."""
 HEAVY = {"composite": 15, "flexcomp": 2}

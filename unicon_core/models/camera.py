@@ -25,8 +25,6 @@ from unicon_core.models.terrain import load_on
 from unicon_core.robots import Robot
 from unicon_core.terrain.words import Terrain
 
-__all__ = ["Intrinsics", "ModelCamera", "intrinsics", "optical_frame"]
-
 NO_GL = (
     "camera: no offscreen OpenGL ({reason}); on Debian and Ubuntu: apt install libegl1 "
     "libgl1-mesa-dri, or libosmesa6 with MUJOCO_GL=osmesa"

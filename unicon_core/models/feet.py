@@ -20,8 +20,6 @@ from unicon_core.models.rows import index_of, rows_of
 from unicon_core.models.touching import solid
 from unicon_core.robots import Robot
 
-__all__ = ["Feet"]
-
 Float = NDArray[np.float64]
 
 GRAVITY = 9.81

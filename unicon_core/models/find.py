@@ -15,8 +15,6 @@ from unicon_core.robots import Robot
 from unicon_core.robots.robot import MODEL_FORMATS
 from unicon_core.terrain.words import Terrain
 
-__all__ = ["Modelled", "find_model", "model_of", "pick_model", "terrain_of"]
-
 _PREFIX = "robot_descriptions:"
 _PACKAGE = "robot_descriptions"
 

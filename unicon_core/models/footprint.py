@@ -13,8 +13,6 @@ from unicon_core.models.posed import PosedModel, foot_geoms
 from unicon_core.models.touching import solid
 from unicon_core.robots import Robot
 
-__all__ = ["Footprint"]
-
 ORIGIN = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
 

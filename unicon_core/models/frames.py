@@ -14,8 +14,6 @@ from unicon_core.models.posed import PosedModel
 from unicon_core.robots import Robot
 from unicon_core.robots.places import Place
 
-__all__ = ["Frames", "body_of"]
-
 _HERE = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
 

@@ -8,8 +8,6 @@ from typing import Any
 from unicon_core.errors import ModelError, RobotError
 from unicon_core.robots import Robot, joint_index
 
-__all__ = ["drives", "find_joints", "free_joint", "is_simple", "position_gains"]
-
 
 def find_joints(mujoco: Any, model: Any, robot: Robot, path: Path) -> list[int]:
     """Return the id of each robot joint in a model, in the robot's order, by name.

@@ -20,8 +20,6 @@ from unicon_core.models.quaternions import Float, about, multiply, rotate
 from unicon_core.models.touching import solid
 from unicon_core.robots import Robot
 
-__all__ = ["BASE", "frame_of", "read_tree", "tree_of"]
-
 BASE = "base_link"
 """In every tree (REP-105): its root, or where the robot calls its base otherwise fixed to that. The
 root is what odometry and /tf call the base, since a frame has one parent."""

@@ -8,8 +8,6 @@ import numpy as np
 
 from unicon_core.models.quaternions import Float
 
-__all__ = ["Geom", "Link"]
-
 
 @dataclass
 class Geom:

@@ -23,8 +23,6 @@ from unicon_core.models.urdf_repair import repaired_urdf
 from unicon_core.models.welded import weld_absent
 from unicon_core.robots import Robot
 
-__all__ = ["load_model"]
-
 _log = logging.getLogger(__name__)
 
 _URDF_TIMESTEP = 0.002  # [s]; MuJoCo's own default, said here since a URDF cannot say it

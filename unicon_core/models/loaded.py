@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 from unicon_core.errors import MissingDependencyError
 from unicon_core.models.joints import free_joint
 
-__all__ = ["LoadedModel", "import_mujoco"]
-
 _log = logging.getLogger(__name__)
 
 _GL = "MUJOCO_GL"

@@ -24,8 +24,6 @@ from unicon_core.models.touching import solid
 from unicon_core.models.urdf_visuals import give_visuals
 from unicon_core.robots import Robot
 
-__all__ = ["dressed"]
-
 _FAINT = 0.05
 """Opacity below which a geom is there for contacts alone."""
 _BACK = np.array((1.0, -1.0, -1.0, -1.0))

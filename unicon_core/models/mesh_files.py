@@ -12,8 +12,6 @@ from unicon_core.errors import UniconError
 from unicon_core.models.absent import mesh_places, model_folders
 from unicon_core.packages import PACKAGE, package_file
 
-__all__ = ["MeshFiles"]
-
 FORMATS = (".stl", ".dae", ".obj")
 """What RViz and Foxglove both read."""
 _PARTED = ("urdf", "mjcf", "xml", "robots")

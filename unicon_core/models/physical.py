@@ -13,8 +13,6 @@ from unicon_core.models.loaded import LoadedModel
 from unicon_core.models.urdf_write import urdf
 from unicon_core.robots import Robot
 
-__all__ = ["physical_links", "physical_urdf"]
-
 _LIGHT, _SMALL = 1e-4, 1e-6  # [kg], [kg·m²] of a link between two joints of one body
 
 

@@ -8,9 +8,6 @@ from __future__ import annotations
 import math
 from typing import TypeAlias
 
-__all__ = ["Quat", "Vector", "conjugate", "multiply", "rotate", "towards", "turned", "vector_of"]
-__all__ += ["yaw_of"]
-
 Quat: TypeAlias = tuple[float, float, float, float]
 Vector: TypeAlias = tuple[float, float, float]
 

@@ -11,8 +11,6 @@ from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.rows import index_of
 from unicon_core.models.touching import floors, may_touch, on_floor
 
-__all__ = ["PosedModel", "followers", "foot_bodies", "foot_geoms"]
-
 _FAR = 100.0  # [m]
 _ENDINGS = ("_foot", "_link", "_sphere", "_toe")
 

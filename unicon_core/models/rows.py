@@ -10,8 +10,6 @@ import numpy as np
 from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
-__all__ = ["index_of", "rows_of"]
-
 
 def index_of(positions: Sequence[int]) -> slice | NDArray[np.intp]:
     """Return positions as a slice where they are consecutive (a copy is then 3x cheaper)."""

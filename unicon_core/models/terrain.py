@@ -16,8 +16,6 @@ from unicon_core.terrain.build import ground_of
 from unicon_core.terrain.ground import THICK, Ground
 from unicon_core.terrain.words import Terrain
 
-__all__ = ["TERRAIN", "laying", "load_on"]
-
 TERRAIN = "terrain"
 """Its geoms and its field are called so, with a number behind."""
 

@@ -9,8 +9,6 @@ import numpy as np
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.posed import PosedModel
 
-__all__ = ["TOUCH", "FloorContact", "floor_contact", "give_pair", "give_patch"]
-
 TOUCH = ("condim", "friction", "solref", "solimp", "margin", "gap")
 """What a geom and a pair say of a contact."""
 _SINK = 0.001  # [m] by which the robot is put into the floor to see what a contact is like

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 
-__all__ = ["Contact", "around", "contact_of", "floors", "may_touch", "on_floor", "solid", "still"]
-
 
 class Contact(NamedTuple):
     """What MuJoCo makes of two geoms that touch."""

@@ -9,8 +9,6 @@ import numpy as np
 
 from unicon_core.errors import ModelError
 
-__all__ = ["repaired_urdf"]
-
 _ONCE = ("origin", "geometry", "material", "inertial", "mass", "inertia")
 _TERMS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 

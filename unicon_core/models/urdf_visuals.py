@@ -15,8 +15,6 @@ from unicon_core.models.mesh_files import MeshFiles
 from unicon_core.models.quaternions import about, multiply
 from unicon_core.models.urdf_repair import repaired_urdf
 
-__all__ = ["give_visuals"]
-
 
 def give_visuals(path: Path, links: Sequence[Link], base_frame: str, files: MeshFiles) -> set[str]:
     """Give links the visuals of a URDF, if any is a mesh; return the names of its links."""

@@ -17,8 +17,6 @@ from unicon_core.models.links import Geom, Link
 from unicon_core.models.quaternions import Float
 from unicon_core.robots import Robot
 
-__all__ = ["urdf"]
-
 
 def urdf(links: Sequence[Link], robot: Robot) -> str:
     """Return the URDF text of a tree of links.

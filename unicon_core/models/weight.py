@@ -10,8 +10,6 @@ from unicon_core.models.posed import PosedModel, foot_bodies
 from unicon_core.models.rows import index_of
 from unicon_core.robots import Robot
 
-__all__ = ["Weight", "bearing_joints"]
-
 
 class Weight:
     """What the joints of a model have to give so that it stays where it is, with nothing in touch.

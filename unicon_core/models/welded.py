@@ -8,8 +8,6 @@ from unicon_core.errors import RobotError
 from unicon_core.models.joints import is_simple
 from unicon_core.robots import Robot, joint_index
 
-__all__ = ["weld_absent"]
-
 _MASS, _INERTIA = 1e-6, 1e-9  # [kg], [kg·m²]: nothing that the robot feels
 _ARMATURE, _DAMPING = 1e4, 1e6  # [kg·m²], [N·m·s/rad]: 100 N·m turn it by 1e-4 rad/s
 

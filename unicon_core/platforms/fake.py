@@ -21,8 +21,6 @@ from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
 
-__all__ = ["FakePlatform", "FakeRobot", "make", "make_robot"]
-
 _GRAVITY = 9.81  # [m/s²]
 
 

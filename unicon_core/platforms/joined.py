@@ -33,8 +33,6 @@ from unicon_core.states import States
 from unicon_core.states.member import STAMP, divided, stamp_of
 from unicon_core.states.standard import JOINT_STATES, MOTOR_STATES
 
-__all__ = ["JoinedPlatform", "joined_facts", "members_of"]
-
 
 def joined_facts(each: Mapping[str, Facts]) -> Facts:
     """Return the facts of several platforms together.

@@ -14,8 +14,6 @@ from unicon_core.platforms.platform import Facts
 from unicon_core.signals import SIGNALS
 from unicon_core.states.links import Incoming
 
-__all__ = ["PartPlatform"]
-
 START = 10.0
 """How long the first part is waited for, in [s]."""
 

@@ -30,29 +30,6 @@ from unicon_core.states.standard import BASE_STATES, COMMAND_STATES, JOINT_STATE
 if TYPE_CHECKING:
     from unicon_core.platforms.kit.scene import Scene
 
-__all__ = [
-    "SIMULATED",
-    "Binding",
-    "Changeable",
-    "CountsArrivals",
-    "Facts",
-    "Informative",
-    "Pausable",
-    "Placeable",
-    "Platform",
-    "Postpones",
-    "Prepares",
-    "Pushable",
-    "ReportsVariant",
-    "RequiresStates",
-    "Resettable",
-    "SeesCommanders",
-    "Viewable",
-    "WaitsForData",
-    "WarmsUp",
-    "info_of",
-]
-
 SIMULATED = (*JOINT_STATES, *BASE_STATES, "stamp_ns")
 """What `recv` of a simulator writes."""
 

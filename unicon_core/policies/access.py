@@ -11,8 +11,6 @@ from unicon_core.policies.command_slew import COMMAND, SLEWED, CommandSlew
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.prefixed import PackedStates, PrefixedStates
 
-__all__ = ["Part", "fed_back", "in_order", "own_states", "reads_writes"]
-
 
 class Part(Protocol):
     """What runs before the network: the slew of the command, the gait clock, the motion."""

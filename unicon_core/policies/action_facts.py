@@ -15,8 +15,6 @@ from unicon_core.policies.contract import ActionKind, ActionSpec, CommandSpec, F
 from unicon_core.policies.fact_value import FactValue, is_whole
 from unicon_core.robots import joint_index
 
-__all__ = ["ACTION_KEYS", "action_spec", "command_spec", "filter_spec", "joint_gains"]
-
 Floats = NDArray[np.float32]
 
 KINDS: tuple[ActionKind, ...] = ("position", "velocity", "torque")

@@ -14,8 +14,6 @@ from unicon_core.policies.controller import ControllerContract
 from unicon_core.policies.filters import Filter, make_filter
 from unicon_core.robots import Robot, joint_index
 
-__all__ = ["ActionMap", "lacking_joints"]
-
 Floats = NDArray[np.float32]
 
 

@@ -11,8 +11,6 @@ from unicon_core.figures import figure
 from unicon_core.policies.facts import Facts, dig, says
 from unicon_core.robots.joint_index import plain_name
 
-__all__ = ["check_agreement"]
-
 _VECTORS = ("default_joint_pos", "stiffness", "damping", "action.scale")
 
 

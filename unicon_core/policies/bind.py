@@ -17,8 +17,6 @@ from unicon_core.policies.networks import Network, Tensor
 from unicon_core.policies.observation import Observation
 from unicon_core.policies.prefixed import PackedStates
 
-__all__ = ["Binding"]
-
 _TIME_STEP = "time_step"
 
 

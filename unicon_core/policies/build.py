@@ -30,8 +30,6 @@ from unicon_core.policies.fact_value import is_whole
 from unicon_core.policies.facts import Facts, missing_facts
 from unicon_core.policies.motion.spec import motion_spec
 
-__all__ = ["IncompletePolicyError", "build_contract", "check_keys"]
-
 SCHEMA = "unicon.policy/1"
 MOST_FRAMES = 10_000  # of a history
 

@@ -15,8 +15,6 @@ from unicon_core.policies.facts import Facts
 from unicon_core.policies.networks.onnx_file import read_onnx
 from unicon_core.resources import file_beside, sha256_of
 
-__all__ = ["chain_facts", "check_chain"]
-
 _NAME = re.compile(r"[A-Za-z]\w{0,63}")
 _FEED = re.compile(r"([^\[\]]+)(?:\[(\d{1,6}):(\d{1,6})\])?")
 _KEYS = ("onnx", "sha256", "feeds")

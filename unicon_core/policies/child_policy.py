@@ -24,8 +24,6 @@ from unicon_core.policies.policy import Policy
 from unicon_core.policies.prefixed import PackedStates, PrefixedStates
 from unicon_core.robots import Robot
 
-__all__ = ["AGE", "ChildPolicy"]
-
 AGE = "action_age"
 """State: how old the observation is of the action that is held, in [s]."""
 

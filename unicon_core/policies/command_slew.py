@@ -7,8 +7,6 @@ import numpy as np
 from unicon_core.policies.contract import CommandSpec
 from unicon_core.policies.prefixed import PackedStates
 
-__all__ = ["COMMAND", "SLEWED", "CommandSlew"]
-
 COMMAND = "velocity_command"
 SLEWED = "slewed_command"
 

@@ -16,22 +16,6 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "ActionKind",
-    "ActionSpec",
-    "ChildSpec",
-    "CommandSpec",
-    "Feed",
-    "FilterSpec",
-    "MotionSpec",
-    "NetworkPart",
-    "ObservationSpec",
-    "ObservationTerm",
-    "PhaseSpec",
-    "PolicyContract",
-    "Recurrent",
-]
-
 Floats = NDArray[np.float32]
 ActionKind: TypeAlias = Literal["position", "velocity", "torque"]
 

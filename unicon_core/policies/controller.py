@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from unicon_core.errors import WorkflowError
 from unicon_core.flow import Block
 
-__all__ = ["ControllerContract", "controller_contract"]
-
 
 class ControllerContract(Protocol):
     """What a controller says of itself; a `PolicyContract` says all of it.

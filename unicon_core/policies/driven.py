@@ -24,8 +24,6 @@ from unicon_core.states import States
 from unicon_core.states.stacked import spans
 from unicon_core.states.standard import COMMAND_STATES
 
-__all__ = ["DrivenPolicy", "policy_of"]
-
 
 class DrivenPolicy:
     """A policy as a block that writes the targets and gains of some joints alone.

@@ -13,8 +13,6 @@ from unicon_core.errors import PolicyError, alternatives
 from unicon_core.located_yaml import Where
 from unicon_core.policies.facts import Facts, dotted
 
-__all__ = ["FactValue", "is_whole"]
-
 
 def is_whole(value: object, least: int) -> bool:
     """Return whether a value is a whole number of at least so much."""

@@ -15,20 +15,6 @@ from unicon_core.errors import PolicyError
 from unicon_core.located_yaml import Where
 from unicon_core.resources import file_beside
 
-__all__ = [
-    "GAINS",
-    "TO_GIVE",
-    "Facts",
-    "dig",
-    "dotted",
-    "is_open",
-    "missing_facts",
-    "open_joints",
-    "says",
-    "shown",
-    "term_state",
-]
-
 # Name of a term on the training side -> where its values come from. A plain `joint_pos` is relative
 # as a term of BeyondMimic, mjlab and holosoma, and absolute as a function of Isaac Lab and Unitree.
 _STATES: dict[str, tuple[str, ...]] = {

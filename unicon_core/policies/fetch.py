@@ -28,8 +28,6 @@ from unicon_core.policies.load import ImportReport, import_policy, refuse_to_rep
 from unicon_core.resources import sha256_of
 from unicon_core.robots import Robot
 
-__all__ = ["FetchReport", "fetch_policy"]
-
 NETWORKS = (".onnx", ".pt", ".pth", ".jit")
 KINDS = (*NETWORKS, ".data", ".yaml", ".yml", ".npz", ".csv")
 """Endings of files that a policy is made of; no others are fetched."""

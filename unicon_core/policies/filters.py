@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 
 from unicon_core.policies.contract import FilterSpec
 
-__all__ = ["Filter", "make_filter"]
-
 Floats = NDArray[np.float32]
 
 

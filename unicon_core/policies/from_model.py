@@ -28,8 +28,6 @@ from unicon_core.models.loaded import import_mujoco
 from unicon_core.policies.facts import GAINS, Facts, is_open, missing_facts
 from unicon_core.robots import Robot, load_robot
 
-__all__ = ["FromModel"]
-
 _OPTIONS = {
     "joints": ("order", "only"),
     "default_joint_pos": ("keyframe",),

@@ -12,8 +12,6 @@ from unicon_core.errors import PolicyError, alternatives
 from unicon_core.located_yaml import Where
 from unicon_core.policies.facts import TO_GIVE, Facts, dig, dotted, is_open, shown
 
-__all__ = ["given_joints", "merge_given"]
-
 
 def given_joints(path: Path, given: Mapping[str, Any]) -> list[str] | None:
     """Return the joint names that the user gives, by which a source's patterns are resolved.

@@ -19,8 +19,6 @@ from unicon_core.policies.filters import Filter
 from unicon_core.policies.networks import Remembering
 from unicon_core.policies.observation import Observation, nothing
 
-__all__ = ["Input", "Lane", "Published"]
-
 Published: TypeAlias = tuple[NDArray[np.float32], NDArray[np.float32]]
 
 

@@ -44,14 +44,6 @@ from unicon_core.resources import (
 )
 from unicon_core.robots import Robot, load_robot
 
-__all__ = [
-    "ImportReport",
-    "import_policy",
-    "load_policy",
-    "policy_names",
-    "refuse_to_replace",
-]
-
 _TORCHSCRIPT = (".pt", ".pth", ".jit")
 # Files that carry no name of their own: the policy is called after the folder.
 _PLAIN_STEMS = ("policy", "deploy", "env", "model", "config")

@@ -6,8 +6,6 @@ from collections.abc import Collection, Sequence
 
 from unicon_core.policies.terms import TermSlice
 
-__all__ = ["explain_size"]
-
 _OFTEN = {"projected_gravity": 3, "base_ang_vel": 3, "velocity_command": 3, "gait_phase": 2}
 """Values of what most policies see, the last one of one phase."""
 _SELDOM = {"base_lin_vel": 3}

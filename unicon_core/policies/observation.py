@@ -19,8 +19,6 @@ from unicon_core.policies.filters import make_filter
 from unicon_core.policies.prefixed import PackedStates
 from unicon_core.policies.terms import TermSlice, term_slices
 
-__all__ = ["Observation", "nothing"]
-
 Floats = NDArray[np.float32]
 
 

@@ -22,8 +22,6 @@ from unicon_core.errors import PolicyError
 from unicon_core.policies.contract import PhaseSpec
 from unicon_core.policies.prefixed import PackedStates
 
-__all__ = ["GaitPhase"]
-
 
 class GaitPhase:
     """Writes `gait_phase_sin`, `gait_phase_cos` and `gait_phase` each tick, before the policy.

@@ -21,8 +21,6 @@ from unicon_core.policies.phase import GaitPhase
 from unicon_core.policies.prefixed import PackedStates
 from unicon_core.robots import Robot
 
-__all__ = ["Policy"]
-
 _TARGETS = ("joint_pos_target", "joint_stiffness", "joint_damping")
 _RATES = ("joint_vel_target", "joint_effort_ff")
 

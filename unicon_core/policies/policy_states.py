@@ -12,8 +12,6 @@ from unicon_core.policies.networks.chain import chained_outputs
 from unicon_core.policies.observation import Observation
 from unicon_core.states import States, StateSpec, standard_states
 
-__all__ = ["policy_states"]
-
 
 def policy_states(
     contract: PolicyContract,

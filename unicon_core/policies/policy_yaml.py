@@ -27,14 +27,6 @@ from unicon_core.policies.facts import TO_GIVE, Facts
 from unicon_core.policies.networks.onnx_file import read_onnx
 from unicon_core.resources import sha256_of
 
-__all__ = [
-    "contract_values",
-    "known_text",
-    "policy_yaml_facts",
-    "write_partial_yaml",
-    "write_policy_yaml",
-]
-
 
 def policy_yaml_facts(path: Path) -> Facts:
     """Read a `policy.yaml` as facts.

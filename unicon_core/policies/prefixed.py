@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from unicon_core.states import States, StateSpec, standard_states
 
-__all__ = ["PackedStates", "PrefixedStates", "prefix_of"]
-
 
 class PrefixedStates:
     """A view of states where `action` means `<prefix>action` if that is declared.

@@ -11,8 +11,6 @@ from pathlib import Path
 from unicon_core.errors import PolicyError
 from unicon_core.registered import path_of, registered
 
-__all__ = ["registered_policy"]
-
 
 def registered_policy(name: str) -> Path:
     """Return the folder or file of a registered policy.

@@ -20,17 +20,6 @@ from unicon_core.policies.terms import TermSlice, term_slices
 from unicon_core.robots import Robot
 from unicon_core.states import States, standard_states
 
-__all__ = [
-    "input_places",
-    "joint_rows",
-    "joint_table",
-    "observation_rows",
-    "observation_table",
-    "policies_rows",
-    "policies_table",
-    "policy_table",
-]
-
 
 def policies_rows() -> list[dict[str, Any]]:
     """Return what is told of each policy in `config/policies/`: `error` of a broken one."""

@@ -14,8 +14,6 @@ from unicon_core.policies.contract import ObservationSpec, ObservationTerm, Poli
 from unicon_core.policies.prefixed import PackedStates
 from unicon_core.robots import joint_index
 
-__all__ = ["TermSlice", "term_slices"]
-
 Floats = NDArray[np.float32]
 
 

@@ -11,8 +11,6 @@ from unicon_core.gates.beginning import beginning, first_command
 from unicon_core.preflight.result import PreflightResult
 from unicon_core.workflow import Program
 
-__all__ = ["tell_first_command"]
-
 Float = NDArray[np.float32]
 
 

@@ -8,8 +8,6 @@ from unicon_core.platforms.platform import CountsArrivals, WaitsForData
 from unicon_core.preflight.result import PreflightResult
 from unicon_core.workflow import Program
 
-__all__ = ["tell_frames"]
-
 SECONDS = 0.5
 """For so long they are counted."""
 SHARE = 0.5

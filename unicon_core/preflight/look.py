@@ -24,8 +24,6 @@ from unicon_core.robots import Robot
 from unicon_core.signals import SIGNALS
 from unicon_core.workflow import Program
 
-__all__ = ["look", "waiting"]
-
 FREE_BYTES = 1 << 30
 """Free disk that a run should have: a recording grows by 1 to 10 MB a minute."""
 NEAREST = 3

@@ -10,8 +10,6 @@ from typing import Any
 from unicon_core.aligned import aligned
 from unicon_core.errors import UniconError
 
-__all__ = ["PreflightResult", "Row"]
-
 
 @dataclass(frozen=True)
 class Row:

@@ -31,8 +31,6 @@ from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow import Program
 from unicon_core.workflow.gate import NEVER_NS
 
-__all__ = ["ANGLE", "LARGEST", "SMALLEST", "Moved", "verdicts", "wiggle"]
-
 ANGLE = 0.05
 """Of a move in [rad]."""
 SMALLEST, LARGEST = 0.01, 0.2

@@ -14,8 +14,6 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Bounded"]
-
 Float = NDArray[np.float64]
 Residual = Callable[[Float], tuple[Float, Float]]
 

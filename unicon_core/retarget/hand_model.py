@@ -17,8 +17,6 @@ from unicon_core.retarget.pulled import Pulled
 from unicon_core.robots import Robot
 from unicon_core.robots.hand import Hand
 
-__all__ = ["HandModel", "told_hand"]
-
 Float = NDArray[np.float64]
 
 _SITE = "retarget_"

@@ -7,8 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ABSENT", "CHAINS", "JOINTS", "HumanHand"]
-
 JOINTS = 25
 """Of a hand in WebXR, in the order of XRHandJoint (W3C, WebXR Hand Input Module, section 3.2): the
 wrist, four of the thumb, then five of each finger, the first of them in the palm."""

@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from unicon_core.models.loaded import LoadedModel
 from unicon_core.models.posed import followers
 
-__all__ = ["Pulled"]
-
 Float = NDArray[np.float64]
 
 

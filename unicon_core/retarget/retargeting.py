@@ -21,8 +21,6 @@ from unicon_core.retarget.bounded import Bounded
 from unicon_core.retarget.hand_model import HandModel
 from unicon_core.retarget.human_hand import HumanHand
 
-__all__ = ["Retargeting"]
-
 Float = NDArray[np.float64]
 
 PINCH = 400.0

@@ -14,8 +14,6 @@ from typing import Any
 from unicon_core.errors import alternatives
 from unicon_core.robots.places import wrong_numbers
 
-__all__ = ["CAPSULE_KEYS", "Capsule", "capsules_of", "wrong_capsules"]
-
 CAPSULE_KEYS = ("body", "from", "to", "radius")
 
 _EXAMPLE = (

@@ -16,25 +16,6 @@ from unicon_core.errors import UniconError, alternatives
 from unicon_core.located_yaml import Located, Where
 from unicon_core.robots.robot import JOINT_FIELDS, JOINT_ORDER
 
-__all__ = [
-    "IMU_KEYS",
-    "LARGEST",
-    "NOT_NEGATIVE",
-    "Problems",
-    "check_command_ranges",
-    "check_contacts",
-    "check_imu",
-    "check_joints",
-    "check_keys",
-    "check_mapping",
-    "check_name",
-    "check_number",
-    "check_one_of",
-    "check_text",
-    "meant",
-    "wrong",
-]
-
 Problems = Iterator[UniconError]
 
 COMMAND_AXES = ("vx", "vy", "wz")

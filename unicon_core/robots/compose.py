@@ -22,8 +22,6 @@ from unicon_core.robots.load import load_robot
 from unicon_core.robots.places import Place
 from unicon_core.robots.robot import JOINT_FIELDS, Robot
 
-__all__ = ["compose", "load_files", "robot_files"]
-
 _OF_A_MEMBER = ("motors", "command")
 """Keys of `transport` that are about the joints of one member."""
 

@@ -15,8 +15,6 @@ from typing import Any
 from unicon_core.errors import alternatives
 from unicon_core.robots.places import Place, places_of, wrong_places
 
-__all__ = ["FINGERS", "HAND_KEYS", "SIDES", "Hand", "hand_of", "wrong_hand"]
-
 HAND_KEYS = ("side", "palm", "fingers")
 SIDES = ("left", "right")
 FINGERS = ("thumb", "index", "middle", "ring", "pinky")

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import RobotError, alternatives
 
-__all__ = ["joint_index", "plain_name"]
-
 
 def joint_index(
     to: Sequence[str], from_: Sequence[str], *, loose: bool = False

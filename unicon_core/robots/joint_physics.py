@@ -17,8 +17,6 @@ from unicon_core.errors import RobotError, alternatives
 from unicon_core.robots.poses import joints_like
 from unicon_core.robots.robot import Robot
 
-__all__ = ["JOINT_PHYSICS", "JointPhysics", "joint_physics", "wrong_physics"]
-
 JOINT_PHYSICS = {
     "strength": (5.0, "", "factor on the torque that the motor gives, and on its limit"),
     "friction": (EFFORT, "N·m", "torque of dry friction, whichever way the joint turns"),

@@ -21,8 +21,6 @@ from unicon_core.robots.poses import joints_like
 from unicon_core.robots.robot import JOINT_FIELDS, Imu, Robot
 from unicon_core.robots.validate import is_overlay, refuse, validate, validate_overlay
 
-__all__ = ["load_robot", "robot_names"]
-
 
 def robot_names() -> list[str]:
     """Return the names of the robots that `load_robot` finds, sorted."""

@@ -15,8 +15,6 @@ from typing import Any
 
 from unicon_core.errors import alternatives
 
-__all__ = ["PLACE_KEYS", "Place", "places_of", "wrong_numbers", "wrong_places"]
-
 PLACE_KEYS = ("body", "position", "quat")
 
 _EXAMPLE = "write {left_hand: {body: left_wrist_yaw_link, position: [x, y, z], quat: [w, x, y, z]}}"

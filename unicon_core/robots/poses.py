@@ -12,8 +12,6 @@ from unicon_core.bounds import POSITION, within
 from unicon_core.errors import RobotError, WorkflowError, alternatives
 from unicon_core.robots.robot import Robot
 
-__all__ = ["joints_like", "named_pose", "robot_poses"]
-
 Float = NDArray[np.float32]
 
 

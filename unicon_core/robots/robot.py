@@ -16,8 +16,6 @@ from unicon_core.robots.capsules import Capsule
 from unicon_core.robots.hand import Hand
 from unicon_core.robots.places import Place
 
-__all__ = ["JOINT_FIELDS", "JOINT_ORDER", "MODEL_FORMATS", "Imu", "Robot"]
-
 MODEL_FORMATS = ("mjcf", "urdf")
 
 

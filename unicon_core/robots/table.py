@@ -15,8 +15,6 @@ from unicon_core.robots.load import load_robot, robot_names
 from unicon_core.robots.places import Place
 from unicon_core.robots.robot import JOINT_FIELDS, Robot
 
-__all__ = ["joint_limits", "robot_table", "robots_rows", "robots_table"]
-
 _UNITS = {
     "lower": "rad",
     "upper": "rad",

@@ -18,8 +18,6 @@ from unicon_core.robots.checks import (
 from unicon_core.robots.robot import MODEL_FORMATS
 from unicon_core.states.standard import BUTTONS
 
-__all__ = ["COMMANDS", "check_models", "check_transport"]
-
 # position: the vendor closes the loop, so that there are no gains to give.
 COMMANDS = ("position", "torque")
 

@@ -33,8 +33,6 @@ from unicon_core.robots.places import wrong_places
 from unicon_core.robots.robot import JOINT_FIELDS
 from unicon_core.robots.transport_checks import check_models, check_transport
 
-__all__ = ["KINDS", "SCHEMA", "is_overlay", "refuse", "validate", "validate_overlay"]
-
 SCHEMA = "unicon.robot/1"
 KINDS = ("quadruped", "humanoid", "wheeled", "hand", "arm")
 

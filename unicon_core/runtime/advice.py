@@ -11,8 +11,6 @@ import numpy as np
 from unicon_core.pacing import REAL_TIME, Pacing
 from unicon_core.runtime.statistics import TickStatistics
 
-__all__ = ["FEWEST", "LATE", "Starvation", "advice_of"]
-
 LATE = 0.1
 """Share of the period by which one tick in a hundred may begin late before anything is advised:
 2 ms at 50 Hz, 0.2 ms at 500 Hz, where an idle machine has 0.03 ms."""

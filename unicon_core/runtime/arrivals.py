@@ -12,8 +12,6 @@ import time
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 
-__all__ = ["Arrivals", "awaited"]
-
 LEAST_LEAD_NS = 150_000
 
 SHORTEST_SLEEP_NS = 50_000

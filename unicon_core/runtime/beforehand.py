@@ -19,8 +19,6 @@ from unicon_core.together.rendezvous import Rendezvous, rendezvous_of
 from unicon_core.workflow import Program
 from unicon_core.workflow.gate import NEVER_NS
 
-__all__ = ["Beforehand", "approach_tree", "prepared", "waiting_tree"]
-
 
 class Ticked(Protocol):
     """Ticks a tree until it is done, as a phase of the run; False where the run is to end."""

@@ -11,8 +11,6 @@ from unicon_core.platforms.kit.damping import DAMPING_TIME, Damping
 from unicon_core.signals import Interrupted
 from unicon_core.workflow import Program
 
-__all__ = ["Damp"]
-
 
 class Damp:
     """Ticks the damping command: damps, sends, lets observers look, hears.

@@ -13,8 +13,6 @@ import numpy as np
 from unicon_core.flow import CompiledGraph
 from unicon_core.runtime.statistics import TickStatistics
 
-__all__ = ["EVERY", "LEARN", "SHARE", "Detail"]
-
 LEARN = 256
 """Ticks with all stamps, of which it learns how long a tick takes."""
 SHARE = 0.1

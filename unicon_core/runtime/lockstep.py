@@ -12,8 +12,6 @@ from typing import Generic, TypeVar
 
 from unicon_core.runtime.rollouts import Rollout, Rollouts
 
-__all__ = ["Lockstep"]
-
 T = TypeVar("T")
 
 

@@ -14,9 +14,6 @@ from unicon_core.flow.check_ends import never_done
 from unicon_core.platforms.platform import WaitsForData
 from unicon_core.workflow import Program
 
-__all__ = ["RunOptions", "never_ends", "refuse_pace"]
-
-
 Speed = Literal["real", "max"]
 
 _PLATFORM = (Stage.RECV, Stage.SEND)

@@ -12,8 +12,6 @@ from enum import Enum
 from unicon_core.platforms.kit.damping import BLEND, DAMPING_TIME
 from unicon_core.workflow import Program
 
-__all__ = ["WIND_DOWN", "Phase", "describe"]
-
 WIND_DOWN = 5.0
 """Longest wind-down in [s]: whoever asks a run to end is not to wait for ever."""
 

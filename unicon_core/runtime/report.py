@@ -14,8 +14,6 @@ from unicon_core.runtime.spare_files import out_of_files
 from unicon_core.runtime.statistics import TickStatistics
 from unicon_core.workflow.program_data import ProgramData
 
-__all__ = ["Report", "reason_of"]
-
 
 @dataclass
 class Report:

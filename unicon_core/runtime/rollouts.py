@@ -30,8 +30,6 @@ from unicon_core.workflow import Program
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.scene import read_scene
 
-__all__ = ["Look", "Rollout", "Rollouts"]
-
 _CALLED = re.compile(r"\b(\w+)\(\)")
 
 Look = Callable[[], bool]

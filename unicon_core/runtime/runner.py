@@ -24,9 +24,6 @@ from unicon_core.runtime.ticker import Ticker
 from unicon_core.signals import SIGNALS, Interrupted, signal_name
 from unicon_core.workflow import Program
 
-__all__ = ["Runner"]
-
-
 FEW = 256
 """Ticks whose time stamps are kept before the run; nobody asks for them."""
 

@@ -6,8 +6,6 @@ import errno
 import os
 import resource
 
-__all__ = ["SPARE", "SpareFiles", "out_of_files"]
-
 SPARE = 16
 """Damping, the report, the fault record and lazy imports have at most a few open at once."""
 

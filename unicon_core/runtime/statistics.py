@@ -10,8 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["TickStatistics", "percentiles"]
-
 
 def percentiles(values_us: NDArray[np.floating[Any]]) -> dict[str, float]:
     """Return p50, p99 and max of times in [µs], to the clock's ns; zeros where there are none."""

@@ -27,17 +27,6 @@ if TYPE_CHECKING:
     from unicon_core.runtime.runner import Runner
     from unicon_core.workflow import Program
 
-__all__ = [
-    "DONE",
-    "ENDED",
-    "FEWEST",
-    "HEAD",
-    "PHASES",
-    "KeptMemory",
-    "TickRing",
-    "memory_of",
-]
-
 KEPT_S = 10.0
 """Of ticks that are kept at least in [s]; up to half as much more, since it begins at a memory."""
 STRIDES = 2

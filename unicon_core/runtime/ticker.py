@@ -18,8 +18,6 @@ from unicon_core.runtime.statistics import TickStatistics
 from unicon_core.workflow import Program
 from unicon_core.workflow.gate import NEVER_NS
 
-__all__ = ["Ticker"]
-
 ENOUGH = 4
 """Arrivals that tell when the next ones come."""
 

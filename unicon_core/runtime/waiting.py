@@ -8,8 +8,6 @@ from collections.abc import Callable, Sequence
 from unicon_core.errors import Fault
 from unicon_core.gates.gate import StartGate
 
-__all__ = ["PATIENCE", "Waiting"]
-
 PATIENCE = 30.0
 """How long gates may take to hold where no operator looks on, [s]."""
 

@@ -8,8 +8,6 @@ from unicon_core.flow import Block, Node
 from unicon_core.show.tree import LEGEND, branches, data_flow, is_critical, shortened, title
 from unicon_core.states import States
 
-__all__ = ["show_mermaid"]
-
 ENTITIES = str.maketrans({"#": "#35;", '"': "#quot;", "<": "#lt;", ">": "#gt;"})
 
 

@@ -16,8 +16,6 @@ from unicon_core.show.svg import graph_svg
 if TYPE_CHECKING:
     from unicon_core.workflow import Program
 
-__all__ = ["show_page"]
-
 WIDTH = 1600
 """Of the page at most, [pixels]: graphs are wide."""
 

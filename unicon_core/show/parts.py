@@ -10,8 +10,6 @@ from unicon_core.states import States
 if TYPE_CHECKING:
     from unicon_core.workflow.parts import Parts
 
-__all__ = ["parts_rows", "parts_table"]
-
 PARTS_HEAD = ("part", "group", "bytes", "published at", "states", "others silent")
 
 

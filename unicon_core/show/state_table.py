@@ -6,8 +6,6 @@ from unicon_core.flow import Node, blocks_of
 from unicon_core.show.tree import shortened
 from unicon_core.states import Layout, States
 
-__all__ = ["SPEC_HEAD", "spec_cells", "state_rows"]
-
 SPEC_HEAD = ("state", "shape", "dtype", "unit", "frame")
 
 

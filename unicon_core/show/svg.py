@@ -12,8 +12,6 @@ from unicon_core.show.state_table import state_rows
 from unicon_core.show.tree import LEGEND, branches, is_critical, shortened, title
 from unicon_core.states import States
 
-__all__ = ["graph_svg", "show_svg"]
-
 CHAR = 7.3  # px, a character of 12 px monospace, rounded up
 LINE = 17  # px, from one line of text to the next
 PAD = 10  # px, around the content of a box

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from unicon_core.policies import PolicyContract
     from unicon_core.robots import Robot
 
-__all__ = ["show_text"]
-
 MARK = "●"
 
 

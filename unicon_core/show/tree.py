@@ -17,8 +17,6 @@ from unicon_core.flow import (
     children_of,
 )
 
-__all__ = ["LEGEND", "branches", "data_flow", "is_critical", "shortened", "title"]
-
 LEGEND = "critical path: the command of this tick depends on it"
 
 

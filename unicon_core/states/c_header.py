@@ -18,8 +18,6 @@ from unicon_core.states.groups import Groups, groups_hash, groups_json
 from unicon_core.states.layout import Layout
 from unicon_core.states.spec import StateSpec, check_name
 
-__all__ = ["c_header", "field_names", "write_header"]
-
 _TYPES = {
     "bool": "uint8_t",  # a byte that is neither 0 nor 1 is not defined as a bool of C
     "float16": "uint16_t",  # not every compiler has a type of that size

@@ -10,8 +10,6 @@ from collections.abc import Collection
 
 from unicon_core.states.spec import StateSpec
 
-__all__ = ["POSE_NAMES", "pose_of", "pose_states", "target_of", "target_states", "unsaid_states"]
-
 POSE_NAMES = ("x", "y", "z", "qw", "qx", "qy", "qz")
 """Elements of a pose: position in [m], orientation as a unit quaternion."""
 

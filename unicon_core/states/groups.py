@@ -16,9 +16,6 @@ from unicon_core.states.layout import Layout
 from unicon_core.states.standard import COMMAND_STATES, GAIN_SCALE, GAIN_SCALE_SPEC
 from unicon_core.states.states import States
 
-__all__ = ["COMMAND", "MEASURED", "Copies", "Groups", "difference", "groups_from_json"]
-__all__ += ["groups_hash", "groups_json", "groups_of", "subset"]
-
 MEASURED, COMMAND = "measured", "command"
 """Names of a workflow's groups."""
 

@@ -16,8 +16,6 @@ import numpy as np
 from unicon_core.errors import StateError
 from unicon_core.states.spec import StateSpec, check_name
 
-__all__ = ["ALIGNMENT", "Layout", "Slot"]
-
 ALIGNMENT = 64
 """Alignment of the buffer and of each dtype's section, in bytes: one cache line."""
 

@@ -24,8 +24,6 @@ from unicon_core.states.groups import Groups
 from unicon_core.states.spec import StateSpec
 from unicon_core.states.states import States
 
-__all__ = ["Incoming", "Publisher", "Silent", "Store", "open_reader", "open_writers"]
-
 AGAIN_NS, REFUSED_NS = 50_000_000, 1_000_000_000
 """How often a part that is not there is looked for, and one that does not fit, in [ns]."""
 

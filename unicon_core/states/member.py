@@ -17,8 +17,6 @@ from unicon_core.states.spec import StateSpec
 from unicon_core.states.standard import BASE_STATES
 from unicon_core.states.states import States
 
-__all__ = ["STAMP", "divided", "member_states", "stamp_of"]
-
 STAMP = "stamp_ns"
 _OF_THE_BASE = (*BASE_STATES, "battery_charge", "battery_voltage")
 

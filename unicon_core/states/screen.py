@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from unicon_core.states.stacked import places
 from unicon_core.states.states import States
 
-__all__ = ["Range", "Screen"]
-
 Array = NDArray[Any]
 
 GAP = 64

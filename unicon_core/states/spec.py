@@ -12,8 +12,6 @@ import numpy as np
 
 from unicon_core.errors import StateError
 
-__all__ = ["StateSpec", "check_name"]
-
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
 _KINDS = "biuf"  # bool, signed, unsigned, float: what every backend and every language can carry
 

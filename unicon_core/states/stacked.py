@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from unicon_core.states.layout import Layout
 
-__all__ = ["flat", "places", "spans", "stacked"]
-
 
 def stacked(views: Sequence[NDArray[Any]]) -> NDArray[Any] | None:
     """Return views of one shape as one read-only view, shape (len(views), …); None where it cannot.

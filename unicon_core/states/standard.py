@@ -9,24 +9,6 @@ from collections.abc import Sequence
 
 from unicon_core.states.spec import StateSpec
 
-__all__ = [
-    "BASE_STATES",
-    "BUTTONS",
-    "COMMAND_STATES",
-    "CONTROL_STATES",
-    "ESTIMATORS",
-    "FORWARDED_STATES",
-    "GAIN_SCALE",
-    "GAIN_SCALE_SPEC",
-    "HARDWARE_STATES",
-    "JOINT_STATES",
-    "MOTOR_STATES",
-    "control_states",
-    "forwarded_states",
-    "hardware_states",
-    "standard_states",
-]
-
 JOINT_STATES = ("joint_pos", "joint_vel", "joint_effort")
 """What the motors tell of the joints."""
 

@@ -15,8 +15,6 @@ from unicon_core.errors import StateError, alternatives
 from unicon_core.states.layout import ALIGNMENT, Layout
 from unicon_core.states.spec import StateSpec
 
-__all__ = ["Array", "Snapshot", "States", "aligned_buffer"]
-
 Array = NDArray[Any]
 
 _MAGIC = b"UNICONST1\n"

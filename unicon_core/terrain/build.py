@@ -11,8 +11,6 @@ from unicon_core.terrain.ground import Ground
 from unicon_core.terrain.shaped import gaps, pyramid, slope, stairs
 from unicon_core.terrain.words import KINDS, Terrain
 
-__all__ = ["ground_of", "refuse_endless_ground"]
-
 POINTS = 1_000_000
 """Of a field of heights: 4 MB, and 45 ms to be built."""
 BOXES = 5_000

@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from unicon_core.terrain.ground import Box, Field, Ground, block
 from unicon_core.terrain.words import Terrain
 
-__all__ = ["obstacles", "patches", "rough", "uniform"]
-
 Float = NDArray[np.float64]
 
 BELOW = 0.02

@@ -11,8 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Box", "Field", "Ground", "block"]
-
 Float = NDArray[np.float64]
 
 THICK = 0.5

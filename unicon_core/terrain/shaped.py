@@ -8,8 +8,6 @@ from collections.abc import Iterator
 from unicon_core.terrain.ground import THICK, Box, Ground, block
 from unicon_core.terrain.words import Terrain
 
-__all__ = ["gaps", "pyramid", "slope", "stairs"]
-
 Strip = tuple[float, float, float]
 """From, to and height in [m]."""
 

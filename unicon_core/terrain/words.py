@@ -12,8 +12,6 @@ from typing import Any
 
 from unicon_core.errors import PlatformError, alternatives
 
-__all__ = ["FLAT", "KINDS", "Figure", "Terrain", "read_terrain"]
-
 FLAT = "flat"
 _SEED = "seed"
 

@@ -13,9 +13,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-__all__ = ["BEGUN", "COMMIT_NS", "DECIDE_NS", "FRESH_NS", "HERE", "LEAD_NS", "READY", "Agreement"]
-__all__ += ["Word"]
-
 HERE, READY, BEGUN = 0, 1, 2
 """Stages: somebody is there, stands where its flow begins, has begun."""
 

@@ -27,8 +27,6 @@ from unicon_core.states.backends import Reader, Writer
 from unicon_core.states.links import AGAIN_NS
 from unicon_core.together.agreement import BEGUN, FRESH_NS, READY, Agreement, Word
 
-__all__ = ["Meeting", "Party", "party_of"]
-
 PATIENCE = 30.0
 """How long the others are waited for in [s], unless told."""
 

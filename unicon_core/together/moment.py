@@ -16,8 +16,6 @@ from typing import Any
 from unicon_core.bounds import within
 from unicon_core.errors import Fault, UniconError, WorkflowError
 
-__all__ = ["FARTHEST", "Moment", "moment_of"]
-
 FARTHEST = 3600.0
 """How far ahead a moment may be in [s]: a robot stands there until then, under torque."""
 

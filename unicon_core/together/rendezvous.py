@@ -12,8 +12,6 @@ from unicon_core.together.moment import WallClock
 if TYPE_CHECKING:
     from unicon_core.workflow import Program
 
-__all__ = ["Rendezvous", "Source", "rendezvous_of"]
-
 REPEAT = 5.0
 """How often what is waited for is told again, [s]."""
 

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from unicon_core.errors import alternatives
 from unicon_core.trajectory.spline import Spline
 
-__all__ = ["Code", "Limits", "Points", "Refusal", "Start", "accepted"]
-
 Float = NDArray[np.float64]
 
 MOST_POINTS = 1000

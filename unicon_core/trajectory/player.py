@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from unicon_core.trajectory.accepted import Code, Limits, Points, Refusal, Start, accepted
 from unicon_core.trajectory.spline import Spline
 
-__all__ = ["Ending", "Player", "Tolerances"]
-
 Float = NDArray[np.float64]
 
 

@@ -12,8 +12,6 @@ from bisect import bisect_right
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Spline"]
-
 Float = NDArray[np.float64]
 
 

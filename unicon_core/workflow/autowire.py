@@ -23,8 +23,6 @@ from unicon_core.states import States
 from unicon_core.workflow.option_types import wrong_option
 from unicon_core.workflow.registry import Factory, states_in
 
-__all__ = ["BuildContext", "autowire", "option_names", "refuse_options", "state_names"]
-
 
 @dataclass
 class BuildContext:

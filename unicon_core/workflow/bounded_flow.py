@@ -17,8 +17,6 @@ from unicon_core.workflow.command_bounds import (
 from unicon_core.workflow.policies import controllers_reading
 from unicon_core.workflow.program_data import ProgramData
 
-__all__ = ["bound_commands"]
-
 
 def bound_commands(program: ProgramData) -> tuple[CommandBound, ...]:
     """Put bounds before the flow of a program, and behind whatever gives commands in it.

@@ -44,15 +44,6 @@ from unicon_core.workflow.settings import safety_of
 from unicon_core.workflow.uses import EXPRESSION, Use
 from unicon_core.workflow.warm_ups import WarmUps
 
-__all__ = [
-    "Builder",
-    "Sections",
-    "factory_of",
-    "finite_first",
-    "period_of",
-    "specs_of",
-]
-
 Sections = dict[Stage, list[Node]]
 """What a workflow says for each stage."""
 

@@ -18,14 +18,6 @@ from numpy.typing import NDArray
 from unicon_core.policies.controller import ControllerContract
 from unicon_core.robots import Robot
 
-__all__ = [
-    "CAUTIOUS",
-    "COMMAND",
-    "CommandBound",
-    "CommandBounds",
-    "command_bounds",
-]
-
 COMMAND = "velocity_command"
 
 CAUTIOUS = {"vx": 1.0, "vy": 0.5, "wz": 1.0}

@@ -15,8 +15,6 @@ from unicon_core.workflow.build import Sections
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.parts import Parts
 
-__all__ = ["check_places", "is_divided", "of_part", "owner_of", "publishers"]
-
 
 def of_part(
     part: str,

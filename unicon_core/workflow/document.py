@@ -10,8 +10,6 @@ from typing import Any
 from unicon_core.errors import WorkflowError
 from unicon_core.located_yaml import Located
 
-__all__ = ["KEYS", "SCHEMA", "WorkflowDocument"]
-
 SCHEMA = "unicon.workflow/1"
 
 KEYS = {

@@ -18,8 +18,6 @@ from unicon_core.flow.block import Block
 from unicon_core.generated import define, parse
 from unicon_core.states import States
 
-__all__ = ["MAX_DEPTH", "MAX_LENGTH", "MAX_NODES", "EntryCondition", "expression"]
-
 MAX_LENGTH = 1000
 """Characters of an expression."""
 MAX_NODES = 200

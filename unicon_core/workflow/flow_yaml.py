@@ -24,8 +24,6 @@ from unicon_core.workflow.registry import known
 from unicon_core.workflow.skills import skills_switch
 from unicon_core.workflow.uses import EXPRESSION, Use, of, on
 
-__all__ = ["FLOW_WORDS", "FlowReader"]
-
 FLOW_WORDS = ("zip", "chain", "loop", "every", "when", "switch", "deferred", "skills")
 
 MAX_NODES = 1000

@@ -8,8 +8,6 @@ from collections.abc import Callable
 from unicon_core.errors import Fault, Hung
 from unicon_core.platforms.kit.damping import LastSent
 
-__all__ = ["CLOSED", "NEVER_NS", "Gate"]
-
 NEVER_NS = 1 << 62
 CLOSED = "the workflow is closed and sends nothing any more; build it anew"
 

@@ -14,16 +14,6 @@ from unicon_core.robots.robot import JOINT_ORDER
 from unicon_core.states import States
 from unicon_core.workflow.registry import Factory, product_of
 
-__all__ = [
-    "UNDECLARED",
-    "can_wait",
-    "checked",
-    "declared_facts",
-    "refuse_incomplete",
-    "refuse_loud",
-    "refuse_protocol",
-]
-
 UNDECLARED = "it declares no facts: what it measures is known only once it is opened"
 
 

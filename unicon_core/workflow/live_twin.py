@@ -31,8 +31,6 @@ from unicon_core.workflow.option_types import wrong_option
 from unicon_core.workflow.registry import find_factory
 from unicon_core.workflow.scene import read_scene
 
-__all__ = ["TWIN_STATES", "LiveTwin", "TwinSettings", "build_twin", "twin_of", "twin_states"]
-
 TWIN_STATES = ("twin_joint_pos", "twin_gap", "twin_lag", "twin_flag")
 """What a twin writes."""
 LONGEST = 10.0

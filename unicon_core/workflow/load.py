@@ -14,8 +14,6 @@ from unicon_core.workflow.document import KEYS, SCHEMA, WorkflowDocument
 from unicon_core.workflow.overrides import set_value, split_setting
 from unicon_core.workflow.settings import check_settings
 
-__all__ = ["document_at", "document_of", "load_document", "workflow_names"]
-
 
 def workflow_names() -> list[str]:
     """Return the names of the workflows that `load_document` finds, sorted."""

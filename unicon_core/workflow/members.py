@@ -19,16 +19,6 @@ from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.platform_use import read_members, read_platforms
 from unicon_core.workflow.registry import known
 
-__all__ = [
-    "load_robot_of",
-    "member_context",
-    "member_robot",
-    "of_whole",
-    "scene_of_member",
-    "share_of",
-    "stamps_of",
-]
-
 
 def load_robot_of(document: WorkflowDocument) -> Robot:
     """Load the robot that a workflow names, by name or by a path beside the workflow file.

@@ -16,8 +16,6 @@ from unicon_core.bounded_yaml import MAX_DEPTH, YamlError
 from unicon_core.errors import WorkflowError
 from unicon_core.located_yaml import parse_value
 
-__all__ = ["set_value", "split_setting"]
-
 _QUOTED = r"\"[^\"]*\"|'[^']*'"
 _SETTING = re.compile(rf"((?:{_QUOTED}|[^=])+)=(.*)", re.DOTALL)
 _STEP = re.compile(rf"({_QUOTED}|[^.]*)(\.|\Z)", re.DOTALL)

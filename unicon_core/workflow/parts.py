@@ -32,8 +32,6 @@ from unicon_core.states.links import (
 )
 from unicon_core.workflow.document import WorkflowDocument
 
-__all__ = ["Part", "Parts", "read_parts", "read_store"]
-
 BACKENDS = ("local", "shm", "zmq")
 
 LONGEST = 3600.0

@@ -19,8 +19,6 @@ from typing import Any, TypedDict, cast
 from unicon_core.errors import alternatives
 from unicon_core.workflow.document import WorkflowDocument
 
-__all__ = ["HANDS", "PlatformUse", "read_members", "read_platforms"]
-
 HANDS, HAND = "hands", "_hand"
 """Under `platform:` this word stands for all members whose names end so."""
 

@@ -41,16 +41,6 @@ from unicon_core.workflow.scene import read_scene
 if TYPE_CHECKING:
     from unicon_core.latches import Latch
 
-__all__ = [
-    "Chosen",
-    "build_platform",
-    "facts_of_all",
-    "find_platforms",
-    "latch_keys",
-    "latches_of",
-    "platform_options",
-]
-
 
 @dataclass(frozen=True)
 class Chosen:

@@ -25,14 +25,6 @@ from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.platforms import facts_of_all, find_platforms
 from unicon_core.workflow.uses import Use
 
-__all__ = [
-    "controllers_reading",
-    "declared_states",
-    "load_policies",
-    "policy_factory",
-    "with_weldable",
-]
-
 
 def load_policies(document: WorkflowDocument, robot: Robot) -> dict[str, PolicyContract]:
     """Load the contracts under `policies:`.

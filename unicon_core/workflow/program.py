@@ -53,8 +53,6 @@ from unicon_core.workflow.tick_tree import tick_tree, with_flow
 from unicon_core.workflow.uses import EXPRESSION, Use
 from unicon_core.workflow.warm_ups import WarmUps
 
-__all__ = ["Hook", "Program", "load_workflow"]
-
 Hook = Callable[["Program"], Mapping[Stage, Sequence[Block]]]
 """Gives a program further blocks, each for its stage, once states and platform exist: a bridge, a
 recorder, a viewer. They stand behind the program's own blocks of that stage."""

@@ -23,8 +23,6 @@ from unicon_core.workflow.gate import Gate
 from unicon_core.workflow.parts import Parts
 from unicon_core.workflow.start import StartSettings
 
-__all__ = ["ProgramData"]
-
 
 class ProgramData:
     """Robot, platform, states and the graph of a tick.

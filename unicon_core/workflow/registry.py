@@ -23,18 +23,6 @@ from unicon_core.flow.block import Access, Block, Bundle, Tick
 from unicon_core.platforms.platform import Facts
 from unicon_core.registered import registered
 
-__all__ = [
-    "Factory",
-    "find_factory",
-    "import_target",
-    "is_block_factory",
-    "is_face_factory",
-    "is_platform_factory",
-    "known",
-    "product_of",
-    "states_in",
-]
-
 Factory: TypeAlias = Callable[..., Any]
 
 OURS = ("blocks", "platforms")

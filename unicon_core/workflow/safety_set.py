@@ -18,8 +18,6 @@ from unicon_core.workflow.program_data import ProgramData
 from unicon_core.workflow.registry import find_factory
 from unicon_core.workflow.uses import EXPRESSION, Use
 
-__all__ = ["ROBOT_SAFETY", "TELLS", "completed", "left_out"]
-
 FIRST = "finite"
 STOPS = (
     "command_stop",

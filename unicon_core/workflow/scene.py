@@ -15,8 +15,6 @@ from unicon_core.workflow.autowire import BuildContext
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.option_types import wrong_option
 
-__all__ = ["read_scene"]
-
 
 def read_scene(document: WorkflowDocument, context: BuildContext, facts: Facts) -> Scene:
     """Return the scene of a workflow for a platform.

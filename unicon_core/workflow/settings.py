@@ -18,8 +18,6 @@ from unicon_core.workflow.document import WorkflowDocument
 if TYPE_CHECKING:
     from unicon_core.workflow.start import StartSettings
 
-__all__ = ["DEFAULT_SAFETY", "Safety", "check_settings", "pacing_of", "safety_of", "start_of"]
-
 DEFAULT_SAFETY: tuple[Any, ...] = ("finite", "joint_limits")
 """What stands between the flow and `send` of a simulator where a workflow does not say."""
 

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from unicon_core.workflow.document import WorkflowDocument
     from unicon_core.workflow.parts import Parts
 
-__all__ = ["refuse_parts", "withheld"]
-
 
 def withheld(platform: Platform, states: States) -> Callable[[], bool | None]:
     """Return what a silent run does in place of `send`.

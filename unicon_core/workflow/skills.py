@@ -32,8 +32,6 @@ from unicon_core.workflow.expression import EntryCondition
 from unicon_core.workflow.program_data import ProgramData
 from unicon_core.workflow.uses import Use
 
-__all__ = ["skills_of", "skills_switch"]
-
 BLEND = 0.5
 """Time in which a skill comes in, unless it says another, in [s]."""
 

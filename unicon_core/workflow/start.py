@@ -20,8 +20,6 @@ from unicon_core.errors import WorkflowError, alternatives
 from unicon_core.together.meeting import Party, party_of
 from unicon_core.together.moment import Moment, moment_of
 
-__all__ = ["MOMENTS", "StartSettings"]
-
 MOMENTS = ("at", "together")
 """Keys that say at which moment the flow begins."""
 

@@ -15,8 +15,6 @@ from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow.command_bounds import COMMAND
 from unicon_core.workflow.live_twin import TWIN_STATES
 
-__all__ = ["GIVEN", "given_in", "tick_tree", "with_flow"]
-
 Stages = Mapping[Stage, Sequence[Node]]
 
 GIVEN = ("tick", COMMAND, "joint_vel_target", "joint_effort_ff", *TWIN_STATES)

@@ -15,8 +15,6 @@ from typing import Any
 from unicon_core.errors import WorkflowError
 from unicon_core.flow import Block, Node, as_node, blocks_of
 
-__all__ = ["EXPRESSION", "Use", "block", "elapsed", "of", "on", "policy", "pose"]
-
 EXPRESSION = "expression"
 """Word of a predicate over states that is given as a text."""
 

@@ -19,8 +19,6 @@ from unicon_core.states.stacked import spans
 from unicon_core.workflow.autowire import BuildContext
 from unicon_core.workflow.registry import Factory
 
-__all__ = ["WarmUps"]
-
 _OURS = "unicon_core.blocks."  # all of them are pure
 
 LARGEST = 65_536

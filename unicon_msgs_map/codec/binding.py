@@ -19,17 +19,6 @@ from unicon_msgs_map.layout.messages import QUATERNION, Struct, TypeRef
 from unicon_msgs_map.layout.units import PER_SI
 from unicon_msgs_map.spec import FieldSpec
 
-__all__ = [
-    "Arrays",
-    "Bound",
-    "Conversion",
-    "Names",
-    "Variables",
-    "bind_state",
-    "bind_variable",
-    "message_order",
-]
-
 AnyArray = NDArray[Any]
 Arrays = Mapping[str, AnyArray]
 Names = Mapping[str, Sequence[str]]

@@ -23,8 +23,6 @@ from unicon_msgs_map.codec.magnitudes import high_byte, largest_of, ordinary_byt
 from unicon_msgs_map.codec.strides import address, fuse, line, stack, step
 from unicon_msgs_map.layout.messages import Primitive
 
-__all__ = ["castable", "read_in_bulk"]
-
 
 @dataclass(frozen=True)
 class Grid:

@@ -22,8 +22,6 @@ from unicon_msgs_map.layout.messages import Primitive
 from unicon_msgs_map.layout.walker import Found
 from unicon_msgs_map.spec import SubscribeSpec
 
-__all__ = ["Rejected", "Run", "apply", "orientation", "select", "state_of"]
-
 STAMP, COVARIANCE = -1, -2
 """Numbers of what is read beside the fields: the stamp, an Imu's first orientation covariance."""
 

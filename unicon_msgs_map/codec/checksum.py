@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from unicon_msgs_map.layout.messages import PRIMITIVES, Array, Primitive, String, Struct, TypeRef
 from unicon_msgs_map.spec import FieldSpec
 
-__all__ = ["unitree_crc", "words_crc"]
-
 # zlib's CRC has the same polynomial with bits reversed: reverse the input's and the result's.
 _REVERSED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 

@@ -8,8 +8,6 @@ import numpy as np
 
 from unicon_msgs_map.codec.binding import AnyArray
 
-__all__ = ["Code"]
-
 
 class Code:
     """What the function of one payload is made of.

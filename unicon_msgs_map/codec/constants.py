@@ -15,8 +15,6 @@ _FRAMES = ("frame_id", "child_frame_id")
 _FRAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_./-]*")  # no leading slash since tf2
 LONGEST_NUMBER = 40
 
-__all__ = ["constant"]
-
 
 def constant(
     field: FieldSpec, kind: TypeRef, value: object, constants: Mapping[str, object]

@@ -15,8 +15,6 @@ from unicon_msgs_map.codec.binding import AnyArray, Bound, Conversion
 from unicon_msgs_map.codec.strides import address, fuse, line, stack, step
 from unicon_msgs_map.layout.template import Slot
 
-__all__ = ["Copy", "as_copy", "copy_lines"]
-
 SCALAR_LIMIT = 8  # numbers of one field that still go through struct
 
 

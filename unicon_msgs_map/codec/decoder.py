@@ -17,8 +17,6 @@ from unicon_msgs_map.layout.messages import Struct
 from unicon_msgs_map.layout.walker import Malformed
 from unicon_msgs_map.spec import SubscribeSpec
 
-__all__ = ["Decoder"]
-
 
 class Decoder:
     """State arrays from one message type; make it with `Decoder.build`.

@@ -23,8 +23,6 @@ from unicon_msgs_map.codec.copies import Copy, as_copy, copy_lines
 from unicon_msgs_map.codec.packs import Packs
 from unicon_msgs_map.layout.template import Slot, Template
 
-__all__ = ["generate"]
-
 
 def generate(
     template: Template,

@@ -25,8 +25,6 @@ from unicon_msgs_map.errors import MapStateError
 from unicon_msgs_map.layout.template import Node, Template
 from unicon_msgs_map.spec import PublishSpec
 
-__all__ = ["Encoder"]
-
 
 class Encoder:
     """Bytes of one message type from state arrays; make it with `Encoder.build`.

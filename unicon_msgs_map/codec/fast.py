@@ -33,8 +33,6 @@ from unicon_msgs_map.codec.code import Code
 from unicon_msgs_map.codec.scalars import Scalars
 from unicon_msgs_map.layout.messages import Primitive
 
-__all__ = ["compile_fast", "merge"]
-
 SCALAR_LIMIT = 8  # numbers of one field that are still read one by one
 PIECES_LIMIT = 8  # structural pieces that are still compared one by one
 BRIDGE = 16  # padding and unread bytes between structural ones that are compared along, [B]

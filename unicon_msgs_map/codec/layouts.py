@@ -17,8 +17,6 @@ from unicon_msgs_map.layout.paths import Path, parse_path
 from unicon_msgs_map.layout.walker import Found, Want, walk
 from unicon_msgs_map.spec import SubscribeSpec
 
-__all__ = ["Layouts"]
-
 KEPT_LAYOUTS = 4  # publishers with layouts of their own that may alternate on one topic
 IMU = "sensor_msgs/msg/Imu"
 

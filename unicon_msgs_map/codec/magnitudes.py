@@ -15,8 +15,6 @@ import numpy as np
 from unicon_msgs_map.codec.careful import Run
 from unicon_msgs_map.codec.ranges import DOUBLE_MAX, SINGLE_MAX
 
-__all__ = ["high_byte", "largest_of", "ordinary_bytes", "spans"]
-
 GAP = 16  # bytes between two arrays of a message that are looked at along
 
 

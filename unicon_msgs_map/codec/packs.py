@@ -16,8 +16,6 @@ from unicon_msgs_map.codec.binding import AnyArray, Bound
 from unicon_msgs_map.codec.ranges import SINGLE_MAX, limits
 from unicon_msgs_map.layout.template import Slot, Template
 
-__all__ = ["Packs"]
-
 GAP_LIMIT = 64  # constant bytes that a pack into the buffer may write again, [B]
 
 

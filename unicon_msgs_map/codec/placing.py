@@ -21,8 +21,6 @@ from unicon_msgs_map.layout.template import (
 )
 from unicon_msgs_map.spec import FieldSpec
 
-__all__ = ["place_constant", "place_state"]
-
 
 def place_state(root: Node, message: Struct, number: int, bound: Bound) -> Bound:
     """Place a state's elements; return them in message order.

@@ -9,8 +9,6 @@ from unicon_msgs_map.codec.code import Code
 from unicon_msgs_map.codec.ranges import DOUBLE_MAX, SINGLE_MAX, limits
 from unicon_msgs_map.layout.messages import Primitive
 
-__all__ = ["Scalars"]
-
 
 class Scalars:
     """Writes the lines of single numbers, times, constants and zeros.

@@ -14,8 +14,6 @@ from numpy.lib.stride_tricks import as_strided
 
 from unicon_msgs_map.codec.binding import AnyArray
 
-__all__ = ["address", "fuse", "line", "stack", "step"]
-
 Member = TypeVar("Member")
 
 

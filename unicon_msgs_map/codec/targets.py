@@ -22,8 +22,6 @@ from unicon_msgs_map.layout.messages import Array, Primitive, String, Struct, Ty
 from unicon_msgs_map.layout.template import Leaf, leaf_size, numeric_leaves
 from unicon_msgs_map.spec import FieldSpec, SubscribeSpec
 
-__all__ = ["Target", "bind_targets"]
-
 Listed = dict[int, tuple[str, ...]]  # element names by the number of the field that carries them
 
 

@@ -8,8 +8,6 @@ from unicon_msgs_map.layout.messages import Array, String, Struct, TypeRef
 from unicon_msgs_map.layout.paths import Key, Selector
 from unicon_msgs_map.spec import FieldSpec, PublishSpec, SubscribeSpec
 
-__all__ = ["check_publish", "check_subscribe", "field_type", "resolve"]
-
 
 def check_publish(spec: PublishSpec) -> None:
     """Check every path of a publish entry.

@@ -8,8 +8,6 @@ from typing import Any
 
 from unicon_msgs_map.layout.messages import Array, Primitive, String, Struct, TypeRef
 
-__all__ = ["TypeDescription", "described", "rihs01"]
-
 TypeDescription = dict[str, Any]
 """As `type_description_interfaces/msg/TypeDescription`, without default values."""
 

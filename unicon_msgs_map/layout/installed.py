@@ -10,8 +10,6 @@ from unicon_core.errors import alternatives
 from unicon_core.packages import share_folder, shares
 from unicon_msgs_map.errors import MessageTypeError
 
-__all__ = ["installed_files", "unknown_type"]
-
 
 def installed_files(full: str) -> list[Path]:
     """Return the files to register for a type `pkg/msg/Name`; none where it is not installed.

@@ -22,20 +22,6 @@ from unicon_msgs_map.errors import MapDependencyError, MessageTypeError
 from unicon_msgs_map.layout.installed import installed_files, unknown_type
 from unicon_msgs_map.layout.ready_made import ready_made
 
-__all__ = [
-    "DEFAULT_DISTRO",
-    "PRIMITIVES",
-    "Array",
-    "MessageDefinition",
-    "Messages",
-    "Primitive",
-    "String",
-    "Struct",
-    "TypeRef",
-    "message_definition",
-    "shared_messages",
-]
-
 DEFAULT_DISTRO = "jazzy"
 
 # rosidl's rules, and `_` for the messages of actions

@@ -8,8 +8,6 @@ from functools import cache
 from importlib import resources
 from typing import Any
 
-__all__ = ["FILE", "ready_made"]
-
 FILE = "jazzy.json"
 """In the folder `msg`. Names, types, bounds and constants of ROS's common interfaces, as rosbags
 0.11 tells them; `UNICON_WRITE_GOLDEN=1 pytest test/map/test_map_ready_made.py` writes it anew."""

@@ -16,8 +16,6 @@ from unicon_msgs_map.layout.messages import QUATERNION, Array, Primitive, String
 from unicon_msgs_map.layout.paths import Key, Path
 from unicon_msgs_map.spec import FieldSpec
 
-__all__ = ["Leaf", "Node", "Slot", "Template", "expand", "numeric_leaves", "place"]
-
 LARGEST = 4 << 20  # of one message, [B]; pictures and clouds go another way
 HEADER_LE = b"\x00\x01\x00\x00"
 Where = tuple[str | int, ...]

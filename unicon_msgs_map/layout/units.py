@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["PER_SI"]
-
 PER_SI: dict[str, float] = {
     # angle, angular velocity
     "rad": 1.0,

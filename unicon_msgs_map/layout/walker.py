@@ -14,8 +14,6 @@ from functools import cache
 from unicon_msgs_map.layout.messages import Array, Primitive, String, Struct, TypeRef
 from unicon_msgs_map.layout.paths import Key, Path, Selector
 
-__all__ = ["Found", "Malformed", "Want", "walk"]
-
 CDR_BE = b"\x00\x00"
 CDR_LE = b"\x00\x01"
 # Writers may pad a payload to a multiple of four; more than that is another message.

@@ -9,8 +9,6 @@ from typing import Any
 from unicon_core.errors import UniconError, alternatives
 from unicon_core.located_yaml import Located, Where
 
-__all__ = ["Entry"]
-
 
 @dataclass(frozen=True)
 class Entry:

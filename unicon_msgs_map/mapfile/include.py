@@ -20,8 +20,6 @@ from unicon_core.resources import find_config
 from unicon_msgs_map.errors import MapFileError
 from unicon_msgs_map.mapfile.entry import Entry
 
-__all__ = ["DIRECTIONS", "Composed", "compose"]
-
 DIRECTIONS = ("publish", "subscribe")
 _TRAJECTORY = "trajectory"
 _TOP = ("description", "include", "typestore", "messages", *DIRECTIONS, _TRAJECTORY)

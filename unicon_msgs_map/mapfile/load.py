@@ -31,8 +31,6 @@ from unicon_msgs_map.spec import (
     TrajectorySpec,
 )
 
-__all__ = ["load_map", "parse_map"]
-
 # https://design.ros2.org/articles/topic_and_service_names.html
 _TOPIC = re.compile(r"(?:~?/)?[A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*")
 WIDEST_TEXT = 64

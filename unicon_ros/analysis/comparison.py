@@ -25,8 +25,6 @@ from unicon_core.gap import (
 from unicon_core.gap.trajectories import Array
 from unicon_ros.analysis.together import Together
 
-__all__ = ["Comparison", "compare_runs", "gap_spread", "tracking_error"]
-
 LAG_S = 0.1
 """Largest lag of a joint against the others in [s]: less than a quarter of a stride."""
 SMOOTHED_S = 0.1

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from unicon_ros.analysis.comparison import LAG_S, Comparison, gap_spread
 
-__all__ = ["findings"]
-
 SURE = 0.8
 """|correlation| from which on gain and sign of a joint that moves mean something."""
 VERY_SURE = 0.95

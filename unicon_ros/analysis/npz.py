@@ -13,8 +13,6 @@ from unicon_core.gap.trajectories import Array
 from unicon_ros.analysis.run import BASE, JOINTS, Run, Window, make_run
 from unicon_ros.recording.npz import KEYS, NAMES, UNICONS, Archive, read_archive, too_large
 
-__all__ = ["read_npz"]
-
 NOT_SURE = ("base_lin_vel", "base_lin_acc", "velocity_command")
 """What UniCon has in a frame or an order that each of its robots chooses."""
 

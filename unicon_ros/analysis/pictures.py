@@ -13,8 +13,6 @@ from unicon_core.gap.trajectories import Array
 from unicon_ros.analysis.comparison import Comparison, tracking_error
 from unicon_ros.report.drawing import INK, MARK, PALE, envelope, grids
 
-__all__ = ["PICTURES"]
-
 REAL, SIM = MARK, "#e07b00"
 COLUMNS = 400
 """Of the heat map in time."""

@@ -10,8 +10,6 @@ from unicon_ros.analysis.npz import read_npz
 from unicon_ros.analysis.record import read_record
 from unicon_ros.analysis.run import Run, Window
 
-__all__ = ["read_run"]
-
 
 def read_run(path: Path, window: Window = (0.0, math.inf)) -> Run:
     """Read a run from a record of ours or from an `.npz`.

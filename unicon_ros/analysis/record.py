@@ -13,8 +13,6 @@ from unicon_core.gap.trajectories import Array
 from unicon_ros.analysis.run import BASE, JOINTS, Run, Window, make_run
 from unicon_ros.recording import open_record
 
-__all__ = ["read_record"]
-
 
 def read_record(path: Path, window: Window) -> Run:
     """Read a run.

@@ -15,8 +15,6 @@ from unicon_ros.analysis.pictures import PICTURES
 from unicon_ros.analysis.run import Run
 from unicon_ros.report.drawing import as_png, as_svg, drawn
 
-__all__ = ["SCHEMA", "write_report"]
-
 SCHEMA = "unicon.analysis/1"
 
 _COLUMNS = {

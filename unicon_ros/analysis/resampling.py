@@ -7,8 +7,6 @@ import numpy as np
 from unicon_core.gap.trajectories import Array
 from unicon_ros.analysis.run import Run
 
-__all__ = ["common_period", "resample"]
-
 LONGEST = 300_000
 """Samples that are compared: 10 minutes at 500 Hz; longer runs are thinned out evenly."""
 SAME_RATE = 1e-3

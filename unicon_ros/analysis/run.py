@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from unicon_core.errors import UniconError
 from unicon_core.gap.trajectories import Array
 
-__all__ = ["BASE", "FEWEST", "JOINTS", "Run", "Window", "make_run", "rising"]
-
 JOINTS = (
     "joint_pos",
     "joint_vel",

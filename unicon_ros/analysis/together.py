@@ -13,8 +13,6 @@ from unicon_core.gap.trajectories import Array
 from unicon_ros.analysis.resampling import common_period, resample
 from unicon_ros.analysis.run import FEWEST, JOINTS, Run
 
-__all__ = ["Options", "Together", "bring_together"]
-
 HOLE = 10.0
 """Periods without a sample that are told of."""
 

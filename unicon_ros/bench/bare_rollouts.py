@@ -18,8 +18,6 @@ from unicon_core.policies.networks.onnx import OnnxNetwork
 from unicon_core.robots import joint_index
 from unicon_core.workflow import load_workflow
 
-__all__ = ["main", "rollout_of"]
-
 
 def rollout_of(workflow: str, ticks: int) -> Callable[[], float]:
     """Return a function that runs one rollout of a policy that walks and returns its way in [m].

@@ -24,8 +24,6 @@ from unicon_ros.bench.networks import random_policy
 from unicon_ros.bench.report import Bench
 from unicon_ros.bench.samples import Samples
 
-__all__ = ["run"]
-
 TICKS = 200
 PHYSICS_TICKS = 100
 

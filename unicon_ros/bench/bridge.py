@@ -19,8 +19,6 @@ from unicon_ros.bench.domains import stay_on_loopback
 from unicon_ros.bench.report import Bench
 from unicon_ros.bench.samples import Samples
 
-__all__ = ["run"]
-
 JOINTS = 20
 FEW, MANY = 12, 64  # joints that `send_growth` compares
 SAMPLES = 200  # of each case in each round

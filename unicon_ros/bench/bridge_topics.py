@@ -21,8 +21,6 @@ from unicon_ros.bench.samples import Step
 from unicon_ros.bridge.topics_in import TopicIn
 from unicon_ros.bridge.topics_out import TopicOut
 
-__all__ = ["Desk", "Received", "arrays_of", "bench_states", "plain_sender", "variables_of"]
-
 JOINT_STATE = "sensor_msgs/msg/JointState"
 POLLED_JOINTS = 20
 WAIT = 5.0  # s for a reader and a writer of one process to find each other

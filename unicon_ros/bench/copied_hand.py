@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from unicon_core.retarget.hand_model import HandModel
 from unicon_core.retarget.human_hand import CHAINS, JOINTS
 
-__all__ = ["bent", "copied_hand", "smooth_motion"]
-
 Float = NDArray[np.float64]
 
 

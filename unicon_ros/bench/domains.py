@@ -7,8 +7,6 @@ import random
 import socket
 from itertools import islice
 
-__all__ = ["free_domain", "free_domains", "loopback_environment", "stay_on_loopback"]
-
 KEPT = 8
 """So many domains, the latest, stay ours though nobody is in them yet."""
 

@@ -7,8 +7,6 @@ import re
 import shutil
 import subprocess
 
-__all__ = ["c_level_floor"]
-
 _LOOPBACK = (
     '<CycloneDDS><Domain id="any"><General><Interfaces><NetworkInterface name="lo"/></Interfaces>'
     "<AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto"

@@ -30,8 +30,6 @@ from unicon_ros.bench.report import Bench
 from unicon_ros.bench.rounds import SEED, Rows, interval, ratios, rounds_of
 from unicon_ros.bench.turns import take_turns
 
-__all__ = ["VARIANTS", "Variant", "run"]
-
 PIPELINES = "unicon_ros.bench.pipelines"
 SWEEPS = 2  # of all phases in one turn: 0.9 % of the rate
 ROUNDS = 20

@@ -6,8 +6,6 @@ import sys
 
 from unicon_ros.cli.main import main as unicon
 
-__all__ = ["main"]
-
 
 def main() -> int:
     """Run the benchmark with the process's arguments and return the exit status."""

@@ -26,8 +26,6 @@ from unicon_core.errors import UniconError
 from unicon_core.signals import SIGNALS
 from unicon_ros.bench.pipelines.log import beside
 
-__all__ = ["LEASE", "SETTLE", "Loop", "Slice", "breathe", "die_with_parent"]
-
 LEASE = 9.0
 """s for which a loop may be held: after 10 participants with `config/dds/no_shared_memory.xml` take
 each other for dead, and commands are lost until they have met again (Fast DDS's own lease: 20)."""

@@ -19,8 +19,6 @@ from unicon_core.models.absent import delete
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.robots import Robot
 
-__all__ = ["MinkArms"]
-
 
 class MinkArms:
     """One step of mink in each call.

@@ -12,8 +12,6 @@ from unicon_core.errors import MissingDependencyError
 from unicon_core.policies import PolicyContract, load_policy
 from unicon_core.robots import Robot
 
-__all__ = ["CLIP", "TERMS", "random_policy"]
-
 TERMS = (
     "{name: base_ang_vel, state: base_ang_vel, scale: 0.25",
     "{name: projected_gravity, state: projected_gravity",

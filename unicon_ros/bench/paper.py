@@ -13,8 +13,6 @@ from collections.abc import Iterable
 
 from unicon_ros.bench.report import Bench
 
-__all__ = ["ROWS", "beside_paper"]
-
 ROWS = {"Recv": "recv", "Send": "send", "End-to-end": "state_to_command"}
 """The paper's row to ours."""
 

@@ -7,8 +7,6 @@ from pathlib import Path
 from unicon_core.errors import MissingDependencyError, UniconError
 from unicon_ros.bench.report import Bench
 
-__all__ = ["plot"]
-
 
 def plot(bench: Bench, path: Path) -> None:
     """Write the picture.

@@ -23,8 +23,6 @@ from unicon_ros.bench.networks import CLIP, random_policy
 from unicon_ros.bench.report import Bench
 from unicon_ros.bench.samples import Paced, Samples, Step, paced, sleep_until
 
-__all__ = ["run"]
-
 RATE = 50.0  # Hz
 SECONDS = 3.0  # of each loop in each round
 WARM_CALLS = 2000  # of each observation in each round, 20 in a sample

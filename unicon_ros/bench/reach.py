@@ -25,8 +25,6 @@ from unicon_core.robots import Robot, load_robot
 from unicon_ros.bench.report import Bench
 from unicon_ros.bench.samples import Samples
 
-__all__ = ["run"]
-
 Float = NDArray[np.float64]
 
 ROBOT, HANDS, MOVES = "g1_29dof", ("left_hand", "right_hand"), ("arms",)

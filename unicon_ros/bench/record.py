@@ -24,8 +24,6 @@ from unicon_ros.bench.samples import Samples
 from unicon_ros.fault_record import FaultRecord
 from unicon_ros.run_recording import Recording
 
-__all__ = ["RATE", "SETTLED", "run", "walk"]
-
 RATE = 500.0  # Hz
 SECONDS = 10.0  # of each run
 SETTLED = 1.0

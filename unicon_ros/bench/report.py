@@ -16,8 +16,6 @@ from numpy.typing import ArrayLike
 
 from unicon_core.aligned import aligned
 
-__all__ = ["Bench", "machine"]
-
 PACKAGES = ("numpy", "mujoco", "onnxruntime", "rosbags", "rclpy", "pyzmq", "numba", "daqp", "mink")
 """Packages whose version may move a number."""
 

@@ -28,8 +28,6 @@ from unicon_ros.bench.copied_hand import copied_hand, smooth_motion
 from unicon_ros.bench.report import Bench
 from unicon_ros.bench.samples import Samples
 
-__all__ = ["run"]
-
 Side: TypeAlias = Callable[[NDArray[np.float32], NDArray[np.float32]], NDArray[np.floating]]
 """Returns the joints for a human hand, and for the vectors of the tips from the palm's body."""
 

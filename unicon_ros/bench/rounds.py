@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from unicon_ros.bench.loops import Loop
 
-__all__ = ["SEED", "Rows", "interval", "ratios", "rounds_of"]
-
 SEED = 0
 
 Rows = dict[str, NDArray[np.float64]]

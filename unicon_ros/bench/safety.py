@@ -21,8 +21,6 @@ from unicon_ros.bench.networks import random_policy
 from unicon_ros.bench.report import Bench
 from unicon_ros.bench.samples import Samples
 
-__all__ = ["run"]
-
 ROBOT = "g1_29dof"
 TICKS = 150
 """Of each graph in a round."""

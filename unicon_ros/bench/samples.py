@@ -10,8 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Paced", "Samples", "Step", "paced", "sleep_until"]
-
 Step = Callable[[], object]
 
 

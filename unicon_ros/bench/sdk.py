@@ -25,8 +25,6 @@ from unicon_ros.bench.report import Bench
 from unicon_ros.bench.rounds import Rows, interval, ratios, rounds_of
 from unicon_ros.bench.turns import take_turns
 
-__all__ = ["VARIANTS", "SdkVariant", "add", "measure", "unavailable"]
-
 PIPELINES = "unicon_ros.bench.pipelines"
 CONTROLLER = Path(__file__).parent / "pipelines" / "unitree_sdk.py"
 PATIENCE = 30.0  # s to import the SDK

@@ -20,8 +20,6 @@ from unicon_core.workflow import load_workflow
 from unicon_ros.bench.report import Bench
 from unicon_ros.bench.samples import Samples
 
-__all__ = ["run"]
-
 Times = NDArray[np.float64]
 
 TICKS = 40

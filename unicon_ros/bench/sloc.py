@@ -17,8 +17,6 @@ from unicon_ros.bench.ad_hoc import AD_HOC, PAPER
 from unicon_ros.bench.report import Bench
 from unicon_ros.bench.transfers import Transfer, lines_of, transferred
 
-__all__ = ["TRANSFERS", "code_of", "run"]
-
 _SKIPPED = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT}
 
 COMPONENTS = (

@@ -21,8 +21,6 @@ from unicon_ros.bench.domains import loopback_environment
 from unicon_ros.bench.report import Bench
 from unicon_ros.bench.samples import Samples
 
-__all__ = ["run"]
-
 ROUNDS = 10
 PATIENCE = 60.0  # s for a process
 

@@ -40,8 +40,6 @@ from unicon_ros.bench.report import Bench
 from unicon_ros.bench.samples import Samples
 from unicon_ros.bench.turns import take_turns
 
-__all__ = ["run"]
-
 RATE = 500.0  # Hz
 SECONDS = 0.5
 ROUNDS = 20

@@ -22,8 +22,6 @@ from unicon_ros.bench.loops import die_with_parent
 from unicon_ros.bench.report import Bench
 from unicon_ros.bench.samples import Samples
 
-__all__ = ["run"]
-
 ROLLOUTS = 2000
 """In all rounds together, of each side."""
 ROUNDS = 20

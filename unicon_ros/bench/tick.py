@@ -23,8 +23,6 @@ from unicon_core.states import States, StateSpec
 from unicon_ros.bench.report import Bench
 from unicon_ros.bench.samples import Samples, Step
 
-__all__ = ["run"]
-
 BLOCKS = (10, 32, 100)
 NEST = 5  # blocks of a zip in a zip
 COPIES = 16

@@ -21,8 +21,6 @@ from unicon_ros.bench.report import Bench
 from unicon_ros.bench.rounds import interval
 from unicon_ros.bench.samples import Paced, Samples, paced, sleep_until
 
-__all__ = ["run"]
-
 RATE = 500.0  # Hz
 ROUNDS = 15
 SECONDS = 1.5  # of each loop in each round: 750 ticks, whose p99 is the eighth latest

@@ -29,8 +29,6 @@ from unicon_core.robots import load_robot
 from unicon_core.workflow import load_document
 from unicon_ros.bench.domains import free_domain
 
-__all__ = ["Outcome", "Transfer", "difference", "edited", "lines_of", "transferred"]
-
 TIMEOUT = 120.0
 """Longest run in [s]: an emulated robot on a busy machine takes its time."""
 

@@ -10,8 +10,6 @@ from unicon_core.signals import SIGNALS, Interrupted
 from unicon_ros.bench.loops import Loop, breathe
 from unicon_ros.cli.console import CLEAR, is_terminal
 
-__all__ = ["take_turns"]
-
 
 def take_turns(
     makers: Mapping[str, Callable[[], Loop]], rounds: int, seconds: float

@@ -25,8 +25,6 @@ from unicon_ros.bench.samples import Samples
 from unicon_ros.view import PORT
 from unicon_ros.view.view import View
 
-__all__ = ["run"]
-
 SECONDS = 10.0  # of each run
 NONE, ALONE, LOOKED_AT = "no viewer", "viewer", "viewer, 3 clients"
 TICK, WHOLE = "recv to send", "whole tick"

@@ -17,8 +17,6 @@ from urllib.parse import urlsplit
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
-__all__ = ["main"]
-
 
 def main() -> int:
     """Run; 0 once the input has ended."""

@@ -13,8 +13,6 @@ from typing import Any
 
 from unicon_ros import compat
 
-__all__ = ["ActionServer", "Goal"]
-
 ACCEPTED, EXECUTING, CANCELING, SUCCEEDED, CANCELED, ABORTED = range(1, 7)
 """action_msgs/msg/GoalStatus."""
 _NONE, _REJECTED, _UNKNOWN, _TERMINATED = range(4)

@@ -10,15 +10,6 @@ from unicon_core.errors import UniconError
 from unicon_core.robots import Robot
 from unicon_core.workflow import Program
 
-__all__ = [
-    "arrays_of",
-    "checked_prefix",
-    "names_of",
-    "robot_variables",
-    "told_states",
-    "variables_of",
-]
-
 
 def arrays_of(program: Program) -> dict[str, NDArray[Any]]:
     """Return the states' views by name; of the first robot where there are many."""

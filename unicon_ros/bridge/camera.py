@@ -45,8 +45,6 @@ from unicon_ros.peripherals.peripheral import (
     peripheral_states,
 )
 
-__all__ = ["Camera", "camera"]
-
 PROCESS = "unicon_ros.bridge.camera_process"
 
 STALE = 2.0

@@ -33,8 +33,6 @@ from unicon_ros.bridge.qos_events import QosEvents
 from unicon_ros.bridge.transforms import TF_MESSAGE, static_transforms
 from unicon_ros.transport import PROFILES
 
-__all__ = ["RELIABILITIES", "CameraTopics", "large_data", "topic_options"]
-
 RELIABILITIES = ("reliable", "best_effort")
 """Of a camera's topics; the first is the default."""
 

@@ -23,8 +23,6 @@ from unicon_ros import compat
 from unicon_ros.bridge.bindings import names_of
 from unicon_ros.bridge.qos import qos_profile
 
-__all__ = ["DebugTopic", "debug_encoder"]
-
 TOPIC = "~/debug"
 TYPE = "diagnostic_msgs/msg/DiagnosticArray"
 PARAMETER = "parameter debug_states"

@@ -9,8 +9,6 @@ from unicon_core.errors import UniconError
 from unicon_ros import compat
 from unicon_ros.parameter_table import RANGES, WORDS
 
-__all__ = ["declare", "fitted"]
-
 KINDS = {bool: "true or false", float: "a number", str: "a text", list: "a list of texts"}
 
 

@@ -20,8 +20,6 @@ from unicon_ros.bridge.neighbours import Neighbours
 from unicon_ros.bridge.topics_in import TopicIn
 from unicon_ros.bridge.topics_out import TopicOut
 
-__all__ = ["Diagnostics"]
-
 OK, WARN, ERROR = b"\x00", b"\x01", b"\x02"
 TEMPERATURES = ("joint_temperature", "motor_temperature", "temperature")
 TOPIC = "/diagnostics"

@@ -23,8 +23,6 @@ from unicon_ros import compat
 from unicon_ros.bridge.services import add_services, explained
 from unicon_ros.controls import Answer
 
-__all__ = ["FAULT", "REFUSAL", "STOP_SERVICES", "EmergencyStop", "latch_of"]
-
 STOP_SERVICES = ("estop", "clear_estop")
 """Names of the services, each `~/<name>` of type std_srvs/srv/Trigger."""
 

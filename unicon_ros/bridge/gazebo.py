@@ -18,8 +18,6 @@ from unicon_ros.bridge.map_fit import examine_platform
 from unicon_ros.bridge.own_node import OwnNode
 from unicon_ros.bridge.ros_platform import RosPlatform, opened
 
-__all__ = ["GazeboPlatform", "make"]
-
 
 def examine(
     states: States,

@@ -18,21 +18,6 @@ from numpy.typing import NDArray
 from unicon_core.errors import UniconError, alternatives
 from unicon_core.models.camera import Intrinsics
 
-__all__ = [
-    "CLOUD",
-    "IMAGE",
-    "INFO",
-    "JPEG",
-    "KINDS",
-    "STAMP",
-    "FrameMessage",
-    "cloud_message",
-    "frame_message",
-    "info_message",
-    "jpeg_message",
-    "rays",
-]
-
 IMAGE, CLOUD = "sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2"
 INFO, JPEG = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/CompressedImage"
 KINDS = ("color", "depth", "cloud")

@@ -24,8 +24,6 @@ from unicon_ros.bridge.topics_out import TopicOut
 from unicon_ros.controls import Answer
 from unicon_ros.parameter_table import INTROSPECTION
 
-__all__ = ["SCHEMA", "Introspection", "layout_text"]
-
 SCHEMA = "unicon.layout/1"
 TOPIC = "~/layout"
 

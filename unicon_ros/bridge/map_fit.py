@@ -38,19 +38,6 @@ if TYPE_CHECKING:
     from unicon_core.check.subject import Subject
     from unicon_core.workflow import Program
 
-__all__ = [
-    "EFFORT",
-    "MEASURED",
-    "ORIENTATION",
-    "Exchange",
-    "check_mirror",
-    "codecs",
-    "examine_platform",
-    "message_class",
-    "mirror_hook",
-    "robot_codecs",
-]
-
 ORIENTATION = "base_quat"
 
 EFFORT = "joint_effort_target"

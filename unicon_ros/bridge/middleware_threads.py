@@ -12,8 +12,6 @@ import contextlib
 import os
 import threading
 
-__all__ = ["calm_middleware_threads"]
-
 
 def calm_middleware_threads() -> int:
     """Give this process's threads that are not Python's SCHED_BATCH; return how many there were.

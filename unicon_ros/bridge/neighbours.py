@@ -13,8 +13,6 @@ from typing import Any
 from unicon_ros.bridge.topics_in import TopicIn
 from unicon_ros.bridge.topics_out import TopicOut
 
-__all__ = ["CLOCK", "Neighbours", "other_types"]
-
 CLOCK = "/clock"
 """Name of the topic in maps, before remaps."""
 AT_ONCE = 8

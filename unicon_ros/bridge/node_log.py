@@ -12,8 +12,6 @@ from typing import Any
 
 from unicon_core.outlet import Outlet
 
-__all__ = ["NodeLog"]
-
 STDERR = 2
 
 

@@ -10,8 +10,6 @@ from unicon_ros import compat
 from unicon_ros.ending import exits_within
 from unicon_ros.transport import without_shared_memory
 
-__all__ = ["OwnNode"]
-
 
 class OwnNode:
     """A plain rclpy node and its executor; signals stay with the runner, which damps first.

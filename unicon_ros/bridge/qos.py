@@ -6,8 +6,6 @@ from typing import Any
 
 from unicon_msgs_map.spec import Qos
 
-__all__ = ["LATCHED", "LATEST", "qos_profile"]
-
 LATEST = Qos(reliability="best_effort", depth=1)
 """For streams of states: only the newest counts, and nothing is sent again."""
 

@@ -14,8 +14,6 @@ from typing import Any
 from unicon_msgs_map.spec import Qos
 from unicon_ros import compat
 
-__all__ = ["CALM", "QosEvents"]
-
 REMEDY = "set qos.{policy} of the topic in the message map, or the peer's"
 
 CALM = 3.0

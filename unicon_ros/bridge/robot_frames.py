@@ -19,8 +19,6 @@ from unicon_ros.bridge.topics_out import TopicOut
 from unicon_ros.bridge.transforms import TF_MESSAGE
 from unicon_ros.parameter_table import FRAMES
 
-__all__ = ["RobotFrames"]
-
 
 class RobotFrames:
     """Publishes `robot_description` and `/tf_static` once, latched for late joiners, and `/tf`.

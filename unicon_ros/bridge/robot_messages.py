@@ -19,8 +19,6 @@ from unicon_msgs_map import Encoder
 from unicon_ros.bridge.bindings import arrays_of
 from unicon_ros.bridge.transforms import FOOTPRINT, LinkTransforms, static_transforms, tf_entry
 
-__all__ = ["RobotMessages"]
-
 RATE = 50.0
 """Rate of the links' transforms in [Hz]: what a viewer needs, whatever the tick."""
 

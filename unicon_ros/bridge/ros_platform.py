@@ -56,8 +56,6 @@ from unicon_ros.bridge.qos import LATEST
 from unicon_ros.bridge.topics_in import TopicIn
 from unicon_ros.bridge.topics_out import TopicOut
 
-__all__ = ["RosPlatform", "make", "opened"]
-
 Made = TypeVar("Made", bound="RosPlatform")
 
 TIMEOUT = 0.5

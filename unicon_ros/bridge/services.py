@@ -10,8 +10,6 @@ from unicon_core.workflow import Program
 from unicon_core.workflow.skills import skills_of
 from unicon_ros.controls import Answer
 
-__all__ = ["SERVICES", "add_services", "explained", "skill_handlers"]
-
 SERVICES = {
     "start": "the operator's go: a robot whose gates hold begins to move; goes on after a pause; "
     "where nothing runs, the node configures and activates as needed",

@@ -52,8 +52,6 @@ from unicon_ros.controls import Controls
 if TYPE_CHECKING:
     from unicon_ros.bridge.trajectories import Trajectories
 
-__all__ = ["RosSession"]
-
 COMMANDED = frozenset(COMMAND_STATES)
 
 

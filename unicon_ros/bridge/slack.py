@@ -15,8 +15,6 @@ from typing import Any
 from unicon_core.runtime import Runner
 from unicon_ros import compat
 
-__all__ = ["SlackServer"]
-
 INTERVAL_NS = 40_000_000
 """A round every 40 ms where nobody asks for anything: 0.3 % of a core."""
 BUSY_NS = 5_000_000

@@ -14,8 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["WallStamp"]
-
 WINDOW_NS = 5_000_000_000
 """Length of a window of the filter; a clock adjustment is followed within two of them."""
 

@@ -21,8 +21,6 @@ from unicon_ros import compat
 from unicon_ros.bridge.qos import qos_profile
 from unicon_ros.bridge.qos_events import QosEvents
 
-__all__ = ["TopicIn"]
-
 DRAIN = 64
 """Messages taken at most in one tick, however fast the peer writes; each take costs about 20 µs."""
 

@@ -13,8 +13,6 @@ from unicon_ros import compat
 from unicon_ros.bridge.qos import qos_profile
 from unicon_ros.bridge.qos_events import QosEvents
 
-__all__ = ["TopicOut"]
-
 GIVE_UP = 100
 """Failures in a row after which a topic is given up: it must not cost every tick."""
 

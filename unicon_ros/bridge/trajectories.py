@@ -25,8 +25,6 @@ from unicon_ros import compat
 from unicon_ros.bridge.action_server import ABORTED, CANCELED, SUCCEEDED, ActionServer, Goal
 from unicon_ros.bridge.bindings import arrays_of
 
-__all__ = ["PLAYED", "Trajectories", "followers"]
-
 PLAYED = ("joint_pos_command", "joint_vel_command")
 """States that trajectories write."""
 ACTION = "control_msgs/action/FollowJointTrajectory"

@@ -17,8 +17,6 @@ from unicon_msgs_map import Encoder, FieldSpec, PublishSpec, Qos
 from unicon_msgs_map.layout.messages import shared_messages
 from unicon_msgs_map.layout.paths import parse_path, parse_reference
 
-__all__ = ["FOOTPRINT", "TF_MESSAGE", "LinkTransforms", "static_transforms", "tf_entry"]
-
 TF_MESSAGE = "tf2_msgs/msg/TFMessage"
 FOOTPRINT = "base_footprint"
 

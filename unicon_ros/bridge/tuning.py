@@ -16,8 +16,6 @@ from unicon_core.states.standard import GAIN_SCALE, GAIN_SCALE_SPEC
 from unicon_core.workflow import Program, WorkflowDocument
 from unicon_ros.parameter_table import LIMITS, NO_LIMIT, SCALES
 
-__all__ = ["Tuning", "too_little_damping"]
-
 UNSCALED = (1.0, 1.0)
 
 LEAST_DAMPING_RATIO = 0.5

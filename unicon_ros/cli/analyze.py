@@ -12,8 +12,6 @@ from unicon_core.errors import UniconError
 from unicon_ros.cli.fit import add_fit, run_fit
 from unicon_ros.cli.workflow_arguments import positive
 
-__all__ = ["add"]
-
 
 def add(commands: Any) -> None:
     """Add the command to the parser."""

@@ -24,8 +24,6 @@ from unicon_ros.cli.console import CLEAR, is_terminal
 if TYPE_CHECKING:
     from unicon_core.workflow.document import WorkflowDocument
 
-__all__ = ["add", "fetch_all", "fetch_for", "references"]
-
 EVERY = 0.1
 """Of the progress line in [s]."""
 HEAD = ("asset", "kind", "MB", "licence", "at hand")

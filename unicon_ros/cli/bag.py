@@ -12,8 +12,6 @@ from unicon_core.errors import UniconError
 from unicon_ros.cli.workflow_arguments import positive
 from unicon_ros.datasets import WRITERS
 
-__all__ = ["add"]
-
 
 def add(commands: Any) -> None:
     """Add the command to the parser."""

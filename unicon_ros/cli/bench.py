@@ -9,8 +9,6 @@ from typing import Any
 
 from unicon_core.errors import UniconError
 
-__all__ = ["BENCHES", "add", "bench"]
-
 BENCHES = {
     "batch": "unicon_ros.bench.batch",
     "bridge": "unicon_ros.bench.bridge",

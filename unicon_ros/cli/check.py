@@ -11,8 +11,6 @@ if TYPE_CHECKING:
     from unicon_core.flow import Block, Stage
     from unicon_core.workflow import Program
 
-__all__ = ["add", "check"]
-
 
 def add(commands: Any) -> None:
     """Add the command to the parser."""

@@ -11,8 +11,6 @@ from collections.abc import Iterable, Iterator
 
 from unicon_ros.cli.known import VERBS
 
-__all__ = ["complete"]
-
 LISTS = ("robots", "policies", "platforms", "faces", "blocks", "workflows")
 """Commands that list names."""
 ASSETS = ("fetch", "path", "verify")

@@ -8,8 +8,6 @@ from typing import Any
 
 from unicon_core.outlet import Outlet, to_stderr
 
-__all__ = ["Console", "is_terminal"]
-
 CLEAR = "\r\x1b[K"
 
 

@@ -12,8 +12,6 @@ from typing import Any
 
 from unicon_core.aligned import aligned
 
-__all__ = ["add"]
-
 MARKS = {"ok": "", "note": "·", "warning": "!", "error": "✗"}
 
 

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from unicon_core.robots import Robot
     from unicon_ros.emulate.defects import Defects
 
-__all__ = ["add", "emulate"]
-
 LOOPBACK = "127.0.0.1"
 
 

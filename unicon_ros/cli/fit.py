@@ -12,8 +12,6 @@ from typing import Any
 from unicon_core.errors import UniconError
 from unicon_ros.cli.workflow_arguments import positive
 
-__all__ = ["add_fit", "run_fit"]
-
 
 def add_fit(parser: argparse.ArgumentParser) -> None:
     """Add the options of a fit to those of `unicon analyze`."""

@@ -9,8 +9,6 @@ from unicon_core.states.c_header import write_header
 from unicon_core.states.groups import Groups, groups_of
 from unicon_core.workflow import Program, load_workflow
 
-__all__ = ["header"]
-
 
 def header(arguments: argparse.Namespace) -> int:
     """Run the command."""

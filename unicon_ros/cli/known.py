@@ -18,9 +18,6 @@ if TYPE_CHECKING:
 
     from unicon_core.robots import Robot
 
-__all__ = ["VERBS", "add"]
-
-
 VERBS = ("robots new", "policies import", "policies fetch")
 """Commands of two words, each with its own help."""
 

@@ -9,8 +9,6 @@ from unicon_core.aligned import aligned
 from unicon_core.errors import UniconError
 from unicon_core.latches import Latched, latch_folder, latches
 
-__all__ = ["add"]
-
 HEAD = ("node or robot", "domain", "latched", "since", "reason")
 
 

@@ -43,8 +43,6 @@ from unicon_ros.cli import (
 )
 from unicon_ros.cli.completion import complete
 
-__all__ = ["main"]
-
 
 class _Parser(argparse.ArgumentParser):
     """A parser with what stands before a command and behind it."""

@@ -27,8 +27,6 @@ from unicon_core.robots.validate import KINDS, SCHEMA, validate
 from unicon_ros.cli.robot_feet import feet_of
 from unicon_ros.cli.robot_kind import kind_of, legs_of, wheels_of
 
-__all__ = ["new_robot"]
-
 Float = NDArray[np.float64]
 
 _IMU = re.compile(r"(^|_)imu", re.IGNORECASE)

@@ -14,8 +14,6 @@ from unicon_core.errors import UniconError
 if TYPE_CHECKING:
     from unicon_core.runtime import Runner
 
-__all__ = ["listen"]
-
 LOOK = 0.2
 """How long Enter is waited for before the phase is looked at, in [s]."""
 

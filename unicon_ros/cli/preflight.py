@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from unicon_core.workflow import Program
     from unicon_core.workflow.document import WorkflowDocument
 
-__all__ = ["add", "preflight"]
-
 SHORTEST = 1.0
 """Of `--seconds`: the gates look at half a second, and at a whole one for what is frozen."""
 LONGEST = 600.0

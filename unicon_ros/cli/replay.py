@@ -12,8 +12,6 @@ from unicon_core.errors import UniconError
 from unicon_ros.cli.run import add_options, close_session, run_document
 from unicon_ros.cli.workflow_arguments import add_overrides, positive
 
-__all__ = ["add", "replay"]
-
 
 def add(commands: Any) -> None:
     """Add the command to the parser."""

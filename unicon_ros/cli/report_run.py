@@ -14,8 +14,6 @@ from typing import Any
 
 from unicon_core.errors import UniconError
 
-__all__ = ["add"]
-
 
 def add(commands: Any) -> None:
     """Add the command to the parser."""

@@ -6,8 +6,6 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-__all__ = ["feet_of"]
-
 _FOOT = re.compile(r"foot|feet|toe", re.IGNORECASE)
 _CORNER = re.compile(r"^[A-Z]{2}$")
 """FL, HR and the like: of its leg's last body, the sphere that touches the ground."""

@@ -19,8 +19,6 @@ from unicon_core.models.joints import free_joint
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.robots.validate import KINDS
 
-__all__ = ["kind_of", "legs_of", "wheels_of"]
-
 _LEG = re.compile(
     r"hip|knee|ankle|thigh|calf|shank|abad|foot|toe|(^|_)u?leg(_|\d|$)|(^|_)(haa|[hkf]fe)(_|$)",
     re.IGNORECASE,

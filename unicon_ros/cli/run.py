@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from unicon_core.workflow import Hook, Program
     from unicon_core.workflow.document import WorkflowDocument
 
-__all__ = ["add", "add_options", "close_session", "run", "run_document"]
-
 
 def add(commands: Any) -> None:
     """Add the command to the parser."""

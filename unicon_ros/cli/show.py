@@ -8,8 +8,6 @@ from typing import Any
 
 from unicon_ros.cli.workflow_arguments import add_workflow
 
-__all__ = ["add", "show"]
-
 
 def add(commands: Any) -> None:
     """Add the command to the parser."""

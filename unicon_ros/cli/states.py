@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from unicon_core.states.backends.shm import Segment
     from unicon_core.states.states import Array
 
-__all__ = ["add", "states"]
-
 LOOK = 0.5
 """Time in [s] over which rates are counted."""
 

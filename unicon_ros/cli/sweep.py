@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from unicon_ros.sweep.plan import Plan
     from unicon_ros.sweep.results import Results
 
-__all__ = ["add"]
-
 REPORT, COMPARE = "report", "compare"
 MOST_WORKERS = 1024
 EVERY = 0.5

@@ -19,8 +19,6 @@ from unicon_core.errors import UniconError, alternatives
 from unicon_core.signals import SIGNALS
 from unicon_ros.cli.workflow_arguments import positive
 
-__all__ = ["add", "filled"]
-
 PATIENCE = 5.0
 """In [s], for somebody to be there, and for an answer."""
 LINGER = 0.2

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from unicon_ros.transfer.plan import Plan
     from unicon_ros.transfer.results import Results
 
-__all__ = ["add"]
-
 TIMEOUT = 600.0
 """Wall time in [s] that a run may take, the compilation of an engine included."""
 MOST_SEEDS = 1000

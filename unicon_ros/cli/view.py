@@ -12,8 +12,6 @@ from unicon_core.signals import SIGNALS
 from unicon_ros.cli.workflow_arguments import add_view_options, positive, view_options
 from unicon_ros.view import SINKS
 
-__all__ = ["add"]
-
 INTERVAL = 1.0 / 60.0
 """How often a sink looks, in [s]."""
 

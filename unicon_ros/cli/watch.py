@@ -15,8 +15,6 @@ from unicon_core.signals import SIGNALS
 from unicon_core.states import Layout, States
 from unicon_core.states.backends.shm import Segment, ShmWatcher, segment_path
 
-__all__ = ["watch"]
-
 SILENCE = 1.0
 """Time in [s] without a new value after which a living writer is said to be silent."""
 

@@ -8,17 +8,6 @@ from typing import Any
 
 from unicon_ros.view import LOCAL, PORT
 
-__all__ = [
-    "add_overrides",
-    "add_view_options",
-    "add_workflow",
-    "count_to",
-    "port",
-    "positive",
-    "quality",
-    "view_options",
-]
-
 
 def add_workflow(parser: argparse.ArgumentParser) -> None:
     """Add WORKFLOW and `--set`."""

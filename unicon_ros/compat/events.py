@@ -8,8 +8,6 @@ import itertools
 from collections.abc import Callable, Mapping
 from typing import Any
 
-__all__ = ["incompatible_policy", "with_events"]
-
 
 def with_events(
     kind: str, callbacks: Mapping[str, Callable[[Any], None]], create: Callable[..., Any]

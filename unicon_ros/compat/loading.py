@@ -10,8 +10,6 @@ from typing import Any
 
 from unicon_core.errors import MissingDependencyError
 
-__all__ = ["fast_dds_profiles", "import_rclpy", "imported_first", "is_fast_dds", "message_class"]
-
 _WHEELS = "pip install 'unicon_ros[ros]'"
 _SOURCE = "source /opt/ros/<distro>/setup.bash"
 

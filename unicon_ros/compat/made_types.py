@@ -23,8 +23,6 @@ from unicon_msgs_map.errors import MapError
 from unicon_msgs_map.layout.described import described, rihs01
 from unicon_ros.compat.loading import fast_dds_profiles, message_class
 
-__all__ = ["bytes_class"]
-
 _ANY_C, _FAST_C = b"rosidl_typesupport_c", b"rosidl_typesupport_fastrtps_c"
 _MEMBERS_C = b"rosidl_typesupport_introspection_c"
 _POINTER = ctypes.c_void_p

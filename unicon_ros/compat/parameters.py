@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-__all__ = ["convert_parameters", "parameter_given", "parameters_given"]
-
 
 def parameters_given(node: Any) -> Mapping[str, Any]:
     """Return the parameters that a node was given at start, by name; none where rclpy hides it."""

@@ -6,15 +6,6 @@ import contextlib
 from collections.abc import Callable
 from typing import Any
 
-__all__ = [
-    "polled_group",
-    "raw_publish",
-    "raw_take",
-    "request_take",
-    "requests_take",
-    "wait_for_readers",
-]
-
 
 def polled_group() -> Any:
     """Return a callback group that keeps executors from taking messages that the tick polls.

@@ -10,8 +10,6 @@ from typing import Any
 
 from unicon_ros.compat.loading import is_fast_dds
 
-__all__ = ["Responses", "Transitions"]
-
 
 class Transitions:
     """A lifecycle node's `change_state`, whose answers are true and never missing.

@@ -17,8 +17,6 @@ from contextlib import suppress
 from functools import partial
 from typing import Any, NamedTuple, TypeAlias
 
-__all__ = ["Piece", "Serving"]
-
 EVENTS = 8
 """QoS events asked in one piece."""
 EVENTS_NS = 1_000_000_000

@@ -8,8 +8,6 @@ from typing import Any
 
 from unicon_core.errors import UniconError
 
-__all__ = ["ReusedWaitSet", "steady_timer"]
-
 
 class ReusedWaitSet:
     """Waits for any of some subscriptions with one wait set, made once.

@@ -13,8 +13,6 @@ from unicon_core.states.standard import FORWARDED_STATES
 from unicon_ros.datasets.episodes import Episode
 from unicon_ros.recording import Record
 
-__all__ = ["ACTION", "COMMANDS", "Column", "default_actions", "default_states", "made_columns"]
-
 ACTION = "action"
 OBSERVED = {
     "joint_pos": "observation.state",

@@ -13,8 +13,6 @@ from unicon_core.errors import UniconError
 from unicon_ros.datasets.pictures import Pictures, Shown
 from unicon_ros.recording import Record
 
-__all__ = ["Episode", "episodes_of", "rate_of", "sampled"]
-
 LONGEST_STEP = 1.0
 """Between two ticks in [s]; where the clock says more, or goes back, somebody has set it."""
 

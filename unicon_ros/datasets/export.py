@@ -29,8 +29,6 @@ from unicon_ros.datasets.package import PackageWriter, import_lerobot
 from unicon_ros.datasets.writer import DatasetWriter, import_pyarrow
 from unicon_ros.recording import Record, open_record
 
-__all__ = ["export_dataset"]
-
 
 def export_dataset(paths: Sequence[Path], out: Path, wanted: Wanted) -> list[str]:
     """Write recordings as one data set; return what to tell, a line each.

@@ -10,8 +10,6 @@ from unicon_ros.datasets.columns import Column
 from unicon_ros.datasets.pictures import Pictures
 from unicon_ros.datasets.video import NAME, PIXELS, can_encode
 
-__all__ = ["DEFAULTS", "TICK", "Feature", "features_of", "image_key", "info_of"]
-
 TICK = "unicon.tick"
 """Feature with the number of the recording's tick, so that a frame is found again there."""
 

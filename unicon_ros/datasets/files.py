@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-__all__ = ["CHUNK", "Files", "task_index", "write_json"]
-
 CHUNK = 1000
 """Files of a folder `chunk-000`."""
 

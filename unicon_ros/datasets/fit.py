@@ -14,8 +14,6 @@ from unicon_ros.datasets.episodes import rate_of
 from unicon_ros.datasets.pictures import Pictures, pictures_of, sizes
 from unicon_ros.recording import Record
 
-__all__ = ["Wanted", "cameras_of", "fps_of", "refuse_others"]
-
 
 @dataclass(frozen=True)
 class Wanted:

@@ -18,8 +18,6 @@ from unicon_ros.datasets.episodes import Episode
 from unicon_ros.datasets.features import Feature, info_of
 from unicon_ros.datasets.writer import VERSION
 
-__all__ = ["PackageWriter", "import_lerobot"]
-
 MODULE = "lerobot.datasets.lerobot_dataset"
 
 

@@ -16,8 +16,6 @@ from unicon_core.errors import MissingDependencyError, UniconError
 from unicon_ros.recording import Record
 from unicon_ros.recording.frames import Frames
 
-__all__ = ["Pictures", "Shown", "pictures_of", "png", "sizes"]
-
 IMAGE, JPEG = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 RGB = "rgb8"
 _FRAME = 12

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 
 from unicon_ros.datasets.pictures import Shown
 
-__all__ = ["Statistics", "joined", "of_pictures", "of_values"]
-
 Statistics: TypeAlias = dict[str, NDArray[Any]]
 """`min`, `max`, `mean`, `std`, `count`, `q01` … to values."""
 

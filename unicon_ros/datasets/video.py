@@ -16,8 +16,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["CODEC", "PIXELS", "Video", "can_encode"]
-
 CODEC, NAME, PIXELS = "libsvtav1", "av1", "yuv420p"
 OPTIONS = {"g": "2", "crf": "30", "preset": "12"}
 SMALLEST = 64

@@ -26,8 +26,6 @@ from unicon_ros.datasets.files import CHUNK, Files, task_index, write_json
 from unicon_ros.datasets.statistics import Statistics, joined, of_pictures, of_values
 from unicon_ros.datasets.video import Video
 
-__all__ = ["DATA", "EPISODES", "VERSION", "VIDEO", "DatasetWriter", "import_pyarrow"]
-
 VERSION = "v3.0"
 DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 EPISODES = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"

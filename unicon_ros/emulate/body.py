@@ -23,8 +23,6 @@ from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.workflow.registry import find_factory
 
-__all__ = ["JOINTS_ALONE", "POSTURES", "Body", "body_of", "random_posture"]
-
 JOINTS_ALONE = "fake"
 """In place of a model: joints follow their targets, the base stands still."""
 POSTURES = ("rest", "default", "random")

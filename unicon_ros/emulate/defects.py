@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from unicon_core.states import States
 from unicon_core.states.standard import JOINT_STATES
 
-__all__ = ["Defects"]
-
 
 @dataclass(frozen=True)
 class Defects:

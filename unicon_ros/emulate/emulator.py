@@ -31,8 +31,6 @@ from unicon_ros.emulate.face import Face, Timed
 from unicon_ros.emulate.reaching import reaching
 from unicon_ros.emulate.telling import Say, Telling, say
 
-__all__ = ["SILENCE", "Emulator", "emulated"]
-
 SILENCE = 0.5
 """After so long without a command, or its dead man's time, the next one is a first one, [s]."""
 LATE = 0.1

@@ -18,8 +18,6 @@ from __future__ import annotations
 
 from typing import Protocol, runtime_checkable
 
-__all__ = ["Face", "Timed"]
-
 
 @runtime_checkable
 class Timed(Protocol):

@@ -12,8 +12,6 @@ from unicon_core.robots import Robot, robot_names
 from unicon_core.workflow.hardware import refuse_incomplete
 from unicon_ros.emulate.face import Face
 
-__all__ = ["WORKFLOW", "reaching"]
-
 WORKFLOW = "h1_stand"
 """Goes to the default pose; any robot does."""
 

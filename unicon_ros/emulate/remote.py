@@ -12,8 +12,6 @@ from unicon_core.states import States
 from unicon_core.states.standard import control_states
 from unicon_core.workflow.autowire import BuildContext
 
-__all__ = ["Remote"]
-
 
 class Remote:
     """Brings what is held into the bytes that the robot tells.

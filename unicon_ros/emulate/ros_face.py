@@ -23,8 +23,6 @@ from unicon_core.states import States
 from unicon_ros.bridge.own_node import OwnNode
 from unicon_ros.compat.loading import message_class
 
-__all__ = ["RosFace", "face"]
-
 WATCHDOG = 0.5
 """Its own dead man, [s]."""
 FASTEST = 1000.0

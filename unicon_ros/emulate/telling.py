@@ -28,8 +28,6 @@ from numpy.typing import NDArray
 
 from unicon_core.states import States
 
-__all__ = ["TOLD_EVERY", "Say", "Telling", "say"]
-
 Say = Callable[..., None]
 
 TOLD_EVERY = 50

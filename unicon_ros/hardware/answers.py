@@ -6,8 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-__all__ = ["Answers"]
-
 NAMED = 3
 """How many a message names."""
 

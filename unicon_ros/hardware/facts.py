@@ -18,9 +18,6 @@ from numpy.typing import NDArray
 from unicon_core.errors import PlatformError, RobotError
 from unicon_core.robots import Robot
 
-__all__ = ["TransportFacts", "ipv4", "port_number"]
-
-
 K = TypeVar("K", int, str)
 
 

@@ -17,8 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from unicon_core.states import States
 
-__all__ = ["UNDOCUMENTED", "EmulatedModes", "ModeGuard"]
-
 SETTLES = 0.2
 """A motor may reach its mode so much later than the one before, [s]: 100 frames at 500 Hz."""
 UNDOCUMENTED = math.inf

@@ -14,8 +14,6 @@ from collections import deque
 from unicon_core.errors import Fault
 from unicon_ros.hardware.wire import ahead
 
-__all__ = ["Milliseconds", "Repeats", "RobotClock"]
-
 WRAP = 1 << 32
 
 

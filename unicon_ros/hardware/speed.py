@@ -7,8 +7,6 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Speed"]
-
 SHORTEST_NS = 1_000_000
 """Two looks may be as close as they like, and are taken as so far apart, [ns]."""
 

@@ -7,8 +7,6 @@ import socket
 
 from unicon_core.errors import Fault, PlatformError
 
-__all__ = ["Udp"]
-
 LARGEST = 65536
 """Bytes of a datagram."""
 MOST = 64

@@ -16,8 +16,6 @@ from typing import Protocol, runtime_checkable
 
 from unicon_ros.hardware.modes import ModeGuard
 
-__all__ = ["Clocked", "Commanded", "Counts", "Guarded", "Prepared", "Wire", "ahead", "newer"]
-
 _HALF = 1 << 31
 
 

@@ -33,8 +33,6 @@ from unicon_core.states.standard import COMMAND_STATES
 from unicon_ros.hardware.robot_clock import RobotClock
 from unicon_ros.hardware.wire import Clocked, Commanded, Guarded, Prepared, Wire
 
-__all__ = ["WiredRobot", "opened"]
-
 SILENCE = 0.05
 """Without a good frame for so long, in [s], a robot at 500 Hz is silent: 25 frames are missing."""
 LOOKING = 0.002

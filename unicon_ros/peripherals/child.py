@@ -28,8 +28,6 @@ from unicon_core.platforms.child.parent import ALARM, LONGEST, Parent, text_of
 from unicon_core.states import Layout, States
 from unicon_core.states.backends.shm import Segment, ShmWriter
 
-__all__ = ["GROUP", "SLICE", "START", "Device", "Feed", "Gone", "end", "handle_state", "serve"]
-
 GROUP = "told"
 """The group of a peripheral's segment."""
 

@@ -33,16 +33,6 @@ from unicon_ros.peripherals.child import GROUP, START, handle_state
 if TYPE_CHECKING:
     from unicon_ros.bridge.images import FrameMessage
 
-__all__ = [
-    "FrameSource",
-    "Peripheral",
-    "check_positive",
-    "check_stale",
-    "peripheral_block",
-    "peripheral_states",
-    "short",
-]
-
 GLANCE, LOOK = 0.02, 0.25
 """How often it is looked how old the values are, and whether the process lives and what it says, in
 [s]; values themselves are looked at in every tick."""

@@ -26,8 +26,6 @@ from unicon_ros.peripherals.peripheral import (
     peripheral_states,
 )
 
-__all__ = ["messages", "realsense"]
-
 PROCESS = "unicon_ros.peripherals.realsense_process"
 
 

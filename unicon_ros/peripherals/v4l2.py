@@ -20,8 +20,6 @@ from typing import Any, Protocol
 from unicon_core.errors import UniconError
 from unicon_ros.peripherals.child import Gone
 
-__all__ = ["Capture", "Frame", "Kernel", "System"]
-
 CAPABILITY = struct.Struct("<16s32s32sIII12x")  # driver, card, bus, version, capabilities, device's
 FORMAT = struct.Struct("<I4x12I152x")  # type; width, height, pixelformat, field, bytesperline, …
 PARAMETERS = struct.Struct("<I6I176x")  # type; capability, mode, numerator, denominator, …

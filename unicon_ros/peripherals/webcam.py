@@ -25,8 +25,6 @@ from unicon_ros.peripherals.peripheral import (
     peripheral_states,
 )
 
-__all__ = ["FORMATS", "message_of", "webcam"]
-
 PROCESS = "unicon_ros.peripherals.webcam_process"
 
 FORMATS = {"yuyv": "YUYV", "mjpg": "MJPG"}

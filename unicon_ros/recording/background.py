@@ -33,8 +33,6 @@ from unicon_ros.recording.large import Large
 from unicon_ros.recording.mcap_file import Buffer, McapFile
 from unicon_ros.recording.records import MESSAGE, MESSAGE_HEAD, ROW, Channel
 
-__all__ = ["Background", "calm"]
-
 FLUSH_S = 0.7
 SYNC_S = 0.5
 """Between two syncs in [s], where blocks are full earlier."""

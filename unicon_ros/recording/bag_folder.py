@@ -31,8 +31,6 @@ from unicon_ros.recording.records import (
 )
 from unicon_ros.recording.tick_message import TOPIC
 
-__all__ = ["BagFile", "BagFolder", "Split", "write_metadata"]
-
 VERSION = 5
 """Of `metadata.yaml`: the one that Humble writes and all later releases read."""
 _UNITS = {"kb": 1e3, "mb": 1e6, "gb": 1e9, "s": 1e9, "min": 60e9, "h": 3600e9}

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from unicon_core.errors import MissingDependencyError, StateError, UniconError, alternatives
 from unicon_ros.recording.read import Record
 
-__all__ = ["FORMATS", "export"]
-
 HEADS = ("stamp_ns", "tick", "phase", "ended")
 """Columns that stand before the states."""
 BLOCK = 4096

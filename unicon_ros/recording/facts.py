@@ -30,18 +30,6 @@ if TYPE_CHECKING:
     from unicon_core.states import Layout
     from unicon_core.workflow import Program
 
-__all__ = [
-    "SCHEMA",
-    "content_of",
-    "facts_of",
-    "layout_facts",
-    "network_hash",
-    "robot_facts",
-    "robot_text",
-    "system_here",
-    "versions_here",
-]
-
 SCHEMA = "unicon.record/1"
 VERSIONS = (
     *("numpy", "onnxruntime", "torch", "mujoco", "pybullet", "jax", "newton", "rclpy"),

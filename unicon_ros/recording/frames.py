@@ -12,8 +12,6 @@ from unicon_ros.recording.records import MESSAGE_HEAD
 from unicon_ros.recording.scan import Scan
 from unicon_ros.recording.tick_message import FRAMES
 
-__all__ = ["Frames", "frames_in"]
-
 _HEAD = np.dtype(
     [
         ("opcode", "u1"),

@@ -20,8 +20,6 @@ from unicon_ros.bridge.bindings import robot_variables
 from unicon_ros.recording.imported import layout_of, write_imported
 from unicon_ros.recording.read import missing
 
-__all__ = ["MAP", "import_bag", "open_bag"]
-
 _SENSED = frozenset((*JOINT_STATES, *BASE_STATES))
 """States without which there is no tick; others are NaN where nothing tells them yet."""
 

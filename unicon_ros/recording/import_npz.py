@@ -15,8 +15,6 @@ from unicon_ros.recording.imported import write_imported
 from unicon_ros.recording.npz import KEYS, NAMES, UNICONS, Archive, read_archive
 from unicon_ros.recording.read import LONGEST, SHORTEST
 
-__all__ = ["import_npz"]
-
 
 def import_npz(
     source: Path,

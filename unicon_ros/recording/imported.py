@@ -22,8 +22,6 @@ from unicon_ros.recording.read import LONGEST, SHORTEST
 from unicon_ros.recording.tick_file import write_ticks
 from unicon_ros.recording.tick_message import Kept, kept_moments
 
-__all__ = ["layout_of", "write_imported"]
-
 CDR = bytes((0, 1, 0, 0))
 
 

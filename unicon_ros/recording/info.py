@@ -16,8 +16,6 @@ from unicon_ros.recording.import_bag import open_bag
 from unicon_ros.recording.read import Record, files_of, missing, open_record
 from unicon_ros.recording.scan import Scan, scan
 
-__all__ = ["info_of", "info_text"]
-
 TOLD = ("workflow", "robot", "platform", "part", "reason", "written", "imported_from")
 """Facts that are told as they are."""
 

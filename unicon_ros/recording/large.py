@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from unicon_ros.recording.records import MESSAGE, MESSAGE_HEAD, ROW
 
-__all__ = ["Large"]
-
 MOST_BYTES = 1 << 26
 """Of messages of one topic that wait for the medium: 2.4 s of 640 x 480 colours at 30 Hz."""
 

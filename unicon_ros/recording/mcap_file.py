@@ -30,8 +30,6 @@ from unicon_ros.recording.records import (
     summary,
 )
 
-__all__ = ["McapFile", "Taken"]
-
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """The medium, the user's share of it, or the largest file is used up."""
 

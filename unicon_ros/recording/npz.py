@@ -19,8 +19,6 @@ from numpy.typing import NDArray
 from unicon_core.errors import UniconError, one_line
 from unicon_core.platforms.kit.base import quat_of_rpy
 
-__all__ = ["KEYS", "NAMES", "UNICONS", "Archive", "read_archive", "too_large"]
-
 Array = NDArray[np.float64]
 
 KEYS = {

@@ -11,8 +11,6 @@ import yaml
 
 from unicon_msgs_map import Qos
 
-__all__ = ["offered_qos"]
-
 # Values of rmw/types.h.
 _HISTORY = {"keep_last": 1, "keep_all": 2}
 _RELIABILITY = {"reliable": 1, "best_effort": 2}

@@ -24,8 +24,6 @@ from unicon_ros.recording.frames import Frames, frames_in
 from unicon_ros.recording.scan import Scan, gather, scan
 from unicon_ros.recording.tick_message import FRAMES, Kept, Moment, kept_moments
 
-__all__ = ["Record", "files_of", "missing", "open_record"]
-
 _T = TypeVar("_T")
 
 SHORTEST, LONGEST = 1e-6, 86_400.0

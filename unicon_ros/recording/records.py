@@ -15,23 +15,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "CHUNK_HEAD",
-    "MAGIC",
-    "MESSAGE_HEAD",
-    "ROW",
-    "Channel",
-    "Chunk",
-    "attachment",
-    "chunk_head",
-    "chunk_index",
-    "header",
-    "index_of",
-    "message_indexes",
-    "metadata",
-    "summary",
-]
-
 MAGIC = b"\x89MCAP0\r\n"
 
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)

@@ -35,8 +35,6 @@ from unicon_ros.recording.records import (
 )
 from unicon_ros.recording.scan import scan
 
-__all__ = ["recover", "recover_aside", "recover_folder", "salvage"]
-
 LONGEST = 1 << 30
 """No record of ours is longer; a length beyond is rubble of a power loss."""
 

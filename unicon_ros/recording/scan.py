@@ -32,8 +32,6 @@ from unicon_ros.recording.records import (
 )
 from unicon_ros.recording.tick_message import FRAMES, TOPIC
 
-__all__ = ["Scan", "gather", "scan"]
-
 _HEAD = CHUNK_HEAD.size - 9
 _BODY = MESSAGE_HEAD.size - 9
 

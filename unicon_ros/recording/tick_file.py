@@ -15,8 +15,6 @@ from unicon_ros.recording.mcap_file import Buffer, McapFile, Taken
 from unicon_ros.recording.records import MESSAGE, MESSAGE_HEAD, ROW, metadata
 from unicon_ros.recording.tick_message import Kept, tick_channel
 
-__all__ = ["add_ticks", "write_ticks"]
-
 CHUNK_BYTES = 1 << 18
 
 

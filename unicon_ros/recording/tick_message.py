@@ -18,8 +18,6 @@ from unicon_core.runtime.tick_ring import HEAD
 from unicon_core.states import Layout
 from unicon_ros.recording.records import Channel
 
-__all__ = ["FRAMES", "TOPIC", "Kept", "Moment", "kept_moments", "tick_channel"]
-
 TOPIC = "/unicon/ticks"
 
 FRAMES = "/unicon/frames/"

@@ -11,8 +11,6 @@ from unicon_core.errors import StateError
 from unicon_core.states import States
 from unicon_ros.recording import Record
 
-__all__ = ["elements", "refuse_other_batch"]
-
 
 def refuse_other_batch(record: Record, states: States) -> None:
     """Refuse a record of another number of robots than a program's.

@@ -13,8 +13,6 @@ from unicon_core.states import States, StateSpec
 from unicon_ros.recording import Record
 from unicon_ros.replay.alignment import elements, refuse_other_batch
 
-__all__ = ["Columns"]
-
 
 class Columns:
     """What a record has of a program's states, elements in the program's order.

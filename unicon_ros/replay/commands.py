@@ -17,8 +17,6 @@ from unicon_core.workflow.autowire import BuildContext
 from unicon_ros.recording import Record
 from unicon_ros.replay.series import Series, opened
 
-__all__ = ["Recorded", "recorded"]
-
 TARGET = "joint_pos_target"
 GAINS = ("joint_stiffness", "joint_damping")
 

@@ -15,8 +15,6 @@ from unicon_core.policies import Policy
 from unicon_core.policies.driven import policy_of
 from unicon_core.states import States
 
-__all__ = ["Difference", "located", "unequal"]
-
 Array = NDArray[Any]
 TARGET, GAINS = "joint_pos_target", ("joint_stiffness", "joint_damping")
 

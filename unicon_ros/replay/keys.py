@@ -11,8 +11,6 @@ from types import TracebackType
 
 from unicon_ros.controls import Controls
 
-__all__ = ["HELP", "Keys"]
-
 HELP = "space: pause or go on, → ←: 5 s on or back, s: one tick, r: from the beginning, q: end"
 RIGHT, LEFT = b"\x1b[C", b"\x1b[D"
 LOOK = 0.2

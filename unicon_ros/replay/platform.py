@@ -19,8 +19,6 @@ from unicon_core.workflow.start import MOMENTS
 from unicon_ros.recording import Record
 from unicon_ros.replay.series import Series, opened
 
-__all__ = ["TARGET", "ReplayPlatform", "make", "replayed_on"]
-
 TARGET = f"{__name__}:make"
 """What a workflow may call it, registered or not."""
 

@@ -27,8 +27,6 @@ from unicon_ros.replay.workflow import robot_of
 if TYPE_CHECKING:
     from unicon_ros.bridge import RosSession
 
-__all__ = ["play"]
-
 SEEK = 5.0
 """By an arrow, of the record's time in [s]."""
 

@@ -29,8 +29,6 @@ from unicon_ros.recording import Record
 from unicon_ros.replay.columns import Columns
 from unicon_ros.replay.stand_in import StandIn, recorded_facts
 
-__all__ = ["Replayed"]
-
 GIVEN = {"input": ("velocity_command",), "tuned": ("joint_stiffness", "joint_damping")}
 """What comes from outside where a record does not say it."""
 

@@ -16,8 +16,6 @@ from unicon_core.states.standard import JOINT_STATES
 from unicon_ros.recording import Record, open_record
 from unicon_ros.replay.alignment import elements, refuse_other_batch
 
-__all__ = ["Series", "opened"]
-
 MOVING = (Phase.RUN.value, Phase.SOFT.value)
 """Phases of a run in which its flow ticks."""
 

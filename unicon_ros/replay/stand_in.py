@@ -13,8 +13,6 @@ from unicon_core.workflow.hardware import declared_facts
 from unicon_core.workflow.registry import find_factory
 from unicon_ros.recording import Record
 
-__all__ = ["StandIn", "recorded_facts"]
-
 
 class StandIn:
     """Reads and writes what the recorded platform did, and does nothing.

@@ -16,8 +16,6 @@ from unicon_ros.replay.difference import Difference, located
 from unicon_ros.replay.replayed import Replayed
 from unicon_ros.replay.workflow import others, versions
 
-__all__ = ["Verdict", "verify"]
-
 
 @dataclass(frozen=True)
 class Verdict:

@@ -18,8 +18,6 @@ from unicon_core.workflow.load import document_at
 from unicon_ros.recording import Record
 from unicon_ros.recording.facts import network_hash, robot_text, versions_here
 
-__all__ = ["others", "recorded_workflow", "robot_of", "versions", "workflow_of"]
-
 
 def workflow_of(
     record: Record,

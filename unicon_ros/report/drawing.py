@@ -16,8 +16,6 @@ from unicon_core.errors import MissingDependencyError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["INK", "MARK", "PALE", "as_png", "as_svg", "drawn", "envelope", "grids", "require"]
-
 INK, MARK, PALE = "#222221", "#1f4e9c", "#b8b8b8"
 """Text and axes, what is looked at first, what stands behind it. The first two follow the page."""
 _PAPER = "#fefefd"

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from unicon_core.runtime.phases import Phase
     from unicon_core.workflow import Program
 
-__all__ = ["STATES", "Keeper"]
-
 STATES = (
     *("base_pos_w", "base_lin_vel", "base_ang_vel", "projected_gravity", "velocity_command"),
     *("joint_pos", "joint_pos_target", "joint_vel", "joint_effort"),

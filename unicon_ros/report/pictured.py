@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from unicon_core.runtime import Report, Runner
     from unicon_core.workflow import Program
 
-__all__ = ["Pictured"]
-
 
 class Pictured:
     """Keeps what is drawn when the run has ended.

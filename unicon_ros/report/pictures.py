@@ -15,8 +15,6 @@ from unicon_core.runtime.statistics import TickStatistics
 from unicon_ros.report.drawing import INK, MARK, as_png, drawn, envelope, grids
 from unicon_ros.report.kept import Keeper
 
-__all__ = ["PICTURES", "beyond", "write_overview"]
-
 MEASURED, COMMANDED, BAD = MARK, "#e07b00", "#d62728"
 SMALL = 250
 """Points of a curve in one of many small axes, twice."""

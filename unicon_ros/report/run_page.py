@@ -22,8 +22,6 @@ from unicon_ros.report.pictures import PICTURES, beyond
 if TYPE_CHECKING:
     from unicon_core.runtime import Report, Runner
 
-__all__ = ["RunPage"]
-
 MOST_TOLD = 4
 """Joints beyond a limit that are named at the head; the pictures show all of them red."""
 

@@ -21,8 +21,6 @@ from unicon_ros.recording import Record
 from unicon_ros.recording.scan import scan
 from unicon_ros.run_report.level import simulated
 
-__all__ = ["faults_of", "figures_of"]
-
 RANGES = {
     "motor_temperature": "motor_temperature_c",
     "battery_charge": "battery_charge",

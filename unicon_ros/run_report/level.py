@@ -9,8 +9,6 @@ from typing import Any
 from unicon_core.workflow.registry import known
 from unicon_ros.recording import Record
 
-__all__ = ["level_of", "simulated"]
-
 HERE = re.compile(
     r"(.*[/:@])?(127(\.\d+){1,3}|0\.0\.0\.0|\[?::1\]?|localhost\S*|lo\d*)([:/]\d+)?"
     r"|vcan\d*|virtual|/dev/pts/.*",

@@ -22,8 +22,6 @@ from unicon_ros.replay.workflow import recorded_workflow
 from unicon_ros.run_report.figures import faults_of, figures_of
 from unicon_ros.run_report.level import level_of
 
-__all__ = ["SCHEMA", "recording_of", "report_of"]
-
 SCHEMA = "unicon.run/1"
 OTHER = "other"
 """For a name that is not ours."""

@@ -17,16 +17,6 @@ from unicon_core.located_yaml import read_yaml
 from unicon_core.page import write_file
 from unicon_ros.run_report.report import SCHEMA
 
-__all__ = [
-    "read_report",
-    "refuse_existing",
-    "sign",
-    "signature_of",
-    "signed_by",
-    "text_of",
-    "write_report",
-]
-
 NAMESPACE = "unicon-run"
 """Of signatures: one that was made for another purpose signs no report."""
 

@@ -13,8 +13,6 @@ from unicon_ros.sweep.figures import COLUMNS
 from unicon_ros.sweep.proportions import fisher, mcnemar, wilson
 from unicon_ros.sweep.results import Results
 
-__all__ = ["comparison", "paired"]
-
 SURE = 0.05
 LEFT_OUT = ("ticks", "commanded_m", "duration_s", "fall_s")
 DRAWN = ("vary", "sample", "points", "seed", "repeat")

@@ -21,8 +21,6 @@ from unicon_core.bounded_yaml import YamlError
 from unicon_core.errors import UniconError, alternatives
 from unicon_core.located_yaml import parse_value
 
-__all__ = ["DIGITS", "KINDS", "Parameter", "parameter", "setting_of"]
-
 DIGITS = 6
 """Of a number that is drawn: few enough to be read and typed, and then the very same number."""
 MOST_VALUES = 100_000

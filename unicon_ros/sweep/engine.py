@@ -8,8 +8,6 @@ from typing import Any, Protocol
 
 from unicon_ros.sweep.plan import Row
 
-__all__ = ["Engine", "Result"]
-
 
 @dataclass(frozen=True)
 class Result:

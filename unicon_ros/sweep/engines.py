@@ -13,8 +13,6 @@ from unicon_ros.sweep.on_ray.engine import RayEngine, require_ray
 from unicon_ros.sweep.plan import Plan
 from unicon_ros.sweep.sweep_file import ENGINES, SweepFile
 
-__all__ = ["BATCH", "Wish", "engine_of"]
-
 BATCH = 4
 """Rows that `batch` runs side by side, unless told: eight Go2 do not fit into 1 MB of cache."""
 

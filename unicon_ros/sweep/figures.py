@@ -21,8 +21,6 @@ from unicon_ros.analysis.run import FEWEST, Run
 from unicon_ros.sweep.kept_states import columns_of
 from unicon_ros.sweep.motion import apart, finite_rows, moved
 
-__all__ = ["COLUMNS", "Column", "FallLook", "Figures", "Reference", "empty_row"]
-
 Array = NDArray[Any]
 
 HELD_S = 0.1

@@ -19,8 +19,6 @@ from unicon_ros.sweep.identity import changes, code_sha256, versions
 from unicon_ros.sweep.plan import Plan
 from unicon_ros.sweep.shards import read_shards, shard_names, write_shard
 
-__all__ = ["JOURNAL", "SWEEP", "Folder", "read_journal", "read_sweep_json", "require_pyarrow"]
-
 SWEEP, JOURNAL, LOCK = "sweep.json", "journal.jsonl", ".lock"
 SHARD_ROWS = 1000
 

@@ -11,8 +11,6 @@ from typing import Any
 from unicon_core.errors import UniconError, alternatives
 from unicon_ros.sweep.figures import COLUMNS
 
-__all__ = ["SHARES", "Gate", "read_gate"]
-
 _EACH = " for each "
 _FORM = re.compile(r"\s*(\w+)(?:\.(\w+))?\s*(<=|>=|<|>)\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*")
 _SIGNS = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}

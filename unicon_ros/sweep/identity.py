@@ -15,8 +15,6 @@ import unicon_ros.analysis
 import unicon_ros.sweep
 from unicon_core import __version__
 
-__all__ = ["changes", "code_sha256", "differing", "versions"]
-
 PACKAGES = ("numpy", "mujoco", "onnxruntime", "scipy")
 """Packages whose version may move the last bit of a row."""
 

@@ -15,8 +15,6 @@ from unicon_core.runtime.rollouts import Rollout
 from unicon_core.states import States
 from unicon_core.workflow import Program
 
-__all__ = ["Keeper", "columns_of"]
-
 
 def columns_of(states: States, names: Iterable[str]) -> dict[str, slice]:
     """Return where states lie in `Rollout.states`: name to columns.

@@ -12,8 +12,6 @@ from unicon_ros.sweep.piped import PipedProcess
 from unicon_ros.sweep.plan import Row
 from unicon_ros.sweep.pool import LOOK, ONE_THREAD, Pool, PoolWorker
 
-__all__ = ["LocalEngine"]
-
 
 class LocalEngine(Pool):
     """Runs rows in processes.

@@ -20,8 +20,6 @@ from unicon_core.gap.trajectories import Array
 from unicon_ros.analysis.run import Run
 from unicon_ros.analysis.together import Options, bring_together
 
-__all__ = ["apart", "finite_rows", "moved"]
-
 STILL = 1e-6
 """Command in [m/s] and [rad/s] up to which nothing is asked for."""
 

@@ -14,8 +14,6 @@ from unicon_ros.report.drawing import INK, MARK
 from unicon_ros.sweep.proportions import wilson
 from unicon_ros.sweep.results import Results
 
-__all__ = ["PICTURES", "Bins", "bins_of"]
-
 BINS, PAIR_BINS = 8, 6
 """Of a parameter with more values than that."""
 MOST_VALUES = 16

@@ -17,8 +17,6 @@ from unicon_core.signals import signal_name
 from unicon_ros.bench.loops import die_with_parent
 from unicon_ros.last_words import last_words
 
-__all__ = ["PipedProcess", "line_of"]
-
 
 class PipedProcess:
     """A process that ends with us; what it prints goes to a log.

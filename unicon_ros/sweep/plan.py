@@ -23,15 +23,6 @@ from unicon_core.workflow.platforms import facts_of_all, find_platforms
 from unicon_ros.sweep.draws import setting_of
 from unicon_ros.sweep.sweep_file import SCHEMA, SweepFile
 
-__all__ = [
-    "STATES",
-    "Plan",
-    "Row",
-    "document_with",
-    "one_robots_seed",
-    "refuse_robot",
-]
-
 STATES = "kept"
 """Folder of the states that are kept, in that of the sweep."""
 

@@ -13,8 +13,6 @@ from unicon_ros.sweep.engine import Result
 from unicon_ros.sweep.figures import empty_row
 from unicon_ros.sweep.plan import Row
 
-__all__ = ["AHEAD", "HOPELESS", "LOOK", "ONE_THREAD", "START_S", "TRIES", "Pool", "PoolWorker"]
-
 AHEAD = 2
 """Rows that a worker has, for each that it runs: that one and the next, so that it never waits."""
 TRIES = 3

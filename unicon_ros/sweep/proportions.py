@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["fisher", "mcnemar", "wilson"]
-
 Z95 = 1.959963984540054
 """Of the normal distribution, for 95 %."""
 

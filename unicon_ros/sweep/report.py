@@ -13,8 +13,6 @@ from unicon_ros.sweep.pictures import PICTURES
 from unicon_ros.sweep.results import Results
 from unicon_ros.sweep.summary import HEADS, fall_words, figure_rows, outcome_words
 
-__all__ = ["WORST", "write_report"]
-
 WORST = 20
 """Rows that are shown with their commands."""
 

@@ -21,8 +21,6 @@ from unicon_ros.sweep.proportions import wilson
 from unicon_ros.sweep.shards import SETTINGS, VARIED, read_shards
 from unicon_ros.sweep.sweep_file import SCHEMA
 
-__all__ = ["FAILED", "Results"]
-
 FAILED = ("refused", "crashed")
 """Outcomes of rows without a result."""
 

@@ -12,8 +12,6 @@ from unicon_core.errors import UniconError
 from unicon_ros.sweep.figures import COLUMNS
 from unicon_ros.sweep.plan import Plan, Row
 
-__all__ = ["METADATA", "SETTINGS", "VARIED", "read_shards", "shard_names", "write_shard"]
-
 METADATA = b"unicon.sweep"
 """Key of the schema's metadata whose value is JSON: identity, code, versions, programs."""
 SETTINGS = "settings"

@@ -11,8 +11,6 @@ from unicon_ros.sweep.figures import COLUMNS
 from unicon_ros.sweep.proportions import wilson
 from unicon_ros.sweep.results import Results
 
-__all__ = ["fall_words", "figure_rows", "outcome_words", "summary"]
-
 HEADS = ("figure", "unit", "mean", "std", "p05", "p50", "p95", "worst row")
 LOWEST_IS_WORST = ("distance_m", "duration_s", "fall_s")
 LEFT_OUT = ("ticks", "commanded_m")

@@ -26,8 +26,6 @@ from unicon_core.workflow.overrides import split_setting
 from unicon_ros.sweep.draws import Parameter, parameter, setting_of
 from unicon_ros.sweep.gate import Gate, read_gate
 
-__all__ = ["ENGINES", "KEYS", "SAMPLES", "SCHEMA", "SweepFile", "read_sweep"]
-
 SCHEMA = "unicon.sweep/1"
 
 KEYS = {

@@ -25,8 +25,6 @@ from unicon_ros.recording.facts import network_hash, robot_text
 from unicon_ros.sweep.figures import Figures, Reference
 from unicon_ros.sweep.plan import refuse_robot
 
-__all__ = ["Kept", "LookAt", "WarmPrograms", "key_of", "program_sha256"]
-
 LookAt = Callable[[Program], Callable[[States], Look] | None]
 MOST = 4
 """Programs that are kept beside those that run; each holds a model and a network."""

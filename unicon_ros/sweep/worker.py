@@ -30,8 +30,6 @@ from unicon_ros.sweep.piped import line_of
 from unicon_ros.sweep.plan import document_with
 from unicon_ros.sweep.warm import Kept, WarmPrograms
 
-__all__ = ["RowRunner", "Tell", "serve"]
-
 Tell = Callable[[dict[str, Any]], None]
 """Tells the parent something, while a row runs too."""
 

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from unicon_ros.report.drawing import envelope, grids
 from unicon_ros.transfer.table import COLUMNS, FACTORS
 
-__all__ = ["PICTURES", "tracks_of"]
-
 Tracks = Mapping[str, Mapping[str, NDArray[Any]]]
 """Platform to name to states over time, of the first seed."""
 

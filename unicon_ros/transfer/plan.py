@@ -16,8 +16,6 @@ from unicon_core.workflow.platform_use import read_platforms
 from unicon_core.workflow.registry import find_factory, known
 from unicon_ros.sweep.plan import Row, one_robots_seed
 
-__all__ = ["SEEDS", "Plan", "make_plan", "simulators"]
-
 SEEDS = 3
 WITHOUT_PHYSICS = ("fake", "replay")
 """Simulated platforms that simulate no world: compared only where they are named."""

@@ -24,8 +24,6 @@ from unicon_ros.sweep.pool import LOOK
 from unicon_ros.transfer.plan import Plan
 from unicon_ros.transfer.rollout import KEPT
 
-__all__ = ["Tell", "run_one"]
-
 Tell = Callable[[float], None]
 """Takes the time in [s] that a run has simulated, 0 before its first tick; called often."""
 

@@ -13,8 +13,6 @@ from unicon_ros.transfer.pictures import PICTURES, tracks_of
 from unicon_ros.transfer.results import OUTCOMES
 from unicon_ros.transfer.table import COLUMNS, cell, row
 
-__all__ = ["write_report"]
-
 _WORDS = {
     "runs": "how many of the runs that were asked for have come to an end",
     "falls": "runs in which the base leaned by more than 0.8 rad for 0.1 s, or 60° at all",

@@ -18,8 +18,6 @@ from unicon_ros.bench.report import machine
 from unicon_ros.sweep.motion import apart
 from unicon_ros.transfer.plan import Plan
 
-__all__ = ["OUTCOMES", "SCHEMA", "Results", "spread"]
-
 SCHEMA = "unicon.transfer/1"
 
 OUTCOMES = {

@@ -28,8 +28,6 @@ from unicon_ros.sweep.motion import finite_rows
 from unicon_ros.sweep.warm import Kept
 from unicon_ros.sweep.worker import RowRunner, Tell, serve
 
-__all__ = ["KEPT", "TimedRunner"]
-
 KEPT = (
     *("joint_pos", "joint_vel", "joint_pos_target", "joint_effort"),
     *("base_pos_w", "base_quat", "projected_gravity", "base_ang_vel", "velocity_command"),

@@ -9,8 +9,6 @@ from typing import Any
 from unicon_core.aligned import aligned
 from unicon_ros.transfer.results import OUTCOMES
 
-__all__ = ["COLUMNS", "cell", "heads", "row", "table"]
-
 COLUMNS: dict[str, tuple[str, str, str]] = {
     "distance_m": ("distance", "m", "way in the commanded direction"),
     "distance_share": ("of commanded", "%", "the same as a share of what was commanded"),

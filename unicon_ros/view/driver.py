@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from unicon_core.runtime import Runner
     from unicon_ros.peripherals.peripheral import Peripheral
 
-__all__ = ["COMMAND", "FAULT", "Driver"]
-
 COMMAND = "velocity_command"
 FAULT = "emergency stop by a viewer"
 

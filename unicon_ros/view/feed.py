@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from unicon_ros.controls import Controls
     from unicon_ros.view.driver import Driver
 
-__all__ = ["Feed", "started"]
-
 PROCESS = "unicon_ros.view.process"
 
 KEPT_S = 1.0

@@ -28,8 +28,6 @@ from unicon_ros.view.publishers import Publishers
 from unicon_ros.view.shown import Shown
 from unicon_ros.view.source import Remote, Source
 
-__all__ = ["Foxglove"]
-
 APP = "https://app.foxglove.dev"
 """Whose pages may come in besides those of this machine."""
 

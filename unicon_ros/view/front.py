@@ -18,8 +18,6 @@ from urllib.parse import urlsplit
 
 from unicon_core.errors import UniconError
 
-__all__ = ["LOOPBACK", "Front", "check_reach", "hidden_address", "listening", "refusal"]
-
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 SHORTEST = 8
 """Characters of a token."""

@@ -15,8 +15,6 @@ from unicon_core.errors import UniconError
 from unicon_core.packages import package_file
 from unicon_ros.recorded_topics import string_message
 
-__all__ = ["MeshServer"]
-
 SERVED = "package://unicon"
 
 

@@ -20,8 +20,6 @@ from unicon_ros.view.front import Front, hidden_address
 from unicon_ros.view.shown import Shown
 from unicon_ros.view.source import Remote, Source
 
-__all__ = ["Meshcat"]
-
 START = 10.0
 """How long its server may take to begin, in [s]."""
 

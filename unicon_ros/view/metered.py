@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from unicon_core.runtime import Runner
     from unicon_ros.bridge import RosSession
 
-__all__ = ["Metered"]
-
 NAME, SINK = "metrics", "unicon_ros.view.metrics:Metrics"
 
 TOLD = 1.0

@@ -21,8 +21,6 @@ from unicon_core.errors import UniconError
 from unicon_ros.view.shown import Shown
 from unicon_ros.view.source import Remote, Snapshot, Source
 
-__all__ = ["Metrics"]
-
 PATH = "/metrics"
 KIND = "text/plain; version=0.0.4; charset=utf-8"
 

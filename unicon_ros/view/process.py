@@ -13,8 +13,6 @@ from unicon_ros.view import SINKS
 from unicon_ros.view.shown import NAME, Shown
 from unicon_ros.view.source import LiveSource, Remote, Sink
 
-__all__ = ["Viewer", "sink_class"]
-
 INTERVAL = 1.0 / 60.0
 """How often a sink looks, in [s]."""
 

@@ -17,8 +17,6 @@ from unicon_msgs_map import Decoder, load_map
 from unicon_ros.view.shown import DEAD_MAN, Shown
 from unicon_ros.view.source import Remote
 
-__all__ = ["Publishers"]
-
 COMMAND = "velocity_command"
 TWIST = "geometry_msgs/msg/Twist"
 

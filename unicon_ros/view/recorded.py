@@ -24,8 +24,6 @@ from unicon_ros.replay.workflow import robot_of, workflow_of
 from unicon_ros.view.shown import HEAD, Shown, shown_of
 from unicon_ros.view.source import Answered, Snapshot
 
-__all__ = ["RecordedSource", "shown_in"]
-
 BEHIND_S = 60.0
 """So much of the ticks behind the present one is given at once, in [s]: what plots can show."""
 

@@ -21,9 +21,6 @@ from unicon_core.workflow.skills import skills_of
 from unicon_ros.parameter_table import AT_ONCE, RANGES
 from unicon_ros.peripherals.peripheral import peripheral_states
 
-__all__ = ["DEAD_MAN", "DRIVING", "GIVEN_BACK", "HEAD", "NAME", "PAGE", "GraphLine"]
-__all__ += ["Parameter", "Shown", "shown_of"]
-
 NAME = "view"
 """Of the peripheral that a viewer's process is."""
 

@@ -17,8 +17,6 @@ from unicon_core.states.states import aligned_buffer
 from unicon_ros.peripherals.child import Feed
 from unicon_ros.view.shown import DEAD_MAN, DRIVING, GIVEN_BACK, HEAD
 
-__all__ = ["Answered", "LiveSource", "Remote", "Sink", "Snapshot", "Source"]
-
 
 class Snapshot:
     """One tick, copied out of the ring.

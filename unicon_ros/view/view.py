@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from unicon_core.runtime import Runner
     from unicon_ros.bridge import RosSession
 
-__all__ = ["View"]
-
 TOLD = 0.2
 """How often the viewer is told texts that have changed, in [s]."""
 

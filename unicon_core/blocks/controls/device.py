@@ -13,8 +13,6 @@ from unicon_core.states import States, StateSpec
 from unicon_core.states.standard import CONTROL_STATES, control_states
 from unicon_core.workflow.autowire import BuildContext
 
-__all__ = ["Controls", "declares_controls", "device_block"]
-
 
 class Controls:
     """The views of the control states.

@@ -13,8 +13,6 @@ from unicon_core.errors import WorkflowError, alternatives
 from unicon_core.flow.block import Reads, Writes
 from unicon_core.states.standard import BUTTONS
 
-__all__ = ["Drive", "button_named", "drive"]
-
 
 def drive(
     sticks: Reads,

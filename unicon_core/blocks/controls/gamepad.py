@@ -24,8 +24,6 @@ from unicon_core.flow import Block
 from unicon_core.states.standard import BUTTONS
 from unicon_core.workflow.autowire import BuildContext
 
-__all__ = ["Gamepad", "gamepad"]
-
 EVENT = struct.Struct("<qqHHi")
 SYN, KEY, ABS = 0, 1, 3
 DROPPED = 3

@@ -20,8 +20,6 @@ from unicon_core.flow.block import Writes
 from unicon_core.states import States
 from unicon_core.states.standard import BUTTONS
 
-__all__ = ["HeadsetControls", "headset_controls"]
-
 PRESSED = 0.5
 """How far a button is pressed that counts, 0 to 1."""
 

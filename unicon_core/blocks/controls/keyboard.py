@@ -20,8 +20,6 @@ from unicon_core.flow import Block
 from unicon_core.states.standard import BUTTONS
 from unicon_core.workflow.autowire import BuildContext
 
-__all__ = ["Keyboard", "keyboard"]
-
 STICK_KEYS = {
     "w": (1, 1.0),
     "s": (1, -1.0),

@@ -33,8 +33,6 @@ from unicon_core.flow.block import Reads, Writes
 from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext
 
-__all__ = ["KEYS", "Modes", "Seen", "Way", "check_buttons", "modes", "way_of"]
-
 CENTRED = 0.2
 """A stick that is no further away is let go."""
 KEYS = ("button", "from", "after", "tilt", "calm")

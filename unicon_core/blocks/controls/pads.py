@@ -17,8 +17,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-__all__ = ["HATS", "INPUT", "MAPPINGS", "Finder", "Identity", "Pad", "ask", "pad_of"]
-
 INPUT = Path("/dev/input")
 
 _OTHERS = {

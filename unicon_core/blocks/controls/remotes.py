@@ -23,8 +23,6 @@ from typing import Any
 from unicon_core.blocks.controls.device import Controls
 from unicon_core.states.standard import BUTTONS
 
-__all__ = ["REMOTES", "booster", "dobot", "pnd", "unitree", "unitree_pressed"]
-
 _UNITREE = struct.Struct("<2xH3f4xf16x")
 _DOBOT = struct.Struct("<2xBB4f20x")
 _PND = struct.Struct("<19f")

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from unicon_core.blocks.controls.modes import Modes, Seen, Way
 from unicon_core.workflow.autowire import BuildContext
 
-__all__ = ["SKILL", "Ended", "Skills"]
-
 SKILL = "skill"
 """State: number of the present skill, in the order of the workflow."""
 

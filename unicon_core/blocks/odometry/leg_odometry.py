@@ -20,8 +20,6 @@ from unicon_core.robots import Robot
 from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext
 
-__all__ = ["LegOdometry", "leg_odometry"]
-
 View = NDArray[Any]
 
 ACCELERATION_NOISE, JOINT_NOISE = 1.5, 0.4

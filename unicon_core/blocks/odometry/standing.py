@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from unicon_core.models.feet import GRAVITY, Feet
 from unicon_core.robots import Robot
 
-__all__ = ["Standing"]
-
 _LEAST, _SURE = 0.4, 0.8
 """Of an equal share of the weight: what a foot bears that surely hangs, and surely stands. A leg
 that swings asks its joints for up to a third of it."""

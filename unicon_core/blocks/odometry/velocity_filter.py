@@ -17,8 +17,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-__all__ = ["VelocityFilter"]
-
 Vector = Sequence[float]
 
 GRAVITY = 9.81

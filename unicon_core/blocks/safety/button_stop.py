@@ -18,8 +18,6 @@ from unicon_core.errors import EmergencyStopPressed, Fault, WorkflowError
 from unicon_core.flow.block import Reads
 from unicon_core.robots import Robot
 
-__all__ = ["ButtonStop", "RemoteStop", "button_stop", "remote_stop"]
-
 STEADY = 2
 """For how many ticks all buttons of an emergency stop are pressed: one frame may be garbage."""
 

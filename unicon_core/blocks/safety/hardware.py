@@ -10,8 +10,6 @@ from unicon_core.errors import WorkflowError
 from unicon_core.states.standard import HARDWARE_STATES
 from unicon_core.workflow.autowire import BuildContext
 
-__all__ = ["hardware_stop"]
-
 HOTTEST = 150.0
 """In [°C]: magnets and windings of class F end there."""
 COLDEST = -40.0

@@ -20,8 +20,6 @@ from unicon_core.flow.block import Reads
 from unicon_core.robots import Robot
 from unicon_core.states import States
 
-__all__ = ["ObservationRange", "action_stop", "observation_range", "observation_stop"]
-
 MARGIN = 10.0
 """Largest margin: beyond ten times of what was seen nothing is unusual."""
 ACTION = 1000.0

@@ -19,21 +19,6 @@ from unicon_core.flow.stage import Stage
 from unicon_core.robots import Robot
 from unicon_core.states.screen import Range
 
-__all__ = [
-    "Beyond",
-    "EffortLimits",
-    "JointLimits",
-    "RateLimit",
-    "Servo",
-    "effort_limits",
-    "first_of",
-    "joint_limits",
-    "rate_limit",
-    "rates_of",
-    "trips",
-    "velocity_limits",
-]
-
 Float = NDArray[np.float32]
 
 ROUNDING = np.float32(1.0001)

@@ -10,8 +10,6 @@ from unicon_core.errors import Fault, WorkflowError
 from unicon_core.flow.stage import Stage
 from unicon_core.workflow.autowire import BuildContext
 
-__all__ = ["OverrunStop", "overrun_stop"]
-
 LONGEST = 60.0
 """Largest window in [s]."""
 

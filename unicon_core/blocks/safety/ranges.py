@@ -17,8 +17,6 @@ from unicon_core.states.screen import Range, Screen
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow.autowire import BuildContext
 
-__all__ = ["MEASURED", "RangeStop", "command_stop", "range_stop"]
-
 ANGULAR_VELOCITY = 70.0
 """Of a base in [rad/s]: MEMS gyroscopes end at 2000 or 4000 °/s, 35 or 70 rad/s."""
 QUATERNION = 1.01

@@ -11,8 +11,6 @@ from unicon_core.flow.block import Reads
 from unicon_core.flow.stage import Stage
 from unicon_core.robots import Robot
 
-__all__ = ["JointSensorStop", "joint_sensor_stop"]
-
 Float = NDArray[np.float32]
 
 NEVER = -(1 << 62)

@@ -14,8 +14,6 @@ from unicon_core.flow.stage import Stage
 from unicon_core.platforms.kit.servo import Servo
 from unicon_core.robots import Robot
 
-__all__ = ["PowerStop", "TrackingStop", "power_stop", "tracking_stop"]
-
 Float = NDArray[np.float32]
 
 POWER = 100_000.0

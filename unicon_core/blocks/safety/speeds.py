@@ -12,8 +12,6 @@ from unicon_core.flow.stage import Stage
 from unicon_core.robots import Robot
 from unicon_core.states.screen import Range
 
-__all__ = ["VelocityLimits", "velocity_limits"]
-
 
 def velocity_limits(
     joint_vel_target: Amends,

@@ -21,19 +21,6 @@ from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.screen import Range, Screen
 
-__all__ = [
-    "PATIENT",
-    "Finite",
-    "StaleStop",
-    "TiltStop",
-    "VelocityStop",
-    "finite",
-    "height_stop",
-    "stale_stop",
-    "tilt_stop",
-    "velocity_stop",
-]
-
 Float = NDArray[np.float32]
 
 PATIENT = 5

@@ -21,8 +21,6 @@ from unicon_core.flow.block import Reads
 from unicon_core.flow.stage import Stage
 from unicon_core.robots import Robot
 
-__all__ = ["EncoderStop", "ImuStop", "encoder_stop", "imu_stop"]
-
 Float = NDArray[np.float32]
 
 

@@ -12,8 +12,6 @@ from unicon_core.flow.block import Reads
 from unicon_core.flow.stage import Stage
 from unicon_core.robots import Robot
 
-__all__ = ["TwinStop", "twin_stop"]
-
 
 def twin_stop(
     twin_flag: Reads, twin_gap: Reads, *, robot: Robot, period: float, timeout: float = 0.2

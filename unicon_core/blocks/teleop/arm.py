@@ -15,8 +15,6 @@ from unicon_core.states import States
 from unicon_core.states.effectors import pose_of as pose_state
 from unicon_core.states.effectors import target_of
 
-__all__ = ["Arm"]
-
 
 class Arm:
     """One hand of the operator and the end effector that it moves.

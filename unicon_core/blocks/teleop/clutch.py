@@ -7,8 +7,6 @@ from __future__ import annotations
 
 from typing import Literal, TypeAlias
 
-__all__ = ["MODES", "Clutch", "Mode"]
-
 Mode: TypeAlias = Literal["hold", "toggle", "always"]
 MODES: tuple[Mode, ...] = ("hold", "toggle", "always")
 

@@ -21,8 +21,6 @@ from unicon_core.models.plain_turns import (
     vector_of,
 )
 
-__all__ = ["Hand", "Pace"]
-
 SMOOTHED = 0.03
 """Time constant of a target's velocity in [s]: two frames of a headset."""
 

@@ -10,8 +10,6 @@ import math
 
 from unicon_core.models.plain_turns import Quat, Vector, conjugate, multiply, towards, vector_of
 
-__all__ = ["OneEuro"]
-
 SPEED_CUTOFF = 1.0
 """Of the speed itself in [Hz], as in the paper."""
 

@@ -16,8 +16,6 @@ from unicon_core.errors import WorkflowError, alternatives
 from unicon_core.models.plain_turns import Quat, Vector
 from unicon_core.states import States
 
-__all__ = ["FINGERS", "SIDES", "Headset", "Side", "heading", "pose_of"]
-
 SIDES = ("left", "right")
 WRIST, THUMB = 0, 4
 """Joints of a hand; the latter is the thumb's tip."""

@@ -32,8 +32,6 @@ from unicon_core.states import StateSpec
 from unicon_core.states.effectors import target_states
 from unicon_core.workflow.autowire import BuildContext
 
-__all__ = ["Teleop", "teleop"]
-
 SPEED, TURN = 5.0, 20.0
 """Largest `max_speed` in [m/s] and `max_turn` in [rad/s]: a hand that throws has 10 m/s."""
 FARTHEST = 3.0

@@ -11,8 +11,6 @@ from dataclasses import dataclass
 
 from unicon_core.models.plain_turns import Vector
 
-__all__ = ["Workspace"]
-
 ROUNDS = 3
 """Of going to box and ball in turns; what is left is cut off on the way from the last target."""
 

@@ -23,8 +23,6 @@ from unicon_core.states.effectors import pose_of, pose_states
 from unicon_core.states.spec import check_name
 from unicon_core.workflow.autowire import BuildContext
 
-__all__ = ["FramePoses", "effector_of", "frames"]
-
 Of = Sequence[str] | Mapping[str, str]
 View = NDArray[Any]
 

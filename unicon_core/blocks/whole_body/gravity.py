@@ -22,8 +22,6 @@ from unicon_core.models.weight import Weight, bearing_joints
 from unicon_core.robots import Robot
 from unicon_core.workflow.autowire import BuildContext
 
-__all__ = ["Gravity", "gravity"]
-
 
 def gravity(
     joint_pos: Reads,

@@ -24,8 +24,6 @@ from unicon_core.states import StateSpec
 from unicon_core.states.effectors import target_of, target_states
 from unicon_core.workflow.autowire import BuildContext
 
-__all__ = ["MovingTarget", "moving_target"]
-
 LARGEST = 1.0
 """Radius in [m]: an arm is no longer."""
 QUICKEST = 10.0

@@ -32,8 +32,6 @@ from unicon_core.states.effectors import target_of, target_states
 from unicon_core.states.standard import forwarded_states
 from unicon_core.workflow.autowire import BuildContext
 
-__all__ = ["reach"]
-
 View = NDArray[Any]
 Effectors = Sequence[str] | Mapping[str, Mapping[str, float]]
 

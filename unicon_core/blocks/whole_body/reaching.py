@@ -13,8 +13,6 @@ from unicon_core.ik.differential import DifferentialIk
 from unicon_core.ik.targets import Target
 from unicon_core.states import StateSpec
 
-__all__ = ["COMMANDED", "HELD", "Reach", "told_of"]
-
 View = NDArray[Any]
 
 COMMANDED = ("joint_pos_command", "joint_vel_command")

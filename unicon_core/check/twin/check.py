@@ -25,8 +25,6 @@ from unicon_core.platforms.platform import Platform
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.platform_use import read_platforms
 
-__all__ = ["check_twin"]
-
 MARGIN = 0.1
 """A broken contract that loses less in its first run is compared with the given one."""
 COLUMNS = ("contract", "outcome", "score", "tracking", "error", "rate [rad/s]")

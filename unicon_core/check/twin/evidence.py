@@ -21,8 +21,6 @@ from unicon_core.figures import figure, span
 from unicon_core.policies import PolicyContract
 from unicon_core.robots import Robot, joint_index
 
-__all__ = ["evident_changes", "find_pressing"]
-
 PRESSING = 0.2
 """Share of a walk that a joint stays at a limit. Right contracts of ten published policies keep to
 0.15 (T1's hip roll, whose effort limit is 25 N·m), nine of them to 0.00."""

@@ -27,8 +27,6 @@ from unicon_core.blocks.monitor import Monitor
 from unicon_core.robots import Robot
 from unicon_core.states import States
 
-__all__ = ["JUDGED", "Measures", "Recorder"]
-
 JUDGED = (
     "joint_pos", "joint_effort", "base_ang_vel", "base_lin_vel", "base_pos_w", "projected_gravity"
 )  # fmt: skip

@@ -13,8 +13,6 @@ import numpy as np
 from unicon_core.check.twin.perturb import Change, clock_reordered, with_terms
 from unicon_core.policies.contract import FilterSpec, PhaseSpec, PolicyContract
 
-__all__ = ["clock_repairs", "delay_repairs", "filter_repairs"]
-
 ALPHAS = (0.2, 0.5, 0.8)
 """Weights of the newest action that are tried where no filter is said: of programs' habits."""
 

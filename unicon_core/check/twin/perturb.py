@@ -17,17 +17,6 @@ from unicon_core.check.order import other_order
 from unicon_core.policies.contract import ObservationTerm, PolicyContract
 from unicon_core.robots import joint_index
 
-__all__ = [
-    "Change",
-    "clock_reordered",
-    "exchanged",
-    "per_joint",
-    "permuted",
-    "perturbations",
-    "renamed",
-    "with_terms",
-]
-
 
 @dataclass(frozen=True)
 class Change:

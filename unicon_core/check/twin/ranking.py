@@ -20,8 +20,6 @@ from unicon_core.check.result import PolicyResult
 from unicon_core.check.twin.measures import Measures
 from unicon_core.check.twin.perturb import Change
 
-__all__ = ["FOLLOWS", "MENDED", "SLIGHT", "Compared", "Tried", "chosen", "poor"]
-
 CLEAR = 0.05
 """Gain in score from which a change is a finding. The greatest of a right contract was 0.039
 (holosoma with half its rate; 0.06 at 0.8 m/s), the next 0.004; what breaks the reading of states

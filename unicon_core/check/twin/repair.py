@@ -25,8 +25,6 @@ from unicon_core.policies.policy_states import policy_states
 from unicon_core.robots import Robot, joint_index
 from unicon_core.states import standard_states
 
-__all__ = ["repairs"]
-
 _SCALES = (0.05, 0.25, 0.5, 2.0, 4.0, 20.0)  # of legged_gym, holosoma and Unitree, and inverses
 
 

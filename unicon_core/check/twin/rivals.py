@@ -15,8 +15,6 @@ import numpy as np
 from unicon_core.check.twin.perturb import Change
 from unicon_core.policies import PolicyContract
 
-__all__ = ["GAIT", "rivals"]
-
 GAIT = "phase.period"
 """Culprit of a clock that is too fast or too slow. With one too fast a policy may follow its
 command as well, in more and quicker steps: the rate of its targets tells."""

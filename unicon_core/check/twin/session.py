@@ -29,8 +29,6 @@ from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program
 from unicon_core.workflow.document import WorkflowDocument
 
-__all__ = ["TwinBlindError", "TwinSession"]
-
 
 class TwinBlindError(UniconError):
     """There is no base whose motion tells how well a contract does."""

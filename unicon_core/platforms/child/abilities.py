@@ -18,8 +18,6 @@ from unicon_core.platforms.platform import (
     SeesCommanders,
 )
 
-__all__ = ["ABILITIES"]
-
 ABILITIES: dict[str, Any] = {
     "reset": Resettable,
     "push": Pushable,

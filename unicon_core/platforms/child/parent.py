@@ -13,8 +13,6 @@ from typing import Any
 
 from unicon_core.errors import Fault
 
-__all__ = ["ALARM", "LONGEST", "Parent", "text_of"]
-
 ALARM = 10
 """In [s]: the kernel ends a process that hangs so long, as its parent would if it still lived."""
 

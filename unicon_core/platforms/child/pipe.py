@@ -21,8 +21,6 @@ from unicon_core.errors import Fault, PlatformError, UniconError
 from unicon_core.resources import same_modules
 from unicon_core.signals import signal_name
 
-__all__ = ["Pipe"]
-
 PLATFORM = "unicon_core.platforms.child.process"
 """Module that runs a platform."""
 

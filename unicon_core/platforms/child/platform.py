@@ -35,8 +35,6 @@ from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter, remov
 from unicon_core.states.groups import COMMAND, MEASURED, subset
 from unicon_core.terrain.words import Terrain
 
-__all__ = ["SILENCE", "START", "ChildPlatform"]
-
 SILENCE = {True: 1.0, False: 0.02}
 """Default of `silence` in [s], of a simulator (as `pacing.hang`: a busy machine is no danger) and a
 robot; two ticks where those are longer."""

@@ -26,8 +26,6 @@ from unicon_core.states import Layout, States
 from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter
 from unicon_core.states.groups import COMMAND, MEASURED, subset
 
-__all__ = ["main"]
-
 _ROBOT_LOOK = 0.001
 """How often a robot's data are taken, in [s]; a command is sent at once."""
 

@@ -10,18 +10,6 @@ from numpy.typing import NDArray
 
 from unicon_core.robots import Robot
 
-__all__ = [
-    "IMU_STATES",
-    "BaseStates",
-    "Float",
-    "Mounting",
-    "WorldPose",
-    "cross",
-    "quat_of_rpy",
-    "rotation",
-    "rpy_of_quat",
-]
-
 Float = NDArray[np.float64]
 IMU_STATES = ("base_quat", "base_ang_vel", "base_lin_acc")
 """What an IMU tells: orientation, angular velocity, specific force."""

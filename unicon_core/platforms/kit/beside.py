@@ -21,8 +21,6 @@ from unicon_core.robots import Robot
 from unicon_core.states import States, standard_states
 from unicon_core.states.standard import BASE_STATES, COMMAND_STATES
 
-__all__ = ["PLACE", "Beside"]
-
 PLACE = ("joint_pos", "joint_vel", "base_quat", "base_ang_vel", "base_pos_w", "base_lin_vel")
 """States that say where a robot is; those of the base as far as they are measured."""
 

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from unicon_core.errors import PlatformError, alternatives
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 
-__all__ = ["BODY_PHYSICS", "tell_bodies", "wrong_bodies"]
-
 BODY_PHYSICS = ("payload", "contact_friction")
 """Words of `Facts.physics` that are about bodies."""
 

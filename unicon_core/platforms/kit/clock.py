@@ -7,8 +7,6 @@ from fractions import Fraction
 
 from unicon_core.errors import ModelError
 
-__all__ = ["steps_in", "tick_ns"]
-
 MOST_STEPS = 10_000
 """Of a tick: with more nothing seems to go on."""
 

@@ -14,8 +14,6 @@ from unicon_core.states import States
 from unicon_core.states.stacked import flat, stacked
 from unicon_core.states.standard import COMMAND_STATES
 
-__all__ = ["Command", "FiniteCheck"]
-
 Array = NDArray[Any]
 
 

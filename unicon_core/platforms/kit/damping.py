@@ -24,8 +24,6 @@ from unicon_core.states import States
 from unicon_core.states.groups import Copies, subset
 from unicon_core.states.standard import COMMAND_STATES
 
-__all__ = ["BLEND", "DAMPING_TIME", "Damping", "LastSent", "repeated"]
-
 BLEND = 0.3
 """Stiffness is gone after this time, [s]: a step to zero lets a standing robot drop, and what has
 gone wrong may hold on to its last target for so long and no longer."""

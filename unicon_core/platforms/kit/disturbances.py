@@ -22,8 +22,6 @@ from unicon_core.platforms.platform import (
 from unicon_core.robots import Robot
 from unicon_core.states import States
 
-__all__ = ["Disturbances", "disturb"]
-
 
 def disturb(
     platform: Platform, scene: Scene, states: States, robot: Robot, period: float

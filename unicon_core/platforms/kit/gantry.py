@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["GANTRY", "hold", "let_go"]
-
 GANTRY = "gantry"
 """Word of `Facts.physics`: a base that is held."""
 

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from unicon_core.robots.joint_physics import JointPhysics
 
-__all__ = ["JointDelay", "delay_of", "strength_of"]
-
 Array = NDArray[Any]
 
 

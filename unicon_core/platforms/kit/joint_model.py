@@ -22,8 +22,6 @@ from unicon_core.models.touching import around, contact_of, floors, may_touch, o
 from unicon_core.platforms.kit.start import Start
 from unicon_core.robots import Robot
 
-__all__ = ["JointModel", "Passive", "ground_friction", "joint_model", "known_passive", "lost"]
-
 Float = NDArray[np.float64]
 
 Passive: TypeAlias = Literal["keep", "replace"]

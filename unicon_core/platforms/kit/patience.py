@@ -8,8 +8,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from threading import Timer
 
-__all__ = ["patience"]
-
 AFTER = 2.0
 """Seconds for which nobody asks."""
 

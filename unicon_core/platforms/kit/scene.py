@@ -25,8 +25,6 @@ from unicon_core.robots.poses import named_pose, robot_poses
 from unicon_core.terrain.build import refuse_endless_ground
 from unicon_core.terrain.words import FLAT, Terrain, read_terrain
 
-__all__ = ["DISTURBANCES", "KEYFRAME", "SCENE_KEYS", "TERRAIN", "Scene"]
-
 DISTURBANCES = (
     *("seed", "noise", "delay", "push", "terrain", "joints", "payload", "contact_friction"),
 )

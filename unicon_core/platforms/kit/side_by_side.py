@@ -7,8 +7,6 @@ from collections.abc import Callable, Sequence
 from queue import SimpleQueue
 from threading import Thread
 
-__all__ = ["SideBySide"]
-
 Job = Callable[[], object]
 Ended = SimpleQueue[tuple[int, BaseException | None]]
 Inbox = SimpleQueue["Ended | None"]

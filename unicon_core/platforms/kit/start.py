@@ -16,8 +16,6 @@ from unicon_core.platforms.kit.scene import KEYFRAME, Scene
 from unicon_core.robots import Robot
 from unicon_core.robots.joint_physics import JointPhysics, joint_physics
 
-__all__ = ["Start", "initial_positions", "start_of"]
-
 Float = NDArray[np.float64]
 
 _CLEARANCE = 0.0005  # [m] between the lowest geom and the floor

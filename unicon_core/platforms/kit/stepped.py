@@ -24,8 +24,6 @@ from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import BASE_STATES, JOINT_STATES
 
-__all__ = ["GRAVITY", "SteppedSimulator"]
-
 Float = NDArray[np.float64]
 
 GRAVITY = np.array((0.0, 0.0, -9.81))

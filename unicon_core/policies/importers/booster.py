@@ -20,8 +20,6 @@ from unicon_core.policies.facts import Facts, dig
 from unicon_core.policies.given import given_joints
 from unicon_core.policies.importers.source_reader import SourceReader
 
-__all__ = ["booster_facts", "is_booster"]
-
 _SLEW = 1.0  # of the command in [m/s²] and [rad/s²]: one period for each tick, in policy.py
 _STILL = 1e-5  # [m/s], [rad/s]: no command below it, in policy.py
 

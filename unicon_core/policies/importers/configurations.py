@@ -14,8 +14,6 @@ from unicon_core.policies.importers.legged_gym import is_legged_gym, legged_gym_
 from unicon_core.policies.importers.rl_sar import is_rl_sar, is_rl_sar_base, rl_sar_facts
 from unicon_core.policies.importers.unitree_rl_gym import is_unitree_rl_gym, unitree_rl_gym_facts
 
-__all__ = ["configuration_facts", "counts_motors", "is_configuration"]
-
 _FORMATS = (
     is_deploy_yaml,
     is_env_yaml,

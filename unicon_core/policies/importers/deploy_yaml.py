@@ -22,8 +22,6 @@ from unicon_core.policies.facts import Facts, dig, term_state
 from unicon_core.policies.importers.source_reader import SourceReader
 from unicon_core.policies.importers.training import chosen_ids, clip_before_scale, command_ranges
 
-__all__ = ["deploy_yaml_facts", "is_deploy_yaml"]
-
 _FLAGS = ("scale_first", "use_gym_history")
 
 

@@ -29,8 +29,6 @@ from unicon_core.policies.importers.training import (
     values_by_pattern,
 )
 
-__all__ = ["env_yaml_facts", "is_env_yaml", "suggest_joints"]
-
 _GROUPS = ("policy", "actor")
 _OF_JOINTS = ("joint_pos", "joint_vel")
 

@@ -17,8 +17,6 @@ from unicon_core.policies.facts import Facts
 from unicon_core.policies.importers.holosoma import json_metadata
 from unicon_core.policies.networks.onnx_file import OnnxFile
 
-__all__ = ["exploy_facts"]
-
 _WORD = r"[A-Za-z0-9_\-]+"
 _BASE_FIELDS = {
     "pos_b_rt_w_in_w": "base_pos_w",

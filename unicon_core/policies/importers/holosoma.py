@@ -17,8 +17,6 @@ from unicon_core.policies.facts import Facts, term_state
 from unicon_core.policies.importers.training import RENAMED_RANGES
 from unicon_core.policies.networks.onnx_file import OnnxFile
 
-__all__ = ["holosoma_facts", "json_metadata"]
-
 _ANCHOR = "torso_link"
 _TERMS = ("actions", "base_ang_vel", "dof_pos", "dof_vel", "motion_command", "motion_ref_ori_b")
 _REFERENCE = {

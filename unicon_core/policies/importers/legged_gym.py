@@ -18,8 +18,6 @@ from unicon_core.policies.facts import Facts, dig
 from unicon_core.policies.given import given_joints
 from unicon_core.policies.importers.training import command_ranges, say_period, values_by_pattern
 
-__all__ = ["is_legged_gym", "legged_gym_facts"]
-
 
 def is_legged_gym(values: Any) -> bool:
     """Whether a YAML document is a legged_gym configuration."""

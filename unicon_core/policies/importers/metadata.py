@@ -14,9 +14,6 @@ from unicon_core.policies.importers.holosoma import holosoma_facts
 from unicon_core.policies.importers.mjlab import mjlab_facts
 from unicon_core.policies.networks.onnx_file import OnnxFile, short_text
 
-__all__ = ["has_metadata", "metadata_facts", "settled"]
-
-
 # A key that tells the format -> its reader; the first one counts.
 _READERS: dict[str, Callable[[OnnxFile], Facts]] = {
     "exploy_version": exploy_facts,

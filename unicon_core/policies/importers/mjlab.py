@@ -17,8 +17,6 @@ from unicon_core.errors import PolicyError
 from unicon_core.policies.facts import Facts, term_state
 from unicon_core.policies.networks.onnx_file import OnnxFile
 
-__all__ = ["mjlab_facts"]
-
 _ROUNDED = re.compile(r"-?\d+\.\d{3}\Z")
 # Outputs of a BeyondMimic network beside the actions: its reference motion at `time_step`.
 _MOTION_OUTPUTS = (

@@ -21,8 +21,6 @@ from unicon_core.policies.facts import Facts
 from unicon_core.policies.importers.source_reader import SourceReader
 from unicon_core.policies.importers.training import clip_before_scale
 
-__all__ = ["is_rl_sar", "is_rl_sar_base", "rl_sar_facts"]
-
 # A term's name -> the state, the key of its scale and its number of elements; None: all joints.
 _TERMS: dict[str, tuple[str, str, int | None]] = {
     "lin_vel": ("base_lin_vel", "lin_vel_scale", 3),

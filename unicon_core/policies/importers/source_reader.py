@@ -10,8 +10,6 @@ from unicon_core.errors import UniconError, alternatives
 from unicon_core.located_yaml import Located, Where
 from unicon_core.policies.facts import Facts
 
-__all__ = ["SourceReader"]
-
 _SUFFIXES = {".onnx": "onnx", ".pt": "torchscript", ".pth": "torchscript", ".jit": "torchscript"}
 
 

@@ -16,18 +16,6 @@ from unicon_core.errors import alternatives
 from unicon_core.located_yaml import Tagged
 from unicon_core.policies.facts import Facts
 
-__all__ = [
-    "RENAMED_RANGES",
-    "chosen_ids",
-    "chosen_joints",
-    "clip_before_scale",
-    "command_ranges",
-    "matching",
-    "say_period",
-    "stated_order",
-    "values_by_pattern",
-]
-
 # A command's name in legged_gym and holosoma -> its name in a contract.
 RENAMED_RANGES = {"ang_vel_yaw": "ang_vel_z"}
 _ALL = "slice(None, None, None)"  # as Isaac Lab dumps it

@@ -20,8 +20,6 @@ from unicon_core.policies.facts import Facts
 from unicon_core.policies.given import given_joints
 from unicon_core.policies.importers.source_reader import SourceReader, listed
 
-__all__ = ["is_unitree_rl_gym", "unitree_rl_gym_facts"]
-
 _PERIOD = 0.8  # of the clock in [s]; it stands in both programs
 _ROOT = "{LEGGED_GYM_ROOT_DIR}/"
 _LEGS, _REST = "leg_joint2motor_idx", "arm_waist_joint2motor_idx"

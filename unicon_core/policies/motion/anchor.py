@@ -17,8 +17,6 @@ from unicon_core.models.plain_turns import Quat, Vector, multiply, rotate, turne
 from unicon_core.policies.motion.spec import AXES
 from unicon_core.robots import Robot
 
-__all__ = ["Chain", "Step", "chain_in_model", "chain_of_axes"]
-
 
 @dataclass(frozen=True)
 class Step:

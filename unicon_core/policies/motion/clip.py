@@ -24,8 +24,6 @@ from unicon_core.errors import PolicyError, alternatives
 from unicon_core.policies.contract import MotionSpec, PolicyContract
 from unicon_core.policies.motion.anchor import Chain
 
-__all__ = ["Clip", "read_clip"]
-
 Float = NDArray[np.float64]
 
 MOST_BYTES = 1 << 30

@@ -17,8 +17,6 @@ from unicon_core.policies.motion.tracker import MotionTracker
 from unicon_core.policies.prefixed import PackedStates
 from unicon_core.robots import Robot
 
-__all__ = ["own_reference", "tracker_of"]
-
 FAR = 1 << 20
 """A step that no motion has, 5 hours at 50 Hz: networks hold their last frame from its end on."""
 

@@ -13,8 +13,6 @@ from unicon_core.policies.contract import MotionSpec
 from unicon_core.policies.facts import Facts, dig
 from unicon_core.resources import file_beside, find_resource
 
-__all__ = ["AXES", "given_clip", "motion_spec"]
-
 _KEYS = ("anchor_body", "file", "bodies", "align", "start", "end", "hold", "fps", "joints", "chain")
 AXES = {
     "x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0),

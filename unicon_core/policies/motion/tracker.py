@@ -37,8 +37,6 @@ from unicon_core.policies.motion.clip import Clip
 from unicon_core.policies.prefixed import PackedStates
 from unicon_core.robots import joint_index
 
-__all__ = ["MotionTracker"]
-
 Array = NDArray[np.float32]
 _ORIGIN: Vector = (0.0, 0.0, 0.0)
 _UP: Vector = (0.0, 0.0, 1.0)

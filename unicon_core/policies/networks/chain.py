@@ -18,8 +18,6 @@ from unicon_core.policies.networks.network import Tensor
 from unicon_core.policies.networks.onnx import OnnxNetwork, threads_of
 from unicon_core.policies.networks.onnx_file import read_onnx
 
-__all__ = ["ChainedNetworks", "chained_outputs"]
-
 OBSERVATION = "observation"
 
 

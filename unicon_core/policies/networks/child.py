@@ -24,8 +24,6 @@ from unicon_core.signals import SIGNALS
 from unicon_core.states import Layout, States, StateSpec
 from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter, remove_dead
 
-__all__ = ["ANSWER", "PATIENCE", "QUESTION", "START", "ChildNetwork", "Question"]
-
 QUESTION, ANSWER = "question", "answer"
 """Groups of the two segments."""
 

@@ -23,8 +23,6 @@ from unicon_core.policies.networks.child import ANSWER, QUESTION, START
 from unicon_core.states import Layout, States
 from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter
 
-__all__ = ["main"]
-
 _LOOK = 0.005
 """How often it looks whether its parent lives while nothing is asked, in [s]."""
 

@@ -8,8 +8,6 @@ from typing import Any, Protocol, runtime_checkable
 
 from numpy.typing import NDArray
 
-__all__ = ["Network", "Remembering", "Tensor"]
-
 
 @dataclass(frozen=True)
 class Tensor:

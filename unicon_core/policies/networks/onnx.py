@@ -13,8 +13,6 @@ from unicon_core.errors import MissingDependencyError, PolicyError
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.networks.onnx_file import OnnxFile, read_onnx
 
-__all__ = ["PROVIDERS", "OnnxNetwork", "load_session", "share_sessions", "threads_of"]
-
 PROVIDERS = {
     "cpu": ("CPUExecutionProvider", "pip install 'unicon_ros[sim]'"),
     "cuda": ("CUDAExecutionProvider", "pip install onnxruntime-gpu"),

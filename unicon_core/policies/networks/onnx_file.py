@@ -18,8 +18,6 @@ from unicon_core.errors import PolicyError
 from unicon_core.file_kinds import is_lfs_pointer
 from unicon_core.policies.networks.network import Tensor
 
-__all__ = ["OnnxFile", "read_onnx", "short_text"]
-
 # What a field holds: a number, or the bytes of a text or message.
 _Value: TypeAlias = "memoryview | int"
 

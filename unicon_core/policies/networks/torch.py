@@ -13,8 +13,6 @@ from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.networks.network import Tensor
 from unicon_core.policies.networks.torch_memory import TorchMemory
 
-__all__ = ["TorchNetwork"]
-
 
 class TorchNetwork:
     """A TorchScript module that takes one tensor and returns one.

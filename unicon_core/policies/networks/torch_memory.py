@@ -12,8 +12,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["TorchMemory"]
-
 
 class TorchMemory:
     """The attributes of a module that a call changes, and what they hold between two ticks.

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["SETTLE", "SILENCE", "Freshness"]
-
 SILENCE = 0.5
 """s without a value after which a sender is not live any more, and another one may follow it."""
 

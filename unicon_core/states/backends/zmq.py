@@ -29,8 +29,6 @@ from unicon_core.states.groups import Copies, difference, groups_from_json, grou
 from unicon_core.states.layout import Layout
 from unicon_core.states.states import States
 
-__all__ = ["HEAD", "ZmqReader", "ZmqWriter"]
-
 MAGIC = b"UNICONZQ"
 VERSION = 1
 BYTE_ORDER = 0x01020304

@@ -12,8 +12,6 @@ from typing import Any
 
 from unicon_core.errors import MissingDependencyError, StateError
 
-__all__ = ["WITHOUT_KEYS", "Endpoint", "is_exposed"]
-
 WITHOUT_KEYS = "anybody who reaches it may read there, or write where a reader is bound"
 
 HEARTBEAT = 0.5

@@ -32,8 +32,6 @@ from unicon_ros.bench.faults.measure import measure
 from unicon_ros.bench.faults.simulated_case import ROBOTS, SimulatedCase, able
 from unicon_ros.bench.faults.simulated_run import run_case
 
-__all__ = ["CASES", "measured", "run"]
-
 CASES: tuple[Case, ...] = (
     *cases_data.CASES,
     *cases_program.CASES,

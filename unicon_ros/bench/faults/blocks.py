@@ -13,8 +13,6 @@ from unicon_core.flow import Amends, Reads, Tick, Writes
 from unicon_core.robots import Robot
 from unicon_ros.bench.faults.command_log import FAULT, OPEN, CommandLog
 
-__all__ = ["broken", "nothing", "pressed", "slow_build", "swing", "wobble"]
-
 
 def swing(tick: float) -> float:
     """Return where `wobble` has all joints in a tick, beside the default pose in [rad]."""

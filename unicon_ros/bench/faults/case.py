@@ -10,19 +10,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = [
-    "AS_THEY_ARE",
-    "BLOCKS",
-    "COMMANDED",
-    "NAN",
-    "TICKS",
-    "WALK",
-    "WOBBLE",
-    "Case",
-    "Measured",
-    "Wants",
-]
-
 TICKS = 5
 """Random ticks at which a fault is put into runs."""
 

@@ -6,8 +6,6 @@ from functools import partial
 
 from unicon_ros.bench.faults.case import BLOCKS, NAN, WALK, WOBBLE, Case, Wants
 
-__all__ = ["CASES"]
-
 _sensing = partial(Case, "sensors and policy")
 _NO_LONGER = Wants(most=0, reason="")
 _SENSORS = ("joint_pos", "joint_vel", "base_ang_vel", "projected_gravity")

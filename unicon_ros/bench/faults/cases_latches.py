@@ -9,8 +9,6 @@ from unicon_ros.bench.faults.case import BLOCKS, WOBBLE, Case, Wants
 from unicon_ros.bench.faults.cases_ros import BUSY, NODE_TICKS, PRESSED
 from unicon_ros.bench.faults.fault_run import FaultRun
 
-__all__ = ["CASES"]
-
 _REFUSED = Wants(most=10, ms=PRESSED.ms, status=(1,), reason="is latched", report=False)
 _DRIVES = Wants(most=None, least=30, ms=None, status=(0,), report=False)
 

@@ -17,8 +17,6 @@ from unicon_ros.bench.faults.cases_program import (
 from unicon_ros.bench.faults.cases_ros import COMMANDS, PRESSED, RANGES, SILENCED
 from unicon_ros.bench.faults.fault_run import SIMULATOR
 
-__all__ = ["CASES"]
-
 _TICKS = (40, 90)
 """While it walks, also where it was told to only after half a second."""
 

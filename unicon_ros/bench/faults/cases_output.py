@@ -9,8 +9,6 @@ from functools import partial
 from unicon_ros.bench.faults.case import NAN, Case, Wants
 from unicon_ros.bench.faults.fault_run import FaultRun
 
-__all__ = ["CASES"]
-
 _output = partial(Case, "output")
 _disk = partial(Case, "disk")
 _GOES_ON = Wants(most=None, least=50, ms=None, gap_ms=400.0, status=(), report=False)

@@ -12,16 +12,6 @@ from unicon_ros.bench.faults.case import BLOCKS, NAN, WOBBLE, Case, Wants
 from unicon_ros.bench.faults.command_log import CLOSE
 from unicon_ros.bench.faults.fault_run import PLATFORM, FaultRun
 
-__all__ = [
-    "BUSY_MS",
-    "CASES",
-    "WATCHDOG",
-    "kill_the_child",
-    "second_ctrl_c",
-    "signal_the_child",
-    "until_the_child_damps",
-]
-
 _raising = partial(Case, "exceptions")
 _signalled = partial(Case, "signals")
 _child = partial(Case, "platform in a child process")

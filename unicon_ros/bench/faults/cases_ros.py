@@ -9,8 +9,6 @@ from typing import Any
 from unicon_ros.bench.faults.case import AS_THEY_ARE, TICKS, WALK, WOBBLE, Case, Wants
 from unicon_ros.bench.faults.cases_program import second_ctrl_c
 
-__all__ = ["BUSY", "CASES", "COMMANDS", "NODE_TICKS", "PRESSED", "RANGES", "SILENCED"]
-
 _node = partial(Case, "unicon_node", node=True)
 _both = partial(Case, "two at once")
 _POLICY, NODE_TICKS = (25, 50), (60, 110)

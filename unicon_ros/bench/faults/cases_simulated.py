@@ -12,8 +12,6 @@ from unicon_ros.bench.faults import mishaps
 from unicon_ros.bench.faults.case import BLOCKS
 from unicon_ros.bench.faults.simulated_case import SimulatedCase
 
-__all__ = ["CASES"]
-
 _sensor = partial(SimulatedCase, "sensors")
 _hardware = partial(SimulatedCase, "hardware")
 _policy = partial(SimulatedCase, "policy", ticks=(35, 140))  # from there on it is asked

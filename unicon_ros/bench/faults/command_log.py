@@ -13,8 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["CLOSE", "FAULT", "OPEN", "RECV", "SEND", "CommandLog"]
-
 OPEN, RECV, SEND, FAULT, CLOSE = 1, 2, 3, 4, 5
 """Kinds of rows: the platform was built, a tick began, a command left, the fault, it was closed."""
 

@@ -15,8 +15,6 @@ from unicon_core.bounds import DAMPING, STIFFNESS
 from unicon_core.platforms.kit.damping import BLEND
 from unicon_core.robots import Robot
 
-__all__ = ["TOLERANCE", "Commands", "beyond_damping"]
-
 TOLERANCE = 1e-3
 """Of a target in [rad]: float32 on the way, and what a robot file rounds."""
 

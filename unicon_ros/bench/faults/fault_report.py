@@ -13,8 +13,6 @@ from unicon_ros.bench.faults.simulated_case import ROBOTS, SimulatedCase
 from unicon_ros.bench.faults.simulated_run import ROOM, Came
 from unicon_ros.bench.report import Bench, machine
 
-__all__ = ["FaultBench", "escaped", "write_table"]
-
 BEGIN, END = "<!-- unicon bench faults: begin -->", "<!-- unicon bench faults: end -->"
 Rows: TypeAlias = Mapping[str, Sequence[str]]
 """Cells of each row behind its name, as Markdown."""

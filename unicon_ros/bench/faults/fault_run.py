@@ -22,8 +22,6 @@ from unicon_ros.bench.faults.command_log import CLOSE, RECV, SEND, CommandLog
 from unicon_ros.bench.faults.simulated_case import ROBOTS
 from unicon_ros.bench.loops import die_with_parent
 
-__all__ = ["PLATFORM", "SIMULATOR", "FaultRun"]
-
 PLATFORM = "unicon_ros.bench.faults.recording_platform:RecordingPlatform"
 SIMULATOR = "unicon_ros.bench.faults.recording_platform:RecordingSimulator"
 PEERS = "unicon_ros.bench.faults.peers"

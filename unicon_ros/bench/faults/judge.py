@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from unicon_ros.bench.faults.case import AS_THEY_ARE, Measured, Wants
 
-__all__ = ["judge", "reaction"]
-
 
 def judge(wants: Wants, got: Measured) -> list[str]:
     """Return what is not as wanted, each in words; empty where all is."""

@@ -18,8 +18,6 @@ from unicon_ros.bench.faults.damping_judge import TOLERANCE, Commands, beyond_da
 from unicon_ros.bench.faults.fault_run import FaultRun
 from unicon_ros.bench.faults.on_disk import recorded_span, report_of, what_is_there
 
-__all__ = ["measure"]
-
 _STANDS = 10  # ticks
 _BUSY = 0.2  # s by which a busy machine may be late with the end of the blend
 

@@ -23,25 +23,6 @@ from unicon_ros.bench.faults.simulated_platform import FaultySimulator
 from unicon_ros.bridge.estop import EmergencyStop
 from unicon_ros.bridge.tuning import Tuning
 
-__all__ = [
-    "Mishap",
-    "acts",
-    "both",
-    "breaks",
-    "commands",
-    "ends",
-    "estop",
-    "hangs",
-    "jumps",
-    "jumps_clock",
-    "policy_gives",
-    "raises",
-    "recurses",
-    "slows",
-    "tunes",
-    "velocity",
-]
-
 Blocks: TypeAlias = Mapping[Stage, Sequence[Block]]
 Mishap: TypeAlias = Callable[[Program], Blocks]
 

@@ -7,8 +7,6 @@ import struct
 from pathlib import Path
 from typing import Any
 
-__all__ = ["recorded_span", "report_of", "what_is_there"]
-
 _CHUNK, _MESSAGE = 0x06, 0x05  # opcodes, mcap.dev/spec
 _MAGIC = 8
 

@@ -28,8 +28,6 @@ from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_ros.bench.faults.command_log import CLOSE, FAULT, OPEN, RECV, SEND, CommandLog
 
-__all__ = ["RecordingPlatform", "RecordingSimulator"]
-
 
 class RecordingPlatform:
     """The fake robot behind a command log.

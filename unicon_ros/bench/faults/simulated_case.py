@@ -17,8 +17,6 @@ from unicon_ros.bench.faults.case import TICKS
 from unicon_ros.bench.faults.mishaps import Mishap
 from unicon_ros.bench.faults.simulated_platform import MODULE
 
-__all__ = ["ROBOTS", "Outcome", "SimulatedCase", "able"]
-
 Outcome = Literal["refuse", "go on", "zero command", "soft", "damp"]
 
 ROBOTS: dict[str, dict[str, Any]] = {

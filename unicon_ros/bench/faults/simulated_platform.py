@@ -28,8 +28,6 @@ from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES, CONTROL_STATES, HARDWARE_STATES
 from unicon_ros.hardware.modes import ModeGuard
 
-__all__ = ["LOGGED", "MODULE", "FaultyRobot", "FaultySimulator", "robot", "simulator"]
-
 MODULE = __name__
 LOGGED = (*COMMAND_STATES, "velocity_command")
 HEALTHY = {"motor_temperature": 40.0, "motor_error": 0, "battery_charge": 0.8}

@@ -21,8 +21,6 @@ from unicon_ros.bench.faults.simulated_platform import LOGGED, FaultySimulator
 from unicon_ros.fault_record import FaultRecord
 from unicon_ros.recording import open_record
 
-__all__ = ["ROOM", "Came", "run_case"]
-
 ROOM = 2
 """Ticks that a reaction may take beyond the detection."""
 

@@ -11,8 +11,6 @@ from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import JOINT_STATES
 
-__all__ = ["LocalPlatform"]
-
 
 class LocalPlatform:
     """Copies a driver's arrays into the states and the targets back."""

@@ -15,19 +15,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = [
-    "COMMAND",
-    "IMU",
-    "MIRROR",
-    "STATE",
-    "Log",
-    "Stop",
-    "arguments",
-    "beside",
-    "nanoseconds",
-    "set_stamp",
-]
-
 STATE, IMU, COMMAND, MIRROR = "joint_states", "imu/data", "joint_command", "mirror"
 
 

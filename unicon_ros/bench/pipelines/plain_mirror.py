@@ -17,8 +17,6 @@ from sensor_msgs.msg import JointState
 from unicon_ros.bench.pipelines.log import MIRROR, Log, nanoseconds, set_stamp
 from unicon_ros.bench.pipelines.plain_nodes import qos
 
-__all__ = ["PlainMirror", "PlainObserver"]
-
 
 class PlainMirror(Node):
     """Copies the driver's arrays and publishes them."""

@@ -16,8 +16,6 @@ from sensor_msgs.msg import Imu, JointState
 
 from unicon_ros.bench.pipelines.log import COMMAND, IMU, STATE, Log, nanoseconds, set_stamp
 
-__all__ = ["Controller", "PlainController", "PlainRobot", "qos"]
-
 
 def qos(best_effort: bool, depth: int = 1) -> QoSProfile:
     """Return the profile of all topics: only the latest value matters."""

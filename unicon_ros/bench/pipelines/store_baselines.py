@@ -15,8 +15,6 @@ from typing import Any
 
 from unicon_core.states import States
 
-__all__ = ["IceoryxReceiver", "IceoryxSender", "RosReceiver", "RosSender"]
-
 _CDR = bytes([0, 1, 0, 0]) + bytes(8)  # encapsulation, no dimensions, data_offset 0
 
 

@@ -20,8 +20,6 @@ from unicon_core.states import States, StateSpec
 from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter
 from unicon_core.states.backends.zmq import ZmqReader, ZmqWriter
 
-__all__ = ["WAYS", "Receiver", "Sender", "Way", "group", "segment_name"]
-
 GROUP = "bench"
 PAUSE = 50e-6  # s between two looks of a reader that polls
 PATIENCE = 20.0  # s until the other end must be there

@@ -17,8 +17,6 @@ from unicon_core.states import States, standard_states
 from unicon_ros.bench.pipelines.log import Log, Stop, arguments
 from unicon_ros.hardware.unitree.face import face
 
-__all__ = ["WINDOW", "Made"]
-
 WINDOW = 4096
 """So many states have a number of their own: 8 s at 500 Hz. A power of two, exact in float32."""
 

@@ -6,8 +6,6 @@ from pathlib import Path
 
 from unicon_ros.bench.pipelines.log import COMMAND, IMU, MIRROR, STATE
 
-__all__ = ["joint_states_entry", "write_bridged", "write_local"]
-
 PLATFORM = "unicon_ros.bridge.ros_platform:make"
 
 HELD = 60

@@ -16,20 +16,6 @@ from numpy.typing import NDArray
 from unicon_core.robots import Robot
 from unicon_ros.hardware.facts import TransportFacts
 
-__all__ = [
-    "DM",
-    "EC",
-    "ENABLE",
-    "ENABLED",
-    "Layout",
-    "Motors",
-    "Packing",
-    "Reply",
-    "answer",
-    "command_of",
-    "reply_of",
-]
-
 ENABLE = bytes(7 * [0xFF]) + b"\xfc"
 """Lets a DM motor take commands; it answers with its state."""
 ENABLED = 1

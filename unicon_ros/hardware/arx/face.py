@@ -15,8 +15,6 @@ from unicon_ros.hardware.arx.wire import MOST, import_can, open_bus
 from unicon_ros.hardware.facts import TransportFacts
 from unicon_ros.hardware.modes import EmulatedModes
 
-__all__ = ["ArxFace", "face"]
-
 EMPTY = 0.1
 """[N·m]: torques of 12 bits have no zero."""
 

@@ -11,8 +11,6 @@ from unicon_ros.hardware.arx.wire import ArxWire, open_bus
 from unicon_ros.hardware.facts import TransportFacts
 from unicon_ros.hardware.wired_robot import WiredRobot, opened
 
-__all__ = ["Arx", "make"]
-
 SILENCE = 0.1
 """In [s]: 50 answers at the vendor's 500 Hz, 5 at a tick of 50 Hz."""
 

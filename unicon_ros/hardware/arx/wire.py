@@ -20,8 +20,6 @@ from unicon_ros.hardware.arx.codec import DM, ENABLE, ENABLED, Motors, Packing, 
 from unicon_ros.hardware.modes import UNDOCUMENTED, ModeGuard
 from unicon_ros.hardware.wire import Counts
 
-__all__ = ["MOST", "ArxWire", "import_can", "open_bus"]
-
 MOST = 256
 """Frames that are looked at in a tick: a flood must not hold it up. More than a bus of 1 Mbit/s
 carries in 20 ms (180 of 111 bits), so that answers do not pile up behind others' frames."""

@@ -16,8 +16,6 @@ from unicon_core.robots import Robot
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_ros.hardware.facts import TransportFacts
 
-__all__ = ["KEYS", "Limits", "Link", "command_type", "part", "state_type"]
-
 KEYS = ("enable", "reset", "idle", "walk", "damp", "disable", "commands")
 """Of `transport.keys`: what the remote is told, and what the robot then does."""
 

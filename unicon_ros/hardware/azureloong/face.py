@@ -20,8 +20,6 @@ from unicon_ros.hardware.azureloong.codec import KEYS, Limits, Link
 from unicon_ros.hardware.facts import TransportFacts, ipv4
 from unicon_ros.hardware.udp import Udp
 
-__all__ = ["AzureFace", "face"]
-
 KEY_FRAME, KEY_AT = 96, 84
 """Bytes of the remote's frame, and which of them is the key: tools/py_ui.py of the vendor."""
 WARM = 40

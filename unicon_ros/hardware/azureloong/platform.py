@@ -11,8 +11,6 @@ from unicon_ros.hardware.azureloong.wire import AzureWire
 from unicon_ros.hardware.facts import TransportFacts, ipv4
 from unicon_ros.hardware.wired_robot import WiredRobot, opened
 
-__all__ = ["AzureLoong", "make"]
-
 SILENCE = 0.1
 """In [s]: 20 frames at 200 Hz, a fifth of what the robot allows us."""
 

@@ -21,8 +21,6 @@ from unicon_ros.hardware.azureloong.codec import Limits, Link, part
 from unicon_ros.hardware.udp import Udp
 from unicon_ros.hardware.wire import Counts
 
-__all__ = ["AzureWire"]
-
 COPIED = {
     "joint_pos": "pos",
     "joint_vel": "vel",

@@ -25,17 +25,6 @@ from unicon_ros.hardware.dds.participant import LARGEST_DOMAIN
 from unicon_ros.hardware.facts import TransportFacts
 from unicon_ros.hardware.wire import Counts
 
-__all__ = [
-    "BATTERY",
-    "COMMAND",
-    "MODE",
-    "REMOTE",
-    "STATE",
-    "BoosterFacts",
-    "LowStates",
-    "command_arrays",
-]
-
 COMMAND, STATE = "booster_interface/msg/LowCmd", "booster_interface/msg/LowState"
 BATTERY = "booster_interface/msg/BatteryState"
 MODE = "booster_interface/msg/RobotStatesMsg"

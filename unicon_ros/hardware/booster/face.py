@@ -35,8 +35,6 @@ from unicon_ros.hardware.dds.maps import arrays_of, publish
 from unicon_ros.hardware.dds.participant import Participant
 from unicon_ros.hardware.wire import Counts
 
-__all__ = ["BoosterFace", "face"]
-
 LABEL = "emulated booster"
 TEMPERATURE, VOLTAGE = 35.0, 48.0
 """What it tells where its simulator knows none, in [°C] and [V]."""

@@ -17,8 +17,6 @@ from unicon_ros.hardware.dds.factory import factory_of
 from unicon_ros.hardware.torso import IMU_STATES
 from unicon_ros.hardware.wired_robot import WiredRobot
 
-__all__ = ["Booster", "make"]
-
 
 class Booster(WiredRobot):
     """A T1; build it with `make`."""

@@ -16,8 +16,6 @@ from unicon_msgs_map.layout.messages import shared_messages
 from unicon_ros.hardware.dds.objects import packed, unpacked
 from unicon_ros.hardware.dds.participant import Participant
 
-__all__ = ["SUCCESS", "Client", "Server", "number"]
-
 REQUEST, RESPONSE = "booster_msgs/msg/RpcReqMsg", "booster_msgs/msg/RpcRespMsg"
 ENDS = {REQUEST: "Req", RESPONSE: "Resp"}
 SUCCESS = 0

@@ -20,8 +20,6 @@ from unicon_ros.hardware.dds.maps import subscribe
 from unicon_ros.hardware.dds.participant import Participant
 from unicon_ros.hardware.wire import Counts
 
-__all__ = ["Side"]
-
 
 class Side:
     """The other topics, of which a robot need not tell any.

@@ -14,8 +14,6 @@ from unicon_core.errors import Fault
 from unicon_ros.hardware.booster.codec import BoosterFacts
 from unicon_ros.hardware.booster.service import SUCCESS, Client, number
 
-__all__ = ["AHEAD", "TIMEOUT", "Takeover"]
-
 TIMEOUT = 5.0
 """For the service to be found, an answer, and a mode to be reached, in [s]."""
 AGAIN = 0.5

@@ -23,8 +23,6 @@ from unicon_ros.hardware.dds.maps import arrays_of
 from unicon_ros.hardware.dds.participant import Participant
 from unicon_ros.hardware.wire import Counts
 
-__all__ = ["EXTRA", "LABEL", "BoosterWire"]
-
 LABEL, EXTRA = "platform 'booster'", "hw-booster"
 LAST = 5
 """Times that the last words are sent, 2 ms apart."""

@@ -18,8 +18,6 @@ from threading import Event, Thread
 
 from unicon_core.errors import PlatformError
 
-__all__ = ["Announcer", "without"]
-
 FOREIGN = 0x8007
 """The parameter that is left out."""
 GROUP, BASE, PER_DOMAIN = "239.255.0.1", 7400, 250

@@ -11,8 +11,6 @@ from unicon_core.errors import PlatformError
 from unicon_core.interfaces import ipv4_of
 from unicon_ros.hardware.dds.announcer import Announcer
 
-__all__ = ["enter", "leave"]
-
 _CONFIG = (
     '<CycloneDDS><Domain Id="any"><General><Interfaces><NetworkInterface {word}="{value}" '
     'priority="default" multicast="default"/></Interfaces></General>{more}</Domain></CycloneDDS>'

@@ -21,8 +21,6 @@ from unicon_ros.hardware.dds.inlet import Inlet
 from unicon_ros.hardware.dds.participant import Participant, Writer
 from unicon_ros.hardware.wire import Counts
 
-__all__ = ["Checked", "DdsEnd"]
-
 
 class Checked(Protocol):
     """What looks at messages and reads them, such as `Frames`."""

@@ -13,8 +13,6 @@ from unicon_core.states import States
 from unicon_ros.hardware.dds.end import DdsEnd
 from unicon_ros.hardware.wired_robot import SILENCE, WiredRobot, opened
 
-__all__ = ["factory_of"]
-
 R = TypeVar("R", bound=WiredRobot)
 
 

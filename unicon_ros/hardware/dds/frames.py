@@ -15,8 +15,6 @@ from unicon_msgs_map.layout.walker import static_size
 from unicon_msgs_map.spec import FieldSpec
 from unicon_ros.hardware.wire import Counts
 
-__all__ = ["HEADER", "Frames", "offset_of"]
-
 HEADER = b"\x00\x01"
 """Plain CDR (XCDR1), little endian: all that these robots send. XCDR2 has other sizes."""
 PADDING = 3

@@ -12,8 +12,6 @@ from unicon_core.errors import Fault
 from unicon_ros.hardware.dds.participant import Reader
 from unicon_ros.hardware.wire import Counts
 
-__all__ = ["Inlet"]
-
 
 class Inlet:
     """Messages of whoever sent the first good one, until that sender has gone.

@@ -13,8 +13,6 @@ from unicon_core.states import States
 from unicon_msgs_map import MessageMap, PublishSpec, SubscribeSpec, parse_map
 from unicon_msgs_map.layout.messages import shared_messages
 
-__all__ = ["COMMANDS", "IMU", "MEASURED", "arrays_of", "motors", "publish", "subscribe"]
-
 COMMANDS = {
     "q": "joint_pos_target",
     "dq": "joint_vel_target",

@@ -6,8 +6,6 @@ from typing import Any
 
 from unicon_msgs_map.layout.messages import shared_messages
 
-__all__ = ["packed", "unpacked"]
-
 
 def packed(message: Any) -> bytes:
     """Return a message as bytes, zeros behind it up to a multiple of 4."""

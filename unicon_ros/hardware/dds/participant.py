@@ -21,8 +21,6 @@ from unicon_msgs_map.layout.messages import Struct
 from unicon_ros.hardware.dds.domains import enter, leave
 from unicon_ros.hardware.dds.types import dds_type
 
-__all__ = ["LARGEST_DOMAIN", "VERSION", "Participant", "Reader", "Writer"]
-
 VERSION = "11.0.1"
 """Of cyclonedds: another one may pass bytes otherwise, or none."""
 LARGEST_DOMAIN = 230

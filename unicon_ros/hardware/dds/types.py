@@ -13,8 +13,6 @@ from typing import Any
 
 from unicon_msgs_map.layout.messages import Array, Primitive, String, Struct, TypeRef
 
-__all__ = ["dds_name", "dds_type"]
-
 OCTETS = ("uint8", "int8", "byte")
 """What Unitree's IDL has as octet; their .msg files call temperatures of octets signed."""
 

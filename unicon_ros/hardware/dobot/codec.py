@@ -25,8 +25,6 @@ from unicon_ros.hardware.dds.participant import LARGEST_DOMAIN
 from unicon_ros.hardware.facts import TransportFacts
 from unicon_ros.hardware.wire import Counts
 
-__all__ = ["FSM", "LAYOUTS", "REMOTE", "SWITCH", "UPPER_NAME", "DobotFacts", "Half", "own_arrays"]
-
 LAYOUTS = {"sdk": "dobot_atom/msg/UpperState", "ros2": "dobot_atom/msg/UpperStateImu"}
 """Option `layout` to the type of UpperState."""
 UPPER_NAME = "dobot_atom.msg.dds_.UpperState_"

@@ -26,8 +26,6 @@ from unicon_ros.hardware.modes import EmulatedModes
 from unicon_ros.hardware.torso import IMU_STATES, turned
 from unicon_ros.hardware.wire import Counts
 
-__all__ = ["DobotFace", "face"]
-
 LABEL = "emulated dobot"
 TEMPERATURE = 35.0
 """What it tells where its simulator knows none, in [°C]."""

@@ -21,8 +21,6 @@ from unicon_ros.hardware.dobot.wire import LABEL, DobotWire
 from unicon_ros.hardware.torso import IMU_STATES
 from unicon_ros.hardware.wired_robot import SILENCE, WiredRobot, opened
 
-__all__ = ["Dobot", "make"]
-
 LARGEST = 65535
 
 

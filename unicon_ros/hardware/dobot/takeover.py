@@ -20,8 +20,6 @@ from unicon_ros.hardware.dds.maps import publish
 from unicon_ros.hardware.dds.participant import Participant
 from unicon_ros.hardware.dobot.codec import FSM, SWITCH, DobotFacts
 
-__all__ = ["TIMEOUT", "Takeover"]
-
 TIMEOUT, AGAIN = 5.0, 0.2
 """For a state to be reached, and between two requests, in [s]."""
 

@@ -16,8 +16,6 @@ from unicon_ros.hardware.modes import UNDOCUMENTED, ModeGuard
 from unicon_ros.hardware.torso import IMU_STATES, turned
 from unicon_ros.hardware.wire import Counts
 
-__all__ = ["EXTRA", "LABEL", "DobotWire"]
-
 LABEL, EXTRA = "platform 'dobot'", "hw-dobot"
 
 

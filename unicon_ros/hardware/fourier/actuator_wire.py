@@ -20,8 +20,6 @@ from unicon_ros.hardware.fourier.enabling import Enabling
 from unicon_ros.hardware.udp import Udp
 from unicon_ros.hardware.wire import Counts
 
-__all__ = ["LARGEST", "ActuatorWire"]
-
 LARGEST = 1e6
 """[deg], and of gains and currents: nothing beyond it is meant, and its float stays finite."""
 

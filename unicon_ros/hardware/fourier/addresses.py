@@ -13,8 +13,6 @@ from unicon_core.errors import RobotError
 from unicon_core.robots import Robot
 from unicon_ros.hardware.facts import TransportFacts
 
-__all__ = ["Addressed", "addresses", "complete"]
-
 
 @dataclass(frozen=True)
 class Addressed:

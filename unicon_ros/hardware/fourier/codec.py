@@ -17,26 +17,6 @@ from unicon_core.robots import Robot
 from unicon_ros.hardware.facts import TransportFacts
 from unicon_ros.hardware.fourier.addresses import Addressed, complete
 
-__all__ = [
-    "ACKNOWLEDGED",
-    "ACKNOWLEDGED_GAINS",
-    "ARM_DEAD_MAN",
-    "CLEAR_DEAD_MAN",
-    "COMMAND",
-    "COMMAND_TYPE",
-    "DISABLE",
-    "ENABLE",
-    "GAINS",
-    "GAINS_TYPE",
-    "PD_MODE",
-    "STATE",
-    "STATE_TYPE",
-    "TEMPERATURE",
-    "TEMPERATURE_TYPE",
-    "TIMED_OUT",
-    "Actuators",
-]
-
 DISABLE, COMMAND, GAINS = 0x02, 0x0E, 0xA1
 STATE, TEMPERATURE = 0x21, 0x22
 ENABLE, PD_MODE, ACKNOWLEDGED_GAINS, ARM_DEAD_MAN, CLEAR_DEAD_MAN = 0x51, 0x59, 0x61, 0x64, 0x65

@@ -7,8 +7,6 @@ from collections.abc import Callable, Sequence
 
 from unicon_core.errors import Fault
 
-__all__ = ["Enabling"]
-
 AGAIN = 0.05
 """After so long without an answer a step is sent again, [s]."""
 TRIES = 20

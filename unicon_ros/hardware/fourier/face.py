@@ -32,8 +32,6 @@ from unicon_ros.hardware.fourier.fsa1_codec import Servos
 from unicon_ros.hardware.fourier.fsa1_face import Fsa1Face
 from unicon_ros.hardware.udp import Udp
 
-__all__ = ["FourierFace", "face"]
-
 WARM = 40.0
 """What actuators tell where the simulator has no temperature, [°C]."""
 ACKNOWLEDGED = {

@@ -21,26 +21,6 @@ from unicon_core.robots import Robot
 from unicon_ros.hardware.facts import TransportFacts
 from unicon_ros.hardware.fourier.addresses import Addressed, addresses, complete
 
-__all__ = [
-    "ENABLE",
-    "ERROR",
-    "ERROR_TYPE",
-    "MEASURED",
-    "POSITION",
-    "POSITION_MODE",
-    "SERVO_OFF",
-    "SERVO_ON",
-    "STATE",
-    "STATE_TYPE",
-    "TEMPERATURE",
-    "Servos",
-    "control_word",
-    "loop_gains",
-    "mode_of_operation",
-    "number",
-    "understood",
-]
-
 ENABLE, POSITION, STATE, ERROR = 0x01, 0x0A, 0x1A, 0x1B
 STATE_TYPE = np.dtype([("code", "u1"), ("measured", ">f4", (3,))])
 """Position, speed and current."""

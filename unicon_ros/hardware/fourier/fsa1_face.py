@@ -27,8 +27,6 @@ from unicon_ros.hardware.fourier.fsa1_codec import (
 )
 from unicon_ros.hardware.udp import Udp
 
-__all__ = ["Fsa1Face"]
-
 WARM = 40.0
 """What actuators tell where the simulator has no temperature, [°C]."""
 MODES = {0x04: POSITION_MODE, 0x05: 3, 0x06: 6, 0x07: 4}

@@ -35,8 +35,6 @@ from unicon_ros.hardware.fourier.fsa1_codec import (
 from unicon_ros.hardware.fourier.zero import Zero
 from unicon_ros.hardware.udp import Udp
 
-__all__ = ["Fsa1Wire"]
-
 OFTEN = 3
 """Disabling is not acknowledged, and nothing else lets these actuators go: sent so many times."""
 HOTTEST = 1e3

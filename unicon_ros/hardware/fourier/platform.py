@@ -19,8 +19,6 @@ from unicon_ros.hardware.fourier.fsa1_wire import Fsa1Wire
 from unicon_ros.hardware.fourier.wire import FourierWire
 from unicon_ros.hardware.wired_robot import WiredRobot, opened
 
-__all__ = ["Fourier", "make"]
-
 SILENCE = 0.1
 """In [s]: ten answers at the 100 Hz at which the vendor asks."""
 DEAD_MAN = 0.2

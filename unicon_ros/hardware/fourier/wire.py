@@ -30,8 +30,6 @@ from unicon_ros.hardware.fourier.codec import (
 )
 from unicon_ros.hardware.fourier.enabling import Enabling
 
-__all__ = ["FourierWire"]
-
 KIND_OF_ENCODER = 1, 0x03
 """Of `errors`: a word whose lowest two bits are not an error."""
 

@@ -10,8 +10,6 @@ import numpy as np
 from unicon_core.errors import Fault
 from unicon_ros.hardware.fourier.fsa1_codec import Servos
 
-__all__ = ["Zero"]
-
 SAMPLES = 10
 """Of each encoder, whose mean counts."""
 APART = 3.0

@@ -10,8 +10,6 @@ from unicon_core.robots import Robot
 from unicon_ros.hardware.facts import TransportFacts
 from unicon_ros.hardware.modbus.registers import HandRegisters, Told
 
-__all__ = ["registers_of"]
-
 
 def registers_of(robot: Robot) -> HandRegisters:
     """Return the registers of a hand: angles from `raw_lower` (open) to `raw_upper` (closed).

@@ -8,8 +8,6 @@ from unicon_ros.hardware.facts import TransportFacts
 from unicon_ros.hardware.inspire.codec import registers_of
 from unicon_ros.hardware.modbus.served import HandFace, PtyServer, TcpServer
 
-__all__ = ["face"]
-
 
 def face(
     states: States, robot: Robot, *, port: int | None = None, serial: bool = False

@@ -25,8 +25,6 @@ from unicon_ros.hardware.modbus.reached import reached
 from unicon_ros.hardware.wire import Wire
 from unicon_ros.hardware.wired_robot import WiredRobot, opened
 
-__all__ = ["Inspire", "make"]
-
 NAME, MODBUS = "inspire", "inspire"
 SILENCE = 0.2
 """In [s]: 20 answers, or states, at 100 Hz."""

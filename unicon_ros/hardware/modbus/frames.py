@@ -12,9 +12,6 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["READ", "WRITE", "WRITE_ONE", "Frame", "Framing", "Refused", "Rtu", "Tcp", "crc16"]
-__all__ += ["read_answer", "read_request", "refusal", "write_answer", "write_request"]
-
 READ, WRITE_ONE, WRITE = 3, 6, 16
 LARGEST = 260
 """Bytes of a frame over TCP; over a serial line 256."""

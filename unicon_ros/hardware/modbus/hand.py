@@ -29,8 +29,6 @@ from unicon_ros.hardware.modbus.registers import HandRegisters
 from unicon_ros.hardware.speed import Speed
 from unicon_ros.hardware.wire import Counts
 
-__all__ = ["HandWire"]
-
 RATE = 100.0
 """Exchanges a second: the vendors' examples ask so often."""
 SLOW = 10

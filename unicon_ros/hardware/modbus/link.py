@@ -16,8 +16,6 @@ from functools import partial
 from unicon_core.errors import PlatformError
 from unicon_ros.hardware.modbus.frames import Frame, Framing, Refused, Rtu, Tcp
 
-__all__ = ["Link", "open_serial", "open_tcp"]
-
 ANSWER = 0.05
 """How long an answer may take, [s]: over RTU at 115200 baud one of 6 registers takes 3 ms."""
 

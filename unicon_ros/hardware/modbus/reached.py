@@ -9,8 +9,6 @@ from unicon_core.robots import Robot
 from unicon_ros.hardware.facts import TransportFacts, port_number
 from unicon_ros.hardware.modbus.link import Link, open_serial, open_tcp
 
-__all__ = ["reached"]
-
 
 def reached(
     robot: Robot, platform: str, address: str | None, port: int | None, device: str | None

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from unicon_ros.hardware.modbus.frames import Refused
 
-__all__ = ["HandRegisters", "Told"]
-
 BEYOND = 0.1
 """A measured angle that is further outside the range, as a share of it, is not a measurement."""
 

@@ -29,8 +29,6 @@ from unicon_ros.hardware.modbus.frames import (
 )
 from unicon_ros.hardware.modbus.registers import HandRegisters
 
-__all__ = ["HandFace", "PtyServer", "TcpServer"]
-
 MOST = 4
 """Clients at once, of a hand over TCP."""
 

@@ -24,8 +24,6 @@ from unicon_ros.hardware.dds.participant import LARGEST_DOMAIN
 from unicon_ros.hardware.facts import TransportFacts
 from unicon_ros.hardware.wire import Counts, newer
 
-__all__ = ["COMMAND", "REMOTE", "STATES", "STATE_NAME", "Arrays", "LowStates", "PndFacts"]
-
 COMMAND = "pnd_adam/msg/LowCmd"
 STATES = {True: "pnd_adam/msg/LowState", False: "pnd_adam/msg/PlainLowState"}
 """LowState with the battery and without."""

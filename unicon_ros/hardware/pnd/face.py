@@ -23,8 +23,6 @@ from unicon_ros.hardware.pnd.codec import COMMAND, REMOTE, STATE_NAME, STATES, P
 from unicon_ros.hardware.pnd.wire import EXTRA
 from unicon_ros.hardware.wire import Counts
 
-__all__ = ["PndFace", "face"]
-
 LABEL = "emulated pnd"
 
 

@@ -15,8 +15,6 @@ from unicon_ros.hardware.dds.factory import factory_of
 from unicon_ros.hardware.pnd.wire import PndWire
 from unicon_ros.hardware.wired_robot import WiredRobot
 
-__all__ = ["Pnd", "make"]
-
 
 class Pnd(WiredRobot):
     """An Adam; build it with `make`."""

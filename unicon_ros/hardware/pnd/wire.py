@@ -23,8 +23,6 @@ from unicon_ros.hardware.pnd.codec import (
 )
 from unicon_ros.hardware.wire import Counts
 
-__all__ = ["EXTRA", "LABEL", "PndWire"]
-
 LABEL, EXTRA = "platform 'pnd'", "hw-pnd"
 
 

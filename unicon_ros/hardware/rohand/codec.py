@@ -18,8 +18,6 @@ from unicon_ros.hardware.modbus.frames import read_answer, read_request
 from unicon_ros.hardware.modbus.link import Link
 from unicon_ros.hardware.modbus.registers import HandRegisters, Told
 
-__all__ = ["check_protocol", "registers_of"]
-
 
 def registers_of(robot: Robot) -> HandRegisters:
     """Return the registers of a hand.

@@ -8,8 +8,6 @@ from unicon_ros.hardware.facts import TransportFacts
 from unicon_ros.hardware.modbus.served import HandFace, PtyServer
 from unicon_ros.hardware.rohand.codec import registers_of
 
-__all__ = ["face"]
-
 
 def face(states: States, robot: Robot, *, version: int = 0x0100) -> HandFace:
     """Return the face of a hand on a pty, `face.where`.

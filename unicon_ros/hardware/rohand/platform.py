@@ -19,8 +19,6 @@ from unicon_ros.hardware.modbus.reached import reached
 from unicon_ros.hardware.rohand.codec import check_protocol, registers_of
 from unicon_ros.hardware.wired_robot import WiredRobot, opened
 
-__all__ = ["Rohand", "make"]
-
 NAME = "rohand"
 
 

@@ -38,8 +38,6 @@ from unicon_ros.hardware.unitree.service import Server
 from unicon_ros.hardware.unitree.wire import REMOTE, own_arrays
 from unicon_ros.hardware.wire import Counts
 
-__all__ = ["UnitreeFace", "face"]
-
 LABEL = "emulated unitree"
 MODE = "normal"
 """Of its own controller, until it lets go."""

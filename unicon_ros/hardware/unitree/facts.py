@@ -11,8 +11,6 @@ from unicon_msgs_map.layout.messages import Array, Struct, shared_messages
 from unicon_ros.hardware.dds.participant import LARGEST_DOMAIN
 from unicon_ros.hardware.facts import TransportFacts
 
-__all__ = ["PROTOCOLS", "Run", "UnitreeFacts"]
-
 PROTOCOLS = ("unitree_go", "unitree_hg")
 OCTET = 255
 

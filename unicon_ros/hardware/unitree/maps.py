@@ -14,8 +14,6 @@ from unicon_msgs_map import PublishSpec, SubscribeSpec
 from unicon_ros.hardware.dds.maps import COMMANDS, IMU, MEASURED, publish, subscribe
 from unicon_ros.hardware.unitree.facts import UnitreeFacts
 
-__all__ = ["command_in", "command_out", "head_in", "state_in", "state_out"]
-
 _CHECKSUM = {"crc": {"checksum": "unitree"}}
 PERCENT = 100.0
 

@@ -22,8 +22,6 @@ from unicon_ros.hardware.unitree.facts import PROTOCOLS, UnitreeFacts
 from unicon_ros.hardware.unitree.wire import FOOT_FORCE, LABEL, TOLD, UnitreeWire
 from unicon_ros.hardware.wired_robot import SILENCE, WiredRobot, opened
 
-__all__ = ["Unitree", "make"]
-
 SIMULATOR = "unitree_mujoco"
 REMOTE = ("wireless_remote", FOOT_FORCE)
 """States that it writes where a workflow declares them: 40 bytes; four forces, without a unit."""

@@ -16,8 +16,6 @@ from unicon_core.errors import Fault
 from unicon_ros.hardware.dds.participant import Participant
 from unicon_ros.hardware.unitree.service import Client
 
-__all__ = ["CHECK_MODE", "RELEASE_MODE", "SWITCHER", "Release"]
-
 SWITCHER = "motion_switcher"
 CHECK_MODE, RELEASE_MODE = 1001, 1003
 TIMEOUT = 5.0

@@ -17,8 +17,6 @@ from unicon_msgs_map.layout.messages import shared_messages
 from unicon_ros.hardware.dds.objects import packed, unpacked
 from unicon_ros.hardware.dds.participant import Participant
 
-__all__ = ["Client", "Server"]
-
 REQUEST, RESPONSE = "unitree_api/msg/Request", "unitree_api/msg/Response"
 
 

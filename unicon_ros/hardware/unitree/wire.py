@@ -29,8 +29,6 @@ from unicon_ros.hardware.unitree.maps import command_out, head_in, state_in
 from unicon_ros.hardware.unitree.release import Release
 from unicon_ros.hardware.wire import Counts, newer
 
-__all__ = ["FOOT_FORCE", "LABEL", "TOLD", "UnitreeWire", "own_arrays"]
-
 LABEL = "platform 'unitree'"
 TOLD, FOOT_FORCE = (*JOINT_STATES, *IMU_STATES, *HARDWARE_STATES), "foot_force"
 """States that LowState tells, those that are there."""

@@ -23,8 +23,6 @@ from unicon_ros.hardware.dds.participant import LARGEST_DOMAIN
 from unicon_ros.hardware.facts import TransportFacts
 from unicon_ros.hardware.wire import Counts
 
-__all__ = ["COMMAND", "STATE", "TIMEOUT", "Arrays", "Dex3Facts", "own_arrays"]
-
 COMMAND, STATE = "unitree_hg/msg/HandCmd", "unitree_hg/msg/HandState"
 MOTORS, SENSORS = 7, 9
 """Lengths of the sequences (same example: MOTOR_MAX, SENSOR_MAX)."""

@@ -28,8 +28,6 @@ from unicon_ros.hardware.unitree_dex3.codec import (
 )
 from unicon_ros.hardware.wire import Counts
 
-__all__ = ["Dex3Face", "face"]
-
 LABEL = "emulated unitree_dex3"
 TEMPERATURE = 35.0
 """What it tells where its simulator knows none, in [°C]."""

@@ -15,8 +15,6 @@ from unicon_ros.hardware.dds.factory import factory_of
 from unicon_ros.hardware.unitree_dex3.wire import Dex3Wire
 from unicon_ros.hardware.wired_robot import WiredRobot
 
-__all__ = ["Dex3", "make"]
-
 SILENCE = 0.1
 """In [s]: ten frames at the 100 Hz at which the vendor's example commands it."""
 

@@ -15,8 +15,6 @@ from unicon_ros.hardware.modes import UNDOCUMENTED, ModeGuard
 from unicon_ros.hardware.unitree_dex3.codec import COMMAND, STATE, Dex3Facts, own_arrays
 from unicon_ros.hardware.wire import Counts
 
-__all__ = ["LABEL", "Dex3Wire"]
-
 LABEL = "platform 'unitree_dex3'"
 STOPS, STOP_PERIOD = 5, 0.01
 """How often and at which distance in [s] the stop is sent: at the 100 Hz of commands."""

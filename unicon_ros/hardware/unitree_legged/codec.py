@@ -16,19 +16,6 @@ from numpy.typing import NDArray
 
 from unicon_msgs_map.codec.checksum import words_crc
 
-__all__ = [
-    "CELL_VOLT",
-    "DAMPING",
-    "LAYOUTS",
-    "SLOTS",
-    "STIFFNESS",
-    "TORQUE",
-    "CommandFrame",
-    "Frame",
-    "Layout",
-    "encrypted_crc",
-]
-
 Float = NDArray[np.float32]
 
 SLOTS = 20

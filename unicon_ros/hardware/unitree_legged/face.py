@@ -24,8 +24,6 @@ from unicon_ros.hardware.unitree_legged.codec import (
 )
 from unicon_ros.hardware.unitree_legged.link import Link, link_of
 
-__all__ = ["LeggedFace", "face"]
-
 BRAKE = 2.0
 """Damping of an emulated motor in mode 0x00 in [N·m·s/rad]; a real one's is not public."""
 FULL = 0.8

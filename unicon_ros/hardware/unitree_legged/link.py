@@ -11,8 +11,6 @@ from unicon_core.robots import Robot
 from unicon_ros.hardware.facts import TransportFacts, ipv4, port_number
 from unicon_ros.hardware.unitree_legged.codec import LAYOUTS, SLOTS, Layout
 
-__all__ = ["NAME", "Link", "link_of"]
-
 NAME = "unitree_legged"
 
 

@@ -21,8 +21,6 @@ from unicon_ros.hardware.unitree_legged.reader import FOOT_FORCE
 from unicon_ros.hardware.unitree_legged.wire import LeggedWire
 from unicon_ros.hardware.wired_robot import SILENCE, WiredRobot, opened
 
-__all__ = ["UnitreeLegged", "make"]
-
 WATCHDOG = 0.25
 """A tick that is later damps the robot, [s]; three ticks where those are longer. So late a tick may
 be before the runner calls it hung (`pacing.hang`)."""

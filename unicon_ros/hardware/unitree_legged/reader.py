@@ -15,8 +15,6 @@ from unicon_ros.hardware.unitree_legged.codec import CELL_VOLT, LAYOUTS, TORQUE,
 from unicon_ros.hardware.unitree_legged.link import NAME, Link
 from unicon_ros.hardware.wire import Counts, newer
 
-__all__ = ["FOOT_FORCE", "StateReader"]
-
 FOOT_FORCE = "foot_force"
 """A state of shape (4,) that a workflow may declare: what the feet's sensors tell, in units of
 theirs, in the order of the robot's legs."""

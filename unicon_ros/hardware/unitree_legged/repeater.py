@@ -13,8 +13,6 @@ from contextlib import suppress
 
 from unicon_core.errors import Fault
 
-__all__ = ["Repeater"]
-
 
 class Repeater(threading.Thread):
     """A thread that repeats what was sent last, until `close`; it computes nothing.

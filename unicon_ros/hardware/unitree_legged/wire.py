@@ -27,8 +27,6 @@ from unicon_ros.hardware.unitree_legged.reader import StateReader
 from unicon_ros.hardware.unitree_legged.repeater import Repeater
 from unicon_ros.hardware.wire import Counts
 
-__all__ = ["LeggedWire"]
-
 HELD = 3.0
 """A motor that tells as much obeys somebody else, while our commands ask for nothing, [N·m]."""
 LATELY = 2.0

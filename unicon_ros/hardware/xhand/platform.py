@@ -14,8 +14,6 @@ from unicon_core.states import States
 from unicon_ros.hardware.wired_robot import WiredRobot, opened
 from unicon_ros.hardware.xhand.wire import XhandWire
 
-__all__ = ["Xhand", "make"]
-
 NAME = "xhand"
 
 

@@ -20,8 +20,6 @@ from unicon_core.states import States
 from unicon_ros.hardware.facts import TransportFacts
 from unicon_ros.hardware.wire import Counts
 
-__all__ = ["XhandWire"]
-
 POWERLESS = 0
 """Mode in which a joint gives no torque; the robot file says that of positions."""
 FROZEN = 2.0

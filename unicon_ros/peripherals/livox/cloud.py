@@ -16,8 +16,6 @@ from unicon_core.handles import FrameRing
 from unicon_ros.bridge.images import FrameMessage, cloud_message
 from unicon_ros.peripherals.livox.protocol import HEAD, POINTS, SAMPLES, Packet
 
-__all__ = ["POINT", "Clouds", "Counter", "SensorClock", "livox_message"]
-
 FRAME_NS = 100_000_000
 PACKETS = 212
 """Most datagrams of a cloud: 2083.3 a second, and some to spare."""

@@ -21,8 +21,6 @@ from unicon_ros.bridge.camera_topics import RELIABILITIES, large_data, topic_opt
 from unicon_ros.peripherals.livox.cloud import livox_message
 from unicon_ros.peripherals.peripheral import peripheral_block, peripheral_states
 
-__all__ = ["livox"]
-
 MODULE = "unicon_ros.peripherals.livox.process"
 
 

@@ -15,10 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["ACK", "CONFIGURE", "DATA", "HEAD", "IMU", "INQUIRE", "POINTS", "REQUEST", "STATES"]
-__all__ += ["Packet", "Refused", "command", "configuration", "packet", "read_answer"]
-__all__ += ["read_command", "read_imu", "read_values", "target"]
-
 HEAD = 36
 """Bytes before the samples of a datagram of points or of the IMU."""
 _HEAD = struct.Struct("<BHHHHBBB12xIQ")

@@ -14,8 +14,6 @@ from typing import Any
 from unicon_core.errors import MissingDependencyError, UniconError
 from unicon_core.resources import user_folder
 
-__all__ = ["certificate", "fingerprint", "secured"]
-
 _DAYS = 800
 _INSTALL = "pip install 'unicon_ros[webxr]'"
 

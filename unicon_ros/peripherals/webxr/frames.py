@@ -13,8 +13,6 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ANSWER", "AXES", "BUTTONS", "FRAME", "JOINTS", "PARTS", "PING", "Frame", "Refused"]
-
 _FINGER = ("metacarpal", "phalanx-proximal", "phalanx-intermediate", "phalanx-distal", "tip")
 JOINTS = (
     "wrist",

@@ -20,8 +20,6 @@ from unicon_ros.peripherals.peripheral import Peripheral, peripheral_block, peri
 from unicon_ros.peripherals.webxr.frames import AXES, BUTTONS, PARTS
 from unicon_ros.view.front import LOOPBACK
 
-__all__ = ["webxr"]
-
 MODULE = "unicon_ros.peripherals.webxr.process"
 SHORTEST = 12
 """Characters of a token."""

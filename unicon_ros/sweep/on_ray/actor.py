@@ -10,8 +10,6 @@ import socket
 from pathlib import Path
 from typing import Any
 
-__all__ = ["RowActor"]
-
 
 class RowActor:
     """Runs rows, one after the other, in the folder that Ray has unpacked.

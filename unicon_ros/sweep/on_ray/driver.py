@@ -24,8 +24,6 @@ from unicon_ros.sweep.piped import line_of
 from unicon_ros.sweep.plan import Row
 from unicon_ros.sweep.pool import HOPELESS, LOOK, ONE_THREAD, START_S, Pool, PoolWorker
 
-__all__ = ["ActorPool", "differs", "main"]
-
 STORE_BYTES = 80_000_000
 """Of a local Ray's shared memory: nothing large goes through it, and it has to have 75 MB."""
 LOGS = "the logs of Ray on its node, or try --engine local"

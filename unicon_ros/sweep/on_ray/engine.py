@@ -23,8 +23,6 @@ from unicon_ros.sweep.piped import PipedProcess, line_of
 from unicon_ros.sweep.plan import Plan, Row
 from unicon_ros.sweep.pool import LOOK
 
-__all__ = ["RayEngine", "environment_for", "require_ray"]
-
 JOIN_S, START_S = 60.0, 120.0
 """Wall time in [s] until a cluster takes us (1 s on two nodes), and until our own is up (5 s)."""
 TCP_S = 5.0

@@ -22,8 +22,6 @@ from unicon_ros.sweep.draws import setting_of
 from unicon_ros.sweep.piped import PipedProcess
 from unicon_ros.sweep.plan import Plan
 
-__all__ = ["files_of", "rehearsed"]
-
 MOMENT = 0.05
 """Of a rollout in [s]: some blocks open files in the first tick."""
 SYSTEM = ("/proc", "/sys", "/dev", "/run", "/etc", "/usr", "/lib", "/lib64", "/bin", "/sbin")

@@ -9,8 +9,6 @@ import tempfile
 from contextlib import suppress
 from pathlib import Path
 
-__all__ = ["Scratch"]
-
 PREFIX, LOCK = "unicon_ray_", ".lock"
 
 

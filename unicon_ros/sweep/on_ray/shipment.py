@@ -19,8 +19,6 @@ from typing import Any
 from unicon_core.errors import UniconError
 from unicon_core.resources import assets_cache, assets_root, config_roots
 
-__all__ = ["FILES", "MOST_BYTES", "arrive", "manifest", "pack"]
-
 FILES = "files"
 MOST_BYTES = 400_000_000
 """Of an archive; Ray takes 500 MiB."""

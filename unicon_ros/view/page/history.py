@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from unicon_core.states import Layout
 from unicon_ros.view.source import Snapshot
 
-__all__ = ["SECONDS", "TIMING", "History"]
-
 SECONDS = 12.0
 """So much is kept, in [s]."""
 

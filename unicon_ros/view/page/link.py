@@ -19,8 +19,6 @@ from typing import Any
 
 from viser import _messages
 
-__all__ = ["Link", "close_doors", "drop", "guard", "move", "opened", "state_of"]
-
 KEY = "unicon"
 """Of the storage; nothing is kept there."""
 

@@ -11,8 +11,6 @@ from unicon_ros.view.page.scene import Scene
 from unicon_ros.view.page.words import legend_html
 from unicon_ros.view.shown import Shown
 
-__all__ = ["Chart", "Panel"]
-
 NONE = "nothing"
 _AXES = ("vx [m/s]", "vy [m/s]", "wz [rad/s]")
 _HINTS = ("forwards", "to the left", "turning to the left")

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from unicon_core.states import Layout
 from unicon_ros.view.page.history import TIMING, History
 
-__all__ = ["ALL", "TIMES", "VELOCITY", "Curve", "Plot", "choices", "curves_of", "groups"]
-
 ALL = "all elements"
 VELOCITY = "velocity, commanded dashed"
 TIMES = "tick timing, deadline dashed"

@@ -17,8 +17,6 @@ from unicon_ros.view.page.shapes import shapes_of
 from unicon_ros.view.page.words import COMMANDED, MEASURED
 from unicon_ros.view.shown import Shown
 
-__all__ = ["TOUCHING", "Pose", "Scene", "Stage"]
-
 _PATH = (90, 90, 200)
 _FOOT = (214, 39, 40)
 _GRID, _HALF = (200, 204, 212), 12  # [m] from the middle to the edge

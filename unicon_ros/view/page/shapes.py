@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 
-__all__ = ["Shape", "shapes_of"]
-
 _SHOWN = 3
 """MuJoCo's own viewers hide the groups of geoms from here on."""
 

@@ -20,8 +20,6 @@ from unicon_ros.view.page.words import status_html, table
 from unicon_ros.view.shown import Shown
 from unicon_ros.view.source import Remote, Snapshot, Source
 
-__all__ = ["MOST", "Page"]
-
 _RATE = 2.0  # [s] over which ticks are counted
 MOST = 16
 """Viewers at once."""

@@ -15,8 +15,6 @@ from unicon_ros.view.page.words import graph_html
 from unicon_ros.view.shown import Shown
 from unicon_ros.view.source import Remote, Snapshot
 
-__all__ = ["Viewer"]
-
 _TEXTS, _CHARTS, _PATH = 0.25, 0.1, 0.2
 """Between two of them, in [s]; of the charts one at a time."""
 

@@ -10,8 +10,6 @@ import numpy as np
 
 from unicon_ros.view.shown import DEAD_MAN
 
-__all__ = ["Drives", "Wheel"]
-
 
 class Drives(Protocol):
     """The part of `Remote` that a wheel needs."""

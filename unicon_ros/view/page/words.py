@@ -12,8 +12,6 @@ from unicon_ros.view.page.history import TIMING, History
 from unicon_ros.view.shown import GraphLine, Shown
 from unicon_ros.view.source import Snapshot
 
-__all__ = ["graph_html", "legend_html", "status_html"]
-
 COMMANDED, MEASURED = (31, 119, 180), (255, 127, 14)
 """Colours of the velocity arrows, and of their legend."""
 

@@ -17,8 +17,6 @@ from unicon_core.errors import MissingDependencyError
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.platforms.kit.base import Float
 
-__all__ = ["begun", "built"]
-
 _FIRST = 3
 """Steps and resets after which nothing is left to be compiled."""
 

@@ -12,8 +12,6 @@ from unicon_core.models.touching import contact_of, floors, may_touch, on_floor
 from unicon_core.platforms.kit.joint_model import JointModel
 from unicon_core.platforms.kit.start import Start
 
-__all__ = ["adapted", "otherwise"]
-
 
 def adapted(start: Start, figures: JointModel) -> Any:
     """Return a copy of the model with the joints' figures, without limits that the kit applies.

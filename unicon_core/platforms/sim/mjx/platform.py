@@ -31,9 +31,6 @@ from unicon_core.robots import Robot
 from unicon_core.robots.joint_physics import JOINT_PHYSICS
 from unicon_core.states import States
 
-__all__ = ["MjxPlatform", "make"]
-
-
 FINEST = 1e-6
 """Tolerance of the solver: float32 seldom gets further, however often it iterates. With MuJoCo's
 own 1e-8 sixteen Go2 took 1.6 times as long."""

@@ -11,8 +11,6 @@ from typing import Any, NamedTuple
 
 from unicon_core.platforms.kit.start import Start
 
-__all__ = ["Places", "compiled_tick"]
-
 
 class Places(NamedTuple):
     """Where joints and the free joint stand in `qpos` and `qvel`; a base that is fixed has none."""

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from unicon_core.models.actuators import actuator_kind
 
-__all__ = ["holding"]
-
 Float = NDArray[np.float64]
 
 

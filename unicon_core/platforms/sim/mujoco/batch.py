@@ -15,8 +15,6 @@ from unicon_core.platforms.kit.side_by_side import SideBySide
 from unicon_core.platforms.sim.mujoco.shared_servo import SharedServo, Told
 from unicon_core.platforms.sim.mujoco.simulated_robot import SimulatedRobot
 
-__all__ = ["Batch", "shares"]
-
 Array = NDArray[Any]
 Part = tuple[int, list[Told]]
 """Physics steps, and what acts in them on each robot."""

@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["BaseReader", "find_imu", "without_sensors"]
-
 Float = NDArray[np.float64]
 Copy = Callable[[], None]
 

@@ -12,8 +12,6 @@ from unicon_core.models.terrain import load_on
 from unicon_core.robots import Robot
 from unicon_core.terrain.words import Terrain
 
-__all__ = ["Models"]
-
 
 class Models:
     """Reads a model once, and once for each ground; who asks again gets a copy.

@@ -13,8 +13,6 @@ from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.posed import PosedModel
 from unicon_core.platforms.sim.mujoco.simulated_robot import SimulatedRobot
 
-__all__ = ["Placement"]
-
 _COMPUTED = ("sensordata", "qacc", "qfrc_actuator")
 """Results of the tick that the next one reads, and `mj_step1` does not compute."""
 

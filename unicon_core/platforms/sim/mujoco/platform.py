@@ -34,8 +34,6 @@ from unicon_core.robots.joint_physics import JOINT_PHYSICS, JointPhysics, joint_
 from unicon_core.states import States
 from unicon_core.states.standard import BASE_STATES
 
-__all__ = ["MujocoPlatform", "make"]
-
 _IMMOVABLE = 1e4
 """Rotor in [kg·m²] that no joint moves: 300 N·m turn it by 4 mrad in 0.5 s."""
 

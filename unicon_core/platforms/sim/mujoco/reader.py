@@ -11,8 +11,6 @@ from unicon_core.models.loaded import LoadedModel
 from unicon_core.models.rows import index_of
 from unicon_core.platforms.sim.mujoco.imu import BaseReader
 
-__all__ = ["Reader"]
-
 
 class Reader:
     """Copies joints and base of one robot into arrays.

@@ -7,8 +7,6 @@ from typing import Any
 
 from unicon_core.platforms.sim.mujoco.reader import Reader
 
-__all__ = ["Rehearsal"]
-
 LONGEST_NS = 400_000
 """Of a rehearsal: before a deadline there is a millisecond for all of them, and where a step takes
 that long it is hardly slower for cold caches."""

@@ -25,8 +25,6 @@ from unicon_core.models.actuators import actuator_kind, effort_range
 from unicon_core.models.joints import drives
 from unicon_core.models.rows import index_of
 
-__all__ = ["Servo"]
-
 Float = NDArray[np.float64]
 
 

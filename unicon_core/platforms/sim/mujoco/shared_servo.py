@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from unicon_core.platforms.sim.mujoco.servo import Servo
 
-__all__ = ["SharedServo", "Told"]
-
 Float = NDArray[np.float64]
 Told = tuple[Float, Float, Float]
 """Controls, gains and biases of one robot's actuators: shapes (n,), (n,) and (n, 3)."""

@@ -21,8 +21,6 @@ from unicon_core.platforms.sim.mujoco.reader import Reader
 from unicon_core.platforms.sim.mujoco.rehearsal import Rehearsal
 from unicon_core.platforms.sim.mujoco.servo import Servo
 
-__all__ = ["SimulatedRobot"]
-
 Float = NDArray[np.float64]
 
 _TOO_FAST = 1e10  # squared norm of all velocities: no robot's joint turns at 1e5 rad/s

@@ -9,8 +9,6 @@ from typing import Any
 
 from unicon_core.errors import PlatformError
 
-__all__ = ["Viewer"]
-
 
 class Viewer:
     """Block: shows a model, done when its window is closed.

@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from unicon_core.platforms.kit.base import rotation
 
-__all__ = ["Engine"]
-
 Float = NDArray[np.float64]
 
 

@@ -27,8 +27,6 @@ from unicon_core.platforms.sim.newton.world import build_world, not_told, solver
 from unicon_core.robots import Robot
 from unicon_core.states import States
 
-__all__ = ["NewtonPlatform", "make"]
-
 Float = NDArray[np.float64]
 
 Solver = Literal["mujoco", "warp"]

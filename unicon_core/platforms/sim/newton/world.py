@@ -23,8 +23,6 @@ from unicon_core.platforms.kit.joint_model import JointModel
 from unicon_core.platforms.kit.start import Start
 from unicon_core.robots import Robot
 
-__all__ = ["build_world", "not_told", "solver_options"]
-
 Float = NDArray[np.float64]
 
 _RAW = 1  # of `solref_mode`: a pair as MuJoCo has it, not a stiffness and a damping

@@ -16,9 +16,6 @@ from pathlib import Path
 
 from unicon_core.errors import StateError
 
-__all__ = ["FOLDER", "HEAD", "MAGIC", "SLEEPER_LOCKS", "WRITER_LOCK", "Found", "clean", "give_name"]
-__all__ += ["lock", "open_file", "remove_dead", "segment_path", "segments", "started", "unname"]
-
 FOLDER = Path("/dev/shm")
 MAGIC = b"UNICONSH"
 

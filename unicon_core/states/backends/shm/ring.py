@@ -18,8 +18,6 @@ from unicon_core.states.groups import Copies, difference
 from unicon_core.states.layout import Layout
 from unicon_core.states.states import States
 
-__all__ = ["ShmReader", "ShmWatcher", "ShmWriter"]
-
 LOOKS = 1000
 """How often a reader that is overtaken looks before it gives up for this time, and how often a
 writer wakes nobody before it looks for readers that were killed asleep."""

@@ -29,9 +29,6 @@ from unicon_core.states.backends.shm.files import (
 from unicon_core.states.groups import Groups, groups_from_json, groups_hash, groups_json
 from unicon_core.states.layout import Layout
 
-__all__ = ["BYTES", "LATEST", "MAX_SLEEPERS", "RING", "SLEEPERS", "SLOTS", "STAMP"]
-__all__ += ["Segment", "places"]
-
 VERSION = 1
 BYTE_ORDER = 0x01020304
 SLOTS = 4

@@ -16,8 +16,6 @@ from ctypes.util import find_library
 
 from unicon_core.errors import PlatformError
 
-__all__ = ["Sleep", "barrier"]
-
 _CALLS = {"x86_64": 202, "aarch64": 98, "riscv64": 98}  # numbers of futex(2)
 _ORDERED = {"x86_64", "AMD64"}  # stores are seen in program order: total store order
 _WAIT, _WAKE = 0, 1

@@ -6,8 +6,6 @@ import struct
 
 import numpy as np
 
-__all__ = ["garbage", "random_bits"]
-
 _HEADER = 4  # bytes that tell how a body is encoded
 
 

@@ -25,8 +25,6 @@ from unicon_ros.hardware.dds.participant import LARGEST_DOMAIN
 from unicon_ros.hardware.facts import TransportFacts
 from unicon_ros.hardware.wire import Counts
 
-__all__ = ["DFX", "FTP", "KINDS", "Arrays", "HandFacts", "Kind"]
-
 Arrays = Mapping[str, NDArray[Any]]
 ANGLES = 1
 """Bit of `mode` of the FTP: `angle_set` counts."""

@@ -20,8 +20,6 @@ from unicon_ros.hardware.inspire.dds.codec import ANGLES, HandFacts
 from unicon_ros.hardware.inspire.dds.wire import EXTRA
 from unicon_ros.hardware.wire import Counts
 
-__all__ = ["InspireDdsFace", "face"]
-
 LABEL = "emulated inspire"
 AS_IT_IS = -1
 """In an angle of the FTP: leave the finger as it is."""

@@ -17,8 +17,6 @@ from unicon_ros.hardware.inspire.dds.codec import DFX, HandFacts
 from unicon_ros.hardware.speed import Speed
 from unicon_ros.hardware.wire import Counts
 
-__all__ = ["EXTRA", "LABEL", "InspireDdsWire"]
-
 LABEL, EXTRA = "platform 'inspire'", "hw-inspire"
 OVER = 0.05
 """Over which the speed is taken, [s]: a step of 1/1000 within 10 ms would be up to 0.17 rad/s."""
