@@ -13,11 +13,10 @@ them.
 
 from __future__ import annotations
 
-import base64
 import dis
 import hashlib
 import json
-import math
+import sys
 from collections import deque
 from collections.abc import Iterator, Mapping
 from enum import Enum
@@ -33,8 +32,7 @@ from unicon_core.errors import StateError, one_line
 UNDECLARED = "declares no memory"
 """Reason of `Memory.unproven` for a block that may have one all the same."""
 
-_ATOMS = frozenset({type(None), bool, int, float, str})
-_SAME: Any = object()
+ATOMS = frozenset({type(None), bool, int, float, str})
 _WRONG = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 
 
@@ -55,19 +53,19 @@ class Snapshot(dict[str, Any]):
     """Block to what it remembered."""
 
 
-class _Component(dict[str, Any]):
+class Component(dict[str, Any]):
     """The memory of an object that declares one: attribute to value."""
 
 
-class _Library(list[Any]):
+class FromLibrary(list[Any]):
     """What a `Library` saved, in a list of one."""
 
 
-class _Generator(list[Any]):
+class GeneratorState(list[Any]):
     """The state of a generator of random numbers, in a list of one."""
 
 
-class _Member(list[str]):
+class EnumMember(list[str]):
     """Class and name of a member of an enumeration."""
 
 
@@ -181,27 +179,27 @@ def _fixed(value: Any, states: NDArray[np.uint8] | None) -> bool:
         return all(_fixed(each, states) for each in value)
     if isinstance(value, FunctionType):
         return _stateless(value, states)
-    return type(value) in _ATOMS or isinstance(value, (ModuleType, type, np.generic, np.ufunc))
+    return type(value) in ATOMS or isinstance(value, (ModuleType, type, np.generic, np.ufunc))
 
 
 def save(holder: Any, path: str = "") -> Any:
     """Return what an object remembers that declares it, or is a `Library`."""
     names = _names_of(holder)
     if names is None:
-        return _Library([_copied(holder.save(), path)])
+        return FromLibrary([_copied(holder.save(), path)])
     missing = [name for name in names if not hasattr(holder, name)]
     if missing:
         raise StateError(
             f"{path}: {type(holder).__name__}.memory names {missing[0]!r}, which it lacks; it has "
             + (", ".join(vars(holder)) or "no attributes")
         )
-    return _Component((name, _copied(getattr(holder, name), f"{path}.{name}")) for name in names)
+    return Component((name, _copied(getattr(holder, name), f"{path}.{name}")) for name in names)
 
 
 def _copied(value: Any, path: str) -> Any:
     """Return a value that stays as it is when the block goes on."""
     kind = type(value)
-    if kind in _ATOMS or isinstance(value, np.generic):
+    if kind in ATOMS or isinstance(value, np.generic):
         return value
     if kind is np.ndarray and not value.dtype.hasobject:
         return value.copy()
@@ -212,9 +210,9 @@ def _copied(value: Any, path: str) -> Any:
     if kind is deque:
         return deque((_copied(each, path) for each in value), value.maxlen)
     if isinstance(value, Enum):
-        return _Member([kind.__qualname__, value.name])
-    if isinstance(value, np.random.Generator):
-        return _Generator([_copied(value.bit_generator.state, path)])
+        return EnumMember([kind.__qualname__, value.name])
+    if _draws(value):
+        return GeneratorState([_copied(value.bit_generator.state, path)])
     if _declares(value):
         return save(value, path)
     raise StateError(
@@ -223,13 +221,18 @@ def _copied(value: Any, path: str) -> Any:
     )
 
 
+def _draws(value: Any) -> bool:
+    """Return whether a value is a generator of random numbers, without importing any."""
+    return "numpy.random" in sys.modules and isinstance(value, np.random.Generator)
+
+
 def load(holder: Any, saved: Any, path: str = "") -> None:
     """Let an object continue from what `save` returned of one that was built alike.
 
     Raises:
         StateError: it was built otherwise.
     """
-    if isinstance(saved, _Library):
+    if isinstance(saved, FromLibrary):
         if not isinstance(holder, Library):
             raise _differs(path, "an object that another library holds", holder)
         try:
@@ -240,7 +243,7 @@ def load(holder: Any, saved: Any, path: str = "") -> None:
             ) from error
         return
     names = _names_of(holder)
-    if not isinstance(saved, _Component) or names is None or not set(saved) <= set(names):
+    if not isinstance(saved, Component) or names is None or not set(saved) <= set(names):
         raise _differs(path, ", ".join(saved) if isinstance(saved, dict) else saved, names)
     for name, value in saved.items():
         there = getattr(holder, name)
@@ -259,17 +262,17 @@ def _into(there: Any, saved: Any, path: str) -> Any:
             raise _differs(path, _shown(saved), _shown(there))
         there[...] = saved
         return there
-    if kind in (_Component, _Library):
+    if kind in (Component, FromLibrary):
         if not _declares(there):
             raise _differs(path, "an object", there)
         load(there, saved, path)
         return there
-    if kind is _Generator:
-        if not isinstance(there, np.random.Generator):
+    if kind is GeneratorState:
+        if not _draws(there):
             raise _differs(path, "a generator of random numbers", there)
         there.bit_generator.state = saved[0]
         return there
-    if kind is _Member:
+    if kind is EnumMember:
         if not isinstance(there, Enum) or type(there).__qualname__ != saved[0]:
             raise _differs(path, saved[0], there)
         return type(there)[saved[1]]
@@ -298,23 +301,6 @@ def _into(there: Any, saved: Any, path: str) -> Any:
     return _copied(saved, path)
 
 
-def changes(snapshot: Snapshot, built: Snapshot) -> Snapshot:
-    """Return what of a snapshot is not as it was when the blocks had just been built.
-
-    A replay with another option restores nothing that the option alone decides.
-    """
-    found = _changes(snapshot, built)
-    return Snapshot() if found is _SAME else found
-
-
-def _changes(snapshot: Any, built: Any) -> Any:
-    if isinstance(snapshot, (_Component, Snapshot)) and type(built) is type(snapshot):
-        found = {name: _changes(each, built.get(name)) for name, each in snapshot.items()}
-        kept = {name: each for name, each in found.items() if each is not _SAME}
-        return type(snapshot)(kept) if kept or not snapshot else _SAME
-    return _SAME if to_json(snapshot) == to_json(built) else snapshot
-
-
 def _differs(path: str, saved: Any, here: Any) -> StateError:
     return StateError(
         f"the snapshot is of another program: {path} is {saved} in it and {here} here; build the "
@@ -334,71 +320,3 @@ def _shown(value: Any) -> str:
     if isinstance(value, np.ndarray):
         return f"{value.dtype}{list(value.shape)}"
     return type(value).__name__.lstrip("_").lower()
-
-
-# -- in files --------------------------------------------------------------------------------------
-
-_NAMED: dict[str, Any] = {
-    "snapshot": Snapshot,
-    "component": _Component,
-    "library": _Library,
-    "generator": _Generator,
-    "member": _Member,
-    "list": list,
-    "tuple": tuple,
-    "deque": deque,
-    "dict": dict,
-}
-_NAMES = {kind: name for name, kind in _NAMED.items()}
-
-
-def to_json(value: Any) -> Any:
-    """Return a snapshot, or a value of one, as JSON can write it, without the loss of a bit."""
-    kind = type(value)
-    if kind is float:
-        return value if math.isfinite(value) else {"float": repr(value)}
-    if kind in _ATOMS:
-        return value
-    if isinstance(value, (np.ndarray, np.generic)):
-        array = np.asarray(value)
-        data = base64.b64encode(array.tobytes()).decode()
-        content = {"dtype": array.dtype.str, "shape": list(array.shape), "data": data}
-        return {"array" if kind is np.ndarray else "scalar": content}
-    name = _NAMES[kind]
-    if isinstance(value, dict):
-        return {name: [[to_json(key), to_json(each)] for key, each in value.items()]}
-    elements = [to_json(each) for each in value]
-    return {name: [elements, value.maxlen] if kind is deque else elements}
-
-
-def from_json(value: Any) -> Any:
-    """Read what `to_json` returned. Nothing of it is imported or run.
-
-    Raises:
-        StateError: it is something else.
-    """
-    try:
-        return _read(value)
-    except _WRONG as error:
-        raise StateError(f"not a memory of blocks: {error}; write it with to_json") from error
-
-
-def _read(value: Any) -> Any:
-    if not isinstance(value, dict):
-        if type(value) not in _ATOMS:
-            raise ValueError(f"{value!r} stands in it")
-        return value
-    ((name, content),) = value.items()
-    if name == "float":
-        return float(content)
-    if name in ("array", "scalar"):
-        dtype = np.dtype(content["dtype"])
-        flat = np.frombuffer(base64.b64decode(content["data"], validate=True), dtype)
-        array = flat.reshape(content["shape"]).copy()
-        return array if name == "array" else array[()]
-    if name == "deque":
-        return deque(map(_read, content[0]), content[1])
-    kind = _NAMED[name]
-    if issubclass(kind, dict):
-        return kind((_read(key), _read(each)) for key, each in content)
-    return kind(map(_read, content))

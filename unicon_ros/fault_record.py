@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 
 from unicon_core.errors import UniconError
 from unicon_core.flow import Block, Stage
-from unicon_core.memory import to_json
+from unicon_core.memory_json import to_json
 from unicon_core.resources import user_folder
 from unicon_core.runtime.tick_ring import FEWEST, TickRing
 from unicon_ros.recording import McapFile, recover

@@ -22,7 +22,7 @@ from replaying import cut_off, replay
 from unicon_core import Zip, pose
 from unicon_core.errors import StateError, UniconError
 from unicon_core.flow import Block, Stage
-from unicon_core.memory import from_json
+from unicon_core.memory_json import from_json
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.workflow import Program, load_workflow
 from unicon_ros import fault_record

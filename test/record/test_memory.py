@@ -21,7 +21,8 @@ from hypothesis.extra import numpy as hnp
 from unicon_core.check.memory_proof import prove
 from unicon_core.errors import StateError
 from unicon_core.flow import Block
-from unicon_core.memory import Memory, Snapshot, changes, from_json, to_json
+from unicon_core.memory import Memory, Snapshot
+from unicon_core.memory_json import changes, from_json, to_json
 from unicon_core.states import States, StateSpec
 
 KINDS = ("bool", "int8", "uint16", "int64", "float32", "float64", "complex128")

@@ -9,14 +9,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 from unicon_core.blocks.controls.device import declares_controls
 from unicon_core.check.memory_proof import prove
-from unicon_core.errors import Fault
+from unicon_core.errors import Fault, StateError
 from unicon_core.flow import Block, Stage, compile_graph
 from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.flow.nodes import unfused
-from unicon_core.memory import Memory, from_json, to_json
+from unicon_core.memory import Memory, Snapshot
+from unicon_core.memory_json import from_json, to_json
+from unicon_core.runtime import Runner, RunOptions
 from unicon_core.runtime.tick_ring import memory_of
 from unicon_core.states import StateSpec
 from unicon_core.states.standard import forwarded_states, hardware_states
@@ -186,3 +189,104 @@ def test_what_is_restored_ticks_on_with_the_same_bytes(
     built.states.restore(states)
     memory.put_back(written)
     assert ticks.run(len(first)) == first
+
+
+def written(folder: Path, values: dict[str, Any]) -> Path:
+    path = folder / "switching.yaml"
+    path.write_text(yaml.safe_dump(values), "utf-8")
+    return path
+
+
+SWITCHING: dict[str, Any] = {
+    "schema": "unicon.workflow/1",
+    "name": "switching",
+    "robot": "go2",
+    "platform": "mujoco",
+    "rate": 50,
+    "states": {"wanted": {"dtype": "int32", "initial": -1}},
+    "skills": {
+        "rise": {"do": {"pose": {"to": "stand", "duration": 0.4}}, "next": "stand"},
+        "stand": {"do": "hold", "from": ["rise", "sit"], "blend": 0.3},
+        "sit": {"do": {"loop": {"do": "damp", "until": "tick > 200"}}, "blend": 0.3},
+    },
+    "flow": {
+        "chain": [{"loop": {"do": {"skills": {"on": "wanted"}}, "until": "tick > 150"}}, "hold"]
+    },
+    "safety": ["finite", "joint_limits", "rate_limit"],
+    "wind_down": {"pose": {"to": {"*_thigh_joint": 1.2, "*_calf_joint": -2.4}, "duration": 0.5}},
+}
+
+
+@pytest.mark.parametrize("at", [1, 22, 27, 60, 63, 66])
+def test_a_snapshot_in_the_middle_of_a_blend_or_a_swap_of_skills(at: int, tmp_path: Path) -> None:
+    built = Program(load_document(written(tmp_path, SWITCHING)))
+    try:
+        ticks = Ticks(built)
+        wish = {62: 2, 75: 1}  # sit, stand
+
+        def run(first: int, last: int) -> list[bytes]:
+            found = []
+            for tick in range(first, last):
+                built.states["wanted"][...] = wish.get(tick, built.states["wanted"])
+                found += ticks.run(1)
+            return found
+
+        memory = memory_of(built, ticks, platform=True)
+        assert memory.unproven == {}
+        run(0, at)
+        states, snapshot = built.states.snapshot(), memory.take()
+        first = run(at, at + 90)
+        built.states.restore(states)
+        memory.put_back(from_json(to_json(snapshot)))
+        assert run(at, at + 90) == first
+        assert len(set(first)) == len(first)  # something moves
+    finally:
+        built.close()
+
+
+def test_a_snapshot_in_the_middle_of_a_wind_down(tmp_path: Path) -> None:
+    built = Program(load_document(written(tmp_path, SWITCHING)))
+    try:
+        runner = Runner(built, RunOptions(warn=str))
+        graphs = runner.graphs()
+        memory = memory_of(built, runner, platform=True)
+        for _ in range(40):
+            graphs["run"].step()
+            graphs["run"].deferred()
+        ending = graphs["soft"]
+
+        def run(count: int) -> list[bytes]:
+            found = []
+            for _ in range(count):
+                ending.step()
+                ending.deferred()
+                found.append(built.states.buffer.tobytes())
+            return found
+
+        run(7)
+        states, snapshot = built.states.snapshot(), memory.take()
+        first = run(15)
+        built.states.restore(states)
+        memory.put_back(snapshot)
+        assert run(15) == first
+    finally:
+        built.close()
+
+
+def test_the_memory_of_another_file_is_refused_with_what_differs(tmp_path: Path) -> None:
+    (tmp_path / "other").mkdir()
+    one = Program(load_document(written(tmp_path, SWITCHING)))
+    more = {**SWITCHING, "flow": "hold", "robot": "g1_29dof", "platform": "fake", "wind_down": None}
+    del more["skills"]
+    other = Program(load_document(written(tmp_path / "other", more)))
+    try:
+        memories = [memory_of(each, Ticks(each), platform=True) for each in (one, other)]
+        snapshot = memories[0].take()
+        with pytest.raises(StateError, match=r"it has a block '.*', which this one lacks; this"):
+            memories[1].put_back(snapshot)
+        shared = Snapshot({key: each for key, each in snapshot.items() if key == "hold"})
+        with pytest.raises(StateError, match=r"hold\._held is float32\[12\] in it and float32\[29"):
+            memories[1].put_back(shared)
+    finally:
+        one.close()
+        other.close()

@@ -20,7 +20,8 @@ from replaying import cut_off, replay
 
 from unicon_core.errors import UniconError
 from unicon_core.flow import Amends
-from unicon_core.memory import Snapshot, to_json
+from unicon_core.memory import Snapshot
+from unicon_core.memory_json import to_json
 from unicon_core.workflow import Program
 from unicon_ros.recording import open_record
 

@@ -19,7 +19,7 @@ import yaml
 
 from unicon_core import __version__
 from unicon_core.flow import Stage
-from unicon_core.memory import to_json
+from unicon_core.memory_json import to_json
 from unicon_core.robots import Robot, robot_files
 from unicon_core.runtime.tick_ring import PHASES, KeptMemory
 from unicon_ros.recording.tick_message import Kept

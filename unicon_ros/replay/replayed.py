@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from unicon_core.errors import StateError, UniconError, one_line
 from unicon_core.flow import Block, Node, Stage, blocks_of, compile_graph
 from unicon_core.flow.compiled import CompiledGraph
-from unicon_core.memory import Snapshot, changes, from_json
+from unicon_core.memory import Snapshot
+from unicon_core.memory_json import changes, from_json
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.runtime.beforehand import approach_tree, waiting_tree
 from unicon_core.runtime.phases import Phase
