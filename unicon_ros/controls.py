@@ -124,7 +124,6 @@ class Controls:
             if self._steps:
                 self._steps -= 1
                 if runner.tick(time.perf_counter_ns()):
-                    runner.done = True
                     runner.stop()
                 pause()
         self.paused = False

@@ -19,6 +19,7 @@ ticks only; otherwise as usual. To share a process and an executor with nodes of
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from rclpy.executors import ExternalShutdownException
@@ -77,7 +78,7 @@ class UniconNode(LifecycleNode):
         self._activations = 0
         self._told_to_go = False  # by ~/start, which is the operator's go
         handlers: dict[str, Callable[[], Answer]] = {
-            word: getattr(self, f"_{word}", None) or self._delegate(word)
+            word: getattr(self, f"_{word}", None) or partial(self._ask, word)
             for word in SERVICES
             if word not in STOP_SERVICES
         }
@@ -125,12 +126,7 @@ class UniconNode(LifecycleNode):
 
     def _held(self) -> bool:
         """Tell whether an earlier process left what keeps this one from starting by itself."""
-        reason = ""
-        if self.estop.restored:
-            reason = f"the emergency stop was pressed ({self.estop.restored}); call ~/clear_estop"
-        elif (found := self._faulted.read()) is not None:
-            reason = f"the process before ended by a fault ({found.at}: {found.reason})"
-        if reason:
+        if reason := self.estop.holds(self._faulted):
             self.fault = self.diagnostics.fault = f"not started by itself: {reason}"
             self.log.error(f"{self.fault}, and ~/start when it is safe")
         return bool(reason)
@@ -381,11 +377,10 @@ class UniconNode(LifecycleNode):
 
     def _start(self) -> Answer:
         """Configure and activate as needed; after a pause go on."""
-        refused = self.estop.refusal()
-        if refused:
+        if refused := self.estop.refusal():
             return False, refused
         if self._label() == "active":
-            return self._delegate("start")()
+            return self._ask("start")
         if self._label() == "unconfigured" and not self._change(self.trigger_configure):
             return False, self.error or "not configured"
         if not self._change(self.trigger_activate):
@@ -398,11 +393,8 @@ class UniconNode(LifecycleNode):
             return False, "no workflow is built; call ~/start, or configure the node"
         return self.session.introspection.list_states()
 
-    def _delegate(self, word: str) -> Callable[[], Answer]:
-        def act() -> Answer:
-            if self.session is None or not self._running:
-                return False, "nothing runs; call ~/start"
-            answer: Answer = getattr(self.session.controls, word)()
-            return answer
-
-        return act
+    def _ask(self, word: str) -> Answer:
+        if self.session is None or not self._running:
+            return False, "nothing runs; call ~/start"
+        answer: Answer = getattr(self.session.controls, word)()
+        return answer

@@ -54,6 +54,11 @@ class RunOptions:
         if not isinstance(seconds, Real) or not 0.0 <= seconds < math.inf:
             raise UniconError(f"duration is {seconds!r}; give seconds, as a number of at least 0")
 
+    def ticks(self, program: Program) -> int:
+        """Return after how many ticks a run ends at the latest."""
+        duration = program.duration if self.duration is None else self.duration
+        return 1 << 62 if duration is None else round(duration / program.period)
+
     @classmethod
     def of(cls, options: Mapping[str, Any]) -> RunOptions:
         """Return the options of these names.

@@ -135,10 +135,6 @@ class Runner:
         """Whether the flow of the run was done."""
         return self._run.done
 
-    @done.setter
-    def done(self, done: bool) -> None:
-        self._run.done = done
-
     def stop(self) -> None:
         """Ask the phase to end after the present tick; safe from a signal handler or a thread.
 
@@ -225,7 +221,9 @@ class Runner:
                         self._run.first_ns = self._before.first_ns
                         self.phase = Phase.RUN
                         self._started_ns, self._age_s = time.perf_counter_ns(), process_age_s()
-                        self._run.run(self._limit(), full_speed=self.options.speed == "max")
+                        self._run.run(
+                            self.options.ticks(self.program), full_speed=self.options.speed == "max"
+                        )
                     self.interrupted = bool(SIGNALS.asked)
                     why = self._why()
                     self._ended_ns = time.perf_counter_ns()
@@ -339,12 +337,6 @@ class Runner:
         report.traceback = self.traceback
         return report
 
-    def _limit(self) -> int:
-        duration = self.options.duration
-        if duration is None:
-            duration = self.program.duration
-        return 1 << 62 if duration is None else round(duration / self.program.period)
-
     def _ticked(self, phase: Phase, tree: Node, hang_ns: int | None = None) -> bool:
         """Tick another tree before the run until it is done; False where the run is to end.
 
@@ -375,8 +367,7 @@ class Runner:
         program = self.program
         if self._damp is None or not program.gate.sent.any or program.gate.closed:
             return
-        well = fault is None and not SIGNALS.asked
-        if well and program.platform.facts.simulated:
+        if fault is None and not SIGNALS.asked and program.platform.facts.simulated:
             return
         self.phase = Phase.DAMP
         self.monitor.finish()
@@ -405,13 +396,5 @@ class Runner:
 
     def _status(self) -> None:
         assert self.options.status is not None
-        statistics = self.statistics
-        wall = (time.perf_counter_ns() - self._started_ns) * 1e-9
-        self.options.status(
-            {
-                "t": f"{statistics.count * self.program.period:.1f} s",
-                "rate": f"{statistics.count / wall:.1f} Hz",
-                "overruns": statistics.overruns,
-                "faults": len(self.faults),
-            }
-        )
+        period, faults = self.program.period, len(self.faults)
+        self.options.status(self.statistics.status(self._started_ns, period, faults))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -81,6 +82,16 @@ class TickStatistics:
         Takes 3 to 10 ms, which runs that are over at once need not pay.
         """
         self.rows[self.count :] = 0
+
+    def status(self, started_ns: int, period: float, faults: int) -> dict[str, Any]:
+        """Return the facts of a status line."""
+        wall = (time.perf_counter_ns() - started_ns) * 1e-9
+        return {
+            "t": f"{self.count * period:.1f} s",
+            "rate": f"{self.count / wall:.1f} Hz",
+            "overruns": self.overruns,
+            "faults": faults,
+        }
 
     def kept(self) -> NDArray[np.int64]:
         """Return the rows kept, oldest first: due, end, step start, deferred start, block ends."""

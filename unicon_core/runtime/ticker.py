@@ -102,7 +102,9 @@ class Ticker:
         stamps[0] = begin_ns
         done = graph.step()
         try:
-            return graph.deferred() or done
+            if graph.deferred() or done:
+                self.done = done = True
+            return done
         finally:  # whatever is found behind `send`, the command of this tick has left
             self._tick += 1
             end = time.perf_counter_ns()
@@ -137,7 +139,6 @@ class Ticker:
                 if self.stop:
                     break
             if self.step(now := time.perf_counter_ns(), now):
-                self.done = True
                 break
             if self.statistics.count % status_every == 0:
                 self._tell()
@@ -166,7 +167,6 @@ class Ticker:
                 statistics.overruns += max(-(-(now() - due - period) // period), 0)
                 raise
             if done:
-                self.done = True
                 break
             due += period
             late = now() - due
@@ -263,7 +263,6 @@ class Ticker:
                 due = last = now()
             self.next_due_ns = (due if arrivals is not None else last) + period
             if self.step(last, last):
-                self.done = True
                 break
             if came and arrivals is not None:
                 arrivals.note(last)

@@ -105,6 +105,19 @@ class EmergencyStop:
 
     # -- in ticks -------------------------------------------------------------------------------
 
+    def holds(self, faulted: Latch) -> str:
+        """Return why a node is not to start by itself; "" where it may.
+
+        Args:
+            faulted: latch that a process left which ended by a fault.
+        """
+        if self.restored:
+            return f"the emergency stop was pressed ({self.restored}); call ~/clear_estop"
+        found = faulted.read()
+        if found is None:
+            return ""
+        return f"the process before ended by a fault ({found.at}: {found.reason})"
+
     def before_send(self) -> Block:
         """Return the look right before `send`; it answers once the platform is closed."""
         # The warm-up, shortly before the tick, hears it as well and need not wait for that tick; it

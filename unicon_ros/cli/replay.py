@@ -9,7 +9,8 @@ from functools import partial
 from typing import Any
 
 from unicon_core.errors import UniconError
-from unicon_ros.cli.run import add_options, close_session, run_document
+from unicon_ros.cli.run import close_session, run_document
+from unicon_ros.cli.run_options import add_options
 from unicon_ros.cli.workflow_arguments import add_overrides, positive
 
 

@@ -1,27 +1,20 @@
-"""Cases in MuJoCo: sensors, policy, commands, blocks, ~/estop, phases, and time."""
+"""Cases in MuJoCo: sensors, hardware, policy, commands and posture; with those of phases all."""
 
 from __future__ import annotations
 
 import math
 from functools import partial
-from typing import Any
 
-from unicon_core.flow import Stage
 from unicon_core.workflow.safety_set import ROBOT_SAFETY
 from unicon_ros.bench.faults import mishaps
-from unicon_ros.bench.faults.case import BLOCKS
-from unicon_ros.bench.faults.simulated_case import SimulatedCase
+from unicon_ros.bench.faults.cases_phases import ESTOP, PHASES, PROGRAM, TIME, VELOCITY
+from unicon_ros.bench.faults.simulated_case import SimulatedCase, set_to
 
 _sensor = partial(SimulatedCase, "sensors")
 _hardware = partial(SimulatedCase, "hardware")
 _policy = partial(SimulatedCase, "policy", ticks=(35, 140))  # from there on it is asked
 _command = partial(SimulatedCase, "commands")
 _body = partial(SimulatedCase, "posture")
-_block = partial(SimulatedCase, "blocks and platform")
-_estop = partial(SimulatedCase, "~/estop", reason="emergency stop", mishap=mishaps.estop())
-_phase = partial(SimulatedCase, "phases")
-_time = partial(SimulatedCase, "time")
-_velocity = partial(SimulatedCase, "velocity command")
 _unseen = partial(SimulatedCase, "not caught, and goes on", outcome="go on")
 
 MEASURED = (
@@ -42,33 +35,20 @@ KNEE = {"go2": 5, "g1": 3}
 """A joint that moves far in each step: FL_calf, left_knee."""
 SWAPPED = {"go2": [3, 5], "g1": [0, 3]}
 """Hip and calf, hip pitch and knee."""
-RAISED = (
-    *("Fault", "ValueError", "StopIteration", "MemoryError", "RecursionError"),
-    *("SystemExit", "KeyboardInterrupt", "GeneratorExit"),
-)
-HOUR = 3_600_000_000_000
 
-
-def _set(state: str, value: object, joint: Any = None, **more: Any) -> dict[str, Any]:
-    return {"set": {state: value}, "joint": joint, **more}
-
-
-BUSY = {"pacing": {"hang": 2.0}}
-"""A machine that is busy is not the fault that is looked for."""
-WIND_DOWN = {"wind_down": {"chain": [{"pose": {"to": "default", "duration": 0.3}}]}}
 
 SENSORS = (
     *(
         _sensor(
             f"{value} in {state}",
-            fault=_set(state, value),
+            fault=set_to(state, value),
             reason="",
             quick=(state, value) == ("joint_pos", "nan"),
         )
         for state in MEASURED
         for value in ("nan", "inf", "1e30")
     ),
-    _sensor("NaN in one joint's position", fault=_set("joint_pos", "nan", 3)),
+    _sensor("NaN in one joint's position", fault=set_to("joint_pos", "nan", 3)),
     _sensor("the IMU stands still", within=30, ticks=WALKING, reason="IMU", fault={"freeze": IMU}),
     _sensor(
         "base_quat is the identity",
@@ -120,7 +100,7 @@ SENSORS = (
         "the yaw gyroscope is off by 2 rad/s",
         within=13,
         reason="turned otherwise than the gyroscope",
-        fault=_set("base_ang_vel", 2.0, 2, add=True),
+        fault=set_to("base_ang_vel", 2.0, 2, add=True),
         quick=True,
     ),
     _sensor(
@@ -134,7 +114,7 @@ SENSORS = (
         "an encoder jumps by 0.3 rad",
         within=1,
         reason="is its encoder sound",
-        fault=_set("joint_pos", 0.3, KNEE, add=True),
+        fault=set_to("joint_pos", 0.3, KNEE, add=True),
         quick=True,
     ),
     *(
@@ -147,7 +127,7 @@ SENSORS = (
         )
         for what, fault in (
             ("stand still", {"freeze": ["joint_vel"]}),
-            ("are zero", _set("joint_vel", 0.0)),
+            ("are zero", set_to("joint_vel", 0.0)),
             ("have the other sign", {"scale": {"joint_vel": -1.0}}),
         )
     ),
@@ -156,19 +136,21 @@ SENSORS = (
 )
 
 HARDWARE = (
-    _hardware("a motor at 120 °C", reason="motor_temp", fault=_set("motor_temperature", 120.0, 2)),
-    _hardware("NaN in motor_temperature", reason="nan", fault=_set("motor_temperature", "nan")),
-    _hardware("a motor tells an error", reason="motor_error", fault=_set("motor_error", 7, 5)),
+    _hardware(
+        "a motor at 120 °C", reason="motor_temp", fault=set_to("motor_temperature", 120.0, 2)
+    ),
+    _hardware("NaN in motor_temperature", reason="nan", fault=set_to("motor_temperature", "nan")),
+    _hardware("a motor tells an error", reason="motor_error", fault=set_to("motor_error", 7, 5)),
     _hardware("a motor leaves its mode", reason="is in mode", fault={"mode": 0, "joint": KNEE}),
     _hardware("a motor is too hot to go on, mode 8", reason="is", fault={"mode": 8, "joint": 0}),
     _hardware(
         "the operator holds all buttons of the remote",
         within=1,
         reason="the operator pressed",
-        fault=_set("buttons", 1),
+        fault=set_to("buttons", 1),
     ),
-    _hardware("NaN in battery_charge", reason="nan", fault=_set("battery_charge", "nan")),
-    _hardware("the battery is empty", reason="battery", fault=_set("battery_charge", 0.01)),
+    _hardware("NaN in battery_charge", reason="nan", fault=set_to("battery_charge", "nan")),
+    _hardware("the battery is empty", reason="battery", fault=set_to("battery_charge", 0.01)),
 )
 
 ACTION_STOP = {"safety": [*ROBOT_SAFETY[:1], "action_stop", *ROBOT_SAFETY[1:]]}
@@ -227,23 +209,23 @@ COMMANDS = (
 )
 
 POSTURE = (
-    _body("the base leans by 90°", reason="leans", fault=_set("projected_gravity", 0.0)),
+    _body("the base leans by 90°", reason="leans", fault=set_to("projected_gravity", 0.0)),
     _body(
         "the base is too low, height_stop",
         reason="base_pos_w",
-        fault=_set("base_pos_w", 0.02),
+        fault=set_to("base_pos_w", 0.02),
         also=({"height_stop": {"lowest": 0.05}},),
     ),
     _body(
         "NaN in base_pos_w, height_stop",
         reason="base_pos_w",
-        fault=_set("base_pos_w", "nan"),
+        fault=set_to("base_pos_w", "nan"),
         also=({"height_stop": {"lowest": 0.05}},),
     ),
     _body(
-        "a joint is 1 rad past its limit", reason="joint_pos", fault=_set("joint_pos", 4.5, KNEE)
+        "a joint is 1 rad past its limit", reason="joint_pos", fault=set_to("joint_pos", 4.5, KNEE)
     ),
-    _body("a joint turns at 300 rad/s", reason="joint_vel", fault=_set("joint_vel", 300.0, KNEE)),
+    _body("a joint turns at 300 rad/s", reason="joint_vel", fault=set_to("joint_vel", 300.0, KNEE)),
     _body(
         "the encoders of two joints are swapped",
         within=25,
@@ -263,163 +245,8 @@ POSTURE = (
     ),
 )
 
-PROGRAM = (
-    *(
-        _block(
-            f"{error} in a block",
-            reason="made by the bench",
-            mishap=mishaps.raises(error),
-            quick=error == "SystemExit",
-        )
-        for error in RAISED
-    ),
-    _block("a block calls itself for ever", reason="Recursion", mishap=mishaps.recurses()),
-    _block(
-        "ValueError in an estimator",
-        reason="made by the bench",
-        mishap=mishaps.raises("ValueError", Stage.ESTIMATE),
-    ),
-    _block(
-        "ValueError in an observer",
-        within=1,
-        reason="made by the bench",
-        mishap=mishaps.raises("ValueError", Stage.OBSERVE),
-    ),
-    *(
-        _block(
-            f"{error} in {where}", reason="made by the bench", fault={"raise": error, "in": where}
-        )
-        for error in ("Fault", "OSError", "SystemExit")
-        for where in ("recv", "send")
-    ),
-)
-
-_ONCE = {"elapsed": 60.0}
-COMPOSITES: dict[str, Any] = {
-    "chain": {"chain": [{"hold": {"duration": 0.1}}, "{walk}"]},
-    "loop": {"loop": {"do": "{walk}", "until": _ONCE}},
-    "zip": {"zip": ["{walk}", {f"{BLOCKS}:nothing": {}}]},
-    "switch": {"switch": {"on": {"commanded": {}}, "cases": {"no": {"hold": {}}, "yes": "{walk}"}}},
-    "every": {"every": {"n": 2, "do": "{walk}"}},
-    "when": {"when": {"if": "projected_gravity[2] < 0.0", "do": "{walk}"}},
-    "deferred": {"zip": ["{walk}", {"deferred": {f"{BLOCKS}:nothing": {}}}]},
-    "chain of a loop of a switch of a zip": {
-        "chain": [
-            {"hold": {"duration": 0.1}},
-            {
-                "loop": {
-                    "do": {
-                        "switch": {
-                            "on": {"commanded": {}},
-                            "cases": {
-                                "no": {"hold": {}},
-                                "yes": {"zip": ["{walk}", {f"{BLOCKS}:nothing": {}}]},
-                            },
-                        }
-                    },
-                    "until": _ONCE,
-                }
-            },
-        ]
-    },
-}
-ESTOP = (
-    *(_estop(f"in a {word}", flow=flow, quick=word == "loop") for word, flow in COMPOSITES.items()),
-    _estop("in wait", during="wait", ticks=(2, 20), outcome="refuse", real=True, workflow=BUSY),
-    _estop("in the approach", during="approach", ticks=(2, 12), real=True, workflow=BUSY),
-    _estop("in the run, as a robot", ticks=(5, 40), real=True, workflow=BUSY),
-    _estop(
-        "in the wind-down",
-        during="soft",
-        ticks=(2, 12),
-        workflow=WIND_DOWN,
-        mishap=mishaps.both(mishaps.ends(30), mishaps.estop()),
-    ),
-    _estop(
-        "while it damps already",
-        during="damp",
-        ticks=(1, 15),
-        reason="made by the bench",
-        mishap=mishaps.both(mishaps.breaks(30), mishaps.estop()),
-    ),
-)
-
-PHASES = (
-    _phase(
-        "asked to end: the wind-down follows",
-        outcome="soft",
-        within=1,
-        workflow=WIND_DOWN,
-        mishap=mishaps.ends(),
-    ),
-    _phase(
-        "NaN in the wind-down",
-        during="soft",
-        ticks=(2, 12),
-        workflow=WIND_DOWN,
-        mishap=mishaps.ends(30),
-        fault=_set("joint_pos", "nan"),
-    ),
-    _phase(
-        "NaN in the approach",
-        during="approach",
-        ticks=(2, 12),
-        real=True,
-        workflow=BUSY,
-        fault=_set("joint_pos", "nan"),
-    ),
-    _phase(
-        "another variant than the robot file's",
-        outcome="refuse",
-        during="wait",
-        ticks=(1, 5),
-        reason="variant",
-        real=True,
-        workflow=BUSY,
-        fault={"variant": {"protocol": "unheard of"}},
-    ),
-)
-
-TIME = (
-    _time(
-        "a block hangs for 200 ms: told as overruns",
-        outcome="go on",
-        ticks=(5, 40),
-        mishap=mishaps.hangs(0.2),
-        overruns=8,
-        real=True,
-    ),
-    _time(
-        "a block hangs for 0.5 s",
-        within=1,
-        ticks=(5, 40),
-        reason="hung",
-        mishap=mishaps.hangs(0.5),
-        real=True,
-    ),
-    _time(
-        "every tick takes 1.6 periods, overrun_stop",
-        within=25,
-        ticks=(5, 40),
-        reason="missed",
-        mishap=mishaps.slows(1.6),
-        also=("overrun_stop",),
-        real=True,
-    ),
-    _time("stamps jump by an hour", outcome="go on", fault=_set("stamp_ns", HOUR, add=True)),
-    _time("stamps jump back by an hour", outcome="go on", fault=_set("stamp_ns", -HOUR, add=True)),
-    _time("the clock jumps by an hour", outcome="go on", mishap=mishaps.jumps_clock(3600.0)),
-    _time("the clock jumps back", outcome="go on", mishap=mishaps.jumps_clock(-3600.0)),
-)
-
-VELOCITY = (
-    _velocity("velocity command of 1e30", outcome="go on", mishap=mishaps.velocity(1e30)),
-    _velocity("velocity command NaN", outcome="zero command", mishap=mishaps.velocity(math.nan)),
-    _velocity("velocity command -inf", outcome="zero command", mishap=mishaps.velocity(-math.inf)),
-)
-
 NOT_CAUGHT = (
-    _unseen("NaN in base_lin_vel, which nobody reads", fault=_set("base_lin_vel", "nan")),
+    _unseen("NaN in base_lin_vel, which nobody reads", fault=set_to("base_lin_vel", "nan")),
 )
 
 CASES: tuple[SimulatedCase, ...] = (

@@ -147,3 +147,8 @@ def able(robot: str) -> str:
     except UniconError:
         return "the assets folder (UNICON_ASSETS)"
     return ""
+
+
+def set_to(state: str, value: object, joint: Any = None, **more: Any) -> dict[str, Any]:
+    """Return the fault that a state has another value."""
+    return {"set": {state: value}, "joint": joint, **more}
