@@ -11,21 +11,23 @@ import numpy as np
 import pytest
 import yaml
 
+from unicon_core import Zip, pose
 from unicon_core.blocks.controls.device import declares_controls
 from unicon_core.check.memory_proof import prove
 from unicon_core.errors import Fault, StateError
 from unicon_core.flow import Block, Stage, compile_graph
 from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.flow.nodes import unfused
+from unicon_core.gates.beginning import first_command
 from unicon_core.memory import Memory, Snapshot
 from unicon_core.memory_json import from_json, to_json
 from unicon_core.runtime import Runner, RunOptions
-from unicon_core.runtime.tick_ring import memory_of
 from unicon_core.states import StateSpec
 from unicon_core.states.standard import forwarded_states, hardware_states
 from unicon_core.testing import Bench
 from unicon_core.workflow import Program, load_document, workflow_names
 from unicon_core.workflow.live_twin import twin_states
+from unicon_core.workflow.program_memory import memory_of
 from unicon_core.workflow.registry import known
 
 OPTIONS: dict[str, dict[str, Any]] = {
@@ -150,7 +152,7 @@ def test_a_block_remembers_what_it_declares(
 @pytest.mark.parametrize("name", workflow_names())
 def test_blocks_of_shipped_workflows_do(name: str, program: Callable[..., Program]) -> None:
     built = program(name, platform="fake")
-    assert memory_of(built, Ticks(built)).unproven == {}
+    assert memory_of(built, Ticks(built).graphs()).unproven == {}
     proven(own(built), built.states)
 
 
@@ -180,7 +182,7 @@ def test_what_is_restored_ticks_on_with_the_same_bytes(
     except Exception as error:
         pytest.skip(str(error)) if batch else pytest.fail(str(error))
     ticks = Ticks(built)
-    memory = memory_of(built, ticks, platform=True)
+    memory = memory_of(built, ticks.graphs(), platform=True)
     assert memory.unproven == {}
     ticks.run(150)
     states, snapshot = built.states.snapshot(), memory.take()
@@ -231,7 +233,7 @@ def test_a_snapshot_in_the_middle_of_a_blend_or_a_swap_of_skills(at: int, tmp_pa
                 found += ticks.run(1)
             return found
 
-        memory = memory_of(built, ticks, platform=True)
+        memory = memory_of(built, ticks.graphs(), platform=True)
         assert memory.unproven == {}
         run(0, at)
         states, snapshot = built.states.snapshot(), memory.take()
@@ -249,7 +251,7 @@ def test_a_snapshot_in_the_middle_of_a_wind_down(tmp_path: Path) -> None:
     try:
         runner = Runner(built, RunOptions(warn=str))
         graphs = runner.graphs()
-        memory = memory_of(built, runner, platform=True)
+        memory = memory_of(built, graphs, platform=True)
         for _ in range(40):
             graphs["run"].step()
             graphs["run"].deferred()
@@ -280,7 +282,7 @@ def test_the_memory_of_another_file_is_refused_with_what_differs(tmp_path: Path)
     del more["skills"]
     other = Program(load_document(written(tmp_path / "other", more)))
     try:
-        memories = [memory_of(each, Ticks(each), platform=True) for each in (one, other)]
+        memories = [memory_of(each, Ticks(each).graphs(), platform=True) for each in (one, other)]
         snapshot = memories[0].take()
         with pytest.raises(StateError, match=r"it has a block '.*', which this one lacks; this"):
             memories[1].put_back(snapshot)
@@ -290,3 +292,27 @@ def test_the_memory_of_another_file_is_refused_with_what_differs(tmp_path: Path)
     finally:
         one.close()
         other.close()
+
+
+class Counter:
+    """A block that remembers and has no `reset`."""
+
+    memory = ("count",)
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def __call__(self) -> bool:
+        self.count += 1
+        return False
+
+
+def test_asking_for_the_first_command_changes_no_memory() -> None:
+    counter = Counter()
+    program = Program(robot="go2", platform="fake", rate=50, flow=Zip(counter, pose("stand")))
+    try:
+        program.platform.recv()
+        first_command(program)
+        assert counter.count == 0
+    finally:
+        program.close()

@@ -12,9 +12,11 @@ from unicon_core.blocks.pose import Pose
 from unicon_core.flow import Block, Node, Switch, Zip, children_of, compile_graph
 from unicon_core.flow.nodes import chooser_of
 from unicon_core.flow.stage import Stage
+from unicon_core.memory import Memory
 from unicon_core.policies.controller import controller_contract
 from unicon_core.robots import joint_index
 from unicon_core.workflow.program_data import ProgramData
+from unicon_core.workflow.program_memory import holders_of
 
 Float = NDArray[np.float32]
 TARGET = "joint_pos_target"
@@ -61,8 +63,8 @@ def beginning(program: ProgramData) -> Target:
 def first_command(program: ProgramData) -> Target:
     """Return the first command that the flow would send from the present states on.
 
-    The flow and the safety blocks are evaluated once and made fresh again, and all states are put
-    back; nothing is sent. What a block keeps without a `reset` it has kept once more.
+    The flow and the safety blocks are evaluated once, and all states and what the blocks remember
+    are put back; nothing is sent. A block that declares no memory is made fresh.
 
     Args:
         program: whose platform has been received from; between two ticks.
@@ -73,13 +75,15 @@ def first_command(program: ProgramData) -> Target:
     stages, states = program.stages, program.states
     acting = [node for s in (Stage.COMMAND, Stage.FLOW, Stage.SAFETY) for node in stages[s]]
     graph = compile_graph(Zip(*acting))
-    before = states.snapshot()
+    memory = Memory(holders_of(program, acting), states.buffer)
+    before, snapshot = states.snapshot(), memory.take()
     try:
         graph.step()
         commands = (TARGET, "joint_stiffness", "joint_damping")
         target, stiffness, damping = (np.array(states[name]) for name in commands)
     finally:
         graph.reset()
+        memory.put_back(snapshot)
         states.restore(before)  # last: blocks that are made fresh may write states
     return Target(target, stiffness, damping, "the flow's first command")
 

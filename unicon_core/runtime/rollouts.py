@@ -24,10 +24,10 @@ from unicon_core.flow.stage import Stage
 from unicon_core.platforms.platform import Changeable, Postpones
 from unicon_core.runtime.phases import Phase
 from unicon_core.runtime.report import reason_of
-from unicon_core.runtime.tick_ring import memory_of
 from unicon_core.states import States
 from unicon_core.workflow import Program
 from unicon_core.workflow.document import WorkflowDocument
+from unicon_core.workflow.program_memory import memory_of
 from unicon_core.workflow.scene import read_scene
 
 _CALLED = re.compile(r"\b(\w+)\(\)")
@@ -89,7 +89,7 @@ class Rollouts:
         self._look = look
         self._float = program.states.buffer_of(np.float32)
         self._rows = np.zeros((256, self._float.size), np.float32)
-        self._memory = memory_of(program, self)
+        self._memory = memory_of(program, self.graphs())
         self._built = self._memory.take()
         self.why_not = self._obstacle()
         self._act: Callable[[], None] | None = None

@@ -13,17 +13,17 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from unicon_core.flow import Block, Node, Stage, Switch
-from unicon_core.flow.nodes import blocks_of, children_of, unfused
+from unicon_core.flow import Block, Node, Stage
+from unicon_core.flow.nodes import blocks_of
 from unicon_core.memory import Memory, Snapshot
 from unicon_core.runtime.phases import Phase
+from unicon_core.workflow.program_memory import memory_of
 
 if TYPE_CHECKING:
-    from unicon_core.flow.compiled import CompiledGraph
     from unicon_core.runtime.runner import Runner
     from unicon_core.workflow import Program
 
@@ -47,14 +47,6 @@ _CDR = bytes((0, 1, 0, 0))
 
 PHASES = tuple(Phase)
 """The phases in the order of their numbers."""
-
-
-class HasGraphs(Protocol):
-    """Whatever ticks a program."""
-
-    def graphs(self) -> dict[str, CompiledGraph]:
-        """Return the compiled ticks by phase."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -151,7 +143,7 @@ class TickRing:
         if not self.capacity:
             return
         try:
-            self._memory = memory_of(self._program, runner)
+            self._memory = memory_of(self._program, runner.graphs())
         except Exception as error:  # a block of somebody's, which cannot be looked into
             self.trouble = f"what the blocks remember was not kept: {error!r}"
         self._remember(False)
@@ -278,47 +270,3 @@ def _changed(nodes: Sequence[Node], more: Sequence[str] = ()) -> frozenset[str] 
         return None  # nobody knows
     found = {state for block in blocks for state in (*block.writes, *block.amends)}
     return frozenset({*found, *more, *BETWEEN})
-
-
-def memory_of(program: Program, runner: HasGraphs, *, platform: bool = False) -> Memory:
-    """Return the memory of a program's own blocks and of the flow's nodes, all phases together.
-
-    What came from outside is left out: devices and the hooks, whose doing is in the ticks, and the
-    platform, unless it is asked for.
-
-    Args:
-        program: its trees.
-        runner: that ticks them.
-        platform: whether that of a simulator counts, too.
-    """
-    trees = [tree for tree in (program.root, program.wind_down) if tree is not None]
-    nodes = list(dict.fromkeys(node for tree in trees for node in _nodes(tree)))
-    foreign = (Stage.RECV, Stage.SEND)
-    roots: dict[str, Any] = {}
-    for node in nodes:
-        if isinstance(node, Switch) and node.blender is not None:
-            roots[_label("blend", roots)] = node.blender
-        for block in unfused(node):
-            # Of the observers those count that write states, which a safety block may read.
-            seen = block.stage is Stage.OBSERVE and not block.writes
-            device = getattr(block.tick, "outside", False)
-            if not (block.stage in foreign or seen or device or block in program.outside):
-                roots[_label(block.name, roots)] = block.tick
-    roots |= {"sent": program.gate.sent, **runner.graphs()}
-    if platform:
-        roots["platform"] = program.platform
-    return Memory(roots, program.states.buffer)
-
-
-def _nodes(node: Node) -> Iterator[Node]:
-    yield node
-    for child in children_of(node):
-        yield from _nodes(child)
-
-
-def _label(name: str, taken: dict[str, Any]) -> str:
-    number, label = 1, name
-    while label in taken:
-        number += 1
-        label = f"{name} {number}"
-    return label

@@ -22,10 +22,10 @@ from unicon_core.memory_json import changes, from_json
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.runtime.beforehand import approach_tree, waiting_tree
 from unicon_core.runtime.phases import Phase
-from unicon_core.runtime.tick_ring import memory_of
 from unicon_core.signals import SIGNALS
 from unicon_core.states.standard import COMMAND_STATES, GAIN_SCALE, GAIN_SCALE_SPEC
 from unicon_core.workflow import Program, WorkflowDocument
+from unicon_core.workflow.program_memory import memory_of
 from unicon_ros.recording import Record
 from unicon_ros.replay.columns import Columns
 from unicon_ros.replay.stand_in import StandIn, recorded_facts
@@ -88,7 +88,7 @@ class Replayed:
             _refuse_other_rate(record, self.program)
             runner = Runner(self.program, RunOptions(warn=_quiet))
             self._graphs = runner.graphs()
-            self._memory = memory_of(self.program, runner)
+            self._memory = memory_of(self.program, self._graphs)
             self._fresh = self._memory.take()
             self._memories = _memories(record)
         except BaseException:
