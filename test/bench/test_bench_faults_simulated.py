@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -117,3 +119,14 @@ def test_a_fault_that_is_found_late_is_told(case: SimulatedCase) -> None:
     assert run_case(replace(case, within=1), "go2", 40).missed == [
         "reaction 5 ticks, wanted at most 3"
     ]
+
+
+def test_a_case_leaves_nothing_latched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if missing := able("go2"):
+        pytest.skip(f"needs {missing}")
+    monkeypatch.setenv("UNICON_LATCHES", str(tmp_path))
+    for row in ("~/estop: in wait", "~/estop: in the approach"):
+        case = CASES[row]
+        assert run_case(case, "go2", case.ticks[0]).missed == []
+    assert list(tmp_path.iterdir()) == []
+    assert os.environ["UNICON_LATCHES"] == str(tmp_path)

@@ -140,10 +140,6 @@ def test_public_code_has_the_lines_that_are_told(move: str) -> None:
     assert (lines, new) == (found.lines, found.new)
 
 
-FALL = ("H1 in MuJoCo", "G1 in MuJoCo", "Adam in MuJoCo", "T1 in MuJoCo")
-"""Humanoids that hold a posture in a simulator, where nobody balances them."""
-
-
 @pytest.mark.slow
 @pytest.mark.alone
 @pytest.mark.timeout(900)
@@ -153,8 +149,7 @@ def test_every_transfer_of_the_table_runs(assets: Path) -> None:
     moves = {name: value for name, value in bench.facts.items() if "→" in name}
     assert len(moves) == len(sloc.TRANSFERS)
     failed = {name: value for name, value in moves.items() if "FAILED" in value}
-    assert {name.partition(" → ")[2] for name in failed} == set(FALL)
-    assert all(", and fell" in value for value in failed.values())
+    assert failed == {}
     counted = {name: value.partition(";")[0] for name, value in moves.items()}
     assert counted.pop("H1 → H1") == "0 lines, 0 words"
     assert counted.pop("G1 → Adam") == "2 lines, 2 words"  # another robot, of another maker
@@ -164,5 +159,6 @@ def test_every_transfer_of_the_table_runs(assets: Path) -> None:
         assert "not run" in told or float(told.split(" m ahead")[0].split()[-1]) > 1.0
     (ratio,) = bench.ratios.values()
     tried = [value for value in moves.values() if "not run here" not in value]
-    assert ratio["value"] == 1.0 - len(failed) / len(tried)
-    assert not bench.holds  # a fall is a failure
+    assert tried
+    assert ratio["value"] == 1.0
+    assert bench.holds

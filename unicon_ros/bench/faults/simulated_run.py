@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 import time
 from collections.abc import Iterator
@@ -55,7 +56,7 @@ def run_case(case: SimulatedCase, robot: str, at: int) -> Came:
         robot: `go2` or `g1`.
         at: the tick.
     """
-    with tempfile.TemporaryDirectory() as folder, _clock_kept():
+    with tempfile.TemporaryDirectory() as folder, _latches_in(folder), _clock_kept():
         record = FaultRecord(folder, warn=_silent)
         hooks = [case.mishap] if case.mishap is not None else []
         values = case.described(robot, at)
@@ -87,6 +88,20 @@ def run_case(case: SimulatedCase, robot: str, at: int) -> Came:
             got.missed.append(f"{report.overruns} overruns, wanted {case.overruns}")
         _recorded(got, record, report)
         return got
+
+
+@contextmanager
+def _latches_in(folder: str) -> Iterator[None]:
+    """Keep what a case latches from the next one, and from robots of the user."""
+    before = os.environ.get("UNICON_LATCHES")
+    os.environ["UNICON_LATCHES"] = folder
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["UNICON_LATCHES"]
+        else:
+            os.environ["UNICON_LATCHES"] = before
 
 
 def _measure(
