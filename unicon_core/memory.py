@@ -108,7 +108,7 @@ class Memory:
             holder = holder_of(tick)
             if _declares(holder):
                 self._holders[label] = holder
-            elif not _stateless(holder, states):
+            elif not _stateless(tick, states):
                 self.unproven[label] = UNDECLARED
         self.take()
 
@@ -129,14 +129,23 @@ class Memory:
         Blocks that the snapshot lacks keep their memory.
 
         Raises:
-            StateError: the blocks differ; the message says in what.
+            StateError: the blocks differ; the message says in what, and all remember what they did.
         """
+        lacking = [label for label in snapshot if label not in self._holders]
+        if lacking:
+            raise StateError(
+                f"the snapshot is of another program: it has a block {lacking[0]!r}, which this "
+                f"one lacks; this one has {', '.join(self._holders) or 'none'}"
+            )
+        before = self.take()
+        try:
+            self._load(snapshot)
+        except StateError:
+            self._load(before)
+            raise
+
+    def _load(self, snapshot: Snapshot) -> None:
         for label, saved in snapshot.items():
-            if label not in self._holders:
-                raise StateError(
-                    f"the snapshot is of another program: it has a block {label!r}, which this "
-                    f"one lacks; this one has {', '.join(self._holders) or 'none'}"
-                )
             load(self._holders[label], saved, label)
 
     @property
@@ -156,14 +165,20 @@ def _declares(holder: Any) -> bool:
 
 def _stateless(holder: Any, states: NDArray[np.uint8] | None) -> bool:
     """Return whether an object that declares nothing has nothing to remember with."""
+    if isinstance(holder, partial):
+        given = (*holder.args, *holder.keywords.values())
+        return _stateless(holder.func, states) and all(_fixed(each, states) for each in given)
+    if isinstance(holder, MethodType):
+        return _stateless(holder.__self__, states)
     if isinstance(holder, FunctionType):
         code = holder.__code__
         rebound = any(
             each.opname == "STORE_DEREF" and each.argval in code.co_freevars
             for each in dis.get_instructions(code)
         )
-        cells = holder.__closure__ or ()
-        return not rebound and all(_fixed(cell.cell_contents, states) for cell in cells)
+        enclosed = [cell.cell_contents for cell in holder.__closure__ or ()]
+        defaults = (*(holder.__defaults__ or ()), *(holder.__kwdefaults__ or {}).values())
+        return not rebound and all(_fixed(each, states) for each in (*enclosed, *defaults))
     return _fixed(holder, states) or not (getattr(holder, "__dict__", True))
 
 

@@ -9,7 +9,7 @@ import re
 from collections import deque
 from collections.abc import Callable
 from enum import Enum
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -246,6 +246,11 @@ def test_the_snapshot_of_another_program_is_refused_with_what_differs() -> None:
         memory.put_back(Memory({"a": holding(x=np.zeros(4), n=1)}).take())
     with pytest.raises(StateError, match=r"it has a block 'b', which this one lacks"):
         memory.put_back(Memory({"b": holding(x=np.zeros(3))}).take())
+    two = Memory({"a": holding(x=np.zeros(3), n=1), "b": holding(y=np.zeros(2))})
+    other = Memory({"a": holding(x=np.ones(3), n=7), "b": holding(y=np.zeros(9))})
+    with pytest.raises(StateError, match=r"b\.y is float64\[9\] in it"):
+        two.put_back(other.take())
+    assert two.take()["a"]["n"] == 1  # all of it or nothing
     with pytest.raises(StateError, match=r"a is x, z in it"):
         memory.put_back(Memory({"a": holding(x=np.zeros(3), z=1)}).take())
     assert memory.hash != Memory({"a": holding(x=np.zeros(4), n=1)}).hash
@@ -406,6 +411,12 @@ def test_a_function_of_states_alone_needs_no_declaration_and_others_do() -> None
     def plain() -> None:
         y[:] = 2.0 * x
 
+    def later(seen: list[float] = []) -> None:  # noqa: B006
+        seen.append(float(x[0]))
+
     ticks = {"plain": plain, "closure": in_closure(x, y), "list": in_closed_list(x, y)}
+    ticks |= {"default": later, "partial": partial(later, [0.0])}
     memory = Memory({**ticks, "object": OfClass(x, y), "declared": Hides(x, y)}, states.buffer)
-    assert memory.unproven == dict.fromkeys(["closure", "list", "object"], "declares no memory")
+    assert memory.unproven == dict.fromkeys(
+        ["closure", "list", "default", "partial", "object"], "declares no memory"
+    )
