@@ -42,7 +42,7 @@ def everything(platform: MujocoPlatform) -> dict[str, Any]:
     found["timer"] = data.timer.number.tobytes() + data.timer.duration.tobytes()
     found["solver"] = data.solver.niter.tobytes() if hasattr(data.solver, "niter") else b""
     found["pickled"] = pickle.dumps(data)
-    found["memory"] = pickle.dumps(platform.memory())
+    found["memory"] = pickle.dumps(platform.save())
     found["ticks"] = str(platform.robots[0].ticks)
     model = platform.model
     found["gains"] = model.actuator_gainprm.tobytes() + model.actuator_biasprm.tobytes()
@@ -135,7 +135,7 @@ def test_the_ticks_that_follow_are_the_same_to_the_bit() -> None:
             if tick == 40:
                 platform.reset()
             if tick == 50:
-                platform.restore(platform.memory())
+                platform.load(platform.save())
             platform.send()
             platform.recv()
             seen = everything(platform)

@@ -448,9 +448,9 @@ def test_each_of_many_robots_has_a_memory_of_its_own(tmp_path: Path) -> None:
     machine = robot()
     states = states_of(contract, machine, 3)
     policy = Policy(contract, states, machine)
-    assert [target.shape for _, target in policy.lane.memory] == [(3, 4)]
+    assert [target.shape for _, target in policy.lane.recurrent] == [(3, 4)]
     policy()
-    policy.lane.memory[0][1][1] = 5.0
+    policy.lane.recurrent[0][1][1] = 5.0
     policy()
     assert states.action.tolist() == [[1.0] * 4, [5.0] * 4, [1.0] * 4]
     policy.reset()

@@ -41,6 +41,7 @@ SLOTS = 64
 class Camera:
     """The tick: a picture in every n-th tick, stamped with the time of the tick."""
 
+    memory = ("_tick",)  # of a run from its beginning, the ring's count follows
     endless = True
 
     def __init__(self, handle: Any, context: BuildContext, name: str, options: dict[str, Any]):
