@@ -71,6 +71,7 @@ def test_go2_stand_lies_stands_and_lies_as_on_mujoco() -> None:
     assert heights["pybullet"][-1] < 0.15
 
 
+@pytest.mark.slow
 @needs_pybullet
 def test_go2_walk_walks_there() -> None:
     pytest.importorskip("onnxruntime", reason="the policy needs onnxruntime")

@@ -164,7 +164,7 @@ def test_no_registered_block_is_left_out() -> None:
     assert set(known("blocks")) <= there
 
 
-QUICK = {("go2_walk", None), ("g1_vr", None), ("go2_stand", 16)}
+QUICK = {("go2_walk", None), ("go2_buttons", None), ("go2_stand", 16)}
 
 
 @pytest.mark.parametrize(

@@ -167,6 +167,7 @@ def test_every_shipped_workflow_and_map_is_among_the_cases() -> None:
         assert not is_workflow or path.stem in workflows
 
 
+@pytest.mark.slow
 def test_runs_of_one_process_leave_no_file_open(capfd: pytest.CaptureFixture[str]) -> None:
     arguments = ["run", "go2_stand", "--set", "platform=fake", "--no-ros", "--quiet"]
     arguments += ["--duration", "0.03", "--speed", "max"]
