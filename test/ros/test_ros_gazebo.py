@@ -68,7 +68,7 @@ def gazebo(peers: Callable[..., Peer], tmp_path: Path) -> Callable[..., Peer]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "rate", "interface"), [("gazebo", 50, "position"), ("gazebo_effort", 200, "effort")]
+    ("name", "rate", "interface"), [("gazebo", 50, "position"), ("gazebo_effort", 150, "effort")]
 )
 def test_a_robot_in_gazebo_stands_up(
     runs: Callable[..., Any],
