@@ -33,7 +33,7 @@ UNDECLARED = "declares no memory"
 """Reason of `Memory.unproven` for a block that may have one all the same."""
 
 ATOMS = frozenset({type(None), bool, int, float, str})
-_WRONG = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
+_WRONG = (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError)
 
 
 @runtime_checkable
@@ -106,10 +106,13 @@ class Memory:
         self.unproven: dict[str, str] = {}
         for label, tick in holders.items():
             holder = holder_of(tick)
-            if _declares(holder):
-                self._holders[label] = holder
-            elif not _stateless(tick, states):
-                self.unproven[label] = UNDECLARED
+            try:
+                if _declares(holder):
+                    self._holders[label] = holder
+                elif not _stateless(tick, states):
+                    self.unproven[label] = UNDECLARED
+            except Exception as error:  # such as of an object that raises when it is looked at
+                self.unproven[label] = one_line(error)
         self.take()
 
     def take(self) -> Snapshot:
@@ -131,13 +134,13 @@ class Memory:
         Raises:
             StateError: the blocks differ; the message says in what, and all remember what they did.
         """
+        before = self.take()
         lacking = [label for label in snapshot if label not in self._holders]
         if lacking:
             raise StateError(
                 f"the snapshot is of another program: it has a block {lacking[0]!r}, which this "
                 f"one lacks; this one has {', '.join(self._holders) or 'none'}"
             )
-        before = self.take()
         try:
             self._load(snapshot)
         except StateError:
@@ -146,7 +149,10 @@ class Memory:
 
     def _load(self, snapshot: Snapshot) -> None:
         for label, saved in snapshot.items():
-            load(self._holders[label], saved, label)
+            try:
+                load(self._holders[label], saved, label)
+            except _WRONG as error:  # of another library, or of a damaged file
+                raise StateError(f"the memory of block {label!r} does not fit: {error}") from error
 
     @property
     def layout(self) -> dict[str, str]:
@@ -250,12 +256,7 @@ def load(holder: Any, saved: Any, path: str = "") -> None:
     if isinstance(saved, FromLibrary):
         if not isinstance(holder, Library):
             raise _differs(path, "an object that another library holds", holder)
-        try:
-            holder.load(_copied(saved[0], path))
-        except _WRONG as error:
-            raise StateError(
-                f"{path}: {type(holder).__name__} takes no such memory: {error}"
-            ) from error
+        holder.load(_copied(saved[0], path))
         return
     names = _names_of(holder)
     if not isinstance(saved, Component) or names is None or not set(saved) <= set(names):

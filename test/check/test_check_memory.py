@@ -7,8 +7,11 @@ from pathlib import Path
 import pytest
 
 from unicon_core.check import check_workflow
+from unicon_core.check.result import CheckResult, Finding
 
 BLOCKS = """
+from pathlib import Path
+
 import numpy as np
 from unicon_core.flow import Amends, Reads
 
@@ -18,8 +21,13 @@ class Hides:
         self.effort, self.count = joint_effort_ff, 0
 
     def __call__(self) -> None:
+        Path(__file__).with_name("ticked").touch()
         self.count += 1
         self.effort += np.float32(1e-3 * self.count)
+
+
+class Says(Hides):
+    memory = ()
 
 
 class Declares(Hides):
@@ -43,18 +51,23 @@ def plain(joint_pos: Reads, joint_effort_ff: Amends):
 """
 
 
+DEPENDS = "its next tick depends on count, which it does not declare: a replay differs"
+LACKS = "Lacks.memory names 'counts', which it lacks; it has effort, count"
+
+
 @pytest.mark.parametrize(
-    ("name", "words"),
+    ("name", "named", "proven"),
     [
-        ("Hides", "its next tick depends on count, which it does not declare: a replay differs"),
-        ("Declares", ""),
-        ("Raises", ""),
-        ("Lacks", "Lacks.memory names 'counts', which it lacks; it has effort, count"),
-        ("plain", ""),
+        ("Hides", "declares no memory: records lack its memory", DEPENDS),
+        ("Declares", "", ""),
+        ("Raises", "", None),
+        ("Lacks", LACKS, LACKS),
+        ("Says", "", DEPENDS),
+        ("plain", "", ""),
     ],
 )
 def test_a_block_of_ones_own(
-    name: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, named: str, proven: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.syspath_prepend(str(tmp_path))
     module = f"own_blocks_{name.lower()}"
@@ -64,7 +77,17 @@ def test_a_block_of_ones_own(
         "schema: unicon.workflow/1\nname: w\nrobot: go2\nplatform: fake\nrate: 50\n"
         f"flow: {{zip: [hold, {{call: '{module}:{name}'}}]}}\n"
     )
-    result = check_workflow(path)
+    found = notes(check_workflow(path))
+    assert [named in note.evidence for note in found] == ([True] if named else [])
+    assert not (tmp_path / "ticked").exists()  # a check ticks nothing of the user's
+    if proven is None:  # it cannot be simulated
+        return
+    found = notes(check_workflow(path, twin=True))
+    assert any(proven in note.evidence for note in found) == bool(proven)
+
+
+def notes(result: CheckResult) -> list[Finding]:
+    """Return what is said of memories."""
     found = [note for note in result.notes if note.code == "blocks.memory"]
-    assert [words in note.evidence for note in found] == ([True] if words else [])
     assert all("memory = (NAME, …)" in note.remedy for note in found)
+    return found

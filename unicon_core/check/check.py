@@ -10,7 +10,7 @@ from unicon_core.check.action import check_action, check_commands, check_timing
 from unicon_core.check.action_rates import check_fed
 from unicon_core.check.files import check_files, check_robot
 from unicon_core.check.gains import check_gains, check_held, check_limits
-from unicon_core.check.graph import check_blocks, check_memory
+from unicon_core.check.graph import check_blocks, check_memory, prove_memory
 from unicon_core.check.joints import check_joints
 from unicon_core.check.observation import check_frames, check_observation
 from unicon_core.check.order import check_order
@@ -99,6 +99,8 @@ def check_workflow(
         static_checks(subject, result)
         for check in more:
             check(subject, result)
+        if twin:
+            prove_memory(subject, result)
     finally:
         subject.program.close()
     if twin:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import random
 import sys
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import partial
@@ -201,7 +201,7 @@ class _Walker:
 
     def _parts(self, value: Any, path: str) -> Iterator[tuple[str, Any]]:
         if isinstance(value, partial):
-            yield from enumerated(path, (value.func, *value.args, *value.keywords.values()))
+            yield from _enumerated(path, (value.func, *value.args, *value.keywords.values()))
         elif isinstance(value, MethodType):
             yield path, value.__func__
             yield path, value.__self__
@@ -214,7 +214,7 @@ class _Walker:
             if value.gi_frame is not None:
                 yield from ((f"{path}.{n}", each) for n, each in value.gi_frame.f_locals.items())
         elif isinstance(value, (list, tuple, deque, set, frozenset)):
-            yield from enumerated(path, value)
+            yield from _enumerated(path, value)
         elif isinstance(value, dict):
             yield from ((f"{path}[{key!r}]", each) for key, each in value.items())
         elif isinstance(value, type) or _package(value) in (self._module, "unicon_core"):
@@ -227,7 +227,7 @@ class _Walker:
                 yield _joined(path, name), cell.cell_contents
             except ValueError:  # nothing was put into it yet
                 continue
-        yield from enumerated(_joined(path, "default"), function.__defaults__ or ())
+        yield from _enumerated(_joined(path, "default"), function.__defaults__ or ())
         yield from ((_joined(path, n), each) for n, each in vars(function).items())
         if _package(function) != self._module:
             return
@@ -257,7 +257,7 @@ def _joined(path: str, name: str) -> str:
     return f"{path}.{name}" if path else name
 
 
-def enumerated(path: str, values: Any) -> Iterator[tuple[str, Any]]:
+def _enumerated(path: str, values: Any) -> Iterator[tuple[str, Any]]:
     """Yield elements with their paths."""
     yield from ((f"{path}[{i}]", each) for i, each in enumerate(values))
 
@@ -279,8 +279,6 @@ def _names(code: Any) -> Iterator[str]:
 
 
 def _package(value: Any) -> str:
-    kind: Callable[..., Any] | type = (
-        value if isinstance(value, (type, FunctionType)) else type(value)
-    )
+    kind: Any = value if isinstance(value, (type, FunctionType)) else type(value)
     root = (getattr(kind, "__module__", None) or "").partition(".")[0]
     return "" if root in sys.stdlib_module_names and root != "__main__" else root

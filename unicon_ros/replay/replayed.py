@@ -304,13 +304,13 @@ def _memories(record: Record) -> dict[int, Snapshot]:
             f"pip install unicon_ros=={version}"
         )
     told = record.files.get("memory.json")
-    built = None if told is None else json.loads(told).get("built")
     try:
+        built = None if told is None else json.loads(told).get("built")
         given = {
-            row: from_json(each["blocks"]) for row, each in kept.items() if row == 0 or each["anew"]
+            row: _snapshot(each["blocks"]) for row, each in kept.items() if row == 0 or each["anew"]
         }
         if built is not None:
-            built = from_json(built)
+            built = _snapshot(built)
         elif record.ticks[0] == 0:  # it holds the run from its first tick
             built = given.get(0)
         if built is None:
@@ -318,6 +318,13 @@ def _memories(record: Record) -> dict[int, Snapshot]:
         return {row: changes(each, built) for row, each in given.items()}
     except _WRONG as error:
         raise StateError(f"the record's memory.json is damaged: {error!r}") from error
+
+
+def _snapshot(value: Any) -> Snapshot:
+    found = from_json(value)
+    if not isinstance(found, Snapshot):
+        raise TypeError(f"a {type(found).__name__} stands where a snapshot is to be")
+    return found
 
 
 def _factor(own: Any, recorded: Any) -> float | None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,7 +70,7 @@ def verify(record: Record, document: WorkflowDocument) -> Verdict:
         f"what {name!r} remembered is left out: there is no such block here"
         for name in sorted(replayed.homeless)
     ]
-    unproven = {name: why for each in record.memories for name, why in each["unproven"].items()}
+    unproven = {name: why for each in record.memories for name, why in _unproven(each)}
     notes += [
         f"the record lacks the memory of block {name!r} ({why}); unicon check names it"
         for name, why in unproven.items()
@@ -94,6 +96,12 @@ def verify(record: Record, document: WorkflowDocument) -> Verdict:
         tuple(notes),
         "" if replayed.fault is None else _fault(record, replayed.fault),
     )
+
+
+def _unproven(memory: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return blocks whose memory a record lacks, and why."""
+    found = memory.get("unproven")
+    return [(str(name), str(why)) for name, why in found.items()] if isinstance(found, dict) else []
 
 
 def _fault(record: Record, again: str) -> str:
