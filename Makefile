@@ -65,7 +65,7 @@ SLOW_simulators := ik images models peripherals platforms terrain transfer whole
 SLOW_check := check
 SLOW_fuzz := fuzz mutation
 SLOW_files := map policies workflow
-SLOW_soak := bench runtime soak states
+SLOW_soak := bench faults runtime soak states
 SLOW_PARTS := ros processes packages robots simulators check fuzz files soak
 SLOW_others := $(filter-out $(foreach part,$(SLOW_PARTS),$(SLOW_$(part))),\
 	$(patsubst test/%/,%,$(dir $(wildcard test/*/*.py))) $(notdir $(wildcard test/test_*.py)))

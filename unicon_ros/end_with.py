@@ -53,6 +53,13 @@ def end_with(whom: str | None) -> None:
         )
 
 
+def die_with_parent() -> None:
+    """End with the thread that starts this process; for `preexec_fn`, on Linux."""
+    ctypes.CDLL(None).prctl(SET_PARENT_DEATH_SIGNAL, signal.SIGKILL, 0, 0, 0)
+    if os.getppid() == 1:  # it has died before
+        os._exit(1)
+
+
 def is_launch(process: int) -> bool:
     """Tell whether a process is `ros2 launch`, by its command line."""
     try:

@@ -8,9 +8,9 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+from benchmarks import bridge
+from benchmarks.bridge_topics import arrays_of, bench_states, plain_sender, variables_of
 from unicon_ros import compat
-from unicon_ros.bench import bridge
-from unicon_ros.bench.bridge_topics import arrays_of, bench_states, plain_sender, variables_of
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
 

@@ -109,3 +109,14 @@ def test_assert_exits_1_where_a_ratio_misses_its_bar(
         "value": 0.3, "bar": 0.2, "holds": False, "claim": "at most"
     }  # fmt: skip
     assert "MISSED" in capsys.readouterr().out
+
+
+def test_a_bench_that_is_not_shipped_says_where_it_runs(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(command, "CHECKOUT", tmp_path)
+    monkeypatch.setitem(command.BENCHES, "tick", "nowhere.tick")
+    assert main(["bench", "tick"]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "bench tick: only `latency` is part of the installed package" in line
+    assert "clone the repository" in line

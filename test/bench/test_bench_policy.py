@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.networks import random_policy
 from unicon_core.policies import Policy, policy_states
 from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states
-from unicon_ros.bench.networks import random_policy
 
 pytest.importorskip("onnx", reason="writes the networks")
 pytest.importorskip("onnxruntime", reason="runs the networks")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from unicon_ros.bench import reach
+from benchmarks import reach
 
 pytest.importorskip("daqp", reason="daqp is not installed: pip install 'unicon_ros[ik]'")
 

@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
 
-from unicon_ros.bench.record import run
+from benchmarks.record import run
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks import tick
 from unicon_core.flow import Block, Zip, compile_graph
 from unicon_core.flow.fuse import fuse
-from unicon_ros.bench import tick
 from unicon_ros.bench.report import Bench
 
 

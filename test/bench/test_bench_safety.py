@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from unicon_ros.bench.safety import WITH, WITHOUT, run
+from benchmarks.safety import WITH, WITHOUT, run
 
 
 def test_both_sides_tick_the_same_policy() -> None:

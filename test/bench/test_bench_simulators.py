@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from unicon_ros.bench.simulators import TICKS, run
+from benchmarks.simulators import TICKS, run
 
 
 def test_a_tick_is_its_engine_and_little_beyond() -> None:

@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
+from benchmarks import sloc, transfers
+from benchmarks.ad_hoc import AD_HOC, PAPER
+from benchmarks.transfers import Transfer, difference, edited, lines_of, transferred
 from unicon_core.errors import UniconError
-from unicon_ros.bench import sloc, transfers
-from unicon_ros.bench.ad_hoc import AD_HOC, PAPER
-from unicon_ros.bench.transfers import Transfer, difference, edited, lines_of, transferred
 
 
 def test_docstrings_comments_and_blank_lines_are_no_code() -> None:

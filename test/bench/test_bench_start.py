@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("mujoco")
 pytest.importorskip("onnxruntime")
 
-from unicon_ros.bench import start
+from benchmarks import start
 from unicon_ros.cli.bench import BENCHES
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks import store_processes, stores
+from benchmarks.store_ways import WAYS, group
 from unicon_core.states.backends.shm import segments
-from unicon_ros.bench import stores
-from unicon_ros.bench.pipelines.store_ways import WAYS, group
 from unicon_ros.bench.report import Bench
 from unicon_ros.cli.bench import BENCHES
 
@@ -83,13 +83,12 @@ def test_what_is_not_installed_is_skipped_with_a_note(monkeypatch: pytest.Monkey
 
 
 def test_it_is_a_bench_of_the_command_line() -> None:
-    assert BENCHES["stores"] == "unicon_ros.bench.stores"
+    assert BENCHES["stores"] == "benchmarks.stores"
     assert group().layout.nbytes == 512
 
 
 def test_a_torn_value_would_be_told(tmp_path: Path) -> None:
     """The reader's process finds a value whose parts are of two numbers."""
-    from unicon_ros.bench.pipelines import stores as peer
 
     states, log = group(), tmp_path / "0.npz"
 
@@ -114,6 +113,6 @@ def test_a_torn_value_would_be_told(tmp_path: Path) -> None:
             return self.left < 0
 
     receiver = Torn()
-    peer._read(receiver, states, log, Once())  # type: ignore[arg-type]
+    store_processes._read(receiver, states, log, Once())  # type: ignore[arg-type]
     assert receiver.closed
     assert np.load(log)["torn"].tolist() == [1, 1, 1]

@@ -10,7 +10,7 @@ pytest.importorskip("viser", reason="pip install 'unicon_ros[view]'")
 pytest.importorskip("mujoco")
 pytest.importorskip("onnxruntime")
 
-from unicon_ros.bench.view import run
+from benchmarks.view import run
 
 pytestmark = pytest.mark.slow
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.copied_hand import bent
 from unicon_core.models.quaternions import about, multiply, rotate
 from unicon_core.retarget.human_hand import CHAINS
-from unicon_ros.bench.copied_hand import bent
 
 __all__ = ["human_hand", "pinched", "placed"]
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from hands import HANDS
 
+from benchmarks.copied_hand import copied_hand, smooth_motion
 from unicon_core.retarget.hand_model import HandModel
 from unicon_core.retarget.human_hand import HumanHand
 from unicon_core.retarget.retargeting import Retargeting
-from unicon_ros.bench.copied_hand import copied_hand, smooth_motion
 
 Build = Callable[[str], HandModel]
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 import yaml
 
+from benchmarks.retarget import run
 from unicon_core.blocks.retarget import retarget
 from unicon_core.robots import load_robot
 from unicon_core.robots.hand import wrong_hand
-from unicon_ros.bench.retarget import run
 from unicon_ros.cli.main import main
 
 TEXT = (Path(__file__).parents[2] / "docs" / "retargeting.md").read_text("utf-8")
@@ -47,8 +47,8 @@ def test_every_hand_is_told_and_shown(capsys: pytest.CaptureFixture[str]) -> Non
 
 
 def test_the_bench_runs_without_the_other(assets: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("unicon_ros.bench.retarget.TICKS", 40)
-    monkeypatch.setattr("unicon_ros.bench.retarget.find_spec", lambda name: None)
+    monkeypatch.setattr("benchmarks.retarget.TICKS", 40)
+    monkeypatch.setattr("benchmarks.retarget.find_spec", lambda name: None)
     bench = run(rounds=1)
     assert bench.ratios["joint_error_p99"]["holds"]
     assert "retarget" not in bench.ratios

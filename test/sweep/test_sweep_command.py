@@ -17,10 +17,10 @@ import numpy as np
 import pytest
 from pages import looked_at, read_page
 
+from benchmarks.networks import random_policy
 from unicon_core.errors import MissingDependencyError, UniconError
 from unicon_core.robots import load_robot
 from unicon_ros.analysis.read import read_run
-from unicon_ros.bench.networks import random_policy
 from unicon_ros.cli.main import main
 from unicon_ros.sweep import pool
 from unicon_ros.sweep.engine import Result

@@ -8,8 +8,6 @@ long as a lease: peers of which only one takes the other for dead do not meet ag
 
 from __future__ import annotations
 
-import ctypes
-import os
 import signal
 import subprocess
 import sys
@@ -25,6 +23,7 @@ from numpy.typing import NDArray
 from unicon_core.errors import UniconError
 from unicon_core.signals import SIGNALS
 from unicon_ros.bench.pipelines.log import beside
+from unicon_ros.end_with import die_with_parent
 
 LEASE = 9.0
 """s for which a loop may be held: after 10 participants with `config/dds/no_shared_memory.xml` take
@@ -34,7 +33,6 @@ SETTLE = 0.15  # s of a slice until the loop runs steadily again
 BREATHS = 2.0  # s between two short times in which those that wait are let go
 PATIENCE = 30.0  # s until the first command must have come, and until a process must have ended
 GRACE_NS = 50_000_000  # a command that was sent later before the end of a slice may be under way
-_PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
 @dataclass(frozen=True)
@@ -257,10 +255,3 @@ def _under_way(each: Slice, log: dict[str, Any]) -> NDArray[np.float64]:
 def _cpu_ns(process: int) -> int:
     """Return the CPU time of a process in [ns], all its threads: clock_getcpuclockid(3)."""
     return time.clock_gettime_ns((~process << 3) | 2)
-
-
-def die_with_parent() -> None:
-    """End with the thread that starts this process; for `preexec_fn`, on Linux."""
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-    if os.getppid() == 1:  # it has died before
-        os._exit(1)

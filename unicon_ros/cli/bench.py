@@ -3,31 +3,38 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
+import unicon_ros
 from unicon_core.errors import UniconError
 
 BENCHES = {
-    "batch": "unicon_ros.bench.batch",
-    "bridge": "unicon_ros.bench.bridge",
-    "faults": "unicon_ros.bench.faults.bench_faults",
+    "batch": "benchmarks.batch",
+    "bridge": "benchmarks.bridge",
+    "faults": "faults.bench_faults",
     "latency": "unicon_ros.bench.latency",
-    "policy": "unicon_ros.bench.policy",
-    "reach": "unicon_ros.bench.reach",
-    "record": "unicon_ros.bench.record",
-    "retarget": "unicon_ros.bench.retarget",
-    "safety": "unicon_ros.bench.safety",
-    "simulators": "unicon_ros.bench.simulators",
-    "sloc": "unicon_ros.bench.sloc",
-    "start": "unicon_ros.bench.start",
-    "stores": "unicon_ros.bench.stores",
-    "sweep": "unicon_ros.bench.sweep",
-    "tick": "unicon_ros.bench.tick",
-    "timing": "unicon_ros.bench.timing",
-    "view": "unicon_ros.bench.view",
+    "policy": "benchmarks.policy",
+    "reach": "benchmarks.reach",
+    "record": "benchmarks.record",
+    "retarget": "benchmarks.retarget",
+    "safety": "benchmarks.safety",
+    "simulators": "benchmarks.simulators",
+    "sloc": "benchmarks.sloc",
+    "start": "benchmarks.start",
+    "stores": "benchmarks.stores",
+    "sweep": "benchmarks.sweep",
+    "tick": "benchmarks.tick",
+    "timing": "benchmarks.timing",
+    "view": "benchmarks.view",
 }
+"""Bench to its module; all but `latency` are in a checkout only."""
+
+CHECKOUT = Path(unicon_ros.__file__).resolve().parents[1]
+"""Where this package lies; the benches that are not shipped lie beside it, in a checkout."""
 
 _OPTIONS: dict[str, dict[str, dict[str, Any]]] = {
     "faults": {
@@ -75,7 +82,7 @@ def bench(arguments: argparse.Namespace) -> int:
         raise UniconError(f"--rounds {arguments.rounds}: give a number >= 1")
     given = {name: getattr(arguments, name) for name in _OPTIONS.get(arguments.bench, {})}
     options = {name: value for name, value in given.items() if value is not None}
-    result = import_module(BENCHES[arguments.bench]).run(rounds=arguments.rounds, **options)
+    result = _module(arguments.bench).run(rounds=arguments.rounds, **options)
     print(result.table())
     try:
         if arguments.json:
@@ -87,3 +94,25 @@ def bench(arguments: argparse.Namespace) -> int:
     except OSError as error:
         raise UniconError(f"cannot write {error.filename}: {error.strerror}") from error
     return 1 if arguments.strict and not result.holds else 0
+
+
+def _module(name: str) -> ModuleType:
+    """Return a bench's module.
+
+    Raises:
+        UniconError: the bench is not shipped and this is no checkout.
+    """
+    module = BENCHES[name]
+    try:
+        return import_module(module)
+    except ModuleNotFoundError as error:
+        if (error.name or "") not in module:
+            raise
+    folders = [CHECKOUT, CHECKOUT / "test"]
+    if not (CHECKOUT / "benchmarks" / "__init__.py").is_file():
+        raise UniconError(
+            f"bench {name}: only `latency` is part of the installed package; clone the repository, "
+            "`pip install -e .` there, and run the bench in that environment"
+        )
+    sys.path += [str(folder) for folder in folders]
+    return import_module(module)

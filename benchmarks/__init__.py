@@ -1,0 +1,1 @@
+"""Benchmarks that are not shipped: `unicon bench NAME` finds them beside a checkout."""

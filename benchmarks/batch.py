@@ -1,0 +1,107 @@
+"""`unicon bench batch`: cost of a tick per robot, many robots in one graph beside one robot.
+
+Without physics (the `fake` platform) it is the tick that is measured; with them, in MuJoCo, several
+robots are simulated at once, as many as there are cores. Where MJX is installed, it steps all of
+them in one compiled call.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.networks import random_policy
+from benchmarks.samples import Samples
+from unicon_core.platforms.sim.mujoco.batch import shares
+from unicon_core.robots import load_robot
+from unicon_core.runtime import Runner, RunOptions
+from unicon_core.workflow import load_workflow
+from unicon_ros.bench.report import Bench
+
+TICKS = 200
+PHYSICS_TICKS = 100
+
+SIZES = (1, 4, 16, 64, 256)
+PHYSICS_SIZES = (1, 4, 16, 64)
+MJX_TICKS = 20
+MJX_SIZES = (1, 16, 64)
+
+_WORKFLOW = """\
+robot: go2
+platform: fake
+num_robots: 1
+policies: {walk: POLICY}
+commands:
+  - velocity_command: {constant: [0.5, 0.0, 0.0]}
+flow: {policy: walk}
+safety: [finite, joint_limits]
+"""
+
+_PHYSICS: dict[str, Any] = {
+    "platform": "mujoco",
+    "scene": {"initial_pose": "policy:walk"},
+    "policies": {"walk": "go2_velocity"},
+}
+"""In place of the above; our own policy walks, where a random one would fall."""
+
+
+def run(rounds: int | None = None) -> Bench:
+    """Run the comparison.
+
+    Args:
+        rounds: interleaved rounds, 5 unless told.
+    """
+    rounds = rounds or 5
+    bench = Bench("batch", seed=0, rounds=rounds)
+    kinds: list[tuple[str, tuple[int, ...], int, dict[str, Any]]] = [
+        ("per robot", SIZES, TICKS, {}),
+        ("with physics, per robot", PHYSICS_SIZES, PHYSICS_TICKS, _PHYSICS),
+    ]
+    ratios = [
+        ("batch64", "per robot", 0.35),
+        ("batch64_physics", "with physics, per robot", 0.6),
+    ]
+    if find_spec("mujoco.mjx") and find_spec("jax"):
+        kinds.append(("in MJX, per robot", MJX_SIZES, MJX_TICKS, _PHYSICS | {"platform": "mjx"}))
+        ratios.append(("batch64_mjx", "in MJX, per robot", 0.6))
+    else:
+        bench.facts["MJX"] = "left out: pip install 'unicon_ros[sim-mjx]'"
+    times = Samples()
+    with tempfile.TemporaryDirectory() as folder:
+        random_policy(Path(folder) / "policy", load_robot("go2"))
+        path = Path(folder) / "batch.yaml"
+        path.write_text(_WORKFLOW.replace("POLICY", "./policy"), encoding="utf-8")
+        runners: dict[str, tuple[Runner, int, int]] = {}
+        for kind, sizes, ticks, changed in kinds:
+            for size in sizes:
+                program = load_workflow(path, changed | {"num_robots": size})
+                runner = Runner(program, RunOptions(speed="max"))
+                runners[f"{kind}, N = {size}"] = runner, size, ticks
+        for _ in range(rounds):
+            for name, (runner, size, ticks) in runners.items():
+                times.add(name, _ticks(runner, ticks) / size)
+        for runner, _, _ in runners.values():
+            runner.close()
+    for name in runners:
+        bench.case(name, times.of(name))
+    for name, kind, bar in ratios:
+        bench.ratio(name, times.ratio(f"{kind}, N = 64", f"{kind}, N = 1"), bar)
+    bench.facts["threads"] = len(shares(64))
+    return bench
+
+
+def _ticks(runner: Runner, ticks: int) -> NDArray[np.float64]:
+    """Return the time of each tick in [µs]."""
+    now = time.perf_counter_ns
+    times = np.zeros(ticks)
+    for i in range(ticks):
+        begin = now()
+        runner.tick(begin)
+        times[i] = (now() - begin) * 1e-3
+    return times

@@ -1,0 +1,180 @@
+"""`unicon bench reach`: a step of both hands of a G1, ours beside mink's, in interleaved rounds.
+
+Hands go round in circles, jump between places, and are pushed through each other at 2 and at
+6 rad/s, with the distance of the robot's capsules kept and without. Both sides have the same model,
+joints, weights, limits and solver. Without mink ours are measured alone.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from importlib.util import find_spec
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.samples import Samples
+from unicon_core.ik import Chain, DifferentialIk, Settings, Weights
+from unicon_core.ik.apart import Apart
+from unicon_core.ik.pairs import Reaching, load_apart
+from unicon_core.ik.tasks import Pose
+from unicon_core.models.find import pick_model
+from unicon_core.robots import Robot, load_robot
+from unicon_ros.bench.report import Bench
+
+Float = NDArray[np.float64]
+
+ROBOT, HANDS, MOVES = "g1_29dof", ("left_hand", "right_hand"), ("arms",)
+PERIOD, TICKS, APART = 0.02, 250, 0.02
+RATES = (2.0, 6.0)
+SETTLED = 50
+"""Ticks after which hands are on their circles."""
+
+
+class _Way(Protocol):
+    """A way to move both arms: where they are commanded in [rad], a beginning, and a step."""
+
+    @property
+    def pos(self) -> Float: ...
+    def begin(self, pos: Float) -> None: ...
+    def __call__(self, targets: Sequence[Pose]) -> None: ...
+
+
+class _Ours:
+    def __init__(self, robot: Robot, reaching: Reaching, rate: float, apart: float) -> None:
+        moved = robot.group(MOVES)
+        chain = Chain(reaching.loaded, robot, HANDS, moved)
+        rates, settings = np.full(len(moved), rate), Settings(apart=apart)
+        self.ik = DifferentialIk(chain, robot, [Weights()] * 2, rates, PERIOD, settings)
+        self._pose = robot.default_joint_pos.astype(np.float64)
+        self._all = np.ones(len(moved), np.bool_)
+
+    @property
+    def pos(self) -> Float:
+        return self.ik.pos
+
+    def begin(self, pos: Float) -> None:
+        self.ik.begin(pos, self._all)
+
+    def __call__(self, targets: Sequence[Pose]) -> None:
+        self.ik(self._pose, targets)
+
+
+class _Watch:
+    """Tells where hands are and how near capsules, whoever moved the arms."""
+
+    def __init__(self, robot: Robot, reaching: Reaching) -> None:
+        self._chain = Chain(reaching.loaded, robot, HANDS, robot.group(MOVES))
+        self._apart = Apart(self._chain, 1.0, 0.0)
+        self.pose = robot.default_joint_pos.astype(np.float64)
+        self.start = self.pose[robot.group(MOVES)]
+        self.homes = [tuple(map(tuple, self._at(self.start, i))) for i in range(2)]
+
+    def _at(self, pos: Float, hand: int) -> Any:
+        self._chain.put(self.pose, pos)
+        return self._chain.frame(hand)
+
+    def error(self, pos: Float, targets: Sequence[Pose]) -> list[float]:
+        """Return how far each hand is from its target in [m]."""
+        return [math.dist(self._at(pos, i)[0], targets[i][0]) for i in range(2)]
+
+    def nearest(self, pos: Float) -> float:
+        """Return the least distance of two capsules in [m]."""
+        self._chain.put(self.pose, pos)
+        self._chain.differentiate()
+        return float(self._apart.rows()[0].min())
+
+
+def run(rounds: int | None = None) -> Bench:
+    """Run the comparison.
+
+    Args:
+        rounds: interleaved rounds, 5 unless told.
+    """
+    rounds = rounds or 5
+    bench = Bench("reach", seed=0, rounds=rounds)
+    robot = load_robot(ROBOT)
+    path, moved = pick_model(robot), robot.group(MOVES)
+    bare, kept = (load_apart(path, robot, HANDS, moved, apart) for apart in (0.0, APART))
+    watch = _Watch(robot, load_apart(path, robot, HANDS, moved, APART))
+    times, errors, nearest = Samples(), Samples(), Samples()
+    ours: list[_Ours] = []
+    for rate in RATES:
+        ways: dict[str, _Way] = {
+            "ours": _Ours(robot, bare, rate, 0.0),
+            "ours, apart": _Ours(robot, kept, rate, APART),
+        }
+        ours += [way for way in ways.values() if isinstance(way, _Ours)]
+        if find_spec("mink"):
+            from benchmarks.mink_arms import MinkArms
+
+            for name, pairs in (("mink", ()), ("mink, apart", kept.pairs)):
+                ways[name] = MinkArms(path, robot, HANDS, moved, rate, PERIOD, pairs, APART)
+        for _ in range(rounds):
+            for motion in ("circles", "jumps") if rate == RATES[-1] else ():
+                _compare(ways, watch, motion, "", times, errors, nearest)
+            _compare(ways, watch, "crossing", f", {rate:g} rad/s", times, errors, nearest)
+    for name in times.names:
+        bench.case(name, times.of(name))
+    for name in errors.names:
+        of_all = 1e3 * errors.of(name)
+        middle, most = np.percentile(of_all, 50), of_all.max()
+        bench.facts[f"{name}: error [mm], p50 and max"] = f"{middle:.2g}, {most:.2g}"
+    for name in nearest.names:
+        bench.facts[f"{name}: least distance [mm]"] = round(1e3 * nearest.of(name).min(), 1)
+    bench.facts["solver failures"] = sum(each.ik.failures for each in ours)
+    if find_spec("mink"):
+        bench.ratio("ik", times.ratio("circles: ours", "circles: mink"), 0.5)
+        bench.ratio("ik_apart", times.ratio("circles: ours, apart", "circles: mink, apart"), 0.5)
+    else:
+        bench.facts["mink"] = "left out: pip install mink"
+    closest = min(nearest.of(name).min() for name in nearest.names if "ours, apart" in name)
+    bench.ratio("crossing_mm", 1e3 * float(closest), 10.0, at_least=True)
+    return bench
+
+
+def _compare(
+    ways: dict[str, _Way],
+    watch: _Watch,
+    motion: str,
+    what: str,
+    times: Samples,
+    errors: Samples,
+    nearest: Samples,
+) -> None:
+    """Let all ways make a motion in turns, and keep what steps took and led to."""
+    now = time.perf_counter_ns
+    wanted = [_targets(motion, i, watch.homes) for i in range(TICKS)]
+    for name, way in ways.items():
+        case = f"{motion}{what}: {name}"
+        took, poses = np.zeros(TICKS), []
+        way.begin(watch.start)
+        for i, targets in enumerate(wanted):
+            begin = now()
+            way(targets)
+            took[i] = (now() - begin) * 1e-3
+            poses.append(way.pos.copy())
+        times.add(case, took)
+        if motion == "circles":
+            after = list(zip(poses, wanted))[SETTLED:]
+            errors.add(case, [error for pair in after for error in watch.error(*pair)])
+        if motion == "crossing":
+            nearest.add(case, min(map(watch.nearest, poses)))
+
+
+def _targets(motion: str, tick: int, homes: Sequence[Any]) -> list[Pose]:
+    """Return where the hands shall be in a tick."""
+    angle = 2.0 * math.pi * 0.4 * tick * PERIOD
+    found: list[Pose] = []
+    for side, ((x, y, z), quat) in zip((1.0, -1.0), homes):
+        if motion == "circles":
+            place = (x, y + 0.08 * math.sin(angle), z + 0.1 + 0.08 * math.cos(angle))
+        elif motion == "jumps":
+            place = (x + 0.1 * (tick // 25 % 3), y + 0.1 * side * (tick // 50 % 2), z + 0.1)
+        else:
+            place = (x, y * math.cos(2.0 * math.pi * 0.4 * tick * PERIOD), z)
+        found.append((place, quat))
+    return found

@@ -1,0 +1,114 @@
+"""`unicon bench record`: what recording adds to a tick, in a run in real time with ROS on.
+
+go2_teleop in MuJoCo ticks at 500 Hz, its policy at every tenth tick, and walks; runs with and
+without `--record` take turns. Timed are the way from recv to the end of send, and the whole tick
+with all that is put off. Both keep the ticks of a fault record, as every run does.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.samples import Samples
+from unicon_core.flow import Block, Stage
+from unicon_core.runtime import Runner, RunOptions
+from unicon_core.workflow import Program, load_workflow
+from unicon_ros import compat
+from unicon_ros.bench.domains import stay_on_loopback
+from unicon_ros.bench.report import Bench
+from unicon_ros.fault_record import FaultRecord
+from unicon_ros.run_recording import Recording
+
+RATE = 500.0  # Hz
+SECONDS = 10.0  # of each run
+SETTLED = 1.0
+"""Of its beginning in [s] that are not counted: the posture's, and cold memory."""
+WITH, WITHOUT = "recorded", "not recorded"
+TICK, WHOLE = "recv to send", "whole tick"
+
+
+def run(rounds: int | None = None, seconds: float = SECONDS) -> Bench:
+    """Run the comparison.
+
+    Args:
+        rounds: interleaved rounds, 6 unless told.
+        seconds: of each run, in [s].
+
+    Raises:
+        MissingDependencyError: rclpy, rosbags or MuJoCo is not installed.
+    """
+    stay_on_loopback()
+    compat.import_rclpy("unicon bench record")
+    rounds = rounds or 6
+    bench = Bench("record", seed=0, rounds=rounds)
+    times = Samples()
+    written: dict[str, Any] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for number in range(rounds):
+            turns = [WITHOUT, WITH] if number % 2 else [WITH, WITHOUT]
+            for name in turns:
+                file = Path(folder) / f"{number}.mcap" if name == WITH else None
+                samples, counts = _run(file, seconds)
+                for part, values in samples.items():
+                    times.add(f"{part}, {name}", values)
+                written |= counts
+                if file is not None:
+                    file.unlink()
+    for part in (TICK, WHOLE):
+        for name in (WITHOUT, WITH):
+            bench.case(f"{part}, {name}", times.of(f"{part}, {name}"))
+    bench.facts = {
+        "rate": f"{RATE:g} Hz, {seconds:g} s a run",
+        "written": f"{written['bytes'] / seconds * 1e-6:.2f} MB/s, {written['messages']} messages",
+        "dropped": written["dropped"],
+    }
+    ratio = {p: times.ratio(f"{p}, {WITH}", f"{p}, {WITHOUT}", percent=99) for p in (TICK, WHOLE)}
+    bench.facts["whole tick, p99, recorded / not"] = f"{ratio[WHOLE]:.2f}"
+    bench.ratio("record_p99", ratio[TICK], 1.2)
+    return bench
+
+
+def _run(
+    file: Path | None, seconds: float
+) -> tuple[dict[str, NDArray[np.float64]], dict[str, Any]]:
+    """Return the times of a run's ticks in [µs], and what was recorded."""
+    from unicon_ros.bridge import RosSession
+
+    session = RosSession(node_name="bench_record", warn=_unsaid)
+    try:
+        recording = None if file is None else Recording(file, None, session, _unsaid)
+        record = FaultRecord(None, _unsaid, recording)
+        hooks = [session.hook, walk, *([recording.hook] if recording else []), record.hook]
+        program = load_workflow("go2_teleop", {"rate": RATE}, hooks=hooks)
+        runner = Runner(program, RunOptions(duration=seconds, warn=_unsaid))
+        session.attach(runner)
+        record.attach(runner)
+        report = runner.run()
+    finally:
+        session.close()
+    if report.faults:
+        raise RuntimeError(f"bench record: {report.faults[0]}")
+    counts = {} if recording is None else recording.counts()
+    statistics, first = runner.statistics, round(SETTLED * RATE)
+    rows = statistics.kept()[first:]
+    whole = np.asarray((rows[:, 1] - rows[:, 2]) * 1e-3, np.float64)
+    return {TICK: statistics.durations_us()[first:], WHOLE: whole}, counts
+
+
+def walk(program: Program) -> dict[Stage, list[Block]]:
+    """Command a slow walk, as a desk would."""
+    command = program.states["velocity_command"]
+
+    def walk() -> None:
+        command[:] = (0.3, 0.0, 0.0)
+
+    return {Stage.INPUT: [Block("walk", walk, amends=("velocity_command",), endless=True)]}
+
+
+def _unsaid(line: str) -> None:
+    """Take what a run would tell."""

@@ -1,0 +1,194 @@
+"""`unicon bench stores`: how a group of states gets to another process, ours beside other ways.
+
+One way: a group of 512 bytes at 500 Hz, from one process to another, on each way in turn: what the
+writer stamps before it sends, the reader subtracts when the value is in its states. All pairs
+live at once and take turns of half a second, so that the machine's noise meets all alike; ratios
+are those of the medians of each round, and of them the median. rclpy carries the same bytes as a
+UInt8MultiArray, Fast DDS with its defaults: a node with a reused message and an executor ("rclpy"),
+and the same with bytes that are serialized by hand ("raw").
+
+The cores are kept awake by a process each of the kernel's idle class, which gives way to everything
+else: on a virtual machine the wake of a core that was halted takes 50 to 100 µs, three times a bare
+datagram, and would be measured on each way in the way's place.
+
+Publish: `ShmWriter.publish` of a group of 1 kB, which nobody sleeps for, beside one NumPy copy of
+the same bytes, in turns within this process.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.samples import Samples
+from benchmarks.store_ways import WAYS, segment_name
+from unicon_core.resources import same_modules
+from unicon_core.signals import SIGNALS
+from unicon_core.states import States, StateSpec
+from unicon_core.states.backends.shm import Segment, ShmWriter, remove_dead
+from unicon_ros.bench.domains import loopback_environment
+from unicon_ros.bench.loops import Loop, Slice
+from unicon_ros.bench.report import Bench
+from unicon_ros.bench.turns import take_turns
+
+RATE = 500.0  # Hz
+SECONDS = 0.5
+ROUNDS = 20
+SAMPLES, REPEATS = 50, 200  # of publish in a round; a clock reading costs a tenth of one
+
+PUBLISH, COPY = "publish 1 kB: shm", "publish 1 kB: a plain copy"
+
+RATIOS = (
+    # name, case, case of the baseline, bar
+    ("shm_one_way", "shm, sleeping: one way", "rclpy: one way", 0.15),
+    ("shm_wake", "shm, sleeping: one way", "zmq ipc: one way", 0.5),
+    ("zmq_one_way", "zmq ipc: one way", "rclpy: one way", 0.4),
+    ("publish", PUBLISH, COPY, 4.0),
+)
+
+INSTALL = {
+    "zmq": "pip install 'unicon_ros[zmq]'",
+    "rclpy": "pip install 'unicon_ros[ros]', or source /opt/ros/<distro>/setup.bash",
+    "iceoryx2": "pip install iceoryx2",
+}
+
+TIMES = ("one way", "send", "reader's CPU [% of a core]")
+
+Rows = dict[str, NDArray[np.float64]]
+
+
+def run(rounds: int | None = None, *, only: Callable[[str], bool] | None = None) -> Bench:
+    """Run the comparison; Ctrl-C ends it with the rounds that are whole.
+
+    Args:
+        rounds: interleaved rounds, 20 unless told.
+        only: which ways to run; all that are installed if None.
+    """
+    rounds = rounds or ROUNDS
+    skipped = {
+        name: f"skipped: {INSTALL[module]}"
+        for name, way in WAYS.items()
+        for module in way.needs
+        if find_spec(module) is None
+    }
+    names = [name for name in WAYS if name not in skipped and (only is None or only(name))]
+    samples = Samples()
+    with tempfile.TemporaryDirectory(prefix="unicon-") as folder:
+        places = {name: Path(folder) / f"{i}" for i, name in enumerate(names)}
+        makers = {name: partial(_loop, name, place) for name, place in places.items()}
+        try:
+            with SIGNALS.guard(), _cores_awake():  # Ctrl-C is looked for between turns
+                whole, loops = take_turns(makers, rounds, SECONDS)
+            results = {name: _rows(loop)[:whole] for name, loop in loops.items()}
+        finally:
+            for place in places.values():  # of a writer that was killed
+                remove_dead(segment_name(place))
+        if whole and not SIGNALS.asked:
+            _publish(f"{Path(folder).name}-publish", whole, samples)
+    bench = Bench("stores", seed=0, rounds=whole)
+    bench.facts |= {"rate_hz": RATE, "group": "512 bytes", **skipped}
+    for name, result in results.items():
+        bench.facts[name] = _counts(result)
+    for round_ in zip(*results.values()):
+        if all(round_):  # what a ratio compares is of one round
+            for name, rows in zip(results, round_):
+                for row in TIMES:
+                    samples.add(f"{name}: {row}", rows[row])
+    for name in samples.names:
+        bench.case(name, samples.of(name))
+    for name, ours, theirs, bar in RATIOS:
+        if {ours, theirs} <= set(samples.names):
+            bench.ratio(name, samples.ratio(ours, theirs), bar)
+    return bench
+
+
+@contextmanager
+def _cores_awake() -> Iterator[None]:
+    """Keep every core from halting, with processes that run when nothing else does."""
+    code = (
+        "import os\n"
+        "os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))\n"
+        "parent = os.getppid()\n"
+        "while os.getppid() == parent: sum(range(10_000))"
+    )
+    spinners = [
+        subprocess.Popen([sys.executable, "-S", "-c", code]) for _ in range(os.cpu_count() or 1)
+    ]
+    try:
+        yield
+    finally:
+        for spinner in spinners:
+            spinner.kill()
+            spinner.wait()
+
+
+def _loop(name: str, place: Path) -> Loop:
+    def command(side: str) -> list[str]:
+        module = "benchmarks.store_processes"
+        variant = ["--variant", f"{name}: {side}", "--state-rate", f"{RATE}"]
+        return [sys.executable, "-m", module, *variant]
+
+    log = place.with_suffix(".npz")
+    path = {"PYTHONPATH": same_modules()["PYTHONPATH"]}
+    return Loop(name, command("reader"), command("writer"), loopback_environment() | path, log)
+
+
+def _rows(loop: Loop) -> list[Rows]:
+    """Return the rows of each slice: times in [µs], shares in [%] of a core, counts."""
+    if not (loop.log.exists() and loop.controller_log.exists()):
+        return [{} for _ in loop.slices]
+    read, written = dict(np.load(loop.log)), dict(np.load(loop.controller_log))
+    return [_slice_rows(each, read, written) for each in loop.slices]
+
+
+def _slice_rows(
+    each: Slice, read: dict[str, NDArray[np.int64]], written: dict[str, NDArray[np.int64]]
+) -> Rows:
+    # Whole within the slice: what was under way at a hold has waited for the next turn.
+    come = each.holds(read["stamp"]) & each.holds(read["received"])
+    sent = each.holds(written["begin"]) & each.holds(written["end"])
+    if not come.any() or not sent.any():
+        return {}
+    return {
+        "one way": (read["received"] - read["stamp"])[come] * 1e-3,
+        "send": (written["end"] - written["begin"])[sent] * 1e-3,
+        "reader's CPU [% of a core]": np.array([100.0 * each.measuring_share]),
+        "torn": read["torn"][come].astype(float),
+        "starved": np.diff(read["starved"][come]).astype(float),
+        "not seen": np.diff(read["number"][come]) - 1.0,
+    }
+
+
+def _counts(result: list[Rows]) -> str:
+    """Return how many values came, and what became of the others, in words."""
+    parts = [rows for rows in result if rows]
+    values = sum(rows["one way"].size for rows in parts)
+    counts = [f"{sum(r[k].sum() for r in parts):.0f} {k}" for k in ("not seen", "torn", "starved")]
+    return ", ".join([f"{values} values", *counts])
+
+
+def _publish(name: str, rounds: int, samples: Samples) -> None:
+    """Add the times of a publish and of a plain copy of the same bytes."""
+    states = States({"data": StateSpec((240,)), "number": StateSpec((), "int64")})
+    segment = Segment.create(name, {"bench": states.layout})
+    writer = ShmWriter(segment, "bench", states)
+    source, target = states.buffer, np.zeros_like(states.buffer)
+
+    def copy() -> None:
+        target[:] = source
+
+    try:
+        for _ in range(rounds):
+            samples.take({PUBLISH: writer.publish, COPY: copy}, SAMPLES, REPEATS)
+    finally:
+        writer.close()

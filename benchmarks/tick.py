@@ -1,0 +1,178 @@
+"""`unicon bench tick`: what one tick of the graph costs besides its blocks, ours and the usual way.
+
+Dispatch: 10, 32 and 100 blocks that do nothing, in one zip and in zips of five, compiled and with
+the time stamps of `unicon run`, beside closures as the paper of UniCon describes them: a zip is a
+function that calls its children in turn and ends with the first that says that it is done (our own
+code, by its section on control blocks). The same with a stamp for each block is `traced`. Fused
+copies: sixteen neighbouring copies of 20 floats, fused beside the same graph without fusion, and
+as closures. All variants take turns in one run.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from benchmarks.samples import Samples, Step
+from unicon_core.flow import Block, Node, Zip, compile_graph
+from unicon_core.flow.fuse import fuse
+from unicon_core.flow.linear import LinearMap
+from unicon_core.runtime import TickStatistics
+from unicon_core.runtime.detail import EVERY, LEARN, Detail
+from unicon_core.states import States, StateSpec
+from unicon_ros.bench.report import Bench
+
+BLOCKS = (10, 32, 100)
+NEST = 5  # blocks of a zip in a zip
+COPIES = 16
+SIZE = 20  # floats of one copy: one state of a 20-joint robot
+REPEATS = 8  # loops in one sample: a clock reading costs as much as two blocks
+SAMPLES = 40  # samples of each case in each round
+
+
+def run(rounds: int | None = None) -> Bench:
+    """Run the comparison.
+
+    Args:
+        rounds: interleaved rounds, 15 unless told.
+    """
+    rounds = rounds or 15
+    bench = Bench("tick", seed=0, rounds=rounds)
+    cases: dict[str, Step] = {}
+    for count in BLOCKS:
+        empty = [_nothing(i) for i in range(count)]
+        parts = [empty[i : i + NEST] for i in range(0, count, NEST)]
+        cases |= {
+            f"{count} blocks, flat: closures": loop(closure_zip(*empty)),
+            f"{count} blocks, flat: as run": as_run(Zip(*empty)),
+            f"{count} blocks, nested: closures": loop(
+                closure_zip(*[closure_zip(*p) for p in parts])
+            ),
+            f"{count} blocks, nested: as run": as_run(Zip(*[Zip(*part) for part in parts])),
+            f"{count} blocks: traced": as_run(Zip(*empty), detail=True),
+        }
+    states, maps = _copies()
+    separate = [_copy(each) for each in maps]
+    fused = fuse(Zip(*separate), states)
+    cases |= {
+        "copies: closures": loop(closure_zip(*[block.tick for block in separate])),
+        "copies: compiled, separate": _flat(Zip(*separate)),
+        "copies: compiled, fused": _flat(fused),
+    }
+    times = Samples()
+    Samples().take(cases, 1, REPEATS)  # warms up
+    for _ in range(rounds):
+        times.take(cases, SAMPLES, REPEATS)
+    for name in cases:
+        bench.case(f"{name}, one tick", times.of(name) / EVERY)
+    ratio = times.ratio
+    kinds = [f"{count} blocks, {how}" for count in BLOCKS for how in ("flat", "nested")]
+    dispatch = {kind: ratio(f"{kind}: as run", f"{kind}: closures") for kind in kinds}
+    worst = max(dispatch, key=dispatch.__getitem__)
+    bench.ratio("dispatch", dispatch[worst], 0.7)
+    bench.ratio("fused_copy", ratio("copies: compiled, fused", "copies: compiled, separate"), 0.15)
+    for kind, found in dispatch.items():
+        bench.facts[f"dispatch, {kind}"] = f"{found:.3f}{' (told above)' if kind == worst else ''}"
+    for count in BLOCKS:
+        flat = f"{count} blocks, flat"
+        traced = ratio(f"{count} blocks: traced", f"{flat}: closures")
+        bench.facts[f"traced, {count} blocks"] = f"{traced:.3f}"
+    return bench
+
+
+DONE = [True]
+"""Results that end a zip, as the paper lets its user say them."""
+
+
+def closure_zip(*parts: Callable[[], Any]) -> Callable[[], Any]:
+    """Return a zip as a closure: it calls its children in turn, and ends with one that is done."""
+
+    def step() -> Any:
+        result: Any = False
+        for part in parts:
+            result = part()
+            if result in DONE:
+                break
+        return result
+
+    return step
+
+
+def loop(step: Callable[[], Any]) -> Step:
+    """Return a loop of `EVERY` ticks of a step, which ends with one that is done."""
+    ticks = range(EVERY)
+
+    def run() -> None:
+        for _ in ticks:
+            if step():
+                break
+
+    return run
+
+
+def as_run(root: Node, *, detail: bool = False) -> Step:
+    """Return a loop of `EVERY` ticks with the time stamps that a run gives them.
+
+    What keeps them, and what waits for the next tick, is not in it.
+
+    Args:
+        root: the tree of a tick.
+        detail: as with `unicon run --trace`.
+    """
+    graph = compile_graph(root, trace=True)
+    names = [block.name for block in graph.blocks]
+    statistics = TickStatistics(names, graph.deferred_blocks, LEARN, graph.groups)
+    stamps = memoryview(graph.stamps.data)
+    for _ in range(LEARN):
+        graph.step()
+        graph.deferred()
+        statistics.add(0, time.perf_counter_ns(), stamps)
+    switch = Detail(graph, statistics)
+    if detail:
+        switch.at = -1
+    else:
+        switch()
+
+    def run() -> None:
+        left = EVERY
+        while left:  # as the ticker's: up to the tick before which detail is switched
+            ticks = left if switch.at < 0 else min(left, switch.at - statistics.count)
+            step, deferred = graph.step, graph.deferred
+            for _ in range(ticks):
+                if step() or deferred():
+                    break
+            left -= ticks
+            statistics.count += ticks
+            if statistics.count == switch.at:
+                switch()
+
+    return run
+
+
+def _nothing(i: int) -> Step:
+    def block() -> bool:
+        return False
+
+    block.__name__ = f"nothing{i}"
+    return block
+
+
+def _copy(linear: LinearMap) -> Block:
+    """Return a copying block as a user writes it: one slice assignment."""
+    source, target = linear.source, linear.target
+
+    def copy() -> None:
+        target[...] = source
+
+    return Block("copy", copy, linear=linear, endless=True)
+
+
+def _copies() -> tuple[States, list[LinearMap]]:
+    names = [f"{side}{i}" for side in ("source", "target") for i in range(COPIES)]
+    states = States({name: StateSpec((SIZE,)) for name in names})
+    return states, [LinearMap(states[f"source{i}"], states[f"target{i}"]) for i in range(COPIES)]
+
+
+def _flat(root: Node) -> Step:
+    return loop(compile_graph(root).step)
