@@ -35,13 +35,13 @@ def copied_hand(model: HandModel, q: Float, size: float = 1.0) -> NDArray[np.flo
             points[1:5] = begin, corner(begin, knee, length), knee, tip
     side = np.sign(points[CHAINS["index"][0], 1] - points[CHAINS["middle"][0], 1])
     beside = np.array((0.0, 0.02 * side, 0.0))
-    for finger, before in (("ring", "middle"), ("pinky", "ring")):
-        if finger not in model.fingers:
-            points[list(CHAINS[finger])] = points[list(CHAINS[before])] - beside
+    for other, before in (("ring", "middle"), ("pinky", "ring")):
+        if other not in model.fingers:
+            points[list(CHAINS[other])] = points[list(CHAINS[before])] - beside
     begins = points[[chain[0] for chain in CHAINS.values()]]
     points[0] = begins.mean(axis=0) - (0.08, 0.0, 0.0)
-    for finger, chain in CHAINS.items():
-        if finger != "thumb":
+    for other, chain in CHAINS.items():
+        if other != "thumb":
             points[chain[0] - 1] = 0.5 * (points[chain[0]] + points[0])
     poses = np.zeros((JOINTS, 7), np.float32)
     poses[:, :3] = (points - points[0]) * size

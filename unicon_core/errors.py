@@ -5,7 +5,6 @@
     ├── CheckError                 `unicon check` finds errors (lists them)
     ├── StateError                 a state is unknown, or its shape, dtype, unit or frame is wrong
     ├── RobotError                 a robot file is wrong, or lacks a fact that is needed
-    │   └── RobotFileError         it has several mistakes (lists them)
     ├── ModelError                 a simulator model is missing or lacks a joint, sensor or actuator
     ├── PolicyError                a policy or its contract is missing, incomplete or contradictory
     ├── PlatformError              a platform is unknown, unreachable or cannot do what is asked
@@ -15,8 +14,8 @@
     ├── EmergencyStopPressed       a person pressed one, whichever device it is on
     └── Hung                       a tick took too long, or none ran: nothing that may hang is asked
 
-A message names the culprit, the alternatives and the remedy, in one line; an error that lists what
-it found has a line for each.
+A message names the culprit, the alternatives and the remedy, in one line. An error about a document
+with several mistakes has `problems`, and a line for each.
 """
 
 from __future__ import annotations
@@ -30,7 +29,13 @@ class UniconError(Exception):
     Args:
         message: what is wrong, with alternatives and remedy.
         where: `file:line` of the culprit, put in front of the message where known.
+
+    Attributes:
+        problems: the mistakes of a document that has several.
     """
+
+    LISTED = 100
+    problems: tuple[UniconError, ...] = ()
 
     def __init__(self, message: str, where: str | None = None) -> None:
         super().__init__(f"{where}: {message}" if where else message)
@@ -39,7 +44,26 @@ class UniconError(Exception):
 
     def __str__(self) -> str:
         # A name of a file may hold anything, and an error stays one line for all that.
-        return " ".join(super().__str__().split("\n"))
+        line = " ".join(super().__str__().split("\n"))
+        if not self.problems:
+            return line
+        more = len(self.problems) - self.LISTED
+        cut = [f"… and {more} more"] if more > 0 else []
+        return line + _numbered([*map(str, self.problems[: self.LISTED]), *cut])
+
+    @classmethod
+    def of(cls, what: str, problems: Sequence[UniconError]) -> UniconError:
+        """Return the one problem of a document, or one error with all of them.
+
+        Args:
+            what: the document, such as `robot file rover.yaml`.
+            problems: at least one.
+        """
+        if len(problems) == 1:
+            return problems[0]
+        error = cls(f"{what} has {len(problems)} mistakes:")
+        error.problems = tuple(problems)
+        return error
 
 
 class WorkflowError(UniconError):
@@ -70,26 +94,6 @@ class StateError(UniconError):
 
 class RobotError(UniconError):
     """A robot file is wrong or lacks a fact that is needed."""
-
-
-class RobotFileError(RobotError):
-    """A robot file has several mistakes: one line each.
-
-    Args:
-        path: the file.
-        problems: what was found, each with its line.
-    """
-
-    LISTED = 100
-
-    def __init__(self, path: object, problems: Sequence[UniconError]) -> None:
-        super().__init__(f"robot file {path} has {len(problems)} mistakes:")
-        self.problems = tuple(problems)
-
-    def __str__(self) -> str:
-        more = len(self.problems) - self.LISTED
-        cut = [f"… and {more} more"] if more > 0 else []
-        return super().__str__() + _numbered([*map(str, self.problems[: self.LISTED]), *cut])
 
 
 class ModelError(UniconError):

@@ -17,12 +17,16 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Literal
 
-from unicon_core.errors import UniconError
+from unicon_core.schema.marks import Core, Unit, Within
 
 _PR_SET_TIMERSLACK = 29  # linux/prctl.h
 _SCHED_SETATTR = {"x86_64": 314, "aarch64": 274}  # asm/unistd.h
+
+
+SHORTEST_HANG, LONGEST_HANG = 0.01, 60.0
+"""Bounds of `hang` in [s]; the upper one is for a debugger."""
 
 
 @dataclass(frozen=True)
@@ -47,38 +51,13 @@ class Pacing:
 
     trigger: Literal["deadline", "state"] = "deadline"
     overrun: Literal["skip", "catch_up"] = "skip"
-    hang: float | None = None
-    spin_us: float = 100.0
-    arrival_spin_us: float | None = None
-    dry_run_us: float = 1000.0
-    priority: int | None = None
-    cpu: int | None = None
+    hang: Annotated[float | None, Unit("s"), Within(SHORTEST_HANG, LONGEST_HANG)] = None
+    spin_us: Annotated[float, Unit("µs"), Within(0.0)] = 100.0
+    arrival_spin_us: Annotated[float | None, Unit("µs"), Within(0.0)] = None
+    dry_run_us: Annotated[float, Unit("µs"), Within(0.0)] = 1000.0
+    priority: Annotated[int | None, Within(1, 99)] = None
+    cpu: Core | None = None
     lock_memory: bool = False
-
-    @classmethod
-    def from_dict(cls, values: dict[str, Any]) -> Pacing:
-        """Build from the `pacing:` section of a workflow.
-
-        Raises:
-            UniconError: an unknown key or a value out of range.
-        """
-        known = cls.__dataclass_fields__
-        for key in values:
-            if key not in known:
-                raise UniconError(f"pacing: unknown key {key!r}; known: {', '.join(known)}")
-        for key, choices in (("trigger", ("deadline", "state")), ("overrun", ("skip", "catch_up"))):
-            if values.get(key, choices[0]) not in choices:
-                raise UniconError(f"pacing: {key} {values[key]!r}; give {' or '.join(choices)}")
-        for key, (kind, lowest, highest, wanted) in _RANGES.items():
-            default = known[key].default
-            value = values.get(key, default)
-            number = isinstance(value, (int, kind)) and not isinstance(value, bool)
-            if value is not default and not (number and lowest <= value <= highest):
-                raise UniconError(f"pacing: {key} is {value!r}; give {wanted}")
-        locked = values.get("lock_memory", False)
-        if not isinstance(locked, bool):
-            raise UniconError(f"pacing: lock_memory is {locked!r}; give true or false")
-        return cls(**values)
 
     def hang_ns(self, period_ns: int, simulated: bool) -> int:
         """Return how late a tick may be before it counts as hung, in [ns]."""
@@ -108,19 +87,6 @@ older than a quarter of a second no longer does what the policy thinks."""
 
 REAL_TIME = "'<user> - rtprio 99' in /etc/security/limits.conf"
 """What gives a user the right to real-time priorities, from the next login on: limits.conf(5)."""
-
-SHORTEST_HANG, LONGEST_HANG = 0.01, 60.0
-"""Bounds of `hang` in [s]; the upper one is for a debugger."""
-
-_RANGES: dict[str, tuple[type, float, float, str]] = {
-    "spin_us": (float, 0.0, sys.float_info.max, "a number of µs >= 0"),
-    "arrival_spin_us": (float, 0.0, sys.float_info.max, "a number of µs >= 0"),
-    "dry_run_us": (float, 0.0, sys.float_info.max, "a number of µs >= 0"),
-    "hang": (float, SHORTEST_HANG, LONGEST_HANG, f"[s] from {SHORTEST_HANG:g} to {LONGEST_HANG:g}"),
-    "priority": (int, 1, 99, "a SCHED_FIFO priority from 1 to 99"),
-    "cpu": (int, 0, 1 << 16, "the number of a core"),
-}
-"""Type, lowest, highest and what to give."""
 
 
 class WallClock:

@@ -302,7 +302,7 @@ class UniconNode(LifecycleNode):
         warn = self.log.warning
         document = load_document(settings["workflow"], settings.overrides)
         self.tuning.declare(document)
-        map_name = settings["map"] or document.get("map", str)
+        map_name = settings["map"] or document.get("map")
         session = self.session = RosSession(
             map_name,
             warn=warn,

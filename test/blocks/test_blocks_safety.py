@@ -258,7 +258,7 @@ def test_stale_stop_waits_for_its_timeout(bench: Build) -> None:
         (
             "rate_limit",
             {"max_rate": "fast"},
-            "block 'rate_limit': max_rate is 'fast'; give [rad/s] above 0, or robot",
+            "block 'rate_limit': max_rate is 'fast'; write a number or robot",
         ),
         (
             "tilt_stop",

@@ -547,10 +547,10 @@ def test_a_file_of_bounds_that_does_not_fit_is_refused(
 @pytest.mark.parametrize(
     ("block", "options", "said"),
     [
-        ("joint_limits", {"beyond": "warn"}, "beyond is 'warn'; give clamp or trip"),
+        ("joint_limits", {"beyond": "warn"}, "beyond 'warn' is not known; known: clamp, trip"),
         ("effort_limits", {"beyond": "trip", "scale": 11}, "scale is 11; give a number above 0"),
         ("effort_limits", {"scale": 1.1}, "scale is 1.1; give a number above 0 to 1"),
-        ("tracking_stop", {"bound": np.inf}, "bound is inf; give a number above 0"),
+        ("tracking_stop", {"bound": np.inf}, "bound is inf; write a number"),
         ("tracking_stop", {"timeout": 0}, "timeout is 0; give a number above 0 to 5 [s]"),
         ("power_stop", {"limit": -1.0}, "limit is -1.0; give a number above 0"),
         ("power_stop", {"limit": 100.0, "loss": -1.0}, "loss is -1.0; give a number from 0"),
@@ -561,7 +561,7 @@ def test_a_file_of_bounds_that_does_not_fit_is_refused(
         ("overrun_stop", {"window": 1e9}, "window is 1000000000.0; give a number above 0 to 60"),
         ("hardware_stop", {"temperature": 1e6}, "temperature is 1000000.0; give a number above 0"),
         ("hardware_stop", {"charge": -1}, "charge is -1; give a number from 0 to 1"),
-        ("hardware_stop", {"voltage": np.nan}, "voltage is nan; give a number or null"),
+        ("hardware_stop", {"voltage": np.nan}, "voltage is nan; write a number"),
         ("action_stop", {"limit": 1e9}, "limit is 1000000000.0; give a number above 0 to 1000"),
         ("observation_stop", {"file": "a.npz", "margin": -1}, "margin is -1; give a number from"),
         ("observation_stop", {"file": "a.txt"}, "file is 'a.txt'; give a path that ends in .npz"),

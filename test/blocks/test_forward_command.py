@@ -128,7 +128,7 @@ def test_an_integral_takes_off_what_gravity_leaves_and_not_more(following: Bench
     [
         ({"max_rate": 0}, "max_rate is 0; give a number above 0 to 200 [rad/s]"),
         ({"max_rate": float("inf")}, "max_rate is inf"),
-        ({"max_rate": "fast"}, "max_rate is 'fast'; give [rad/s] above 0, or robot"),
+        ({"max_rate": "fast"}, "max_rate is 'fast'; write a number or robot"),
         ({"start_tolerance": -1}, "start_tolerance is -1"),
         ({"integral": 1e9}, "integral is"),
         ({"stiffness_scale": 9}, "stiffness_scale is 9"),
@@ -277,7 +277,7 @@ def test_gains_may_be_given_in_place_of_the_robots(following: Bench) -> None:
     ("options", "message"),
     [
         ({"moves": ["wings"]}, "no group or joint 'wings'"),
-        ({"silent": "sleep"}, "silent is 'sleep'; give hold or home"),
+        ({"silent": "sleep"}, "silent 'sleep' is not known; known: hold, home"),
         ({"silent": "home", "home": "bed"}, "no pose 'bed'; "),
         ({"silent": "home", "home": {"*_hip_joint": 3.0}}, "is beyond the limits of joint"),
         ({"silent": "home", "home_rate": 0}, "home_rate is 0; give a number above 0"),

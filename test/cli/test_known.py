@@ -103,7 +103,7 @@ def test_a_broken_workflow_hides_no_other(
     (tmp_path / "workflows" / "broken.yaml").write_text("robot: go2\n")
     monkeypatch.setenv("UNICON_PATH", str(tmp_path))
     told = unicon(capsys, "workflows")
-    assert "the key 'platform' is missing" in told
+    assert "missing key 'platform'" in told
     assert "go2_walk" in told
 
 

@@ -10,9 +10,9 @@ pytest.importorskip("mujoco")
 pytest.importorskip("onnxruntime")
 
 from unicon_core.platforms.kit.scene import Scene
+from unicon_core.schema.types import Mistakes, record_of
 from unicon_core.terrain.words import KINDS
 from unicon_core.workflow.document import WorkflowDocument
-from unicon_core.workflow.option_types import wrong_option
 from unicon_ros.cli.main import main
 from unicon_ros.sweep.plan import Plan, document_with
 from unicon_ros.sweep.sweep_file import read_sweep
@@ -27,7 +27,9 @@ def test_it_has_every_kind_of_terrain_and_each_is_one() -> None:
     for row in list(plan)[::20]:
         document: WorkflowDocument = document_with(plan.workflow_file, row.settings)
         scene = document.values["scene"]
-        assert wrong_option(Scene, scene) is None
+        mistakes = Mistakes()
+        record_of(Scene).read(scene, (), mistakes)
+        assert mistakes.found == []
         uneven = Scene(**scene).uneven
         seen.add("flat" if uneven is None else uneven.kind)
     assert seen == {"flat", *KINDS} - {"pyramid"}

@@ -94,7 +94,7 @@ def main(kind: str, seed: int, first: int, count: int, out: str) -> None:
     from kinds import KINDS
     from mutate import SENTINEL
 
-    from unicon_core.errors import RobotFileError, UniconError
+    from unicon_core.errors import UniconError
 
     make = KINDS[kind]
     watch = Watch()
@@ -131,7 +131,7 @@ def main(kind: str, seed: int, first: int, count: int, out: str) -> None:
                 read()
             except UniconError as error:
                 verdict = "refused"
-                each = error.problems if isinstance(error, RobotFileError) else (error,)
+                each = error.problems or (error,)
                 if any("\n" in str(one).strip() for one in each):
                     verdict, detail = "several lines", str(error)
             except Hang:

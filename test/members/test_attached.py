@@ -189,10 +189,13 @@ WORKFLOW: dict[str, Any] = {
     [
         ({"left_hnd": {"body": "x"}}, "scene.mounts: no member 'left_hnd'; did you mean"),
         ({"body": {"body": "x"}}, "scene.mounts: no member 'body'"),
-        ({"left_hand": {"position": [0, 0, 0]}}, "scene.mounts.left_hand names no body"),
+        ({"left_hand": {"position": [0, 0, 0]}}, "scene.mounts.left_hand: missing key 'body'"),
         ({"left_hand": {"body": "x", "quat": [0, 0, 0, 0]}}, "quat has length 0"),
-        ({"left_hand": {"body": "x", "position": [0, float("nan"), 0]}}, "3 finite numbers"),
-        ({"left_hand": {"body": "x", "possition": [0, 0, 0]}}, "possition is not known; did you"),
+        (
+            {"left_hand": {"body": "x", "position": [0, float("nan"), 0]}},
+            "position.1 is nan; write a number",
+        ),
+        ({"left_hand": {"body": "x", "possition": [0, 0, 0]}}, "unknown key 'possition'; did you"),
         ([1], "scene.mounts is"),
     ],
 )

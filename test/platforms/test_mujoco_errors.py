@@ -144,7 +144,7 @@ def test_unknown_key_frame(build: Build, tmp_path: Path) -> None:
             "robot toy has no joint like 'knee'; "
             "known: elbow_joint, finger_joint, shoulder_joint, wrist_joint",
         ),
-        ({"delay": -1}, "scene.delay is -1 ticks; give 0 to 1000"),
+        ({"delay": -1}, "scene.delay is -1; write a whole number from 0 to 1000 [ticks]"),
         (
             {"terrain": "hills"},
             "scene.terrain is 'hills'; known: flat, gaps, obstacles, patches, pyramid, rough, "
@@ -152,16 +152,15 @@ def test_unknown_key_frame(build: Build, tmp_path: Path) -> None:
         ),
         (
             {"noise": {"joint_pos": -1.0}},
-            "scene.noise of joint_pos is -1.0; give 0 or more",
+            "scene.noise.joint_pos is -1.0; write a number from 0",
         ),
         (
-            {"push": {"each": 1.0}},
-            "scene.push has no option 'each'; known: every, velocity",
+            {"push": {"each": 1.0, "every": 1.0, "velocity": 1.0}},
+            "scene.push: unknown key 'each'; known: every, velocity",
         ),
         (
             {"push": {"every": 1.0}},
-            "scene.push: every 1.0 s with 0.0 m/s does nothing; "
-            "give every [s] and velocity [m/s] above 0",
+            "scene.push: missing key 'velocity'; add velocity: a number above 0 [m/s]",
         ),
     ],
 )

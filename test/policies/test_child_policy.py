@@ -253,11 +253,11 @@ def test_an_answer_that_nobody_awaits_any_more_is_dropped(quick: Path, tmp_path:
 @pytest.mark.parametrize(
     ("said", "told"),
     [
-        ({"delay": 0}, "child.delay is 0; give a whole number of ticks from 1"),
+        ({"delay": 0}, "child.delay is 0; write a whole number from 1 to 1000 [ticks]"),
         ({"delay": 1.5}, "child.delay is 1.5"),
         ({"timeout": float("nan")}, "child.timeout is nan"),
-        ({"cores": 2}, "child: no 'cores'"),
-        ("yes", "child is 'yes'; write true, or a mapping"),
+        ({"cores": 2}, "child: unknown key 'cores'"),
+        ("yes", "child is 'yes'; write true or false or a mapping"),
         ({"delay": 5, "timeout": 0.1}, "child.timeout is 0.1 s, and by its delay"),
     ],
 )

@@ -106,7 +106,7 @@ def test_what_an_action_and_an_observation_may_be(folder: Path) -> None:
 def test_the_robot_file_fits_loader_and_schema(folder: Path) -> None:
     robot = load_robot(folder / "twig.yaml")
     assert robot.missing_facts() == ["joints.effort"]
-    schema = json.loads((ROOT / "config" / "robots" / "robot.schema.json").read_text())
+    schema = json.loads((ROOT / "config" / "schemas" / "robot.json").read_text())
     jsonschema.validate(yaml.safe_load(TITLED["twig.yaml"]), schema)
 
 

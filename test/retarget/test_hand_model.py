@@ -119,10 +119,10 @@ def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
         ModelError, match=r"no joint of xhand1_left moves the tip of its ring; correct hand\.finger"
     ):
         HandModel(_hand(robot, ring=Place("left_hand_link")), "", path)
-    palm = Hand("left", Place("left_hand_mid_link1"), robot.hand.fingers)
+    palm = Hand(Place("left_hand_mid_link1"), robot.hand.fingers, "left")
     with pytest.raises(ModelError, match="joints of the hand move its palm 'left_hand_mid_link1'"):
         HandModel(replace(robot, hand=palm), "", path)
-    palm = Hand("left", Place("palm"), robot.hand.fingers)
+    palm = Hand(Place("palm"), robot.hand.fingers, "left")
     with pytest.raises(ModelError, match="no body 'palm' for the palm; known: left_hand"):
         HandModel(replace(robot, hand=palm), "", path)
     nowhere = np.array(robot.upper)

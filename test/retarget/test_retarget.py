@@ -172,7 +172,7 @@ def test_another_side_is_mirrored_and_a_file_of_both_asks(tmp_path: Path) -> Non
         ({"contact": 1.0}, r"contact is 1.0; give a number from 0 to 0.025 \[m\]"),
         ({"filter": -1.0}, r"filter is -1.0; give a number above 0 to 1000 \[Hz\]"),
         ({"max_rate": 0.0}, r"max_rate is 0.0; give a number above 0 to 200 \[rad/s\]"),
-        ({"max_rate": "fast"}, r"max_rate is 'fast'; give \[rad/s\] above 0, or robot"),
+        ({"max_rate": "fast"}, r"max_rate is 'fast'; write a number or robot"),
         ({"model": "nowhere.urdf"}, "nowhere.urdf"),
         ({"strength": 1.0}, "has no option 'strength'"),
     ],

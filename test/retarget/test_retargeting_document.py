@@ -11,8 +11,10 @@ import yaml
 
 from benchmarks.retarget import run
 from unicon_core.blocks.retarget import retarget
+from unicon_core.errors import RobotError
 from unicon_core.robots import load_robot
-from unicon_core.robots.hand import wrong_hand
+from unicon_core.robots.hand import Hand
+from unicon_core.schema.read import read_value
 from unicon_ros.cli.main import main
 
 TEXT = (Path(__file__).parents[2] / "docs" / "retargeting.md").read_text("utf-8")
@@ -28,7 +30,8 @@ def test_the_workflows_are_clean(assets: Path, tmp_path: Path) -> None:
 
 
 def test_the_hand_is_one() -> None:
-    assert list(wrong_hand(yaml.safe_load(HAND)["hand"])) == []
+    said = yaml.safe_load(HAND)["hand"]
+    read_value(Hand, said, lambda where, text: RobotError(text), "hand")
 
 
 def test_every_option_is_told() -> None:

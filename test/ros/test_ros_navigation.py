@@ -62,7 +62,7 @@ def test_a_velocity_smoother_drives_along_a_square(
 ) -> None:
     """`go2_teleop` tells the simulator's odometry, `go2_nav` that of its own legs."""
     seen = Seen()
-    tells = load_document(workflow).get("map", str)
+    tells = load_document(workflow).get("map")
     run = runs(workflow, hooks=[seen.hook], duration=200.0, map=tells)
     states, statistics = run.program.states, run.runner.statistics
     stood = round(2.5 / run.program.period)

@@ -42,7 +42,7 @@ def warn(text: str) -> None:
 
 def main() -> None:
     document = load_document(sys.argv[1], sys.argv[3:])
-    session = RosSession(map=document.get("map", str), warn=warn)
+    session = RosSession(map=document.get("map"), warn=warn)
     runner = Runner(
         Program(document, hooks=[session.hook, told]),
         RunOptions(duration=float(sys.argv[2]), warn=warn),

@@ -24,6 +24,7 @@ from unicon_ros.run_recording import Recording
 pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.alone, pytest.mark.timeout(300)]
 
 TOPIC = "  - {topic: t%d, type: std_msgs/msg/Float32, fields: {data: 'joint_pos[%d]'}}\n"
+HELD = 1e-3  # share of late ticks without services above which nothing is learnt of services
 SETTLED = 2.5  # s of a run in which the caller is started and found
 
 
@@ -108,6 +109,12 @@ def test_services_are_answered_within_100_ms_and_make_no_tick_late(
     for number in range(3):
         for served in ((False, True), (True, False))[number % 2]:
             run(number, served)
+    late, asked = overruns[False], rate * seconds
+    if late > HELD * asked:
+        pytest.skip(
+            f"this machine does not hold {rate:g} Hz with {topics} topics: {late} of {asked:.0f} "
+            "ticks were late without any service"
+        )
     answered = [each for each in took if each is not None]
     print(
         f"{topics} topics, {rate:g} Hz, recorded {recorded}: overruns {dict(overruns)}, "

@@ -19,6 +19,7 @@ import pytest
 from unicon_core.errors import UniconError
 from unicon_core.runtime import Pacing, Runner, RunOptions, WallClock, prepare_process
 from unicon_core.runtime.ticker import Ticker
+from unicon_core.schema.read import read_value
 from unicon_core.workflow import load_workflow
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="scheduling of Linux")
@@ -49,28 +50,28 @@ class Libc:
     [
         (
             {"spin": 1},
-            "pacing: unknown key 'spin'; known: trigger, overrun, hang, spin_us, "
-            "arrival_spin_us, dry_run_us, priority, cpu, lock_memory",
+            "pacing: unknown key 'spin'; did you mean 'spin_us'? known: arrival_spin_us, cpu, "
+            "dry_run_us, hang, lock_memory, overrun, priority, spin_us, trigger",
         ),
-        ({"trigger": "timer"}, "pacing: trigger 'timer'; give deadline or state"),
-        ({"overrun": "drop"}, "pacing: overrun 'drop'; give skip or catch_up"),
-        ({"spin_us": -1}, "pacing: spin_us is -1; give a number of µs >= 0"),
+        ({"trigger": "timer"}, "pacing.trigger 'timer' is not known; known: deadline, state"),
+        ({"overrun": "drop"}, "pacing.overrun 'drop' is not known; known: catch_up, skip"),
+        ({"spin_us": -1}, "pacing.spin_us is -1; write a number from 0 [µs]"),
         (
             {"arrival_spin_us": -1},
-            "pacing: arrival_spin_us is -1; give a number of µs >= 0",
+            "pacing.arrival_spin_us is -1; write a number from 0 [µs], or null",
         ),
-        ({"spin_us": math.nan}, "pacing: spin_us is nan; give a number of µs >= 0"),
-        ({"dry_run_us": math.inf}, "pacing: dry_run_us is inf; give a number of µs >= 0"),
-        ({"dry_run_us": "long"}, "pacing: dry_run_us is 'long'; give a number of µs >= 0"),
-        ({"priority": 0}, "pacing: priority is 0; give a SCHED_FIFO priority from 1 to 99"),
-        ({"priority": "hi"}, "pacing: priority is 'hi'; give a SCHED_FIFO priority from 1 to 99"),
-        ({"cpu": -1}, "pacing: cpu is -1; give the number of a core"),
-        ({"lock_memory": 1}, "pacing: lock_memory is 1; give true or false"),
+        ({"spin_us": math.nan}, "pacing.spin_us is nan; write a number from 0 [µs]"),
+        ({"dry_run_us": math.inf}, "pacing.dry_run_us is inf; write a number from 0 [µs]"),
+        ({"dry_run_us": "long"}, "pacing.dry_run_us is 'long'; write a number from 0 [µs]"),
+        ({"priority": 0}, "pacing.priority is 0; write a whole number from 1 to 99, or null"),
+        ({"priority": "hi"}, "pacing.priority is 'hi'; write a whole number from 1 to 99 or null"),
+        ({"cpu": -1}, "pacing.cpu is -1; write a whole number from 0 to 65536, or null"),
+        ({"lock_memory": 1}, "pacing.lock_memory is 1; write true or false"),
     ],
 )
 def test_wrong_options_get_a_clear_line(values: dict[str, Any], message: str) -> None:
     with pytest.raises(UniconError) as caught:
-        Pacing.from_dict(values)
+        read_value(Pacing, values, lambda where, text: UniconError(text), "pacing")
     assert str(caught.value) == message
 
 

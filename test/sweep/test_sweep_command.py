@@ -140,9 +140,9 @@ def test_a_row_that_cannot_be_built_is_told_and_the_rest_goes_on(done: Path) -> 
     runner = RowRunner(plan_of(done).task())
     settings = list(plan_of(done).row(0).settings)
     for wrong, told in (
-        ("scene.push.velocity=-1", "scene.push: every"),
+        ("scene.push.velocity=-1", "scene.push"),
         ("policies.walk=nothing_such", "unknown policy 'nothing_such'"),
-        ("scene.nothing=1", "scene has no key 'nothing'"),
+        ("scene.nothing=1", "scene: unknown key 'nothing'"),
         ("platform=fake", "scene.push is"),
     ):
         row = runner([*settings, wrong])["row"]

@@ -13,7 +13,7 @@ from unicon_ros.cli.main import main
 from unicon_ros.sweep.draws import KINDS
 from unicon_ros.sweep.figures import COLUMNS
 from unicon_ros.sweep.plan import Plan
-from unicon_ros.sweep.sweep_file import KEYS, read_sweep
+from unicon_ros.sweep.sweep_file import SweepDocument, read_sweep
 
 TEXT = (Path(__file__).resolve().parents[2] / "docs" / "sweep.md").read_text("utf-8")
 
@@ -32,7 +32,7 @@ def test_its_sweep_is_one(tmp_path: Path) -> None:
 
 def test_its_tables_say_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
     assert set(COLUMNS) <= set(re.findall(r"`(\w+)`", TEXT))
-    assert set(KEYS) <= set(re.findall(r"\b(\w+)\b", TEXT))
+    assert set(SweepDocument.__dataclass_fields__) <= set(re.findall(r"\b(\w+)\b", TEXT))
     assert all(f"`{{{kind}: [" in TEXT for kind in KINDS)
     with pytest.raises(SystemExit):
         main(["sweep", "--help"])

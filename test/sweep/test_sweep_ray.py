@@ -48,7 +48,9 @@ def test_an_engine_that_is_none_is_told(tmp_path: Path, capsys: pytest.CaptureFi
     told = refused(capsys, sweep_file(tmp_path), "--engine", "rey")
     assert told == "--engine 'rey'; did you mean 'ray'? known: batch, local, ray"
     told = refused(capsys, sweep_file(tmp_path, TEXT + "engine: rey\n"))
-    assert told.endswith("s.yaml:3: engine is 'rey'; did you mean 'ray'? known: batch, local, ray")
+    assert told.endswith(
+        "s.yaml:3: engine 'rey' is not known; did you mean 'ray'? known: batch, local, ray"
+    )
     told = refused(capsys, sweep_file(tmp_path), "--address", "127.0.0.1:6379")
     assert told == "--address is of a Ray cluster; add --engine ray"
 

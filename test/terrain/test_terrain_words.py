@@ -118,7 +118,7 @@ def test_a_workflow_tells_it_too() -> None:
     pytest.importorskip("mujoco")
     with pytest.raises(UniconError, match=r"go2_stand.*: scene\.terrain\.rough: height is -1"):
         Program(load_document("go2_stand", {"scene.terrain.rough.height": -1}))
-    with pytest.raises(UniconError, match=r"scene\.terrain is 3; give a text or a mapping"):
+    with pytest.raises(UniconError, match=r"scene\.terrain is 3; write a text or a mapping"):
         Program(load_document("go2_stand", {"scene.terrain": 3}))
 
 

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from datetime import datetime, timezone
+from typing import Any
 
 import pytest
 
 from unicon_core.errors import Fault, UniconError, WorkflowError
+from unicon_core.located_yaml import Located
 from unicon_core.together import moment as module
 from unicon_core.together.moment import WallClock, moment_of
+from unicon_core.workflow.document import WorkflowDocument
+from unicon_core.workflow.settings import start_of as start_of_document
 from unicon_core.workflow.start import StartSettings
 
 S = 1_000_000_000
@@ -86,58 +90,63 @@ def test_a_moment_that_is_missed_while_it_is_waited_for_is_late(
                 clock.ask(True)
 
 
+def start_of(said: Any) -> StartSettings:
+    located = Located("w.yaml", {"start": said}, {(): 1})
+    return start_of_document(WorkflowDocument("w", located.value, located))
+
+
 TWO = {"robots": ["left", "right"], "me": "left"}
 OVER = {"robots": {"left": "tcp://a:1", "right": "tcp://b:1"}, "me": "left"}
 
 
 def test_what_is_said_is_taken() -> None:
-    said = StartSettings.from_value({"together": TWO | {"timeout": 3}, "late": "go"})
+    said = start_of({"together": TWO | {"timeout": 3}, "late": "go"})
     assert said.alone
     assert said.together is not None
     assert not said.together.over_zmq
     assert said.together.timeout == 3.0
-    assert StartSettings.from_value({"together": OVER}).together.over_zmq  # type: ignore[union-attr]
+    assert start_of({"together": OVER}).together.over_zmq  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize(
     ("said", "words"),
     [
-        ({"at": "2026-11-22"}, "at is '2026-11-22'; give a date with a time, as"),
+        ({"at": "2026-11-22"}, "start.at is '2026-11-22'; give a date with a time, as"),
         ({"at": 5}, "at is 5; give a date with a time"),
         ({"at": "noon:"}, "at is 'noon:'; give a date"),
         ({"at": "10000-01-01T00:00:00"}, "at is '10000-01-01T00:00:00'; give a date"),
-        ({"at": {"every": 0.5}}, "at: every is 0.5; give a number from 1 to 3600"),
-        ({"at": {"every": float("nan")}}, "at: every is nan; give a number from 1"),
+        ({"at": {"every": 0.5}}, "start.at every is 0.5; give a number from 1 to 3600"),
+        ({"at": {"every": float("nan")}}, "start.at every is nan; give a number from 1"),
         ({"at": {"each": 5}}, "give a date with a time"),
         ({"at": {"every": 5}, "together": TWO}, "at and together both say when; leave one out"),
-        ({"late": "alone"}, "late is 'alone'; give fault or go"),
-        ({"late": []}, r"late is \[\]; give fault or go"),
-        ({"together": "left"}, "together is 'left'; give {robots: "),
+        ({"late": "alone"}, "late 'alone' is not known; known: fault, go"),
+        ({"late": []}, r"late is \[\]; write fault or go"),
+        ({"together": "left"}, "together is 'left'; write a mapping with robots, me"),
         ({"together": {"robots": ["left"], "me": "left"}}, "name two or more"),
-        ({"together": {"robots": ["left", "left"], "me": "left"}}, "'left' stands there twice"),
-        ({"together": {"robots": [1, 2], "me": 1}}, "me is 1, which of the robots"),
-        ({"together": {"robots": [[], 2], "me": "[]"}}, r"robot '\[\]'; use up to 40 letters"),
-        ({"together": {"robots": ["left", "right"]}}, "me is None, which of the robots this one"),
-        ({"together": TWO | {"me": ["left"]}}, r"me is \['left'\], which of"),
+        ({"together": {"robots": ["left", "left"], "me": "left"}}, "robots has 'left' twice"),
+        ({"together": {"robots": [1, 2], "me": 1}}, "me is 1; write a text"),
+        ({"together": {"robots": [[], 2], "me": "[]"}}, r"robots has '\[\]'; use up to 40 letters"),
+        ({"together": {"robots": ["left", "right"]}}, "missing key 'me'"),
+        ({"together": TWO | {"me": ["left"]}}, r"me is \['left'\]; write a text"),
         ({"together": TWO | {"me": "rihgt"}}, "did you mean 'right'"),
-        ({"together": TWO | {"group": "../x"}}, "group is '../x'; use up to 40"),
-        ({"together": TWO | {"timeout": -1}}, "timeout is -1; give a number above 0"),
-        ({"together": TWO | {"timeout": float("inf")}}, "timeout is inf; give a number above 0"),
+        ({"together": TWO | {"group": "../x"}}, "group is '../x'; write up to 40"),
+        ({"together": TWO | {"timeout": -1}}, "timeout is -1; write a number above 0 to 3600"),
+        ({"together": TWO | {"timeout": float("inf")}}, "timeout is inf; write a number above 0"),
         ({"together": TWO | {"wait": 1}}, "unknown key 'wait'"),
-        ({"together": TWO | {"keys": "keys"}}, "keys is 'keys'; give the folder of the group's"),
-        ({"together": OVER | {"keys": 1}}, "keys is 1; give the folder of the group's keys"),
+        ({"together": TWO | {"keys": "keys"}}, "keys is for robots with addresses"),
+        ({"together": OVER | {"keys": 1}}, "keys is 1; write the folder of the group's keys"),
         (
             {"together": {"robots": {"left": "a:1", "right": "tcp://b:1"}, "me": "left"}},
-            "the address of 'left' is 'a:1'; give tcp://HOST:PORT",
+            "robots has 'a:1' as the address of 'left'; give tcp://HOST:PORT",
         ),
         (
             {"together": {"robots": {"left": "tcp://a:1", "right": "tcp://a:1"}, "me": "left"}},
-            "two robots have the address 'tcp://a:1'",
+            "robots has two robots of address 'tcp://a:1'",
         ),
     ],
 )
 def test_what_is_wrong_is_told_in_one_line(said: dict, words: str) -> None:
     with pytest.raises(WorkflowError, match=words) as told:
-        StartSettings.from_value(said)
-    assert str(told.value).startswith("start: ")
+        start_of(said)
+    assert str(told.value).startswith("w.yaml:1: start")
     assert "\n" not in str(told.value)

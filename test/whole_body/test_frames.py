@@ -159,12 +159,12 @@ def model_elbow(model: Any, side: str) -> int:
     ("options", "message"),
     [
         ({"of": ["tol"]}, "no end effector 'tol'; did you mean 'tool'"),
-        ({"of": [{}]}, "of is [{}]; give a list, each a text"),
-        ({"of": 3}, "of is 3; give a list, each a text or a mapping of a text to a text"),
+        ({"of": [{}]}, "of.0 is {}; write a text"),
+        ({"of": 3}, "of is 3; write a list, each a text or a mapping of a text to a text"),
         ({"robot": "go2"}, "block 'frames' has no option 'robot'; known: frame, of"),
         ({"of": {"tip": "forarm"}}, "end effector 'tip': no body 'forarm'"),
         ({"of": {"a tip": "forearm"}}, "'a tip' is not an identifier"),
-        ({"frame": "map"}, "frame is 'map'; give base or world"),
+        ({"frame": "map"}, "frame 'map' is not known; known: base, world"),
     ],
 )
 def test_a_wrong_option_is_told_with_what_there_is(

@@ -75,9 +75,9 @@ def test_without_a_ramp_it_is_on_the_circle_at_once(reacher: Robot) -> None:
         ({"effector": "tool", "radius": 3}, "radius is 3; give a number from 0 to 1 [m]"),
         ({"effector": "tool", "frequency": -1}, "frequency is -1"),
         ({"effector": "tool", "ramp": -1}, "ramp is -1"),
-        ({"effector": "tool", "plane": "yx"}, "plane is 'yx'; give one of xy, xz, yz"),
-        ({"effector": "tool", "centre": [1, 2]}, "centre is [1, 2]; write 3 finite numbers"),
-        ({"effector": "tool", "centre": "there"}, "centre is 'there'; write 3 finite numbers"),
+        ({"effector": "tool", "plane": "yx"}, "plane 'yx' is not known; known: xy, xz, yz"),
+        ({"effector": "tool", "centre": [1, 2]}, "centre is [1, 2]; write a list of 3"),
+        ({"effector": "tool", "centre": "there"}, "centre is 'there'; write default or a list"),
     ],
 )
 def test_a_wrong_option_is_told(reacher: Robot, options: dict[str, Any], message: str) -> None:

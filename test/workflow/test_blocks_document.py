@@ -11,7 +11,9 @@ from typing import Any
 import pytest
 import yaml
 
+from unicon_core.errors import UniconError
 from unicon_core.runtime import Pacing
+from unicon_core.schema.read import read_value
 from unicon_core.states import StateSpec, standard_states
 from unicon_core.workflow import load_workflow
 from unicon_core.workflow.flow_yaml import FLOW_WORDS
@@ -80,7 +82,7 @@ def test_the_excitation_example_builds(folder: Path) -> None:
 def test_the_pacing_example_names_every_option_with_its_default() -> None:
     values = yaml.safe_load(next(code for code in YAML if code.startswith("pacing:")))["pacing"]
     assert set(values) == set(Pacing.__dataclass_fields__)
-    Pacing.from_dict(values)
+    read_value(Pacing, values, lambda where, text: UniconError(text), "pacing")
     for key in ("trigger", "overrun", "spin_us", "dry_run_us"):
         assert values[key] == getattr(Pacing(), key)
     assert values["arrival_spin_us"] * 1000 == Pacing().arrival_spin_ns(20_000_000)

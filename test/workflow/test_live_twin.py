@@ -154,11 +154,14 @@ def _written(folder: Path) -> Path:
 @pytest.mark.parametrize(
     ("twin", "message"),
     [
-        ([1], r"twin: \[1\] is not \{platform: mujoco\}"),
-        ({"window": 0.2}, r"is not \{platform: mujoco\}"),
-        ({"platform": "mujoco", "bounds": 1}, r"twin has no 'bounds'; did you mean 'bound'"),
-        ({"platform": "mujoco", "window": -1}, r"twin\.window is -1; give a number above 0 to 10"),
-        ({"platform": "mujoco", "window": float("nan")}, r"twin\.window is nan; give a number"),
+        ([1], r"twin is \[1\]; write"),
+        ({"window": 0.2}, r"twin: missing key 'platform'"),
+        ({"platform": "mujoco", "bounds": 1}, r"twin: unknown key 'bounds'; did you mean 'bound'"),
+        (
+            {"platform": "mujoco", "window": -1},
+            r"twin\.window is -1; write a number above 0 to 10",
+        ),
+        ({"platform": "mujoco", "window": float("nan")}, r"twin\.window is nan; write a number"),
         ({"platform": "mujoco", "over": 11}, r"twin\.over is 11"),
         ({"platform": "mujoco", "bound": 0}, r"twin\.bound is 0"),
         ({"platform": 3}, r"twin\.platform is 3"),

@@ -286,10 +286,10 @@ CHANGES = {
     ("on: desk", "on: disk"): r"no part 'disk'; did you mean 'desk'",
     ("publishes: [velocity_command]", "publishes: [velocity]"): r"no state 'velocity'",
     ("publishes: [velocity_command]", "publishes: [joint_pos]"): r"both publish 'joint_pos'",
-    ("then: hold", "then: halt"): r"silent\.then: 'halt'; did you mean 'fault'",
+    ("then: hold", "then: halt"): r"silent\.then 'halt' is not known; did you mean 'fault'",
     ("publishes: [velocity_command]", "publishes: [tick]"): r"each part counts its own ticks",
     ("after: 0.2", "after: .nan"): r"silent\.after is nan",
-    ("after: 0.2", "after: 1e300"): r"silent\.after is 1e\+300; give seconds",
+    ("after: 0.2", "after: 1e300"): r"silent\.after is 1e\+300; write a number above 0 to 3600",
     ("after: 0.2", "after: 0.2, set: {{velocity_command: 1e300}}"): r"does not fit shape \(3,\)",
     (
         "[finite, joint_limits]",

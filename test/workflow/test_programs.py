@@ -110,7 +110,7 @@ def test_functions_and_factories_of_ones_own_are_blocks() -> None:
         ({"flow": policy("walk")}, r"test_programs\.py:\d+: no policy 'walk'"),
         ({"flow": block("hold"), "rats": 5}, r"test_programs\.py:\d+: unknown key 'rats'"),
         ({"flow": pose("stand"), "platform": "fak"}, r"unknown platform 'fak'"),
-        ({}, r"test_programs\.py:\d+: the key 'flow' is missing"),
+        ({}, r"test_programs\.py:\d+: missing key 'flow'"),
         ({"flow": Chain(block("hold"), pose("stand"))}, r"'pose' can never be reached"),
         ({"flow": 5}, r"a block is a word or a mapping with one key"),
     ],

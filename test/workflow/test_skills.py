@@ -221,14 +221,14 @@ def test_without_buttons_no_device_is_asked_for() -> None:
 @pytest.mark.parametrize(
     ("skills", "flow", "told"),
     [
-        ({"a": {"do": "hold", "next": "c"}}, "skills", "skill 'a': next: no skill 'c'"),
-        ({"a": {"do": "hold", "entry": "1"}}, "skills", "skill 'a': no key 'entry'"),
+        ({"a": {"do": "hold", "next": "c"}}, "skills", "skills.a.next is 'c', which is no skill"),
+        ({"a": {"do": "hold", "entry": "1"}}, "skills", "skills.a: unknown key 'entry'"),
         ({"a": {"do": "hold", "policy": "b"}}, "skills", "give {policy: NAME}, or {do: FLOW}"),
         ({"a": {"do": "hold", "blend": -1}}, "skills", "blend is -1"),
         ({"a": {"do": "hold", "enter": "no_state > 1"}}, "skills", "no state 'no_state'"),
-        ({"a": {"do": "hold", "enter": True}}, "skills", "enter is True"),
+        ({"a": {"do": "hold", "enter": True}}, "skills", "enter is true"),
         ({"a": {"do": "hold", "from": ["b"]}}, "skills", "skills.a.from: no mode 'b'"),
-        ({"a b": {"do": "hold"}}, "skills", "this is not a name"),
+        ({"a b": {"do": "hold"}}, "skills", "unknown key 'a b'; write letters, digits and _"),
         ({"a": {"do": "hold"}}, {"skills": {"on": "joint_pos"}}, "not a state with one whole"),
         ({"a": {"do": "hold"}}, {"skills": {"begin": "a"}}, "write skills, or {skills:"),
         ({"a": {"policy": "walk"}}, "skills", "no policy 'walk'"),

@@ -195,7 +195,7 @@ def check_timing(subject: Subject, result: CheckResult) -> None:
             "set pacing.trigger: deadline",
             subject.document.where("pacing", "trigger"),
         )
-    catching_up = subject.document.get("pacing", dict, {}).get("overrun") == "catch_up"
+    catching_up = subject.document.get("pacing", {}).get("overrun") == "catch_up"
     if catching_up and not platform.simulated and not told:
         result.find(
             "timing.catch_up",
@@ -225,7 +225,7 @@ def check_commands(subject: Subject, result: CheckResult) -> None:
 
 def _commands(subject: Subject, policy: PolicyResult) -> None:
     document = subject.document
-    for i, item in enumerate(document.get("commands", list, [])):
+    for i, item in enumerate(document.get("commands", [])):
         options = item.get("velocity_command") if isinstance(item, dict) else None
         for vector in _vectors(options):
             for axis, value in zip(_AXES, vector):

@@ -28,7 +28,6 @@ from unicon_core.errors import (
     PlatformError,
     PolicyError,
     RobotError,
-    RobotFileError,
     UniconError,
     WorkflowError,
     alternatives,
@@ -85,7 +84,7 @@ def check_workflow(
         subject = build_subject(document, hooks)
     except UniconError as error:
         culprit = next(name for kind, name in _CULPRITS if isinstance(error, kind))
-        for each in error.problems if isinstance(error, RobotFileError) else (error,):
+        for each in error.problems or (error,):
             result.find_error("build", culprit, each)
         return result
     try:
@@ -155,7 +154,7 @@ def check_section(document: WorkflowDocument, result: CheckResult) -> dict[str, 
     def wrong(key: str, what: str) -> WorkflowError:
         return document.error(f"check: {what}", "check", key)
 
-    settings: dict[str, Any] = document.get("check", dict, {})
+    settings: dict[str, Any] = document.get("check", {})
     for key in settings:
         if key not in SETTINGS:
             raise wrong(key, f"unknown key {key!r}; {alternatives(str(key), SETTINGS)}")

@@ -11,10 +11,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Literal, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+
+from unicon_core.schema.marks import Core, Unit, Within
 
 Floats = NDArray[np.float32]
 ActionKind: TypeAlias = Literal["position", "velocity", "torque"]
@@ -242,10 +244,10 @@ class ChildSpec:
         threads: of the network.
     """
 
-    delay: int = 1
-    timeout: float | None = None
-    cpu: int | None = None
-    threads: int = 1
+    delay: Annotated[int, Unit("ticks"), Within(1, 1000)] = 1
+    timeout: Annotated[float | None, Unit("s"), Within(0.001, 60.0)] = None
+    cpu: Core | None = None
+    threads: Annotated[int, Within(1, 64)] = 1
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,80 +8,47 @@ hand:
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Literal, get_args
 
-from unicon_core.errors import alternatives
-from unicon_core.robots.places import Place, places_of, wrong_places
+from unicon_core.robots.places import Place
+from unicon_core.schema.marks import Matches, NotEmpty, Write
 
-HAND_KEYS = ("side", "palm", "fingers")
-SIDES = ("left", "right")
-FINGERS = ("thumb", "index", "middle", "ring", "pinky")
+Finger = Literal["thumb", "index", "middle", "ring", "pinky"]
 """As of the joints of a human hand in WebXR; a robot may have fewer."""
 
-_EXAMPLE = "write {side: left, palm: {body: …, quat: […]}, fingers: {thumb: {body: …}, …}}"
+FINGERS: tuple[Finger, ...] = get_args(Finger)
+SIDES = ("left", "right")
 
 
 @dataclass(frozen=True)
 class Hand:
-    """Which part of a robot's hand is which of a human's."""
+    """Which part of a robot's hand is which of a human's.
 
-    side: str
-    """left or right; "" where the file is of both: its places are the left's then."""
+    Attributes:
+        palm: frame of the palm: x to the fingers, z out of the back of the hand, y to the left of
+            both.
+        fingers: finger, in the order of `FINGERS`, to the place of its tip.
+        side: left or right; left out where the file is of both: its places are the left's then.
+    """
+
     palm: Place
-    """Frame of the palm: x to the fingers, z out of the back of the hand, y to the left of both."""
-    fingers: Mapping[str, Place]
-    """Finger, in the order of `FINGERS`, to the place of its tip."""
+    fingers: Annotated[Mapping[Finger, Place], NotEmpty, Write("{thumb: {body: …}, index: …}")]
+    side: Annotated[str, Matches("left|right", "left or right, and nothing for both")] = ""
+
+    def __post_init__(self) -> None:
+        ordered = {finger: self.fingers[finger] for finger in FINGERS if finger in self.fingers}
+        object.__setattr__(self, "fingers", ordered)
 
     def of(self, side: str) -> Hand:
         """Return the hand of a side; where the file is of both, y is mirrored for the right one."""
         if self.side or side != "right":
             return self
         fingers = {finger: _mirrored(place) for finger, place in self.fingers.items()}
-        return Hand(side, _mirrored(self.palm), fingers)
+        return Hand(_mirrored(self.palm), fingers, side)
 
 
 def _mirrored(place: Place) -> Place:
     (x, y, z), (qw, qx, qy, qz) = place.position, place.quat
     return Place(place.body, (x, -y, z), (qw, -qx, qy, -qz))
-
-
-def hand_of(said: Mapping[str, Any] | None) -> Hand | None:
-    """Return the hand that a checked mapping says, None where it says nothing."""
-    if said is None:
-        return None
-    fingers = places_of(said["fingers"])
-    ordered = {finger: fingers[finger] for finger in FINGERS if finger in fingers}
-    return Hand(said.get("side", ""), places_of({"palm": said["palm"]})["palm"], ordered)
-
-
-def wrong_hand(said: object) -> Iterator[tuple[tuple[str, ...], str]]:
-    """Yield what is wrong with a hand: keys that lead to it, and the words behind them.
-
-    Args:
-        said: `side`, which may be left out, `palm`, a place, and `fingers`, name to place.
-    """
-    if not isinstance(said, Mapping):
-        yield (), f"is {said!r:.60}; {_EXAMPLE}"
-        return
-    for key in said:
-        if key not in HAND_KEYS:
-            yield (str(key),), f"is not known; {alternatives(str(key), HAND_KEYS)}"
-    if "side" in said and said["side"] not in SIDES:
-        yield ("side",), f"is {said['side']!r:.60}; write left or right, and nothing for both"
-    for key in ("palm", "fingers"):
-        if key not in said:
-            yield (), f"has no {key!r}; {_EXAMPLE}"
-    if "palm" in said:
-        yield from wrong_places({"palm": said["palm"]})
-    fingers = said.get("fingers", {"thumb": {"body": "-"}})
-    if not isinstance(fingers, Mapping) or not fingers:
-        yield ("fingers",), f"is {fingers!r:.60}; write {{thumb: {{body: …}}, index: …}}"
-        return
-    for finger in fingers:
-        if finger not in FINGERS:
-            known = alternatives(str(finger), FINGERS)
-            yield ("fingers", str(finger)), f"is not a finger; {known}"
-    for where, found in wrong_places(fingers):
-        yield ("fingers", *where), found

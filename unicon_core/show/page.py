@@ -32,7 +32,7 @@ def show_page(program: Program) -> str:
     Raises:
         PolicyError: a policy's observation does not fit the states.
     """
-    description = program.document.get("description", str, "")
+    description = program.document.get("description", "")
     parts = [
         f"<h1>{html.escape(program.name)}</h1>",
         f'<p class="sub">{html.escape(description)}</p>',

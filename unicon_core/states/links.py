@@ -14,11 +14,12 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from unicon_core.errors import Fault, StateError
+from unicon_core.schema.marks import Key, Unit, Within, Write
 from unicon_core.states.backends import Reader, Writer
 from unicon_core.states.groups import Groups
 from unicon_core.states.spec import StateSpec
@@ -59,6 +60,10 @@ class Store:
         return f"{host}:{int(port) + index}"
 
 
+LONGEST_SILENCE = 3600.0
+"""Of `silent.after` in [s]: what is longer is `then: hold`."""
+
+
 @dataclass(frozen=True)
 class Silent:
     """What a part does when another one is silent.
@@ -70,9 +75,11 @@ class Silent:
         values: state to its neutral value, in place of its initial one.
     """
 
-    after: float = 0.2
+    after: Annotated[float, Unit("s"), Within(0.0, LONGEST_SILENCE, above=True)] = 0.2
     then: Literal["neutral", "hold", "fault"] = "neutral"
-    values: Mapping[str, Any] = field(default_factory=dict)
+    values: Annotated[Mapping[str, Any], Key("set"), Write("{STATE: VALUE}")] = field(
+        default_factory=dict
+    )
 
 
 def open_writers(store: Store, part: str, groups: Groups, states: States) -> dict[str, Writer]:

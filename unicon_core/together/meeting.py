@@ -13,15 +13,17 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.bounds import within
 from unicon_core.errors import Fault, StateError, UniconError, WorkflowError, alternatives
+from unicon_core.schema.marks import Made, Matches, Unit, Within, Write
+from unicon_core.schema.read import read_value
+from unicon_core.schema.types import Here, show
 from unicon_core.states import Layout, States, StateSpec
 from unicon_core.states.backends import Reader, Writer
 from unicon_core.states.links import AGAIN_NS
@@ -44,7 +46,41 @@ STATE = "together"
 FIELDS = ("stage", "impatient", "moment_ns", "clock_ns")
 GROUP = Layout({STATE: StateSpec((len(FIELDS),), "int64", names=FIELDS)})
 
-_KEYS = ("robots", "me", "group", "timeout", "keys")
+
+_NAME = r"[A-Za-z0-9_-]{1,40}"
+
+
+def _is_name(value: Any) -> bool:
+    return isinstance(value, str) and re.fullmatch(_NAME, value) is not None
+
+
+def _robots(value: Any) -> dict[str, str]:
+    """Return each robot's name and address.
+
+    Raises:
+        WorkflowError: they are not two or more names.
+    """
+    if isinstance(value, list):
+        for name in value:
+            if value.count(name) > 1:
+                raise WorkflowError(f"has {name!r} twice; name each robot once")
+        value = {name if isinstance(name, str) else repr(name): "" for name in value}
+        wanted = ("", "")
+    else:
+        wanted = (r"(tcp|ipc)://\S+", ", or {left: tcp://HOST:PORT, …} on several machines")
+    if not isinstance(value, dict) or len(value) < 2:
+        raise WorkflowError(f"is {value!r:.60}; name two or more, as [left, right]")
+    for name, address in value.items():
+        if not _is_name(name):
+            raise WorkflowError(f"has {name!r:.60}; use up to 40 letters, digits, '_' and '-'")
+        if not (isinstance(address, str) and re.fullmatch(wanted[0], address)):
+            raise WorkflowError(
+                f"has {address!r:.60} as the address of {name!r}; give "
+                "tcp://HOST:PORT, or ipc://PATH on one machine"
+            )
+        if address and list(value.values()).count(address) > 1:
+            raise WorkflowError(f"has two robots of address {address!r}")
+    return dict(value)
 
 
 @dataclass(frozen=True)
@@ -59,11 +95,30 @@ class Party:
         keys: folder with the CURVE keys of the group, the same for each robot; None: without.
     """
 
-    robots: Mapping[str, str]
+    robots: Annotated[Mapping[str, str], Made(_robots), Write("[left, right]")]
     me: str
-    group: str = "together"
-    timeout: float = PATIENCE
-    keys: Path | None = None
+    group: Annotated[str, Matches(_NAME, "up to 40 letters, digits, '_' and '-'")] = "together"
+    timeout: Annotated[float, Unit("s"), Within(0.0, LONGEST, above=True)] = PATIENCE
+    keys: Annotated[Path | None, Matches(r".+", "the folder of the group's keys")] = None
+
+    @staticmethod
+    def between(found: dict[str, Any], here: Here) -> None:
+        """Note a robot that is none of the group, and keys without addresses."""
+        robots = found.get("robots", {})
+        me = found.get("me")
+        if robots and me is not None and me not in robots:
+            here.value(
+                f"is {show(me)}, which of the robots this one is; {alternatives(me, robots)}, as "
+                f"--set start.together.me={next(iter(robots))}",
+                "me",
+            )
+        if found.get("keys") is not None and robots and not any(robots.values()):
+            here.value("is for robots with addresses (docs/zmq.md); leave it out", "keys")
+
+    def within(self, folder: Path) -> Party:
+        """Return the party with its keys reckoned from a folder."""
+        keys = self.keys
+        return self if keys is None else replace(self, keys=(folder / keys).expanduser().resolve())
 
     @property
     def over_zmq(self) -> bool:
@@ -283,68 +338,5 @@ def party_of(value: Any, folder: Path = Path()) -> Party:
     Raises:
         WorkflowError: a key or a value is wrong.
     """
-    example = "{robots: [left, right], me: left}"
-    if not isinstance(value, dict):
-        raise WorkflowError(f"start: together is {value!r:.60}; give {example}")
-    for key in value:
-        if key not in _KEYS:
-            known = alternatives(str(key), _KEYS)
-            raise WorkflowError(f"start: together: unknown key {key!r}; {known}")
-    robots = _robots(value.get("robots"), example)
-    me = value.get("me")
-    if not isinstance(me, str) or me not in robots:
-        raise WorkflowError(
-            f"start: together: me is {me!r}, which of the robots this one is; "
-            f"{alternatives(str(me), robots)}, as --set start.together.me={next(iter(robots))}"
-        )
-    group = value.get("group", Party.group)
-    if not _is_name(group):
-        raise WorkflowError(f"start: together: group is {group!r:.60}; {_NAMES}")
-    option = "start: together: timeout"
-    timeout = within(value.get("timeout", PATIENCE), option, "s", LONGEST)
-    keys = value.get("keys")
-    if keys is not None and not (isinstance(keys, str) and keys and any(robots.values())):
-        raise WorkflowError(
-            f"start: together: keys is {keys!r:.60}; give the folder of the group's keys, where "
-            "the robots have addresses (docs/zmq.md)"
-        )
-    found = None if keys is None else (folder / Path(keys).expanduser()).resolve()
-    return Party(robots, me, group, timeout, found)
-
-
-_NAMES = "use up to 40 letters, digits, '_' and '-'"
-
-
-def _is_name(value: Any) -> bool:
-    return isinstance(value, str) and re.fullmatch(r"[A-Za-z0-9_-]{1,40}", value) is not None
-
-
-def _robots(value: Any, example: str) -> dict[str, str]:
-    """Return each robot's name and address.
-
-    Raises:
-        WorkflowError: they are not two or more names.
-    """
-    if isinstance(value, list):
-        for name in value:
-            if value.count(name) > 1:
-                raise WorkflowError(f"start: together: robot {name!r} stands there twice")
-        value = {name if isinstance(name, str) else repr(name): "" for name in value}
-        wanted = ("", "")
-    else:
-        wanted = (r"(tcp|ipc)://\S+", ", or {left: tcp://HOST:PORT, …} on several machines")
-    if not isinstance(value, dict) or len(value) < 2:
-        raise WorkflowError(
-            f"start: together: robots is {value!r:.60}; name two or more, as {example}"
-        )
-    for name, address in value.items():
-        if not _is_name(name):
-            raise WorkflowError(f"start: together: robot {name!r:.60}; {_NAMES}")
-        if not (isinstance(address, str) and re.fullmatch(wanted[0], address)):
-            raise WorkflowError(
-                f"start: together: the address of {name!r} is {address!r:.60}; give "
-                "tcp://HOST:PORT, or ipc://PATH on one machine"
-            )
-        if address and list(value.values()).count(address) > 1:
-            raise WorkflowError(f"start: together: two robots have the address {address!r}")
-    return dict(value)
+    party: Party = read_value(Party, value, lambda where, text: WorkflowError(text), "together")
+    return party.within(folder)

@@ -137,7 +137,7 @@ def moment_of(value: Any) -> Moment:
         WorkflowError: it is not a moment.
     """
     if isinstance(value, dict) and list(value) == ["every"]:
-        every = within(value["every"], "start: at: every", "s", FARTHEST, SHORTEST, above=False)
+        every = within(value["every"], "every", "s", FARTHEST, SHORTEST, above=False)
         return Moment(every=every, words=f"every {every:g} s")
     try:
         if not isinstance(value, str) or ":" not in value:  # a date alone is a midnight
@@ -145,7 +145,7 @@ def moment_of(value: Any) -> Moment:
         when = datetime.fromisoformat(value.strip().replace("Z", "+00:00")).timestamp()
     except (ValueError, OverflowError, OSError):
         raise WorkflowError(
-            f"start: at is {value!r:.60}; give a date with a time, as 2026-11-22T21:00:00 (Z "
+            f"is {value!r:.60}; give a date with a time, as 2026-11-22T21:00:00 (Z "
             "behind it for UTC), or {every: SECONDS}"
         ) from None
     return Moment(at_ns=round(when * 1e9), words=value)

@@ -19,8 +19,8 @@ from unicon_core.flow.block import Block, Bundle, as_block
 from unicon_core.platforms.kit.damping import LastSent
 from unicon_core.platforms.platform import Platform
 from unicon_core.robots import Robot
+from unicon_core.schema.types import Mistakes, options_of
 from unicon_core.states import States
-from unicon_core.workflow.option_types import wrong_option
 from unicon_core.workflow.registry import Factory, states_in
 
 
@@ -155,9 +155,12 @@ def refuse_options(
         for option in options:
             if option not in free:
                 raise wrong(f" has no option {option!r}; {alternatives(option, free)}", option)
-    mistyped = wrong_option(factory, options)
-    if mistyped:
-        raise wrong(f": {mistyped}")
+    mistakes, types = Mistakes(), options_of(factory)
+    for option, value in options.items():
+        if option in types:
+            types[option].read(value, (option,), mistakes)
+    if mistakes.found:
+        raise wrong(f": {'; '.join(text for _, text in mistakes.found)}")
 
 
 def option_names(factory: Factory) -> list[str]:

@@ -61,7 +61,7 @@ def sections_of(document: WorkflowDocument) -> tuple[Sections, Node | None]:
     def read(items: Sequence[Any], *path: str) -> list[Node]:
         return [reader.node(item, (*path, i)) for i, item in enumerate(items)]
 
-    sections = {stage: read(document.get(key, list, []), key) for stage, key in _KEYS.items()}
+    sections = {stage: read(document.get(key, []), key) for stage, key in _KEYS.items()}
     sections[Stage.FLOW] = [reader.node(document.values["flow"], ("flow",))]
     safety = safety_of(document)
     sections[Stage.SAFETY] = read(safety.blocks, *safety.path)
@@ -182,7 +182,7 @@ def finite_first(document: WorkflowDocument, safety: Sequence[Node]) -> None:
 
 
 def period_of(document: WorkflowDocument, policies: Mapping[str, Any]) -> float:
-    rate = document.get("rate", (int, float))
+    rate = document.get("rate")
     if rate is not None:
         if not 0.001 <= rate <= 10_000.0:  # slower ones have no finite period
             raise document.error(f"rate: {rate!r} is not between 0.001 and 10000 Hz", "rate")
@@ -214,7 +214,7 @@ def specs_of(
     specs |= stamps_of(document)
     if document.values.get("twin") is not None:
         specs |= twin_states(robot)
-    given = document.get("states", dict, {})
+    given = document.get("states", {})
     for name, values in given.items():
         standard = specs.get(name) or hardware.get(name)
         try:

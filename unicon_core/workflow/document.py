@@ -2,48 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import WorkflowError
 from unicon_core.located_yaml import Located
+from unicon_core.schema.read import refuse
+from unicon_core.schema.types import Mistakes, type_of
 
 SCHEMA = "unicon.workflow/1"
-
-KEYS = {
-    "schema": "unicon.workflow/1",
-    "name": "name of the workflow; the file's name unless given",
-    "description": "one line",
-    "robot": "robot file: name or path; or {MEMBER: NAME}, a body and its hands",
-    "platform": "platform's name: the one word that changes from simulation to the robot; or "
-    "{MEMBER: NAME}",
-    "store": "where else states go: local, shm, or {zmq: ADDRESS}",
-    "parts": "name to {publishes, silent}: the workflow runs in several processes",
-    "scene": "how a simulation begins and what disturbs it, the same on every simulator",
-    "platforms": "options by platform name",
-    "rate": "ticks per second [Hz]; the policy's period unless given",
-    "duration": "end of a run [s] unless --duration says otherwise",
-    "num_robots": "batch dimension",
-    "map": "message map: name or path",
-    "ros": "true to mirror to ROS 2 without being asked",
-    "states": "extra states: name to specification",
-    "policies": "name to policy: a path, or {path, given, child}",
-    "skills": "name to policy, or to {policy or do, enter, from, after, tilt, calm, button, blend, "
-    "next}: what flow: skills switches between",
-    "estimate": "blocks that compute what is not measured, right behind recv",
-    "commands": "blocks that make commands, before ROS inputs may replace them",
-    "start": "{gates, operator, approach, fade_in, at, together, late}: before a robot moves",
-    "flow": "the graph",
-    "wind_down": "the graph after the run, before the platform damps and closes; at most 5 s",
-    "safety": "blocks between the flow and send, or only: and blocks, or none",
-    "deferred": "blocks after send",
-    "twin": "{platform, window, over, bound}: a simulator beside the robot, under its commands",
-    "pacing": "{trigger, overrun, hang, spin_us, arrival_spin_us, dry_run_us, priority, cpu, "
-    "lock_memory}",
-    "check": "settings of the preflight check",
-}
 
 
 @dataclass
@@ -84,27 +52,24 @@ class WorkflowDocument:
         found = next(named, "") if path else ""
         return WorkflowError(message, f"--set {found}" if found else self.where(*path))
 
-    def get(self, key: str, kind: type | tuple[type, ...], default: Any = None) -> Any:
-        """Return a top-level value of the kind wanted.
-
-        Raises:
-            WorkflowError: it is of another kind.
-        """
+    def get(self, key: str, default: Any = None) -> Any:
+        """Return a top-level value, the default where it is absent or null."""
         value = self.values.get(key)
-        if value is None:
-            return default
-        if not isinstance(value, kind) or (isinstance(value, bool) and kind in (int, (int, float))):
-            kinds = kind if isinstance(kind, tuple) else (kind,)
-            wanted = " or ".join(dict.fromkeys(_KIND_NAMES.get(k, k.__name__) for k in kinds))
-            raise self.error(f"{key}: {value!r} is not a {wanted}", key)
-        if isinstance(value, float) and not math.isfinite(value):
-            raise self.error(f"{key}: {value!r} is not a finite number", key)
-        return value
+        return default if value is None else value
+
+
+def read_part(document: WorkflowDocument, kind: Any, value: Any, *path: str | int) -> Any:
+    """Return a value of a workflow as a hint has it (see `schema`).
+
+    Raises:
+        WorkflowError: it is wrong; with file and line of each mistake.
+    """
+    mistakes = Mistakes(document.values)
+    found = type_of(kind).read(value, path, mistakes)
+    refuse(mistakes, lambda where, text: document.error(text, *where), f"workflow {document.name}")
+    return found
 
 
 def _last(dotted: str) -> str:
     """Return the last key of a path as messages quote it."""
     return repr(dotted.rpartition(".")[2])
-
-
-_KIND_NAMES = {dict: "mapping", list: "list", str: "word", int: "number", float: "number"}

@@ -10,24 +10,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Annotated, Any
 
 import numpy as np
 
-from unicon_core.bounds import POSITION, within
-from unicon_core.errors import Fault, PlatformError, UniconError, WorkflowError, alternatives
+from unicon_core.bounds import POSITION
+from unicon_core.errors import Fault, PlatformError, UniconError, WorkflowError
 from unicon_core.flow import Block
 from unicon_core.gap import aligned_mse
 from unicon_core.memory import Library
 from unicon_core.platforms.kit.beside import PLACE, Beside
 from unicon_core.robots import Robot
+from unicon_core.schema.marks import Unit, Within
 from unicon_core.states import States, StateSpec
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow.autowire import BuildContext
-from unicon_core.workflow.document import WorkflowDocument
+from unicon_core.workflow.document import WorkflowDocument, read_part
 from unicon_core.workflow.hardware import declared_facts
-from unicon_core.workflow.option_types import wrong_option
 from unicon_core.workflow.registry import find_factory
 from unicon_core.workflow.scene import read_scene
 
@@ -53,14 +53,9 @@ class TwinSettings:
     """
 
     platform: str
-    window: float = 0.2
-    over: float = 1.0
-    bound: float = 0.15
-
-    def __post_init__(self) -> None:
-        within(self.window, "twin.window", "s", LONGEST)
-        within(self.over, "twin.over", "s", LONGEST)
-        within(self.bound, "twin.bound", "rad", POSITION)
+    window: Annotated[float, Unit("s"), Within(0.0, LONGEST, above=True)] = 0.2
+    over: Annotated[float, Unit("s"), Within(0.0, LONGEST, above=True)] = 1.0
+    bound: Annotated[float, Unit("rad"), Within(0.0, POSITION, above=True)] = 0.15
 
 
 def twin_of(document: WorkflowDocument) -> TwinSettings | None:
@@ -72,22 +67,12 @@ def twin_of(document: WorkflowDocument) -> TwinSettings | None:
     said = document.values.get("twin")
     if said is None:
         return None
-    values = {"platform": said} if isinstance(said, str) else said
-    known = [field.name for field in fields(TwinSettings)]
-    if not isinstance(values, dict) or "platform" not in values:
-        raise document.error(f"twin: {said!r:.60} is not {{platform: mujoco}}; write that", "twin")
-    for key in values:
-        if key not in known:
-            raise document.error(f"twin has no {key!r}; {alternatives(str(key), known)}", "twin")
-    wrong = wrong_option(TwinSettings, values)
-    if wrong:
-        raise document.error(f"twin.{wrong}", "twin")
-    if document.get("num_robots", int) is not None:
+    if document.values.get("num_robots") is not None:
         raise document.error("twin: a twin is of one robot; leave num_robots out", "twin")
-    try:
-        return TwinSettings(**values)
-    except WorkflowError as error:
-        raise document.error(str(error), "twin") from error
+    if isinstance(said, str):
+        return TwinSettings(said)
+    settings: TwinSettings = read_part(document, TwinSettings, said, "twin")
+    return settings
 
 
 def twin_states(robot: Robot) -> dict[str, StateSpec]:
@@ -133,9 +118,9 @@ def build_twin(
         raise wrong(f"platform {settings.platform!r} is a robot; write twin: {{platform: mujoco}}")
     if "joint_pos" not in measured or "joint_vel" not in measured:
         raise wrong("the platform measures no joint_pos and joint_vel; leave the twin out")
-    options = (document.get("platforms", dict, {}) or {}).get(settings.platform) or {}
+    options = (document.get("platforms", {}) or {}).get(settings.platform) or {}
     # Joints that the scene changes are what a twin is there to find: its own are the robot file's.
-    said = document.get("scene", dict, {}) | {"joints": None}
+    said = document.get("scene", {}) | {"joints": None}
     plain = replace(document, values=document.values | {"scene": said})
     scene = read_scene(plain, context, facts)
     try:

@@ -6,18 +6,34 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from unicon_core.errors import WorkflowError, alternatives
+from unicon_core.errors import WorkflowError
 from unicon_core.file_kinds import other_kind
 from unicon_core.located_yaml import Located, read_yaml
 from unicon_core.resources import find_config, list_config
-from unicon_core.workflow.document import KEYS, SCHEMA, WorkflowDocument
+from unicon_core.schema.read import refuse
+from unicon_core.schema.types import Mistakes, record_of
+from unicon_core.workflow.document import WorkflowDocument, read_part
+from unicon_core.workflow.file import Workflow
 from unicon_core.workflow.overrides import set_value, split_setting
-from unicon_core.workflow.settings import check_settings
 
 
 def workflow_names() -> list[str]:
     """Return the names of the workflows that `load_document` finds, sorted."""
     return list_config("workflows")
+
+
+def description_of(name: str) -> str:
+    """Return the description of a workflow, of which the keys alone are checked.
+
+    Raises:
+        WorkflowError: no such file, broken YAML, or an unknown or missing key.
+    """
+    located = read_yaml(find_config("workflows", name, error=WorkflowError), WorkflowError)
+    values = located.value if isinstance(located.value, dict) else {}
+    mistakes = Mistakes(values)
+    record_of(Workflow).check_keys(values, (), mistakes)
+    refuse(mistakes, located.error, f"workflow {name}")
+    return str(values.get("description") or "")
 
 
 def load_document(
@@ -76,22 +92,9 @@ def document_of(values: Mapping[str, Any], path: Path, line: int) -> WorkflowDoc
 
 def _checked(document: WorkflowDocument) -> WorkflowDocument:
     values = document.values
-    schema = values.get("schema", SCHEMA)
     other = other_kind(values, "workflow")
     if other:
         raise document.error(other, "schema")
-    for key in values:
-        if key not in KEYS:
-            raise document.error(f"unknown key {key!r}; {alternatives(str(key), KEYS)}", key)
-    if schema != SCHEMA:
-        raise document.error(
-            f"schema {schema!r} is not known; this version reads {SCHEMA}", "schema"
-        )
-    for key in ("rate", "duration"):
-        document.get(key, (int, float))
-    for key in ("robot", "platform", "flow"):
-        if values.get(key) is None:
-            raise document.error(f"the key {key!r} is missing: {KEYS[key]}")
-    document.name = str(document.get("name", str, document.name))
-    check_settings(document)
+    read_part(document, Workflow, values)
+    document.name = str(document.get("name", document.name))
     return document

@@ -10,12 +10,12 @@ from unicon_core.flow.block import Share
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.resources import find_config
 from unicon_core.robots import Robot, compose, load_robot
-from unicon_core.robots.places import Place, places_of, wrong_places
+from unicon_core.robots.places import Place, Places
 from unicon_core.robots.poses import joints_like
 from unicon_core.states import StateSpec
 from unicon_core.states.member import divided, member_states, stamp_of
 from unicon_core.workflow.autowire import BuildContext
-from unicon_core.workflow.document import WorkflowDocument
+from unicon_core.workflow.document import WorkflowDocument, read_part
 from unicon_core.workflow.platform_use import read_members, read_platforms
 from unicon_core.workflow.registry import known
 
@@ -30,7 +30,7 @@ def load_robot_of(document: WorkflowDocument) -> Robot:
     members = read_members(document)
     if not members:
         _mounts(document, [])
-        return _load(document, document.get("robot", str), "robot")
+        return _load(document, document.get("robot"), "robot")
     for member in members:
         if member in known("platforms"):
             raise document.error(
@@ -48,19 +48,17 @@ def load_robot_of(document: WorkflowDocument) -> Robot:
 
 def _mounts(document: WorkflowDocument, members: list[str]) -> dict[str, Place]:
     """Return what `scene.mounts` says."""
-    said = document.get("scene", dict, {}).get("mounts")
+    said = document.get("scene", {}).get("mounts")
     if said is None:
         return {}
-    for where, wrong in wrong_places(said):
-        path = ("scene", "mounts", *where)
-        raise document.error(f"{'.'.join(path)} {wrong}", *path)
+    places: dict[str, Place] = read_part(document, Places, said, "scene", "mounts")
     for member in said:
         if member not in members[1:]:
             known = alternatives(member, members[1:]) if members[1:] else "the robot has no members"
             raise document.error(
                 f"scene.mounts: no member {member!r}; {known}", "scene", "mounts", member
             )
-    return places_of(said)
+    return places
 
 
 def _load(document: WorkflowDocument, text: str, *path: str) -> Robot:

@@ -17,9 +17,10 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Annotated, Any, Literal, cast
 
 from unicon_core.errors import StateError, alternatives
+from unicon_core.schema.marks import Matches, Size, Write
 from unicon_core.states import Layout, States
 from unicon_core.states.backends import Reader
 from unicon_core.states.groups import Groups, groups_of, subset
@@ -30,15 +31,30 @@ from unicon_core.states.links import (
     neutral_value,
     open_reader,
 )
-from unicon_core.workflow.document import WorkflowDocument
+from unicon_core.workflow.document import WorkflowDocument, read_part
 
 BACKENDS = ("local", "shm", "zmq")
 
-LONGEST = 3600.0
-"""Longest `silent.after` in [s]: whoever wants longer means `then: hold`."""
 
-_SILENT = ("after", "then", "set")
-_THEN = ("neutral", "hold", "fault")
+@dataclass(frozen=True)
+class PartFile:
+    """What a workflow says of one part.
+
+    Attributes:
+        publishes: states that it gives to the others.
+        silent: what it does when another part is silent.
+    """
+
+    publishes: list[str] | None = None
+    silent: Silent | None = None
+
+
+PartFiles = Annotated[
+    Mapping[Annotated[str, Matches(r"[^\W\d]\w*", "letters and digits")], PartFile | None],
+    Size(2),
+    Write("{robot: …, desk: …}, at least two"),
+]
+"""Name of a part to what it says."""
 
 
 @dataclass(frozen=True)
@@ -227,49 +243,15 @@ def read_parts(document: WorkflowDocument) -> Parts | None:
     Raises:
         WorkflowError: a key is wrong, or there are too few parts.
     """
-    given = document.get("parts", dict)
+    given: Mapping[str, PartFile | None] | None = read_part(
+        document, PartFiles | None, document.values.get("parts"), "parts"
+    )
     if given is None:
         return None
-    if len(given) < 2:
-        raise document.error("parts: at least two, as {robot: …, desk: …}", "parts")
-    parts = {}
-    for name, said in given.items():
-        if not isinstance(name, str) or not name.isidentifier():
-            raise document.error(f"parts: {name!r} is not a name; use letters and digits", "parts")
-        parts[name] = _part(document, name, {} if said is None else said)
+    files = {name: PartFile() if said is None else said for name, said in given.items()}
+    parts = {
+        name: Part(name, tuple(said.publishes or ()), said.silent or Silent())
+        for name, said in files.items()
+    }
     store = read_store(document) or Store("shm", document.name)
     return Parts(parts, _named(document, replace(store, parts=tuple(parts))))
-
-
-def _part(document: WorkflowDocument, name: str, said: Any) -> Part:
-    where = ("parts", name)
-    if not isinstance(said, dict):
-        raise document.error(f"part {name!r} is {said!r}; write {{publishes: [STATE]}}", *where)
-    for key in said:
-        if key not in ("publishes", "silent"):
-            known = alternatives(str(key), ("publishes", "silent"))
-            raise document.error(f"part {name!r} has no {key!r}; {known}", *where, key)
-    states = said.get("publishes") or []
-    if not isinstance(states, list) or not all(isinstance(state, str) for state in states):
-        raise document.error(f"publishes is {states!r}; give a list of states", *where, "publishes")
-    silent = said.get("silent") or {}
-    below = (*where, "silent")
-    if not isinstance(silent, dict):
-        raise document.error(f"silent is {silent!r}; give {{after: 0.2}}", *below)
-    for key in silent:
-        if key not in _SILENT:
-            raise document.error(
-                f"silent has no {key!r}; {alternatives(str(key), _SILENT)}", *below
-            )
-    after, then = silent.get("after", Silent.after), silent.get("then", "neutral")
-    is_number = isinstance(after, (int, float)) and not isinstance(after, bool)
-    if not is_number or not 0.0 < after <= LONGEST:
-        raise document.error(
-            f"silent.after is {after!r}; give seconds, more than 0 and at most {LONGEST:g}", *below
-        )
-    if then not in _THEN:
-        raise document.error(f"silent.then: {then!r}; {alternatives(str(then), _THEN)}", *below)
-    values = silent.get("set") or {}
-    if not isinstance(values, dict):
-        raise document.error(f"silent.set is {values!r}; give {{STATE: VALUE}}", *below)
-    return Part(name, tuple(states), Silent(float(after), then, values))

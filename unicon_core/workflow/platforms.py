@@ -276,7 +276,7 @@ def platform_options(
     Raises:
         WorkflowError: an unknown platform, or one has no such option.
     """
-    every = document.get("platforms", dict, {})
+    every = document.get("platforms", {})
     used = {each.use.name for each in chosen.values()}
     members = tuple(read_members(document))
     for other in every:
@@ -303,7 +303,7 @@ def platform_options(
 
 
 def _checked_options(document: WorkflowDocument, name: str, factory: Factory) -> dict[str, Any]:
-    options = document.get("platforms", dict, {}).get(name) or {}
+    options = document.get("platforms", {}).get(name) or {}
 
     def wrong(text: str, *path: str) -> WorkflowError:
         return document.error(text, "platforms", name, *path)

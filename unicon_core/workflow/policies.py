@@ -21,7 +21,8 @@ from unicon_core.policies.prefixed import prefix_of
 from unicon_core.robots import Robot
 from unicon_core.states import States, StateSpec
 from unicon_core.workflow.autowire import BuildContext
-from unicon_core.workflow.document import WorkflowDocument
+from unicon_core.workflow.document import WorkflowDocument, read_part
+from unicon_core.workflow.file import PolicyEntry
 from unicon_core.workflow.platforms import facts_of_all, find_platforms
 from unicon_core.workflow.uses import Use
 
@@ -37,82 +38,27 @@ def load_policies(document: WorkflowDocument, robot: Robot) -> dict[str, PolicyC
 
     def model() -> Path:
         """The model of the scene, else the robot's own; what is wrong with it is told later."""
-        named = document.get("scene", dict, {}).get("model")
-        named = named if isinstance(named, (str, Path)) else None
+        named = document.get("scene", {}).get("model")
         return pick_model(robot, named, document.path.parent)
 
-    for name, entry in document.get("policies", dict, {}).items():
-        values = _checked_entry(document, name, entry)
-        beside = document.path.parent / values["path"]
-        path: str | Path = values["path"]
-        if "/" in values["path"] and os.path.exists(beside):
+    for name, entry in document.get("policies", {}).items():
+        said = {"path": entry} if isinstance(entry, str) else entry
+        values: PolicyEntry = read_part(document, PolicyEntry, said, "policies", name)
+        beside = document.path.parent / values.path
+        path: str | Path = values.path
+        if "/" in values.path and os.path.exists(beside):
             path = beside
         try:
-            given = values.get("given") or {}
-            contract = load_policy(path, robot=robot, given=given, model=model)
+            contract = load_policy(path, robot=robot, given=values.given or {}, model=model)
         except PolicyError as error:
             raise PolicyError(f"policy {name!r}: {error}") from error
         # Before a platform is built: a model of another robot would hide this behind its own error.
         lacking = lacking_joints(contract, robot)
         if lacking and all(lacking_joints(contract, each) for each in robot.members.values()):
             raise PolicyError(f"policy {name!r}: {lacking}")
-        child = child_of(document, name, entry)
+        child = ChildSpec() if values.child is True else values.child or None
         contracts[str(name)] = contract if child is None else replace(contract, child=child)
     return contracts
-
-
-def _checked_entry(document: WorkflowDocument, name: str, entry: Any) -> dict[str, Any]:
-    """Return path and given of a policy."""
-
-    def wrong(what: str, *path: str) -> WorkflowError:
-        return document.error(f"policy {name!r}: {what}", "policies", name, *path)
-
-    values = {"path": entry} if isinstance(entry, str) else entry
-    if not isinstance(values, dict) or not isinstance(values.get("path"), str):
-        others = [str(other) for other in document.values["policies"] if other != name]
-        hint = f"; {alternatives(name, others)}" if others else ""
-        raise wrong(f"needs a path, or a mapping {{path: …, given: …}}{hint}")
-    if not isinstance(values.get("given") or {}, dict):
-        raise wrong(f"given is {values['given']!r}; write a mapping of facts", "given")
-    for key in values:
-        if key not in ("path", "given", "child"):
-            raise wrong(f"unknown key {key!r}; known: path, given, child", key)
-    return values
-
-
-def child_of(document: WorkflowDocument, name: str, entry: Any) -> ChildSpec | None:
-    """Return how a policy runs in a process of its own, None where it does not.
-
-    Raises:
-        WorkflowError: `child` is of no known form.
-    """
-    said = entry.get("child") if isinstance(entry, dict) else None
-    if said is None or said is False:
-        return None
-    values = {} if said is True else said
-
-    def wrong(what: str, *path: str) -> WorkflowError:
-        return document.error(f"policy {name!r}: child{what}", "policies", name, "child", *path)
-
-    if not isinstance(values, dict):
-        raise wrong(f" is {said!r}; write true, or a mapping {{delay: TICKS, timeout: S}}")
-    for key, value in values.items():
-        if key not in _CHILD:
-            raise wrong(f": no {key!r}; {alternatives(str(key), _CHILD)}", key)
-        kind, least, most, wanted = _CHILD[key]
-        number = isinstance(value, (int, kind)) and not isinstance(value, bool)
-        if not number or not least <= value <= most:
-            raise wrong(f".{key} is {value!r}; give {wanted}", key)
-    return ChildSpec(**values)
-
-
-_CHILD: dict[str, tuple[type, float, float, str]] = {
-    "delay": (int, 1, 1000, "a whole number of ticks from 1 to 1000"),
-    "timeout": (float, 0.001, 60.0, "[s] from 0.001 to 60"),
-    "cpu": (int, 0, 1 << 16, "the number of a core"),
-    "threads": (int, 1, 64, "a whole number from 1 to 64"),
-}
-"""Type, lowest, highest and what to give."""
 
 
 def with_weldable(

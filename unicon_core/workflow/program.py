@@ -100,7 +100,7 @@ class Program(ProgramData):
         self.policies = load_policies(document, self.robot) | dict(contracts or {})
         self.robot = with_weldable(document, self.robot, self.policies)
         self.period = period_of(document, self.policies)
-        self.duration = document.get("duration", (int, float))
+        self.duration = document.get("duration")
         self.pacing = pacing_of(document)
         self.start = start_of(document)
         sections, ending = sections_of(document)
@@ -108,7 +108,7 @@ class Program(ProgramData):
         mentioned = [b for n in (*trees, *([ending] if ending else ())) for b in blocks_of(n)]
         uses = [b for b in mentioned if isinstance(b, Use) and b.word != EXPRESSION]
         specs = specs_of(document, self.robot, self.policies, uses)
-        self.states = States(Layout(specs, document.get("num_robots", int)))
+        self.states = States(Layout(specs, document.get("num_robots")))
         robots = self.states.num_robots
         if robots is not None and robots > MOST_ROBOTS:
             raise document.error(
@@ -155,7 +155,7 @@ class Program(ProgramData):
                     self.latches = latches_of(document, self.robot, self.tell)
                 self.platform = build_platform(document, self.context, dry=dry, silent=silent)
             self.context.platform = self.platform
-            held = document.get("scene", dict, {}).get("gantry") and self.platform.facts.simulated
+            held = document.get("scene", {}).get("gantry") and self.platform.facts.simulated
             self.monitor.held = bool(held)
         except BaseException:  # nobody else has them yet
             for arrival in self._arrivals:

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from unicon_core.errors import PlatformError, RobotError, WorkflowError, alternatives
-from unicon_core.platforms.kit.scene import DISTURBANCES, SCENE_KEYS, Scene
+from unicon_core.platforms.kit.scene import DISTURBANCES, Scene
 from unicon_core.platforms.platform import Facts
 from unicon_core.robots import joint_index
 from unicon_core.robots.joint_physics import JOINT_PHYSICS, joint_physics
 from unicon_core.workflow.autowire import BuildContext
-from unicon_core.workflow.document import WorkflowDocument
-from unicon_core.workflow.option_types import wrong_option
+from unicon_core.workflow.document import WorkflowDocument, read_part
 
 
 def read_scene(document: WorkflowDocument, context: BuildContext, facts: Facts) -> Scene:
@@ -29,11 +29,8 @@ def read_scene(document: WorkflowDocument, context: BuildContext, facts: Facts) 
     Raises:
         WorkflowError: an unknown key, a wrong value, or a disturbance that is meant for a robot.
     """
-    values: dict[str, Any] = document.get("scene", dict, {})
+    values: dict[str, Any] = document.get("scene", {})
     for key in values:
-        if key not in SCENE_KEYS:
-            known = alternatives(str(key), SCENE_KEYS)
-            raise document.error(f"scene has no key {key!r}; {known}", "scene", key)
         if key in DISTURBANCES and not facts.simulated:
             raise document.error(
                 f"scene.{key} is for simulators, and platform {facts.name!r} is a robot; leave "
@@ -42,14 +39,12 @@ def read_scene(document: WorkflowDocument, context: BuildContext, facts: Facts) 
                 key,
             )
     values = {key: value for key, value in values.items() if value is not None}
-    wrong = wrong_option(Scene, values)
-    if wrong:
-        raise document.error(f"scene.{wrong}", "scene")
+    scene: Scene = read_part(document, Scene, values, "scene")
     pose = values.get("initial_pose")
     if isinstance(pose, str) and pose.startswith("policy:"):
-        values["pose"] = _pose_of(pose, document, context)
+        scene = replace(scene, pose=_pose_of(pose, document, context))
     try:
-        scene = Scene(**values, folder=context.relative_to)
+        scene = replace(scene, folder=context.relative_to)
         if not scene.posed_by_model:
             scene.joint_pos(context.robot)
         physics = joint_physics(context.robot, scene.joints)

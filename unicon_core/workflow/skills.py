@@ -12,16 +12,15 @@ It is the switch that one would write by hand: `blend_in` behind each skill, and
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from unicon_core.blocks.controls.modes import KEYS, check_buttons, way_of
+from unicon_core.blocks.controls.modes import check_buttons, way_of
 from unicon_core.blocks.controls.skills import SKILL, Ended, Skills
-from unicon_core.errors import WorkflowError, alternatives
+from unicon_core.errors import WorkflowError
 from unicon_core.flow import Block, Chain, Node, Switch, Zip
 from unicon_core.robots import Robot
 from unicon_core.states import StateSpec
@@ -34,9 +33,6 @@ from unicon_core.workflow.uses import Use
 
 BLEND = 0.5
 """Time in which a skill comes in, unless it says another, in [s]."""
-
-_OWN = ("policy", "do", "enter", "blend", "next")
-_KNOWN = (*_OWN, *KEYS)
 
 Reader = Callable[[Any, tuple[str | int, ...]], Node]
 
@@ -55,7 +51,7 @@ def skills_switch(
     Raises:
         WorkflowError: a skill is of no known form; with file and line.
     """
-    listed = document.get("skills", dict, {})
+    listed = document.get("skills", {})
     if not listed:
         raise document.error("skills: the workflow has none; list them under skills:", *path)
     options = {} if options is None else options
@@ -66,9 +62,7 @@ def skills_switch(
         )
     if on is not None and not isinstance(on, str):
         raise document.error(f"skills: on: {on!r} is not the name of a state", *path)
-    said = {
-        str(name): _checked(document, str(name), entry, listed) for name, entry in listed.items()
-    }
+    said = {name: {"policy": e} if isinstance(e, str) else e for name, e in listed.items()}
     where, made = document.where(*path), list[Skills]()
 
     def ended() -> Ended:
@@ -140,31 +134,6 @@ def _selector(
     skills.declares = declares  # type: ignore[attr-defined]
     skills.pure = False  # type: ignore[attr-defined]
     return Use("skills", factory=skills, where=where)
-
-
-def _checked(
-    document: WorkflowDocument, name: str, said: Any, listed: Mapping[Any, Any]
-) -> Mapping[str, Any]:
-    def wrong(what: str, *path: str) -> WorkflowError:
-        return document.error(f"skill {name!r}: {what}", "skills", name, *path)
-
-    if not re.fullmatch(r"[A-Za-z]\w{0,63}", name, re.ASCII):
-        raise wrong("this is not a name, as of a service; use letters, digits and '_'")
-    said = {"policy": said} if isinstance(said, str) else said
-    if not isinstance(said, dict) or ("policy" in said) == ("do" in said):
-        raise wrong("give {policy: NAME}, or {do: FLOW}")
-    for key in said:
-        if key not in _KNOWN:
-            raise wrong(f"no key {key!r}; {alternatives(str(key), _KNOWN)}", str(key))
-    blend, following = said.get("blend", BLEND), said.get("next")
-    if isinstance(blend, bool) or not isinstance(blend, (int, float)) or not 0.0 <= blend <= 60.0:
-        raise wrong(f"blend is {blend!r}; give a time from 0 to 60 in [s]", "blend")
-    if following is not None and following not in listed:
-        known = alternatives(str(following), map(str, listed))
-        raise wrong(f"next: no skill {following!r}; {known}", "next")
-    if "enter" in said and not isinstance(said["enter"], str):
-        raise wrong(f"enter is {said['enter']!r}; give an expression over states", "enter")
-    return said
 
 
 def skills_of(program: ProgramData) -> Skills | None:

@@ -10,21 +10,17 @@ In a simulator gates are shown and pass by themselves, and there is neither appr
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from functools import partial
-from pathlib import Path
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
 
-from unicon_core.bounds import POSE_SPEED, within
-from unicon_core.errors import WorkflowError, alternatives
-from unicon_core.together.meeting import Party, party_of
+from unicon_core.bounds import POSE_SPEED
+from unicon_core.schema.marks import Made, Unit, Within
+from unicon_core.schema.types import Here
+from unicon_core.together.meeting import Party
 from unicon_core.together.moment import Moment, moment_of
 
 MOMENTS = ("at", "together")
 """Keys that say at which moment the flow begins."""
-
-LATE = ("fault", "go")
-"""What becomes of a run that is late, or whose others never come."""
 
 LONGEST_FADE = 10.0
 """Of `fade_in` in [s]."""
@@ -47,49 +43,26 @@ class StartSettings:
 
     gates: bool = True
     operator: bool = True
-    approach: float = 0.5
-    fade_in: float = 1.0
-    at: Moment | None = None
+    approach: Annotated[float, Unit("rad/s"), Within(0.0, POSE_SPEED, above=True)] = 0.5
+    fade_in: Annotated[float, Unit("s"), Within(0.0, LONGEST_FADE)] = 1.0
+    at: Annotated[Moment | None, Made(moment_of)] = None
     together: Party | None = None
     late: Literal["fault", "go"] = "fault"
+
+    @staticmethod
+    def between(found: dict[str, Any], here: Here) -> None:
+        """Note two moments."""
+        if found.get("at") is not None and found.get("together") is not None:
+            here.note("at and together both say when; leave one out", "at")
 
     @property
     def alone(self) -> bool:
         """Whether who is late begins alone."""
         return self.late == "go"
 
-    @classmethod
-    def from_value(cls, values: Any, folder: Path = Path()) -> StartSettings:
-        """Return the settings of a workflow's `start`, of None the usual ones.
 
-        Args:
-            values: of the workflow.
-            folder: from which its paths are reckoned.
+Start = Literal["none"] | StartSettings
+"""Of `start:`."""
 
-        Raises:
-            WorkflowError: a key or a value is wrong.
-        """
-        if values is None:
-            return cls()
-        if values == "none":
-            return cls(gates=False, operator=False, fade_in=0.0)
-        if not isinstance(values, dict):
-            raise WorkflowError(f"start: {values!r} is neither a mapping nor none")
-        known = [field.name for field in fields(cls)]
-        for key, value in values.items():
-            if key not in known:
-                raise WorkflowError(f"start: unknown key {key!r}; {alternatives(key, known)}")
-            if key in ("gates", "operator") and not isinstance(value, bool):
-                raise WorkflowError(f"start: {key} is {value!r}; give true or false")
-        if values.get("late", "fault") not in LATE:
-            raise WorkflowError(f"start: late is {values['late']!r:.60}; give fault or go")
-        given = dict(values)
-        for key, read in (("at", moment_of), ("together", partial(party_of, folder=folder))):
-            if given.get(key) is not None:
-                given[key] = read(given[key])
-        settings = cls(**given)
-        if settings.at is not None and settings.together is not None:
-            raise WorkflowError("start: at and together both say when; leave one out")
-        within(settings.approach, "start: approach", "rad/s", POSE_SPEED)
-        within(settings.fade_in, "start: fade_in", "s", LONGEST_FADE, above=False)
-        return settings
+NONE = StartSettings(gates=False, operator=False, fade_in=0.0)
+"""Of `start: none`."""

@@ -18,7 +18,7 @@ from unicon_core.errors import ModelError
 from unicon_core.handles import FrameRing
 from unicon_core.models.camera import ModelCamera
 from unicon_core.robots import load_files
-from unicon_core.robots.places import places_of
+from unicon_core.robots.places import Place
 from unicon_core.terrain.words import Terrain
 from unicon_ros.bridge.camera_topics import CameraTopics
 from unicon_ros.bridge.images import frame_message, info_message, rays
@@ -38,7 +38,7 @@ class _Camera:
         self._ring, self._poses = feed.rings[""], FrameRing.attach(feed.data["poses"])
         model = self._model = ModelCamera(
             Path(options["model"]),
-            load_files(options["robot"], places_of(options["mounts"])),
+            load_files(options["robot"], {k: Place(**v) for k, v in options["mounts"].items()}),
             options["camera"],
             size,
             terrain=None if options["terrain"] is None else Terrain(**options["terrain"]),

@@ -194,7 +194,7 @@ def mirror_hook(program: Program, name: str | None = None) -> dict[Stage, list[B
         program: on its way to be built; this is a hook of it.
         name: of the map; None for the workflow's own, else the default.
     """
-    path = find_config("maps", name or program.document.get("map", str) or "default")
+    path = find_config("maps", name or program.document.get("map") or "default")
     try:
         mapping = load_map(path)
         states = {state for spec in _heard(program, mapping) for state in spec.states}
@@ -219,7 +219,7 @@ def check_mirror(subject: Subject, result: CheckResult, name: str | None = None)
         name: of the map; None for the workflow's own, else the default.
     """
     program: Program = subject.program
-    path = find_config("maps", name or subject.document.get("map", str) or "default")
+    path = find_config("maps", name or subject.document.get("map") or "default")
     try:
         mapping = load_map(path)
         heard = _heard(program, mapping)

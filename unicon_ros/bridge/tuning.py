@@ -77,7 +77,7 @@ class Tuning:
 
         A state of that name that it has already is its own, and stays.
         """
-        states = document.get("states", dict, {})
+        states = document.get("states", {})
         if GAIN_SCALE not in states:
             document.values["states"] = {**states, GAIN_SCALE: GAIN_SCALE_SPEC.to_dict()}
 

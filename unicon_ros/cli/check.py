@@ -42,7 +42,7 @@ def check(arguments: argparse.Namespace) -> int:
             check_mirror(subject, result, arguments.map)
 
     def heard(program: Program) -> dict[Stage, list[Block]]:
-        if not (arguments.ros or program.document.get("ros", bool, False)):
+        if not (arguments.ros or program.document.get("ros", False)):
             return {}
         from unicon_ros.bridge.map_fit import mirror_hook
 

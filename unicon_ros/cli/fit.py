@@ -83,7 +83,7 @@ def run_fit(arguments: argparse.Namespace, folder: Path) -> int:
     except OSError as error:
         raise UniconError(f"cannot write {path}: {error.strerror}; give another --out") from error
     for each in found.parameters:
-        unit = JOINT_PHYSICS[each.word][1]
+        unit = JOINT_PHYSICS[each.word]
         interval = f"{each.after:.4g} ± {each.deviation:.2g} {unit}".rstrip()
         print(f"{each.joint:24} {each.word:9} {each.before:.4g} -> {interval}")
     if not found.parameters:

@@ -232,6 +232,7 @@ def _parameters(factory: Any) -> list[tuple[str, str]]:
 
 def _workflows(arguments: argparse.Namespace) -> int:
     from unicon_core.workflow import load_document, workflow_names
+    from unicon_core.workflow.load import description_of
 
     if arguments.name:
         print(load_document(arguments.name).path.read_text(encoding="utf-8"), end="")
@@ -239,7 +240,7 @@ def _workflows(arguments: argparse.Namespace) -> int:
     rows = []
     for name in workflow_names():
         try:
-            rows.append((name, str(load_document(name).values.get("description", ""))))
+            rows.append((name, description_of(name)))
         except WorkflowError as error:  # one broken file hides no other
             rows.append((name, f"file is wrong: {error}"))
     if arguments.json or arguments.quiet:

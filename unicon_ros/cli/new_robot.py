@@ -21,9 +21,9 @@ from unicon_core.models.joints import drives, is_simple
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.robots import Robot
-from unicon_core.robots.checks import LARGEST
+from unicon_core.robots.file import JOINT_BOUNDS, KINDS, SCHEMA
+from unicon_core.robots.load import read_robot_file
 from unicon_core.robots.robot import JOINT_FIELDS
-from unicon_core.robots.validate import KINDS, SCHEMA, validate
 from unicon_ros.cli.robot_feet import feet_of
 from unicon_ros.cli.robot_kind import kind_of, legs_of, wheels_of
 
@@ -85,7 +85,7 @@ def new_robot(model: str, out: str | None, kind: str | None = None) -> str:
     facts = _facts(bare, file.stem, kind)
     models, named = _models(model, path, file)
     text = _text(facts, models)
-    validate(parse_yaml(text, file, RobotError))
+    read_robot_file(parse_yaml(text, file, RobotError))
     try:
         with file.open("x", encoding="utf-8") as stream:
             stream.write(text)
@@ -289,7 +289,7 @@ def _figures(
         "damping": np.where(said.damping > 0.0, said.damping, np.nan),
     }
     for key, values in figures.items():
-        figures[key] = np.where(np.abs(values) <= LARGEST[key], values, np.nan)
+        figures[key] = np.where(np.abs(values) <= JOINT_BOUNDS[key], values, np.nan)
     for key in ("velocity", "effort"):
         figures[key] = np.where(figures[key] > 0.0, figures[key], np.nan)
     wrong = figures["lower"] >= figures["upper"]

@@ -89,13 +89,13 @@ def _looked(
     from unicon_core.signals import SIGNALS
     from unicon_core.workflow import Program
 
-    with_ros = document.get("ros", bool, False) if arguments.ros is None else arguments.ros
+    with_ros = document.get("ros", False) if arguments.ros is None else arguments.ros
     session: Any = None
     if with_ros:
         from unicon_ros.bridge import RosSession
 
         session = RosSession(
-            map=arguments.map or document.get("map", str), node_name="unicon", warn=_warn
+            map=arguments.map or document.get("map"), node_name="unicon", warn=_warn
         )
     try:
         with SIGNALS.guard() as guard:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from unicon_core.errors import RobotError
 from unicon_core.models.joints import free_joint
 from unicon_core.models.loaded import import_mujoco
-from unicon_core.robots.validate import KINDS
+from unicon_core.robots.file import KINDS
 
 _LEG = re.compile(
     r"hip|knee|ankle|thigh|calf|shank|abad|foot|toe|(^|_)u?leg(_|\d|$)|(^|_)(haa|[hkf]fe)(_|$)",

@@ -89,7 +89,7 @@ def _run(
     from unicon_ros.fault_record import FaultRecord
 
     hooks: list[Hook] = []
-    with_ros = document.get("ros", bool, False) if arguments.ros is None else arguments.ros
+    with_ros = document.get("ros", False) if arguments.ros is None else arguments.ros
     session: Any = None
     pictured: Any = None
     recording: Any = None
@@ -99,7 +99,7 @@ def _run(
         from unicon_ros.bridge import RosSession
 
         session = RosSession(
-            map=arguments.map or document.get("map", str),
+            map=arguments.map or document.get("map"),
             node_name="unicon",
             namespace=arguments.namespace,
             ros_args=arguments.ros_args,
@@ -119,7 +119,7 @@ def _run(
         if arguments.record:
             from unicon_ros.run_recording import Recording, names_in
 
-            map_name = arguments.map or document.get("map", str)
+            map_name = arguments.map or document.get("map")
             patient = arguments.speed == "max"
             recording = Recording(
                 arguments.record,
@@ -150,7 +150,7 @@ def _run(
             view = View(
                 view_options(arguments),
                 session,
-                arguments.map or document.get("map", str),
+                arguments.map or document.get("map"),
                 arguments.frame_prefix,
                 console.warn,
             )

@@ -51,7 +51,7 @@ def workflow_of(
     lacking: dict[str, Any] = {name: None for name in HARDWARE_STATES if name in there}
     if there.get(GAIN_SCALE) == GAIN_SCALE_SPEC:
         lacking[GAIN_SCALE] = GAIN_SCALE_SPEC.to_dict()
-    declared = document.get("states", dict, {})
+    declared = document.get("states", {})
     if lacking:
         document.values["states"] = lacking | declared
     return document

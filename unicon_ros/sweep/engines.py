@@ -11,8 +11,9 @@ from unicon_ros.sweep.engine import Engine
 from unicon_ros.sweep.local import LocalEngine
 from unicon_ros.sweep.on_ray.engine import RayEngine, require_ray
 from unicon_ros.sweep.plan import Plan
-from unicon_ros.sweep.sweep_file import ENGINES, SweepFile
+from unicon_ros.sweep.sweep_file import SweepFile
 
+ENGINES = ("local", "batch", "ray")
 BATCH = 4
 """Rows that `batch` runs side by side, unless told: eight Go2 do not fit into 1 MB of cache."""
 

@@ -66,12 +66,14 @@ class Plan:
         self.sweep = sweep
         path = find_config("workflows", sweep.workflow, error=WorkflowError)
         self.workflow_file = read_yaml(path, WorkflowError)
-        base = document_with(self.workflow_file, sweep.settings)
+        self._seed = 0
+        first = self.row(0).settings
+        base = document_with(self.workflow_file, first[:-1] if sweep.repeat > 1 else first)
         self._seed = one_robots_seed(base)
         self.document = document_with(self.workflow_file, self.row(0).settings)
         one_robots_seed(self.document)
         refuse_robot(self.document)
-        said = self.document.get("duration", (int, float))
+        said = self.document.get("duration")
         if sweep.duration is None and said is None:
             raise UniconError(
                 f"workflow {base.name} says no duration, so it may never end; give duration in "
@@ -182,10 +184,7 @@ def one_robots_seed(document: WorkflowDocument) -> int:
             "num_robots: a rollout has one robot; add --set num_robots=null", "num_robots"
         )
     scene = document.values.get("scene")
-    seed = scene.get("seed", 0) if isinstance(scene, dict) else 0
-    if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
-        raise document.error(f"scene.seed is {seed!r}; give 0 or more", "scene")
-    return seed
+    return int((scene or {}).get("seed") or 0)
 
 
 def refuse_robot(document: WorkflowDocument) -> None:

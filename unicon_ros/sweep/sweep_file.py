@@ -13,47 +13,114 @@ rollouts: 2000
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 from unicon_core.bounds import DURATION
-from unicon_core.errors import UniconError, alternatives
+from unicon_core.errors import UniconError
 from unicon_core.file_kinds import other_kind
 from unicon_core.located_yaml import Located, read_yaml
+from unicon_core.schema.marks import NotEmpty, Text, Unit, Within, Write
+from unicon_core.schema.read import read
+from unicon_core.schema.types import Here, Mistakes
 from unicon_core.workflow.overrides import split_setting
 from unicon_ros.sweep.draws import Parameter, parameter, setting_of
 from unicon_ros.sweep.gate import Gate, read_gate
 
 SCHEMA = "unicon.sweep/1"
 
-KEYS = {
-    "schema": SCHEMA,
-    "workflow": "name of a workflow, or a path from this file's folder on",
-    "set": "PATH to value, the same in every rollout, as of --set",
-    "vary": "PATH to what it may be: a list, or {uniform: [A, B]} and the like",
-    "sample": "grid (all combinations), random or sobol",
-    "rollouts": "how many points are drawn, of random and sobol",
-    "seed": "of the draws; 0 unless told",
-    "repeat": "rollouts of each point, with scene.seed counted on; 1 unless told",
-    "duration": "of a rollout in [s]; the workflow's unless told",
-    "early_stop": "fall, or none",
-    "reference": "a run (.npz) to compare joint positions with",
-    "keep": "states that are kept of every tick, a file for each rollout; none unless told",
-    "timeout": "wall time in [s] that a rollout may take; 60 unless told",
-    "engine": "local (processes here), batch (rows side by side in each) or ray (a cluster); local "
-    "unless told",
-    "gate": "list of conditions such as fall<0.01",
-    "description": "one line",
-}
-SAMPLES = ("grid", "random", "sobol")
-ENGINES = ("local", "batch", "ray")
-STOPS = ("fall", "none")
 TIMEOUT = 60.0
 MOST_ROLLOUTS = 1_000_000
 MOST_PARAMETERS = 32
 MOST_REPEAT = 10_000
+
+
+_Vary = Annotated[Mapping[str, Any], NotEmpty, Write("{scene.seed: {range: [0, 99]}}")]
+
+
+@dataclass(frozen=True)
+class SweepDocument:
+    """A sweep: one workflow, many times.
+
+    Attributes:
+        workflow: name of a workflow, or a path from this file's folder on.
+        vary: PATH to what it may be: a list, or {uniform: [A, B]} and the like.
+        schema: version of the format.
+        set: PATH to value, the same in every rollout, as of --set.
+        sample: grid (all combinations), random or sobol.
+        rollouts: how many points are drawn, of random and sobol.
+        seed: of the draws.
+        repeat: rollouts of each point, with scene.seed counted on.
+        duration: of a rollout; the workflow's unless given.
+        early_stop: where a rollout ends.
+        reference: a run (.npz) to compare joint positions with.
+        keep: states that are kept of every tick, a file for each rollout.
+        timeout: wall time that a rollout may take.
+        engine: local (processes here), batch (rows side by side in each) or ray (a cluster).
+        gate: conditions such as fall<0.01.
+        description: one line.
+    """
+
+    workflow: Text
+    vary: _Vary
+    schema: Literal["unicon.sweep/1"] = "unicon.sweep/1"
+    set: Annotated[Mapping[str, Any] | None, Write("{platform: mujoco}")] = None
+    sample: Literal["grid", "random", "sobol"] = "grid"
+    rollouts: Annotated[int | None, Within(1, MOST_ROLLOUTS)] = None
+    seed: Annotated[int, Within(0, 2**63 - 1)] = 0
+    repeat: Annotated[int, Within(1, MOST_REPEAT)] = 1
+    duration: Annotated[float | None, Unit("s"), Within(0.0, DURATION, above=True)] = None
+    early_stop: Literal["fall", "none"] = "none"
+    reference: str | None = None
+    keep: Annotated[list[str] | None, Write("[joint_pos, base_pos_w]")] = None
+    timeout: Annotated[float, Unit("s"), Within(0.0, 86_400.0, above=True)] = TIMEOUT
+    engine: Literal["local", "batch", "ray"] = "local"
+    gate: Annotated[str | list[str] | None, Write("a list of conditions such as fall<0.01")] = None
+    description: str | None = None
+
+    @staticmethod
+    def between(found: dict[str, Any], here: Here) -> None:
+        """Note what is varied in vain, and a number of points that a sample does not have."""
+        if len(found.get("vary", {})) > MOST_PARAMETERS:
+            here.note(f"{len(found['vary'])} are varied; at most {MOST_PARAMETERS}", "vary")
+        grid = found.get("sample", "grid") == "grid"
+        rollouts = found.get("rollouts")
+        if grid and rollouts is not None:
+            text = "is of a drawn sample; take it out, or write sample: sobol"
+            here.value(f"is {rollouts}, which {text}", "rollouts")
+        if not grid and rollouts is None and "sample" in found and "rollouts" not in here.document:
+            here.note(f"missing key 'rollouts'; add rollouts: 1 to {MOST_ROLLOUTS}")
+        for path, said in found.get("vary", {}).items():
+            try:
+                split_setting(f"{path}=0")
+                each = parameter(path, said)
+            except UniconError as error:
+                here.value(error.message, "vary", path)
+                continue
+            if grid and each.values is None:
+                remedy = "write {linspace: [A, B, N]}, or sample: random or sobol"
+                here.value(f"is {each.kind}, of which a grid has no end; {remedy}", "vary", path)
+        for path in found.get("vary", {}):
+            if path in (found.get("set") or {}):
+                here.value("is set and varied; take one out", "vary", path)
+        if "scene.seed" in found.get("vary", {}) and found.get("repeat", 1) > 1:
+            here.value("counts scene.seed on, which vary says, too; take one out", "repeat")
+        gates_of(found.get("gate"), found.get("vary", {}), here)
+
+
+def gates_of(said: Any, paths: Iterable[str], here: Here | None = None) -> tuple[Gate, ...]:
+    """Return the conditions of a sweep; what is wrong with them goes to `here`."""
+    gates = []
+    try:
+        for text in [] if said is None else said if isinstance(said, list) else [said]:
+            gates.append(read_gate(text))
+            gates[-1].check(list(paths))
+    except UniconError as error:
+        if here is not None:
+            here.note(error.message, "gate")
+    return tuple(gates)
 
 
 @dataclass(frozen=True)
@@ -65,7 +132,7 @@ class SweepFile:
         workflow: name or path.
         settings: texts of `--set` of every rollout.
         parameters: what is varied, in order.
-        sample: one of `SAMPLES`.
+        sample: grid, random or sobol.
         rollouts: points that are drawn; None of a grid.
         seed: of the draws.
         repeat: rollouts of each point.
@@ -74,7 +141,7 @@ class SweepFile:
         reference: run to compare with, or None.
         keep: states of every tick that are kept, by name.
         timeout: in [s] of wall time.
-        engine: one of `ENGINES`; no row depends on it.
+        engine: local, batch or ray; no row depends on it.
         gates: conditions that have to hold.
         description: one line.
         located: for errors.
@@ -121,163 +188,50 @@ def read_sweep(path: str | Path, overrides: Iterable[str] = ()) -> SweepFile:
     Raises:
         UniconError: it is not a sweep; with file and line.
     """
+    overrides = tuple(overrides)
     located = read_yaml(Path(path), UniconError)
     other = other_kind(located.value, "sweep")
     if other:
         raise located.error(("schema",), other)
-    return _Reader(located).read(tuple(overrides))
+    folder = located.path.parent
 
+    def beside(mistakes: Mistakes) -> None:
+        fixed = {split_setting(text)[0] for text in overrides}
+        vary, reference = (located.value.get(key) for key in ("vary", "reference"))
+        for path in fixed & set(vary if isinstance(vary, dict) else ()):
+            mistakes.value(("vary", path), "is set and varied; take one out")
+        if isinstance(reference, str):
+            file = folder / reference
+            if file.suffix != ".npz" or not file.is_file():
+                text = f"is {reference!r:.60}; give a run that is there, as a .npz"
+                mistakes.value(("reference",), text)
 
-class _Reader:
-    def __init__(self, located: Located) -> None:
-        self._located = located
-        if not isinstance(located.value, dict):
-            raise located.error((), "a sweep is a mapping with workflow and vary")
-        self._values: dict[Any, Any] = located.value
-        for key in self._values:
-            if key not in KEYS:
-                raise located.error((key,), f"unknown key {key!r}; {alternatives(str(key), KEYS)}")
-
-    def read(self, overrides: tuple[str, ...]) -> SweepFile:
-        values = self._values
-        if values.get("schema", SCHEMA) != SCHEMA:
-            raise self._wrong("schema", f"this version reads {SCHEMA}")
-        workflow = values.get("workflow")
-        if not isinstance(workflow, str) or not workflow:
-            raise self._wrong("workflow", f"give {KEYS['workflow']}")
-        beside = self._located.path.parent / workflow
-        if "/" in workflow or Path(workflow).suffix in (".yaml", ".yml"):
-            workflow = str(beside) if beside.exists() else workflow
-        sample = values.get("sample", "grid")
-        if sample not in SAMPLES:
-            raise self._wrong("sample", alternatives(str(sample), SAMPLES))
-        parameters = self._parameters(sample)
-        settings = (*self._settings(), *overrides)
-        repeat = self._count("repeat", 1, 1, MOST_REPEAT)
-        fixed = {split_setting(text)[0] for text in settings}
-        for each in parameters:
-            if each.path in fixed:
-                raise self._wrong("vary", f"{each.path} is set and varied; take one out", each.path)
-            if each.path == "scene.seed" and repeat > 1:
-                raise self._wrong(
-                    "repeat", "vary says scene.seed, which repeat counts on; take one out"
-                )
-        rollouts = None
-        if sample == "grid":
-            if values.get("rollouts") is not None:
-                raise self._wrong(
-                    "rollouts", "a grid has as many as it has points; take it out, or sample: sobol"
-                )
-        else:
-            rollouts = self._count("rollouts", None, 1, MOST_ROLLOUTS)
-        stop = values.get("early_stop", "none")
-        if stop not in STOPS:
-            raise self._wrong("early_stop", alternatives(str(stop), STOPS))
-        engine = values.get("engine", ENGINES[0])
-        if engine not in ENGINES:
-            raise self._wrong("engine", alternatives(str(engine), ENGINES))
-        sweep = SweepFile(
-            path=self._located.path,
-            workflow=workflow,
-            settings=settings,
-            parameters=parameters,
-            sample=sample,
-            rollouts=rollouts,
-            seed=self._count("seed", 0, 0, 2**63 - 1),
-            repeat=repeat,
-            duration=self._time("duration", None, DURATION),
-            stops_at_fall=stop == "fall",
-            reference=self._reference(),
-            keep=self._keep(),
-            timeout=self._time("timeout", TIMEOUT, 86_400.0) or TIMEOUT,
-            engine=engine,
-            gates=self._gates(parameters),
-            description=str(values.get("description") or ""),
-            located=self._located,
+    said = read(SweepDocument, located, "sweep", beside)
+    workflow = said.workflow
+    if "/" in workflow or Path(workflow).suffix in (".yaml", ".yml"):
+        workflow = str(folder / workflow) if (folder / workflow).exists() else workflow
+    sweep = SweepFile(
+        path=located.path,
+        workflow=workflow,
+        settings=(*(setting_of(k, v) for k, v in (said.set or {}).items()), *overrides),
+        parameters=tuple(parameter(path, each) for path, each in said.vary.items()),
+        sample=said.sample,
+        rollouts=said.rollouts,
+        seed=said.seed,
+        repeat=said.repeat,
+        duration=said.duration,
+        stops_at_fall=said.early_stop == "fall",
+        reference=None if said.reference is None else folder / said.reference,
+        keep=tuple(dict.fromkeys(said.keep or ())),
+        timeout=said.timeout,
+        engine=said.engine,
+        gates=gates_of(said.gate, said.vary),
+        description=said.description or "",
+        located=located,
+    )
+    if sweep.rows > MOST_ROLLOUTS:
+        what = "vary" if said.rollouts is None else "rollouts"
+        raise located.error(
+            (what,), f"{what}: that makes {sweep.rows} rollouts; at most {MOST_ROLLOUTS} are run"
         )
-        if sweep.rows > MOST_ROLLOUTS:
-            what = "rollouts" if rollouts is not None else "vary"
-            raise self._wrong(
-                what, f"that makes {sweep.rows} rollouts; at most {MOST_ROLLOUTS} are run"
-            )
-        return sweep
-
-    def _wrong(self, key: str, text: str, *more: str) -> UniconError:
-        said = self._values.get(key)
-        shown = f"{key}: " if said is None or more else f"{key} is {said!r:.60}; "
-        if said is None and not more:
-            shown = f"the key {key!r} is missing; "
-        return self._located.error((key, *more), f"{shown}{text}")
-
-    def _parameters(self, sample: str) -> tuple[Parameter, ...]:
-        vary = self._values.get("vary")
-        if not isinstance(vary, dict) or not vary:
-            raise self._wrong("vary", "write {scene.seed: {range: [0, 99]}}")
-        if len(vary) > MOST_PARAMETERS:
-            raise self._wrong("vary", f"{len(vary)} are varied; at most {MOST_PARAMETERS}")
-        found = []
-        for path, said in vary.items():
-            try:
-                split_setting(f"{path}=0")
-                each = parameter(str(path), said)
-            except UniconError as error:
-                raise self._located.error(("vary", path), f"vary.{path} {error}") from error
-            if sample == "grid" and each.values is None:
-                raise self._located.error(
-                    ("vary", path),
-                    f"vary.{path}: a grid has no end of {each.kind}; write {{linspace: [A, B, "
-                    "N]}, or sample: random or sobol",
-                )
-            found.append(each)
-        return tuple(found)
-
-    def _settings(self) -> list[str]:
-        said = self._values.get("set")
-        if said is None:
-            return []
-        if not isinstance(said, dict):
-            raise self._wrong("set", "write {platform: mujoco}")
-        return [setting_of(str(path), value) for path, value in said.items()]
-
-    def _keep(self) -> tuple[str, ...]:
-        said = self._values.get("keep")
-        names = [] if said is None else said
-        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-            raise self._wrong("keep", "write a list of states: [joint_pos, base_pos_w]")
-        return tuple(dict.fromkeys(names))
-
-    def _gates(self, parameters: tuple[Parameter, ...]) -> tuple[Gate, ...]:
-        said = self._values.get("gate")
-        texts = [] if said is None else said if isinstance(said, list) else [said]
-        paths = [each.path for each in parameters]
-        try:
-            gates = tuple(read_gate(str(text)) for text in texts)
-            for gate in gates:
-                gate.check(paths)
-        except UniconError as error:
-            raise self._located.error(("gate",), str(error)) from error
-        return gates
-
-    def _reference(self) -> Path | None:
-        said = self._values.get("reference")
-        if said is None:
-            return None
-        path = self._located.path.parent / str(said)
-        if path.suffix != ".npz" or not path.is_file():
-            raise self._wrong("reference", "give a run that is there, as a .npz")
-        return path
-
-    def _count(self, key: str, default: int | None, least: int, most: int) -> int:
-        value = self._values.get(key, default)
-        if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
-            raise self._wrong(key, f"give a whole number from {least} to {most}")
-        return value
-
-    def _time(self, key: str, default: float | None, most: float) -> float | None:
-        value = self._values.get(key, default)
-        if value is None:
-            return None
-        number = isinstance(value, (int, float)) and not isinstance(value, bool)
-        if not number or not 0.0 < value <= most:
-            raise self._wrong(key, f"give a time above 0 up to {most:g} s")
-        return float(value)
+    return sweep

@@ -50,7 +50,7 @@ class Plan:
     @property
     def longest(self) -> float:
         """Time in [s] after which a run ends at the latest."""
-        said = self.document.get("duration", (int, float))
+        said = self.document.get("duration")
         return float(said if self.duration is None else self.duration)
 
     def task(self) -> dict[str, Any]:
@@ -98,7 +98,7 @@ def make_plan(
         UniconError: the workflow is wrong or may never end, a platform is unknown or a robot.
     """
     document = load_document(workflow, overrides)
-    if duration is None and document.get("duration", (int, float)) is None:
+    if duration is None and document.get("duration") is None:
         raise UniconError(
             f"workflow {document.name} says no duration, so it may never end; give --duration S"
         )

@@ -19,7 +19,8 @@ from unicon_core.errors import WorkflowError
 from unicon_core.flow.block import Block, Reads
 from unicon_core.models.frames import Frames
 from unicon_core.robots import Robot
-from unicon_core.robots.places import wrong_numbers
+from unicon_core.schema.marks import Point
+from unicon_core.schema.read import read_value
 from unicon_core.states import StateSpec
 from unicon_core.states.effectors import target_of, target_states
 from unicon_core.workflow.autowire import BuildContext
@@ -72,9 +73,8 @@ def moving_target(
     pose = Frames(model_for("moving_target", context), robot, places).of(robot.default_joint_pos)
     middle = pose[effector]
     if centre != "default":
-        if wrong := wrong_numbers("centre", centre, 3):
-            raise WorkflowError(f"centre {wrong}, or default")
-        middle[:3] = centre
+        at = read_value(Point, centre, lambda where, text: WorkflowError(text), "centre")
+        middle[:3] = at
     if not np.isfinite(middle).all():
         raise WorkflowError(
             f"robot {robot.name} does not say its default pose; give centre: [x, y, z], and the "

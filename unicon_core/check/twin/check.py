@@ -54,7 +54,7 @@ def check_twin(
             f"platform {named!r}",
             "it simulates no model: the twin runs in MuJoCo (platform 'mujoco')",
         )
-    policies = list(document.get("policies", dict, {}))
+    policies = list(document.get("policies", {}))
     pose = {"initial_pose": f"policy:{policies[0]}"} if len(policies) == 1 else {}
     command = settings.get("command")
     if command is None and document.values.get("commands") == STANDING:

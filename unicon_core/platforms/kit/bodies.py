@@ -5,54 +5,41 @@ scene: {payload: {mass: 3.0, body: trunk, position: [0.0, 0.0, 0.08]}, contact_f
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import PlatformError, alternatives
 from unicon_core.models.loaded import LoadedModel, import_mujoco
+from unicon_core.schema.marks import Point, Unit, Within
 
 BODY_PHYSICS = ("payload", "contact_friction")
 """Words of `Facts.physics` that are about bodies."""
 
 HEAVIEST = 1000.0
 """Of a payload in [kg]."""
-FARTHEST = 10.0
-"""Of a payload from its body's origin in [m]."""
 ROUGHEST = 20.0
 """Factor on friction: rubber on rubber has some 1.2, ice on steel 0.03 (about a fortieth)."""
 
 Float = NDArray[np.float64]
 
 
-def wrong_bodies(payload: object, friction: object) -> str | None:
-    """Return what is wrong with a scene's payload and contact friction; None for nothing."""
-    if not _number(friction, 0.0, ROUGHEST):
-        return f"contact_friction is {friction!r:.40}; give a factor from 0 to {ROUGHEST:g}"
-    if not isinstance(payload, Mapping):
-        return f"payload is {payload!r:.60}; write {{mass: 3.0}}"
-    known = ("mass", "body", "position")
-    for key in payload:
-        if key not in known:
-            return f"payload has no {key!r}; {alternatives(str(key), known)}"
-    if payload and not _number(payload.get("mass"), 0.0, HEAVIEST):
-        return f"payload: mass is {payload.get('mass')!r:.40}; give 0 to {HEAVIEST:g} [kg]"
-    if not isinstance(payload.get("body", ""), str):
-        return f"payload: body is {payload['body']!r:.40}; give a body's name"
-    at = payload.get("position", [0.0] * 3)
-    numbers = isinstance(at, (list, tuple)) and all(_number(x, -FARTHEST, FARTHEST) for x in at)
-    if not numbers or len(at) != 3:
-        return f"payload: position is {at!r:.60}; give [x, y, z] in [m], each up to {FARTHEST:g}"
-    return None
+@dataclass(frozen=True)
+class Payload:
+    """A point with mass that is fixed to a body.
 
+    Attributes:
+        mass: of the point.
+        body: of the model; the base's unless given.
+        position: in that body's frame; its centre of mass unless given.
+    """
 
-def _number(value: object, least: float, most: float) -> bool:
-    if not isinstance(value, (int, float)) or isinstance(value, bool):
-        return False
-    return math.isfinite(value) and least <= value <= most
+    mass: Annotated[float, Unit("kg"), Within(0.0, HEAVIEST)]
+    body: str = ""
+    position: Point = (0.0, 0.0, 0.0)
 
 
 def tell_bodies(loaded: LoadedModel, payload: Mapping[str, Any], friction: float) -> None:

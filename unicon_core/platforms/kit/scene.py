@@ -5,23 +5,26 @@ scene: {initial_pose: rest, noise: {joint_vel: 0.1}, push: {every: 2.0, velocity
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import PlatformError, alternatives
 from unicon_core.models.find import pick_model
-from unicon_core.platforms.kit.bodies import BODY_PHYSICS, wrong_bodies
+from unicon_core.platforms.kit.bodies import BODY_PHYSICS, ROUGHEST, Payload
 from unicon_core.platforms.kit.gantry import GANTRY
 from unicon_core.robots import Robot
-from unicon_core.robots.joint_physics import wrong_physics
+from unicon_core.robots.file import Simulated
+from unicon_core.robots.places import Places
 from unicon_core.robots.poses import named_pose, robot_poses
+from unicon_core.schema.marks import Like, NotAKey, Unit, Within, Write
+from unicon_core.schema.read import check_made
+from unicon_core.schema.types import record_of
 from unicon_core.terrain.build import refuse_endless_ground
 from unicon_core.terrain.words import FLAT, Terrain, read_terrain
 
@@ -37,6 +40,19 @@ TERRAIN = "terrain"
 
 LONGEST_DELAY = 1000
 """In ticks."""
+
+
+@dataclass(frozen=True)
+class Push:
+    """Random horizontal pushes of the base.
+
+    Attributes:
+        every: mean time between two.
+        velocity: by which each changes the base's.
+    """
+
+    every: Annotated[float, Unit("s"), Within(0.0, above=True)]
+    velocity: Annotated[float, Unit("m/s"), Within(0.0, above=True)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,49 +89,29 @@ class Scene:
     """
 
     model: str | Path | None = None
-    initial_pose: str | Mapping[str, float] = "default"
-    initial_height: float | None = None
+    initial_pose: str | Mapping[str, Annotated[float, Unit("rad")]] = "default"
+    initial_height: Annotated[float | None, Unit("m"), Within(-100.0, 100.0)] = None
     gantry: bool = False
     terrain: str | Mapping[str, Any] = FLAT
-    seed: int = 0
-    delay: int = 0
-    noise: Mapping[str, float] = field(default_factory=dict)
-    push: Mapping[str, float] = field(default_factory=dict)
-    joints: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    payload: Mapping[str, Any] = field(default_factory=dict)
-    contact_friction: float = 1.0
-    mounts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    folder: Path | None = None
-    pose: NDArray[np.float32] | None = None
+    seed: Annotated[int, Within(0)] = 0
+    delay: Annotated[int, Unit("ticks"), Within(0, LONGEST_DELAY)] = 0
+    noise: Mapping[str, Annotated[float, Within(0.0)]] = field(default_factory=dict)
+    push: Annotated[Mapping[str, float], Like(Push), Write("{every: 2.0, velocity: 0.5}")] = field(
+        default_factory=dict
+    )
+    joints: Simulated = field(default_factory=dict)
+    payload: Annotated[Mapping[str, Any], Like(Payload), Write("{mass: 3.0}")] = field(
+        default_factory=dict
+    )
+    contact_friction: Annotated[float, Within(0.0, ROUGHEST)] = 1.0
+    mounts: Places = field(default_factory=dict)
+    folder: Annotated[Path | None, NotAKey()] = None
+    pose: Annotated[NDArray[np.float32] | None, NotAKey()] = None
 
     def __post_init__(self) -> None:
-        if not 0 <= self.delay <= LONGEST_DELAY:
-            raise PlatformError(f"scene.delay is {self.delay} ticks; give 0 to {LONGEST_DELAY}")
-        if self.seed < 0:
-            raise PlatformError(f"scene.seed is {self.seed}; give 0 or more")
+        check_made(self, PlatformError, "scene")
         if self.uneven is not None:
             refuse_endless_ground(self.uneven)
-        if self.initial_height is not None and not abs(self.initial_height) <= 100.0:
-            raise PlatformError(f"scene.initial_height is {self.initial_height} m; give up to 100")
-        for state, std in self.noise.items():
-            if not 0.0 <= std < math.inf:
-                raise PlatformError(f"scene.noise of {state} is {std}; give 0 or more")
-        for key in self.push:
-            if key not in ("every", "velocity"):
-                known = alternatives(key, ("every", "velocity"))
-                raise PlatformError(f"scene.push has no option {key!r}; {known}")
-        every, velocity = (float(self.push.get(key, 0.0)) for key in ("every", "velocity"))
-        if self.push and not (0.0 < every < math.inf and 0.0 < velocity < math.inf):
-            raise PlatformError(
-                f"scene.push: every {every} s with {velocity} m/s does nothing; "
-                "give every [s] and velocity [m/s] above 0"
-            )
-        wrong = wrong_physics(self.joints)
-        if wrong is not None:
-            raise PlatformError(f"scene.joints: {wrong}")
-        wrong = wrong_bodies(self.payload, self.contact_friction)
-        if wrong is not None:
-            raise PlatformError(f"scene.{wrong}")
 
     @property
     def posed_by_model(self) -> bool:
@@ -182,4 +178,4 @@ class Scene:
         return np.where(np.isnan(named), standing, named)
 
 
-SCENE_KEYS = tuple(f.name for f in fields(Scene) if f.name not in ("folder", "pose"))
+SCENE_KEYS = tuple(record_of(Scene).keys)

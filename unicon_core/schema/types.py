@@ -1,0 +1,654 @@
+"""Types of documents: each reads a value, says what is wanted, and describes itself as JSON Schema.
+
+`type_of` makes them of Python's hints: bool, int, float, str, None, Literal, lists, fixed tuples,
+mappings, unions by the kind of value, and dataclasses, whose fields are the keys of a mapping.
+A mistake is noted and reading goes on, so that all mistakes of a document are found at once.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import math
+import re
+import types
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from difflib import get_close_matches
+from functools import lru_cache
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+
+from unicon_core.errors import UniconError, alternatives
+from unicon_core.located_yaml import Where
+from unicon_core.schema.marks import (
+    Checked,
+    Key,
+    Later,
+    Like,
+    Made,
+    Matches,
+    NotAKey,
+    Size,
+    Unit,
+    Within,
+    Write,
+)
+
+INVALID: Any = object()
+"""What a reader returns where it noted a mistake."""
+
+
+class Mistakes:
+    """What was found in a document: where, and the words behind the place's name.
+
+    Args:
+        document: the whole document, whose entries may have a `name` that messages use.
+        root: what messages call the document, where it is a part of another.
+    """
+
+    def __init__(self, document: Any = None, root: str = "") -> None:
+        self.document, self.root = document, root
+        self.found: list[tuple[Where, str]] = []
+
+    def value(self, where: Where, text: str) -> Any:
+        """Note what a value is: `rate is 3; write …`."""
+        self.found.append((where, f"{self.place(where) or 'the document'} {text}"))
+        return INVALID
+
+    def note(self, where: Where, text: str, *below: str | int) -> Any:
+        """Note something about a mapping: `scene: unknown key …`; `below` is the line's place."""
+        place = self.place(where)
+        self.found.append(
+            ((*where, *below), f"{place}: {text}" if place and not text.startswith(place) else text)
+        )
+        return INVALID
+
+    def place(self, where: Where) -> str:
+        """Return what messages call a place: keys with dots, entries of a list by their name."""
+        value, words = self.document, [self.root] if self.root else []
+        for key in where:
+            try:
+                value = value[key]
+            except (KeyError, IndexError, TypeError):
+                value = None
+            name = value.get("name") if isinstance(key, int) and isinstance(value, dict) else None
+            words.append(name if isinstance(name, str) else str(key))
+        return ".".join(words)
+
+
+class Here:
+    """Where a record stands, for the rule between its fields."""
+
+    def __init__(self, where: Where, mistakes: Mistakes) -> None:
+        self.where, self._mistakes = where, mistakes
+
+    @property
+    def document(self) -> Any:
+        """The whole document as it was written."""
+        return self._mistakes.document
+
+    def value(self, text: str, *below: str | int) -> None:
+        """Note what a value below is: `is 3; write …`."""
+        self._mistakes.value((*self.where, *below), text)
+
+    def note(self, text: str, *below: str | int) -> None:
+        """Note something about the record; `below` is the line's place."""
+        self._mistakes.note(self.where, text, *below)
+
+
+def show(value: Any) -> str:
+    """Return a value in the words of YAML, not of Python, at most 60 characters."""
+    if value is None or isinstance(value, bool):
+        return "null" if value is None else str(value).lower()
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}…"
+
+
+class Type:
+    """Anything: the base of all types."""
+
+    wanted = "a value"
+    nullable = False
+
+    def accepts(self, value: Any) -> bool:
+        """Return whether a value is of this kind at all, for unions."""
+        return True
+
+    def read(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
+        """Return the value as Python has it, or `INVALID` after noting what is wrong."""
+        return value
+
+    def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
+        """Return the JSON Schema; named records go to `definitions`."""
+        return {}
+
+    def refuse(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
+        """Note that a value is of another kind."""
+        end = ", or null" if self.nullable else ""
+        return mistakes.value(where, f"is {show(value)}; write {self.wanted}{end}")
+
+
+class Plain(Type):
+    """true or false, null, or a constant of `Literal`."""
+
+    def __init__(self, values: tuple[Any, ...], wanted: str) -> None:
+        self.values, self.wanted = values, wanted
+
+    def accepts(self, value: Any) -> bool:
+        return any(type(value) is type(each) for each in self.values)
+
+    def read(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
+        if any(type(value) is type(each) and value == each for each in self.values):
+            return value
+        if isinstance(value, str) and len(self.values) > 1 and isinstance(self.values[0], str):
+            known = alternatives(value, self.values)
+            return mistakes.value(where, f"{show(value)} is not known; {known}")
+        return self.refuse(value, where, mistakes)
+
+    def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
+        return {"enum": list(self.values)} if len(self.values) > 1 else {"const": self.values[0]}
+
+
+class Flag(Plain):
+    """true or false."""
+
+    def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
+        return {"type": "boolean"}
+
+
+class Number(Type):
+    """A number, whole or not, within bounds."""
+
+    def __init__(self, whole: bool, bounds: Within, unit: str) -> None:
+        self.whole, self.bounds, self.unit = whole, bounds, unit
+        self.wanted = "a whole number" if whole else "a number"
+        low, high = bounds.low, bounds.high
+        if math.isfinite(low):
+            self.wanted += f" above {low:g}" if bounds.above else f" from {low:g}"
+        if math.isfinite(high):
+            most = str(high) if whole else f"{high:.6g}"
+            self.wanted += f" to {most}" if math.isfinite(low) else f" up to {most}"
+        self.wanted += f" [{unit}]" if unit else ""
+
+    def accepts(self, value: Any) -> bool:
+        if getattr(value, "size", 0) == 1:  # NumPy's
+            value = value.item()
+        kinds = (int,) if self.whole else (int, float)
+        return isinstance(value, kinds) and not isinstance(value, bool)
+
+    def read(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
+        bounds = self.bounds
+        good = self.accepts(value) and (bounds.endless if abs(value) == math.inf else True)
+        if not good or not (abs(value) == math.inf or bounds.low <= value <= bounds.high):
+            return self.refuse(value, where, mistakes)
+        if bounds.above and value == bounds.low:
+            return self.refuse(value, where, mistakes)
+        return value if self.whole else float(value)
+
+    def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
+        schema: dict[str, Any] = {"type": "integer" if self.whole else "number"}
+        if self.bounds.endless:
+            return schema
+        if math.isfinite(self.bounds.low):
+            schema["exclusiveMinimum" if self.bounds.above else "minimum"] = self.bounds.low
+        if math.isfinite(self.bounds.high):
+            schema["maximum"] = self.bounds.high
+        return schema
+
+
+class Word(Type):
+    """A text; a path in Python, too."""
+
+    def __init__(self, matches: Matches | None, wanted: str) -> None:
+        self.matches, self.wanted = matches, wanted
+
+    def accepts(self, value: Any) -> bool:
+        return isinstance(value, (str, Path))
+
+    def read(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
+        if not self.accepts(value):
+            return self.refuse(value, where, mistakes)
+        if self.matches is not None:
+            longest = self.matches.longest or math.inf
+            if len(str(value)) > longest or not re.fullmatch(self.matches.pattern, str(value)):
+                return self.refuse(value, where, mistakes)
+        return value
+
+    def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
+        if self.matches is None:
+            return {"type": "string"}
+        pattern = self.matches.pattern
+        pattern = r"\S" if pattern.startswith("(?s)") else f"^({pattern})$"
+        schema: dict[str, Any] = {"type": "string", "pattern": pattern}
+        return schema | ({"maxLength": self.matches.longest} if self.matches.longest else {})
+
+
+def _is_list(value: Any) -> bool:
+    listed = isinstance(value, Sequence) or hasattr(value, "tolist")  # NumPy's
+    return listed and not isinstance(value, (str, bytes))
+
+
+class ListOf(Type):
+    """A list of any length, each entry of one type."""
+
+    def __init__(self, entry: Type, size: Size, example: str) -> None:
+        self.entry, self.size = entry, size
+        self.wanted = example or f"a list, each {entry.wanted}"
+
+    def accepts(self, value: Any) -> bool:
+        return _is_list(value)
+
+    def read(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
+        size = self.size
+        if not self.accepts(value):
+            return self.refuse(value, where, mistakes)
+        if not size.least <= len(value) <= (len(value) if size.most is None else size.most):
+            return self.refuse(value, where, mistakes)
+        found = [self.entry.read(each, (*where, i), mistakes) for i, each in enumerate(value)]
+        return INVALID if any(each is INVALID for each in found) else found
+
+    def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
+        schema: dict[str, Any] = {"type": "array", "items": self.entry.json(definitions)}
+        schema |= {"minItems": self.size.least} if self.size.least else {}
+        return schema | ({} if self.size.most is None else {"maxItems": self.size.most})
+
+
+class TupleOf(Type):
+    """A list of a fixed length, such as a point."""
+
+    def __init__(self, entries: tuple[Type, ...], example: str) -> None:
+        self.entries = entries
+        of = entries[0].wanted.removeprefix("a ")
+        alike = all(each.wanted == entries[0].wanted for each in entries)
+        listed = f"a list of {len(entries)}" + (f", each a {of}" if alike else "")
+        self.wanted = example or listed
+
+    def accepts(self, value: Any) -> bool:
+        return _is_list(value)
+
+    def read(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
+        if not self.accepts(value) or len(value) != len(self.entries):
+            return self.refuse(value, where, mistakes)
+        pairs = enumerate(zip(self.entries, value))
+        found = tuple(entry.read(each, (*where, i), mistakes) for i, (entry, each) in pairs)
+        return INVALID if any(each is INVALID for each in found) else found
+
+    def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
+        entries = [entry.json(definitions) for entry in self.entries]
+        count = len(entries)
+        same = {"items": entries[0]} if entries == entries[:1] * count else {"prefixItems": entries}
+        return {"type": "array", **same, "minItems": count, "maxItems": count}
+
+
+class MapOf(Type):
+    """A mapping of names to values of one type."""
+
+    def __init__(self, key: Type, entry: Type, size: Size, example: str) -> None:
+        self.key, self.entry, self.size = key, entry, size
+        self.wanted = example or f"a mapping of {key.wanted} to {entry.wanted}"
+
+    def accepts(self, value: Any) -> bool:
+        return isinstance(value, Mapping)
+
+    def read(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
+        if not self.accepts(value) or len(value) < self.size.least:
+            return self.refuse(value, where, mistakes)
+        found = {}
+        for key, each in value.items():
+            if self.key.read(key, where, Mistakes()) is INVALID:
+                remedy = f"write {self.key.wanted}"
+                if isinstance(self.key, Plain):
+                    remedy = alternatives(str(key), self.key.values)
+                found[key] = mistakes.note(where, f"unknown key {show(key)}; {remedy}", key)
+            else:
+                found[key] = self.entry.read(each, (*where, key), mistakes)
+        return INVALID if any(each is INVALID for each in found.values()) else found
+
+    def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
+        schema: dict[str, Any] = {"type": "object"}
+        keys = self.key.json(definitions)
+        schema |= {"propertyNames": keys} if keys != {"type": "string"} else {}
+        schema |= {"minProperties": self.size.least} if self.size.least else {}
+        return schema | {"additionalProperties": self.entry.json(definitions)}
+
+
+class OneOf(Type):
+    """A union: the kind of the value decides which member reads it."""
+
+    def __init__(self, members: tuple[Type, ...]) -> None:
+        self.members = members
+        self.wanted = " or ".join(dict.fromkeys(each.wanted for each in members))
+        null = [each for each in members if isinstance(each, Plain) and each.values == (None,)]
+        for each in members if null else ():
+            each.nullable = True
+
+    def accepts(self, value: Any) -> bool:
+        return any(each.accepts(value) for each in self.members)
+
+    def read(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
+        fitting = [each for each in self.members if each.accepts(value)]
+        if not fitting:
+            return self.refuse(value, where, mistakes)
+        for member in fitting:
+            tried = Mistakes(mistakes.document, mistakes.root)
+            found = member.read(value, where, tried)
+            if found is not INVALID:
+                return found
+        others = [each for each in self.members if not isinstance(each, Plain)]
+        if others and all(isinstance(each, Plain) for each in fitting):
+            return self.refuse(value, where, mistakes)  # a word that is none, or a number
+        mistakes.found += tried.found
+        return INVALID
+
+    def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
+        return {"anyOf": [each.json(definitions) for each in self.members]}
+
+
+@dataclasses.dataclass(frozen=True)
+class Field:
+    """A key of a record: its type, whether it may be left out, and what it is."""
+
+    key: str
+    type: Type
+    required: bool
+    default: Any
+    text: str
+
+
+class Record(Type):
+    """A mapping whose keys are the fields of a dataclass, or the options of a factory.
+
+    Args:
+        made: what is made of the values: called with them by name.
+        fields: attribute to field.
+        example: for the remedy, "" for none.
+        raw: the mapping itself is the value.
+        is_open: keys that are not known are allowed.
+    """
+
+    def __init__(
+        self,
+        made: Callable[..., Any],
+        fields: dict[str, Field],
+        example: str = "",
+        raw: bool = False,
+        is_open: bool = False,
+    ) -> None:
+        self.made, self.fields, self.raw, self.is_open = made, fields, raw, is_open
+        self.keys = {field.key: name for name, field in fields.items()}
+        self.name = getattr(made, "__name__", "")
+        self.wanted = example or f"a mapping with {', '.join(self.keys)}"
+
+    def accepts(self, value: Any) -> bool:
+        made = inspect.isclass(self.made) and isinstance(value, self.made)
+        return made or isinstance(value, Mapping)
+
+    def read(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
+        if inspect.isclass(self.made) and isinstance(value, self.made):
+            return value  # of Python
+        if not isinstance(value, Mapping):
+            return self.refuse(value, where, mistakes)
+        before = len(mistakes.found)
+        self.check_keys(value, where, mistakes)
+        found = {}
+        for name, field in self.fields.items():
+            given = value.get(field.key)
+            if field.key not in value or (
+                given is None and not (field.required or self.raw) and not field.type.accepts(None)
+            ):
+                continue  # null is as if it were left out
+            found[name] = field.type.read(given, (*where, field.key), mistakes)
+        rule = getattr(self.made, "between", None)
+        if rule is not None:
+            sound = {name: each for name, each in found.items() if each is not INVALID}
+            rule(sound, Here(where, mistakes))
+        if len(mistakes.found) > before:
+            return INVALID
+        if self.raw:
+            return value
+        try:
+            return self.made(**found)
+        except UniconError as error:
+            return mistakes.note(where, error.message)
+
+    def check_keys(self, value: Mapping[Any, Any], where: Where, mistakes: Mistakes) -> None:
+        """Note unknown and missing keys; a missing one that is misspelt is noted once."""
+        required = [field for field in self.fields.values() if field.required]
+        missing = [field for field in required if field.key not in value]
+        misspelt: list[str] = []
+        for key in value if not self.is_open else ():
+            if key not in self.keys:
+                misspelt += meant(key, [field.key for field in missing])
+                known = alternatives(str(key), self.keys)
+                remedy = getattr(self.made, "remedies", {}).get(key, known)
+                mistakes.note(where, f"unknown key {show(key)}; {remedy}", key)
+        for field in missing:
+            if field.key not in misspelt:
+                remedy = f"add {field.key}: {field.type.wanted}"
+                mistakes.note(where, f"missing key {field.key!r}; {remedy}")
+
+    def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
+        if self.name not in definitions:
+            definitions[self.name] = {}  # a record may hold itself
+            schema: dict[str, Any] = {"type": "object", "additionalProperties": self.is_open}
+            required = [field.key for field in self.fields.values() if field.required]
+            schema |= {"required": required} if required else {}
+            schema["properties"] = {
+                field.key: field.type.json(definitions)
+                | ({"description": field.text} if field.text else {})
+                for field in self.fields.values()
+            }
+            definitions[self.name] = schema
+        return {"$ref": f"#/$defs/{self.name}"}
+
+
+def meant(key: Any, known: Sequence[str]) -> list[str]:
+    """Return the key that a misspelt, longer or shorter one stands for, if any."""
+    word = str(key)[:80]
+    alike = [other for other in known if word.startswith(other) or other.startswith(word)]
+    return get_close_matches(word, known, n=1) or (alike if word else [])[:1]
+
+
+def largest(kind: Type) -> float:
+    """Return the upper bound of a number or of null; infinity where there is none."""
+    if isinstance(kind, OneOf):
+        return min(map(largest, kind.members))
+    return kind.bounds.high if isinstance(kind, Number) else math.inf
+
+
+class MadeOf(Type):
+    """Anything of which a function makes a value."""
+
+    def __init__(self, function: Callable[[Any], Any], example: str) -> None:
+        self.function, self.wanted = function, example or Type.wanted
+
+    def read(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
+        try:
+            return self.function(value)
+        except UniconError as error:
+            return mistakes.value(where, error.message)
+
+
+class LaterType(Type):
+    """A type whose module is imported when it is needed."""
+
+    def __init__(self, target: str, example: str) -> None:
+        self.target, self.wanted = target, example or "a mapping"
+
+    @property
+    def inner(self) -> Type:
+        """The type."""
+        module, _, name = self.target.partition(":")
+        found = getattr(import_module(module), name)
+        return found if isinstance(found, Type) else type_of(found)
+
+    def read(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
+        return self.inner.read(value, where, mistakes)
+
+    def accepts(self, value: Any) -> bool:
+        return self.inner.accepts(value)
+
+    def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
+        return self.inner.json(definitions)
+
+
+class CheckedType(Type):
+    """A type with rules beside it."""
+
+    def __init__(self, inner: Type, rules: tuple[Checked, ...]) -> None:
+        self.inner, self.rules, self.wanted = inner, rules, inner.wanted
+
+    def accepts(self, value: Any) -> bool:
+        return self.inner.accepts(value)
+
+    def read(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
+        self.inner.nullable = self.nullable
+        found = self.inner.read(value, where, mistakes)
+        if found is INVALID:
+            return INVALID
+        wrong = next(filter(None, (rule.wrong(found) for rule in self.rules)), "")
+        return mistakes.value(where, wrong) if wrong else found
+
+    def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
+        return self.inner.json(definitions)
+
+
+def type_of(hint: Any) -> Type:
+    """Return the type of a hint, with the marks of `Annotated`.
+
+    Raises:
+        TypeError: documents have no such type.
+    """
+    marks: list[Any] = []
+    while get_origin(hint) is Annotated:
+        hint, *more = get_args(hint)
+        marks = [*more, *marks]
+    if dataclasses.is_dataclass(hint) and not marks:
+        return record_of(hint)
+    made = _bare(hint, marks)
+    rules = tuple(mark for mark in marks if isinstance(mark, Checked))
+    return CheckedType(made, rules) if rules else made
+
+
+def _one(marks: list[Any], kind: type, default: Any) -> Any:
+    found = [mark for mark in marks if isinstance(mark, kind)]
+    return found[-1] if found else default
+
+
+def _bare(hint: Any, marks: list[Any]) -> Type:
+    origin, inner = get_origin(hint), get_args(hint)
+    example = _one(marks, Write, Write("")).example
+    made, later = _one(marks, Made, None), _one(marks, Later, None)
+    if later is not None:
+        return LaterType(later.target, example)
+    if made is not None:
+        return MadeOf(made.function, example)
+    size = _one(marks, Size, Size())
+    if dataclasses.is_dataclass(hint):
+        return record_of(hint, example)
+    if origin in (Union, types.UnionType):
+        return OneOf(tuple(type_of(Annotated[(each, *marks)] if marks else each) for each in inner))
+    if origin is Literal:
+        return Plain(inner, example or " or ".join(map(show, inner)).replace("'", ""))
+    if hint in (None, type(None)):
+        return Plain((None,), "null")
+    if hint is bool:
+        return Flag((True, False), "true or false")
+    if hint in (int, float):
+        unit = _one(marks, Unit, Unit("")).symbol
+        number = Number(hint is int, _one(marks, Within, Within()), unit)
+        number.wanted = example or number.wanted
+        return number
+    if hint in (str, Path):
+        matches = _one(marks, Matches, None)
+        wanted = matches.wanted if matches else "a path" if hint is Path else "a text"
+        return Word(matches, example or wanted)
+    if hint in (dict, Mapping):
+        return MapOf(Type(), Type(), size, example or "a mapping")
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        like = _one(marks, Like, None)
+        if like is not None:
+            return Record(like.kind, record_of(like.kind).fields, example, True, like.open)
+        return MapOf(type_of(inner[0]), type_of(inner[1]), size, example)
+    if hint is list:
+        return ListOf(Type(), size, example or "a list")
+    if origin is tuple and inner[-1] is not Ellipsis:
+        return TupleOf(tuple(map(type_of, inner)), example)
+    if isinstance(origin, type) and issubclass(origin, Sequence):
+        return ListOf(type_of(inner[0]), size, example)
+    if hint is Any or hint is object:
+        return Type()
+    raise TypeError(f"{hint!r} is no type of a document")
+
+
+def record_of(kind: Any, example: str = "") -> Record:
+    """Return the type of a dataclass: its fields are the keys; their texts stand in its docstring.
+
+    A field is required unless it has a default. A static method `between(found, here)` of the class
+    may note what lies between fields; `found` has the values that are right, by attribute.
+    """
+    if (kind, example) not in _RECORDS:
+        _RECORDS[kind, example] = Record(kind, _fields(kind), example)
+    return _RECORDS[kind, example]
+
+
+_RECORDS: dict[tuple[Any, str], Record] = {}
+
+
+def _fields(kind: Any) -> dict[str, Field]:
+    hints = get_type_hints(kind, include_extras=True)
+    texts = described(inspect.getdoc(kind) or "")
+    fields = {}
+    for each in dataclasses.fields(kind):
+        if not each.init:
+            continue
+        marks = get_args(hints[each.name]) if get_origin(hints[each.name]) is Annotated else ()
+        if any(isinstance(mark, NotAKey) for mark in marks):
+            continue
+        required = each.default is dataclasses.MISSING
+        required = required and each.default_factory is dataclasses.MISSING
+        default = None if required else each.default
+        if each.default_factory is not dataclasses.MISSING:
+            default = each.default_factory()
+        said = next((mark for mark in marks if isinstance(mark, str)), texts.get(each.name, ""))
+        key = _one(list(marks), Key, Key(each.name)).name
+        fields[each.name] = Field(key, type_of(hints[each.name]), required, default, said)
+    return fields
+
+
+@lru_cache(256)
+def options_of(factory: Callable[..., Any]) -> dict[str, Type]:
+    """Return the types of what a function, or a class, takes by name, where a file can say them."""
+    target: Any = factory
+    if inspect.isclass(factory):
+        target = vars(factory).get("__init__", factory)
+    try:
+        hints = get_type_hints(target, include_extras=True)
+    except (AttributeError, NameError, TypeError):  # not written for files
+        return {}
+    found = {}
+    for name, hint in hints.items():
+        with suppress(TypeError):
+            found[name] = type_of(hint)
+    return found
+
+
+@lru_cache(256)
+def described(docstring: str) -> dict[str, str]:
+    """Return what a docstring says under `Args:` or `Attributes:`, name to text."""
+    found: dict[str, str] = {}
+    names: list[str] = []
+    inside = False
+    for line in docstring.splitlines():
+        if line in ("Args:", "Attributes:"):
+            inside = True
+        elif line.strip() and not line.startswith(" "):
+            inside = False
+        elif inside and (entry := re.match(r"    (\w[\w, ]*?)(?: \(.*?\))?: (.*)", line)):
+            names = entry[1].split(", ")
+            found |= dict.fromkeys(names, entry[2])
+        elif inside and line.strip() and names:
+            found |= {name: f"{found[name]} {line.strip()}" for name in names}
+    return found

@@ -1,0 +1,190 @@
+"""Workflow files: what they say, as classes that `unicon_core.schema` reads.
+
+Blocks and flows are read by the builder, which knows their factories.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+from unicon_core.bounds import DURATION
+from unicon_core.errors import UniconError, alternatives
+from unicon_core.pacing import Pacing
+from unicon_core.resources import find_config
+from unicon_core.schema.marks import (
+    Checked,
+    Key,
+    Later,
+    Matches,
+    NotEmpty,
+    Text,
+    Unit,
+    Within,
+    Write,
+)
+from unicon_core.schema.types import Here, meant
+
+_BLOCK = Write("a block, or {chain: [...]}")
+FlowType = Annotated[Any, Later("unicon_core.workflow.flow_schema:FLOW"), _BLOCK]
+Blocks = Annotated[list[FlowType], Write("a list of blocks")]
+Named = Annotated[str | Mapping[str, Any], Write("NAME, or {MEMBER: NAME}")]
+
+
+def _no_map(name: str) -> str:
+    try:
+        find_config("maps", name)
+    except UniconError as error:
+        return f"is {name!r}: {error.message}"
+    return ""
+
+
+@dataclass(frozen=True)
+class PolicyEntry:
+    """A policy of a workflow.
+
+    Attributes:
+        path: folder or file of the policy: a path, a name or assets:PATH.
+        given: facts that its files lack.
+        child: true or options, where it runs in a process of its own.
+    """
+
+    path: Text
+    given: Annotated[Mapping[str, Any] | None, Write("a mapping of facts")] = None
+    child: bool | Annotated[Any, Later("unicon_core.policies.contract:ChildSpec")] | None = None
+
+
+@dataclass(frozen=True)
+class Skill:
+    """A skill: one policy or a flow, and how it is entered.
+
+    Attributes:
+        policy: name of a policy.
+        do: the graph, in place of a policy.
+        enter: expression over states that has to hold.
+        blend: time in which it comes in.
+        next: skill that follows when its graph is done.
+        button: that asks for it.
+        sources: skills from which it is entered; any unless given.
+        after: time that the skill before must have had.
+        tilt: most that the base may lean.
+        calm: the sticks are let go.
+    """
+
+    policy: str | None = None
+    do: FlowType | None = None
+    enter: Annotated[str | None, Write("an expression over states")] = None
+    blend: Annotated[float, Unit("s"), Within(0.0, 60.0)] = 0.5
+    next: str | None = None
+    button: Any = None
+    sources: Annotated[Any, Key("from")] = None
+    after: Any = None
+    tilt: Any = None
+    calm: Any = None
+
+    @staticmethod
+    def between(found: dict[str, Any], here: Here) -> None:
+        """Note a skill that is both a policy and a graph, or neither."""
+        if (found.get("policy") is None) == (found.get("do") is None):
+            here.note("give {policy: NAME}, or {do: FLOW}")
+
+
+@dataclass(frozen=True)
+class SafetyOnly:
+    """The safety blocks of a robot, and no others.
+
+    Attributes:
+        only: the blocks.
+    """
+
+    only: Annotated[list[FlowType], NotEmpty, Write("a list of blocks")]
+
+
+_SAFETY = "[finite, joint_limits], {only: [finite, joint_limits]} for no others on a robot, or none"
+
+
+@dataclass(frozen=True)
+class Workflow:
+    """A workflow: a robot, a platform and what runs between them.
+
+    Attributes:
+        robot: robot file: name or path; or member to name, a body and its hands.
+        platform: the one word that changes from simulation to the robot; or member to name.
+        flow: the graph.
+        schema: version of the format.
+        name: of the workflow; the file's name unless given.
+        description: one line.
+        store: where else states go: local, shm, or {zmq: ADDRESS}.
+        parts: name to {publishes, silent}: the workflow runs in several processes.
+        scene: how a simulation begins and what disturbs it, the same on every simulator.
+        platforms: platform to its options.
+        rate: ticks per second; the policy's period unless given.
+        duration: end of a run unless --duration says otherwise; none: until the flow is done.
+        num_robots: batch dimension.
+        map: message map: name or path.
+        ros: true to mirror to ROS 2 without being asked.
+        states: extra states: name to specification.
+        policies: name to policy: a path, or {path, given, child}.
+        skills: what `flow: skills` switches between: name to policy or to {policy or do, …}.
+        estimate: blocks that compute what is not measured, right behind recv.
+        commands: blocks that make commands, before ROS inputs may replace them.
+        start: gates, operator, approach and fade-in before a robot moves; none on a test bench.
+        wind_down: the graph after the run, before the platform damps and closes; at most 5 s.
+        safety: blocks between the flow and send, {only: blocks}, or none.
+        deferred: blocks after send.
+        twin: a simulator beside the robot, under its commands: its name or options.
+        pacing: how ticks are timed.
+        check: settings of `unicon check`.
+    """
+
+    robot: Named
+    platform: Annotated[Named, Later("unicon_core.workflow.flow_schema:PLATFORM_NAME")]
+    flow: FlowType
+    schema: Literal["unicon.workflow/1"] | None = None
+    name: str | None = None
+    description: str | None = None
+    store: Annotated[str | Mapping[str, Any] | None, Write("local, shm or {zmq: ADDRESS}")] = None
+    parts: Annotated[Any, Later("unicon_core.workflow.parts:PartFiles")] | None = None
+    scene: Annotated[Any, Later("unicon_core.platforms.kit.scene:Scene")] | None = None
+    platforms: Annotated[Any, Later("unicon_core.workflow.flow_schema:PLATFORMS")] | None = None
+    rate: Annotated[float | None, Unit("Hz"), Within(0.0, above=True)] = None
+    duration: Annotated[float | None, Unit("s"), Within(0.0, DURATION, above=True)] = None
+    num_robots: Annotated[int | None, Within(1)] = None
+    map: Annotated[str | None, Checked(_no_map)] = None
+    ros: bool | None = None
+    states: Mapping[str, Any] | None = None
+    policies: Mapping[str, str | PolicyEntry] | None = None
+    skills: (
+        Mapping[
+            Annotated[str, Matches(r"(?a:[A-Za-z]\w{0,63})", "letters, digits and _")],
+            str | Annotated[Any, Later("unicon_core.workflow.file:Skill")],
+        ]
+        | None
+    ) = None
+    estimate: Blocks | None = None
+    commands: Blocks | None = None
+    start: Annotated[Any, Later("unicon_core.workflow.start:Start")] | None = None
+    wind_down: FlowType | None = None
+    safety: Annotated[
+        Literal["none"] | Annotated[list[FlowType], NotEmpty] | SafetyOnly | None, Write(_SAFETY)
+    ] = None
+    deferred: Blocks | None = None
+    twin: str | Annotated[Any, Later("unicon_core.workflow.live_twin:TwinSettings")] | None = None
+    pacing: Pacing | None = None
+    check: Mapping[str, Any] | None = None
+
+    @staticmethod
+    def between(found: dict[str, Any], here: Here) -> None:
+        """Note skills that follow and are not there, and a policy that another one is meant by."""
+        policies = here.document.get("policies")
+        for name, said in policies.items() if isinstance(policies, Mapping) else ():
+            others = [str(other) for other in policies if other != name]
+            if isinstance(said, Mapping) and "path" not in said and meant(name, others):
+                here.note(f"policies.{name}: {alternatives(str(name), others)}", "policies", name)
+        skills = here.document.get("skills")
+        for name, said in skills.items() if isinstance(skills, Mapping) else ():
+            following = said.get("next") if isinstance(said, Mapping) else None
+            if following is not None and following not in skills:
+                known = alternatives(str(following), map(str, skills))
+                here.value(f"is {following!r}, which is no skill; {known}", "skills", name, "next")

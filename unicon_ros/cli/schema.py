@@ -1,0 +1,67 @@
+"""`unicon schema [KIND]`: JSON Schema of documents, by which editors complete and check them."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from unicon_core.errors import UniconError, alternatives
+
+KINDS = {
+    "workflow": ("unicon_core.workflow.file:Workflow",),
+    "sweep": ("unicon_ros.sweep.sweep_file:SweepDocument",),
+    "robot": ("unicon_core.robots.file:RobotFile", "unicon_core.robots.file:Overlay"),
+}
+"""Kind of document to its classes."""
+
+
+def add(commands: Any) -> None:
+    """Add the command to the parser."""
+    parser = commands.add_parser(
+        "schema", help="JSON Schema of documents, for editors", description=__doc__
+    )
+    parser.add_argument("kind", nargs="?", metavar="KIND", help=f"one of {', '.join(KINDS)}")
+    parser.add_argument("--out", metavar="FOLDER", help="write KIND.json, or all of them, there")
+    parser.set_defaults(function=schema)
+
+
+def schema_of(kind: str) -> dict[str, Any]:
+    """Return the JSON Schema of a kind of document.
+
+    Raises:
+        UniconError: there is no such kind.
+    """
+    from unicon_core.schema.json_schema import json_schema
+
+    if kind not in KINDS:
+        raise UniconError(f"schema: unknown kind {kind!r}; {alternatives(kind, KINDS)}")
+    classes = []
+    for target in KINDS[kind]:
+        module, _, name = target.partition(":")
+        classes.append(getattr(import_module(module), name))
+    return json_schema(*classes)
+
+
+def schema(arguments: argparse.Namespace) -> int:
+    """Run the command."""
+    kinds = [arguments.kind] if arguments.kind else list(KINDS)
+    if arguments.kind is None and arguments.out is None:
+        raise UniconError(f"schema: give one of {', '.join(KINDS)}, or --out FOLDER for all")
+    for kind in kinds:
+        text = json.dumps(schema_of(kind), indent=1, ensure_ascii=False) + "\n"
+        if arguments.out is None:
+            print(text, end="")
+            continue
+        path = Path(arguments.out) / f"{kind}.json"
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise UniconError(
+                f"cannot write {path}: {error.strerror}; give another --out"
+            ) from error
+        print(path)
+    return 0
