@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from rcl_interfaces.msg import ParameterType, SetParametersResult
 
-from unicon_core.check.result import CODES
+from unicon_core.check.rules import CODES
 from unicon_core.errors import UniconError, alternatives
 from unicon_core.resources import find_config
 from unicon_core.workflow.overrides import split_setting

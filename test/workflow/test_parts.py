@@ -377,6 +377,7 @@ def test_check_finds_what_does_not_cross_the_border(tmp_path):
         tmp_path, "publishes: [velocity_command]", "publishes: [velocity_command, mode]"
     )
     assert "it publishes 'mode', which nothing writes" in " ".join(found)
+    assert "[parts.published" in found[0]
     found = findings(tmp_path, "publishes: [velocity_command]", "publishes: [base_quat]")
     assert "publishes 'base_quat', which part 'robot' writes" in " ".join(found)
 

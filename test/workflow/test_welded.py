@@ -38,7 +38,9 @@ def test_it_walks_as_without_the_joint_and_says_so(
 ) -> None:
     assert main(["check", *tailed]) == 0
     note = "lacks tail_joint, which no policy moves: they are taken as welded"
-    assert note in " ".join(capsys.readouterr().out.split())
+    told = " ".join(capsys.readouterr().out.split())
+    assert note in told
+    assert "[joints.welded" in told
     moved = []
     for arguments in (tailed, ["go2_walk"]):
         report = tmp_path / "report.json"

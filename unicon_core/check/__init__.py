@@ -2,6 +2,7 @@
 
 from unicon_core.check.check import check_workflow
 from unicon_core.check.gate import refuse_errors
-from unicon_core.check.result import CODES, CheckResult, Finding, Section
+from unicon_core.check.result import CheckResult, Finding, Section
+from unicon_core.check.rules import CODES
 
 __all__ = ["CODES", "CheckResult", "Finding", "Section", "check_workflow", "refuse_errors"]

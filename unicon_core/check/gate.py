@@ -6,7 +6,8 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from unicon_core.check.check import check_section, static_checks
-from unicon_core.check.result import CODES, FIRM, CheckResult
+from unicon_core.check.result import CheckResult
+from unicon_core.check.rules import CODES, FIRM
 from unicon_core.check.subject import Subject, declared_platform
 from unicon_core.errors import CheckError, WorkflowError, alternatives
 

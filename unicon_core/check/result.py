@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from unicon_core.aligned import aligned
+from unicon_core.check.rules import CODES, FIRM
 from unicon_core.errors import UniconError, alternatives
 from unicon_core.page import write_file
 from unicon_core.terminal import WIDTH, near, wrapped
@@ -17,132 +18,13 @@ from unicon_core.terminal import WIDTH, near, wrapped
 if TYPE_CHECKING:
     from unicon_core.policies import PolicyContract
 
-CODES = {
-    "build": "the workflow cannot be built",
-    "graph": "the graph of blocks is wrong",
-    "blocks.memory": "a block remembers what it does not declare (a note)",
-    "joints.held": "joints that no policy moves (a note)",
-    "joints.welded": "the simulated model lacks joints that no policy moves (a note)",
-    "joints.seen": "a policy sees joints that other blocks move",
-    "joints.motors": "motor slots do not fit the joints",
-    "joints.order": "the joints are named in another order than the figures have",
-    "evidence": "what the platform or the robot was run against, where that is little (a note)",
-    "gains.differ": "the policy's gains are not the robot file's (a note)",
-    "gains.symmetry": "left and right joints have different gains",
-    "gains.damping": "a joint has stiffness but no damping",
-    "gains.passive": "the model's joints damp themselves about as much as the policy does (a note)",
-    "gains.stiff": "a joint is at its effort limit within a tenth of a radian, or by its damping",
-    "gains.swapped": "damping is greater than stiffness",
-    "limits.differ": "robot file and model have other limits (a note)",
-    "limits.effort": "effort limits of robot file and model are far apart",
-    "action.scale": "one unit of action is more than a joint's range, or nothing (up to 1 a note)",
-    "action.limp": "a joint is given positions and has no stiffness",
-    "action.symmetry": "left and right joints have different action scales",
-    "action.offset": "action 0 means a target outside the limits",
-    "action.reach": "clipped actions reach far outside the limits, and nothing limits targets",
-    "action.unsent": "the platform does not send the velocities or torques that are commanded",
-    "action.torque": "one unit of action asks for more torque than there is (a note)",
-    "observation.scale": "a term is multiplied by 0 (some elements, or an odd factor: a note)",
-    "observation.clip": "a term is clipped to a single value",
-    "observation.measured": "a term cannot be measured on this platform",
-    "observation.frame": "the platform's orientation and gravity contradict each other",
-    "timing.period": "the control period is not plausible",
-    "timing.clock": "a phase or the period of the gait clock is in another unit",
-    "timing.catch_up": "missed ticks shall be caught up on a robot",
-    "timing.trigger": "ticks shall come with data of a platform that cannot tell when they arrive",
-    "command.range": "the workflow commands more than the policy was trained for",
-    "command.bounds": "nobody says how much may be commanded (a note)",
-    "policy.source": "what was read of a policy, and from where, or left open (a note)",
-    "pose.differ": "the policy's default pose is not the robot file's (a note)",
-    "pose.limits": "the default pose is outside the limits",
-    "pose.symmetry": "the default pose is not the same on both sides",
-    "pose.feet": "in the default pose the robot does not stand on its feet",
-    "pose.floor": "the simulation begins inside the floor or far above it",
-    "pose.start": "a policy is the first to move a robot that lies (simulated: a note)",
-    "start.gates": "nothing is asked before a robot moves (a note)",
-    "start.watchdog": "nothing damps a robot whose process is killed (a note)",
-    "safety.none": "no safety block looks at commands (a note)",
-    "safety.less": "a robot lacks safety blocks that others have (a note)",
-    "safety.remote": "buttons that stop the robot (a note) have another meaning as well",
-    "safety.partial": "a safety block does not look at every command, or at nothing",
-    "parts.writers": "two parts of a divided workflow write one state",
-    "parts.published": "a state does not reach the part that reads it, or nothing writes it",
-    "parts.silent": "nobody says what is commanded when the part that commands is silent",
-    "zmq.keys": "everybody on the network may read or write states, for want of keys",
-    "platform.open": "what only the opened platform can tell (a note)",
-    "model.meshes": "mesh files of the model are absent (a note)",
-    "model.collision": "the robot's model does not collide with the floor",
-    "model.bodies": "the model lacks a body that the robot file names (a note)",
-    "reach.apart": "capsules that are near at the default pose are not kept apart (a note)",
-    "map.fit": "the message map does not fit the states, or could not be looked at",
-    "robot.facts": "the robot file lacks what is needed to drive the robot",
-    "check.settings": "the workflow's check: section is wrong",
-    "twin.run": "the twin could not be run",
-    "twin.platform": "the twin runs on another platform than the workflow's (a note)",
-    "twin.fall": "the policy falls in the twin",
-    "twin.command": "the policy does not follow its command, or its motion, in the twin",
-    "twin.suspect": "another contract does clearly better (a note where a broken one does as well)",
-    "twin.saturated": "a joint is at its limit of effort or position for much of the walk",
-}
-"""What can be found. A workflow accepts one with `check: {accept: [CODE]}`: it is then a note."""
-
-FIRM = (
-    "build",
-    "check.settings",
-    "graph",
-    "map.fit",
-    "parts.published",
-    "parts.silent",
-    "parts.writers",
-    "robot.facts",
-    "timing.catch_up",
-    "timing.trigger",
-)
-"""What a run cannot begin with: nobody can accept it or force it."""
-
-CAUSES = (
-    "check.settings",
-    "build",
-    "graph",
-    "robot.facts",
-    "parts.writers",
-    "parts.published",
-    "parts.silent",
-    "joints.motors",
-    "joints.order",  # then poses, scales and gains are at the wrong joints
-    "model.collision",
-    "limits.effort",  # then gains look too stiff
-    "gains.swapped",
-    "gains.damping",
-    "pose.limits",  # then an action of 0, which is the pose, is outside the limits as well
-    "pose.symmetry",
-    "timing.period",
-    "timing.clock",
-    "observation.frame",
-    "observation.scale",
-    "observation.clip",
-    "observation.measured",
-    "action.limp",
-    "action.scale",  # then the reach of the action is wrong as well
-    "gains.symmetry",
-    "action.symmetry",
-    "action.offset",
-    "gains.stiff",
-    "pose.feet",
-)
-"""What explains other findings, most of them first; what is not named stands behind.
-
-An order of joints that is wrong, for example, also gives poses outside the limits, different sides,
-and feet in the air: whoever reads it shall begin with the order.
-"""
-
 
 @dataclass(frozen=True)
 class Finding:
     """One thing that is wrong, or worth knowing.
 
     Attributes:
-        code: one of `CODES`.
+        code: of a rule.
         culprit: who is to blame: a policy, joint, term or file.
         evidence: what was seen, with numbers.
         remedy: what to do about it.
@@ -268,8 +150,8 @@ class CheckResult:
 
     def sort(self) -> None:
         """Bring what explains other findings to the front, else leave the order as it is."""
-        places = {code: place for place, code in enumerate(CAUSES)}
-        self.findings.sort(key=lambda finding: places.get(finding.code, len(CAUSES)))
+        places = {code: place for place, code in enumerate(CODES)}
+        self.findings.sort(key=lambda finding: places[finding.code])
 
     @property
     def clean(self) -> bool:

@@ -28,6 +28,7 @@ from unicon_ros.cli import (
     check,
     doctor,
     emulate,
+    explain,
     known,
     latches,
     preflight,
@@ -69,6 +70,7 @@ def _parser() -> argparse.ArgumentParser:
     for command in (
         run,
         check,
+        explain,
         preflight,
         emulate,
         schema,

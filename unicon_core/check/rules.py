@@ -1,0 +1,83 @@
+"""Rules: what `unicon check` looks at, each with a code, what it needs, why, and a remedy.
+
+`unicon explain CODE` prints one, docs/rules.md has them all. What explains other findings stands
+first: an order of joints that is wrong, for example, also gives poses outside the limits, different
+sides and feet in the air.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from unicon_core.check.rule_table import TABLE, Row
+
+Need = Literal["document", "robot", "policy", "model", "platform", "rollout"]
+
+
+@dataclass(frozen=True)
+class Rule:
+    """One thing that may be wrong.
+
+    Attributes:
+        code: names it, for `accept`, `--force` and `unicon explain`.
+        needs: what it looks at, beside the workflow.
+        what: is wrong, in one line.
+        why: it matters.
+        remedy: what to do about it.
+        severity: `error` fails the check, `note` does not; `either`, by what is seen.
+        firm: a run cannot begin with it: nobody can accept it or force it.
+    """
+
+    code: str
+    needs: tuple[Need, ...]
+    what: str
+    why: str
+    remedy: str
+    severity: Literal["error", "note", "either"] = "error"
+    firm: bool = False
+
+    def text(self) -> str:
+        """Return the rule for a terminal."""
+        kinds = {"error": "error", "note": "note", "either": "error or note, by what is seen"}
+        kind = kinds[self.severity] + (", cannot be accepted or forced" if self.firm else "")
+        lines = [f"{self.code}: {self.what}", f"  kind    {kind}"]
+        lines += [f"  looks at {', '.join(self.needs)}", f"  why     {self.why}"]
+        return "\n".join([*lines, f"  remedy  {self.remedy}"])
+
+
+def _rule(row: Row) -> Rule:
+    code, needs, severity, what, why, remedy = row
+    kind: Any = "error" if severity == "firm" else severity
+    seen: Any = tuple(needs.split())
+    return Rule(code, seen, what, why, remedy, kind, severity == "firm")
+
+
+RULES = tuple(map(_rule, TABLE))
+
+CODES = {rule.code: rule for rule in RULES}
+"""Code to rule. A workflow accepts one with `check: {accept: [CODE]}`: it is then a note."""
+
+FIRM = frozenset(rule.code for rule in RULES if rule.firm)
+"""What a run cannot begin with."""
+
+
+def markdown() -> str:
+    """Return all rules as the page docs/rules.md."""
+    lines = [
+        "# Rules",
+        "",
+        "What `unicon check` looks at; `unicon run` refuses by the same errors, the twin's aside. "
+        "`unicon explain CODE` prints one. Generated: `unicon explain --markdown`.",
+        "",
+        "A workflow accepts a finding with `check: {accept: [CODE]}`, a run with `--force CODE`; "
+        "those marked *firm* cannot be accepted.",
+        "",
+        "| code | kind | looks at | what | why | remedy |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    for rule in RULES:
+        kind = "firm" if rule.firm else rule.severity
+        cells = (f"`{rule.code}`", kind, ", ".join(rule.needs), rule.what, rule.why, rule.remedy)
+        lines.append(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |")
+    return "\n".join(lines) + "\n"
