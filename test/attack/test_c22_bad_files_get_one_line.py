@@ -33,24 +33,33 @@ def state(spec: str) -> str:
 
 
 WORKFLOWS = {
-    "pose to a number": (with_flow("{pose: {to: -1}}"), "block 'pose': to is -1; give a text or"),
+    "pose to a number": (with_flow("{pose: {to: -1}}"), "block 'pose': to is -1; write a text or"),
     "pose to nan": (
         with_flow("{pose: {to: {'*_hip_joint': .nan}}}"),
         "block 'pose': to.*_hip_joint is ",
     ),
-    "sway by a list": (with_flow("{sway: ['a']}"), "block 'sway': gains is ['a']; give a mapping"),
-    "sway by rows": (with_flow("{sway: {gains: {'*': ['a', 1, 2]}}}"), "block 'sway': gains.* is "),
+    "sway by a list": (with_flow("{sway: ['a']}"), "block 'sway': gains is ['a']; write a mapping"),
+    "sway by rows": (
+        with_flow("{sway: {gains: {'*': ['a', 1, 2]}}}"),
+        "block 'sway': gains.*.0 is 'a'; write a number",
+    ),
     "endless pose": (with_flow("{pose: {to: stand, duration: 1e308}}"), "duration is 1e+308; give"),
     "hold for inf": (with_flow("{hold: {duration: .inf}}"), "duration is inf; give a time"),
-    "hold for nan": (with_flow("{hold: {duration: .nan}}"), "duration is nan; give a number"),
-    "schedule to inf": (command("{schedule: [[0, 0, 0, 0], [.inf, 1, 0, 0]]}"), "the schedule's"),
-    "schedule to nan": (command("{schedule: [[.nan, 1, 0, 0]]}"), "schedule is [[nan, 1, 0, 0]]"),
+    "hold for nan": (with_flow("{hold: {duration: .nan}}"), "duration is nan; write a number"),
+    "schedule to inf": (
+        command("{schedule: [[0, 0, 0, 0], [.inf, 1, 0, 0]]}"),
+        "the schedule's",
+    ),
+    "schedule to nan": (
+        command("{schedule: [[.nan, 1, 0, 0]]}"),
+        "schedule.0.0 is nan; write a number",
+    ),
     "schedule of digits": (command(f"{{schedule: [[{LONG}, 1, 0, 0]]}}"), "(400 digits)"),
     "schedule of words": (command("{schedule: [[a, b, c, d]]}"), "block 'velocity_command': sche"),
-    "duration nan": (BASE + "duration: .nan\n", "duration: nan is not a finite number"),
-    "duration inf": (BASE + "duration: .inf\n", "duration: inf is not a finite number"),
+    "duration nan": (BASE + "duration: .nan\n", "duration is nan; write a number above 0"),
+    "duration inf": (BASE + "duration: .inf\n", "duration is inf; write a number above 0"),
     "rate of digits": (BASE.replace("50", "9" * 5000), "(5000 digits)"),
-    "rate nan": (BASE.replace("50", ".nan"), "rate: nan is not a finite number"),
+    "rate nan": (BASE.replace("50", ".nan"), "rate is nan; write a number above 0"),
     "shape 2^31": (state("{x: {shape: [2147483648]}}"), "at most 16777216 are held"),
     "shape 2^63": (state("{x: {shape: [9223372036854775808]}}"), "at most 16777216 are held"),
     "shape of shapes": (state("{x: {shape: [65536, 65536, 65536]}}"), "at most 16777216 are held"),
@@ -65,13 +74,13 @@ WORKFLOWS = {
     "too large for int8": (state("{x: {dtype: int8, initial: 300}}"), "300 does not fit into int8"),
     "another tick": (state("{tick: {shape: [3]}}"), "state 'tick' is a standard one"),
     "another joint_pos": (state("{joint_pos: {shape: [3]}}"), "'joint_pos' is a standard one"),
-    "a state by number": (state("{1: {shape: [3]}}"), "state name 1 is not an identifier"),
+    "a state by number": (state("{1: {shape: [3]}}"), "states: unknown key 1; write a text"),
     "states that are words": (state("{x: a}"), "a state is 'a'; give {shape"),
     "names by number": (state("{x: {shape: [2], names: [1, 2]}}"), "element names [1, 2] are not"),
     "a hostile dtype": (state("{x: {dtype: \"a';x='\"}}"), "is not a NumPy type"),
     "given a number": (
         BASE + "policies: {walk: {path: go2_velocity, given: 1e-30}}\n",
-        "policy 'walk': given is 1e-30; write a mapping of facts",
+        "policies.walk.given is 1e-30; write a mapping of facts",
     ),
     "given twice": (
         BASE + "policies: {walk: {path: go2_velocity, given: {a: 1, a.b: 2}}}\n",
@@ -79,7 +88,7 @@ WORKFLOWS = {
     ),
     "options of a platform": (
         BASE + "platforms: {fake: {time_constant: [1]}}\n",
-        "platform 'fake': time_constant is [1]; give a number",
+        "platform 'fake': time_constant is [1]; write a number",
     ),
 }
 
@@ -101,7 +110,7 @@ def test_an_accepted_finding_is_a_word(
     path = workflow(tmp_path, BASE + f"check: {{accept: {accept}}}\n")
     status, spoken = told(capsys, "check", path)
     assert status == 1
-    assert "check.settings" in spoken
+    assert "check.settings" in spoken or "check.accept is" in spoken
     assert "Traceback" not in spoken
 
 

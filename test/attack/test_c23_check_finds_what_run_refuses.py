@@ -24,16 +24,16 @@ flow: {hold: {duration: 0.1}}
 
 REFUSED = {
     "an unknown key of pacing": ("pacing: {spin: 3}", "pacing: unknown key 'spin'"),
-    "a negative spin": ("pacing: {spin_us: -1}", "spin_us is -1; give a number of µs >= 0"),
+    "a negative spin": ("pacing: {spin_us: -1}", "spin_us is -1; write a number from 0 [µs]"),
     "a trigger without data": ("pacing: {trigger: state}", "cannot tell when its data arrive"),
-    "a map that is not there": ("map: nonexist", "map: unknown map 'nonexist'"),
-    "a word for ros": ("ros: 'yes'", "ros: 'yes' is not a bool"),
-    "a negative duration": ("duration: -1", "duration: -1 is not a time above 0"),
-    "no duration": ("duration: 0", "duration: 0 is not a time above 0"),
-    "an endless duration": ("duration: .inf", "duration: inf is not a finite number"),
-    "a duration of nan": ("duration: .nan", "duration: nan is not a finite number"),
-    "a duration beyond time": ("duration: 1.0e+308", "duration: 1e+308 is not a time above 0"),
-    "no safety list": ("safety: {finite: {}}", "is not a list of blocks"),
+    "a map that is not there": ("map: nonexist", "map is 'nonexist': unknown map"),
+    "a word for ros": ("ros: 'yes'", "ros is 'yes'; write true or false"),
+    "a negative duration": ("duration: -1", "duration is -1; write a number above 0"),
+    "no duration": ("duration: 0", "duration is 0; write a number above 0"),
+    "an endless duration": ("duration: .inf", "duration is inf; write a number above 0"),
+    "a duration of nan": ("duration: .nan", "duration is nan; write a number above 0"),
+    "a duration beyond time": ("duration: 1.0e+308", "duration is 1e+308; write a number above 0"),
+    "no safety list": ("safety: {finite: {}}", "safety: missing key 'only'"),
 }
 
 
@@ -60,7 +60,7 @@ def test_a_pose_of_nan_is_refused_by_both(
     flow = "flow={pose: {to: {FR_hip_joint: .nan}}}"
     assert main(["check", path, "--set", flow]) == 1
     assert main(["run", path, "--set", flow, "--quiet"]) == 1
-    assert "to.FR_hip_joint is nan; give a number" in capsys.readouterr().err
+    assert "to.FR_hip_joint is nan; write a number" in capsys.readouterr().err
 
 
 PLATFORM = """

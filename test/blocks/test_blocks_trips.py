@@ -550,7 +550,7 @@ def test_a_file_of_bounds_that_does_not_fit_is_refused(
         ("joint_limits", {"beyond": "warn"}, "beyond 'warn' is not known; known: clamp, trip"),
         ("effort_limits", {"beyond": "trip", "scale": 11}, "scale is 11; give a number above 0"),
         ("effort_limits", {"scale": 1.1}, "scale is 1.1; give a number above 0 to 1"),
-        ("tracking_stop", {"bound": np.inf}, "bound is inf; write a number"),
+        ("tracking_stop", {"bound": np.inf}, "bound is inf; give a number above 0"),
         ("tracking_stop", {"timeout": 0}, "timeout is 0; give a number above 0 to 5 [s]"),
         ("power_stop", {"limit": -1.0}, "limit is -1.0; give a number above 0"),
         ("power_stop", {"limit": 100.0, "loss": -1.0}, "loss is -1.0; give a number from 0"),

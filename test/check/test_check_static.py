@@ -565,8 +565,8 @@ def test_an_unknown_code_to_accept_is_a_finding(folder: Path) -> None:
     ("settings", "told"),
     [
         ({"durations": 3.0}, "check: unknown key 'durations'; did you mean 'duration'?"),
-        ({"duration": 0.1}, "check: duration is 0.1; give [s] from 1"),
-        ({"command": [1.0]}, "check: command is [1.0]; give [vx, vy, wz]"),
+        ({"duration": 0.1}, "check.duration is 0.1; write a number from 1 [s]"),
+        ({"command": [1.0]}, "check.command is [1.0]; write [vx, vy, wz]"),
     ],
 )
 def test_wrong_settings_are_told(folder: Path, settings: dict[str, Any], told: str) -> None:

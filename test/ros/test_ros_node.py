@@ -49,7 +49,7 @@ BAD = [
     (ros_args("workflow:=nope"), "unknown workflow 'nope'; known: "),
     (["--ros-args", "-p", "foo"], "Couldn't parse parameter override rule: '-p foo'"),
     (ros_args("workflow:=go2_stand", "map:=nope"), "unknown map 'nope'"),
-    (ros_args("workflow:=go2_stand", "overrides:=['rate=x']"), "rate: 'x' is not a number"),
+    (ros_args("workflow:=go2_stand", "overrides:=['rate=x']"), "rate is 'x'; write a number"),
     (ros_args("workflow:=go2_stand", "frame_prefix:=/r/"), "frame prefix '/r/': tf2 takes no"),
     (ros_args("max_vx:=-1.0"), "max_vx"),
 ]

@@ -317,10 +317,10 @@ def test_phases_are_told() -> None:
     ("start", "message"),
     [
         ({"fade": 1}, "unknown key 'fade'; did you mean 'fade_in'?"),
-        ({"approach": 0}, "start: approach is 0"),
-        ({"fade_in": float("nan")}, "start: fade_in is nan"),
-        ({"operator": 1}, "start: operator is 1; give true or false"),
-        ("quick", "start: 'quick' is neither a mapping nor none"),
+        ({"approach": 0}, "start.approach is 0"),
+        ({"fade_in": float("nan")}, "start.fade_in is nan"),
+        ({"operator": 1}, "start.operator is 1; write true or false"),
+        ("quick", "start is 'quick'; write none or a mapping"),
     ],
 )
 def test_wrong_settings_are_refused(start: Any, message: str) -> None:

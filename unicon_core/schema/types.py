@@ -631,8 +631,19 @@ def options_of(factory: Callable[..., Any]) -> dict[str, Type]:
     found = {}
     for name, hint in hints.items():
         with suppress(TypeError):
-            found[name] = type_of(hint)
+            found[name] = _unbounded(type_of(hint))
     return found
+
+
+def _unbounded(kind: Type) -> Type:
+    """Let numbers without bounds be infinite: a factory says better what its bounds are."""
+    if isinstance(kind, Number) and kind.bounds == Within():
+        kind.bounds = Within(endless=True)
+    for inner in (*getattr(kind, "members", ()), *getattr(kind, "entries", ())):
+        _unbounded(inner)
+    if isinstance(kind, (ListOf, MapOf)):
+        _unbounded(kind.entry)
+    return kind
 
 
 @lru_cache(256)

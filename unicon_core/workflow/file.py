@@ -91,6 +91,21 @@ class Skill:
 
 
 @dataclass(frozen=True)
+class CheckSettings:
+    """Settings of `unicon check`.
+
+    Attributes:
+        accept: codes of findings that shall be notes; `unicon explain` lists them.
+        duration: simulated time of a run of the twin.
+        command: velocity command of the twin, in [m/s, m/s, rad/s].
+    """
+
+    accept: str | list[Any] | None = None
+    duration: Annotated[float, Unit("s"), Within(1.0)] = 5.0
+    command: Annotated[tuple[float, float, float] | None, Write("[vx, vy, wz]")] = None
+
+
+@dataclass(frozen=True)
 class SafetyOnly:
     """The safety blocks of a robot, and no others.
 
@@ -172,7 +187,7 @@ class Workflow:
     deferred: Blocks | None = None
     twin: str | Annotated[Any, Later("unicon_core.workflow.live_twin:TwinSettings")] | None = None
     pacing: Pacing | None = None
-    check: Mapping[str, Any] | None = None
+    check: CheckSettings | None = None
 
     @staticmethod
     def between(found: dict[str, Any], here: Here) -> None:
