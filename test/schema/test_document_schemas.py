@@ -102,6 +102,24 @@ def test_blocks_and_platforms_are_completed_with_their_options(validators: dict[
     assert not fits(base | {"scene": {"gravity": 0}})
 
 
+@pytest.mark.parametrize(
+    "line",
+    [
+        "skills: {a: {do: hold, next: [1]}}",
+        "platforms: 3",
+        "platforms: {fake: 3}",
+        "policies: {1: {}}",
+        "parts: {1: null, b: null}",
+        "start: {together: {robots: null, me: [a]}}",
+    ],
+)
+def test_nonsense_is_refused_where_it_stands(line: str, tmp_path: Path) -> None:
+    path = tmp_path / "w.yaml"
+    path.write_text(f"robot: go2\nplatform: fake\nrate: 50\nflow: hold\n{line}\n")
+    with pytest.raises(UniconError, match=r"w\.yaml:5: "):
+        load_document(path)
+
+
 def test_the_command_prints_and_writes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["schema", "robot"]) == 0
     assert json.loads(capsys.readouterr().out) == schema_of("robot")

@@ -200,6 +200,6 @@ class Workflow:
         skills = here.document.get("skills")
         for name, said in skills.items() if isinstance(skills, Mapping) else ():
             following = said.get("next") if isinstance(said, Mapping) else None
-            if following is not None and following not in skills:
+            if isinstance(following, str) and following not in skills:
                 known = alternatives(str(following), map(str, skills))
                 here.value(f"is {following!r}, which is no skill; {known}", "skills", name, "next")

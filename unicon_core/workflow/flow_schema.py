@@ -6,10 +6,12 @@ Reading is the builder's: an editor completes by these what `flow_yaml` and `aut
 from __future__ import annotations
 
 import inspect
+from collections.abc import Mapping
 from typing import Any
 
 from unicon_core.errors import UniconError
-from unicon_core.schema.types import Type, described, options_of
+from unicon_core.located_yaml import Where
+from unicon_core.schema.types import Mistakes, Type, described, options_of, type_of
 from unicon_core.workflow.autowire import option_names
 from unicon_core.workflow.registry import Factory, find_factory, known
 
@@ -53,6 +55,10 @@ class Platforms(Type):
     """Options by platform."""
 
     wanted = "a mapping of platforms to their options"
+
+    def read(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
+        """Return the mapping; options are read by the builder, for the platforms that are used."""
+        return type_of(Mapping[str, Mapping[str, Any] | None]).read(value, where, mistakes)
 
     def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
         """Return the schema of `platforms:`."""
