@@ -310,8 +310,8 @@ def test_the_network_is_what_its_program_writes(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("limits", "message"),
     [
-        ("lower: -.inf,  upper: 2.0", "lower is -inf; write a number or null"),
-        ("lower: .inf,  upper: -.inf", "lower is inf; write a number or null"),
+        ("lower: -.inf,  upper: 2.0", "lower is endless; a wheel has lower: -.inf and upper: .inf"),
+        ("lower: .inf,  upper: -.inf", "lower is inf, which is not below upper -inf"),
     ],
 )
 def test_half_a_wheel_is_refused(tmp_path: Path, limits: str, message: str) -> None:

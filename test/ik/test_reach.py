@@ -423,7 +423,7 @@ def test_warm_ups_change_nothing_and_tell_nothing(welder: Reaching) -> None:
             "block 'reach': effectors.tool is free; give it a weight above 0",
         ),
         ({"moves": ["leg"]}, "robot welder has no group or joint 'leg'; known: arm, elbow, …"),
-        ({"max_rate": "fast"}, "block 'reach': max_rate is 'fast'; give [rad/s] above 0, or robot"),
+        ({"max_rate": "fast"}, "block 'reach': max_rate is 'fast'; write a number or robot"),
         ({"max_rate": 0}, "block 'reach': max_rate is 0; give a number above 0 to 200 [rad/s]"),
         ({"apart": 2.0}, "block 'reach': apart is 2.0; give a number from 0 to 0.5 [m]"),
         ({"look_ahead": 1.0}, "block 'reach': look_ahead is 1.0; give a number from 0 to 0.3 [s]"),

@@ -156,8 +156,8 @@ def test_a_block_that_holds_an_iterator_is_built_anew() -> None:
 
 def test_a_wrong_scene_is_refused_and_nothing_goes_on_half_changed(warm: Rollouts) -> None:
     rollouts = Rollouts(Program(document()))
-    with pytest.raises(UniconError, match=r"scene\.terrain is 'hills'"):
-        rollouts.begin(document(**{"scene.terrain": "hills"}))
+    with pytest.raises(UniconError, match="has no joint like 'nose'"):
+        rollouts.begin(document(**{"scene.joints": {"nose": {"friction": 1.0}}}))
     assert rollouts.why_not == "a beginning failed"
     rollouts.program.close()
 
