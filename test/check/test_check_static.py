@@ -367,7 +367,7 @@ def test_an_unknown_option_of_hardware_is_found(folder: Path, hardware: str) -> 
 
 def test_options_of_hardware_that_are_no_mapping_are_found(folder: Path, hardware: str) -> None:
     result = check(folder, None, {"platform": hardware, "platforms": {hardware: 5}})
-    assert "5 is not a mapping of options" in text_of(result, "build")
+    assert "is 5; write a mapping" in text_of(result, "build")
 
 
 def test_missing_facts_fail_on_hardware_and_not_in_simulation(folder: Path, hardware: str) -> None:

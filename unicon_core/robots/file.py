@@ -4,8 +4,6 @@ A file whose `manufacturer` is given describes a vendor's robot: every fact has 
 was not found is null and named in `unknown`. A robot of one's own needs neither.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -43,7 +41,7 @@ Angle = Annotated[float, Unit("rad"), Within(-POSITION, POSITION)]
 Limit = Annotated[float, Unit("rad"), Within(-POSITION, POSITION, endless=True)]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Joint:
     """A joint: figures in SI units, for sliding joints [m] and [N]; null where not known.
 
@@ -92,11 +90,12 @@ class Joint:
                 )
 
 
-JOINT_BOUNDS = {key: largest(field.type) for key, field in record_of(Joint).fields.items()}
-"""Key to the largest plausible size of a joint's figure, in SI units; inf of its name."""
+def joint_bounds() -> dict[str, float]:
+    """Return key to the largest plausible size of a joint's figure in SI units; inf of names."""
+    return {key: largest(field.type) for key, field in record_of(Joint).fields.items()}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class ImuFacts:
     """The inertial sensor and its pose in the base frame.
 
@@ -132,7 +131,7 @@ def _wrong_format(key: str) -> Checked:
     return Checked(wrong)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Models:
     """Models by format: relative to a configuration root, `assets:PATH` or robot_descriptions:NAME.
 
@@ -145,7 +144,7 @@ class Models:
     urdf: Annotated[Text, Checked(_wrong_path), _wrong_format("urdf")] = ""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Transport:
     """The platform adapter and its facts; vendors' keys beside these.
 
@@ -188,7 +187,7 @@ def _numbers(value: Any, *where: Any) -> list[tuple[tuple[Any, ...], float]]:
     return [found for key, below in pairs for found in _numbers(below, *where, key)]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Figures:
     """What a simulator is told of a joint. Known motors have strengths of 0.5 to 1.2, friction up
     to 10 N·m, armatures up to 0.2 kg·m² and delays up to 0.05 s.
@@ -227,7 +226,7 @@ Contacts = Annotated[list[Text], Write("a list of names")]
 Group = Annotated[list[Text], NotEmpty, Write("a list of joints or patterns")]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class RobotFile:
     """Facts about a robot.
 
@@ -306,7 +305,7 @@ class RobotFile:
                     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Overlay:
     """What a file says beside another robot file.
 

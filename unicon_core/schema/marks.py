@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 
-@dataclass(frozen=True)
-class Unit:
+class Unit(NamedTuple):
     """Unit of a number, such as `rad/s`."""
 
     symbol: str
 
 
-@dataclass(frozen=True)
-class Within:
+class Within(NamedTuple):
     """Bounds of a number; every number is finite but for an `endless` one.
 
     Attributes:
@@ -31,23 +28,20 @@ class Within:
     endless: bool = False
 
 
-@dataclass(frozen=True)
-class Key:
+class Key(NamedTuple):
     """Key in the file, where it is no Python name (`from`) or another word than the attribute."""
 
     name: str
 
 
-@dataclass(frozen=True)
-class Size:
+class Size(NamedTuple):
     """How many entries a list or mapping has."""
 
     least: int = 0
     most: int | None = None
 
 
-@dataclass(frozen=True)
-class Matches:
+class Matches(NamedTuple):
     """Regular expression that a whole text matches.
 
     Attributes:
@@ -61,15 +55,13 @@ class Matches:
     longest: int | None = None
 
 
-@dataclass(frozen=True)
-class Write:
+class Write(NamedTuple):
     """An example for the remedy: `write {left_hand: {body: …}}`."""
 
     example: str
 
 
-@dataclass(frozen=True)
-class Checked:
+class Checked(NamedTuple):
     """A rule that a type cannot say.
 
     Attributes:
@@ -79,8 +71,7 @@ class Checked:
     wrong: Callable[[Any], str]
 
 
-@dataclass(frozen=True)
-class Like:
+class Like(NamedTuple):
     """A mapping that a class describes and that stays as it was written.
 
     Attributes:
@@ -92,8 +83,7 @@ class Like:
     open: bool = False
 
 
-@dataclass(frozen=True)
-class Made:
+class Made(NamedTuple):
     """What a function makes of a value.
 
     Attributes:
@@ -103,8 +93,7 @@ class Made:
     function: Callable[[Any], Any]
 
 
-@dataclass(frozen=True)
-class Later:
+class Later(NamedTuple):
     """A type whose module is imported when a document has the key.
 
     Attributes:
@@ -114,8 +103,7 @@ class Later:
     target: str
 
 
-@dataclass(frozen=True)
-class NotAKey:
+class NotAKey(NamedTuple):
     """Python's alone: a file does not say it."""
 
 

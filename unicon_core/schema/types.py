@@ -15,7 +15,7 @@ import types
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from difflib import get_close_matches
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
@@ -321,6 +321,7 @@ class OneOf(Type):
         self.members = members
         self.wanted = " or ".join(dict.fromkeys(each.wanted for each in members))
         null = [each for each in members if isinstance(each, Plain) and each.values == (None,)]
+        self.null = bool(null)
         for each in members if null else ():
             each.nullable = True
 
@@ -328,7 +329,11 @@ class OneOf(Type):
         return any(each.accepts(value) for each in self.members)
 
     def read(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
+        if value is None and self.null:
+            return None
         fitting = [each for each in self.members if each.accepts(value)]
+        if len(fitting) == 1 and not isinstance(fitting[0], Plain):
+            return fitting[0].read(value, where, mistakes)
         if not fitting:
             return self.refuse(value, where, mistakes)
         for member in fitting:
@@ -346,15 +351,25 @@ class OneOf(Type):
         return {"anyOf": [each.json(definitions) for each in self.members]}
 
 
-@dataclasses.dataclass(frozen=True)
 class Field:
-    """A key of a record: its type, whether it may be left out, and what it is."""
+    """A key of a record: its type, whether it may be left out, and what it is.
 
-    key: str
-    type: Type
-    required: bool
-    default: Any
-    text: str
+    Args:
+        key: in the file.
+        hint: of its type, which is made when it is asked for.
+        required: whether it has to be there.
+        default: where it is not.
+        text: what it is.
+    """
+
+    def __init__(self, key: str, hint: Any, required: bool, default: Any, text: str) -> None:
+        self.key, self._hint, self.required, self.default = key, hint, required, default
+        self.text = text
+
+    @cached_property
+    def type(self) -> Type:
+        """The type."""
+        return type_of(self._hint)
 
 
 class Record(Type):
@@ -614,25 +629,29 @@ def _fields(kind: Any) -> dict[str, Field]:
             default = each.default_factory()
         said = next((mark for mark in marks if isinstance(mark, str)), texts.get(each.name, ""))
         key = _one(list(marks), Key, Key(each.name)).name
-        fields[each.name] = Field(key, type_of(hints[each.name]), required, default, said)
+        fields[each.name] = Field(key, hints[each.name], required, default, said)
     return fields
 
 
 @lru_cache(256)
-def options_of(factory: Callable[..., Any]) -> dict[str, Type]:
-    """Return the types of what a function, or a class, takes by name, where a file can say them."""
+def option_hints(factory: Callable[..., Any]) -> dict[str, Any]:
+    """Return the hints of what a function, or a class, takes by name; {} where they say nothing."""
     target: Any = factory
     if inspect.isclass(factory):
         target = vars(factory).get("__init__", factory)
     try:
-        hints = get_type_hints(target, include_extras=True)
+        return get_type_hints(target, include_extras=True)
     except (AttributeError, NameError, TypeError):  # not written for files
         return {}
-    found = {}
-    for name, hint in hints.items():
-        with suppress(TypeError):
-            found[name] = _unbounded(type_of(hint))
-    return found
+
+
+@lru_cache(1024)
+def option_type(factory: Callable[..., Any], name: str) -> Type | None:
+    """Return the type of an option, None where a file cannot say it."""
+    hints = option_hints(factory)
+    with suppress(TypeError):
+        return _unbounded(type_of(hints[name])) if name in hints else None
+    return None
 
 
 def _unbounded(kind: Type) -> Type:

@@ -19,7 +19,7 @@ from unicon_core.flow.block import Block, Bundle, as_block
 from unicon_core.platforms.kit.damping import LastSent
 from unicon_core.platforms.platform import Platform
 from unicon_core.robots import Robot
-from unicon_core.schema.types import Mistakes, options_of
+from unicon_core.schema.types import Mistakes, option_type
 from unicon_core.states import States
 from unicon_core.workflow.registry import Factory, states_in
 
@@ -155,10 +155,11 @@ def refuse_options(
         for option in options:
             if option not in free:
                 raise wrong(f" has no option {option!r}; {alternatives(option, free)}", option)
-    mistakes, types = Mistakes(), options_of(factory)
+    mistakes = Mistakes()
     for option, value in options.items():
-        if option in types:
-            types[option].read(value, (option,), mistakes)
+        kind = option_type(factory, option)
+        if kind is not None:
+            kind.read(value, (option,), mistakes)
     if mistakes.found:
         raise wrong(f": {'; '.join(text for _, text in mistakes.found)}")
 

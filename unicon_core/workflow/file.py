@@ -3,8 +3,6 @@
 Blocks and flows are read by the builder, which knows their factories.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
@@ -40,7 +38,7 @@ def _no_map(name: str) -> str:
     return ""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class PolicyEntry:
     """A policy of a workflow.
 
@@ -55,7 +53,7 @@ class PolicyEntry:
     child: bool | Annotated[Any, Later("unicon_core.policies.contract:ChildSpec")] | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Skill:
     """A skill: one policy or a flow, and how it is entered.
 
@@ -90,7 +88,7 @@ class Skill:
             here.note("give {policy: NAME}, or {do: FLOW}")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class CheckSettings:
     """Settings of `unicon check`.
 
@@ -105,7 +103,7 @@ class CheckSettings:
     command: Annotated[tuple[float, float, float] | None, Write("[vx, vy, wz]")] = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class SafetyOnly:
     """The safety blocks of a robot, and no others.
 
@@ -119,7 +117,7 @@ class SafetyOnly:
 _SAFETY = "[finite, joint_limits], {only: [finite, joint_limits]} for no others on a robot, or none"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Workflow:
     """A workflow: a robot, a platform and what runs between them.
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from unicon_core.errors import UniconError
 from unicon_core.located_yaml import Where
-from unicon_core.schema.types import Mistakes, Type, described, options_of, type_of
+from unicon_core.schema.types import Mistakes, Type, described, option_type, type_of
 from unicon_core.workflow.autowire import option_names
 from unicon_core.workflow.registry import Factory, find_factory, known
 
@@ -103,10 +103,11 @@ def _options(kind: str, name: str, definitions: dict[str, Any]) -> dict[str, Any
         factory: Factory = find_factory(kind, name, UniconError)
     except UniconError:
         return None
-    types, free, text = options_of(factory), option_names(factory), inspect.getdoc(factory) or ""
+    free, text = option_names(factory), inspect.getdoc(factory) or ""
+    types = {name: option_type(factory, name) for name in free}
     texts, parameters = described(text), inspect.signature(factory).parameters
     schema: dict[str, Any] = {
-        option: (types[option].json(definitions) if option in types else {})
+        option: (made.json(definitions) if (made := types[option]) is not None else {})
         | ({"description": texts[option]} if option in texts else {})
         for option in parameters
         if option in free

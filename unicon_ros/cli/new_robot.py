@@ -21,7 +21,7 @@ from unicon_core.models.joints import drives, is_simple
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.robots import Robot
-from unicon_core.robots.file import JOINT_BOUNDS, KINDS, SCHEMA
+from unicon_core.robots.file import KINDS, SCHEMA, joint_bounds
 from unicon_core.robots.load import read_robot_file
 from unicon_core.robots.robot import JOINT_FIELDS
 from unicon_ros.cli.robot_feet import feet_of
@@ -288,8 +288,9 @@ def _figures(
         "stiffness": said.stiffness,
         "damping": np.where(said.damping > 0.0, said.damping, np.nan),
     }
+    bounds = joint_bounds()
     for key, values in figures.items():
-        figures[key] = np.where(np.abs(values) <= JOINT_BOUNDS[key], values, np.nan)
+        figures[key] = np.where(np.abs(values) <= bounds[key], values, np.nan)
     for key in ("velocity", "effort"):
         figures[key] = np.where(figures[key] > 0.0, figures[key], np.nan)
     wrong = figures["lower"] >= figures["upper"]
