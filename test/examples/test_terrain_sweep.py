@@ -10,7 +10,8 @@ pytest.importorskip("mujoco")
 pytest.importorskip("onnxruntime")
 
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.schema.types import Mistakes, record_of
+from unicon_core.schema.records import record_of
+from unicon_core.schema.types import Mistakes
 from unicon_core.terrain.words import KINDS
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_ros.cli.main import main

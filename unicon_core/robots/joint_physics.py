@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from unicon_core.robots.file import Figures
 from unicon_core.robots.poses import joints_like
 from unicon_core.robots.robot import Robot
-from unicon_core.schema.types import record_of
+from unicon_core.schema.records import record_of
 
 JOINT_PHYSICS = {name: field.type.unit for name, field in record_of(Figures).fields.items()}  # type: ignore[attr-defined]
 """Word to unit."""

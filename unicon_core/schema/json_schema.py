@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from typing import Any
 
-from unicon_core.schema.types import record_of
+from unicon_core.schema.records import record_of
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 

@@ -7,7 +7,8 @@ from typing import Any, TypeVar
 
 from unicon_core.errors import UniconError
 from unicon_core.located_yaml import Located, Where
-from unicon_core.schema.types import Mistakes, record_of, type_of
+from unicon_core.schema.records import record_of, type_of
+from unicon_core.schema.types import Mistakes
 
 T = TypeVar("T")
 

@@ -19,7 +19,8 @@ from unicon_core.flow.block import Block, Bundle, as_block
 from unicon_core.platforms.kit.damping import LastSent
 from unicon_core.platforms.platform import Platform
 from unicon_core.robots import Robot
-from unicon_core.schema.types import Mistakes, option_type
+from unicon_core.schema.records import option_type
+from unicon_core.schema.types import Mistakes
 from unicon_core.states import States
 from unicon_core.workflow.registry import Factory, states_in
 

@@ -9,7 +9,8 @@ from typing import Any
 from unicon_core.errors import WorkflowError
 from unicon_core.located_yaml import Located
 from unicon_core.schema.read import refuse
-from unicon_core.schema.types import Mistakes, type_of
+from unicon_core.schema.records import type_of
+from unicon_core.schema.types import Mistakes
 
 SCHEMA = "unicon.workflow/1"
 

@@ -22,7 +22,8 @@ from unicon_core.schema.marks import (
     Within,
     Write,
 )
-from unicon_core.schema.types import Here, meant
+from unicon_core.schema.records import meant
+from unicon_core.schema.types import Here
 
 _BLOCK = Write("a block, or {chain: [...]}")
 FlowType = Annotated[Any, Later("unicon_core.workflow.flow_schema:FLOW"), _BLOCK]

@@ -11,7 +11,8 @@ from typing import Any
 
 from unicon_core.errors import UniconError
 from unicon_core.located_yaml import Where
-from unicon_core.schema.types import Mistakes, Type, described, option_type, type_of
+from unicon_core.schema.records import described, option_type, type_of
+from unicon_core.schema.types import Mistakes, Type
 from unicon_core.workflow.autowire import option_names
 from unicon_core.workflow.registry import Factory, find_factory, known
 

@@ -11,7 +11,8 @@ from unicon_core.file_kinds import other_kind
 from unicon_core.located_yaml import Located, read_yaml
 from unicon_core.resources import find_config, list_config
 from unicon_core.schema.read import refuse
-from unicon_core.schema.types import Mistakes, record_of
+from unicon_core.schema.records import record_of
+from unicon_core.schema.types import Mistakes
 from unicon_core.workflow.document import WorkflowDocument, read_part
 from unicon_core.workflow.file import Workflow
 from unicon_core.workflow.overrides import set_value, split_setting

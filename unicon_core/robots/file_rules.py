@@ -1,0 +1,147 @@
+"""Rules between the keys of a robot file: joints, contacts, groups, unknown facts and sources."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from fnmatch import fnmatchcase
+from typing import Any
+
+from unicon_core.errors import alternatives
+from unicon_core.robots.robot import JOINT_FIELDS
+from unicon_core.schema.records import meant
+from unicon_core.schema.types import Here
+
+
+def joints_of(document: Mapping[str, Any]) -> list[dict[str, Any]]:
+    joints = document.get("joints")
+    return [j for j in joints if isinstance(j, dict)] if isinstance(joints, list) else []
+
+
+def note_joints_once(document: Mapping[str, Any], here: Here) -> None:
+    joints = document.get("joints")
+    seen: dict[str, int] = {}
+    for i, joint in enumerate(joints if isinstance(joints, list) else ()):
+        name = joint.get("name") if isinstance(joint, dict) else None
+        if isinstance(name, str) and name in seen:
+            here.note(
+                f"joint {name!r} stands twice, as number {seen[name]} and {i}; name each once",
+                *("joints", i, "name"),
+            )
+        if isinstance(name, str):
+            seen.setdefault(name, i)
+
+
+def note_contacts(kind: str, document: Mapping[str, Any], here: Here) -> None:
+    """Note feet of what does not walk, fingertips of what is no hand, and missing ones."""
+    key = {"quadruped": "feet", "humanoid": "feet", "hand": "fingertips"}.get(kind)
+    instead = [other for other in document if key and key in meant(other, (key,))]
+    for other in ("feet", "fingertips"):
+        if other in document and other != key:
+            instead.append(other)
+            remedy = f"write {key!r}" if key else "remove it"
+            here.note(f"a robot of kind {kind} has no {other!r}; {remedy}", other)
+    if key is not None and key not in document and not instead:
+        here.note(f"missing key {key!r}; add it, [] where not known")
+    names = document.get(key or "")
+    listed = names if isinstance(names, list) else []
+    for name in listed:
+        if listed.count(name) > 1:
+            here.note(f"{key}: {name!r} stands twice; name each once", key or "")
+            break
+    if document.get("hand") is not None and kind != "hand":
+        here.note(f"a robot of kind {kind} has no 'hand'; remove it", "hand")
+
+
+def note_groups(groups: Mapping[str, list[str]], document: Mapping[str, Any], here: Here) -> None:
+    names = [str(joint.get("name")) for joint in joints_of(document)]
+    for group, patterns in groups.items():
+        if not group.isidentifier() or group in names:
+            text = f"groups: {group!r} is not a name for joints; use letters, digits and _"
+            here.note(text, "groups", group)
+        for i, pattern in enumerate(patterns):
+            if not any(fnmatchcase(name, pattern) for name in names):
+                known = alternatives(pattern, names)
+                here.note(f"groups: no joint is like {pattern!r}; {known}", "groups", group, i)
+
+
+def _nulls(document: Mapping[str, Any]) -> list[str]:
+    """Return the dotted facts that a file leaves open and that its `unknown` has to name."""
+    transport = document.get("transport")
+    transport = transport if isinstance(transport, dict) else {}
+    joints, imu = joints_of(document), document.get("imu")
+    fields = [key for key in JOINT_FIELDS if any(j.get(key, 0) is None for j in joints)]
+    if transport.get("command") == "position":
+        # The vendor closes the loop: there are no gains to be found.
+        fields = [key for key in fields if key not in ("stiffness", "damping")]
+    nulls = [f"joints.{key}" for key in fields]
+    if "imu" in document and imu is None:
+        nulls += ["imu"] if document.get("kind") in ("quadruped", "humanoid") else []
+    elif isinstance(imu, dict):
+        nulls += [f"imu.{key}" for key in ("frame", "position", "quat") if imu.get(key, 0) is None]
+    nulls += [key for key in ("feet", "fingertips") if document.get(key) == []]
+    return nulls + [f"transport.{key}" for key, value in transport.items() if value is None]
+
+
+def note_unknown(document: Mapping[str, Any], here: Here) -> None:
+    unknown = document.get("unknown") or []
+    if not isinstance(unknown, list) or not all(isinstance(fact, str) for fact in unknown):
+        return
+    nulls = _nulls(document)
+    for i, fact in enumerate(unknown):
+        if fact != "joint_order" and fact not in nulls:
+            why = f"is no fact; {alternatives(fact, [*nulls, 'joint_order'])}"
+            if _given(document, fact):
+                why = "is given now: take it from unknown"
+            here.note(f"unknown names {fact!r}, which {why}", "unknown", i)
+        if fact in unknown[:i]:
+            here.note(f"unknown names {fact!r} twice; remove one", "unknown", i)
+    for fact in nulls if document.get("manufacturer") is not None else ():
+        if fact not in unknown:
+            here.note(
+                f"{fact} is not given, and 'unknown' does not name it; add {fact!r} to unknown",
+                *_place(document, fact),
+            )
+
+
+def _given(document: Mapping[str, Any], fact: str) -> bool:
+    part, _, key = fact.partition(".")
+    if part == "joints":
+        return key in JOINT_FIELDS and any(j.get(key) is not None for j in joints_of(document))
+    if not key:
+        return part in ("imu", "feet", "fingertips") and bool(document.get(part))
+    value = document.get(part) if part in ("imu", "transport") else None
+    return isinstance(value, dict) and value.get(key) is not None
+
+
+def _place(document: Mapping[str, Any], fact: str) -> tuple[str | int, ...]:
+    part, _, key = fact.partition(".")
+    if part == "joints":
+        all_joints = enumerate(document["joints"])
+        first = next(i for i, j in all_joints if isinstance(j, dict) and j.get(key, 0) is None)
+        return ("joints", first, key)
+    return (part, key) if key else (part,)
+
+
+def note_sources(document: Mapping[str, Any], here: Here) -> None:
+    """Every group of figures that the file gives says where it was taken from."""
+    for key in ("transport", "sources"):
+        if key not in document:
+            here.note(f"missing key {key!r}; add it, as of every robot with a manufacturer")
+    sources = document.get("sources")
+    if not isinstance(sources, dict):
+        return
+    joints = joints_of(document)
+    given = {
+        "joints": True,
+        "gains": any(j.get(key) is not None for j in joints for key in ("stiffness", "damping")),
+        "default": any(j.get("default") is not None for j in joints),
+        "rest": any(j.get("rest") is not None for j in joints),
+        "transport": True,
+    }
+    groups = ("imu", "feet", "fingertips", "command_ranges", "mounts", "end_effectors")
+    given |= {key: bool(document.get(key)) for key in (*groups, "capsules", "hand")}
+    for group, needed in given.items():
+        if needed and group not in sources:
+            here.note(
+                f"sources does not say where {group!r} was taken from; add `{group}: …`", "sources"
+            )
