@@ -14,11 +14,7 @@ from typing import Any
 
 from unicon_core.errors import alternatives
 from unicon_core.located_yaml import Where
-from unicon_core.schema.marks import (
-    Matches,
-    Size,
-    Within,
-)
+from unicon_core.schema.marks import Matches, Size, Within
 
 INVALID: Any = object()
 """What a reader returns where it noted a mistake."""

@@ -308,8 +308,6 @@ def _checked_options(document: WorkflowDocument, name: str, factory: Factory) ->
     def wrong(text: str, *path: str) -> WorkflowError:
         return document.error(text, "platforms", name, *path)
 
-    if not isinstance(options, dict):
-        raise wrong(f"platforms.{name}: {options!r} is not a mapping of options")
     free = option_names(factory)
     for option in options:
         if option in SCENE_KEYS and option not in free:
