@@ -134,6 +134,31 @@ def test_sound_sensors_are_none(bench: Build, block: str) -> None:
     made.tick()
 
 
+@pytest.mark.parametrize("late", [0.008, 0.012, 0.016])
+def test_every_other_frame_stamped_late_is_none(bench: Build, late: float) -> None:
+    """On a busy machine: the next frame is on time, hence early against the one before it."""
+    gait = Gait(bench(), 0.5)
+    made = gait.it.block("joint_sensor_stop")
+    for k in range(400):
+        t = PERIOD * k
+        states = gait.it.states
+        gait.frame(k)
+        states.joint_pos = 0.5 * gait.phase + 6.0 * t + 0.005 * gait.rng.uniform(-1, 1, 12)
+        states.joint_vel = 6.0 + 0.5 * gait.rng.uniform(-1, 1, 12)
+        states.stamp_ns = round((gait.time + t + late * (k % 2)) * 1e9)
+        made.tick()
+    lies = tripped(made, lambda k: _lie_on(gait, 400 + k, late))
+    assert (lies[0] + 1) * PERIOD <= 0.3 + 1e-9
+
+
+def _lie_on(gait: Gait, k: int, late: float) -> None:
+    """Go on so, with velocities that stand at 0."""
+    t = PERIOD * k
+    gait.it.states.joint_pos = 0.5 * gait.phase + 6.0 * t
+    gait.it.states.joint_vel = np.zeros(12)
+    gait.it.states.stamp_ns = round((gait.time + t + late * (k % 2)) * 1e9)
+
+
 def test_an_old_frame_behind_a_pause_is_none(bench: Build) -> None:
     """A burst: its first frame was measured 50 ms ago, and is stamped as if it had just been."""
     gait = Gait(bench())

@@ -39,7 +39,9 @@ def joint_sensor_stop(
       by at most `drift`. Walks of all shipped policies with the noise of their training (up to
       1.5 rad/s and 0.012 rad) and pushes of 0.5 m/s reach 0.13 rad with 12 joints and 0.22 with 29.
       Of a frame that comes behind a longer time than a tick's, ACCELERATION (dt^2 - T^2) / 8 is
-      left out: how far a joint may have swung out of the interval and back.
+      left out: how far a joint may have swung out of the interval and back. Where the frame was
+      only stamped late, the next frames are off by as much in the other direction, and that is
+      left out, too.
 
     Velocities that have the same bits, all of them, for `FROZEN` while the joints moved by `MOTION`
     are a fault, too.
@@ -67,7 +69,7 @@ def joint_sensor_stop(
 class JointSensorStop:
     """The tick of `joint_sensor_stop`."""
 
-    memory = ("_at", "_doubtful", "_last", "_was", "_start", "_same", "_sum")
+    memory = ("_at", "_doubtful", "_last", "_was", "_start", "_same", "_sum", "_excused", "_late")
 
     stage = Stage.SAFETY
     patient = True  # one frame more is no harm
@@ -111,6 +113,7 @@ class JointSensorStop:
         self._start, self._same = np.zeros_like(pos), 0.0
         self._low, self._high = np.zeros_like(pos), np.zeros_like(pos)
         self._moved, self._off, self._sum = (np.zeros_like(pos) for _ in range(3))
+        self._excused, self._late = np.zeros_like(pos), False  # of late frames, until it comes back
 
     def __call__(self) -> None:
         """Look.
@@ -132,6 +135,7 @@ class JointSensorStop:
         paused = not 0.0 < dt <= self._longest
         if paused or self._doubtful:
             total[...], self._start[...], self._same = 0.0, pos, 0.0
+            self._excused[...], self._late = 0.0, False
             self._doubtful = paused and 0.0 < dt < self.HELD_BACK
             return
         if not frozen:
@@ -145,15 +149,27 @@ class JointSensorStop:
         np.maximum(moved, low, out=off)
         np.minimum(off, high, out=off)
         np.subtract(moved, off, out=off)
-        slack = 0.125 * self.ACCELERATION * (dt * dt - self._period2)
-        if slack > 0.0:  # a frame was late or lost
-            off -= np.clip(off, -slack, slack)
         off *= self.looked_at
+        slack = 0.125 * self.ACCELERATION * (dt * dt - self._period2)
+        if slack > 0.0 or self._late:
+            self._excuse(slack, dt)
         total *= max(1.0 - dt / self.DRAWN, 0.0)
         total += off
         step = self._step + 0.25 * self.ACCELERATION * dt * dt
         if not (off.dot(off) <= 0.25 * step * step and total.dot(total) <= self._drift**2):
             self._look(dt, step)
+
+    def _excuse(self, slack: float, dt: float) -> None:
+        off, excused = self._off, self._excused
+        excused *= max(1.0 - dt / self.DRAWN, 0.0)
+        back = np.clip(-excused, np.minimum(off, 0.0), np.maximum(off, 0.0))
+        off -= back
+        excused += back
+        if slack > 0.0:  # a frame was late or lost
+            left_out = np.clip(off, -slack, slack)
+            off -= left_out
+            excused += left_out
+        self._late = bool(np.abs(excused).max() > 1e-3)
 
     def _look_at_motion(self) -> None:
         moved = float((np.abs(self._pos - self._start) * self.looked_at).sum())
@@ -166,7 +182,7 @@ class JointSensorStop:
     def _look(self, dt: float, step: float) -> None:
         off, total = self._off, self._sum
         if not np.isfinite(total).all():  # what is NaN is `range_stop`'s
-            total[...] = 0.0
+            total[...] = self._excused[...] = 0.0
             return
         slip = self.JITTER * np.maximum(np.abs(self._low), np.abs(self._high)) / dt
         mean = np.abs(self._moved - 0.5 * (self._low + self._high)) * self.looked_at
@@ -190,4 +206,4 @@ class JointSensorStop:
     def reset(self) -> None:
         """Look anew."""
         self._last[...] = np.nan
-        self._sum[...] = 0.0
+        self._sum[...] = self._excused[...] = 0.0
