@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import time
 
+import numpy as np
 import rclpy
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
-from benchmarks.bridge_topics import arrays_of, bench_states, variables_of
 from unicon_msgs_map import Decoder, parse_map
 from unicon_ros import compat
 from unicon_ros.bench.pipelines.log import MIRROR, Log, Stop, arguments
@@ -29,8 +29,11 @@ def main() -> None:
     node = Node("observer")
     entry = joint_states_entry(MIRROR, options.best_effort)
     (spec,) = parse_map(f"subscribe:\n{entry}").subscribe
-    arrays = arrays_of(bench_states(options.joints))
-    decoder = Decoder.build(spec, arrays, None, variables_of(options.joints))
+    joints = ("joint_pos", "joint_vel", "joint_effort")
+    arrays = {name: np.zeros(options.joints, np.float32) for name in joints}
+    stamp = {"stamp_ns": np.zeros((), np.int64)}
+    names = [f"joint_{i}" for i in range(options.joints)]
+    decoder = Decoder.build(spec, arrays | stamp, None, {"joint_names": names})
     topic = TopicIn(node, decoder, JointState, False, compat.polled_group(), print)
     waiter = compat.ReusedWaitSet([topic.subscription], node.context)
     while not stop:
