@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -13,7 +14,7 @@ from unicon_core.check import CheckResult, check_workflow
 from unicon_core.check.clock import check_clock
 from unicon_core.check.parts import check_parts
 from unicon_core.check.result import PolicyResult
-from unicon_core.check.rules import CODES, FIRM, RULES, markdown
+from unicon_core.check.rules import CODES, FIRM, LIVE, RULES, markdown
 from unicon_core.platforms.fake import FakePlatform
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.platform import Facts
@@ -44,6 +45,22 @@ def test_codes_are_unique_and_every_rule_says_all() -> None:
 def test_a_test_raises_every_code(code: str) -> None:
     texts = (path.read_text("utf-8") for path in (ROOT / "test").rglob("test_*.py"))
     assert any(re.search(rf"\b{re.escape(code)}\b", text) for text in texts)
+
+
+SOUND = ("go2_walk", "go2_stand", "g1_walk")
+
+
+@cache
+def found_in_sound_workflows() -> dict[str, set[str]]:
+    results = {name: check_workflow(name) for name in SOUND}
+    assert not any(result.findings for result in results.values())
+    return {name: {note.code for note in result.notes} for name, result in results.items()}
+
+
+@pytest.mark.parametrize("code", [code for code in CODES if code not in LIVE])
+def test_a_sound_workflow_does_not_raise_it(code: str, assets: Path) -> None:
+    """Live rules have that in test_live_rules; twins of sound contracts in test_check_twin."""
+    assert any(code not in found for found in found_in_sound_workflows().values())
 
 
 def test_explain(capsys: pytest.CaptureFixture[str]) -> None:

@@ -34,6 +34,20 @@ from unicon_core.workflow import Hook
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.load import load_document
 
+Check = Callable[[Subject, CheckResult], None]
+
+CHECKS: tuple[Check, ...] = (
+    check_joints, check_order, check_gains, check_held, check_limits, check_observation,
+    check_action, check_fed, check_timing, check_commands, check_pose, check_start, check_gates,
+    check_safety, check_parts, check_keys, check_reach, check_robot,
+)  # fmt: skip
+"""Those that `unicon run` asks, too."""
+
+SLOWER: tuple[Check, ...] = (
+    check_frames, check_files, check_bodies, check_blocks, check_memory, check_seen,
+)  # fmt: skip
+"""They read the platform, hash files, or repeat what the build has done."""
+
 _CULPRITS: tuple[tuple[type[UniconError], str], ...] = (
     (RobotError, "robot"),
     (ModelError, "model"),
@@ -49,7 +63,7 @@ def check_workflow(
     overrides: Iterable[str] = (),
     *,
     twin: bool = False,
-    more: Iterable[Callable[[Subject, CheckResult], None]] = (),
+    more: Iterable[Check] = (),
     hooks: Sequence[Hook] = (),
 ) -> CheckResult:
     """Check a workflow without moving anything.
@@ -107,31 +121,9 @@ def static_checks(subject: Subject, result: CheckResult) -> None:
         subject: what is checked.
         result: is added to.
     """
-    check_joints(subject, result)
-    check_order(subject, result)
-    check_gains(subject, result)
-    check_held(subject, result)
-    check_limits(subject, result)
-    check_observation(subject, result)
-    check_action(subject, result)
-    check_fed(subject, result)
-    check_timing(subject, result)
-    check_commands(subject, result)
-    check_pose(subject, result)
-    check_start(subject, result)
-    check_gates(subject, result)
-    check_safety(subject, result)
-    check_parts(subject, result)
-    check_keys(subject, result)
-    check_reach(subject, result)
-    check_robot(subject, result)
-    if not subject.live:  # they read the platform, hash files, or repeat what the build has done
-        check_frames(subject, result)
-        check_files(subject, result)
-        check_bodies(subject, result)
-        check_blocks(subject, result)
-        check_memory(subject, result)
-        check_seen(subject, result)
+    checks = CHECKS if subject.live else (*CHECKS, *SLOWER)
+    for check in checks:
+        check(subject, result)
     result.sort()
 
 

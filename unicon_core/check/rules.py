@@ -1,4 +1,4 @@
-"""Rules: what `unicon check` looks at, each with a code, what it needs, why, and a remedy.
+"""Rules of `unicon check`, gates and `unicon preflight`: code, what it looks at, why, and a remedy.
 
 `unicon explain CODE` prints one, docs/rules.md has them all. What explains other findings stands
 first: an order of joints that is wrong, for example, also gives poses outside the limits, different
@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from unicon_core.check.rule_table import TABLE, Row
 
-Need = Literal["document", "robot", "policy", "model", "platform", "rollout"]
+Need = Literal["document", "robot", "policy", "model", "platform", "rollout", "live"]
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,8 @@ class Rule:
 
     Attributes:
         code: names it, for `accept`, `--force` and `unicon explain`.
-        needs: what it looks at, beside the workflow.
+        needs: what it looks at, beside the workflow; `live` is the data of the running robot, which
+            gates and `unicon preflight` have.
         what: is wrong, in one line.
         why: it matters.
         remedy: what to do about it.
@@ -58,8 +59,17 @@ RULES = tuple(map(_rule, TABLE))
 CODES = {rule.code: rule for rule in RULES}
 """Code to rule. A workflow accepts one with `check: {accept: [CODE]}`: it is then a note."""
 
+LIVE = frozenset(rule.code for rule in RULES if "live" in rule.needs)
+"""What the running robot alone shows; no finding of `unicon check` has such a code."""
+
 FIRM = frozenset(rule.code for rule in RULES if rule.firm)
 """What a run cannot begin with."""
+
+
+def live_code(name: str) -> str:
+    """Return the code of a gate, or of another row of preflight; "" for a name that has none."""
+    codes = (f"{group}.{name.replace(' ', '_')}" for group in ("gate", "preflight"))
+    return next((code for code in codes if code in LIVE), "")
 
 
 def markdown() -> str:
@@ -68,6 +78,7 @@ def markdown() -> str:
         "# Rules",
         "",
         "What `unicon check` looks at; `unicon run` refuses by the same errors, the twin's aside. "
+        "Gates and `unicon preflight` look at *live* data. "
         "`unicon explain CODE` prints one. Generated: `unicon explain --markdown`.",
         "",
         "A workflow accepts a finding with `check: {accept: [CODE]}`, a run with `--force CODE`; "

@@ -22,6 +22,7 @@ from unicon_core.workflow import Hook, Program
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.hardware import can_wait
 from unicon_core.workflow.platforms import facts_of_all, find_platforms, platform_options
+from unicon_core.workflow.program_data import ProgramData
 
 
 @dataclass
@@ -30,7 +31,8 @@ class Subject:
 
     Attributes:
         document: the workflow file.
-        program: built; by `build_subject` with `fake` in place of hardware, so nothing moves.
+        program: what was built; by `build_subject` with `fake` in place of hardware, so nothing
+            moves.
         platform: facts that the document's platform declares, not the exchanged one.
         waits: whether ticks may come with that platform's data.
         live: it is about to run: the platform is left as it was, and what only tables show is not
@@ -38,7 +40,7 @@ class Subject:
     """
 
     document: WorkflowDocument
-    program: Program
+    program: ProgramData
     platform: Facts
     waits: bool
     live: bool = False

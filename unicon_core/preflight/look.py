@@ -64,7 +64,7 @@ def look(program: Program, seconds: float) -> PreflightResult:
     for gate in program.gates:
         reason = said.get(gate.name, "it was not asked")
         figures = seen.get(gate.name, "") or getattr(gate, "about", "")
-        result.add(gate.name, not reason, reason or figures)
+        result.add(gate.name, not reason, reason or figures, "gate.stop")
     if not program.gates:
         result.add("gates", None, "none are asked (start: {gates: false})")
     if not result.fault:

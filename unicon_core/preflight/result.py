@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from unicon_core.aligned import aligned
+from unicon_core.check.rules import live_code
 from unicon_core.errors import UniconError
 
 
@@ -19,16 +20,22 @@ class Row:
         name: of it, a word or two.
         ok: whether it is in order; None where that is for a person to say.
         told: what was seen, with figures; where it is not in order also the remedy.
+        code: of the rule that is broken, for `unicon explain`; "" where none is.
     """
 
     name: str
     ok: bool | None
     told: str
+    code: str = ""
 
     @property
     def word(self) -> str:
         """`pass`, `FAIL` or `note`."""
         return "note" if self.ok is None else "pass" if self.ok else "FAIL"
+    @property
+    def line(self) -> str:
+        """What was seen, with the code of a broken rule."""
+        return f"{self.told}  [{self.code}]" if self.code else self.told
 
 
 @dataclass
@@ -56,9 +63,10 @@ class PreflightResult:
     first_step: dict[str, float] = field(default_factory=dict)
     fault: str = ""
 
-    def add(self, name: str, ok: bool | None, told: str) -> None:
-        """Add a row."""
-        self.rows.append(Row(name, ok, told))
+    def add(self, name: str, ok: bool | None, told: str, code: str = "") -> None:
+        """Add a row; `code` is that of its rule, where its name does not say it."""
+        code = (live_code(name) or code) if ok is False else ""
+        self.rows.append(Row(name, ok, told, code))
 
     @property
     def ok(self) -> bool:
@@ -71,7 +79,7 @@ class PreflightResult:
             f"{self.workflow} on {self.robot} (platform {self.platform}): received for "
             f"{self.seconds:.1f} s, no joint was commanded"
         )
-        lines = aligned([(row.word, row.name, row.told) for row in self.rows], underlined=False)
+        lines = aligned([(row.word, row.name, row.line) for row in self.rows], underlined=False)
         failed = sum(row.ok is False for row in self.rows)
         passed = sum(row.ok is True for row in self.rows)
         end = [f"fault: {self.fault}"] if self.fault else []

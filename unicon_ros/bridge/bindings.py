@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import UniconError
 from unicon_core.robots import Robot
-from unicon_core.workflow import Program
+from unicon_core.workflow.program_data import ProgramData
 
 
-def arrays_of(program: Program) -> dict[str, NDArray[Any]]:
+def arrays_of(program: ProgramData) -> dict[str, NDArray[Any]]:
     """Return the states' views by name; of the first robot where there are many."""
     states = program.states
     if states.num_robots is None:
@@ -19,13 +19,13 @@ def arrays_of(program: Program) -> dict[str, NDArray[Any]]:
     return {name: states[name][0, ...] for name in states}
 
 
-def names_of(program: Program) -> dict[str, tuple[str, ...]]:
+def names_of(program: ProgramData) -> dict[str, tuple[str, ...]]:
     """Return the element names of the states that have some."""
     specs = program.states.layout.specs
     return {name: spec.names for name, spec in specs.items() if spec.names}
 
 
-def variables_of(program: Program, frame_prefix: str = "") -> dict[str, object]:
+def variables_of(program: ProgramData, frame_prefix: str = "") -> dict[str, object]:
     """Return what a map may call `$name`; `frame_prefix` stands before the names of frames."""
     return robot_variables(program.robot, frame_prefix)
 
@@ -57,7 +57,7 @@ def checked_prefix(prefix: str) -> str:
     return prefix
 
 
-def told_states(program: Program) -> frozenset[str]:
+def told_states(program: ProgramData) -> frozenset[str]:
     """Return the states that somebody tells: the platform, or a block, one of the wind-down too.
 
     A topic amends these, and writes all others.

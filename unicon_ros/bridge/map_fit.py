@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from unicon_core.check import CheckResult
     from unicon_core.check.subject import Subject
     from unicon_core.workflow import Program
+    from unicon_core.workflow.program_data import ProgramData
 
 ORIENTATION = "base_quat"
 
@@ -218,7 +219,7 @@ def check_mirror(subject: Subject, result: CheckResult, name: str | None = None)
         result: is added to.
         name: of the map; None for the workflow's own, else the default.
     """
-    program: Program = subject.program
+    program = subject.program
     path = find_config("maps", name or subject.document.get("map") or "default")
     try:
         mapping = load_map(path)
@@ -242,7 +243,7 @@ def check_mirror(subject: Subject, result: CheckResult, name: str | None = None)
                 )
 
 
-def _played(program: Program, mapping: MessageMap) -> tuple[str, ...]:
+def _played(program: ProgramData, mapping: MessageMap) -> tuple[str, ...]:
     """Return the states that a map's trajectories write; raises where nobody would follow them."""
     if mapping.trajectory is None:
         return ()
@@ -252,7 +253,7 @@ def _played(program: Program, mapping: MessageMap) -> tuple[str, ...]:
     return PLAYED
 
 
-def _heard(program: Program, mapping: MessageMap) -> list[TopicSpec]:
+def _heard(program: ProgramData, mapping: MessageMap) -> list[TopicSpec]:
     """Return what the bridge hears by a map; raises as `codecs`."""
     bindings = arrays_of(program), names_of(program), variables_of(program)
     decoders, _ = codecs(mapping, *bindings)

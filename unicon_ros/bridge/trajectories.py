@@ -20,6 +20,7 @@ from unicon_core.flow import Block
 from unicon_core.trajectory import Ending, Limits, Player, Points, Refusal, Tolerances
 from unicon_core.trajectory.accepted import Code
 from unicon_core.workflow import Program
+from unicon_core.workflow.program_data import ProgramData
 from unicon_msgs_map.spec import TrajectorySpec
 from unicon_ros import compat
 from unicon_ros.bridge.action_server import ABORTED, CANCELED, SUCCEEDED, ActionServer, Goal
@@ -37,7 +38,7 @@ LINGER_S = 0.1
 """So long after the last results the services stay, for the middleware to repeat what was lost."""
 
 
-def followers(spec: TrajectorySpec, program: Program) -> list[ForwardCommand]:
+def followers(spec: TrajectorySpec, program: ProgramData) -> list[ForwardCommand]:
     """Return the blocks that follow what is played.
 
     Raises:
