@@ -1,4 +1,4 @@
-"""`check`, `robots`, `run` and `preflight` agree about every shipped robot on every platform.
+"""`check`, `robots`, `run` and `preflight` agree: each robot, policy and platform that are shipped.
 
 A run goes as far as the network or the bus, which is replaced: a robot that is looked for was not
 refused. Platforms over ROS have a table of their own, test/ros/test_ros_check_is_run.py.
@@ -7,8 +7,10 @@ refused. Platforms over ROS have a table of their own, test/ros/test_ros_check_i
 from __future__ import annotations
 
 import socket
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import pytest
@@ -17,11 +19,12 @@ import yaml
 from unicon_core import latches
 from unicon_core.check import check_workflow, refuse_errors
 from unicon_core.errors import MissingDependencyError, PlatformError, UniconError
+from unicon_core.platforms.platform import Facts
 from unicon_core.robots import load_robot, robot_names
 from unicon_core.robots.table import robots_table
 from unicon_core.workflow import Program
 from unicon_core.workflow.hardware import declared_facts
-from unicon_core.workflow.load import load_document
+from unicon_core.workflow.load import load_document, workflow_names
 from unicon_core.workflow.registry import find_factory, known
 
 OPTIONS: dict[str | tuple[str, str], dict[str, Any]] = {
@@ -35,6 +38,7 @@ OPTIONS: dict[str | tuple[str, str], dict[str, Any]] = {
 }
 """What a platform asks of the one who has the robot."""
 OVER_ROS = ("gazebo", "ros")
+NONE: Mapping[str, Any] = MappingProxyType({})
 LOUD = ("arx", "azureloong", "unitree_legged")
 """What cannot be opened to receive only (docs/robots.md): preflight is refused."""
 
@@ -64,10 +68,10 @@ def unreachable(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(XhandWire, "__init__", _reached)
 
 
-def _refusal(path: Path, *, silent: bool) -> str:
+def _refusal(path: str | Path, overrides: Mapping[str, Any] = NONE, *, silent: bool) -> str:
     """Return why a run, or a silent one as preflight's, does not begin; "" where it does."""
     try:
-        program = Program(load_document(path), silent=silent)
+        program = Program(load_document(path, overrides), silent=silent)
     except Reached:
         return ""
     except UniconError as error:
@@ -114,20 +118,64 @@ def _agree(path: Path, robot: str, platform: str, simulated: bool) -> bool:
     return not findings
 
 
+def _platform(name: str, request: pytest.FixtureRequest) -> Facts:
+    """Return what a platform declares; a robot is out of reach from now on."""
+    try:
+        facts = declared_facts(find_factory("platforms", name, PlatformError), name)
+    except MissingDependencyError as error:
+        pytest.skip(str(error))
+    if not facts.simulated:
+        request.getfixturevalue("unreachable")
+    return facts
+
+
+PLATFORMS = [name for name in known("platforms") if name not in OVER_ROS]
+
+
+@pytest.mark.parametrize("platform", PLATFORMS)
+def test_no_robot_contradicts_on_its_platform(
+    platform: str, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    facts = _platform(platform, request)
+    if facts.simulated and platform != "fake":
+        pytest.skip("a simulator, as fake")
+    for robot in robot_names():
+        if facts.simulated or load_robot(robot).transport["protocol"] in facts.protocols:
+            _agree(tmp_path / "held.yaml", robot, platform, facts.simulated)
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("platform", [name for name in known("platforms") if name not in OVER_ROS])
+@pytest.mark.parametrize("platform", PLATFORMS)
 def test_no_pair_of_robot_and_platform_contradicts(
     platform: str, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
-    try:
-        factory = find_factory("platforms", platform, PlatformError)
-    except MissingDependencyError as error:
-        pytest.skip(str(error))
-    simulated = declared_facts(factory, platform).simulated
+    simulated = _platform(platform, request).simulated
     if simulated and platform != "mujoco":
         pytest.skip("a simulator, as mujoco")
-    if not simulated:
-        request.getfixturevalue("unreachable")
     path = tmp_path / "held.yaml"
     runs = [robot for robot in robot_names() if _agree(path, robot, platform, simulated)]
     assert runs or platform in ("dobot", "fourier", "replay"), "no robot can be driven"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("platform", PLATFORMS)
+def test_no_shipped_policy_contradicts_on_a_platform(
+    platform: str, assets: Path, request: pytest.FixtureRequest
+) -> None:
+    """Every shipped workflow, with its policies, gates and safety blocks.
+
+    A divided one cannot be looked at silently, whatever its platform.
+    """
+    facts = _platform(platform, request)
+    if facts.simulated and platform not in ("mujoco", "fake", "pybullet"):
+        pytest.skip("a simulator, as mujoco")
+    for workflow in workflow_names():
+        document = load_document(workflow)
+        robot = str(document.get("robot"))  # of several: no options are known
+        options = OPTIONS.get((robot, platform), OPTIONS.get(platform, {}))
+        changed = {"platform": platform, "platforms": {platform: options}}
+        findings = [str(found) for found in check_workflow(workflow, changed).findings]
+        silently = not (facts.simulated or platform in LOUD or "parts" in document.values)
+        for silent in (False, True) if silently else (False,):
+            refused = _refusal(workflow, changed, silent=silent)
+            assert bool(findings) == bool(refused), (workflow, silent, findings, refused)
