@@ -11,7 +11,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from unicon_core.blocks.approach import Entry
 from unicon_core.blocks.monitor import Monitor
@@ -53,6 +53,11 @@ from unicon_core.workflow.tick_tree import tick_tree, with_flow
 from unicon_core.workflow.uses import EXPRESSION, Use
 from unicon_core.workflow.warm_ups import WarmUps
 
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+    from unicon_core.workflow.described import Described
+
 Hook = Callable[["Program"], Mapping[Stage, Sequence[Block]]]
 """Gives a program further blocks, each for its stage, once states and platform exist: a bridge, a
 recorder, a viewer. They stand behind the program's own blocks of that stage."""
@@ -90,7 +95,7 @@ class Program(ProgramData):
         silent: bool = False,
         instead: Callable[[States], Platform] | None = None,
         contracts: Mapping[str, PolicyContract] | None = None,
-        **described: Any,
+        **described: Unpack[Described],
     ) -> None:
         if document is None:
             caller = sys._getframe(1)
