@@ -299,45 +299,83 @@ def test_a_mapping_names_joints_by_pattern(tmp_path: Path) -> None:
     assert made(tmp_path, values)[2].action.kinds == ()
 
 
-KNOWN = "known: position, velocity, torque"
+KNOWN = (
+    "position, velocity or torque, a list with one for each joint, or {'*_wheel_joint': velocity}"
+)
 ONE_FILTER = "give one of low_pass: Hz, alpha: SHARE, moving_average: SAMPLES"
 
 
 @pytest.mark.parametrize(
     ("key", "value", "message"),
     [
-        ("action.kind", "speed", f"action.kind is 'speed'; {KNOWN}"),
+        ("action.kind", "speed", f"action.kind is 'speed'; write {KNOWN}"),
         ("action.kind", ["velocity"] * 3, "action.kind has 3 words for 4 joints; give one word, "),
-        ("action.kind", ["torque"] * 3 + [1], f"action.kind[3] is 1; {KNOWN}"),
+        (
+            "action.kind",
+            ["torque"] * 3 + [1],
+            "action.kind.3 is 1; write position or velocity or torque",
+        ),
         (
             "action.kind",
             {"*_wheel": "velocity"},
             "action.kind names '*_wheel', which is none of the joints that are moved; known: ",
         ),
-        ("action.scale", [0.1, 0.1, 201.0, 1.0], "action.scale[2] is 201; a velocity has at most "),
-        ("action.scale", [0.1, 13.0, 1.0, 1.0], "action.scale[1] is 13; a position has at most 12"),
+        ("action.scale", [0.1, 0.1, 201.0, 1.0], "action.scale.2 is 201; a velocity has at most "),
+        ("action.scale", [0.1, 13.0, 1.0, 1.0], "action.scale.1 is 13; a position has at most 12"),
         ("stiffness", [1.0, 1.0, 2.0, 0.0], "stiffness is 2 at b_hip, which is given velocities"),
         ("damping", [1.0, 1.0, 0.0, 0.0], "damping is 0 at b_hip, which is given velocities: not"),
         ("action.filter", {}, f"action.filter names no filter; {ONE_FILTER}"),
         (
             "action.filter",
             {"alpha": 0.5, "low_pass": 3.0},
-            f"action.filter gives low_pass and alpha; {ONE_FILTER}",
+            f"action.filter gives alpha and low_pass; {ONE_FILTER}",
         ),
-        ("action.filter", {"cutoff": 3.0}, "unknown key 'cutoff' in action.filter; known: alpha"),
-        ("action.filter", 5.0, "action.filter is 5.0; give a mapping"),
+        ("action.filter", {"cutoff": 3.0}, "action.filter: unknown key 'cutoff'; known: alpha"),
+        ("action.filter", 5.0, "action.filter is 5.0; write a mapping"),
         ("action.filter", {"low_pass": 25.5}, "action.filter.low_pass is 25.5; give the cut-off f"),
-        ("action.filter", {"alpha": 0.0}, "action.filter.alpha is 0.0; give the weight of the new"),
-        ("action.filter", {"alpha": 1.1}, "action.filter.alpha is 1.1; give the weight of the new"),
-        ("action.filter", {"moving_average": 1}, "action.filter.moving_average is 1; give a whole"),
-        ("action.filter", {"moving_average": 2.5}, "action.filter.moving_average is 2.5; give a "),
-        ("action.filter", {"alpha": 0.5, "start": "now"}, "action.filter.start is 'now'; known: z"),
+        (
+            "action.filter",
+            {"alpha": 0.0},
+            "action.filter.alpha is 0.0; write the weight of the new",
+        ),
+        (
+            "action.filter",
+            {"alpha": 1.1},
+            "action.filter.alpha is 1.1; write the weight of the new",
+        ),
+        (
+            "action.filter",
+            {"moving_average": 1},
+            "action.filter.moving_average is 1; write a whole",
+        ),
+        ("action.filter", {"moving_average": 2.5}, "action.filter.moving_average is 2.5; write a "),
+        (
+            "action.filter",
+            {"alpha": 0.5, "start": "now"},
+            "action.filter.start 'now' is not known; known: first, z",
+        ),
         ("action.feedback", "filtered", "action.feedback is 'filtered'; there is no action.filter"),
-        ("command", {"rate": 1.0}, "unknown key 'rate' in command; known: slew"),
-        ("command", {}, "command says no slew; give the largest change of vx, vy, wz in [m/s², "),
-        ("command", {"slew": [1.0, 2.0]}, "command.slew has 2 values; give one, or those of vx, "),
-        ("command", {"slew": [1.0, 0.0, 1.0]}, "command.slew[1] is 0; give a change above 0 and "),
-        ("command", {"slew": -1.0}, "command.slew is -1; give a change above 0 and at most 1000"),
+        ("command", {"slew": 1.0, "rate": 1.0}, "command: unknown key 'rate'; known: slew"),
+        (
+            "command",
+            {},
+            "command: missing key 'slew'; add slew: the largest change of vx, vy, wz in [m/s², ",
+        ),
+        (
+            "command",
+            {"slew": [1.0, 2.0]},
+            "command.slew is [1.0, 2.0]; write a list of those of vx, ",
+        ),
+        (
+            "command",
+            {"slew": [1.0, 0.0, 1.0]},
+            "command.slew.1 is 0.0; write a change above 0 and ",
+        ),
+        (
+            "command",
+            {"slew": -1.0},
+            "command.slew is -1.0; write a change above 0 and at most 1000",
+        ),
     ],
 )
 def test_wrong_facts_are_told(tmp_path: Path, key: str, value: Any, message: str) -> None:
@@ -370,8 +408,8 @@ def test_a_wrong_filter_of_a_term_is_told(tmp_path: Path) -> None:
     with pytest.raises(PolicyError) as caught:
         load_policy(write_toy(tmp_path, values))
     assert str(caught.value).endswith(
-        ": observation.terms[0].filter.moving_average is 1000; give a whole number of samples "
-        "from 2 to 100"
+        ": observation.terms.ang_vel.filter.moving_average is 1000; write a whole number from 2 to "
+        "100 [samples], or null"
     )
 
 

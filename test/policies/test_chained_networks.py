@@ -138,8 +138,8 @@ def test_an_import_takes_all_networks_and_pins_each(folder: Path, tmp_path: Path
         ({"networks": None}, "feeds goes with 'networks'"),
         ({"networks": {"encoder": {**ENCODER, "onnx": "absent.onnx"}}}, "no such file"),
         ({"networks": {"encoder": {**ENCODER, "onnx": "../encoder.onnx"}}}, "is not in the folder"),
-        ({"networks": {"encoder": {**ENCODER, "gain": 1}}}, "no key 'gain'"),
-        ({"networks": {"a.b": ENCODER}}, "is not a name"),
+        ({"networks": {"encoder": {**ENCODER, "gain": 1}}}, "networks.encoder: unknown key 'gain'"),
+        ({"networks": {"a.b": ENCODER}}, "write a name of letters"),
         ({"recurrent": None}, "nothing feeds input encoder.h_in"),
     ],
 )

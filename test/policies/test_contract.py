@@ -76,10 +76,13 @@ def test_a_good_file_is_read(tmp_path: Path) -> None:
     assert contract.model == tmp_path / "policy.onnx"
 
 
+ANGLE = "a number from -12.5664 to 12.5664 [rad] (are these degrees?)"
+
+
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ("period: 0.02", "period: 0", ":4: period is 0; give the control period in [s], above 0"),
+        ("period: 0.02", "period: 0", ":4: period is 0; write a number above 0 to 1000 [s]"),
         (
             "period: 0.02",
             "",
@@ -95,15 +98,26 @@ def test_a_good_file_is_read(tmp_path: Path) -> None:
         (
             "{scale: 0.25}",
             "{scal: 0.25}",
-            ":7: unknown key 'scal' in action; did you mean 'scale'? known: ",
+            ":7: action: unknown key 'scal'; did you mean 'scale'? known: clip, feedback, filter, "
+            "joints, kind, offset, scale",
         ),
-        ("  terms:", "  trms:", ":13: unknown key 'trms' in observation; did you mean 'terms'? "),
+        (
+            "  terms:",
+            "  trms:",
+            ":13: observation: unknown key 'trms'; did you mean 'terms'? known: layout, newest, "
+            "start, terms",
+        ),
         (
             "state: base_ang_vel,",
             "stat: base_ang_vel,",
-            ":14: unknown key 'stat' in observation.terms[0]; did you mean 'state'? known: ",
+            ":14: observation.terms.ang_vel: unknown key 'stat'; did you mean 'state'? known: ",
         ),
-        ("action: {scale: 0.25}", "action: 0.25", ":7: action is 0.25; give a mapping"),
+        (
+            "action: {scale: 0.25}",
+            "action: 0.25",
+            ":7: action is 0.25; write a mapping with scale, offset, kind, clip, joints, filter, "
+            "feedback",
+        ),
         (
             "stiffness: [10, 20, 30, 40]",
             "stiffness: [10, 20, 30]",
@@ -112,39 +126,38 @@ def test_a_good_file_is_read(tmp_path: Path) -> None:
         (
             "stiffness: [10, 20, 30, 40]",
             "stiffness: [10, 20, .nan, 40]",
-            ":8: stiffness[2] is nan; give a number",
+            ":8: stiffness.2 is nan; write a number from 0 to 2000 [N·m/rad]",
         ),
         (
             "stiffness: [10, 20, 30, 40]",
             "stiffness: [10, -20, 30, 40]",
-            ":8: stiffness[1] is -20.0; it must be at least 0",
+            ":8: stiffness.1 is -20; write a number from 0 to 2000 [N·m/rad]",
         ),
         (
             "default_joint_pos: [0.1, 0.2, 0.3, 0.4]",
             "default_joint_pos: [0.1, x, 0.3, 0.4]",
-            ":6: default_joint_pos[1] is 'x'; give a number",
+            f":6: default_joint_pos.1 is 'x'; write {ANGLE}",
         ),
         (
             "default_joint_pos: [0.1, 0.2, 0.3, 0.4]",
             "default_joint_pos: {a_hip: 0.1, a_knee: 0.2, b_knee: 0.4}",
-            ":6: default_joint_pos is a mapping without b_hip; give a list with one value per "
-            "joint, in policy order",
+            ":6: default_joint_pos is {'a_hip': 0.1, 'a_knee': 0.2, 'b_knee': 0.4}; write "
+            f"{ANGLE} or a list of them",
         ),
         (
             "default_joint_pos: [0.1, 0.2, 0.3, 0.4]",
             "default_joint_pos: [0.1, 0.2, -45, 0.4]",
-            ":6: default_joint_pos[2] is -45.0; it must be at least -12.5664 rad; are these "
-            "degrees?",
+            f":6: default_joint_pos.2 is -45; write {ANGLE}",
         ),
         (
             "default_joint_pos: [0.1, 0.2, 0.3, 0.4]",
             "default_joint_pos: [0.1, 51.57, 0.3, 0.4]",  # not the nearest float32
-            ":6: default_joint_pos[1] is 51.57; it must be at most 12.5664 rad; are these degrees?",
+            f":6: default_joint_pos.1 is 51.57; write {ANGLE}",
         ),
         (
             "[a_hip, a_knee, b_hip, b_knee]",
             "[a_hip, a_knee, a_hip, b_knee]",
-            ":5: joint 'a_hip' stands twice in joints; name each joint once",
+            ":5: joints names 'a_hip' twice; name each once",
         ),
         (
             "name: toy",
@@ -165,12 +178,13 @@ def test_a_good_file_is_read(tmp_path: Path) -> None:
         (
             "layout: term_major",
             "layout: terms_first",
-            ":11: observation.layout is 'terms_first'; known: term_major, frame_major",
+            ":11: observation.layout 'terms_first' is not known; known: frame_major, term_major",
         ),
         (
             "newest: last",
             "newest: oldest",
-            ":12: observation.newest is 'oldest'; known: last, first",
+            ":12: observation.newest 'oldest' is not known; did you mean 'last'? known: first, "
+            "last",
         ),
         (
             "layout: term_major\n  newest: last\n  terms:\n    - {name: ang_vel,",
@@ -181,43 +195,43 @@ def test_a_good_file_is_read(tmp_path: Path) -> None:
         (
             "state: base_ang_vel, scale: 0.25",
             "state: base_ang_vel, scale: 0.25, history: 0",
-            ":14: observation.terms[0].history is 0; give a whole number from 1",
+            ":14: observation.terms.ang_vel.history is 0; write a whole number from 1 to 10000",
         ),
         (
             "state: base_ang_vel, scale: 0.25",
             "state: base_ang_vel, scale: 0.25, history: 10001",
-            ":14: observation.terms[0].history is 10001; give at most 10000 frames",
+            ":14: observation.terms.ang_vel.history is 10001; write a whole number from 1 to 10000",
         ),
         (
             "state: base_ang_vel, scale: 0.25",
             "state: base_ang_vel, index: [-1]",
-            ":14: observation.terms[0].index has -1; give whole numbers from 0",
+            ":14: observation.terms.ang_vel.index.0 is -1; write a whole number from 0",
         ),
         (
             "subtract: default_joint_pos",
             "subtract: default_pose",
-            ":15: observation.terms[1].subtract is 'default_pose'; known: default_joint_pos, or "
-            "numbers",
+            ":15: observation.terms.joint_pos.subtract is 'default_pose'; write "
+            "default_joint_pos or a number or a list of them or null",
         ),
         (
             "schema: unicon.policy/1",
             "schema: unicon.policy/9",
-            ":1: schema is 'unicon.policy/9'; this program reads 'unicon.policy/1'",
+            ":1: schema is 'unicon.policy/9'; write unicon.policy/1",
         ),
         (
             "onnx: policy.onnx",
             "onnx: policy.onnx\nsha256: abc",
-            ":4: sha256 is 'abc'; give the 64 digits of 'sha256sum'",
+            ":4: sha256 is 'abc'; write the 64 digits of 'sha256sum'",
         ),
         (
             "damping: 1.0",
             "damping: 1.0\nphase: {period: -1}",
-            ":10: phase.period is -1; give the gait's period in [s], above 0",
+            ":10: phase.period is -1; write a number above 0 to 1000 [s]",
         ),
         (
             "damping: 1.0",
             "damping: 1.0\nrecurrent: [{input: h}]",
-            ":10: recurrent[0] is {'input': 'h'}; give {input: …, output: …}",
+            ":10: recurrent.0: missing key 'output'; add output: the name of a tensor",
         ),
         (
             "damping: 1.0",
@@ -237,6 +251,36 @@ def test_a_wrong_file_gets_one_line(tmp_path: Path, old: str, new: str, expected
         assert text == expected
 
 
+def test_all_mistakes_are_named_at_once_with_their_lines(tmp_path: Path) -> None:
+    path = write(
+        tmp_path,
+        ("period: 0.02", "perod: 0.02"),
+        ("{scale: 0.25}", "{scale: fast, joints: [c_hip]}"),
+        ("[10, 20, 30, 40]", "[10, -20, 30]"),
+        ("damping: 1.0", "damping: [1.0]"),
+        ("0.4]", "0.4, 0.5]"),
+        ("state: base_ang_vel", "state: base_ang_vel, filter: {alpha: 2}, hist: 3"),
+    )
+    with pytest.raises(PolicyError) as caught:
+        read(path)
+    first, *others = str(caught.value).splitlines()
+    assert first == f"policy {path} has 6 mistakes:"
+    found = [line.split(f"{path}:")[1].split("; ")[0] for line in others]
+    assert found == [
+        "4: unknown key 'perod'",
+        "6: default_joint_pos has 5 values for 4 joints",
+        "7: action.scale is 'fast'",
+        "8: stiffness.1 is -20",
+        "14: observation.terms.ang_vel: unknown key 'hist'",
+        "14: observation.terms.ang_vel.filter.alpha is 2",
+    ]
+
+
+def test_facts_that_miss_do_not_hide_the_mistakes_of_others(tmp_path: Path) -> None:
+    path = write(tmp_path, ("stiffness: [10, 20, 30, 40]\n", ""), ("1.0", "-1.0"))
+    assert message(path) == ":8: damping is -1.0; write a number from 0 to 200 [N·m·s/rad]"
+
+
 def test_all_missing_facts_are_named_at_once(tmp_path: Path) -> None:
     path = tmp_path / "policy.yaml"
     path.write_text("schema: unicon.policy/1\nonnx: policy.onnx\nperiod: 0.02\n", "utf-8")
@@ -251,7 +295,7 @@ def test_all_missing_facts_are_named_at_once(tmp_path: Path) -> None:
 
 def test_joints_that_are_no_list_are_refused(tmp_path: Path) -> None:
     path = write_toy(tmp_path, toy_values(joints=3))
-    with pytest.raises(PolicyError, match="joints is 3; give a list of joint names"):
+    with pytest.raises(PolicyError, match="joints is 3; write a list of joint names"):
         load_policy(path)
 
 
@@ -275,8 +319,8 @@ def test_a_term_without_a_state_is_asked_for_by_name(tmp_path: Path) -> None:
     ("observation", "expected"),
     [
         ("5", "observation is 5; "),
-        ("{terms: [5]}", "observation.terms[0] has no name; "),
-        ("{terms: 5}", "observation.terms is not a list; "),
+        ("{terms: [5]}", "observation.terms.0 is 5; write a mapping with name, state, "),
+        ("{terms: 5}", "observation.terms is 5; write a list, each a mapping with name, state, "),
     ],
 )
 def test_a_wrong_observation_is_refused_where_terms_are_given(

@@ -189,12 +189,12 @@ def test_joint_pos_is_absolute_and_joint_pos_rel_relative(tmp_path: Path) -> Non
         (
             "[2, 0, 3, 1]",
             "[2, 0, 2, 1]",
-            ":1: joint_ids_map has motor 2 2 times; name each motor once",
+            ":1: joint_ids_map names 2 twice; name each once",
         ),
         (
             "default_joint_pos: [0.2, 0.0, 0.3, 0.1]",
             "default_joint_pos: [0.2]",
-            ":5: default_joint_pos has 1 values for 4 joints of joint_ids_map; give one for each",
+            ":5: default_joint_pos has 1 values for 4 joints of joint_ids_map; give 4",
         ),
         (
             "  JointPositionAction:",

@@ -130,14 +130,26 @@ def test_missing_facts_are_offered_by_name_and_never_taken(tmp_path: Path) -> No
     ("key", "value", "message"),
     [
         ("period", {"from": "model"}, "a model says only joints, default_joint_pos, stiffness"),
-        ("joints", {"from": "robot"}, "given joints is from 'robot'; known: model"),
+        ("joints", {"from": "robot"}, "given joints.from is 'robot'; write model"),
         ("joints", {"from": "model", "ordr": 1}, "unknown key 'ordr'; did you mean 'order'?"),
-        ("joints", {"from": "model", "order": "x"}, "the order 'x'; known: depth_first, breadth"),
-        ("joints", {"from": "model", "only": 3}, "has only: 3; give patterns of names"),
+        (
+            "joints",
+            {"from": "model", "order": "x"},
+            "given joints.order 'x' is not known; known: actuators, breadth_first, depth",
+        ),
+        (
+            "joints",
+            {"from": "model", "only": 3},
+            "given joints.only is 3; write a text or a list, each a text",
+        ),
         ("joints", {"from": "model", "only": ["toe_*"]}, "'toe_*', which is none of the model's"),
         ("default_joint_pos", {"from": "model"}, "key frames home, crouch; say which: {from: mod"),
         ("default_joint_pos", {"from": "model", "keyframe": "hme"}, "did you mean 'home'?"),
-        ("damping", {"from": "model", "of": "x"}, "is of 'x'; known: actuators, joints"),
+        (
+            "damping",
+            {"from": "model", "of": "x"},
+            "given damping.of 'x' is not known; known: actuators, joints",
+        ),
     ],
 )
 def test_mistakes_get_one_line(tmp_path: Path, key: str, value: Any, message: str) -> None:

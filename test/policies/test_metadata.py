@@ -368,7 +368,7 @@ def test_the_scales_that_an_import_leaves_open_are_no_ones(tmp_path: Path) -> No
     report = import_policy(write(tmp_path, OLD), tmp_path / "out", given={"period": 0.02})
     text = report.path.read_text("utf-8")
     assert "so add:\n#   scale of each term: where ? stands; 1.0 for none\n" in text
-    with pytest.raises(PolicyError, match=r"terms\[0\]\.scale is '\?'; give a number"):
+    with pytest.raises(PolicyError, match=r"observation\.terms\.\w+\.scale is '\?'; write a"):
         load_policy(report.path)
     report.path.write_text(text.replace("scale: '?'", "scale: 0.5"), "utf-8")
     assert {float(term.scale[0]) for term in load_policy(report.path).terms} == {0.5}

@@ -297,10 +297,10 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"file": "walk.npz"}, r"motion\.anchor_body is None; name a body"),
     ({"anchor_body": "torso", "file": "absent.npz"}, "no such file .*absent.npz"),
     ({"anchor_body": "torso", "file": "walk.pkl"}, "not a .npz or .csv file"),
-    ({"anchor_body": "torso", "file": "walk.npz", "align": "pitch"}, "known: yaw, none"),
+    ({"anchor_body": "torso", "file": "walk.npz", "align": "pitch"}, "known: none, yaw"),
     (
         {"anchor_body": "torso", "file": "walk.npz", "aline": "yaw"},
-        "motion has no 'aline'; .*align",
+        "motion: unknown key 'aline'; .*align",
     ),
     ({"anchor_body": "torsp", "file": "walk.npz"}, "'torsp' is not a body of .*torso"),
     ({"anchor_body": "torso", "file": "walk.npz", "end": 9.0}, "it lasts 0.78 s, .* to 9 s"),
@@ -315,7 +315,10 @@ BAD: list[tuple[dict[str, Any], str]] = [
         {"anchor_body": "torso", "file": "walk.npz", "joints": ["a", "b", "c", "d"]},
         "lacks joint 'waist_yaw'",
     ),
-    ({"anchor_body": "torso", "chain": {"waist": "w"}}, "with x, y, z, -x, -y or -z"),
+    (
+        {"anchor_body": "torso", "chain": {"waist": "w"}},
+        "chain.waist 'w' is not known; known: -x, -y, -z, x, y, z",
+    ),
     ({"anchor_body": "torso"}, "nothing tells motion_joint_pos"),
     (
         {"anchor_body": "torso", "file": "walk.npz", "chain": {"waist_yow": "z"}},

@@ -134,9 +134,18 @@ def test_a_clock_is_switched_off_with_the_command(stand: float | str, resume: st
 @pytest.mark.parametrize(
     ("phase", "message"),
     [
-        ({"stand": "stop"}, "phase.stand is 'stop'; give a phase in [rad], freeze or zero"),
-        ({"stand": [1.0, 2.0]}, "phase.stand has 2 values; give one number"),
-        ({"stand": "zero", "resume": "go"}, "phase.resume is 'go'; known: offsets, stand, clock"),
+        (
+            {"stand": "stop"},
+            "phase.stand is 'stop'; write a phase in [rad] or freeze or zero or null",
+        ),
+        (
+            {"stand": [1.0, 2.0]},
+            "phase.stand is [1.0, 2.0]; write a phase in [rad] or freeze or zero or null",
+        ),
+        (
+            {"stand": "zero", "resume": "go"},
+            "phase.resume 'go' is not known; known: clock, offsets, stand",
+        ),
         (
             {"resume": "clock"},
             "phase.resume says where the phases go on, and stand: does not say that they stand; "
@@ -144,7 +153,7 @@ def test_a_clock_is_switched_off_with_the_command(stand: float | str, resume: st
         ),
         (
             {"stand": 0.0, "stand_below": 0.0},
-            "phase.stand_below is 0.0; give a speed above 0 in [m/s] and [rad/s]: no command is "
+            "phase.stand_below is 0.0; write a speed above 0 in [m/s] and [rad/s]: no command is "
             "below it",
         ),
     ],

@@ -142,18 +142,18 @@ def test_several_files_in_a_folder_are_named(tmp_path: Path) -> None:
     ("changes", "message"),
     [
         ({"num_actions": None}, "the unitree_rl_gym configuration has no 'num_actions'; add it"),
-        ({"num_actions": -2}, "num_actions is -2; give a whole number from 1"),
+        ({"num_actions": -2}, "num_actions is -2; write a whole number from 1"),
         ({"kps": [1.0, 2.0, 3.0]}, "kps has 3 values for num_actions 2; give 2"),
-        ({"kps": ["a", 1.0]}, "kps is ['a', 1.0]; give numbers"),
-        ({"kds": [float("nan"), 1.0]}, "damping[0] is nan; give a number"),
-        ({"kds": [-1.0, 1.0]}, "damping[0] is -1.0; it must be at least 0"),
+        ({"kps": ["a", 1.0]}, "kps.0 is 'a'; write a number"),
+        ({"kds": [float("nan"), 1.0]}, "kds.0 is nan; write a number"),
+        ({"kds": [-1.0, 1.0]}, "damping.0 is -1.0; write a number from 0 to 200"),
         ({"arm_waist_kps": [1.0]}, "has 1 values for the 2 motors of arm_waist_joint2motor_idx"),
-        ({"leg_joint2motor_idx": [0, 0]}, "leg_joint2motor_idx has 0 2 times; name each"),
+        ({"leg_joint2motor_idx": [0, 0]}, "leg_joint2motor_idx names 0 twice; name each"),
         ({"leg_joint2motor_idx": [0, 1]}, "motor 1 stands in both; name each motor once"),
-        ({"leg_joint2motor_idx": [0, 12]}, "motor 12 is named, and robot 'toy' has 4 motors"),
+        ({"leg_joint2motor_idx": [0, 12]}, "names motor 12, but robot 'toy' has 4 motors"),
         ({"leg_joint2motor_idx": [0]}, "1 for num_actions 2; name each motor once"),
-        ({"control_dt": -0.02}, "period is -0.02; give the control period in [s], above 0"),
-        ({"control_dt": "fast"}, "control_dt is 'fast'; give a number"),
+        ({"control_dt": -0.02}, "period is -0.02; write a number above 0 to 1000 [s]"),
+        ({"control_dt": "fast"}, "control_dt is 'fast'; write a number"),
         ({"cmd_scale": [2.0]}, "cmd_scale has 1 values for vx, vy and wz; give 3"),
         ({"num_obs": 15}, "num_obs is 15, and what deploy_mujoco.py and deploy_real.py lay out"),
         ({"policy_path": 3}, "policy_path is 3; name a network (.onnx, .pt, .pth, .jit)"),
@@ -172,5 +172,5 @@ def test_mistakes_get_one_line(tmp_path: Path, changes: dict[str, Any], message:
 @pytest.mark.parametrize("decimation", [-10, 0, 2.5, True, "ten"])
 def test_a_decimation_that_is_none_is_refused(tmp_path: Path, decimation: Any) -> None:
     path = write(tmp_path, MUJOCO, "mujoco", control_decimation=decimation, simulation_dt=-0.002)
-    with pytest.raises(PolicyError, match=r"control_decimation is .*; give a whole number from 1"):
+    with pytest.raises(PolicyError, match=r"control_decimation is .*; write a whole number from 1"):
         load_policy(path, given={"joints": ["a_hip", "b_hip"]})

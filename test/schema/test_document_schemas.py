@@ -14,6 +14,8 @@ import yaml
 
 from unicon_core.errors import UniconError
 from unicon_core.located_yaml import read_yaml
+from unicon_core.policies.build import build_contract
+from unicon_core.policies.policy_yaml import policy_yaml_facts
 from unicon_core.robots import load_robot
 from unicon_core.workflow import load_document
 from unicon_ros.cli.main import main
@@ -21,10 +23,16 @@ from unicon_ros.cli.schema import KINDS, schema_of
 from unicon_ros.sweep.sweep_file import read_sweep
 
 ROOT = Path(__file__).resolve().parents[2]
-LOADS = {"workflow": load_document, "robot": load_robot, "sweep": read_sweep}
+LOADS: dict[str, Any] = {
+    "workflow": load_document,
+    "robot": load_robot,
+    "sweep": read_sweep,
+    "policy": lambda path: build_contract(policy_yaml_facts(path)),
+}
 FILES = {
     "workflow": sorted((ROOT / "config" / "workflows").glob("*.yaml")),
     "robot": sorted((ROOT / "config" / "robots").glob("*.yaml")),
+    "policy": sorted((ROOT / "config" / "policies").rglob("policy.yaml")),
     "sweep": [
         path
         for path in sorted((ROOT / "examples").rglob("*.yaml"))

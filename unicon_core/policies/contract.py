@@ -3,6 +3,9 @@
 The canonical form of `policy.yaml`; every importer ends here. One observation term is
 `scale · clip(filter(state[index]) − subtract)`; the command is
 `joint_pos_target = offset + scale · filter(clip(action))`, or a velocity or torque likewise.
+
+Most classes are what `policy.yaml` has, too (`file.py` has the others), so that their hints say how
+a value is written, its unit and its bounds.
 """
 
 from __future__ import annotations
@@ -11,15 +14,49 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.schema.marks import Core, Unit, Within
+from unicon_core.bounds import DAMPING, SCALE, STIFFNESS
+from unicon_core.policies.feeds import Feeds
+from unicon_core.policies.hints import (
+    LONGEST_FILTER,
+    MOST_FRAMES,
+    Alpha,
+    Angle,
+    Clip,
+    Floats,
+    Offsets,
+    Period,
+    Places,
+    Ranges,
+    Sha256,
+    Slew,
+    Stand,
+    Tensor,
+    Threshold,
+    each,
+    listed,
+    rounded,
+    rounded_one,
+)
+from unicon_core.policies.motion.spec import MotionSpec
+from unicon_core.schema.marks import (
+    Core,
+    Made,
+    Names,
+    Text,
+    Unit,
+    Within,
+    Write,
+)
+from unicon_core.schema.types import Here
 
-Floats = NDArray[np.float32]
 ActionKind: TypeAlias = Literal["position", "velocity", "torque"]
+_TWO_LEGS = rounded([0.0, np.pi])
+_STILL = rounded_one(0.01)
 
 
 @dataclass(frozen=True)
@@ -33,10 +70,18 @@ class FilterSpec:
         start: what it has seen before its first sample: the `first` one, or `zeros`.
     """
 
-    low_pass: float | None = None
-    alpha: float | None = None
-    moving_average: int | None = None
+    low_pass: Annotated[float | None, Unit("Hz"), Within(0.0, above=True)] = None
+    alpha: Alpha | None = None
+    moving_average: Annotated[int | None, Unit("samples"), Within(2, LONGEST_FILTER)] = None
     start: Literal["first", "zeros"] = "first"
+
+    @staticmethod
+    def between(found: dict[str, Any], here: Here) -> None:
+        """Note other than one filter."""
+        named = [key for key, said in here.written.items() if key != "start" and said is not None]
+        if len(named) != 1:
+            what = f"gives {' and '.join(named)}" if named else "names no filter"
+            here.value(f"{what}; give one of low_pass: Hz, alpha: SHARE, moving_average: SAMPLES")
 
     def __str__(self) -> str:
         if self.moving_average is not None:
@@ -44,6 +89,13 @@ class FilterSpec:
         if self.low_pass is not None:
             return f"low pass {self.low_pass:g} Hz"
         return f"low pass, alpha {self.alpha:g}"
+
+
+@dataclass(frozen=True)
+class ActionFilterSpec(FilterSpec):
+    """A filter of the action, which begins with zeros unless it says otherwise."""
+
+    start: Literal["first", "zeros"] = "zeros"
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,13 +115,15 @@ class ObservationTerm:
         filter: of the state's elements, before anything else; or None.
     """
 
-    name: str
-    state: str
-    index: tuple[int, ...] | None = None
-    subtract: str | Floats | None = None
-    scale: Floats = field(default_factory=lambda: np.ones(1, np.float32))
-    clip: Floats | None = None
-    history: int = 1
+    name: Text
+    state: Text
+    index: Places | None = None
+    subtract: Literal["default_joint_pos"] | Annotated[Floats, each(float)] | None = None
+    scale: Annotated[Floats, each(Annotated[float, Within(-SCALE, SCALE)])] = field(
+        default_factory=lambda: np.ones(1, np.float32)
+    )
+    clip: Clip | None = None
+    history: Annotated[int, Within(1, MOST_FRAMES)] = 1
     filter: FilterSpec | None = None
 
 
@@ -84,10 +138,23 @@ class ObservationSpec:
         start: what the older frames hold after a reset: the `first` observation, or `zeros`.
     """
 
-    terms: tuple[ObservationTerm, ...]
+    terms: tuple[ObservationTerm, ...] = ()
     layout: Literal["term_major", "frame_major"] = "term_major"
     newest: Literal["first", "last"] = "last"
     start: Literal["first", "zeros"] = "first"
+
+    @staticmethod
+    def between(found: dict[str, Any], here: Here) -> None:
+        """Note whole frames of terms that have different histories."""
+        terms = found.get("terms", ())
+        odd = [term for term in terms if term.history != terms[0].history]
+        if found.get("layout") == "frame_major" and odd:
+            here.value(
+                f"is frame_major, but term {terms[0].name!r} has history {terms[0].history} and "
+                f"term {odd[0].name!r} {odd[0].history}; give all terms one history, or use "
+                "term_major",
+                "layout",
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,32 +195,15 @@ class CommandSpec:
         slew: largest change of vx, vy, wz in [m/s², m/s², rad/s²]; infinite for any.
     """
 
-    slew: tuple[float, float, float]
+    slew: Slew
 
 
 @dataclass(frozen=True)
 class Recurrent:
     """A state tensor of the network that is fed back: `output` of one call is the next `input`."""
 
-    input: str
-    output: str
-
-
-@dataclass(frozen=True)
-class Feed:
-    """What fills a part of a network's input: `source[start:stop]`.
-
-    Attributes:
-        source: `observation`, or `NAME.output` of an earlier network.
-        start, stop: elements; `stop` is None for all.
-    """
-
-    source: str
-    start: int = 0
-    stop: int | None = None
-
-    def __str__(self) -> str:
-        return self.source if self.stop is None else f"{self.source}[{self.start}:{self.stop}]"
+    input: Tensor
+    output: Tensor
 
 
 @dataclass(frozen=True)
@@ -169,7 +219,7 @@ class NetworkPart:
 
     name: str
     model: Path
-    feeds: Mapping[str, tuple[Feed, ...]]
+    feeds: Feeds
     sha256: str | None = None
 
 
@@ -191,44 +241,22 @@ class PhaseSpec:
             `stand`, which are these in turn for a value, `freeze` and `zero`.
     """
 
-    period: float
-    offsets: tuple[float, ...] = (0.0, float(np.pi))
-    stand: float | Literal["freeze", "zero"] | None = None
-    stand_below: float = 0.01
-    command: str = "velocity_command"
+    period: Period
+    offsets: Offsets = _TWO_LEGS
+    stand: Stand | Literal["freeze", "zero"] | None = None
+    stand_below: Threshold = _STILL
+    command: Text = "velocity_command"
     resume: Literal["offsets", "stand", "clock"] | None = None
 
-
-@dataclass(frozen=True)
-class MotionSpec:
-    """The motion that a policy is to follow, and the body by which the robot is compared with it.
-
-    Attributes:
-        anchor_body: such as `torso_link`; a body of the robot's model.
-        file: `.npz` or `.csv`, or None: outputs of the network are the reference.
-        bodies: of the outputs `motion_body_pos_w` and `motion_body_quat_w`, in their order.
-        align: `yaw` turns the motion about the vertical and shifts it, so that it begins where the
-            robot stands; `none` leaves it in the robot's world.
-        start: of what is played of it in [s].
-        end: of what is played in [s], or None for all.
-        hold: for so long in [s] the first frame is shown before the motion goes on; those who train
-            with it hold it (amazon-far/holosoma: `freeze_at_timestep_zero_prob`).
-        fps: frames in a second of a file, or None: as the file says, 30 of a `.csv`.
-        joints: the file's joints in order, `policy`, `robot`, or None: as its format has it.
-        chain: joint to axis (`x`, `-y`, …) from the base to the anchor, for a robot without a
-            model; empty: as the model has it.
-    """
-
-    anchor_body: str
-    file: Path | None = None
-    bodies: tuple[str, ...] = ()
-    align: Literal["yaw", "none"] = "yaw"
-    start: float = 0.0
-    end: float | None = None
-    hold: float = 0.0
-    fps: float | None = None
-    joints: str | tuple[str, ...] | None = None
-    chain: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    @staticmethod
+    def between(found: dict[str, Any], here: Here) -> None:
+        """Note phases that go on and never stand."""
+        if found.get("resume") is not None and here.written.get("stand") is None:
+            here.value(
+                "says where the phases go on, and stand: does not say that they stand; add stand: "
+                "a phase in [rad], freeze or zero",
+                "resume",
+            )
 
 
 @dataclass(frozen=True)
@@ -250,14 +278,11 @@ class ChildSpec:
     threads: Annotated[int, Within(1, 64)] = 1
 
 
-@dataclass(frozen=True, eq=False)
-class PolicyContract:
-    """A network and everything that is needed to run it as it was trained.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PolicyFacts:
+    """What a `policy.yaml` and a contract both say.
 
     Attributes:
-        name: of the policy.
-        path: the file that the contract was read from.
-        model: the network: `.onnx`, or `.pt` for TorchScript.
         period: control period in [s].
         joints: the policy's joint order, length n; every joint array below is in this order.
         default_joint_pos: pose that relative positions refer to in [rad], shape (n,).
@@ -275,45 +300,56 @@ class PolicyContract:
         robot: the robot it was trained for, for information.
         sha256: of the network's file, or None.
         provider: where ONNX Runtime runs the network: `cpu`, `cuda` or `tensorrt`.
-        networks: what runs before the network in `model`, in order.
         feeds: input of the network in `model` -> what fills it, where there are `networks`.
-        child: how it runs in a process of its own, or None; the workflow says it.
-        source: the format that it came from.
-        notes: what whoever runs it should know, such as rounding of the source.
     """
 
-    name: str
-    path: Path
-    model: Path
-    period: float
-    joints: tuple[str, ...]
-    default_joint_pos: Floats
-    action: ActionSpec
-    stiffness: Floats
-    damping: Floats
-    observation: ObservationSpec
-    inputs: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
-    outputs: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
-    recurrent: tuple[Recurrent, ...] = ()
-    command_ranges: Mapping[str, tuple[float, float]] = field(
-        default_factory=lambda: MappingProxyType({})
-    )
+    period: Period
+    joints: Annotated[Names, Write("a list of joint names")]
+    default_joint_pos: Annotated[Floats, each(Angle)]
+    action: Any
+    stiffness: Annotated[Floats, each(Annotated[float, Unit("N·m/rad"), Within(0.0, STIFFNESS)])]
+    damping: Annotated[Floats, each(Annotated[float, Unit("N·m·s/rad"), Within(0.0, DAMPING)])]
+    observation: ObservationSpec = field(default_factory=ObservationSpec)
+    inputs: Mapping[str, Tensor] = field(default_factory=lambda: MappingProxyType({}))
+    outputs: Mapping[str, Tensor] = field(default_factory=lambda: MappingProxyType({}))
+    recurrent: Annotated[tuple[Recurrent, ...], Made(listed, Recurrent | list[Recurrent])] = ()
+    command_ranges: Ranges = field(default_factory=lambda: MappingProxyType({}))
     phase: PhaseSpec | None = None
     command: CommandSpec | None = None
     motion: MotionSpec | None = None
     robot: str | None = None
-    sha256: str | None = None
+    sha256: Sha256 | None = None
     provider: Literal["cpu", "cuda", "tensorrt"] = "cpu"
-    networks: tuple[NetworkPart, ...] = ()
-    feeds: Mapping[str, tuple[Feed, ...]] = field(default_factory=lambda: MappingProxyType({}))
-    child: ChildSpec | None = None
-    source: str = "policy.yaml"
-    notes: tuple[str, ...] = ()
+    feeds: Feeds = field(default_factory=lambda: MappingProxyType({}))
 
     @property
     def terms(self) -> tuple[ObservationTerm, ...]:
         """The observation's terms in the order of the input."""
         return self.observation.terms
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PolicyContract(PolicyFacts):
+    """A network and everything that is needed to run it as it was trained.
+
+    Attributes:
+        name: of the policy.
+        path: the file that the contract was read from.
+        model: the network: `.onnx`, or `.pt` for TorchScript.
+        networks: what runs before the network in `model`, in order.
+        child: how it runs in a process of its own, or None; the workflow says it.
+        source: the format that it came from.
+        notes: what whoever runs it should know, such as rounding of the source.
+    """
+
+    action: ActionSpec
+    name: str
+    path: Path
+    model: Path
+    networks: tuple[NetworkPart, ...] = ()
+    child: ChildSpec | None = None
+    source: str = "policy.yaml"
+    notes: tuple[str, ...] = ()
 
     @property
     def is_torchscript(self) -> bool:

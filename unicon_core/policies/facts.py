@@ -136,7 +136,7 @@ class Facts:
         while place and place not in self.lines:
             place = place[:-1]
         line = f":{self.lines[place]}" if place in self.lines else ""
-        return PolicyError(f"{self.path}{line}: {message}")
+        return PolicyError(message, f"{self.path}{line}")
 
 
 def term_state(name: str, *, absolute: bool = False) -> dict[str, Any]:
@@ -197,10 +197,13 @@ def is_open(value: Any) -> bool:
     return any(isinstance(each, str) and each == TO_GIVE for each in listed)
 
 
-def dig(tree: Any, *keys: str) -> Any:
-    """Return what stands under keys of nested mappings, None where nothing does."""
+def dig(tree: Any, *keys: str | int) -> Any:
+    """Return what stands under keys of nested mappings and lists, None where nothing does."""
     for key in keys:
-        tree = tree.get(key) if isinstance(tree, Mapping) else None
+        if isinstance(tree, list) and isinstance(key, int):
+            tree = tree[key] if key < len(tree) else None
+        else:
+            tree = tree.get(key) if isinstance(tree, Mapping) else None
     return tree
 
 

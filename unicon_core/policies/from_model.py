@@ -10,11 +10,11 @@ Nothing is taken without these words; what could be is offered where a fact is m
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,15 +26,64 @@ from unicon_core.models.joints import drives, position_gains
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.policies.facts import GAINS, Facts, is_open, missing_facts
+from unicon_core.policies.hints import listed
 from unicon_core.robots import Robot, load_robot
+from unicon_core.schema.marks import Key, Made
+from unicon_core.schema.read import read_value
 
-_OPTIONS = {
-    "joints": ("order", "only"),
-    "default_joint_pos": ("keyframe",),
-    "stiffness": (),
-    "damping": ("of",),
+
+@dataclass(frozen=True)
+class _Asked:
+    """What is to be taken, as it is given.
+
+    Attributes:
+        source: the robot's model.
+    """
+
+    source: Annotated[Literal["model"], Key("from")]
+
+
+@dataclass(frozen=True)
+class _Joints(_Asked):
+    """The joints.
+
+    Attributes:
+        order: of them; that of the source's simulator unless given.
+        only: names or patterns with * and ?.
+    """
+
+    order: Literal["depth_first", "breadth_first", "actuators"] | None = None
+    only: Annotated[tuple[str, ...], Made(listed, str | list[str])] = ("*",)
+
+
+@dataclass(frozen=True)
+class _Pose(_Asked):
+    """The pose of a key frame.
+
+    Attributes:
+        keyframe: its name; the only one unless given.
+    """
+
+    keyframe: str | None = None
+
+
+@dataclass(frozen=True)
+class _Damping(_Asked):
+    """The damping.
+
+    Attributes:
+        of: the actuators or the joints.
+    """
+
+    of: Literal["actuators", "joints"] = "actuators"
+
+
+_OPTIONS: dict[str, type[_Asked]] = {
+    "joints": _Joints,
+    "default_joint_pos": _Pose,
+    "stiffness": _Asked,
+    "damping": _Damping,
 }
-_ORDERS = ("depth_first", "breadth_first", "actuators")
 
 
 class FromModel:
@@ -63,7 +112,7 @@ class FromModel:
         self.given = dict(given)
         self.notes: list[str] = []
         self.taken: dict[str, str] = {}
-        self._asked: dict[str, Mapping[str, Any]] = {}
+        self._asked: dict[str, Any] = {}
         for key, value in given.items():
             if isinstance(value, Mapping) and "from" in value:
                 self._asked[str(key)] = self._checked(str(key), value)
@@ -75,20 +124,15 @@ class FromModel:
     def _wrong(self, key: str, rest: str) -> PolicyError:
         return PolicyError(f"{self._source}: given {key} {rest}")
 
-    def _checked(self, key: str, value: Mapping[str, Any]) -> Mapping[str, Any]:
+    def _checked(self, key: str, value: Mapping[str, Any]) -> Any:
         if key not in _OPTIONS:
             raise self._wrong(
                 key, f"is {dict(value)}; a model says only {', '.join(_OPTIONS)}: give the value"
             )
-        if value["from"] != "model":
-            raise self._wrong(key, f"is from {value['from']!r}; known: model")
-        known = ("from", *_OPTIONS[key])
-        for word in value:
-            if word not in known:
-                raise self._wrong(
-                    key, f"has an unknown key {word!r}; {alternatives(str(word), known)}"
-                )
-        return value
+        place = f"{self._source}: given"
+        return read_value(
+            _OPTIONS[key], value, lambda where, text: PolicyError(f"{place} {text}"), key
+        )
 
     def asks(self, key: str) -> bool:
         """Return whether a fact is to be taken from the model."""
@@ -106,22 +150,16 @@ class FromModel:
         asked = self._asked.get("joints")
         if asked is None:
             return
-        order, only = asked.get("order", usual), asked.get("only")
-        if order not in _ORDERS:
-            raise self._wrong("joints", f"has the order {order!r}; known: {', '.join(_ORDERS)}")
+        order = asked.order or usual
         names = self._known.ordered(order)
-        if only is not None:
-            patterns = [only] if isinstance(only, str) else only
-            if not isinstance(patterns, (list, tuple)):
-                raise self._wrong("joints", f"has only: {only!r}; give patterns of names")
-            for pattern in patterns:
-                if not any(fnmatchcase(name, str(pattern)) for name in names):
-                    raise self._wrong(
-                        "joints",
-                        f"has only: {pattern!r}, which is none of the model's joints; "
-                        f"{alternatives(str(pattern), names)}",
-                    )
-            names = [n for n in names if any(fnmatchcase(n, str(p)) for p in patterns)]
+        for pattern in asked.only:
+            if not any(fnmatchcase(name, pattern) for name in names):
+                raise self._wrong(
+                    "joints",
+                    f"has only: {pattern!r}, which is none of the model's joints; "
+                    f"{alternatives(pattern, names)}",
+                )
+        names = [name for name in names if any(fnmatchcase(name, p) for p in asked.only)]
         self._take("joints", names, f"{order.replace('_', ' ')} order of {self._known.name}")
 
     def others(self, joints: Any) -> None:
@@ -156,9 +194,9 @@ class FromModel:
         self.notes.append(f"{key} is taken from the {where}: {', '.join(shown)}")
 
     def _default_joint_pos(
-        self, asked: Mapping[str, Any], joints: Sequence[str]
+        self, asked: _Pose, joints: Sequence[str]
     ) -> tuple[Iterable[float], str]:
-        frames, name = self._known.frames, asked.get("keyframe")
+        frames, name = self._known.frames, asked.keyframe
         if not frames:
             raise self._wrong(
                 "default_joint_pos", f"is from the model, and {self._known.name} has no key frame"
@@ -173,18 +211,16 @@ class FromModel:
         if name not in frames:
             raise self._wrong(
                 "default_joint_pos",
-                f"has no keyframe {name!r}; {alternatives(str(name), frames)}",
+                f"has no keyframe {name!r}; {alternatives(name, frames)}",
             )
         return (self._known.pose(frames[name], joint) for joint in joints), f"key frame {name}"
 
-    def _stiffness(self, _: Mapping[str, Any], joints: Sequence[str]) -> tuple[Any, str]:
+    def _stiffness(self, _: _Asked, joints: Sequence[str]) -> tuple[Any, str]:
         return self._gains("stiffness", 0, joints), "position actuators"
 
-    def _damping(self, asked: Mapping[str, Any], joints: Sequence[str]) -> tuple[Any, str]:
-        of, known = asked.get("of", "actuators"), self._known
-        if of not in ("actuators", "joints"):
-            raise self._wrong("damping", f"is of {of!r}; known: actuators, joints")
-        if of == "joints":
+    def _damping(self, asked: _Damping, joints: Sequence[str]) -> tuple[Any, str]:
+        known = self._known
+        if asked.of == "joints":
             return [known.passive(joint) for joint in joints], "joint damping"
         gains = self._gains("damping", 1, joints)
         if not any(gains) and any(known.passive(joint) for joint in joints):

@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import PolicyError, alternatives
-from unicon_core.located_yaml import read_yaml
+from unicon_core.located_yaml import Where, read_yaml
 from unicon_core.policies.agree import check_agreement
 from unicon_core.policies.build import build_contract
-from unicon_core.policies.chain_facts import check_chain
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.facts import Facts, missing_facts
 from unicon_core.policies.from_model import FromModel
@@ -378,13 +377,22 @@ def _contract(facts: Facts) -> PolicyContract:
         raise facts.error(
             where, f"no such file {contract.model}; put the network there or correct the path"
         )
-    check_chain(facts, contract)
-    if contract.sha256 is not None:
-        digest = sha256_of(contract.model)
-        if digest != contract.sha256:
-            raise facts.error(
-                ("sha256",),
-                f"{contract.model.name} has sha256 {digest[:12]}… and not {contract.sha256[:12]}…; "
-                "it is not the network that this contract was written for: import it again",
-            )
+    _check_digest(facts, ("sha256",), contract.model, contract.sha256)
+    for part in contract.networks:
+        place = ("networks", part.name)
+        if not os.path.isfile(part.model):
+            raise facts.error(place, f"no such file {part.model}; put the network there")
+        lost = read_onnx(part.model).missing_external()
+        if lost:
+            raise facts.error(place, f"its weights are in {lost[0].name}; put it beside it")
+        _check_digest(facts, place, part.model, part.sha256)
     return contract
+
+
+def _check_digest(facts: Facts, where: Where, model: Path, wanted: str | None) -> None:
+    if wanted is not None and (digest := sha256_of(model)) != wanted:
+        raise facts.error(
+            where,
+            f"{model.name} has sha256 {digest[:12]}… and not {wanted[:12]}…; it is not the network "
+            "that this contract was written for: import it again",
+        )

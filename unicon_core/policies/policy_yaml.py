@@ -5,27 +5,25 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 from unicon_core.errors import PolicyError
 from unicon_core.file_kinds import other_kind
 from unicon_core.located_yaml import Tagged, read_yaml
-from unicon_core.policies.build import SCHEMA, check_keys
-from unicon_core.policies.contract import (
-    FilterSpec,
-    MotionSpec,
-    ObservationTerm,
-    PolicyContract,
-)
+from unicon_core.policies.build import read_facts
+from unicon_core.policies.contract import ObservationTerm, PolicyContract, PolicyFacts
 from unicon_core.policies.facts import TO_GIVE, Facts
+from unicon_core.policies.feeds import Feed
+from unicon_core.policies.motion.spec import MotionSpec
 from unicon_core.policies.networks.onnx_file import read_onnx
 from unicon_core.resources import sha256_of
+
+SCHEMA = "unicon.policy/1"
 
 
 def policy_yaml_facts(path: Path) -> Facts:
@@ -82,9 +80,9 @@ def write_partial_yaml(facts: Facts, missing: Mapping[str, str], out_dir: str | 
         out_dir: folder; made where it is missing.
 
     Raises:
-        PolicyError: as for `write_policy_yaml`; or a key is unknown.
+        PolicyError: as for `write_policy_yaml`; or facts are wrong.
     """
-    check_keys(facts)
+    read_facts(facts, missing)
     key = "torchscript" if "torchscript" in facts.values else "onnx"
     model = None
     values: dict[str, Any] = {"schema": SCHEMA}
@@ -143,105 +141,68 @@ def _copy(source: Path, target: Path) -> None:
 
 def contract_values(contract: PolicyContract) -> dict[str, Any]:
     """Return the canonical form as plain values; `build_contract` reads them back."""
-    action, observation, phase = contract.action, contract.observation, contract.phase
-    values: dict[str, Any] = {
+    values = _plain(contract)
+    action = values["action"]
+    if contract.action.joints == contract.joints:
+        del action["joints"]
+    if "kinds" in action:
+        action["kind"] = action.pop("kinds")
+    networks = {
+        part.name: {
+            "onnx": part.model.name,
+            "sha256": sha256_of(part.model),
+            "feeds": _plain(part.feeds),
+        }
+        for part in contract.networks
+    }
+    head = {
         "schema": SCHEMA,
         "name": contract.name,
         "torchscript" if contract.is_torchscript else "onnx": contract.model.name,
         "sha256": contract.sha256,
-        "networks": {
-            part.name: {
-                "onnx": part.model.name,
-                "sha256": sha256_of(part.model),
-                "feeds": {key: list(map(str, feeds)) for key, feeds in part.feeds.items()},
-            }
-            for part in contract.networks
-        }
-        or None,
-        "feeds": {key: list(map(str, feeds)) for key, feeds in contract.feeds.items()} or None,
-        "provider": None if contract.provider == "cpu" else contract.provider,
-        "period": contract.period,
-        "robot": contract.robot,
-        "joints": list(contract.joints),
-        "default_joint_pos": _plain(contract.default_joint_pos),
-        "action": _without_none(
-            joints=list(action.joints) if action.joints != contract.joints else None,
-            kind=list(action.kinds) or None,
-            scale=_plain(action.scale),
-            offset=_plain(action.offset),
-            clip=None if action.clip is None else _plain(action.clip),
-            filter=_filter(action.filter),
-            feedback=action.feedback,
-        ),
-        "stiffness": _plain(contract.stiffness),
-        "damping": _plain(contract.damping),
-        "observation": {
-            "layout": observation.layout,
-            "newest": observation.newest,
-            "start": observation.start,
-            "terms": [_term(term) for term in observation.terms],
-        },
-        "inputs": dict(contract.inputs) or None,
-        "outputs": dict(contract.outputs) or None,
-        "recurrent": [asdict(pair) for pair in contract.recurrent] or None,
-        "command_ranges": {k: list(v) for k, v in contract.command_ranges.items()} or None,
-        "command": contract.command and {"slew": list(contract.command.slew)},
-        "phase": phase and _without_none(**asdict(phase) | {"offsets": list(phase.offsets)}),
-        "motion": contract.motion and _motion(contract.motion),
+        "networks": networks or None,
     }
-    if not observation.terms:
+    if not contract.terms:
         del values["observation"]
-    return _without_none(**values)
+    found = head | {each.name: values.get(each.name) for each in fields(PolicyFacts)}
+    return {key: value for key, value in found.items() if value is not None}
 
 
-def _motion(motion: MotionSpec) -> dict[str, Any]:
-    joints = motion.joints
-    return _without_none(
-        anchor_body=motion.anchor_body,
-        file=None if motion.file is None else motion.file.name,
-        bodies=list(motion.bodies) or None,
-        align=motion.align,
-        start=motion.start,
-        end=motion.end,
-        hold=motion.hold or None,
-        fps=motion.fps,
-        joints=list(joints) if isinstance(joints, tuple) else joints,
-        chain=dict(motion.chain) or None,
-    )
+_BRIEF = (PolicyContract, ObservationTerm, MotionSpec)
+"""Of these what is as it would be unless it were said is left out."""
 
 
-def _term(term: ObservationTerm) -> dict[str, Any]:
-    subtract, clip = term.subtract, term.clip
-    return _without_none(
-        name=term.name,
-        state=term.state,
-        index=None if term.index is None else list(term.index),
-        subtract=_scalar_or_list(subtract) if isinstance(subtract, np.ndarray) else subtract,
-        scale=None if (term.scale == 1.0).all() else _scalar_or_list(term.scale),
-        clip=None if clip is None else [_scalar_or_list(side) for side in clip],
-        history=None if term.history == 1 else term.history,
-        filter=_filter(term.filter),
-    )
+def _plain(value: Any, alone: bool = False) -> Any:
+    """Return a value of a contract as YAML has it; what is None or empty is left out.
 
-
-def _filter(spec: FilterSpec | None) -> dict[str, Any] | None:
-    return None if spec is None else _without_none(**asdict(spec))
-
-
-def _without_none(**values: Any) -> dict[str, Any]:
-    return {key: value for key, value in values.items() if value is not None}
-
-
-def _plain(array: NDArray[np.float32]) -> Any:
-    """Return shortest decimals that read back as the same float32."""
-    if array.ndim > 1:
-        return [_plain(row) for row in array]
-    return [float(str(value)) for value in array]
-
-
-def _scalar_or_list(array: NDArray[np.float32]) -> Any:
-    values = _plain(array)
-    return values[0] if len(set(values)) == 1 else values
+    Args:
+        value: any; numbers become the shortest decimals that read back as the same float32.
+        alone: one number is no list.
+    """
+    if isinstance(value, np.floating):
+        return float(str(value))
+    if isinstance(value, np.ndarray) and alone and value.ndim == 1 and len({*value.tolist()}) == 1:
+        return _plain(value[0])
+    if isinstance(value, (np.ndarray, tuple)):
+        return [_plain(each, alone) for each in value]
+    if isinstance(value, Mapping):
+        return {key: _plain(each) for key, each in value.items()}
+    if isinstance(value, Path):
+        return value.name
+    if isinstance(value, Feed):
+        return str(value)
+    if not is_dataclass(value):
+        return value
+    found = {}
+    for each in fields(value):
+        said: Any = getattr(value, each.name)
+        usual: Any = each.default
+        if each.default_factory is not MISSING:
+            usual = each.default_factory()
+        empty = said is None or (isinstance(said, (tuple, Mapping)) and not said)
+        if not empty and not (isinstance(value, _BRIEF) and np.array_equal(said, usual)):
+            found[each.name] = _plain(said, isinstance(value, ObservationTerm))
+    return found
 
 
 class _Dumper(yaml.SafeDumper):

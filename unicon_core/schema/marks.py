@@ -88,9 +88,11 @@ class Made(NamedTuple):
 
     Attributes:
         function: takes the value; its `UniconError` ("is …; write …") is the mistake.
+        of: hint that the value is read by first.
     """
 
     function: Callable[[Any], Any]
+    of: Any = Any
 
 
 class Later(NamedTuple):
@@ -121,6 +123,16 @@ Name = Annotated[
 """A name of a joint, body or frame, which stands in URDF, TF and joint states as it is."""
 
 NotEmpty = Size(1)
+
+
+def twice(names: Any) -> str:
+    """Return what is wrong with a list that names something twice, "" for nothing."""
+    again = next((name for name in names if names.count(name) > 1), None)
+    return "" if again is None else f"names {again!r} twice; name each once"
+
+
+Names = Annotated[tuple[Text, ...], NotEmpty, Checked(twice), Write("a list of names")]
+"""Names of joints, bodies or the like, each once."""
 
 
 def _unit_length(quat: Any) -> str:

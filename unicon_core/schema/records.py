@@ -118,7 +118,7 @@ class Record(Type):
         rule = getattr(self.made, "between", None)
         if rule is not None:
             sound = {name: each for name, each in found.items() if each is not INVALID}
-            rule(sound, Here(where, mistakes))
+            rule(sound, Here(where, mistakes, value))
         if len(mistakes.found) > before:
             return INVALID
         if self.raw:
@@ -141,8 +141,7 @@ class Record(Type):
                 mistakes.note(where, f"unknown key {show(key)}; {remedy}", key)
         for field in missing:
             if field.key not in misspelt:
-                remedy = f"add {field.key}: {field.type.wanted}"
-                mistakes.note(where, f"missing key {field.key!r}; {remedy}")
+                mistakes.missing(where, field.key, field.type.wanted)
 
     def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
         if self.name not in definitions:
@@ -174,16 +173,25 @@ def largest(kind: Type) -> float:
 
 
 class MadeOf(Type):
-    """Anything of which a function makes a value."""
+    """What a function makes of a value of another type."""
 
-    def __init__(self, function: Callable[[Any], Any], example: str) -> None:
-        self.function, self.wanted = function, example or Type.wanted
+    def __init__(self, function: Callable[[Any], Any], inner: Type, example: str) -> None:
+        self.function, self.inner, self.wanted = function, inner, example or inner.wanted
+
+    def accepts(self, value: Any) -> bool:
+        return self.inner.accepts(value)
 
     def read(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
+        found = self.inner.read(value, where, mistakes)
+        if found is INVALID:
+            return INVALID
         try:
-            return self.function(value)
+            return self.function(found)
         except UniconError as error:
             return mistakes.value(where, error.message)
+
+    def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
+        return self.inner.json(definitions)
 
 
 class LaterType(Type):
@@ -259,7 +267,7 @@ def _bare(hint: Any, marks: list[Any]) -> Type:
     if later is not None:
         return LaterType(later.target, example)
     if made is not None:
-        return MadeOf(made.function, example)
+        return MadeOf(made.function, type_of(made.of), example)
     size = _one(marks, Size, Size())
     if dataclasses.is_dataclass(hint):
         return record_of(hint, example)
@@ -292,7 +300,7 @@ def _bare(hint: Any, marks: list[Any]) -> Type:
     if origin is tuple and inner[-1] is not Ellipsis:
         return TupleOf(tuple(map(type_of, inner)), example)
     if isinstance(origin, type) and issubclass(origin, Sequence):
-        return ListOf(type_of(inner[0]), size, example)
+        return ListOf(type_of(inner[0]), size, example, tuple if origin is tuple else list)
     if hint is Any or hint is object:
         return Type()
     raise TypeError(f"{hint!r} is no type of a document")
@@ -314,7 +322,9 @@ _RECORDS: dict[tuple[Any, str], Record] = {}
 
 def _fields(kind: Any) -> dict[str, Field]:
     hints = get_type_hints(kind, include_extras=True)
-    texts = described(inspect.getdoc(kind) or "")
+    texts: dict[str, str] = {}
+    for base in kind.__mro__[::-1]:
+        texts |= described(inspect.cleandoc(base.__doc__ or ""))
     fields = {}
     for each in dataclasses.fields(kind):
         if not each.init:

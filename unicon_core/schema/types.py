@@ -45,6 +45,10 @@ class Mistakes:
         )
         return INVALID
 
+    def missing(self, where: Where, key: str, wanted: str) -> None:
+        """Note a key that has to be there."""
+        self.note(where, f"missing key {key!r}; add {key}: {wanted}")
+
     def place(self, where: Where) -> str:
         """Return what messages call a place: keys with dots, entries of a list by their name."""
         value, words = self.document, [self.root] if self.root else []
@@ -59,10 +63,16 @@ class Mistakes:
 
 
 class Here:
-    """Where a record stands, for the rule between its fields."""
+    """Where a record stands, for the rule between its fields.
 
-    def __init__(self, where: Where, mistakes: Mistakes) -> None:
-        self.where, self._mistakes = where, mistakes
+    Args:
+        where: the place.
+        mistakes: notes what is wrong.
+        written: the record as it was written, with what is wrong by itself.
+    """
+
+    def __init__(self, where: Where, mistakes: Mistakes, written: Mapping[Any, Any]) -> None:
+        self.where, self._mistakes, self.written = where, mistakes, written
 
     @property
     def document(self) -> Any:
@@ -160,8 +170,10 @@ class Number(Type):
 
     def read(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
         bounds = self.bounds
-        good = self.accepts(value) and (bounds.endless if abs(value) == math.inf else True)
-        if not good or not (abs(value) == math.inf or bounds.low <= value <= bounds.high):
+        if not self.accepts(value):
+            return self.refuse(value, where, mistakes)
+        endless = bounds.endless and math.isinf(value) and (value > 0.0 or bounds.low < 0.0)
+        if not (endless or (math.isfinite(value) and bounds.low <= value <= bounds.high)):
             return self.refuse(value, where, mistakes)
         if bounds.above and value == bounds.low:
             return self.refuse(value, where, mistakes)
@@ -211,10 +223,10 @@ def _is_list(value: Any) -> bool:
 
 
 class ListOf(Type):
-    """A list of any length, each entry of one type."""
+    """A list of any length, each entry of one type, which is made a list or a tuple."""
 
-    def __init__(self, entry: Type, size: Size, example: str) -> None:
-        self.entry, self.size = entry, size
+    def __init__(self, entry: Type, size: Size, example: str, made: type = list) -> None:
+        self.entry, self.size, self.made = entry, size, made
         self.wanted = example or f"a list, each {entry.wanted}"
 
     def accepts(self, value: Any) -> bool:
@@ -227,7 +239,7 @@ class ListOf(Type):
         if not size.least <= len(value) <= (len(value) if size.most is None else size.most):
             return self.refuse(value, where, mistakes)
         found = [self.entry.read(each, (*where, i), mistakes) for i, each in enumerate(value)]
-        return INVALID if any(each is INVALID for each in found) else found
+        return INVALID if any(each is INVALID for each in found) else self.made(found)
 
     def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
         schema: dict[str, Any] = {"type": "array", "items": self.entry.json(definitions)}

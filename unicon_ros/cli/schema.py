@@ -12,6 +12,7 @@ from unicon_core.errors import UniconError, alternatives
 
 KINDS = {
     "workflow": ("unicon_core.workflow.file:Workflow",),
+    "policy": ("unicon_core.policies.file:PolicyFile",),
     "sweep": ("unicon_ros.sweep.sweep_file:SweepDocument",),
     "robot": ("unicon_core.robots.file:RobotFile", "unicon_core.robots.file:Overlay"),
 }

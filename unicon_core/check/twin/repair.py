@@ -150,9 +150,9 @@ def _terms(contract: PolicyContract) -> Iterator[Change]:
     for i, term in enumerate(terms):
         name = repr(term.name)
         if term.state == "joint_pos":
-            other = None if term.subtract is not None else "default_joint_pos"
-            how = "relative to the default pose" if other else "absolute"
-            moved = replace(term, subtract=other)
+            absolute = term.subtract is None
+            how = "relative to the default pose" if absolute else "absolute"
+            moved = replace(term, subtract="default_joint_pos" if absolute else None)
             yield changed(f"term {name} {how}", f"subtract of {name}", {i: moved})
         elif term.subtract is not None:
             bare = replace(term, subtract=None)

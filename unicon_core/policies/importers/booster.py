@@ -59,10 +59,10 @@ def booster_facts(
         )
     for target, key in _GAINS:
         of = f"the {count} joints of common.default_qpos"
-        reader.say((target,), reader.vector("common", key, count=count, of=of), ("common", key))
+        reader.say_vector((target,), "common", key, count=count, of=of)
     _joints(reader, count, motors, robot_name, given_joints(path, given))
-    scale = reader.vector(*control, "action_scale", count=moved, of=f"num_actions {moved}")
-    reader.say(("action", "scale"), scale, (*control, "action_scale"))
+    of = f"num_actions {moved}"
+    reader.say_vector(("action", "scale"), *control, "action_scale", count=moved, of=of)
     most = reader.number("policy", "normalization", "clip_actions")
     reader.say(("action", "clip"), [-most, most], ("policy", "normalization", "clip_actions"))
     facts.values["action"]["feedback"] = "clipped"

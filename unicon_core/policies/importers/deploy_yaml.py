@@ -19,6 +19,7 @@ from typing import Any
 from unicon_core.errors import PolicyError, alternatives
 from unicon_core.located_yaml import Where, read_yaml
 from unicon_core.policies.facts import Facts, dig, term_state
+from unicon_core.policies.hints import Pair
 from unicon_core.policies.importers.source_reader import SourceReader
 from unicon_core.policies.importers.training import chosen_ids, clip_before_scale, command_ranges
 
@@ -59,28 +60,13 @@ class _Deploy(SourceReader):
     count = 0
 
     def joints(self, motors: Mapping[int, str] | None, robot_name: str) -> None:
-        order = self.document["joint_ids_map"]
-        if not isinstance(order, list) or not order or not all(isinstance(i, int) for i in order):
-            raise self.fail(("joint_ids_map",), f"joint_ids_map is {order!r}; give motor numbers")
-        for i in order:
-            if i < 0 or order.count(i) > 1:
-                raise self.fail(
-                    ("joint_ids_map",),
-                    f"joint_ids_map has motor {i} {order.count(i)} times; name each motor once",
-                )
+        order = self.places("joint_ids_map")
+        if not order:
+            raise self.fail(("joint_ids_map",), "joint_ids_map is empty; give motor numbers")
         self.count = len(order)
         self.say(("period",), self.document["step_dt"], ("step_dt",))
         if motors is not None:
-            unknown = [i for i in order if i not in motors]
-            if unknown:
-                raise self.fail(
-                    ("joint_ids_map",),
-                    f"joint_ids_map names motor {unknown[0]}, but robot {robot_name!r} has "
-                    f"{len(motors)} motors up to number {max(motors)}; choose the robot whose "
-                    "motors it counts",
-                )
-            self.say(("joints",), [motors[i] for i in order], ("joint_ids_map",))
-            self.facts.values["robot"] = robot_name
+            self.say_motors("joint_ids_map", order, motors, robot_name)
         else:
             self.facts.notes.append(
                 "deploy.yaml: joints are numbers of the robot's motors (joint_ids_map); "
@@ -97,14 +83,8 @@ class _Deploy(SourceReader):
                 )
                 continue
             self.say((target,), [values[i] for i in order], (target,))
-        default = self.floats(("default_joint_pos",), self.need("default_joint_pos"))
-        if len(default) != self.count:
-            raise self.fail(
-                ("default_joint_pos",),
-                f"default_joint_pos has {len(default)} values for {self.count} joints of "
-                "joint_ids_map; give one for each",
-            )
-        self.say(("default_joint_pos",), default, ("default_joint_pos",))
+        of = f"{self.count} joints of joint_ids_map"
+        self.say_vector(("default_joint_pos",), "default_joint_pos", count=self.count, of=of)
 
     def action(self) -> None:
         actions = self.need("actions")
@@ -115,21 +95,14 @@ class _Deploy(SourceReader):
                 f"actions are {names}; only one JointPositionAction (joint position targets) can "
                 "be run",
             )
-        where: Where = ("actions", "JointPositionAction")
+        where = ("actions", "JointPositionAction")
         action = actions["JointPositionAction"]
         if not isinstance(action, Mapping):
             raise self.fail(where, f"JointPositionAction is {action!r}; give scale and offset")
-        ids = action.get("joint_ids")
         size = self.count
-        if isinstance(ids, list):
-            size = len(ids)
-            joints = self.facts.values.get("joints")
-            for i in ids:
-                if not isinstance(i, int) or not 0 <= i < self.count:
-                    raise self.fail(
-                        (*where, "joint_ids"),
-                        f"joint_ids has {i!r}; give places from 0 to {self.count - 1}",
-                    )
+        if isinstance(action.get("joint_ids"), list):
+            ids = self.places(*where, "joint_ids", below=self.count)
+            size, joints = len(ids), self.facts.values.get("joints")
             if joints is not None and ids != list(range(self.count)):
                 self.say(("action", "joints"), [joints[i] for i in ids], (*where, "joint_ids"))
         scale = self.spread((*where, "scale"), action.get("scale"), size)
@@ -139,21 +112,18 @@ class _Deploy(SourceReader):
         clip = action.get("clip")
         if clip is not None:
             # Unitree clips the target, we clip the action: bring the bounds to the other side.
-            if not isinstance(clip, list) or len(clip) not in (size, 1):
+            pairs = self.value(list[Pair], (*where, "clip"), clip)
+            if len(pairs) not in (size, 1) or not all(scale):
                 raise self.fail((*where, "clip"), f"clip is {clip!r}; give [lowest, highest] each")
-            bounds = []
-            for i in range(size):
-                pair = self.floats((*where, "clip"), clip[i if len(clip) == size else 0])
-                if len(pair) != 2 or scale[i] == 0:
-                    raise self.fail(
-                        (*where, "clip"), f"clip[{i}] is {pair}; give [lowest, highest]"
-                    )
-                bounds.append(sorted((bound - offset[i]) / scale[i] for bound in pair))
-            self.say(("action", "clip"), _sides(bounds), (*where, "clip"))
+            bounds = [
+                sorted((bound - zero) / factor for bound in pair)
+                for pair, zero, factor in zip(pairs * (size // len(pairs)), offset, scale)
+            ]
+            self.say(("action", "clip"), [list(side) for side in zip(*bounds)], (*where, "clip"))
         self.say(("action", "feedback"), "raw", where)
 
     def spread(self, where: Where, value: Any, size: int) -> list[float]:
-        values = self.floats(where, value if isinstance(value, list) else [value])
+        values = self.floats(where, value)
         if len(values) not in (1, size):
             raise self.fail(
                 where, f"{where[-1]} has {len(values)} values for {size} joints; give one for each"
@@ -208,14 +178,10 @@ class _Deploy(SourceReader):
             self.say(("phase",), {"period": params["period"], "offsets": [0.0]}, (*where, "params"))
         scale = value.get("scale")
         if scale is not None:
-            term["scale"] = self.floats(
-                (*where, "scale"), scale if isinstance(scale, list) else [scale]
-            )
+            term["scale"] = self.floats((*where, "scale"), scale)
         clip = value.get("clip")
         if clip is not None:
-            pair = self.floats((*where, "clip"), clip)
-            if len(pair) != 2:
-                raise self.fail((*where, "clip"), f"clip is {clip!r}; give [lowest, highest]")
+            pair = self.value(Pair, (*where, "clip"), clip)
             term["clip"] = list(pair)
             if scale_first and scale is not None:
                 if not all(term["scale"]):
@@ -235,11 +201,6 @@ class _Deploy(SourceReader):
         ranges = command_ranges(dig(self.document, *where))
         if ranges:
             self.say(("command_ranges",), ranges, where)
-
-
-def _sides(pairs: list[list[float]]) -> list[list[float]]:
-    """[lowest, highest] of each -> [all the lowest, all the highest]."""
-    return [list(side) for side in zip(*pairs)]
 
 
 def _is_term(value: Any) -> bool:

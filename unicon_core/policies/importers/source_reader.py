@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from unicon_core.errors import UniconError, alternatives
 from unicon_core.located_yaml import Located, Where
 from unicon_core.policies.facts import Facts
+from unicon_core.policies.hints import Side, listed
+from unicon_core.schema.marks import Checked, Within, twice
+from unicon_core.schema.read import read_value
 
 _SUFFIXES = {".onnx": "onnx", ".pt": "torchscript", ".pth": "torchscript", ".jit": "torchscript"}
 
@@ -69,17 +73,27 @@ class SourceReader:
         """Return the error of a place below `inside`."""
         return self.fail((*self.inside, *where), message)
 
-    def floats(self, where: Where, value: Any) -> list[float]:
-        """Return a list of numbers.
+    def value(self, hint: Any, where: Where, value: Any) -> Any:
+        """Return a value as a hint has it.
+
+        Args:
+            hint: its type, with units and bounds.
+            where: its place below `inside`.
+            value: as it stands there.
 
         Raises:
             PolicyError: it is something else.
         """
-        if not isinstance(value, list) or not all(
-            isinstance(v, (int, float)) and not isinstance(v, bool) for v in value
-        ):
-            raise self.wrong(where, f"{'.'.join(map(str, where))} is {value!r}; give numbers")
-        return [float(v) for v in value]
+        name = ".".join(map(str, where))
+        return read_value(hint, value, lambda below, text: self.wrong((*where, *below), text), name)
+
+    def floats(self, where: Where, value: Any) -> list[float]:
+        """Return a number or a list of numbers as a list.
+
+        Raises:
+            PolicyError: it is something else.
+        """
+        return list(listed(self.value(Side, where, value)))
 
     def vector(self, *keys: str, count: int, of: str) -> list[float]:
         """Return one number for each joint; a single number is that of all.
@@ -93,9 +107,9 @@ class SourceReader:
             PolicyError: they are missing, no numbers, or of another count.
         """
         value = self.need(*keys)
-        if not isinstance(value, list):
-            return [self.number(*keys)] * count
         values = self.floats(keys, value)
+        if not isinstance(value, list):
+            return values * count
         if len(values) != count:
             raise self.wrong(
                 keys, f"{'.'.join(keys)} has {len(values)} values for {of}; give {count}"
@@ -108,10 +122,8 @@ class SourceReader:
         Raises:
             PolicyError: it is missing, or none.
         """
-        value = self.need(*keys)
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise self.wrong(keys, f"{'.'.join(keys)} is {value!r}; give a number")
-        return float(value)
+        number: float = self.value(float, keys, self.need(*keys))
+        return number
 
     def whole(self, *keys: str, least: int = 1) -> int:
         """Return a whole number of at least so much.
@@ -119,37 +131,48 @@ class SourceReader:
         Raises:
             PolicyError: it is missing, or none.
         """
-        value = self.need(*keys)
-        if isinstance(value, bool) or not isinstance(value, int) or value < least:
-            raise self.wrong(
-                keys, f"{'.'.join(keys)} is {value!r}; give a whole number from {least}"
-            )
-        return value
+        number: int = self.value(Annotated[int, Within(least)], keys, self.need(*keys))
+        return number
 
-    def places(self, *keys: str, below: int | None = None) -> list[int]:
+    def places(self, *keys: str, below: float = math.inf) -> list[int]:
         """Return numbers of joints or motors, each once.
 
         Args:
             keys: nested keys.
-            below: there are so many; None for any.
+            below: there are so many; infinite for any.
 
         Raises:
             PolicyError: they are missing, no whole numbers, repeated, or too large.
         """
-        value, name = self.need(*keys), ".".join(keys)
-        if not isinstance(value, list) or not all(
-            isinstance(i, int) and not isinstance(i, bool) for i in value
-        ):
-            raise self.wrong(keys, f"{name} is {value!r}; give whole numbers")
-        for i in value:
-            if i < 0 or (below is not None and i >= below):
-                most = "" if below is None else f" to {below - 1}"
-                raise self.wrong(keys, f"{name} has {i}; give numbers from 0{most}")
-            if value.count(i) > 1:
+        hint = Annotated[list[Annotated[int, Within(0, below - 1)]], Checked(twice)]
+        places: list[int] = self.value(hint, keys, self.need(*keys))
+        return places
+
+    def say_vector(self, target: Where, *keys: str, count: int, of: str) -> None:
+        """Note a `vector`, which stands under nested keys."""
+        self.say(target, self.vector(*keys, count=count, of=of), keys)
+
+    def say_motors(self, key: str, order: list[int], motors: Mapping[int, str], robot: str) -> None:
+        """Note the joints of motors, and the robot that has them.
+
+        Args:
+            key: where the motors stand.
+            order: their numbers in policy order.
+            motors: motor number of the robot's SDK to joint name.
+            robot: its name.
+
+        Raises:
+            PolicyError: the robot has no such motor.
+        """
+        for i in order:
+            if i not in motors:
                 raise self.wrong(
-                    keys, f"{name} has {i} {value.count(i)} times; name each joint once"
+                    (key,),
+                    f"{key} names motor {i}, but robot {robot!r} has {len(motors)} motors up to "
+                    f"number {max(motors)}; choose the robot whose motors it counts",
                 )
-        return value
+        self.say(("joints",), [motors[i] for i in order], (key,))
+        self.facts.values["robot"] = robot
 
     def network(self, key: Where, named: Any, base: Path | None) -> None:
         """Find the network that the source names: where it says, else beside it by its name.
@@ -193,8 +216,3 @@ class SourceReader:
 def _within(found: Path, *folders: Path) -> bool:
     target = found.resolve()
     return any(target.is_relative_to(folder.resolve()) for folder in folders)
-
-
-def listed(values: Sequence[object]) -> str:
-    """Return values for a message."""
-    return ", ".join(map(str, values))

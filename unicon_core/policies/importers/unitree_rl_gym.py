@@ -18,7 +18,7 @@ from unicon_core.errors import PolicyError
 from unicon_core.located_yaml import read_yaml
 from unicon_core.policies.facts import Facts
 from unicon_core.policies.given import given_joints
-from unicon_core.policies.importers.source_reader import SourceReader, listed
+from unicon_core.policies.importers.source_reader import SourceReader
 
 _PERIOD = 0.8  # of the clock in [s]; it stands in both programs
 _ROOT = "{LEGGED_GYM_ROOT_DIR}/"
@@ -74,7 +74,7 @@ def _mujoco(reader: SourceReader, count: int, joints: list[str] | None) -> None:
             "the joints that it moves, in the order of its model"
         )
     for target, key in _GAINS:
-        reader.say((target,), reader.vector(key, count=count, of=counted), (key,))
+        reader.say_vector((target,), key, count=count, of=counted)
     if joints is None:
         model = Path(str(reader.document.get("xml_path", "its model"))).name
         facts.asks["joints"] = f"the {count} of {model}, in its order"
@@ -101,15 +101,7 @@ def _real(
         raise reader.wrong((_LEGS,), f"{_LEGS} and {_REST}: {what}; name each motor once")
     order = legs + rest
     if motors is not None:
-        unknown = [i for i in order if i not in motors]
-        if unknown:
-            raise reader.wrong(
-                (_LEGS if unknown[0] in legs else _REST,),
-                f"motor {unknown[0]} is named, and robot {robot_name!r} has {len(motors)} motors "
-                f"up to number {max(motors)}; choose the robot whose motors it counts",
-            )
-        reader.say(("joints",), [motors[i] for i in order], (_LEGS,))
-        facts.values["robot"] = robot_name
+        reader.say_motors(_LEGS, order, motors, robot_name)
     elif joints is not None:
         if len(joints) != len(order):
             raise PolicyError(
@@ -118,7 +110,7 @@ def _real(
             )
         facts.values["joints"] = joints
     else:
-        facts.asks["joints"] = f"motors {listed(order)} of the robot: name the robot"
+        facts.asks["joints"] = f"motors {', '.join(map(str, order))} of the robot: name the robot"
     known = facts.values.get("joints")
     if rest and known is not None:
         reader.say(("action", "joints"), known[:count], (_LEGS,))
@@ -142,8 +134,7 @@ def _real(
 
 def _common(reader: SourceReader, count: int) -> None:
     facts = reader.facts
-    scale = reader.vector("action_scale", count=count, of=f"num_actions {count}")
-    reader.say(("action", "scale"), scale, ("action_scale",))
+    reader.say_vector(("action", "scale"), "action_scale", count=count, of=f"num_actions {count}")
     reader.say(("action", "feedback"), "raw", ("action_scale",))
     inputs, laid_out = reader.whole("num_obs"), 11 + 3 * count
     if inputs != laid_out:

@@ -21,8 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import PolicyError, alternatives
-from unicon_core.policies.contract import MotionSpec, PolicyContract
+from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.motion.anchor import Chain
+from unicon_core.policies.motion.spec import MotionSpec
 
 Float = NDArray[np.float64]
 

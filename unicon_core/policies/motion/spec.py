@@ -1,27 +1,67 @@
-"""The `motion:` of a policy's facts, checked."""
+"""What a policy says of the motion that it is to follow, and where the motion's file lies."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Annotated, Any, Literal
 
-from unicon_core.errors import PolicyError, alternatives
-from unicon_core.policies.contract import MotionSpec
+from unicon_core.errors import PolicyError
 from unicon_core.policies.facts import Facts, dig
+from unicon_core.policies.hints import Seconds
 from unicon_core.resources import file_beside, find_resource
+from unicon_core.schema.marks import Names, Text, Unit, Within, Write
+from unicon_core.schema.types import Here
 
-_KEYS = ("anchor_body", "file", "bodies", "align", "start", "end", "hold", "fps", "joints", "chain")
 AXES = {
     "x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0),
     "-x": (-1.0, 0.0, 0.0), "-y": (0.0, -1.0, 0.0), "-z": (0.0, 0.0, -1.0),
 }  # fmt: skip
 """Word of `motion.chain` to the unit vector that it means."""
-_FORMATS = (".npz", ".csv")
-LONGEST = 86_400.0
-"""Longest motion in [s]."""
+
+
+@dataclass(frozen=True)
+class MotionSpec:
+    """The motion that a policy is to follow, and the body by which the robot is compared with it.
+
+    Attributes:
+        anchor_body: such as `torso_link`; a body of the robot's model.
+        file: `.npz` or `.csv`, or None: outputs of the network are the reference.
+        bodies: of the outputs `motion_body_pos_w` and `motion_body_quat_w`, in their order.
+        align: `yaw` turns the motion about the vertical and shifts it, so that it begins where the
+            robot stands; `none` leaves it in the robot's world.
+        start: of what is played of it in [s].
+        end: of what is played in [s], or None for all.
+        hold: for so long in [s] the first frame is shown before the motion goes on; those who train
+            with it hold it (amazon-far/holosoma: `freeze_at_timestep_zero_prob`).
+        fps: frames in a second of a file, or None: as the file says, 30 of a `.csv`.
+        joints: the file's joints in order, `policy`, `robot`, or None: as its format has it.
+        chain: joint to axis (`x`, `-y`, …) from the base to the anchor, for a robot without a
+            model; empty: as the model has it.
+    """
+
+    anchor_body: Annotated[Text, Write("a body, as torso_link")]
+    file: Annotated[Path | None, Write("a .npz or .csv file")] = None
+    bodies: tuple[Text, ...] | Names = ()
+    align: Literal["yaw", "none"] = "yaw"
+    start: Seconds = 0.0
+    end: Seconds | None = None
+    hold: Seconds = 0.0
+    fps: Annotated[float | None, Unit("Hz"), Within(1.0, 10_000.0)] = None
+    joints: Literal["policy", "robot"] | Names | None = None
+    chain: Mapping[str, Literal["x", "y", "z", "-x", "-y", "-z"]] = field(
+        default_factory=lambda: MappingProxyType({})
+    )
+
+    @staticmethod
+    def between(found: dict[str, Any], here: Here) -> None:
+        """Note an end before the start."""
+        start, end = found.get("start", 0.0), found.get("end")
+        if end is not None and end <= start:
+            here.value(f"is {end:g} s and start {start:g} s; end after the start", "end")
 
 
 def given_clip(facts: Facts, given: Mapping[str, Any]) -> None:
@@ -44,84 +84,22 @@ def given_clip(facts: Facts, given: Mapping[str, Any]) -> None:
     facts.clip = facts.beside(said)
 
 
-def motion_spec(facts: Facts) -> MotionSpec | None:
-    """Return what the facts say under `motion`, None where they say nothing.
+def with_clip(motion: MotionSpec, facts: Facts) -> MotionSpec:
+    """Return a motion with the place of its file, if it names one.
 
     Raises:
-        PolicyError: with the value's place.
+        PolicyError: the file is not there, or of no known format.
     """
-    value = facts.values.get("motion")
-    if value is None:
-        return None
-
-    def wrong(key: str, rest: str) -> PolicyError:
-        return facts.error(("motion", key) if key else ("motion",), f"motion{rest}")
-
-    if not isinstance(value, Mapping):
-        raise wrong("", f" is {value!r}; give a mapping {{anchor_body: torso_link, …}}")
-    for key in value:
-        if key not in _KEYS:
-            raise wrong(str(key), f" has no {key!r}; {alternatives(str(key), _KEYS)}")
-
-    def number(key: str, low: float, high: float) -> float | None:
-        said = value.get(key)
-        if said is None:
-            return None
-        if isinstance(said, bool) or not isinstance(said, (int, float)) or not low <= said <= high:
-            raise wrong(key, f".{key} is {said!r}; give a number from {low:g} to {high:g}")
-        return float(said)
-
-    def names(key: str) -> tuple[str, ...]:
-        said = value.get(key) or ()
-        if not isinstance(said, (list, tuple)) or not all(isinstance(n, str) for n in said):
-            raise wrong(key, f".{key} is {said!r}; give a list of names")
-        for name in said:
-            if list(said).count(name) > 1:
-                raise wrong(key, f".{key} names {name!r} twice; name each once")
-        return tuple(said)
-
-    anchor = value.get("anchor_body")
-    if not isinstance(anchor, str) or not anchor:
-        raise wrong("anchor_body", f".anchor_body is {anchor!r}; name a body, as torso_link")
-    align = value.get("align", "yaw")
-    if align not in ("yaw", "none"):
-        raise wrong("align", f".align is {align!r}; known: yaw, none")
-    joints = value.get("joints")
-    if isinstance(joints, str) and joints not in ("policy", "robot"):
-        raise wrong("joints", f".joints is {joints!r}; known: policy, robot, or a list of joints")
-    chain = value.get("chain") or {}
-    if not isinstance(chain, Mapping) or not all(axis in AXES for axis in chain.values()):
-        raise wrong(
-            "chain", f".chain is {chain!r}; give {{JOINT: AXIS}}, with x, y, z, -x, -y or -z"
-        )
-    start, end = number("start", 0.0, LONGEST) or 0.0, number("end", 0.0, LONGEST)
-    if end is not None and end <= start:
-        raise wrong("end", f".end is {end:g} s and start {start:g} s; end after the start")
-    return MotionSpec(
-        anchor_body=anchor,
-        file=_file(facts, value.get("file"), wrong),
-        bodies=names("bodies"),
-        align=align,
-        start=start,
-        end=end,
-        hold=number("hold", 0.0, LONGEST) or 0.0,
-        fps=number("fps", 1.0, 10_000.0),
-        joints=joints if isinstance(joints, str) else names("joints") or None,
-        chain=MappingProxyType({str(joint): axis for joint, axis in chain.items()}),
-    )
-
-
-def _file(facts: Facts, said: Any, wrong: Any) -> Path | None:
-    if said is None:
-        return None
-    if not isinstance(said, str):
-        raise wrong("file", f".file is {said!r}; name a .npz or .csv file")
+    if motion.file is None:
+        return motion
+    named, where = str(motion.file), ("motion", "file")
     try:
-        path = facts.clip or file_beside(facts.path, said, "motion.file", error=PolicyError)
+        path = facts.clip or file_beside(facts.path, named, "motion.file", error=PolicyError)
     except PolicyError as error:
-        raise facts.error(("motion", "file"), str(error)) from error
-    if path.suffix not in _FORMATS:
-        raise wrong("file", f".file {said!r} is not a .npz or .csv file; convert it")
+        raise facts.error(where, str(error)) from error
+    if path.suffix not in (".npz", ".csv"):
+        raise facts.error(where, f"motion.file {named!r} is not a .npz or .csv file; convert it")
     if not os.path.isfile(path):
-        raise wrong("file", f".file: no such file {path}; put it there or correct the path")
-    return path
+        text = f"motion.file: no such file {path}; put it there or correct the path"
+        raise facts.error(where, text)
+    return replace(motion, file=path)

@@ -1,0 +1,132 @@
+"""How `policy.yaml` writes the values of a contract: hints with units and bounds, and what is made.
+
+Numbers become float32 arrays, or what float32 makes of them, as the networks take them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.bounds import POSITION
+from unicon_core.errors import PolicyError
+from unicon_core.schema.marks import Made, Matches, NotEmpty, Unit, Within, Write
+
+Floats = NDArray[np.float32]
+
+LONGEST_FILTER = 100
+"""Samples of a moving average; a policy at 50 Hz sees two seconds then."""
+LARGEST_SLEW = 1000.0
+"""Of a command in [1/s] of its unit: what is more jumps within a tick."""
+MOST_FRAMES = 10_000
+"""Of a history."""
+LONGEST_MOTION = 86_400.0
+"""In [s]."""
+LONGEST_PERIOD = 1000.0
+"""Of a policy and of a gait in [s]."""
+
+
+def floats(value: Any) -> Floats:
+    """Return a number or a list of numbers as a read-only array, shape (k,)."""
+    array = np.array(value if isinstance(value, list) else [value], np.float32)
+    array.flags.writeable = False
+    return array
+
+
+def rounded(value: Any) -> tuple[float, ...]:
+    """Return a number or a list of numbers as float32 has them."""
+    return tuple(map(float, floats(value)))
+
+
+def rounded_one(value: float) -> float:
+    """Return a number as float32 has it."""
+    return float(np.float32(value))
+
+
+def listed(value: Any) -> tuple[Any, ...]:
+    """Return one value or a list of them as a tuple."""
+    return tuple(value) if isinstance(value, list) else (value,)
+
+
+def _clip(sides: Any) -> Floats:
+    """`[lowest, highest]`, each one number or a list; shape (2, 1) or (2, k)."""
+    arrays = list(map(floats, sides))
+    width = max(side.size for side in arrays)
+    if {side.size for side in arrays} - {1, width}:
+        raise PolicyError(f"has {arrays[0].size} and {arrays[1].size} values; write as many")
+    clip = np.stack([np.broadcast_to(side, (width,)) for side in arrays])
+    for low, high in clip.T[clip[0] > clip[1]]:
+        raise PolicyError(f"is [{low:g}, {high:g}]; the lowest must come first")
+    return clip
+
+
+def _range(pair: Any) -> tuple[float, float]:
+    (low,), (high,) = _clip(pair).tolist()
+    return low, high
+
+
+def _said(ranges: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: pair for name, pair in ranges.items() if pair is not None}
+
+
+def _slew(rates: Any) -> tuple[float, ...]:
+    return tuple(map(float, np.broadcast_to(np.float32(rates), 3)))
+
+
+def each(number: Any) -> Made:
+    """Return the mark of an array, for which one number or a list of them is written."""
+    many: Any = list[number]
+    return Made(floats, number | Annotated[many, NotEmpty, Write("a list of them")])
+
+
+Limit = Annotated[float, Within(endless=True)]
+Side = Limit | list[Limit]
+Pair = Annotated[tuple[Limit, Limit], Write("[lowest, highest]")]
+Clip = Annotated[Floats, Made(_clip, Annotated[tuple[Side, Side], Write("[lowest, highest]")])]
+Range = Annotated[tuple[float, float], Made(_range, Pair)]
+Ranges = Annotated[Mapping[str, tuple[float, float]], Made(_said, Mapping[str, Range | None])]
+Rate = Annotated[
+    float,
+    Within(0.0, LARGEST_SLEW, above=True, endless=True),
+    Write(f"a change above 0 and at most {LARGEST_SLEW:g} in [m/s², rad/s²], .inf for any"),
+]
+Slew = Annotated[
+    tuple[float, float, float],
+    Made(_slew, Rate | Annotated[tuple[Rate, Rate, Rate], Write("a list of those of vx, vy, wz")]),
+    Write("the largest change of vx, vy, wz in [m/s², m/s², rad/s²], or one for all"),
+]
+Angle = Annotated[
+    float,
+    Unit("rad"),
+    Within(-POSITION, POSITION),
+    Write(f"a number from {-POSITION:g} to {POSITION:g} [rad] (are these degrees?)"),
+]
+Alpha = Annotated[
+    float,
+    Within(0.0, 1.0, above=True),
+    Write("the weight of the newest sample, above 0 and at most 1"),
+]
+Place = Annotated[int, Within(0)]
+Places = Annotated[tuple[int, ...], Made(listed, Place | list[Place])]
+Offsets = Annotated[tuple[float, ...], Made(rounded, float | list[float])]
+Period = Annotated[float, Unit("s"), Within(0.0, LONGEST_PERIOD, above=True)]
+Seconds = Annotated[float, Unit("s"), Within(0.0, LONGEST_MOTION)]
+Stand = Annotated[float, Made(rounded_one, float), Write("a phase in [rad]")]
+Threshold = Annotated[
+    float,
+    Made(
+        rounded_one,
+        Annotated[
+            float,
+            Within(0.0, above=True),
+            Write("a speed above 0 in [m/s] and [rad/s]: no command is below it"),
+        ],
+    ),
+]
+Tensor = Annotated[str, Made(str, str | int), Write("the name of a tensor")]
+Sha256 = Annotated[
+    str, Made(str.lower, Annotated[str, Matches("[0-9a-fA-F]{64}", "the 64 digits of 'sha256sum'")])
+]
