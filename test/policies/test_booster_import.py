@@ -69,6 +69,7 @@ def test_the_last_motors_are_moved_and_the_clock_is_off_without_a_command(tmp_pa
     assert contract.command.slew == (1.0, 1.0, 1.0)
     assert contract.action.feedback == "clipped"
     assert any("every 0.002 s through a low pass" in note for note in contract.notes)
+    assert load_policy(path.parent, robot=robot()).path == contract.path  # the only one there
     again = load_policy(import_policy(path, tmp_path / "out", robot=robot()).path)
     assert (again.joints, again.phase, again.command) == (
         contract.joints, contract.phase, contract.command,

@@ -11,6 +11,7 @@ import yaml
 from policy_helpers import JOINTS, robot, toy_values, write_toy
 
 from unicon_core.errors import PolicyError
+from unicon_core.located_yaml import read_yaml
 from unicon_core.policies import (
     PolicyContract,
     import_policy,
@@ -51,7 +52,7 @@ def write(tmp_path: Path, *changes: tuple[str, str]) -> Path:
 
 
 def read(path: Path) -> PolicyContract:
-    return build_contract(policy_yaml_facts(path))
+    return build_contract(policy_yaml_facts(read_yaml(path, PolicyError)))
 
 
 def message(path: Path) -> str:

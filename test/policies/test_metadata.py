@@ -13,6 +13,7 @@ from policy_helpers import JOINTS, robot, save, write_linear, write_toy
 
 from unicon_core.errors import PolicyError
 from unicon_core.policies import Policy, import_policy, load_policy, policy_states
+from unicon_core.schema.types import show
 from unicon_core.states import States, standard_states
 
 OLD = {
@@ -328,8 +329,7 @@ def test_a_given_term_that_is_no_mapping_is_named(tmp_path: Path, term: Any) -> 
     with pytest.raises(PolicyError) as caught:
         load_policy(path, given={"observation.terms": {"joint_pos": term}})
     assert str(caught.value) == (
-        f"{path}: given observation.terms.joint_pos is {term}; give a mapping, such as "
-        "{scale: 0.05}"
+        f"{path}: given observation.terms.joint_pos is {show(term)}; write {{scale: 0.05}}"
     )
 
 
@@ -339,8 +339,8 @@ def test_given_terms_that_are_no_collection_are_refused(tmp_path: Path, terms: A
     with pytest.raises(PolicyError) as caught:
         load_policy(path, given={"observation": {"terms": terms}})
     assert str(caught.value) == (
-        f"{path}: given observation.terms is {terms}; give a mapping, such as "
-        "{joint_vel: {scale: 0.05}}, or a list"
+        f"{path}: given observation.terms is {show(terms)}; write {{joint_vel: {{scale: 0.05}}}} "
+        "or a list"
     )
 
 

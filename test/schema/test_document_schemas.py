@@ -12,7 +12,7 @@ import jsonschema
 import pytest
 import yaml
 
-from unicon_core.errors import UniconError
+from unicon_core.errors import PolicyError, UniconError
 from unicon_core.located_yaml import read_yaml
 from unicon_core.policies.build import build_contract
 from unicon_core.policies.policy_yaml import policy_yaml_facts
@@ -27,7 +27,7 @@ LOADS: dict[str, Any] = {
     "workflow": load_document,
     "robot": load_robot,
     "sweep": read_sweep,
-    "policy": lambda path: build_contract(policy_yaml_facts(path)),
+    "policy": lambda path: build_contract(policy_yaml_facts(read_yaml(path, PolicyError))),
 }
 FILES = {
     "workflow": sorted((ROOT / "config" / "workflows").glob("*.yaml")),

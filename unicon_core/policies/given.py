@@ -4,13 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from unicon_core.errors import PolicyError, alternatives
 from unicon_core.located_yaml import Where
 from unicon_core.policies.facts import TO_GIVE, Facts, dig, dotted, is_open, shown
+from unicon_core.schema.marks import Names, Write
+from unicon_core.schema.read import read_value
+
+_CHANGE = Annotated[Mapping[str, Any], Write("{scale: 0.05}")]
+_TERMS = (
+    Annotated[Mapping[str, _CHANGE], Write("{joint_vel: {scale: 0.05}}")]
+    | Annotated[list[Any], Write("a list")]
+)
 
 
 def given_joints(path: Path, given: Mapping[str, Any]) -> list[str] | None:
@@ -20,11 +28,12 @@ def given_joints(path: Path, given: Mapping[str, Any]) -> list[str] | None:
         PolicyError: they are not a list of names.
     """
     joints = given.get("joints")
-    if joints is None:
-        return None
-    if not isinstance(joints, (list, tuple)) or not all(isinstance(j, str) for j in joints):
-        raise PolicyError(f"{path}: given joints is {shown(joints)}; give a list of joint names")
-    return list(joints)
+    return None if joints is None else list(_checked(path, "joints", Names, joints))
+
+
+def _checked(path: Path, fact: str, hint: Any, value: Any) -> Any:
+    """Return a given fact as a hint has it."""
+    return read_value(hint, value, lambda _, text: PolicyError(f"{path}: given {text}"), fact)
 
 
 def merge_given(facts: Facts, given: Mapping[str, Any]) -> None:
@@ -83,7 +92,9 @@ def _answered(name: str, given: Mapping[str, Any], values: Mapping[str, Any]) ->
 
 def _merge_terms(facts: Facts, observation: dict[str, Any]) -> None:
     """Bring given terms into the source's list of terms, by name."""
-    given = _checked_terms(facts, observation.pop("terms", None))
+    given = observation.pop("terms", None)
+    if given is not None:
+        given = _checked(facts.path, "observation.terms", _TERMS, given)
     if facts.values.get("observation") is None:
         facts.values["observation"] = {}
     target = facts.values["observation"]
@@ -111,21 +122,6 @@ def _merge_terms(facts: Facts, observation: dict[str, Any]) -> None:
 
 def _are_mappings(terms: Any) -> bool:
     return isinstance(terms, list) and all(isinstance(term, dict) for term in terms)
-
-
-def _checked_terms(facts: Facts, given: Any) -> Any:
-    """Itself: nothing, a list, or a mapping from names to mappings."""
-    place, wrong, remedy = "observation.terms", given, "{joint_vel: {scale: 0.05}}, or a list"
-    if given is None or isinstance(given, (list, tuple)):
-        return given
-    if isinstance(given, Mapping):
-        odd = next((name for name in given if not isinstance(given[name], Mapping)), None)
-        if odd is None:
-            return given
-        place, wrong, remedy = f"{place}.{odd}", given[odd], "{scale: 0.05}"
-    raise PolicyError(
-        f"{facts.path}: given {place} is {shown(wrong)}; give a mapping, such as {remedy}"
-    )
 
 
 Changes = list[tuple[int, Mapping[str, Any]]]

@@ -24,6 +24,7 @@ from unicon_core.policies.importers.configurations import (
 )
 from unicon_core.policies.importers.env_yaml import is_env_yaml, suggest_joints
 from unicon_core.policies.importers.metadata import has_metadata, metadata_facts, settled
+from unicon_core.policies.importers.source_reader import Source
 from unicon_core.policies.motion.spec import given_clip
 from unicon_core.policies.networks.onnx_file import OnnxFile, read_onnx
 from unicon_core.policies.policy_yaml import (
@@ -296,31 +297,16 @@ def _facts_of(path: Path, robot: Robot | None, given: Mapping[str, Any]) -> Fact
         return Facts(path, "ONNX file (no metadata)", {"onnx": path.name})
     if path.suffix in _TORCHSCRIPT:
         return Facts(path, "TorchScript file", {"torchscript": path.name})
-    values = read_yaml(path, PolicyError, foreign=True).value
+    located = read_yaml(path, PolicyError, foreign=True)
     made_for = given.get("robot")
-    if isinstance(made_for, str) and counts_motors(values):  # whichever robot runs the policy
-        robot = load_robot(made_for)
-    read = configuration_facts(
-        path,
-        values,
-        None if robot is None else _motors(robot),
-        "" if robot is None else robot.name,
-        given,
-    )
+    if isinstance(made_for, str) and counts_motors(located.value):
+        robot = load_robot(made_for)  # whichever robot runs the policy
+    read = configuration_facts(Source(located, given, robot))
     if read is None:
-        return policy_yaml_facts(path)
-    facts, names_network = read
-    if not names_network:
-        _add_model(facts)
-    return facts
-
-
-def _motors(robot: Robot) -> dict[int, str]:
-    """Motor numbers of the vendor's SDK; they are the joints' places unless the robot says more."""
-    numbers = robot.transport.get("motors")
-    if not isinstance(numbers, (list, tuple)) or len(numbers) != len(robot.joint_names):
-        numbers = range(len(robot.joint_names))
-    return {int(number): name for number, name in zip(numbers, robot.joint_names)}
+        return policy_yaml_facts(located)
+    if read.network is None and "onnx" not in read.asks:
+        _add_model(read)
+    return read
 
 
 def _add_model(facts: Facts) -> None:

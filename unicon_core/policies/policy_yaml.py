@@ -14,7 +14,7 @@ import yaml
 
 from unicon_core.errors import PolicyError
 from unicon_core.file_kinds import other_kind
-from unicon_core.located_yaml import Tagged, read_yaml
+from unicon_core.located_yaml import Located, Tagged
 from unicon_core.policies.build import read_facts
 from unicon_core.policies.contract import ObservationTerm, PolicyContract, PolicyFacts
 from unicon_core.policies.facts import TO_GIVE, Facts
@@ -26,13 +26,12 @@ from unicon_core.resources import sha256_of
 SCHEMA = "unicon.policy/1"
 
 
-def policy_yaml_facts(path: Path) -> Facts:
-    """Read a `policy.yaml` as facts.
+def policy_yaml_facts(located: Located) -> Facts:
+    """Return what a `policy.yaml` says.
 
     Raises:
-        PolicyError: not readable, not YAML, or no mapping.
+        PolicyError: it is no mapping, or another kind of file.
     """
-    located = read_yaml(path, PolicyError, foreign=True)
     if not isinstance(located.value, Mapping):
         raise located.error((), f"no policy; start it with 'schema: {SCHEMA}'")
     other = other_kind(located.value, "policy")
@@ -45,7 +44,7 @@ def policy_yaml_facts(path: Path) -> Facts:
                 f"{key} is {dict(value)}, which belongs under 'given' of the workflow; give the "
                 "values here, or remove it",
             )
-    return Facts(path, "policy.yaml", dict(located.value), located.lines)
+    return Facts(located.path, "policy.yaml", dict(located.value), located.lines)
 
 
 def write_policy_yaml(contract: PolicyContract, out_dir: str | Path) -> Path:

@@ -10,15 +10,11 @@ targets every `dt` through a low pass of its own.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import PolicyError
-from unicon_core.located_yaml import read_yaml
 from unicon_core.policies.facts import Facts, dig
-from unicon_core.policies.given import given_joints
-from unicon_core.policies.importers.source_reader import SourceReader
+from unicon_core.policies.importers.source_reader import Source, SourceReader
 
 _SLEW = 1.0  # of the command in [m/s²] and [rad/s²]: one period for each tick, in policy.py
 _STILL = 1e-5  # [m/s], [rad/s]: no command below it, in policy.py
@@ -29,22 +25,15 @@ def is_booster(values: Any) -> bool:
     return dig(values, "common", "default_qpos") is not None and "policy" in values
 
 
-def booster_facts(
-    path: Path, motors: Mapping[int, str] | None, robot_name: str, given: Mapping[str, Any]
-) -> Facts:
-    """Read a configuration.
-
-    Args:
-        path: the file.
-        motors: motor number of the robot's SDK to joint name; None leaves the joints to be given.
-        robot_name: for messages.
-        given: facts of the user; `joints` stands for motors that are not known.
+def booster_facts(source: Source) -> Facts:
+    """Return what a configuration says.
 
     Raises:
-        PolicyError: not readable, or against the format.
+        PolicyError: it is against the format.
     """
+    path = source.path
     facts = Facts(path, "Booster configuration")
-    reader = SourceReader(facts, read_yaml(path, PolicyError, foreign=True))
+    reader = SourceReader(facts, source.located)
     control = ("policy", "control")
     dt, decimation = reader.number("common", "dt"), reader.whole(*control, "decimation")
     reader.say(("period",), dt * decimation, ("common", "dt"))
@@ -60,7 +49,7 @@ def booster_facts(
     for target, key in _GAINS:
         of = f"the {count} joints of common.default_qpos"
         reader.say_vector((target,), "common", key, count=count, of=of)
-    _joints(reader, count, motors, robot_name, given_joints(path, given))
+    _joints(reader, count, source)
     of = f"num_actions {moved}"
     reader.say_vector(("action", "scale"), *control, "action_scale", count=moved, of=of)
     most = reader.number("policy", "normalization", "clip_actions")
@@ -82,29 +71,24 @@ def booster_facts(
 _GAINS = (("stiffness", "stiffness"), ("damping", "damping"), ("default_joint_pos", "default_qpos"))
 
 
-def _joints(
-    reader: SourceReader,
-    count: int,
-    motors: Mapping[int, str] | None,
-    robot_name: str,
-    joints: list[str] | None,
-) -> None:
-    facts = reader.facts
+def _joints(reader: SourceReader, count: int, source: Source) -> None:
+    facts, joints, robot = reader.facts, source.joints, source.robot
     if joints is not None and len(joints) != count:
         raise PolicyError(
             f"{facts.path}: given joints has {len(joints)} names, and common.default_qpos has "
             f"{count}; name the joints of all motors in their order"
         )
-    if motors is not None:
+    if robot is not None:
+        motors = source.motors
         if len(motors) != count:
             raise reader.wrong(
                 ("common", "default_qpos"),
-                f"common.default_qpos has {count} joints, and robot {robot_name!r} has "
+                f"common.default_qpos has {count} joints, and robot {robot.name!r} has "
                 f"{len(motors)} motors; choose the robot whose motors it counts",
             )
         names = [motors[i] for i in sorted(motors)]
         reader.say(("joints",), names, ("common", "default_qpos"))
-        facts.values["robot"] = robot_name
+        facts.values["robot"] = robot.name
     elif joints is not None:
         facts.values["joints"] = joints
     else:

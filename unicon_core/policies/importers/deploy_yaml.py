@@ -13,14 +13,13 @@ one is fed back (`envs/mdp/actions/joint_actions.h`). A term is clipped, then sc
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
-from unicon_core.errors import PolicyError, alternatives
-from unicon_core.located_yaml import Where, read_yaml
+from unicon_core.errors import alternatives
+from unicon_core.located_yaml import Where
 from unicon_core.policies.facts import Facts, dig, term_state
 from unicon_core.policies.hints import Pair
-from unicon_core.policies.importers.source_reader import SourceReader
+from unicon_core.policies.importers.source_reader import Source, SourceReader
 from unicon_core.policies.importers.training import chosen_ids, clip_before_scale, command_ranges
 
 _FLAGS = ("scale_first", "use_gym_history")
@@ -31,24 +30,15 @@ def is_deploy_yaml(values: Any) -> bool:
     return isinstance(values, Mapping) and "joint_ids_map" in values and "step_dt" in values
 
 
-def deploy_yaml_facts(path: Path, motors: Mapping[int, str] | None, robot_name: str = "") -> Facts:
-    """Read a `deploy.yaml`.
-
-    Args:
-        path: the file.
-        motors: motor number of the robot's SDK, which `joint_ids_map` has, to joint name; None
-            leaves the joints to be given.
-        robot_name: for messages.
+def deploy_yaml_facts(source: Source) -> Facts:
+    """Return what a `deploy.yaml` says.
 
     Raises:
-        PolicyError: not readable, or against the format.
+        PolicyError: it is against the format.
     """
-    located = read_yaml(path, PolicyError, foreign=True)
-    if not is_deploy_yaml(located.value):
-        raise PolicyError(f"{path}: no deploy.yaml: it has no joint_ids_map and step_dt")
-    facts = Facts(path, "deploy.yaml", tolerance=(6e-3, 1e-6))
-    reader = _Deploy(facts, located)
-    reader.joints(motors, robot_name)
+    facts = Facts(source.path, "deploy.yaml", tolerance=(6e-3, 1e-6))
+    reader = _Deploy(facts, source.located)
+    reader.joints(source)
     reader.action()
     reader.observation()
     reader.ranges()
@@ -59,14 +49,14 @@ def deploy_yaml_facts(path: Path, motors: Mapping[int, str] | None, robot_name: 
 class _Deploy(SourceReader):
     count = 0
 
-    def joints(self, motors: Mapping[int, str] | None, robot_name: str) -> None:
+    def joints(self, source: Source) -> None:
         order = self.places("joint_ids_map")
         if not order:
             raise self.fail(("joint_ids_map",), "joint_ids_map is empty; give motor numbers")
         self.count = len(order)
         self.say(("period",), self.document["step_dt"], ("step_dt",))
-        if motors is not None:
-            self.say_motors("joint_ids_map", order, motors, robot_name)
+        if source.robot is not None:
+            self.say_motors("joint_ids_map", order, source.robot.name, source.motors)
         else:
             self.facts.notes.append(
                 "deploy.yaml: joints are numbers of the robot's motors (joint_ids_map); "

@@ -12,13 +12,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping
-from pathlib import Path
 from typing import Any
 
-from unicon_core.errors import PolicyError
-from unicon_core.located_yaml import Located, Where, read_yaml
+from unicon_core.located_yaml import Located, Where
 from unicon_core.policies.facts import GAINS, TO_GIVE, Facts, dig, open_joints, term_state
-from unicon_core.policies.given import given_joints
+from unicon_core.policies.importers.source_reader import Source
 from unicon_core.policies.importers.training import (
     chosen_ids,
     chosen_joints,
@@ -43,22 +41,17 @@ def is_env_yaml(values: Any) -> bool:
     )
 
 
-def env_yaml_facts(path: Path, given: Mapping[str, Any]) -> Facts:
-    """Read an Isaac Lab `env.yaml`.
-
-    Args:
-        path: the file.
-        given: facts of the user; `joints` resolves the patterns.
+def env_yaml_facts(source: Source) -> Facts:
+    """Return what an Isaac Lab `env.yaml` says; given joints resolve its patterns.
 
     Raises:
-        PolicyError: not readable, or actions that are not joint position targets.
+        PolicyError: actions that are not joint position targets.
     """
-    located = read_yaml(path, PolicyError, foreign=True)
-    document = located.value
-    facts = Facts(path, "Isaac Lab env.yaml", by_pattern=True)
+    located, document = source.located, source.located.value
+    facts = Facts(source.path, "Isaac Lab env.yaml", by_pattern=True)
     name, action = _action_term(located)
     where, terms = _terms(located)
-    joints = given_joints(path, given) or _stated_joints(facts, action, terms)
+    joints = source.joints or _stated_joints(facts, action, terms)
     say_period(facts, document["sim"].get("dt"), document["decimation"], "sim.dt · decimation")
     if joints is not None:
         facts.values["joints"] = joints

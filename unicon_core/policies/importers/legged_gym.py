@@ -9,13 +9,10 @@ stand in Python code, so they must be given; `normalization.obs_scales` has a te
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
-from unicon_core.errors import PolicyError
-from unicon_core.located_yaml import read_yaml
 from unicon_core.policies.facts import Facts, dig
-from unicon_core.policies.given import given_joints
+from unicon_core.policies.importers.source_reader import Source
 from unicon_core.policies.importers.training import command_ranges, say_period, values_by_pattern
 
 
@@ -29,18 +26,13 @@ def is_legged_gym(values: Any) -> bool:
     )
 
 
-def legged_gym_facts(path: Path, given: Mapping[str, Any]) -> Facts:
-    """Read a legged_gym configuration.
-
-    Args:
-        path: the file.
-        given: facts of the user; `joints` resolves names.
+def legged_gym_facts(source: Source) -> Facts:
+    """Return what a legged_gym configuration says; given joints resolve its names.
 
     Raises:
-        PolicyError: not readable.
+        PolicyError: given joints are no names.
     """
-    located = read_yaml(path, PolicyError, foreign=True)
-    document, lines = located.value, located.lines
+    path, document, lines = source.path, source.located.value, source.located.lines
     facts = Facts(path, "legged_gym configuration", by_pattern=True)
     control, init = document["control"], document["init_state"]
     dt = dig(document, "sim", "dt")
@@ -57,7 +49,7 @@ def legged_gym_facts(path: Path, given: Mapping[str, Any]) -> Facts:
         listed = ", ".join(f"{name} {value}" for name, value in scales.items())
         facts.notes.append(f"{path.name}: scales for the terms to give: {listed}")
     facts.values["action"] = action
-    joints = given_joints(path, given)
+    joints = source.joints
     if joints is not None:
         facts.values["joints"] = joints
         pose = values_by_pattern(init["default_joint_angles"], joints)

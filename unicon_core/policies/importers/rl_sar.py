@@ -12,13 +12,12 @@ tick, and compared at the torso (`motion_loader.cpp`, `fsm_g1.hpp`).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import PolicyError, alternatives
 from unicon_core.located_yaml import read_yaml
 from unicon_core.policies.facts import Facts
-from unicon_core.policies.importers.source_reader import SourceReader
+from unicon_core.policies.importers.source_reader import Source, SourceReader
 from unicon_core.policies.importers.training import clip_before_scale
 
 # A term's name -> the state, the key of its scale and its number of elements; None: all joints.
@@ -55,16 +54,13 @@ def is_rl_sar_base(values: Any) -> bool:
     return said is not None and {"joint_names", "joint_mapping"} <= set(said[1])
 
 
-def rl_sar_facts(path: Path) -> Facts:
-    """Read a `config.yaml` and the `base.yaml` above or beside it.
-
-    Args:
-        path: of `config.yaml`.
+def rl_sar_facts(source: Source) -> Facts:
+    """Return what a `config.yaml` says, and the `base.yaml` above or beside it.
 
     Raises:
-        PolicyError: not readable, against the format, or `base.yaml` was named.
+        PolicyError: one is against the format, or `base.yaml` was named.
     """
-    located = read_yaml(path, PolicyError, foreign=True)
+    path, located = source.path, source.located
     said = _inside(located.value)
     if said is None or not is_rl_sar(located.value):
         policies = sorted(

@@ -4,17 +4,60 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 from unicon_core.errors import UniconError, alternatives
 from unicon_core.located_yaml import Located, Where
 from unicon_core.policies.facts import Facts
+from unicon_core.policies.given import given_joints
 from unicon_core.policies.hints import Side, listed
+from unicon_core.robots import Robot
 from unicon_core.schema.marks import Checked, Within, twice
 from unicon_core.schema.read import read_value
 
 _SUFFIXES = {".onnx": "onnx", ".pt": "torchscript", ".pth": "torchscript", ".jit": "torchscript"}
+
+
+@dataclass(frozen=True)
+class Source:
+    """A configuration that is read, and what is known beside it.
+
+    Attributes:
+        located: its document.
+        given: facts of the user.
+        robot: whose motors the source may count, or None.
+    """
+
+    located: Located
+    given: Mapping[str, Any]
+    robot: Robot | None
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        return self.located.path
+
+    @property
+    def joints(self) -> list[str] | None:
+        """The joints that the user gives: they resolve patterns, or stand for unknown motors.
+
+        Raises:
+            PolicyError: they are not a list of names.
+        """
+        return given_joints(self.path, self.given)
+
+    @property
+    def motors(self) -> dict[int, str]:
+        """Motor numbers of the vendor's SDK to joints: places unless the robot says more."""
+        if self.robot is None:
+            return {}
+        names = self.robot.joint_names
+        numbers = self.robot.transport.get("motors")
+        if not isinstance(numbers, (list, tuple)) or len(numbers) != len(names):
+            numbers = range(len(names))
+        return {int(number): name for number, name in zip(numbers, names)}
 
 
 class SourceReader:
@@ -152,14 +195,14 @@ class SourceReader:
         """Note a `vector`, which stands under nested keys."""
         self.say(target, self.vector(*keys, count=count, of=of), keys)
 
-    def say_motors(self, key: str, order: list[int], motors: Mapping[int, str], robot: str) -> None:
+    def say_motors(self, key: str, order: list[int], robot: str, motors: dict[int, str]) -> None:
         """Note the joints of motors, and the robot that has them.
 
         Args:
             key: where the motors stand.
             order: their numbers in policy order.
-            motors: motor number of the robot's SDK to joint name.
-            robot: its name.
+            robot: the robot's name.
+            motors: its motors to joints.
 
         Raises:
             PolicyError: the robot has no such motor.

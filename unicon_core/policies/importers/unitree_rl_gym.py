@@ -15,10 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import PolicyError
-from unicon_core.located_yaml import read_yaml
 from unicon_core.policies.facts import Facts
-from unicon_core.policies.given import given_joints
-from unicon_core.policies.importers.source_reader import SourceReader
+from unicon_core.policies.importers.source_reader import Source, SourceReader
 
 _PERIOD = 0.8  # of the clock in [s]; it stands in both programs
 _ROOT = "{LEGGED_GYM_ROOT_DIR}/"
@@ -30,30 +28,21 @@ def is_unitree_rl_gym(values: Any) -> bool:
     return isinstance(values, Mapping) and {"kps", "kds", "default_angles"} <= set(values)
 
 
-def unitree_rl_gym_facts(
-    path: Path, motors: Mapping[int, str] | None, robot_name: str, given: Mapping[str, Any]
-) -> Facts:
-    """Read a configuration.
-
-    Args:
-        path: the file.
-        motors: motor number of the robot's SDK to joint name; None leaves the joints to be given.
-        robot_name: for messages.
-        given: facts of the user; `joints` stands for motors that are not known.
+def unitree_rl_gym_facts(source: Source) -> Facts:
+    """Return what a configuration says.
 
     Raises:
-        PolicyError: not readable, or against the format.
+        PolicyError: it is against the format.
     """
-    facts = Facts(path, "unitree_rl_gym configuration")
-    reader = SourceReader(facts, read_yaml(path, PolicyError, foreign=True))
+    facts = Facts(source.path, "unitree_rl_gym configuration")
+    reader = SourceReader(facts, source.located)
     count = reader.whole("num_actions")
-    joints = given_joints(path, given)
     if _LEGS in reader.document:
-        _real(reader, count, joints, motors, robot_name)
+        _real(reader, count, source)
     else:
-        _mujoco(reader, count, joints)
+        _mujoco(reader, count, source.joints)
     _common(reader, count)
-    folder = path.parent
+    folder = source.path.parent
     root = folder.parents[2] if len(folder.parents) > 2 and folder.name == "configs" else None
     named = reader.need("policy_path")
     inside = isinstance(named, str) and named.startswith(_ROOT)
@@ -84,14 +73,8 @@ _GAINS = (("stiffness", "kps"), ("damping", "kds"), ("default_joint_pos", "defau
 _HELD = {"kps": "arm_waist_kps", "kds": "arm_waist_kds", "default_angles": "arm_waist_target"}
 
 
-def _real(
-    reader: SourceReader,
-    count: int,
-    joints: list[str] | None,
-    motors: Mapping[int, str] | None,
-    robot_name: str,
-) -> None:
-    facts, counted = reader.facts, f"num_actions {count}"
+def _real(reader: SourceReader, count: int, source: Source) -> None:
+    facts, joints, counted = reader.facts, source.joints, f"num_actions {count}"
     reader.say(("period",), reader.number("control_dt"), ("control_dt",))
     legs = reader.places(_LEGS)
     rest = reader.places(_REST) if reader.document.get(_REST) else []
@@ -100,8 +83,8 @@ def _real(
         what = f"motor {twice[0]} stands in both" if twice else f"{len(legs)} for {counted}"
         raise reader.wrong((_LEGS,), f"{_LEGS} and {_REST}: {what}; name each motor once")
     order = legs + rest
-    if motors is not None:
-        reader.say_motors(_LEGS, order, motors, robot_name)
+    if source.robot is not None:
+        reader.say_motors(_LEGS, order, source.robot.name, source.motors)
     elif joints is not None:
         if len(joints) != len(order):
             raise PolicyError(
