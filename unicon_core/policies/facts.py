@@ -208,7 +208,7 @@ def dig(tree: Any, *keys: str | int) -> Any:
 
 
 def says(given: Mapping[str, Any], fact: str) -> bool:
-    """Return whether facts with nested or dotted keys hold a fact, or a part of it.
+    """Return whether facts hold a fact, or a part of it.
 
     Args:
         given: the facts.
@@ -216,28 +216,16 @@ def says(given: Mapping[str, Any], fact: str) -> bool:
             of every term, or `observation.scale`.
     """
     if fact.startswith("observation.terms"):
-        terms = _found(given, "observation.terms")
+        terms = dig(given, "observation", "terms")
         word = fact.rpartition(".*.")[2] if ".*." in fact else "name"
-        if word == "scale" and _found(given, "observation.scale") is not None:
+        if word == "scale" and dig(given, "observation", "scale") is not None:
             return True
         listed = list(terms.values()) if isinstance(terms, Mapping) and word != "name" else terms
         return bool(listed) and all(
             isinstance(term, Mapping) and word in term
             for term in (listed if isinstance(listed, (list, tuple)) else [None])
         )
-    return _found(given, fact) is not None
-
-
-def _found(given: Mapping[str, Any], fact: str) -> Any:
-    for key, value in given.items():
-        name = str(key)
-        if name == fact or name.startswith(f"{fact}."):
-            return value
-        if fact.startswith(f"{name}.") and isinstance(value, Mapping):
-            found = _found(value, fact[len(name) + 1 :])
-            if found is not None:
-                return found
-    return None
+    return _said(given, fact) is not None
 
 
 def _said(values: Any, name: str) -> Any:

@@ -36,43 +36,56 @@ def _checked(path: Path, fact: str, hint: Any, value: Any) -> Any:
     return read_value(hint, value, lambda _, text: PolicyError(f"{path}: given {text}"), fact)
 
 
-def merge_given(facts: Facts, given: Mapping[str, Any]) -> None:
-    """Add facts that the user gives; a fact that the source says otherwise is refused.
+def nested(path: Path, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a user gives with nested keys: `action.scale` stands under `action`.
 
     Args:
-        facts: changed in place.
-        given: keys of `policy.yaml`, nested or dotted (`action.scale`); `observation.terms` may be
-            a mapping from a term's name to what is to be added, or the list with terms that the
-            source lacks, and `observation.scale` one factor
-            for every term whose scale was not said.
+        path: of the source, for messages.
+        given: keys of `policy.yaml`, nested or dotted.
 
     Raises:
-        PolicyError: a given fact contradicts the source, or names no term.
+        PolicyError: a fact is given twice, or also as a whole.
     """
-    nested: dict[str, Any] = {}
+    made: dict[str, Any] = {}
     for key, value in given.items():
-        place = nested
-        *path, last = str(key).split(".")
-        for step in path:
+        place = made
+        *steps, last = str(key).split(".")
+        for step in steps:
             place = place.setdefault(step, {})
             if not isinstance(place, dict):
                 raise PolicyError(
-                    f"{facts.path}: given {shown(key)}: {step} is given as {shown(place)} too; "
-                    "write it once, as a mapping"
+                    f"{path}: given {shown(key)}: {step} is given as {shown(place)} too; write it "
+                    "once, as a mapping"
                 )
         if isinstance(value, Mapping) and isinstance(place.get(last), dict):
             place[last].update(value)
         else:
             place[last] = dict(value) if isinstance(value, Mapping) else value
-    observation = nested.get("observation")
+    return made
+
+
+def merge_given(facts: Facts, given: Mapping[str, Any]) -> None:
+    """Add facts that the user gives; a fact that the source says otherwise is refused.
+
+    Args:
+        facts: changed in place.
+        given: `nested` keys of `policy.yaml`; `observation.terms` may be a mapping from a term's
+            name to what is to be added, or the list with terms that the source lacks, and
+            `observation.scale` one factor for every term whose scale was not said.
+
+    Raises:
+        PolicyError: a given fact contradicts the source, or names no term.
+    """
+    given = dict(given)
+    observation = given.get("observation")
     if isinstance(observation, dict):
-        nested["observation"] = observation = dict(observation)
+        given["observation"] = observation = dict(observation)
         _merge_terms(facts, observation)
         if not observation:  # all of it was of the terms
-            del nested["observation"]
-    _merge(facts, facts.values, nested, ())
+            del given["observation"]
+    _merge(facts, facts.values, given, ())
     for name in list(facts.asks):
-        if _answered(name, nested, facts.values):
+        if _answered(name, given, facts.values):
             del facts.asks[name]
 
 

@@ -16,7 +16,7 @@ from unicon_core.policies.build import build_contract
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.facts import Facts, missing_facts
 from unicon_core.policies.from_model import FromModel
-from unicon_core.policies.given import merge_given
+from unicon_core.policies.given import merge_given, nested
 from unicon_core.policies.importers.configurations import (
     configuration_facts,
     counts_motors,
@@ -234,7 +234,7 @@ def _read(
     model: Callable[[], Path] | None = None,
 ) -> Facts:
     path = _locate(reference)
-    said = FromModel(path, given, robot, model)
+    said = FromModel(path, nested(path, given), robot, model)
     isaac = said.asks("joints") and _is_isaac(path)
     said.joints("breadth_first" if isaac else "depth_first")
     facts = _facts_of(path, robot, said.given)

@@ -75,7 +75,7 @@ def given_clip(facts: Facts, given: Mapping[str, Any]) -> None:
     Raises:
         PolicyError: there is none in the assets.
     """
-    said = given.get("motion.file") or dig(given, "motion", "file")
+    said = dig(given, "motion", "file")
     if not isinstance(said, str):
         return
     if said.startswith("assets:"):
