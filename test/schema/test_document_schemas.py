@@ -70,7 +70,7 @@ def mutated(document: dict[str, Any], required: list[str]) -> Iterator[tuple[str
         if isinstance(value, (int, float)) and not isinstance(value, bool):
             yield f"{key} is a text", document | {key: "fast"}
         if isinstance(value, list):
-            yield f"{key} is a number", document | {key: 3}
+            yield f"{key} is a flag", document | {key: False}
     yield "an unknown key", document | {"robott": "go2"}
     yield "another version", document | {"schema": "unicon.nothing/9"}
 
