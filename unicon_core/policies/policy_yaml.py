@@ -81,12 +81,11 @@ def write_partial_yaml(facts: Facts, missing: Mapping[str, str], out_dir: str | 
     Raises:
         PolicyError: as for `write_policy_yaml`; or facts are wrong.
     """
-    read_facts(facts, missing)
     key = "torchscript" if "torchscript" in facts.values else "onnx"
-    model = None
+    model = facts.model() if key in facts.values else None
+    read_facts(facts, missing)
     values: dict[str, Any] = {"schema": SCHEMA}
-    if key in facts.values:
-        model = facts.model()
+    if model is not None:
         values[key] = model.name
         if os.path.isfile(model):
             values["sha256"] = sha256_of(model)
