@@ -13,7 +13,7 @@ from unicon_core.errors import PolicyError
 from unicon_core.policies.facts import Facts, dig
 from unicon_core.policies.hints import Seconds
 from unicon_core.resources import file_beside, find_resource
-from unicon_core.schema.marks import Names, Text, Unit, Within, Write
+from unicon_core.schema.marks import Checked, Names, Text, Unit, Within, Write, twice
 from unicon_core.schema.types import Here
 
 AXES = {
@@ -45,7 +45,7 @@ class MotionSpec:
 
     anchor_body: Annotated[Text, Write("a body, as torso_link")]
     file: Annotated[Path | None, Write("a .npz or .csv file")] = None
-    bodies: tuple[Text, ...] | Names = ()
+    bodies: Annotated[tuple[Text, ...], Checked(twice)] = ()
     align: Literal["yaw", "none"] = "yaw"
     start: Seconds = 0.0
     end: Seconds | None = None
