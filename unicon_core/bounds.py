@@ -2,8 +2,8 @@
 
 Wide enough for every robot and contract that we know, narrow enough that a slip of the decimal
 point, degrees for radians or an infinity does not pass. The largest figure known stands beside
-each. Message maps have bounds of their own (`unicon_msgs_map/mapfile/load.py`), since they know no
-robots.
+each. Message maps have bounds of their own (`unicon_msgs_map/mapfile/document.py`), since they know
+no robots.
 """
 
 from __future__ import annotations

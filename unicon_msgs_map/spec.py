@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Literal
 
+from unicon_core.schema.marks import Matches, NotAKey, Unit, Within
 from unicon_msgs_map.errors import MapFileError, MapStateError, MessageTypeError
 from unicon_msgs_map.layout.paths import Path, Reference
 
@@ -12,6 +13,24 @@ if TYPE_CHECKING:
     from unicon_msgs_map.layout.messages import Messages
 
 Numbers = float | tuple[float, ...]
+
+# https://design.ros2.org/articles/topic_and_service_names.html
+RosName = Annotated[
+    str,
+    Matches(
+        r"(?!.*__)(?:~?/)?[A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*",
+        "a ROS name: words of letters, digits and '_' between slashes, like imu/data",
+        255,
+    ),
+]
+"""A name of a topic or action."""
+
+LONGEST_TIMEOUT = 60.0
+"""Of a subscription in [s]: its states are commands and sensors, and a robot falls within 1."""
+Timeout = Annotated[float | None, Unit("s"), Within(0.0, LONGEST_TIMEOUT, above=True)]
+Tolerance = Annotated[float, Unit("rad"), Within(0.0, LONGEST_TIMEOUT)]
+QosTime = Annotated[float | None, Unit("s"), Within(0.0, 86_400.0, above=True)]
+"""Of deadline, lifespan and lease: at most a day."""
 
 
 @dataclass(frozen=True)
@@ -29,14 +48,14 @@ class Qos:
         liveliness_lease: time after which a silent writer counts as gone, [s].
     """
 
-    reliability: str = "reliable"
-    durability: str = "volatile"
-    history: str = "keep_last"
-    depth: int = 10
-    deadline: float | None = None
-    lifespan: float | None = None
-    liveliness: str = "automatic"
-    liveliness_lease: float | None = None
+    reliability: Literal["reliable", "best_effort"] = "reliable"
+    durability: Literal["volatile", "transient_local"] = "volatile"
+    history: Literal["keep_last", "keep_all"] = "keep_last"
+    depth: Annotated[int, Within(1)] = 10
+    deadline: QosTime = None
+    lifespan: QosTime = None
+    liveliness: Literal["automatic", "manual_by_topic"] = "automatic"
+    liveliness_lease: QosTime = None
 
 
 @dataclass(frozen=True)
@@ -126,9 +145,9 @@ class PublishSpec(TopicSpec):
         return 1 if self.rate is None else max(1, round(1.0 / (self.rate * period)))
 
 
-@dataclass(frozen=True)
-class SubscribeSpec(TopicSpec):
-    """One topic that we receive; fields not mapped are skipped.
+@dataclass(frozen=True, kw_only=True)
+class Reception:
+    """What a subscription does with messages, and without.
 
     Attributes:
         timeout: [s] without an accepted message after which `on_timeout` applies; None is never.
@@ -141,12 +160,17 @@ class SubscribeSpec(TopicSpec):
         nonfinite: NaN and infinities: `reject` the message or `accept` them.
     """
 
-    timeout: float | None = None
-    on_timeout: str = "zero"
-    missing: str = "hold"
-    extra: str = "ignore"
-    unnamed: str = "error"
-    nonfinite: str = "reject"
+    timeout: Timeout = None
+    on_timeout: Literal["zero", "hold", "unset"] = "zero"
+    missing: Literal["hold", "zero", "error"] = "hold"
+    extra: Literal["ignore", "error"] = "ignore"
+    unnamed: Literal["error", "order"] = "error"
+    nonfinite: Literal["reject", "accept"] = "reject"
+
+
+@dataclass(frozen=True)
+class SubscribeSpec(TopicSpec, Reception):
+    """One topic that we receive; fields not mapped are skipped."""
 
 
 @dataclass(frozen=True)
@@ -164,14 +188,23 @@ class TrajectorySpec:
         where: `file:line` for messages.
     """
 
-    topic: str | None = None
-    action: str | None = None
-    missing: str = "error"
-    start_tolerance: float = 0.1
-    path_tolerance: float = 0.0
-    goal_tolerance: float = 0.0
-    goal_time: float = 0.0
-    where: str | None = None
+    topic: RosName | None = None
+    action: RosName | None = None
+    missing: Literal["error", "hold"] = "error"
+    start_tolerance: Tolerance = 0.1
+    path_tolerance: Tolerance = 0.0
+    goal_tolerance: Tolerance = 0.0
+    goal_time: Annotated[float, Unit("s"), Within(0.0, LONGEST_TIMEOUT)] = 0.0
+    where: Annotated[str | None, NotAKey()] = None
+
+    def __post_init__(self) -> None:
+        """Refuse one that comes in nowhere.
+
+        Raises:
+            MapFileError: there is neither topic nor action.
+        """
+        if self.topic is None and self.action is None:
+            raise MapFileError("give topic or action, or both")
 
 
 @dataclass(frozen=True)

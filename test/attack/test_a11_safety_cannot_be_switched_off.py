@@ -188,12 +188,12 @@ subscribe:
 @pytest.mark.parametrize(
     ("key", "value", "told"),
     [
-        ("timeout", "1.0e+30", "timeout must be at most 60"),
-        ("timeout", ".inf", "timeout must be a number, not inf"),
-        ("rate", "1.0e+30", "rate must be at most 10000"),
-        ("deadline", ".inf", "qos deadline must be a number, not inf"),
-        ("scale", "-.inf", "scale must be a number, not -inf"),
-        ("offset", ".inf", "offset must be a number, not inf"),
+        ("timeout", "1.0e+30", "timeout is 1e+30; write a number above 0 to 60 [s]"),
+        ("timeout", ".inf", "timeout is inf; write a number above 0 to 60 [s]"),
+        ("rate", "1.0e+30", "rate is 1e+30; write a number above 0 to 10000 [Hz]"),
+        ("deadline", ".inf", "qos.deadline is inf; write a number above 0"),
+        ("scale", "-.inf", "scale is -inf; write a number from -1e+12"),
+        ("offset", ".inf", "offset is inf; write a number from -1e+12"),
     ],
 )
 def test_implausible_figures_of_a_map_are_refused(key: str, value: str, told: str) -> None:

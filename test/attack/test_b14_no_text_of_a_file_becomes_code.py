@@ -124,7 +124,7 @@ def test_a_format_is_no_code(text: str, compiled: list[ast.Module]) -> None:
 )
 def test_a_topic_follows_the_rules_of_ros(topic: str) -> None:
     values = {key: quoted(value) for key, value in {**PLAIN, "topic": topic}.items()}
-    with pytest.raises(MapError, match="is not a ROS name"):
+    with pytest.raises(MapError, match="write a ROS name"):
         parse_map(MAP.format(**values))
 
 

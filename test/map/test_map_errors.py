@@ -35,18 +35,20 @@ FILES: list[tuple[str, str]] = [
     ("publish: [", "m.yaml:1: not valid YAML: expected the node content, but found '<stream end>'"),
     (
         "- a\n",
-        "m.yaml:1: a message map must be a mapping of names to values, not ['a']",
+        "m.yaml:1: a message map is a mapping; begin with publish: or subscribe:",
     ),
     (
         "publsh: []\n",
-        "m.yaml:1: a message map has no key 'publsh'; did you mean 'publish'? known: description, "
-        "include, messages, publish, subscribe, trajectory, typestore",
+        "m.yaml:1: unknown key 'publsh'; did you mean 'publish'? known: description, include, messages, publish, schema, subscribe, trajectory, typestore",
     ),
     (
         "publish: []\n",
         "m.yaml:1: the message map maps nothing; add entries under 'publish' or 'subscribe'",
     ),
-    ("publish: 3\n", "m.yaml:1: publish must be a list ('- …' lines), not 3"),
+    (
+        "publish: 3\n",
+        "m.yaml:1: publish is 3; write a list of entries: - {topic: …, type: …, fields: …} or null",
+    ),
     (
         "publish: []\npublish: []\n",
         "m.yaml:2: not valid YAML: key 'publish' stands twice, first in line 1; remove one",
@@ -63,21 +65,19 @@ FILES: list[tuple[str, str]] = [
     # entries
     (
         "publish:\n  - topic: a\n    " + TWIST + "\n",
-        "m.yaml:2: a publish entry lacks 'fields'; it needs topic, type and fields",
+        "m.yaml:2: publish.a: missing key 'fields'; an entry needs topic, type and fields",
     ),
     (
         OUT + "    timeout: 1\n    fields: {}\n",
-        "m.yaml:4: a publish entry has no key 'timeout'; known: fields, optional, qos, rate, "
-        "topic, type",
+        "m.yaml:4: publish.a: unknown key 'timeout'; known: fields, optional, qos, rate, remove, topic, type",
     ),
     (
         OUT + "    qos: {history: keep_all}\n    fields: {}\n",
-        "m.yaml:4: topic 'a' is reliable and keep_all, so a reader that hangs would stop the tick; "
-        "say history: keep_last and a depth, or reliability: best_effort",
+        "m.yaml:4: publish.a.qos is reliable and keep_all, so a reader that hangs would stop the tick; say history: keep_last and a depth, or reliability: best_effort",
     ),
     (
         "publish:\n  - topic: a b\n    " + TWIST + "\n    fields: {}\n",
-        "m.yaml:2: topic 'a b' is not a ROS name; write words of letters, digits and '_' between slashes, like imu/data",
+        "m.yaml:2: publish.a b.topic is 'a b'; write a ROS name: words of letters, digits and '_' between slashes, like imu/data",
     ),
     (
         "publish:\n  - topic: a\n    type: geometry_msgs/msg/Twst\n    fields: {}\n",
@@ -97,47 +97,51 @@ FILES: list[tuple[str, str]] = [
     ),
     (
         OUT + "    fields: {}\n" + OUT.split("\n", 1)[1] + "    fields: {}\n",
-        "m.yaml:5: a: publish has topic 'a' twice (first m.yaml:2: a); merge the two or rename one",
+        "m.yaml:5: publish.a: the topic is there twice (first m.yaml:2); merge the two or rename one",
     ),
-    (OUT + "    rate: 0\n    fields: {}\n", "m.yaml:4: rate must be above 0, not 0"),
-    (OUT + "    rate: fast\n    fields: {}\n", "m.yaml:4: rate must be a number, not 'fast'"),
+    (
+        OUT + "    rate: 0\n    fields: {}\n",
+        "m.yaml:4: publish.a.rate is 0; write a number above 0 to 10000 [Hz], or null",
+    ),
+    (
+        OUT + "    rate: fast\n    fields: {}\n",
+        "m.yaml:4: publish.a.rate is 'fast'; write a number above 0 to 10000 [Hz] or null",
+    ),
     (
         OUT + "    optional: maybe\n    fields: {}\n",
-        "m.yaml:4: optional must be true or false, not 'maybe'",
+        "m.yaml:4: publish.a.optional is 'maybe'; write true or false",
     ),
     (
         IN + "    missing: skip\n    fields: {linear.x: x}\n",
-        "m.yaml:4: missing is 'skip'; choose one of hold, zero, error",
+        "m.yaml:4: subscribe.a.missing 'skip' is not known; known: error, hold, zero",
     ),
     (
         IN + "    on_timeout: stop\n    fields: {linear.x: x}\n",
-        "m.yaml:4: on_timeout is 'stop'; choose one of zero, hold, unset",
+        "m.yaml:4: subscribe.a.on_timeout 'stop' is not known; known: hold, unset, zero",
     ),
     (
         IN + "    timeout: -1\n    fields: {linear.x: x}\n",
-        "m.yaml:4: timeout must be above 0, not -1",
+        "m.yaml:4: subscribe.a.timeout is -1; write a number above 0 to 60 [s], or null",
     ),
     # quality of service
     (
         OUT + "    qos: sensors\n    fields: {}\n",
-        "m.yaml:4: qos profile 'sensors' is unknown; did you mean 'sensor_data'? known: default, "
-        "latched, latest, sensor_data; or write a mapping",
+        "m.yaml:4: publish.a.qos is 'sensors'; write default or sensor_data or latest or latched or a mapping such as {reliability: reliable, depth: 10} or null",
     ),
     (
         OUT + "    qos: {reliability: best}\n    fields: {}\n",
-        "m.yaml:4: qos reliability is 'best'; choose one of reliable, best_effort",
+        "m.yaml:4: publish.a.qos.reliability 'best' is not known; known: best_effort, reliable",
     ),
     (
         OUT + "    qos: {depth: 1.5}\n    fields: {}\n",
-        "m.yaml:4: qos depth must be a whole number, not 1.5",
+        "m.yaml:4: publish.a.qos.depth is 1.5; write a whole number from 1",
     ),
     (
         OUT + "    qos: {deep: 1}\n    fields: {}\n",
-        "m.yaml:4: qos has no key 'deep'; did you mean 'depth'? known: deadline, depth, "
-        "durability, history, lifespan, liveliness, liveliness_lease, reliability",
+        "m.yaml:4: publish.a.qos: unknown key 'deep'; did you mean 'depth'? known: deadline, depth, durability, history, lifespan, liveliness, liveliness_lease, reliability",
     ),
     # fields
-    (IN + "    fields: {}\n", "m.yaml:4: fields maps nothing; write field: state"),
+    (IN + "    fields: {}\n", "m.yaml:2: a: the entry writes no state; map a field to one"),
     (
         OUT + "    fields:\n      linear.q: x\n",
         "m.yaml:5: a: linear.q: geometry_msgs/msg/Vector3 has no field 'q'; known: x, y, z",
@@ -169,8 +173,8 @@ FILES: list[tuple[str, str]] = [
         "m.yaml:5: a: [-1] in 'a[-1]' selects nothing; count from 0, as in [3] or [:12]",
     ),
     (
-        OUT + "    fields:\n      linear[a=]: {state: b}\n      linear[=a]: x\n",
-        "m.yaml:6: a: [=a] in message path 'linear[=a]' selects nothing; write [3], [:12] or "
+        OUT + "    fields:\n      linear[=a]: x\n",
+        "m.yaml:5: a: [=a] in message path 'linear[=a]' selects nothing; write [3], [:12] or "
         "[field=text]",
     ),
     (
@@ -199,33 +203,31 @@ FILES: list[tuple[str, str]] = [
     ),
     (
         OUT + "    fields:\n      linear.x: {state: a, const: 1}\n",
-        "m.yaml:5: a: linear.x: give either 'state' or 'const'",
+        "m.yaml:5: publish.a.fields.linear.x: give either 'state' or 'const'",
     ),
     (
         OUT + "    fields:\n      linear.x: {state: a, factor: 1}\n",
-        "m.yaml:5: field 'linear.x' has no key 'factor'; known: by, checksum, const, offset, "
-        "quat, scale, sign, state, text, unit",
+        "m.yaml:5: publish.a.fields.linear.x: unknown key 'factor'; known: by, checksum, const, offset, quat, scale, sign, state, text, unit",
     ),
     (
         OUT + "    fields:\n      linear.x: {state: a, unit: degree}\n",
-        "m.yaml:5: linear.x: unit 'degree' is unknown; did you mean 'deg'? known: A, N, N*m, V, "
-        "cm, deg, deg/s, g, kN, kg, km/h, m, … (30 in all)",
+        "m.yaml:5: publish.a.fields.linear.x.unit 'degree' is not known; did you mean 'deg'? known: A, N, N*m, V, cm, deg, deg/s, g, kN, kg, km/h, m, m/s, m/s^2, mA, mN*m, mV, mm, mm/s, mrad, ms, ns, percent, rad, … (30 in all)",
     ),
     (
         OUT + "    fields:\n      linear.x: {state: a, scale: 0}\n",
-        "m.yaml:5: linear.x: scale must not be 0; drop the field instead",
+        "m.yaml:5: publish.a.fields.linear.x.scale is 0; drop the field instead",
     ),
     (
         OUT + "    fields:\n      linear.x: {state: a, sign: 2}\n",
-        "m.yaml:5: linear.x: sign must be 1 or -1; use scale for other factors",
+        "m.yaml:5: publish.a.fields.linear.x.sign is 2; write 1 or -1, and other factors as scale",
     ),
     (
         OUT + "    fields:\n      linear: {state: a, sign: [1, -1], scale: [1, 1, 1]}\n",
-        "m.yaml:5: linear: sign has 2 entries, scale has 3; give equally many",
+        "m.yaml:5: publish.a.fields.linear: sign has 2 entries, scale has 3; give equally many",
     ),
     (
         OUT + "    fields:\n      linear: {state: a, quat: wxyz_from_xyzw}\n",
-        "m.yaml:5: linear: quat is 'wxyz_from_xyzw'; choose one of xyzw_from_wxyz, none",
+        "m.yaml:5: a: linear: quat wxyz_from_xyzw is of subscriptions; write xyzw_from_wxyz",
     ),
     (
         OUT + "    fields:\n      linear.x: {state: a, by: name}\n",
@@ -233,11 +235,11 @@ FILES: list[tuple[str, str]] = [
     ),
     (
         OUT + "    fields:\n      linear.x: {state: a, text: .2f}\n",
-        "m.yaml:5: linear.x: text '.2f' has no fixed width; write one, as in 8.2f",
+        "m.yaml:5: publish.a.fields.linear.x.text is '.2f', which has no fixed width; write one, as in 8.2f",
     ),
     (
         OUT + "    fields:\n      linear.x: {state: a, text: 8.2q}\n",
-        "m.yaml:5: linear.x: text '8.2q' is not a format; write a width, as in 8.2f",
+        "m.yaml:5: publish.a.fields.linear.x.text is '8.2q', which is not a format; write a width, as in 8.2f",
     ),
     (
         IN + "    fields:\n      linear.x: {state: a, text: 8.2f}\n",
@@ -245,11 +247,11 @@ FILES: list[tuple[str, str]] = [
     ),
     (
         OUT + "    fields:\n      linear.x: {checksum: crc8}\n",
-        "m.yaml:5: linear.x: checksum is 'crc8'; choose one of unitree",
+        "m.yaml:5: publish.a.fields.linear.x.checksum is 'crc8'; write unitree, or null",
     ),
     (
         OUT + "    fields:\n      linear.x: {checksum: unitree, state: a}\n",
-        "m.yaml:5: linear.x: a checksum is computed; drop 'state'",
+        "m.yaml:5: publish.a.fields.linear.x: a checksum is computed; drop 'state'",
     ),
     (
         IN + "    fields:\n      linear.x: {checksum: unitree}\n",
@@ -270,11 +272,11 @@ FILES: list[tuple[str, str]] = [
     ),
     (
         OUT + "    fields: {true: a, 'true': b}\n",
-        "m.yaml:4: fields: key True is not a word; write a name or a path",
+        "m.yaml:4: publish.a.fields: unknown key true; write a path such as linear.x",
     ),
     (
         OUT + "    fields: {linear.x: a, 1: b}\n",
-        "m.yaml:4: fields: key 1 is not a word; write a name or a path",
+        "m.yaml:4: publish.a.fields: unknown key 1; write a path such as linear.x",
     ),
 ]
 
@@ -288,6 +290,36 @@ def test_every_mistake_in_a_file_has_its_line(text: str, message: str) -> None:
     assert isinstance(caught.value, UniconError)
     assert caught.value.where is not None
     assert str(caught.value) == f"{caught.value.where}: {caught.value.message}"
+
+
+def test_all_mistakes_are_told_at_once_first_those_of_the_form() -> None:
+    wrong = (
+        OUT + "    rate: fast\n    qos: {depth: 0}\n    fields: {linear.x: {state: b, scale: 0}}\n"
+    )
+    with pytest.raises(MapFileError) as caught:
+        parse_map(wrong + "trajectory: {topic: 3}\n", name="m.yaml")
+    assert str(caught.value).splitlines() == [
+        "message map m.yaml has 4 mistakes:",
+        "  1. m.yaml:4: publish.a.rate is 'fast'; write a number above 0 to 10000 [Hz] or null",
+        "  2. m.yaml:5: publish.a.qos.depth is 0; write a whole number from 1",
+        "  3. m.yaml:6: publish.a.fields.linear.x.scale is 0; drop the field instead",
+        "  4. m.yaml:7: trajectory.topic is 3; write a ROS name: words of letters, digits and '_' "
+        "between slashes, like imu/data or null",
+    ]
+    wrong = OUT + "    fields:\n      linear[a=]: b\n      linear..x: x\n"
+    with pytest.raises(MapError) as told:
+        parse_map(
+            wrong + "subscribe:\n  - {topic: b, type: Twist, fields: {x: y}}\n", name="m.yaml"
+        )
+    assert str(told.value).splitlines() == [
+        "message map m.yaml has 3 mistakes:",
+        "  1. m.yaml:5: a: linear[a=]: linear of geometry_msgs/msg/Twist is not an array; drop the "
+        "[...]",
+        "  2. m.yaml:6: a: message path 'linear..x' does not parse; write it like header.stamp, "
+        "axes[1], motor_state[:12].q or transforms[child_frame_id=base_link].transform",
+        "  3. m.yaml:8: b: message type 'Twist' is not a type name; write pkg/msg/Name, such as "
+        "sensor_msgs/msg/JointState",
+    ]
 
 
 def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:

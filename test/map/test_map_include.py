@@ -130,7 +130,9 @@ def test_messages_of_an_included_map_are_found_beside_it(compose: Compose, tmp_p
 
 def test_an_error_in_an_included_map_names_that_file(compose: Compose, tmp_path: Path) -> None:
     (tmp_path / "base.yaml").write_text(BASE.replace("rate: 50", "rate: fast"))
-    with pytest.raises(MapFileError, match=r"base\.yaml:5: rate must be a number, not 'fast'"):
+    with pytest.raises(
+        MapFileError, match=r"base\.yaml:5: publish\.odom\.rate is 'fast'; write a number"
+    ):
         compose("include: base.yaml\n")
 
 
@@ -155,8 +157,8 @@ def test_a_trajectory_is_read_and_changed_key_by_key(compose: Compose, tmp_path:
 
 ENTRY = "include: base.yaml\npublish:\n"
 WRONG = [
-    ("include: 3\n", "m.yaml:1: include must be a list ('- …' lines), not 3"),
-    ("include: [3]\n", "m.yaml:1: an entry of 'include' must be text, not 3"),
+    ("include: 3\n", "m.yaml:1: include is 3; write a text or a list, each a text"),
+    ("include: [3]\n", "m.yaml:1: include.0 is 3; write a text"),
     ("include: m.yaml\n", "m.yaml:1: include 'm.yaml' leads back to "),
     ("include: gone.yaml\n", "m.yaml:1: include: no file gone.yaml; give an existing path"),
     ("include: defalt\n", "m.yaml:1: include: unknown map 'defalt'; did you mean 'default'?"),
@@ -176,28 +178,34 @@ WRONG = [
         ENTRY + "  - {topic: odom, fields: {header.stmp: }}\n",
         "m.yaml:3: there is no field 'header.stmp' to remove; did you mean 'header.stamp'?",
     ),
-    (ENTRY + "  - {topic: odom, rte: 5}\n", "m.yaml:3: a publish entry has no key 'rte'"),
+    (
+        ENTRY + "  - {topic: odom, rte: 5}\n",
+        "m.yaml:3: publish.odom: unknown key 'rte'; did you mean 'rate'?",
+    ),
     (
         ENTRY + "  - {topic: odom, rate: 5}\n  - {topic: odom, rate: 6}\n",
-        "m.yaml:4: a publish entry lacks 'type'",
+        "m.yaml:4: publish.odom: missing key 'type'; an entry needs topic, type and fields",
     ),
     (
         ENTRY + "  - {topic: /clock, remove: true}\n"
         "subscribe:\n  - {topic: cmd_vel, remove: true}\n  - {topic: cmd_vel, timeout: 1}\n",
-        "m.yaml:6: a subscribe entry lacks 'type'",
+        "m.yaml:6: subscribe.cmd_vel: missing key 'type'; an entry needs topic, type and fields",
     ),
     ("include: hop.yaml\n", "hop.yaml:1: include 'm.yaml' leads back to "),
     ("include: [old.yaml, new.yaml]\n", "m.yaml:1: included maps have the typestores 'humble'"),
-    ("trajectory: {}\n", "m.yaml:1: trajectory has neither topic nor action; give one of them"),
-    ("trajectory: {topic: a b}\n", "m.yaml:1: topic 'a b' is not a ROS name"),
-    ("trajectory: {tpic: a}\n", "m.yaml:1: trajectory has no key 'tpic'; did you mean 'topic'?"),
+    ("trajectory: {}\n", "m.yaml:1: trajectory: give topic or action, or both"),
+    (
+        "trajectory: {topic: a b}\n",
+        "m.yaml:1: trajectory.topic is 'a b'; write a ROS name: words of",
+    ),
+    ("trajectory: {tpic: a}\n", "m.yaml:1: trajectory: unknown key 'tpic'; did you mean 'topic'?"),
     (
         "trajectory: {topic: a, missing: zero}\n",
-        "m.yaml:1: missing is 'zero'; choose one of error, hold",
+        "m.yaml:1: trajectory.missing 'zero' is not known; did you mean 'error'?",
     ),
     (
         "trajectory: {topic: a, goal_time: -1}\n",
-        "m.yaml:1: goal_time must be 0 or more, not -1",
+        "m.yaml:1: trajectory.goal_time is -1; write a number from 0 to 60 [s]",
     ),
     ("include: wide1.yaml\n", "more than 32 maps are included; name fewer"),
 ]

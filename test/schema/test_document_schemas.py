@@ -18,6 +18,7 @@ from unicon_core.policies.build import build_contract
 from unicon_core.policies.policy_yaml import policy_yaml_facts
 from unicon_core.robots import load_robot
 from unicon_core.workflow import load_document
+from unicon_msgs_map import load_map
 from unicon_ros.cli.main import main
 from unicon_ros.cli.schema import KINDS, schema_of
 from unicon_ros.sweep.sweep_file import read_sweep
@@ -27,12 +28,14 @@ LOADS: dict[str, Any] = {
     "workflow": load_document,
     "robot": load_robot,
     "sweep": read_sweep,
+    "map": load_map,
     "policy": lambda path: build_contract(policy_yaml_facts(read_yaml(path, PolicyError))),
 }
 FILES = {
     "workflow": sorted((ROOT / "config" / "workflows").glob("*.yaml")),
     "robot": sorted((ROOT / "config" / "robots").glob("*.yaml")),
     "policy": sorted((ROOT / "config" / "policies").rglob("policy.yaml")),
+    "map": sorted((ROOT / "config" / "maps").glob("*.yaml"), key=lambda path: path.stat().st_size),
     "sweep": [
         path
         for path in sorted((ROOT / "examples").rglob("*.yaml"))
@@ -83,7 +86,7 @@ def test_what_the_schema_refuses_the_loader_refuses_and_the_reverse(
     document = read_yaml(source).value
     definition = validators[kind].schema
     reference = definition.get("$ref") or definition["anyOf"][0]["$ref"]
-    required = definition["$defs"][reference.rpartition("/")[2]]["required"]
+    required = definition["$defs"][reference.rpartition("/")[2]].get("required", [])
     count = 0
     for what, broken in mutated(copy.deepcopy(document), required):
         path = tmp_path / source.name

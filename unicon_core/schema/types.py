@@ -57,7 +57,8 @@ class Mistakes:
                 value = value[key]
             except (KeyError, IndexError, TypeError):
                 value = None
-            name = value.get("name") if isinstance(key, int) and isinstance(value, dict) else None
+            entry = value if isinstance(key, int) and isinstance(value, dict) else {}
+            name = entry.get("name", entry.get("topic"))
             words.append(name if isinstance(name, str) else str(key))
         return ".".join(words)
 

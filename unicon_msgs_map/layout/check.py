@@ -2,56 +2,58 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from unicon_core.errors import alternatives
-from unicon_msgs_map.errors import MapFileError, count_of
+from unicon_msgs_map.errors import count_of
 from unicon_msgs_map.layout.messages import Array, String, Struct, TypeRef
 from unicon_msgs_map.layout.paths import Key, Selector
-from unicon_msgs_map.spec import FieldSpec, PublishSpec, SubscribeSpec
+from unicon_msgs_map.spec import FieldSpec
 
 
-def check_publish(spec: PublishSpec) -> None:
-    """Check every path of a publish entry.
-
-    Raises:
-        MessageTypeError: a path names no field.
-        MapFileError: a field asks for what only subscriptions have.
-    """
-    message = spec.messages.struct(spec.type)
-    for field in spec.fields:
-        resolve(field, message, receive=False)
-        if field.by is not None:
-            raise field.file_error("'by' orders received arrays; publish with a $variable of names")
-
-
-def check_subscribe(spec: SubscribeSpec) -> None:
-    """Check every path of a subscribe entry.
+def check_published(field: FieldSpec, message: Struct) -> None:
+    """Check a field of a publish entry.
 
     Raises:
-        MessageTypeError: a path names no field.
-        MapFileError: a field asks for what only published messages have, or nothing is written.
+        MessageTypeError: its path names no field.
+        MapFileError: it asks for what only subscriptions have.
     """
-    message = spec.messages.struct(spec.type)
-    variables = {f.path: f for f in spec.fields if f.source.kind == "variable"}
-    for field in spec.fields:
-        kind = resolve(field, message, receive=True)
-        if field.text is not None:
-            raise field.file_error("'text' formats published strings; drop it")
-        if field.checksum is not None:
-            raise field.file_error("checksums are written, not checked on receive; drop it")
-        if field.source.kind == "variable" and not (
-            isinstance(kind, Array) and isinstance(kind.item, String)
-        ):
-            raise field.file_error(
-                "a variable in a subscription names the elements of an array and stands on an "
-                "array of strings; write =text for a required text"
-            )
-        if field.by not in (None, "none") and field.by not in variables:
-            raise field.file_error(
-                f"by {field.by!r} is not a mapped array of names; "
-                f"{alternatives(str(field.by), [*variables, 'none'])}"
-            )
-    if not spec.states:
-        raise MapFileError("the entry writes no state; map a field to one", spec.where)
+    resolve(field, message, receive=False)
+    if field.by is not None:
+        raise field.file_error("'by' orders received arrays; publish with a $variable of names")
+    if field.quat == "wxyz_from_xyzw":
+        raise field.file_error("quat wxyz_from_xyzw is of subscriptions; write xyzw_from_wxyz")
+
+
+def check_received(field: FieldSpec, message: Struct, names: Sequence[str]) -> None:
+    """Check a field of a subscribe entry.
+
+    Args:
+        field: of the entry.
+        message: its type.
+        names: paths of the entry's variables, one of which may order this field.
+
+    Raises:
+        MessageTypeError: its path names no field.
+        MapFileError: it asks for what only published messages have.
+    """
+    kind = resolve(field, message, receive=True)
+    if field.text is not None:
+        raise field.file_error("'text' formats published strings; drop it")
+    if field.checksum is not None:
+        raise field.file_error("checksums are written, not checked on receive; drop it")
+    if field.quat == "xyzw_from_wxyz":
+        raise field.file_error("quat xyzw_from_wxyz is of publishing; write wxyz_from_xyzw")
+    if field.source.kind == "variable" and not (
+        isinstance(kind, Array) and isinstance(kind.item, String)
+    ):
+        raise field.file_error(
+            "a variable in a subscription names the elements of an array and stands on an "
+            "array of strings; write =text for a required text"
+        )
+    if field.by not in (None, "none", *names):
+        known = alternatives(str(field.by), [*names, "none"])
+        raise field.file_error(f"by {field.by!r} is not a mapped array of names; {known}")
 
 
 def resolve(field: FieldSpec, message: Struct, *, receive: bool) -> TypeRef:

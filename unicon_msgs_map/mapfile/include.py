@@ -11,61 +11,72 @@ Everything is merged before anything is judged, so what an entry lacks may stand
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from unicon_core.errors import alternatives
-from unicon_core.located_yaml import parse_yaml, read_text
+from unicon_core.errors import UniconError, alternatives
+from unicon_core.located_yaml import Located, Where, parse_yaml, read_text
+from unicon_core.packages import PACKAGE
 from unicon_core.resources import find_config
 from unicon_msgs_map.errors import MapFileError
-from unicon_msgs_map.mapfile.entry import Entry
+from unicon_msgs_map.mapfile.document import DIRECTIONS
 
-DIRECTIONS = ("publish", "subscribe")
-_TRAJECTORY = "trajectory"
-_TOP = ("description", "include", "typestore", "messages", *DIRECTIONS, _TRAJECTORY)
+_OWN = ("schema", "description", "include")
 _REMOVE = "remove"
 MOST_MAPS = 32
 """Maps that one map includes, each counted as often as it is: maps may come from anybody."""
 
 
 @dataclass(frozen=True)
-class Composed:
-    """A map together with what it includes.
+class _Node:
+    """A value, the file that says it and where; parts of a merged one are nodes themselves."""
 
-    Attributes:
-        top: the map itself.
-        description: its own words, or None.
-        typestore: the one that counts, or None: its own, else the included maps'.
-        messages: entries of `messages`, each with the folder that its path begins in.
-        publish: entries, each a mapping; those of included maps first.
-        subscribe: the same.
-        trajectory: the mapping of that key, or None.
+    value: Any
+    document: Located
+    at: Where = ()
+
+    def fail(self, message: str) -> UniconError:
+        return self.document.error(self.at, message)
+
+    def parts(self) -> dict[Any, _Node]:
+        """Return what a mapping or list holds, by key or number; {} of anything else."""
+        value = self.value
+        pairs = enumerate(value) if isinstance(value, list) else ()
+        return {
+            key: each if isinstance(each, _Node) else _Node(each, self.document, (*self.at, key))
+            for key, each in (value.items() if isinstance(value, dict) else pairs)
+        }
+
+    def said(self, key: str) -> Any:
+        """Return what stands below a key, None where nothing does."""
+        part = self.parts().get(key)
+        return None if part is None else part.value
+
+
+class Composed(Located):
+    """A map together with what it includes, as one document whose lines are of several files.
+
+    Args:
+        top: the merged map.
     """
 
-    top: Entry
-    description: Entry | None = None
-    typestore: Entry | None = None
-    messages: list[tuple[Entry, Path]] = field(default_factory=list)
-    publish: list[Entry] = field(default_factory=list)
-    subscribe: list[Entry] = field(default_factory=list)
-    trajectory: Entry | None = None
+    def __init__(self, top: _Node) -> None:
+        self._origins: dict[Where, _Node] = {}
+        super().__init__(top.document.path, self._plain(top, ()), {}, MapFileError)
 
-    def entries(self, direction: str) -> list[Entry]:
-        """Return the entries of `publish` or `subscribe`."""
-        return self.publish if direction == "publish" else self.subscribe
+    def _plain(self, node: _Node, where: Where) -> Any:
+        self._origins[where] = node
+        if isinstance(node.value, (dict, list)):
+            parts = {k: self._plain(n, (*where, k)) for k, n in node.parts().items()}
+            return parts if isinstance(node.value, dict) else list(parts.values())
+        return node.value
 
-
-@dataclass(frozen=True)
-class _Merged(Entry):
-    """A mapping whose values come from several files; its place is that of the last."""
-
-    parts: dict[str, Entry] = field(default_factory=dict)
-
-    def mapping(self, what: str, known: tuple[str, ...] = ()) -> dict[str, Entry]:
-        for key, entry in self.parts.items():
-            if known and key not in known:
-                raise entry.fail(f"{what} has no key {key!r}; {alternatives(key, known)}")
-        return dict(self.parts)
+    def where(self, where: Where) -> str:
+        while where not in self._origins:
+            where = where[:-1]
+        node = self._origins[where]
+        return node.document.where(node.at)
 
 
 def compose(text: str, name: str, folder: Path) -> Composed:
@@ -74,53 +85,46 @@ def compose(text: str, name: str, folder: Path) -> Composed:
     Args:
         text: the YAML.
         name: stands for the file in messages.
-        folder: where relative paths begin.
+        folder: where relative paths begin; those of `messages` begin in their map's.
 
     Raises:
-        MapFileError: a map is not one, cannot be found, or includes itself.
+        MapFileError: a map is not one, cannot be found, includes itself, or changes what the
+            included ones lack.
     """
     own = Path(name).absolute().resolve()
-    return _composed(text, name, folder, (own,), iter(range(MOST_MAPS)))
+    return Composed(_composed(text, name, folder, (own,), iter(range(MOST_MAPS))))
 
 
 def _composed(
     text: str, name: str, folder: Path, above: tuple[Path, ...], left: Iterator[int]
-) -> Composed:
+) -> _Node:
     document = parse_yaml(text, name, MapFileError)
-    top = Entry({} if document.value is None else document.value, document)
-    keys = top.mapping("a message map", _TOP)
-    found = Composed(top, keys.get("description"))
-    included = [_included(e, folder, above, left) for e in _included_names(keys)]
-    typestore, trajectory = keys.get("typestore"), None
-    for other in included:
-        trajectory = _over(trajectory, other.trajectory)
-        typestore = _one_typestore(typestore, other.typestore, "typestore" in keys, top)
-        found.messages.extend(other.messages)
-        for direction in DIRECTIONS:
-            for entry in other.entries(direction):
-                _put(found.entries(direction), entry)
-    found.messages.extend((entry, folder) for entry in _listed(keys, "messages"))
-    for direction in DIRECTIONS:
-        inherited = [_topic(entry) for entry in found.entries(direction)]
-        for entry in _listed(keys, direction):
-            if _topic(entry) in inherited:  # once: a second one is the map's own mistake
-                inherited.remove(_topic(entry))
-                _put(found.entries(direction), entry)
-            else:
-                _add(found.entries(direction), entry, direction, "include" in keys)
-    trajectory = _over(trajectory, keys.get(_TRAJECTORY))
-    return replace(found, typestore=typestore, trajectory=trajectory)
+    top = _Node({} if document.value is None else document.value, document)
+    if not isinstance(top.value, dict):
+        raise top.fail("a message map is a mapping; begin with publish: or subscribe:")
+    keys, found = top.parts(), dict[Any, _Node]()
+    for entry in _included_names(keys):
+        other = _included(entry, folder, above, left).parts()
+        if "typestore" not in keys and "typestore" in found and "typestore" in other:
+            _same_typestore(found["typestore"], other["typestore"], top)
+        for key, node in other.items():
+            if key not in _OWN:
+                found[key] = _added(key, found.get(key), node, own=False)
+    for key, node in keys.items():
+        if key == "messages":
+            node = _Node([_from(folder, each) for each in node.parts().values()], document, node.at)
+        found[key] = _added(key, found.get(key), node, own=True)
+    return _Node(found, document)
 
 
-def _included_names(keys: dict[str, Entry]) -> list[Entry]:
-    if "include" not in keys:
-        return []
-    said = keys["include"]
-    return [said] if isinstance(said.value, str) else said.items("include")
+def _included_names(keys: dict[Any, _Node]) -> list[_Node]:
+    said = keys.get("include")
+    names = [] if said is None else [said] if isinstance(said.value, str) else said.parts().values()
+    return [each for each in names if isinstance(each.value, str)]  # others are refused later
 
 
-def _included(entry: Entry, folder: Path, above: tuple[Path, ...], left: Iterator[int]) -> Composed:
-    name = entry.text("an entry of 'include'")
+def _included(entry: _Node, folder: Path, above: tuple[Path, ...], left: Iterator[int]) -> _Node:
+    name = entry.value
     if next(left, None) is None:
         raise entry.fail(f"more than {MOST_MAPS} maps are included; name fewer")
     try:
@@ -133,80 +137,78 @@ def _included(entry: Entry, folder: Path, above: tuple[Path, ...], left: Iterato
     return _composed(text, str(path), path.parent, (*above, path), left)
 
 
-def _one_typestore(
-    chosen: Entry | None, other: Entry | None, own: bool, top: Entry
-) -> Entry | None:
-    if own or other is None or chosen is None or chosen.value == other.value:
-        return chosen if chosen is not None else other
-    raise top.fail(
-        f"included maps have the typestores {chosen.value!r} and {other.value!r}; "
-        "say typestore: NAME in this map"
-    )
-
-
-def _listed(keys: dict[str, Entry], key: str) -> list[Entry]:
-    return keys[key].items(key) if key in keys and keys[key].value is not None else []
-
-
-def _topic(entry: Entry) -> object:
-    keys = entry.parts if isinstance(entry, _Merged) else entry.value
-    value = keys.get("topic") if isinstance(keys, dict) else None
-    return value.value if isinstance(value, Entry) else value
-
-
-def _add(entries: list[Entry], entry: Entry, direction: str, includes: bool) -> None:
-    """Add an entry of a topic that no included map has."""
-    if isinstance(entry.value, dict) and _REMOVE in entry.value:
-        known = [str(_topic(each)) for each in entries]
-        topic = str(_topic(entry))
-        raise entry.fail(
-            f"{direction} has no topic {topic!r} of an included map to remove; "
-            + (alternatives(topic, known) if includes and known else "include: NAME brings some")
+def _same_typestore(one: _Node, other: _Node, top: _Node) -> None:
+    if one.value != other.value:
+        raise top.fail(
+            f"included maps have the typestores {one.value!r} and {other.value!r}; "
+            "say typestore: NAME in this map"
         )
-    entries.append(entry)
 
 
-def _put(entries: list[Entry], entry: Entry) -> None:
+def _from(folder: Path, path: _Node) -> _Node:
+    """Return a path of `messages` from the map's folder on."""
+    said = path.value
+    if not isinstance(said, str) or said.startswith(PACKAGE):
+        return path
+    return _Node(str(folder / said), path.document, path.at)
+
+
+def _added(key: str, old: _Node | None, new: _Node, *, own: bool) -> _Node:
+    """Return what a key of a map makes of what stood there; `own` is not of an included map."""
+    if key == "trajectory" and old is not None and new.value is not None:
+        return _merged(old, new, key)
+    if key not in (*DIRECTIONS, "messages") or not isinstance(new.value, (list, type(None))):
+        return new
+    entries = [] if old is None else list(old.parts().values())
+    inherited = [entry.said("topic") for entry in entries]
+    for entry in new.parts().values():
+        topic = entry.said("topic")
+        if key == "messages":
+            entries.append(entry)
+        elif not own or topic in inherited:
+            if own:  # once: a second one is the map's own mistake
+                inherited.remove(topic)
+            _put(entries, entry)
+        elif entry.said(_REMOVE) is not None:
+            known = [str(each.said("topic")) for each in entries]
+            remedy = alternatives(str(topic), known) if old else "include: NAME brings some"
+            text = f"{key} has no topic {str(topic)!r} of an included map to remove; {remedy}"
+            raise entry.fail(text)
+        else:
+            entries.append(entry)
+    return _Node(entries, new.document, new.at)
+
+
+def _put(entries: list[_Node], entry: _Node) -> None:
     """Let an entry change the one of its topic, or add it where there is none."""
-    place = next((i for i, e in enumerate(entries) if _topic(e) == _topic(entry)), None)
-    if place is None or not isinstance(_topic(entry), str):
+    topic = entry.said("topic")
+    place = next((i for i, e in enumerate(entries) if e.said("topic") == topic), None)
+    if place is None or not isinstance(topic, str):
         entries.append(entry)
         return
-    keys = entry.mapping("a map's entry")
+    keys, before = entry.parts(), entries[place].parts()
     if _REMOVE in keys:
-        if not keys[_REMOVE].boolean(_REMOVE) or len(keys) > 2:
+        if keys[_REMOVE].value is not True or len(keys) > 2:
             raise keys[_REMOVE].fail("remove must be true, and stand beside the topic alone")
         del entries[place]
         return
-    before = entries[place].mapping("a map's entry")
-    if "type" in keys and _short(keys["type"]) != _short(before.get("type", keys["type"])):
+    kinds = [str(each["type"].value) for each in (before, keys) if "type" in each]
+    if len({kind.replace("/msg/", "/") for kind in kinds}) > 1:
         entries[place] = entry  # another message: nothing of the old one fits it
         return
     if "fields" in keys and "fields" in before:
         keys["fields"] = _merged(before["fields"], keys["fields"], "field")
-    entries[place] = _Merged(None, entry.document, entry.at, before | keys)
+    entries[place] = _Node(before | keys, entry.document, entry.at)
 
 
-def _over(old: Entry | None, new: Entry | None) -> Entry | None:
-    """Let a mapping change another one, key by key; an empty one removes it."""
-    if old is None or new is None:
-        return old if new is None else new
-    if new.value is None and not isinstance(new, _Merged):
-        return None
-    return _merged(old, new, _TRAJECTORY)
-
-
-def _short(kind: Entry) -> str:
-    return str(kind.value).replace("/msg/", "/")
-
-
-def _merged(old: Entry, new: Entry, what: str) -> Entry:
+def _merged(old: _Node, new: _Node, what: str) -> _Node:
     """Return a mapping in which keys of the new one count, and its empty values remove."""
-    parts = old.mapping(what) | new.mapping(what)
-    gone = {key for key, entry in new.mapping(what).items() if entry.value is None}
-    for key in gone:
-        if key not in old.mapping(what):
-            known = alternatives(key, list(old.mapping(what)))
-            raise new.mapping(what)[key].fail(f"there is no {what} {key!r} to remove; {known}")
-    kept = {key: entry for key, entry in parts.items() if key not in gone}
-    return _Merged(None, new.document, new.at, kept)
+    if not isinstance(new.value, dict):
+        return new
+    before, keys = old.parts(), new.parts()
+    for key, node in keys.items():
+        if node.value is None and before.pop(key, None) is None:
+            known = alternatives(str(key), map(str, before))
+            raise node.fail(f"there is no {what} {key!r} to remove; {known}")
+    kept = before | {key: node for key, node in keys.items() if node.value is not None}
+    return _Node(kept, new.document, new.at)

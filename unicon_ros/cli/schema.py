@@ -14,6 +14,7 @@ KINDS = {
     "workflow": ("unicon_core.workflow.file:Workflow",),
     "policy": ("unicon_core.policies.file:PolicyFile",),
     "sweep": ("unicon_ros.sweep.sweep_file:SweepDocument",),
+    "map": ("unicon_msgs_map.mapfile.document:MapDocument",),
     "robot": ("unicon_core.robots.file:RobotFile", "unicon_core.robots.file:Overlay"),
 }
 """Kind of document to its classes."""
