@@ -265,10 +265,11 @@ def test_commands_leave_behind_send(tmp_path):
 
 
 WRONG = {
-    "store: sham": r"store: 'sham'; did you mean 'shm'",
-    "store: ros": r"store: ros is the bridge; write ros: true",
-    "store: {zmq: here}": r"store\.zmq: 'here' is not an address",
-    "store: {shm: {folder: x}}": r"store\.shm has no 'folder'",
+    "store: sham": r"store is 'sham'; write local, shm or \{zmq: ADDRESS\}",
+    "store: ros": r"store is 'ros'; write local, .*; ROS is ros: true",
+    "store: {zmq: here}": r"store\.zmq is 'here', which is not an address; write tcp://HOST:PORT",
+    "store: {shm: {folder: x}}": r"store\.shm: unknown key 'folder'; known: name",
+    "store: {shm: a, zmq: 'ipc://a'}": r"store: give either shm or zmq",
     "store: {shm: a/b}": r"a segment cannot be named 'a/b'",
     'store: {zmq: "tcp://127.0.0.1:²"}': r"is not an address",
     'store: {zmq: "tcp://:5600"}': r"is not an address",

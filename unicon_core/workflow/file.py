@@ -158,7 +158,14 @@ class Workflow:
     schema: Literal["unicon.workflow/1"] | None = None
     name: str | None = None
     description: str | None = None
-    store: Annotated[str | Mapping[str, Any] | None, Write("local, shm or {zmq: ADDRESS}")] = None
+    store: (
+        Annotated[
+            Any,
+            Later("unicon_core.workflow.parts:StoreWord"),
+            Write("local, shm or {zmq: ADDRESS}"),
+        ]
+        | None
+    ) = None
     parts: Annotated[Any, Later("unicon_core.workflow.parts:PartFiles")] | None = None
     scene: Annotated[Any, Later("unicon_core.platforms.kit.scene:Scene")] | None = None
     platforms: Annotated[Any, Later("unicon_core.workflow.flow_schema:PLATFORMS")] | None = None

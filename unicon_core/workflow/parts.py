@@ -17,10 +17,10 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Literal
 
-from unicon_core.errors import StateError, alternatives
-from unicon_core.schema.marks import Matches, Size, Write
+from unicon_core.errors import StateError, WorkflowError, alternatives
+from unicon_core.schema.marks import Checked, Matches, Size, Write
 from unicon_core.states import Layout, States
 from unicon_core.states.backends import Reader
 from unicon_core.states.groups import Groups, groups_of, subset
@@ -33,7 +33,70 @@ from unicon_core.states.links import (
 )
 from unicon_core.workflow.document import WorkflowDocument, read_part
 
-BACKENDS = ("local", "shm", "zmq")
+
+def _wrong_address(address: str) -> str:
+    tcp = re.fullmatch(r"tcp://[^\s/]+:([0-9]{1,5})", address)
+    if (tcp and 0 < int(tcp[1]) < 65_000) or re.fullmatch(r"ipc://[^\0]+", address):
+        return ""
+    return (
+        f"is {address!r:.60}, which is not an address; write tcp://HOST:PORT (the first part's), "
+        "or ipc://PATH on one machine"
+    )
+
+
+Address = Annotated[str, Checked(_wrong_address), Write("tcp://HOST:PORT")]
+
+
+@dataclass(frozen=True)
+class QueueFile:
+    """A message queue between processes or machines.
+
+    Attributes:
+        address: of the first part.
+        keys: folder of CURVE keys, from the workflow's on.
+    """
+
+    address: Address
+    keys: str | None = None
+
+
+@dataclass(frozen=True)
+class SegmentsFile:
+    """Shared memory of one machine.
+
+    Attributes:
+        name: of the segments; the workflow's unless given.
+    """
+
+    name: str | None = None
+
+
+@dataclass(frozen=True)
+class StoreFile:
+    """How states reach other processes.
+
+    Attributes:
+        shm: shared memory: its name, or {name: NAME}.
+        zmq: a message queue: its address, or {address: ADDRESS, keys: FOLDER}.
+    """
+
+    shm: str | SegmentsFile | None = None
+    zmq: Address | QueueFile | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse both, and none.
+
+        Raises:
+            WorkflowError: they are given.
+        """
+        if (self.shm is None) == (self.zmq is None):
+            raise WorkflowError("give either shm or zmq, and what it is")
+
+
+StoreWord = Annotated[
+    Literal["local", "shm"] | StoreFile, Write("local, shm or {zmq: ADDRESS}; ROS is ros: true")
+]
+"""What `store:` says."""
 
 
 @dataclass(frozen=True)
@@ -166,46 +229,22 @@ def read_store(document: WorkflowDocument) -> Store | None:
     Raises:
         WorkflowError: no such backend, or it is not described well.
     """
-    value = document.values.get("store")
-    if value is None or value == "local":
+    said: str | StoreFile | None = read_part(
+        document, StoreWord | None, document.values.get("store"), "store"
+    )
+    if said is None or said == "local":
         return None
-    options: Any = {}
-    if isinstance(value, dict) and len(value) == 1:
-        ((value, options),) = value.items()
-    if value == "ros":
-        raise document.error("store: ros is the bridge; write ros: true, or --ros", "store")
-    if value not in BACKENDS or value == "local":
-        raise document.error(f"store: {value!r}; {alternatives(str(value), BACKENDS)}", "store")
-    if not isinstance(options, (str, dict)):
-        raise document.error(f"store.{value}: {options!r} is not a word or a mapping", "store")
-    key = "name" if value == "shm" else "address"
-    options = {key: options} if isinstance(options, str) else options
-    known = ("name",) if value == "shm" else ("address", "keys")
-    for option, said in options.items():
-        if option not in known:
-            raise document.error(
-                f"store.{value} has no {option!r}; {alternatives(str(option), known)}", "store"
-            )
-        if not isinstance(said, str):
-            raise document.error(f"store.{value}.{option}: {said!r} is not a word", "store")
-    if value == "zmq":
-        _check_address(document, options.get("address"))
-    folder = _folder(document, options.get("keys"))
-    name = options.get("name", document.name)
-    backend = cast(Literal["shm", "zmq"], value)
-    store = Store(backend, name, options.get("address", ""), folder)
-    return _named(document, store)
-
-
-def _folder(document: WorkflowDocument, text: str | None) -> Path | None:
-    if text is None:
-        return None
+    shm, zmq = ("", None) if isinstance(said, str) else (said.shm, said.zmq)
+    if zmq is None:
+        name = shm.name if isinstance(shm, SegmentsFile) else shm
+        return _named(document, Store("shm", name or document.name))
+    queue = QueueFile(zmq) if isinstance(zmq, str) else zmq
     try:
-        return (document.path.parent / Path(text).expanduser()).resolve()
+        keys = queue.keys and (document.path.parent / Path(queue.keys).expanduser()).resolve()
     except (RuntimeError, ValueError) as error:  # of somebody who is not there; a zero byte
-        raise document.error(
-            f"store.zmq.keys: {text!r} is not a folder: {error}", "store"
-        ) from error
+        text = f"store.zmq.keys: {queue.keys!r} is not a folder: {error}"
+        raise document.error(text, "store") from error
+    return Store("zmq", document.name, queue.address, keys or None)
 
 
 def _named(document: WorkflowDocument, store: Store) -> Store:
@@ -223,18 +262,6 @@ def _named(document: WorkflowDocument, store: Store) -> Store:
         except StateError as error:
             raise document.error(f"{error}, at most 100: store: {{shm: NAME}}", "store") from error
     return store
-
-
-def _check_address(document: WorkflowDocument, address: object) -> None:
-    text = str(address or "")
-    tcp = re.fullmatch(r"tcp://[^\s/]+:([0-9]{1,5})", text)
-    if not ((tcp and 0 < int(tcp[1]) < 65_000) or re.fullmatch(r"ipc://[^\0]+", text)):
-        raise document.error(
-            f"store.zmq: {text or 'nothing'!r} is not an address; write {{zmq: {{address: "
-            "tcp://HOST:PORT, keys: FOLDER}} (the first part's), or {zmq: ipc://PATH} on one "
-            "machine",
-            "store",
-        )
 
 
 def read_parts(document: WorkflowDocument) -> Parts | None:
