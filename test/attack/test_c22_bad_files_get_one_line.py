@@ -75,8 +75,8 @@ WORKFLOWS = {
     "another tick": (state("{tick: {shape: [3]}}"), "state 'tick' is a standard one"),
     "another joint_pos": (state("{joint_pos: {shape: [3]}}"), "'joint_pos' is a standard one"),
     "a state by number": (state("{1: {shape: [3]}}"), "states: unknown key 1; write a text"),
-    "states that are words": (state("{x: a}"), "a state is 'a'; give {shape"),
-    "names by number": (state("{x: {shape: [2], names: [1, 2]}}"), "element names [1, 2] are not"),
+    "states that are words": (state("{x: a}"), "state is 'a'; write a mapping with shape"),
+    "names by number": (state("{x: {shape: [2], names: [1, 2]}}"), "names.0 is 1; write a text"),
     "a hostile dtype": (state("{x: {dtype: \"a';x='\"}}"), "is not a NumPy type"),
     "given a number": (
         BASE + "policies: {walk: {path: go2_velocity, given: 1e-30}}\n",

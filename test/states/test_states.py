@@ -330,12 +330,12 @@ SMALL = {"joint_pos": StateSpec((2,)), "joint_vel": StateSpec((2,))}
         (lambda: StateSpec((2,), initial=(1.0, 2.0, 3.0)), "3 initial values for 2 elements"),
         (
             lambda: StateSpec.from_dict({"shape": 3, "units": "rad"}),
-            "unknown key 'units' in a state specification; known: shape, dtype, unit, frame, "
-            "names, description, initial",
+            "state: unknown key 'units'; did you mean 'unit'? known: description, dtype, frame, "
+            "initial, names, shape, unit",
         ),
         (
             lambda: StateSpec.from_dict({"shape": "three"}),
-            "state shape is 'three'; give a list of whole numbers, such as [3]",
+            "state.shape is 'three'; give a list of whole numbers, such as [3]",
         ),
         (
             lambda: States({"reset": StateSpec((3,))}),

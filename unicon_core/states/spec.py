@@ -6,11 +6,13 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import prod
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from unicon_core.errors import StateError
+from unicon_core.schema.marks import Made
+from unicon_core.schema.read import read_value
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
 _KINDS = "biuf"  # bool, signed, unsigned, float: what every backend and every language can carry
@@ -34,6 +36,18 @@ def check_name(name: str) -> str:
     return name
 
 
+def _shape(value: Any) -> tuple[int, ...]:
+    shape = [value] if isinstance(value, int) else value
+    if not isinstance(shape, (list, tuple)) or not all(isinstance(n, int) for n in shape):
+        raise StateError(f"is {_short(value)}; give a list of whole numbers, such as [3]")
+    return tuple(shape)
+
+
+def _initial(value: Any) -> Any:
+    """Return numbers as they are written: `_check_initial` knows the type that they have to fit."""
+    return tuple(value) if isinstance(value, list) else value
+
+
 @dataclass(frozen=True)
 class StateSpec:
     """Shape, type and meaning of one state.
@@ -48,13 +62,13 @@ class StateSpec:
         initial: value at start and after `States.reset`, one number or one for each element.
     """
 
-    shape: tuple[int, ...] = ()
+    shape: Annotated[tuple[int, ...], Made(_shape)] = ()
     dtype: str = "float32"
     unit: str = ""
     frame: str = ""
     names: tuple[str, ...] = ()
     description: str = ""
-    initial: float | tuple[float, ...] = 0.0
+    initial: Annotated[float | tuple[float, ...], Made(_initial)] = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "shape", tuple(int(n) for n in self.shape))
@@ -127,27 +141,5 @@ class StateSpec:
         Raises:
             StateError: an unknown key, or a value that does not fit.
         """
-        if not isinstance(values, Mapping):
-            raise StateError(f"a state is {_short(values)}; give {{shape: …, dtype: …, unit: …}}")
-        unknown = [key for key in values if key not in cls.__dataclass_fields__]
-        if unknown:
-            raise StateError(
-                f"unknown key {sorted(unknown, key=str)[0]!r} in a state specification; "
-                f"known: {', '.join(cls.__dataclass_fields__)}"
-            )
-        fields = dict(values)
-        shape = fields.get("shape", ())
-        shape = [shape] if isinstance(shape, int) else shape
-        if not isinstance(shape, (list, tuple)) or not all(isinstance(n, int) for n in shape):
-            raise StateError(f"state shape is {shape!r}; give a list of whole numbers, such as [3]")
-        fields["shape"] = tuple(shape)
-        if "names" in fields:
-            if not isinstance(fields["names"], (list, tuple)):
-                raise StateError(f"state names is {_short(fields['names'])}; give a list of words")
-            fields["names"] = tuple(fields["names"])
-        for key in ("dtype", "unit", "frame", "description"):
-            if not isinstance(fields.get(key, ""), str):
-                raise StateError(f"state {key} is {_short(fields[key])}; give a word")
-        if isinstance(fields.get("initial"), list):
-            fields["initial"] = tuple(fields["initial"])
-        return cls(**fields)
+        found: StateSpec = read_value(cls, values, lambda _, text: StateError(text), "state")
+        return found
