@@ -12,13 +12,19 @@ from pathlib import Path
 
 import pytest
 
-from unicon_core.errors import Fault, StateError, UniconError
+from unicon_core.errors import Fault, StateError, UniconError, WorkflowError
+from unicon_core.schema.read import read_value
 from unicon_core.states.backends.shm import segments
-from unicon_core.together.meeting import Meeting, party_of
+from unicon_core.together.meeting import Meeting, Party
 
 GROUP = f"test-{os.getpid()}"
 PERIOD = 0.01
 Opens = Callable[..., Meeting]
+
+
+def party_of(said: object) -> Party:
+    party: Party = read_value(Party, said, lambda _, text: WorkflowError(text), "together")
+    return party.within(Path())
 
 
 @pytest.fixture

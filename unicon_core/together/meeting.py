@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import Fault, StateError, UniconError, WorkflowError, alternatives
 from unicon_core.schema.marks import Made, Matches, Unit, Within, Write
-from unicon_core.schema.read import read_value
 from unicon_core.schema.types import Here, show
 from unicon_core.states import Layout, States, StateSpec
 from unicon_core.states.backends import Reader, Writer
@@ -326,17 +325,3 @@ def _writer(party: Party, states: States) -> Writer:
 def segment_name(party: Party, robot: str) -> str:
     """Return the name of a robot's segment."""
     return f"start-{party.group}-{robot}"
-
-
-def party_of(value: Any, folder: Path = Path()) -> Party:
-    """Return what `together:` says.
-
-    Args:
-        value: of the workflow.
-        folder: from which `keys` is reckoned.
-
-    Raises:
-        WorkflowError: a key or a value is wrong.
-    """
-    party: Party = read_value(Party, value, lambda where, text: WorkflowError(text), "together")
-    return party.within(folder)
