@@ -28,6 +28,7 @@ the arrays that a topic needs; where `spec.optional` is set, leave out a topic w
 
 The mapping file
 ----------------
+    schema: unicon.map/1                # optional
     include: default                    # optional; names or paths of maps to begin with
     typestore: jazzy                    # optional; ROS distribution of the common interfaces
     messages: [my_msgs/msg]             # optional; .msg files or folders, or package://my_msgs/msg

@@ -62,6 +62,12 @@ FILES: list[tuple[str, str]] = [
         "messages: [nowhere/X.msg]\n",
         "m.yaml:1: cannot read message file 'nowhere/X.msg': No such file or directory",
     ),
+    (
+        "messages: X.msg\n",
+        "m.yaml:1: messages is 'X.msg'; write a list, each a text or null",
+    ),
+    ("schema: unicon.map/2\n", "m.yaml:1: schema is 'unicon.map/2'; write unicon.map/1"),
+    ("messages: [3]\n", "m.yaml:1: messages.0 is 3; write a text"),
     # entries
     (
         "publish:\n  - topic: a\n    " + TWIST + "\n",

@@ -59,7 +59,7 @@ class Mistakes:
                 value = None
             entry = value if isinstance(key, int) and isinstance(value, dict) else {}
             name = entry.get("name", entry.get("topic"))
-            words.append(name if isinstance(name, str) else str(key))
+            words.append(name[:60] if isinstance(name, str) else str(key))
         return ".".join(words)
 
 

@@ -111,7 +111,7 @@ def _composed(
             if key not in _OWN:
                 found[key] = _added(key, found.get(key), node, own=False)
     for key, node in keys.items():
-        if key == "messages":
+        if key == "messages" and isinstance(node.value, list):
             node = _Node([_from(folder, each) for each in node.parts().values()], document, node.at)
         found[key] = _added(key, found.get(key), node, own=True)
     return _Node(found, document)
@@ -119,7 +119,9 @@ def _composed(
 
 def _included_names(keys: dict[Any, _Node]) -> list[_Node]:
     said = keys.get("include")
-    names = [] if said is None else [said] if isinstance(said.value, str) else said.parts().values()
+    if said is None or isinstance(said.value, dict):
+        return []
+    names = [said] if isinstance(said.value, str) else said.parts().values()
     return [each for each in names if isinstance(each.value, str)]  # others are refused later
 
 
