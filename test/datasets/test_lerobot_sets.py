@@ -245,8 +245,8 @@ def test_what_is_no_number_stays_and_is_told(commanded: Path, tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("wanted", "told"),
     [
-        ({"states": ["joint_po"]}, "has no state 'joint_po'; did you mean 'joint_pos'"),
-        ({"actions": ["wave"]}, "has no state 'wave'; known: "),
+        ({"states": ["joint_po"]}, "has no state 'joint_po' at 'sent'; did you mean 'joint_pos'"),
+        ({"actions": ["wave"]}, "has no state 'wave' at 'sent'; known: "),
         ({"cameras": ["back"]}, "camera 'back' was not recorded; known: front, rear"),
         ({"phases": ["walk"]}, "--phases: no phase 'walk'; known: approach, damp"),
         ({"phases": ["soft"]}, "has no whole tick of phase soft; it has run: give --phases"),

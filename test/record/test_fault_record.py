@@ -93,7 +93,7 @@ def test_the_record_of_nan_says_what_where_and_why(tmp_path: Path) -> None:
     events = json.loads(record.files["trace.json"])["traceEvents"]
     assert {"finite … range_stop (2 fused)", "recv"} <= {event["name"] for event in events}
     assert record.facts["layout_hash"] == record.layout.hash
-    with pytest.raises(StateError, match="no state 'nope' at 'sent' in the record; states: joint_"):
+    with pytest.raises(StateError, match="has no state 'nope' at 'sent'; known: base_"):
         record.states("nope")
 
 

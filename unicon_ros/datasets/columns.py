@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.errors import StateError, alternatives
+from unicon_core.errors import StateError
 from unicon_core.states.standard import FORWARDED_STATES
 from unicon_ros.datasets.episodes import Episode
 from unicon_ros.recording import Record
@@ -94,12 +94,8 @@ def made_columns(
         StateError: no such state, or one whose numbers LeRobot does not have.
     """
     record = episodes[0].record
+    record.need("sent", (*states, *actions))
     for name in (*states, *actions):
-        if name not in record.kept["sent"]:
-            raise StateError(
-                f"{episodes[0].path} has no state {name!r}; "
-                f"{alternatives(name, record.kept['sent'])}"
-            )
         if record.layout.specs[name].dtype not in _TYPES:
             raise StateError(
                 f"state {name!r} is {record.layout.specs[name].dtype}, which a data set does not "

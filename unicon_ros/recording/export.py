@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.errors import MissingDependencyError, StateError, UniconError, alternatives
+from unicon_core.errors import MissingDependencyError, UniconError
 from unicon_ros.recording.read import Record
 
 HEADS = ("stamp_ns", "tick", "phase", "ended")
@@ -38,13 +38,7 @@ def export(record: Record, path: Path, states: Sequence[str] = (), moment: str =
     write = FORMATS.get(path.suffix)
     if write is None:
         raise UniconError(f"cannot export to {path}; give a name that ends in {', '.join(FORMATS)}")
-    if moment not in record.kept:
-        raise StateError(f"no moment {moment!r}; {alternatives(moment, record.moments)}")
-    for name in states:
-        if name not in record.kept[moment]:
-            raise StateError(
-                f"no state {name!r} at {moment!r}; {alternatives(name, record.kept[moment])}"
-            )
+    record.need(moment, states)
     if os.path.lexists(path):
         raise UniconError(f"{path} exists; move it away or give another name")
     # The columns before the states have these names already.

@@ -76,8 +76,8 @@ def _ticks(record: Record) -> dict[str, Any]:
         "num_robots": record.layout.num_robots,
         "memories": len(record.memories),
         "policies": record.policies,
-        "versions": record.told("versions", dict) or {},
-        "overridden": record.told("overridden", list) or [],
+        "versions": record.told("versions", dict),
+        "overridden": record.told("overridden", list),
         "layout_hash": record.layout.hash,
         "attachments": {name: len(content) for name, content in record.files.items()},
     }

@@ -8,7 +8,7 @@ import os
 import re
 import struct
 from bisect import bisect_right
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
@@ -110,18 +110,43 @@ class Record:
         """Whether nobody cut it off, and nobody is writing it."""
         return all(each.ended for each in self._scans)
 
-    def told(self, name: str, kind: type[_T]) -> _T | None:
-        """Return a fact that is written as JSON, None where there is none of that kind."""
+    def told(self, name: str, kind: type[_T]) -> _T:
+        """Return a fact that is written as JSON; an empty one where there is none of that kind."""
         try:
             said = json.loads(self.facts.get(name, ""))
         except (RecursionError, ValueError):
-            return None
-        return said if isinstance(said, kind) else None
+            return kind()
+        return said if isinstance(said, kind) else kind()
+
+    def need(self, moment: str, names: Iterable[str] = ()) -> None:
+        """Refuse what is not kept in the record.
+
+        Args:
+            moment: such as `sent`.
+            names: of states that are asked for there.
+
+        Raises:
+            StateError: no such moment, or one of the states is not kept at it.
+        """
+        if moment not in self.kept:
+            known = alternatives(moment, self.moments)
+            raise StateError(f"{self.paths[0]} has no moment {moment!r}; {known}")
+        there = self.kept[moment]
+        for name in names:
+            if name in there:
+                continue
+            why = ""
+            if name in self.layout.slots:
+                why = ", where it did not come from outside; ask for it at 'sent'"
+            raise StateError(
+                f"{self.paths[0]} has no state {name!r} at {moment!r}{why}; "
+                f"{alternatives(name, there)}"
+            )
 
     @property
     def policies(self) -> dict[str, dict[str, Any]]:
         """Name of a policy to `path`, `model`, and the `sha256` of its network."""
-        policies: dict[str, Any] = self.told("policies", dict) or {}
+        policies: dict[str, Any] = self.told("policies", dict)
         return {
             name: said
             for name, said in policies.items()
@@ -134,18 +159,8 @@ class Record:
         Raises:
             StateError: no such state, or it is not kept at that moment.
         """
-        slot = self.layout.slots.get(name)
-        if slot is None or moment not in self._places:
-            raise StateError(
-                f"no state {name!r} at {moment!r} in the record; states: "
-                f"{', '.join(self.layout.slots)}; moments: {', '.join(self.moments)}"
-            )
-        place = self._places[moment]
-        if name not in place.places:
-            raise StateError(
-                f"state {name!r} is not kept at {moment!r}, where it did not come from outside; "
-                f"ask for it at 'sent'; kept there: {', '.join(self.kept[moment])}"
-            )
+        self.need(moment, [name])
+        slot, place = self.layout.slots[name], self._places[moment]
         at = place.begin + place.places[name]
         begin, end, _ = rows.indices(len(self.ticks))
         parts = [
@@ -195,10 +210,7 @@ class Record:
         """
         known = self._feeds.get((id(states), moment))
         if known is None:
-            if moment not in self._places:
-                raise StateError(
-                    f"no moment {moment!r} in the record; moments: {', '.join(self.moments)}"
-                )
+            self.need(moment)
             known = states, self._copies(moment, states)
             self._feeds[id(states), moment] = known
         whole, live = self._whole.get(row), states.buffer

@@ -62,10 +62,9 @@ class Columns:
             self._kept[key] = values if index is None else np.ascontiguousarray(values[..., index])
         return self._kept[key]
 
-    def kept(self, moment: str, names: Sequence[str] | None = None) -> list[str]:
+    def kept(self, moment: str, names: Sequence[str]) -> list[str]:
         """Return those of some states that the record has at a moment."""
-        there = set(self._record.kept[moment])
-        return [name for name in (self.names if names is None else names) if name in there]
+        return [name for name in names if name in self._record.kept[moment]]
 
     def begin(self, row: int) -> None:
         """Put states into the program as they were received in a tick."""

@@ -73,7 +73,7 @@ class Recorded:
 
 def _known(record: Record) -> frozenset[str]:
     """Return what an imported record was told; all else in it was never commanded."""
-    return frozenset(map(str, record.told("imported_states", list) or ()))
+    return frozenset(map(str, record.told("imported_states", list)))
 
 
 def recorded(

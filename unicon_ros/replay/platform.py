@@ -116,17 +116,9 @@ def make(
         )
     try:
         record = opened(bag, relative_to)
-        if moment not in record.moments:
-            known = ", ".join(record.moments)
-            raise PlatformError(f"no moment {moment!r} in the record; moments: {known}")
-        lacking = [name for name in also if name not in record.kept[moment]]
-        if lacking:
-            known = ", ".join(record.kept[moment])
-            raise PlatformError(f"no state {lacking[0]!r} at {moment!r}; kept there: {known}")
+        record.need(moment, also)
         names = [*_measured(record), *also]
         series = Series(record, names, moment, states, None if each else period, start)
-    except PlatformError:
-        raise
     except UniconError as error:
         raise PlatformError(f"platform 'replay': {bag}: {error}") from error
     if "joint_pos" not in series.names:
@@ -150,7 +142,7 @@ def replayed_on(document: WorkflowDocument, bag: str | Path, **options: Any) -> 
 def _measured(record: Record) -> Sequence[str]:
     """Return the states that the recorded platform wrote, or may have written."""
     every = (*SIMULATED, *HARDWARE_STATES)
-    writes = (record.told("platform_facts", dict) or {}).get("writes")
+    writes = record.told("platform_facts", dict).get("writes")
     if not isinstance(writes, list):
         return every
     return [*(name for name in every if name in writes), "stamp_ns"]

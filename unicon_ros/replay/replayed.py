@@ -70,10 +70,10 @@ class Replayed:
         self.skipped: dict[str, int] = {}
         self.homeless: set[str] = set()
         self.fault: str | None = None
-        said: Mapping[str, Any] | None = record.told("outside", dict)
+        said = record.told("outside", dict) if "outside" in record.facts else GIVEN
         self.outside = {
             moment: tuple(map(str, names))
-            for moment, names in (GIVEN if said is None else said).items()
+            for moment, names in said.items()
             if isinstance(names, (list, tuple))
         }
         self.program = Program(
@@ -297,7 +297,7 @@ def _memories(record: Record) -> dict[int, Snapshot]:
             )
         return {}
     if any("owners" in each for each in kept.values()):
-        version = (record.told("versions", dict) or {}).get("unicon_ros", "an older one")
+        version = record.told("versions", dict).get("unicon_ros", "an older one")
         raise UniconError(
             f"the record holds the memory of its blocks as unicon_ros {version} wrote it, from "
             "before blocks declared it; its states are read, but --verify needs that version: "

@@ -49,7 +49,7 @@ class StandIn:
 def recorded_facts(record: Record) -> tuple[Facts, bool]:
     """Return the facts of the platform that a record was made on, and whether nothing was sent."""
     name = record.facts.get("platform", "")
-    said = record.told("platform_facts", dict) or {}
+    said = record.told("platform_facts", dict)
     try:
         reads, writes = tuple(map(str, said["reads"])), tuple(map(str, said["writes"]))
         simulated, silent = said["simulated"] is True, said["silent"] is True

@@ -164,7 +164,7 @@ def _other_robot(facts: Mapping[str, str], robot: Robot) -> list[str]:
 
 def versions(record: Record) -> list[str]:
     """Return packages of other versions than the recorded ones, one line each."""
-    recorded: dict[str, Any] = record.told("versions", dict) or {}
+    recorded: dict[str, Any] = record.told("versions", dict)
     here = versions_here()
     return [
         f"{name} {here[name]} here, {was} in the record"

@@ -36,7 +36,7 @@ def figures_of(record: Record) -> dict[str, Any]:
     found["period_s"] = period
     if "overruns" in facts:  # of a run that was not killed
         found["overruns"] = int(facts["overruns"])
-        late = record.told("late_us", dict) or {}
+        late = record.told("late_us", dict)
         found["late_us"] = {name: float(late[name]) for name in ("p50", "p99", "max")}
     run = np.array(record.phases) == Phase.RUN.value
     if not simulated(record):
@@ -67,7 +67,8 @@ def faults_of(record: Record, joints: Set[str]) -> list[str]:
         record: a recording or fault record.
         joints: names that may be told.
     """
-    told, folder = record.told("faults", list), fault_folder()
+    told = record.told("faults", list) if "faults" in record.facts else None
+    folder = fault_folder()
     for path in folder.glob("*.mcap") if told is None and folder is not None else ():
         with suppress(OSError, ValueError):  # rubble, or not ours
             facts = scan(path).facts

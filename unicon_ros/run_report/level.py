@@ -44,7 +44,7 @@ def level_of(record: Record, workflow: Mapping[str, Any], hardware: bool) -> tup
 
 def simulated(record: Record) -> bool:
     """Return whether its platform keeps a time of its own."""
-    return (record.told("platform_facts", dict) or {}).get("simulated") is not False
+    return record.told("platform_facts", dict).get("simulated") is not False
 
 
 def _texts(value: Any) -> Iterator[str]:

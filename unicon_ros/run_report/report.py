@@ -119,7 +119,7 @@ def _digest(text: str) -> str:
 
 
 def _system(record: Record) -> dict[str, Any]:
-    versions, system = (record.told(name, dict) or {} for name in ("versions", "system"))
+    versions, system = (record.told(name, dict) for name in ("versions", "system"))
     numbers = {k: _matched(VERSION, versions.get(k)) for k in ("unicon_ros", "python", *VERSIONS)}
     return {
         "versions": {name: number for name, number in numbers.items() if number},

@@ -62,7 +62,7 @@ def shown_in(record: Record) -> tuple[Shown, list[str]]:
         shown, _ = shown_of(program, compile_graph(program.root))
     finally:
         program.close()
-    about: dict[str, Any] = record.told("platform_facts", dict) or {}
+    about: dict[str, Any] = record.told("platform_facts", dict)
     return replace(
         shown,
         platform=facts.get("platform", shown.platform),
