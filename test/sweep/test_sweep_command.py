@@ -177,7 +177,7 @@ def test_other_ground_is_laid_in_the_same_program(done: Path) -> None:
     grounds = ["flat", "{rough: {extent: 8}}", "{stairs: {rise: 0.05}}", "{rough: {height: -1}}"]
     told = [runner([*settings, f"scene.terrain={ground}"])["row"] for ground in grounds]
     assert [row["outcome"] for row in told] == ["duration"] * 3 + ["refused"]
-    assert told[3]["text"].endswith("scene.terrain.rough: height is -1; give 0 to 1 [m]")
+    assert "scene.terrain.rough.height is -1; write a number from 0 to 1 [m]" in told[3]["text"]
     assert runner.programs.built == 1
     runner.programs.close()
 

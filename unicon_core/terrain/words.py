@@ -5,77 +5,164 @@ scene: {terrain: {stairs: {rise: 0.1, run: 0.3}}}
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import asdict, dataclass, fields
+from typing import Annotated, Any
 
 from unicon_core.errors import PlatformError, alternatives
+from unicon_core.schema.marks import Checked, Unit, Within
+from unicon_core.schema.read import refuse
+from unicon_core.schema.records import record_of
+from unicon_core.schema.types import Mistakes
 
 FLAT = "flat"
-_SEED = "seed"
 
 
-@dataclass(frozen=True)
-class Figure:
-    """One figure of a kind of terrain.
+def _wrong_ends(said: Any) -> str:
+    if not isinstance(said, tuple) or said[0] <= said[1]:
+        return ""
+    return f"is {list(said)}; write [low, high]"
+
+
+_RISES = Checked(_wrong_ends)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kind:
+    """What all kinds have.
 
     Attributes:
-        unit: "" for a number without.
-        default: what it is unless told; two numbers where it is drawn between them.
-        least, most: smallest and largest allowed value.
-        says: what it is, for the documents.
+        extent: edge of the square that it covers, the start amid.
+        flat: edge of the square around the start that stays flat.
     """
 
-    unit: str
-    default: float | tuple[float, float]
-    least: float
-    most: float
-    says: str
+    extent: Annotated[float, Unit("m"), Within(4.0, 200.0)] = 40.0
+    flat: Annotated[float, Unit("m"), Within(1.0, 20.0)] = 2.0
 
-    @property
-    def whole(self) -> bool:
-        """Whether it counts something."""
-        return isinstance(self.default, int)
+    def __post_init__(self) -> None:
+        """Refuse ground that is flat all over.
+
+        Raises:
+            PlatformError: it is.
+        """
+        if self.flat >= self.extent:
+            raise PlatformError(
+                f"flat is {self.flat:g} m, and extent {self.extent:g}; give a larger extent"
+            )
 
 
-_AROUND = {
-    "extent": Figure("m", 40.0, 4.0, 200.0, "edge of the square that it covers, the start amid"),
-    "flat": Figure("m", 2.0, 1.0, 20.0, "edge of the square around the start that stays flat"),
-}
-_STEPS = {
-    "rise": Figure("m", 0.1, -0.5, 0.5, "height of a step; below 0 they go down first"),
-    "run": Figure("m", 0.3, 0.1, 10.0, "depth of a step"),
-    "steps": Figure("", 10, 1, 1000, "how many, then a landing"),
-}
+@dataclass(frozen=True, kw_only=True)
+class Drawn(Kind):
+    """What kinds have that draw.
 
-KINDS: dict[str, dict[str, Figure]] = {
-    "slope": {"angle": Figure("rad", 0.1, -0.8, 0.8, "in front of the start; below 0 it falls")},
-    "stairs": {**_STEPS, "landing": Figure("m", 1.0, 0.1, 20.0, "before they go the other way")},
-    "pyramid": _STEPS,
-    "rough": {
-        "height": Figure("m", 0.04, 0.0, 1.0, "between the lowest and the highest point"),
-        "spacing": Figure("m", 0.1, 0.02, 5.0, "between two points, in x and in y"),
-    },
-    "patches": {
-        "friction": Figure("", (0.2, 1.0), 0.0, 20.0, "factor on that of the floor"),
-        "size": Figure("m", 1.0, 0.1, 20.0, "edge of a patch"),
-    },
-    "obstacles": {
-        "height": Figure("m", (0.02, 0.08), 0.0, 2.0, "of a box"),
-        "size": Figure("m", (0.2, 0.6), 0.01, 10.0, "of its edges"),
-        "density": Figure("1/m²", 0.5, 0.0, 20.0, "boxes on a square metre"),
-    },
-    "gaps": {
-        "width": Figure("m", 0.1, 0.0, 5.0, "of a gap"),
-        "run": Figure("m", 0.6, 0.05, 20.0, "of the ground between two"),
-        "depth": Figure("m", 0.3, 0.01, 5.0, "of a gap"),
-    },
-}
-"""Kind of terrain to its figures; all have those of `_AROUND`, and those that draw a `seed`."""
+    Attributes:
+        seed: of what is drawn; the scene's unless given.
+    """
 
-DRAWN = ("rough", "patches", "obstacles")
-"""Kinds that draw."""
+    seed: Annotated[int | None, Within(0)] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Slope(Kind):
+    """A plane.
+
+    Attributes:
+        angle: in front of the start; below 0 it falls.
+    """
+
+    angle: Annotated[float, Unit("rad"), Within(-0.8, 0.8)] = 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pyramid(Kind):
+    """Steps on all four sides.
+
+    Attributes:
+        rise: height of a step; below 0 they go down first.
+        run: depth of a step.
+        steps: how many, then a landing.
+    """
+
+    rise: Annotated[float, Unit("m"), Within(-0.5, 0.5)] = 0.1
+    run: Annotated[float, Unit("m"), Within(0.1, 10.0)] = 0.3
+    steps: Annotated[int, Within(1, 1000)] = 10
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stairs(Pyramid):
+    """Flights of steps in front of the start.
+
+    Attributes:
+        landing: before they go the other way.
+    """
+
+    landing: Annotated[float, Unit("m"), Within(0.1, 20.0)] = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rough(Drawn):
+    """A field of heights.
+
+    Attributes:
+        height: between the lowest and the highest point.
+        spacing: between two points, in x and in y.
+    """
+
+    height: Annotated[float, Unit("m"), Within(0.0, 1.0)] = 0.04
+    spacing: Annotated[float, Unit("m"), Within(0.02, 5.0)] = 0.1
+
+
+Factor = Annotated[float, Within(0.0, 20.0)]
+Tall = Annotated[float, Unit("m"), Within(0.0, 2.0)]
+Wide = Annotated[float, Unit("m"), Within(0.01, 10.0)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Patches(Drawn):
+    """Tiles of one height.
+
+    Attributes:
+        friction: factor on that of the floor, drawn between two.
+        size: edge of a patch.
+    """
+
+    friction: Annotated[tuple[Factor, Factor] | Factor, _RISES] = (0.2, 1.0)
+    size: Annotated[float, Unit("m"), Within(0.1, 20.0)] = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Obstacles(Drawn):
+    """Boxes on the floor.
+
+    Attributes:
+        height: of a box, drawn between two.
+        size: of its edges, drawn between two.
+        density: boxes on a square metre.
+    """
+
+    height: Annotated[tuple[Tall, Tall] | Tall, _RISES] = (0.02, 0.08)
+    size: Annotated[tuple[Wide, Wide] | Wide, _RISES] = (0.2, 0.6)
+    density: Annotated[float, Unit("1/m²"), Within(0.0, 20.0)] = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gaps(Kind):
+    """Gaps across the way.
+
+    Attributes:
+        width: of a gap.
+        run: of the ground between two.
+        depth: of a gap.
+    """
+
+    width: Annotated[float, Unit("m"), Within(0.0, 5.0)] = 0.1
+    run: Annotated[float, Unit("m"), Within(0.05, 20.0)] = 0.6
+    depth: Annotated[float, Unit("m"), Within(0.01, 5.0)] = 0.3
+
+
+_KINDS = (Slope, Stairs, Pyramid, Rough, Patches, Obstacles, Gaps)
+KINDS: dict[str, type[Kind]] = {each.__name__.lower(): each for each in _KINDS}
+"""Word of a kind of terrain to its figures."""
 
 
 @dataclass(frozen=True)
@@ -94,11 +181,6 @@ class Terrain:
 
     def __getitem__(self, name: str) -> Any:
         return self.figures[name]
-
-
-def figures_of(kind: str) -> dict[str, Figure]:
-    """Return all figures of a kind."""
-    return KINDS[kind] | _AROUND
 
 
 def read_terrain(said: object, seed: int) -> Terrain | None:
@@ -126,58 +208,13 @@ def read_terrain(said: object, seed: int) -> Terrain | None:
         if given:
             raise PlatformError(f"scene.terrain.flat has no figures; write terrain: {FLAT}")
         return None
-    figures = figures_of(kind)
-    if not isinstance(given, Mapping):
-        name, figure = next(iter(figures.items()))
-        raise PlatformError(
-            f"scene.terrain.{kind} is {given!r:.60}; write {{{name}: {_written(figure.default)}}}"
-        )
-    names = (*figures, *([_SEED] if kind in DRAWN else []))
-    for name in given:
-        if name not in names:
-            raise PlatformError(
-                f"scene.terrain.{kind} has no {str(name)[:60]!r}; {alternatives(str(name), names)}"
-            )
-    own = given.get(_SEED, seed)
-    if not isinstance(own, int) or isinstance(own, bool) or own < 0:
-        raise PlatformError(f"scene.terrain.{kind}: seed is {own!r:.40}; give 0 or more")
-    values = {
-        name: _value(kind, name, figure, given.get(name, figure.default))
-        for name, figure in figures.items()
+    mistakes = Mistakes()
+    found = record_of(KINDS[kind]).read(given, ("scene", "terrain", kind), mistakes)
+    refuse(mistakes, lambda _, text: PlatformError(text), f"scene.terrain.{kind}")
+    pairs = [each.name for each in fields(found) if isinstance(each.default, tuple)]
+    values: dict[str, Any] = {
+        name: (value, value) if name in pairs and not isinstance(value, tuple) else value
+        for name, value in asdict(found).items()
     }
-    if values["flat"] >= values["extent"]:
-        raise PlatformError(
-            f"scene.terrain.{kind}: flat is {values['flat']:g} m, and extent {values['extent']:g}; "
-            "give a larger extent"
-        )
-    return Terrain(kind, values, own)
-
-
-def _value(kind: str, name: str, figure: Figure, value: Any) -> Any:
-    """Return a value as it is used; a single number for both ends where two are drawn between."""
-    pair = isinstance(figure.default, tuple)
-    both = value if isinstance(value, (list, tuple)) and pair else (value,) * (1 + pair)
-    if len(both) == 1 + pair and all(_fits(figure, each) for each in both):
-        if not pair:
-            return int(both[0]) if figure.whole else float(both[0])
-        low, high = map(float, both)
-        if low <= high:
-            return low, high
-    unit = f" [{figure.unit}]" if figure.unit else ""
-    what = "a whole number from " if figure.whole else "[low, high] within " if pair else ""
-    raise PlatformError(
-        f"scene.terrain.{kind}: {name} is {value!r:.60}; give {what}{figure.least:g} to "
-        f"{figure.most:g}{unit}"
-    )
-
-
-def _fits(figure: Figure, value: object) -> bool:
-    if not isinstance(value, (int, float)) or isinstance(value, bool):
-        return False
-    if not math.isfinite(value) or (figure.whole and value != int(value)):
-        return False
-    return figure.least <= value <= figure.most
-
-
-def _written(default: float | tuple[float, float]) -> str:
-    return str(list(default)) if isinstance(default, tuple) else f"{default:g}"
+    own = values.pop("seed", None)
+    return Terrain(kind, values, seed if own is None else own)
