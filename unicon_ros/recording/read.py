@@ -135,13 +135,10 @@ class Record:
         for name in names:
             if name in there:
                 continue
-            why = ""
+            why = f"; {alternatives(name, there)}"
             if name in self.layout.slots:
                 why = ", where it did not come from outside; ask for it at 'sent'"
-            raise StateError(
-                f"{self.paths[0]} has no state {name!r} at {moment!r}{why}; "
-                f"{alternatives(name, there)}"
-            )
+            raise StateError(f"{self.paths[0]} has no state {name!r} at {moment!r}{why}")
 
     @property
     def policies(self) -> dict[str, dict[str, Any]]:
