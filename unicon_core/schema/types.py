@@ -50,7 +50,7 @@ class Mistakes:
         self.note(where, f"missing key {key!r}; add {key}: {wanted}")
 
     def place(self, where: Where) -> str:
-        """Return what messages call a place: keys with dots, entries of a list by their name."""
+        """Return what messages call a place: keys with dots, entries by their name or topic."""
         value, words = self.document, [self.root] if self.root else []
         for key in where:
             try:
