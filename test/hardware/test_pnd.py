@@ -123,7 +123,7 @@ def test_garbage_never_raises_and_never_writes_what_is_not_finite(
 ) -> None:
     arrays = arrays_of()
     frames = LowStates(FACTS, arrays, Counts(), battery=battery)
-    good = FACTS.state_out(arrays, battery=battery).encode()
+    good = FACTS.state_out(arrays, battery=battery)()
     for raw in (noise, good[:at], good[:at] + value[:4] + good[at + 4 :], good + noise):
         frames.forget()
         if frames.good(raw):

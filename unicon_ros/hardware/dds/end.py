@@ -1,24 +1,33 @@
 """DdsEnd: one end of a robot's topics, for wires of drivers and for faces of emulators.
 
 class MyWire(DdsEnd):
+    label = "platform 'mine'"
+
     def __init__(self, …):
-        super().__init__(Participant(domain, address, LABEL), f"rt/state of DDS domain {domain}")
+        super().__init__(facts.state_topic, facts.domain, domain, address)
         with self.closing():
-            self.listen("rt/state", message, frames)
-            self.speak("rt/cmd", message, encoder.encode)
+            self.listen(facts.state, arrays)
+            self.speak(facts.command, arrays)
 
 It has `take`, `wait`, `put`, `warm_up`, `commanders` and `close` of a `Wire`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Protocol
+from typing import Any, Protocol
 
-from unicon_msgs_map.layout.messages import Struct
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from unicon_core.robots import Robot
+from unicon_core.states import States
+from unicon_core.states.standard import COMMAND_STATES
 from unicon_ros.hardware.dds.inlet import Inlet
+from unicon_ros.hardware.dds.maps import Arrays, Message, command_arrays
 from unicon_ros.hardware.dds.participant import Participant, Writer
+from unicon_ros.hardware.modes import EmulatedModes
 from unicon_ros.hardware.wire import Counts
 
 
@@ -38,28 +47,44 @@ class DdsEnd:
     """Topics that are listened to, and topics that are spoken on.
 
     Args:
-        participant: of the robot's domain; it is closed with this.
-        where: topic and domain, for messages.
+        topic: for messages.
+        own: domain of DDS that the robot file says.
+        domain: instead of it; None for that.
+        address: of this machine's network interface, or its name; None for the default.
         counts: of what comes in; another one where frames were made with it before.
         ahead: `warm_up` reads what is there already, so that what is read into must be arrays of
             the wire's own until `take` is called.
+        announced: see `Participant`.
 
     Attributes:
+        label: stands in front of messages.
+        extra: of the package, which installs cyclonedds.
+        participant: of the domain.
         counts: of what came in.
         where: topic and domain.
+
+    Raises:
+        UniconError: it cannot be opened.
     """
+
+    label, extra = "", "hw-unitree"
 
     def __init__(
         self,
-        participant: Participant,
-        where: str,
-        counts: Counts | None = None,
+        topic: str,
+        own: int,
+        domain: int | None,
+        address: str | None,
         *,
+        counts: Counts | None = None,
         ahead: bool = False,
+        announced: bool = False,
     ) -> None:
-        self.participant, self.where = participant, where
+        domain = own if domain is None else domain
+        self.where = f"{topic} of DDS domain {domain}"
         self.counts = Counts() if counts is None else counts
         self._ahead = ahead
+        self.participant = Participant(domain, address, self.label, self.extra, announced=announced)
         self._inlets: list[Inlet] = []
         self._outlets: list[tuple[Writer, Callable[[], bytes]]] = []
         self._commands: list[str] = []
@@ -75,26 +100,25 @@ class DdsEnd:
 
     def listen(
         self,
-        topic: str,
-        message: Struct,
-        frames: Checked,
+        message: Message,
+        into: Arrays | Checked,
         *,
-        name: str = "",
         forget: Callable[[], None] = lambda: None,
         anyone: bool = False,
     ) -> None:
-        """Read a topic; see `Inlet`."""
-        reader = self.participant.reader(topic, message, name)
+        """Read a message into arrays, or with what checks and reads it; see `Inlet`."""
+        frames = message.frames(into, self.counts) if isinstance(into, Mapping) else into
+        reader = self.participant.reader(message.topic, message.struct, message.name)
         inlet = Inlet(
             reader, frames.good, frames.read, self.counts, self.where, forget, anyone=anyone
         )
         self._inlets.append(inlet)
 
-    def speak(
-        self, topic: str, message: Struct, encode: Callable[[], bytes], *, name: str = ""
-    ) -> None:
-        """Write what `encode` returns to a topic, each time that `put` is called."""
-        self._outlets.append((self.participant.writer(topic, message, name), encode))
+    def speak(self, message: Message, of: Arrays | Callable[[], bytes]) -> None:
+        """Write a message of arrays, or what a function returns, each time `put` is called."""
+        encode = of if callable(of) else message.encoder(of).encode
+        writer = self.participant.writer(message.topic, message.struct, message.name)
+        self._outlets.append((writer, encode))
 
     def watch(self, *topics: str) -> None:
         """Begin to see who else commands on these topics, for `commanders`."""
@@ -146,3 +170,43 @@ class DdsEnd:
     def close(self) -> None:
         """Leave the domain."""
         self.participant.close()
+
+
+class DdsFace(DdsEnd):
+    """The robot's end, which takes commands.
+
+    Attributes:
+        modes: of the motors; what has not heard a command reports 0.
+    """
+
+    modes: EmulatedModes
+
+    def _hears(self, states: States, robot: Robot, **more: NDArray[Any]) -> None:
+        """Make arrays of a command; more of them by name."""
+        modes = np.zeros(robot.num_joints, np.uint8)
+        self._states = states
+        self._heard = command_arrays(robot.num_joints) | {"modes": modes} | more
+
+    def hear(self) -> bool:
+        """Bring the newest good command into the command states; True where one came."""
+        if not self.take() or not self._acts():
+            return False
+        self._act()
+        return True
+
+    def _acts(self) -> bool:
+        """Return whether a command acts; it is counted where it does not."""
+        raise NotImplementedError
+
+    def _act(self) -> None:
+        """Bring the command that came into the command states."""
+        for name in COMMAND_STATES:
+            self._states[name][...] = self._heard[name]
+        self.modes.command(self._heard["modes"], self._states)
+
+    def _right(self, reason: str, said: NDArray[Any], wanted: ArrayLike) -> bool:
+        """Return whether a command says what is wanted; it is counted where it does not."""
+        right = bool((said == wanted).all())
+        if not right:
+            self.counts.refuse(reason, f"{said.tolist()}, not {np.unique(wanted).tolist()}")
+        return right

@@ -3,15 +3,25 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Container, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.schema.marks import Text, Within
 from unicon_core.states import States
-from unicon_msgs_map import MessageMap, PublishSpec, SubscribeSpec, parse_map
-from unicon_msgs_map.layout.messages import shared_messages
+from unicon_core.states.standard import COMMAND_STATES
+from unicon_msgs_map import Encoder, MessageMap, PublishSpec, SubscribeSpec, parse_map
+from unicon_msgs_map.layout.messages import Struct, shared_messages
+from unicon_ros.hardware.dds.frames import Frames
+from unicon_ros.hardware.dds.participant import LARGEST_DOMAIN
+from unicon_ros.hardware.facts import Rate, Transport
+from unicon_ros.hardware.wire import Counts
+
+Arrays: TypeAlias = Mapping[str, NDArray[Any]]
+Domain = Annotated[int, Within(0, LARGEST_DOMAIN)]
 
 COMMANDS = {
     "q": "joint_pos_target",
@@ -33,6 +43,11 @@ def arrays_of(states: States) -> dict[str, NDArray[Any]]:
     if "motor_error" in arrays:
         arrays["motor_error"] = arrays["motor_error"].view(np.uint32)
     return arrays
+
+
+def command_arrays(joints: int) -> dict[str, NDArray[Any]]:
+    """Return arrays for a command, zero."""
+    return {name: np.zeros(joints, np.float32) for name in COMMAND_STATES}
 
 
 def motors(
@@ -83,3 +98,115 @@ def publish(topic: str, message: str, fields: Mapping[str, Any]) -> PublishSpec:
 def _parsed(way: str, topic: str, message: str, fields: Mapping[str, Any]) -> MessageMap:
     entry = {"topic": topic, "type": message, "fields": dict(fields)}
     return parse_map(json.dumps({way: [entry]}), shared_messages(), name=topic)
+
+
+@dataclass(frozen=True)
+class Message:
+    """A message on a topic: the table of its fields, of which both ends are made.
+
+    Attributes:
+        topic: of DDS.
+        type: such as `unitree_go/msg/LowState`.
+        fields: path in it to an array, or to what a map says of one, as whoever reads it has it;
+            left out where the array is not there.
+        sent: path to what who makes it writes besides.
+        taken: path to an array that only who reads it has.
+        name: of the type in DDS, where it does not follow from `type`.
+        lengths: of sequences in front of which nothing varies; others are refused.
+        orientation: state of a quaternion, which must have norm 1; "" for none.
+    """
+
+    topic: str
+    type: str
+    fields: Mapping[str, Any]
+    sent: Mapping[str, Any] = field(default_factory=dict)
+    taken: Mapping[str, Any] = field(default_factory=dict)
+    name: str = ""
+    lengths: Mapping[str, int] = field(default_factory=dict)
+    orientation: str = ""
+
+    @property
+    def struct(self) -> Struct:
+        """Its layout."""
+        return shared_messages().struct(self.type)
+
+    def encoder(self, arrays: Arrays) -> Encoder:
+        """Return what makes it of those arrays that are there."""
+        fields = {path: _sent(said) for path, said in _known(self.fields, arrays).items()}
+        spec = publish(self.topic, self.type, {**self.sent, **fields})
+        return Encoder.build(spec, arrays)
+
+    def frames(self, arrays: Arrays, counts: Counts, *, size: int = 0) -> Frames:
+        """Return what reads it into those arrays that are there; `size` as of `Frames`."""
+        fields = _known({**self.fields, **self.taken}, arrays)
+        return Frames(
+            subscribe(self.topic, self.type, fields),
+            arrays,
+            counts,
+            checked=False,
+            orientation=self.orientation,
+            lengths=self.lengths,
+            size=size,
+        )
+
+
+def _known(fields: Mapping[str, Any], arrays: Container[str]) -> dict[str, Any]:
+    """Return the fields whose array is there."""
+    return {path: said for path, said in fields.items() if _array(said) in arrays}
+
+
+def _array(said: Any) -> str:
+    return str(said["state"] if isinstance(said, dict) else said).split("[")[0]
+
+
+def _sent(said: Any) -> Any:
+    """Return a field the other way round."""
+    scaled = isinstance(said, dict) and "scale" in said
+    return {**said, "scale": 1.0 / said["scale"]} if scaled else said
+
+
+class Messages:
+    """What robot and driver say: the base of facts that have `state` and `command`."""
+
+    @property
+    def state(self) -> Message:
+        """What the robot tells."""
+        raise NotImplementedError
+
+    @property
+    def command(self) -> Message:
+        """What the robot takes."""
+        raise NotImplementedError
+
+    def state_in(self, arrays: Arrays, counts: Counts) -> Any:
+        """Return what reads the state into those arrays that are there."""
+        return self.state.frames(arrays, counts)
+
+    def state_out(self, arrays: Arrays) -> Callable[[], bytes]:
+        """Return what makes the state."""
+        return self.state.encoder(arrays).encode
+
+    def command_in(self, arrays: Arrays, counts: Counts) -> Frames:
+        """Return what reads the command, as the robot does."""
+        return self.command.frames(arrays, counts)
+
+    def command_out(self, arrays: Arrays) -> Callable[[], bytes]:
+        """Return what makes the command."""
+        return self.command.encoder(arrays).encode
+
+
+@dataclass(frozen=True)
+class DdsFacts(Transport, Messages):
+    """`transport` of a robot file.
+
+    Attributes:
+        domain: of DDS.
+        rate: of the state in [Hz].
+        state_topic: of the state.
+        command_topic: of the command.
+    """
+
+    domain: Domain
+    rate: Rate
+    state_topic: Text
+    command_topic: Text

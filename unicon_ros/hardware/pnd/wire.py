@@ -11,19 +11,11 @@ from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_ros.hardware.dds.end import DdsEnd
 from unicon_ros.hardware.dds.maps import arrays_of
-from unicon_ros.hardware.dds.participant import Participant
 from unicon_ros.hardware.modes import UNDOCUMENTED, ModeGuard
-from unicon_ros.hardware.pnd.codec import (
-    COMMAND,
-    REMOTE,
-    STATE_NAME,
-    STATES,
-    LowStates,
-    PndFacts,
-)
+from unicon_ros.hardware.pnd.codec import REMOTE, STATES, LowStates, PndFacts
 from unicon_ros.hardware.wire import Counts
 
-LABEL, EXTRA = "platform 'pnd'", "hw-pnd"
+EXTRA = "hw-pnd"
 
 
 class PndWire(DdsEnd):
@@ -43,6 +35,8 @@ class PndWire(DdsEnd):
         UniconError: it cannot be opened.
     """
 
+    label, extra = "platform 'pnd'", EXTRA
+
     def __init__(
         self,
         states: States,
@@ -53,9 +47,8 @@ class PndWire(DdsEnd):
         silent: bool = False,
     ) -> None:
         facts, counts = PndFacts.of(robot), Counts()
-        domain = facts.domain if domain is None else domain
         self._remote = np.zeros(REMOTE, np.float32)
-        self.modes = ModeGuard(LABEL, robot.joint_names, facts.mode, settles=UNDOCUMENTED)
+        self.modes = ModeGuard(self.label, robot.joint_names, facts.mode, settles=UNDOCUMENTED)
         own = {"remote": self._remote, "tick": np.zeros((), np.uint32)}
         arrays = arrays_of(states) | own | {"modes": self.modes.reported}
         self._controls = Controls(states) if "sticks" in states else None
@@ -63,18 +56,13 @@ class PndWire(DdsEnd):
         self._kinds = {
             battery: LowStates(facts, arrays, counts, battery=battery) for battery in STATES
         }
-        where = f"{facts.state_topic} of DDS domain {domain}"
-        super().__init__(Participant(domain, address, LABEL, EXTRA), where, counts)
+        super().__init__(facts.state_topic, facts.domain, domain, address, counts=counts)
         with self.closing():
             for battery, frames in self._kinds.items():
-                message = facts.message(STATES[battery])
-                self.listen(
-                    facts.state_topic, message, frames, name=STATE_NAME, forget=frames.forget
-                )
+                self.listen(facts.told(battery=battery), frames, forget=frames.forget)
             self.watch(facts.command_topic)
             if not silent:
-                encode = facts.command_out(arrays)
-                self.speak(facts.command_topic, facts.message(COMMAND), encode)
+                self.speak(facts.command, arrays)
 
     def take(self) -> int:
         """Bring the newest good frame into the states; return how many good ones have come."""

@@ -7,111 +7,74 @@ example/g1/dex3/g1_dex3_example.cpp: RIS_Mode_t, stopMotors).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Mapping
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.robots import Robot
-from unicon_msgs_map import Encoder
-from unicon_msgs_map.layout.messages import Struct, shared_messages
-from unicon_ros.hardware.dds.frames import Frames
-from unicon_ros.hardware.dds.maps import COMMANDS, MEASURED, motors, publish, subscribe
-from unicon_ros.hardware.dds.participant import LARGEST_DOMAIN
-from unicon_ros.hardware.facts import TransportFacts
-from unicon_ros.hardware.wire import Counts
+from unicon_core.schema.marks import Key, Within
+from unicon_ros.hardware.dds.maps import COMMANDS, MEASURED, DdsFacts, Message, motors
+from unicon_ros.hardware.facts import slots
 
-COMMAND, STATE = "unitree_hg/msg/HandCmd", "unitree_hg/msg/HandState"
 MOTORS, SENSORS = 7, 9
 """Lengths of the sequences (same example: MOTOR_MAX, SENSOR_MAX)."""
 TIMEOUT = 1 << 7
-Arrays = Mapping[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)
-class Dex3Facts:
+class Dex3Facts(DdsFacts):
     """`transport` of a robot file.
 
     Attributes:
-        domain: of DDS.
-        state_topic: of HandState.
-        command_topic: of HandCmd.
-        rate: of HandState in [Hz].
         slots: motor of each joint.
-        modes: byte `mode` of each joint's motor that shall run.
+        status: of each motor that shall run.
     """
 
-    domain: int
-    state_topic: str
-    command_topic: str
-    rate: float
-    slots: tuple[int, ...]
-    modes: tuple[int, ...]
+    slots: Annotated[list[int], Key("motors"), slots(MOTORS)]
+    status: Annotated[int, Within(0, 7)]
 
-    @classmethod
-    def of(cls, robot: Robot) -> Dex3Facts:
-        """Read them.
+    @property
+    def modes(self) -> list[int]:
+        """Byte `mode` of each joint's motor that shall run."""
+        return [slot | self.status << 4 for slot in self.slots]
 
-        Raises:
-            RobotError: one lacks, or is not what it must be.
-        """
-        facts = TransportFacts(robot)
-        status = facts.integer("status", 0, 7)
-        slots = facts.slots("motors", MOTORS)
-        return cls(
-            facts.integer("domain", 0, LARGEST_DOMAIN),
-            facts.text("state_topic"),
-            facts.text("command_topic"),
-            facts.number("rate_hz", 1.0, 10_000.0),
-            slots,
-            tuple(slot | status << 4 for slot in slots),
+    @property
+    def state(self) -> Message:
+        """HandState; its sensors of pressure tell 0."""
+        told = MEASURED | {"motorstate": "motor_error", "mode": "modes"}
+        heat = {
+            f"motor_state[{slot}].temperature": f"temperatures[{2 * joint}:{2 * joint + 2}]"
+            for joint, slot in enumerate(self.slots)
+        }
+        return Message(
+            self.state_topic,
+            "unitree_hg/msg/HandState",
+            motors("motor_state", self.slots, told) | heat,
+            sent={f"press_sensor_state[{SENSORS - 1}].lost": 0},
+            lengths={"motor_state": MOTORS},
         )
 
-    @staticmethod
-    def message(name: str) -> Struct:
-        """Return the layout of a message."""
-        return shared_messages().struct(name)
-
-    def state_in(self, arrays: Arrays, counts: Counts) -> Frames:
-        """Return what reads HandState into those arrays that are there."""
-        spec = subscribe(self.state_topic, STATE, self._state(arrays))
-        return Frames(spec, arrays, counts, checked=False, lengths={"motor_state": MOTORS})
-
-    def state_out(self, arrays: Arrays) -> Callable[[], bytes]:
-        """Return what makes HandState."""
-        sensors = {f"press_sensor_state[{SENSORS - 1}].lost": 0}
-        fields = self._state(arrays) | sensors
-        return Encoder.build(publish(self.state_topic, STATE, fields), arrays).encode
-
-    def command_in(self, arrays: Arrays, counts: Counts) -> Frames:
-        """Return what reads HandCmd, as the hand does."""
-        fields = motors("motor_cmd", self.slots, COMMANDS | {"mode": "modes"})
-        spec = subscribe(self.command_topic, COMMAND, fields)
-        return Frames(spec, arrays, counts, checked=False, lengths={"motor_cmd": MOTORS})
-
-    def command_out(self, arrays: Arrays) -> Callable[[], bytes]:
-        """Return what makes HandCmd."""
-        return self._command(arrays, motors("motor_cmd", self.slots, COMMANDS), 0)
+    @property
+    def command(self) -> Message:
+        """HandCmd."""
+        return Message(
+            self.command_topic,
+            "unitree_hg/msg/HandCmd",
+            motors("motor_cmd", self.slots, COMMANDS),
+            sent=self._modes(0),
+            taken=motors("motor_cmd", self.slots, {"mode": "modes"}),
+            lengths={"motor_cmd": MOTORS},
+        )
 
     def stop_out(self) -> Callable[[], bytes]:
         """Return what makes a stop: gains and targets are 0."""
-        return self._command({}, {}, TIMEOUT)
+        return replace(self.command, sent=self._modes(TIMEOUT)).encoder({}).encode
 
-    def _command(self, arrays: Arrays, fields: Mapping[str, Any], bits: int) -> Callable[[], bytes]:
-        modes = {f"motor_cmd[{k}].mode": mode | bits for k, mode in zip(self.slots, self.modes)}
-        spec = publish(self.command_topic, COMMAND, {**modes, **fields})
-        return Encoder.build(spec, arrays).encode
-
-    def _state(self, known: Container[str]) -> dict[str, Any]:
-        told = MEASURED | {"motorstate": "motor_error", "mode": "modes"}
-        told = {field: name for field, name in told.items() if name in known}
-        fields: dict[str, Any] = motors("motor_state", self.slots, told)
-        for joint, slot in enumerate(self.slots):
-            pair = f"temperatures[{2 * joint}:{2 * joint + 2}]"
-            fields[f"motor_state[{slot}].temperature"] = pair
-        return fields
+    def _modes(self, bits: int) -> dict[str, int]:
+        return {f"motor_cmd[{k}].mode": mode | bits for k, mode in zip(self.slots, self.modes)}
 
 
 def own_arrays(robot: Robot) -> dict[str, NDArray[Any]]:

@@ -10,12 +10,9 @@ from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_ros.hardware.dds.end import DdsEnd
 from unicon_ros.hardware.dds.maps import arrays_of
-from unicon_ros.hardware.dds.participant import Participant
 from unicon_ros.hardware.modes import UNDOCUMENTED, ModeGuard
-from unicon_ros.hardware.unitree_dex3.codec import COMMAND, STATE, Dex3Facts, own_arrays
-from unicon_ros.hardware.wire import Counts
+from unicon_ros.hardware.unitree_dex3.codec import Dex3Facts, own_arrays
 
-LABEL = "platform 'unitree_dex3'"
 STOPS, STOP_PERIOD = 5, 0.01
 """How often and at which distance in [s] the stop is sent: at the 100 Hz of commands."""
 
@@ -40,6 +37,8 @@ class Dex3Wire(DdsEnd):
         UniconError: it cannot be opened.
     """
 
+    label = "platform 'unitree_dex3'"
+
     def __init__(
         self,
         states: States,
@@ -49,24 +48,20 @@ class Dex3Wire(DdsEnd):
         *,
         silent: bool = False,
     ) -> None:
-        facts, counts, own = Dex3Facts.of(robot), Counts(), own_arrays(robot)
-        domain = facts.domain if domain is None else domain
+        facts, own = Dex3Facts.of(robot), own_arrays(robot)
         arrays = arrays_of(states) | own
-        self.modes = ModeGuard(LABEL, robot.joint_names, facts.modes, settles=UNDOCUMENTED)
+        self.modes = ModeGuard(self.label, robot.joint_names, facts.modes, settles=UNDOCUMENTED)
         self.modes.reported = own["modes"]
-        frames = facts.state_in(arrays, counts)
         self._pairs = own["temperatures"][0::2], own["temperatures"][1::2]
         self._hottest = arrays.get("motor_temperature")
         self._stop = facts.stop_out()
         self._commands_it = False
-        where = f"{facts.state_topic} of DDS domain {domain}"
-        super().__init__(Participant(domain, address, LABEL), where, counts)
+        super().__init__(facts.state_topic, facts.domain, domain, address)
         with self.closing():
-            self.listen(facts.state_topic, facts.message(STATE), frames)
+            self.listen(facts.state, arrays)
             self.watch(facts.command_topic)
             if not silent:
-                encode = facts.command_out(arrays)
-                self.speak(facts.command_topic, facts.message(COMMAND), encode)
+                self.speak(facts.command, arrays)
 
     def take(self) -> int:
         """Bring the newest good frame into the states; return how many good ones have come."""

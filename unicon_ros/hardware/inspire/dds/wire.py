@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import time
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_ros.hardware.dds.end import DdsEnd
-from unicon_ros.hardware.dds.participant import Participant
 from unicon_ros.hardware.inspire.dds.both import Both
-from unicon_ros.hardware.inspire.dds.codec import DFX, HandFacts
+from unicon_ros.hardware.inspire.dds.codec import HandFacts
 from unicon_ros.hardware.speed import Speed
 from unicon_ros.hardware.wire import Counts
 
-LABEL, EXTRA = "platform 'inspire'", "hw-inspire"
+EXTRA = "hw-inspire"
 OVER = 0.05
 """Over which the speed is taken, [s]: a step of 1/1000 within 10 ms would be up to 0.17 rad/s."""
 
@@ -39,6 +34,8 @@ class InspireDdsWire(DdsEnd):
         UniconError: it cannot be opened.
     """
 
+    label, extra = "platform 'inspire'", EXTRA
+
     def __init__(
         self,
         states: States,
@@ -48,29 +45,23 @@ class InspireDdsWire(DdsEnd):
         *,
         silent: bool = False,
     ) -> None:
-        self._facts, counts = HandFacts.of(robot), Counts()
-        facts, kind = self._facts, self._facts.kind
-        domain = facts.domain if domain is None else domain
-        self._told: NDArray[Any] = np.zeros(kind.count, kind.dtype)
+        facts, counts = HandFacts.of(robot), Counts()
+        self._facts, self._told, self._targets = facts, facts.zeros(), facts.zeros()
         self._both: Both | None = None
-        self._targets: NDArray[Any] = np.zeros(kind.count, kind.dtype)
-        self._states, self._silent = states, silent
+        self._states = states
         self._speed = Speed(OVER)
         arrays = {name: states[name] for name in states} | {"told": self._told}
         frames = facts.state_in(arrays, counts)
-        self._key = domain, facts.command_topic
-        where = f"{facts.state_topic} of DDS domain {domain}"
-        super().__init__(Participant(domain, address, LABEL, EXTRA), where, counts)
+        super().__init__(facts.state_topic, facts.domain, domain, address, counts=counts)
+        self._key = self.participant.domain, facts.command_topic
         with self.closing():
-            command, state = facts.messages()
-            self.listen(facts.state_topic, state, frames, name=kind.names[1])
+            self.listen(facts.state, frames)
             self.watch(facts.command_topic)
             if not silent:
-                if kind is DFX:
-                    self._both = Both.of(*self._key, kind.count)
+                if facts.both:
+                    self._both = Both.of(*self._key, len(self._told))
                     self._targets = self._both.targets
-                encode = facts.command_out({"targets": self._targets}).encode
-                self.speak(facts.command_topic, command, encode, name=kind.names[0])
+                self.speak(facts.command, {"targets": self._targets})
 
     def take(self) -> int:
         """Bring the newest good frame into the states; return how many good ones have come."""
