@@ -17,7 +17,7 @@ from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import CONTROL_STATES, JOINT_STATES
-from unicon_ros.hardware.dobot.wire import LABEL, DobotWire
+from unicon_ros.hardware.dobot.wire import DobotWire
 from unicon_ros.hardware.torso import IMU_STATES
 from unicon_ros.hardware.wired_robot import SILENCE, WiredRobot, opened
 
@@ -77,8 +77,9 @@ def make(
         fsm_id = 0
     if type(fsm_id) is not int or not 0 <= fsm_id <= LARGEST:
         raise PlatformError(
-            f"{LABEL}: fsm_id is {fsm_id}; give the number (0 to {LARGEST}) of the state of the "
-            "robot's own state machine in which joint commands act; it is not public, ask Dobot"
+            f"platform 'dobot': fsm_id is {fsm_id}; give the number (0 to {LARGEST}) of the state "
+            "of the robot's own state machine in which joint commands act; it is not public, ask "
+            "Dobot"
         )
     wire = DobotWire(states, robot, domain, address, layout=layout, fsm_id=fsm_id, silent=silent)
     return opened(Dobot(states, robot, period, wire, silence=silence, silent=silent), connect)

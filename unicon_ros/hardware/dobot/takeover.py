@@ -14,11 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import Fault
-from unicon_msgs_map import Encoder
-from unicon_msgs_map.layout.messages import shared_messages
-from unicon_ros.hardware.dds.maps import publish
+from unicon_ros.hardware.dds.maps import Message
 from unicon_ros.hardware.dds.participant import Participant
-from unicon_ros.hardware.dobot.codec import FSM, SWITCH, DobotFacts
+from unicon_ros.hardware.dobot.codec import DobotFacts
 
 TIMEOUT, AGAIN = 5.0, 0.2
 """For a state to be reached, and between two requests, in [s]."""
@@ -49,8 +47,8 @@ class Takeover:
         self.done = False
         self._fsm, self._arms = told
         self._wanted, self._what = wanted, what
-        self._ask_fsm = _asking(participant, facts.fsm_topic, FSM, "id", wanted)
-        self._ask_arms = _asking(participant, facts.switch_topic, SWITCH, "flag", 1)
+        self._ask_fsm = _asking(participant, facts.fsm, wanted)
+        self._ask_arms = _asking(participant, facts.switch, 1)
         self._steps = self._procedure()
 
     def __call__(self) -> str:
@@ -103,11 +101,9 @@ class Takeover:
             yield doing
 
 
-def _asking(
-    participant: Participant, topic: str, message: str, field: str, value: int
-) -> Callable[[], None]:
-    writer = participant.writer(topic, shared_messages().struct(message))
-    array = np.array(value, np.uint16)
-    raw = Encoder.build(publish(topic, message, {field: "value"}), {"value": array}).encode()
+def _asking(participant: Participant, message: Message, value: int) -> Callable[[], None]:
+    writer = participant.writer(message.topic, message.struct)
+    wanted = np.array(value, np.uint16)
+    raw = message.encoder(dict.fromkeys(message.fields, wanted)).encode()
     raw += bytes(-len(raw) % 4)
     return lambda: writer.write(raw)

@@ -9,14 +9,12 @@ from unicon_core.blocks.controls.remotes import dobot
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_ros.hardware.dds.end import DdsEnd
-from unicon_ros.hardware.dds.participant import Participant
 from unicon_ros.hardware.dobot.codec import DobotFacts, own_arrays
 from unicon_ros.hardware.dobot.takeover import Takeover
 from unicon_ros.hardware.modes import UNDOCUMENTED, ModeGuard
 from unicon_ros.hardware.torso import IMU_STATES, turned
-from unicon_ros.hardware.wire import Counts
 
-LABEL, EXTRA = "platform 'dobot'", "hw-dobot"
+EXTRA = "hw-dobot"
 
 
 class DobotWire(DdsEnd):
@@ -41,6 +39,8 @@ class DobotWire(DdsEnd):
         UniconError: it cannot be opened.
     """
 
+    label, extra = "platform 'dobot'", EXTRA
+
     def __init__(
         self,
         states: States,
@@ -52,33 +52,28 @@ class DobotWire(DdsEnd):
         fsm_id: int,
         silent: bool = False,
     ) -> None:
-        facts, counts, own = DobotFacts.of(robot, layout), Counts(), own_arrays()
-        domain = facts.domain if domain is None else domain
+        facts, own = DobotFacts.of(robot, layout), own_arrays()
         self._imu = {name: np.array(states[name]) for name in IMU_STATES}
         arrays = {name: states[name] for name in states} | own | self._imu
         self._states, self._waist, self._remote = states, facts.waist, own["remote"]
         self._controls = Controls(states) if "sticks" in states else None
-        mode = facts.lower.mode
-        self.modes = ModeGuard(LABEL, robot.joint_names, mode, settles=UNDOCUMENTED)
+        self.modes = ModeGuard(self.label, robot.joint_names, facts.mode, settles=UNDOCUMENTED)
         self.modes.reported = own["modes"]
         self._fresh = [0, 0]
         self._pairs = 0
         self._takeover: Takeover | None = None
         halves = (facts.lower, facts.upper)
-        frames = [half.state_in(arrays, counts) for half in halves]
         topics = " and ".join(half.state_topic for half in halves)
-        participant = Participant(domain, address, LABEL, EXTRA)
-        super().__init__(participant, f"{topics} of DDS domain {domain}", counts)
+        super().__init__(topics, facts.domain, domain, address)
         with self.closing():
-            for half, read in zip(halves, frames, strict=True):
-                self.listen(half.state_topic, half.messages()[0], read, name=half.name)
+            for half in halves:
+                self.listen(half.state, arrays)
                 self.watch(half.command_topic)
             if not silent:
                 for half in halves:
-                    encode = half.command_out(arrays)
-                    self.speak(half.command_topic, half.messages()[1], encode)
+                    self.speak(half.command, arrays)
                 told = own["fsm_id"], own["upper_control"]
-                self._takeover = Takeover(participant, facts, told, fsm_id, LABEL)
+                self._takeover = Takeover(self.participant, facts, told, fsm_id, self.label)
 
     def take(self) -> int:
         """Bring the newest good frames into the states; return how many pairs have come.
