@@ -7,62 +7,56 @@ BoosterRobotics/booster_gym deploy/utils/rotate.py).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import RobotError
 from unicon_core.robots import Robot
-from unicon_core.states.standard import COMMAND_STATES
-from unicon_msgs_map import Encoder
-from unicon_msgs_map.layout.messages import Struct, shared_messages
+from unicon_core.schema.marks import Key, Text
 from unicon_ros.hardware.dds.frames import Frames
-from unicon_ros.hardware.dds.maps import COMMANDS, MEASURED, motors, publish, subscribe
-from unicon_ros.hardware.dds.participant import LARGEST_DOMAIN
-from unicon_ros.hardware.facts import TransportFacts
+from unicon_ros.hardware.dds.maps import COMMANDS, MEASURED, Arrays, DdsFacts, Message, motors
+from unicon_ros.hardware.facts import fact, facts_of, named, one_of, slots, wrong_fact
 from unicon_ros.hardware.wire import Counts
 
-COMMAND, STATE = "booster_interface/msg/LowCmd", "booster_interface/msg/LowState"
-BATTERY = "booster_interface/msg/BatteryState"
-MODE = "booster_interface/msg/RobotStatesMsg"
-REMOTE = "booster_interface/msg/RemoteControllerState"
 MODES = ("damping", "prepare", "walking", "custom")
 REQUESTS = ("change_mode", "get_mode")
 MOTOR = MEASURED | {"temperature": "motor_temperature", "reserve[0]": "motor_error"}
 """Field of MotorState to state."""
-PERCENT = 100.0
 _PARALLEL_AT, _MOTOR = 40, 36
 """Place of the first length in a LowState, and bytes of a motor in it."""
 MOST_MOTORS = 64
-Arrays = Mapping[str, NDArray[Any]]
+REMOTE = "booster_interface/msg/RemoteControllerState"
+SLOTS = Annotated[list[int], Key("motors"), slots()]
 
 
 @dataclass(frozen=True)
-class BoosterFacts:
+class BoosterFacts(DdsFacts):
     """`transport` of a robot file.
 
     Attributes:
-        domain: of DDS.
-        rate: of LowState in [Hz].
-        topics: `state`, `command`, `mode`, `battery`, `remote` and `rpc`, the last without its end.
+        mode_topic, battery_topic, remote_topic: of what it tells besides LowState.
+        rpc_topic: of its service, without its end.
         slots: motor of each joint; there are as many motors as joints.
-        kind: `cmd_type` of commands by joints.
-        servo: numbers of the joints whose stiffness is ours to close.
+        command_type: how commands are meant.
+        command_types: number of each such word.
         modes: number of each mode of the robot.
         requests: number of each request.
+        servo: numbers of the joints whose stiffness is ours to close.
     """
 
-    domain: int
-    rate: float
-    topics: Mapping[str, str]
-    slots: tuple[int, ...]
-    kind: int
+    mode_topic: Text
+    battery_topic: Text
+    remote_topic: Text
+    rpc_topic: Text
+    slots: SLOTS
+    command_type: Annotated[str, one_of("SERIAL")]
+    command_types: Annotated[dict[str, int], named(("PARALLEL", "SERIAL"), 0, 1)]
+    modes: Annotated[dict[str, int], Key("robot_modes"), named(MODES, 0, 255)]
+    requests: Annotated[dict[str, int], Key("rpc"), named(REQUESTS, 0, 65535)]
     servo: NDArray[np.intp]
-    modes: Mapping[str, int]
-    requests: Mapping[str, int]
 
     @classmethod
     def of(cls, robot: Robot) -> BoosterFacts:
@@ -71,68 +65,61 @@ class BoosterFacts:
         Raises:
             RobotError: one lacks, or is not what it must be.
         """
-        facts = TransportFacts(robot)
-        kinds = facts.mapping("command_types", ("PARALLEL", "SERIAL"), 0, 1)
-        slots = facts.slots("motors", robot.num_joints)
-        return cls(
-            facts.integer("domain", 0, LARGEST_DOMAIN),
-            facts.number("rate_hz", 1.0, 10_000.0),
-            {
-                name: facts.text(f"{name}_topic")
-                for name in ("state", "command", "mode", "battery", "remote", "rpc")
-            },
-            slots,
-            kinds[facts.one_of("command_type", ("SERIAL",))],
-            _servo(robot, slots),
-            facts.mapping("robot_modes", MODES, 0, 255),
-            facts.mapping("rpc", REQUESTS, 0, 65535),
+        return facts_of(cls, robot, servo=_servo(robot, fact(robot, "motors", SLOTS)))
+
+    @property
+    def kind(self) -> int:
+        """`cmd_type` of commands by joints."""
+        return self.command_types[self.command_type]
+
+    @property
+    def state(self) -> Message:
+        """LowState; an emulated robot's cranks are told as its joints."""
+        imu = {"rpy": "rpy", "gyro": "base_ang_vel", "acc": "base_lin_acc"}
+        return Message(
+            self.state_topic,
+            "booster_interface/msg/LowState",
+            motors("motor_state_serial", self.slots, MOTOR)
+            | {f"imu_state.{key}": name for key, name in imu.items()},
+            sent=motors("motor_state_parallel", self.slots, MOTOR),
         )
 
-    @staticmethod
-    def message(name: str) -> Struct:
-        """Return the layout of a message."""
-        return shared_messages().struct(name)
+    @property
+    def command(self) -> Message:
+        """LowCmd."""
+        return Message(
+            self.command_topic,
+            "booster_interface/msg/LowCmd",
+            motors("motor_cmd", self.slots, COMMANDS),
+            sent={"cmd_type": self.kind},
+            taken={"cmd_type": "cmd_type"},
+            lengths={"motor_cmd": len(self.slots)},
+        )
+
+    @property
+    def battery(self) -> Message:
+        """The battery's message."""
+        charge = {"state": "battery_charge", "scale": 0.01}
+        fields = {"soc": charge, "voltage": "battery_voltage"}
+        return Message(self.battery_topic, "booster_interface/msg/BatteryState", fields)
+
+    @property
+    def mode(self) -> Message:
+        """What tells the robot's mode."""
+        kind = "booster_interface/msg/RobotStatesMsg"
+        return Message(self.mode_topic, kind, {"current_mode": "mode"})
+
+    @property
+    def remote(self) -> Message:
+        """What tells the gamepad."""
+        return Message(self.remote_topic, REMOTE, {})
 
     def state_in(self, arrays: Arrays, counts: Counts) -> LowStates:
         """Return what reads LowState into those arrays that are there, `rpy` among them."""
-        fields = self._state("motor_state_serial", arrays)
-        spec = subscribe(self.topics["state"], STATE, fields)
-        frames = Frames(spec, arrays, counts, checked=False)
-        return LowStates(frames, len(self.slots), counts)
-
-    def state_out(self, arrays: Arrays) -> Callable[[], bytes]:
-        """Return what makes LowState; its cranks are told as its joints."""
-        fields = self._state("motor_state_serial", arrays)
-        fields |= self._state("motor_state_parallel", arrays)
-        return Encoder.build(publish(self.topics["state"], STATE, fields), arrays).encode
-
-    def command_out(self, arrays: Arrays) -> Callable[[], bytes]:
-        """Return what makes LowCmd."""
-        fields: dict[str, Any] = motors("motor_cmd", self.slots, COMMANDS)
-        fields["cmd_type"] = self.kind
-        return Encoder.build(publish(self.topics["command"], COMMAND, fields), arrays).encode
-
-    def command_in(self, arrays: Arrays, counts: Counts) -> Frames:
-        """Return what reads LowCmd, as the robot does; `cmd_type` is among the arrays."""
-        fields = motors("motor_cmd", self.slots, COMMANDS) | {"cmd_type": "cmd_type"}
-        spec = subscribe(self.topics["command"], COMMAND, fields)
-        lengths = {"motor_cmd": len(self.slots)}
-        return Frames(spec, arrays, counts, checked=False, lengths=lengths)
-
-    def battery(self, way: Callable[..., Any], scale: float) -> Any:
-        """Return the mapping of the battery's message."""
-        charge = {"state": "battery_charge", "scale": scale}
-        fields = {"soc": charge, "voltage": "battery_voltage"}
-        return way(self.topics["battery"], BATTERY, fields)
-
-    def _state(self, array: str, known: Container[str]) -> dict[str, Any]:
-        told = {field: name for field, name in MOTOR.items() if name in known}
-        fields: dict[str, Any] = motors(array, self.slots, told)
-        fields["imu_state.rpy"] = "rpy"
-        return fields | {"imu_state.gyro": "base_ang_vel", "imu_state.acc": "base_lin_acc"}
+        return LowStates(super().state_in(arrays, counts), len(self.slots), counts)
 
 
-def _servo(robot: Robot, slots: tuple[int, ...]) -> NDArray[np.intp]:
+def _servo(robot: Robot, slots: list[int]) -> NDArray[np.intp]:
     """Return the joints that are driven by torques.
 
     Raises:
@@ -141,10 +128,8 @@ def _servo(robot: Robot, slots: tuple[int, ...]) -> NDArray[np.intp]:
     servo: Any = robot.transport.get("torque_servo")
     chosen = servo.get("motors") if isinstance(servo, dict) else None
     if not isinstance(chosen, list | tuple) or not all(slot in slots for slot in chosen):
-        raise RobotError(
-            f"robot {robot.name}: transport.torque_servo is {str(servo)[:60]}; write {{motors: …, "
-            f"motor_stiffness: 0.0}} into {robot.path.name}, with motors of this robot"
-        )
+        wanted = "{motors: …, motor_stiffness: 0.0} with motors of this robot"
+        raise wrong_fact(robot, "torque_servo", wanted)
     if servo.get("motor_stiffness") != 0:
         raise RobotError(
             f"robot {robot.name}: transport.torque_servo.motor_stiffness is "
@@ -189,8 +174,3 @@ class LowStates:
 
 def _uint(raw: bytes, at: int) -> int:
     return int.from_bytes(raw[at : at + 4], "little")
-
-
-def command_arrays(joints: int) -> dict[str, NDArray[Any]]:
-    """Return arrays for a command, zero."""
-    return {name: np.zeros(joints, np.float32) for name in COMMAND_STATES}

@@ -8,34 +8,19 @@ LowCmd stops, and its cranks, which are told as its joints.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_core.errors import PlatformError
 from unicon_core.platforms.kit.base import rpy_of_quat
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_core.states.standard import COMMAND_STATES
-from unicon_msgs_map import Encoder
-from unicon_ros.hardware.booster.codec import (
-    BATTERY,
-    COMMAND,
-    MODE,
-    PERCENT,
-    STATE,
-    BoosterFacts,
-    command_arrays,
-)
+from unicon_ros.hardware.booster.codec import BoosterFacts
 from unicon_ros.hardware.booster.service import SUCCESS, Server, number
 from unicon_ros.hardware.booster.wire import EXTRA
-from unicon_ros.hardware.dds.end import DdsEnd
-from unicon_ros.hardware.dds.maps import arrays_of, publish
-from unicon_ros.hardware.dds.participant import Participant
-from unicon_ros.hardware.wire import Counts
+from unicon_ros.hardware.dds.end import DdsFace
+from unicon_ros.hardware.dds.maps import arrays_of
 
-LABEL = "emulated booster"
 TEMPERATURE, VOLTAGE = 35.0, 48.0
 """What it tells where its simulator knows none, in [°C] and [V]."""
 SELDOM = 50
@@ -43,78 +28,66 @@ SELDOM = 50
 BAD_REQUEST, NOT_FROM_HERE = 400, 502
 
 
-def face(
-    states: States,
-    robot: Robot,
-    *,
-    address: str = "127.0.0.1",
-    domain: int | None = None,
-    mode: str = "prepare",
-) -> BoosterFace:
-    """Build the robot's end.
+class BoosterFace(DdsFace):
+    """What a driver sees of an emulated T1.
 
     Args:
+        states: of the emulator.
+        robot: its file.
         address: of this machine's network interface, or its name.
         domain: of DDS, instead of the robot file's.
         mode: in which it begins: `damping`, `prepare`, `walking` or `custom`.
-
-    Raises:
-        UniconError: the robot file lacks a fact, or the network cannot be used.
-    """
-    return BoosterFace(states, robot, domain, address, mode)
-
-
-class BoosterFace(DdsEnd):
-    """What a driver sees of an emulated T1.
 
     Attributes:
         rate: of LowState in [Hz].
         dead_man: infinity, as what the robot does is not public; 0 in its damping mode.
         obeys: it is in custom mode.
         mode: number of its mode.
+
+    Raises:
+        UniconError: the robot file lacks a fact, or the network cannot be used.
     """
 
-    platform = "booster"
+    label, extra, platform = "emulated booster", EXTRA, "booster"
 
     def __init__(
-        self, states: States, robot: Robot, domain: int | None, address: str, mode: str
+        self,
+        states: States,
+        robot: Robot,
+        *,
+        address: str = "127.0.0.1",
+        domain: int | None = None,
+        mode: str = "prepare",
     ) -> None:
-        facts, counts, n = BoosterFacts.of(robot), Counts(), robot.num_joints
+        facts, n = BoosterFacts.of(robot), robot.num_joints
         if mode not in facts.modes:
             raise PlatformError(
-                f"{LABEL}: mode is {mode!r}; give one of {', '.join(sorted(facts.modes))}"
+                f"{self.label}: mode is {mode!r}; give one of {', '.join(sorted(facts.modes))}"
             )
-        domain = facts.domain if domain is None else domain
-        self.rate = facts.rate
+        self.rate, self._facts = facts.rate, facts
         self.mode = np.array(facts.modes[mode], np.int32)
-        self._states, self._facts = states, facts
         self._commanded, self._told = False, 0
         self._rpy = np.zeros(3, np.float32)
-        defaults: dict[str, NDArray[Any]] = {
+        defaults = {
             "motor_temperature": np.full(n, TEMPERATURE, np.float32),
             "motor_error": np.zeros(n, np.uint32),
             "battery_charge": np.ones((), np.float32),
             "battery_voltage": np.array(VOLTAGE, np.float32),
         }
-        arrays = defaults | arrays_of(states) | {"rpy": self._rpy}
-        kind: NDArray[Any] = np.zeros((), np.uint32)
-        self._heard = command_arrays(n) | {"cmd_type": kind}
-        topics = facts.topics
-        participant = Participant(domain, address, LABEL, EXTRA, announced=True)
-        super().__init__(participant, f"{topics['command']} of DDS domain {domain}", counts)
+        arrays = defaults | arrays_of(states) | {"rpy": self._rpy, "mode": self.mode}
+        self._hears(states, robot, cmd_type=np.zeros((), np.uint32))
+        topic = facts.command_topic
+        super().__init__(topic, facts.domain, domain, address, announced=True)
         with self.closing():
-            self.speak(topics["state"], facts.message(STATE), facts.state_out(arrays))
-            frames = facts.command_in(self._heard, counts)
-            self.listen(topics["command"], facts.message(COMMAND), frames, anyone=True)
-            self._server = Server(participant, topics["rpc"])
-            told = publish(topics["mode"], MODE, {"current_mode": "mode"})
-            battery = facts.battery(publish, PERCENT)
+            self.speak(facts.state, arrays)
+            self.listen(facts.command, self._heard, anyone=True)
+            self._server = Server(self.participant, facts.rpc_topic)
             self._seldom = [
-                (participant.writer(topics[name], facts.message(message)), encoder.encode)
-                for name, message, encoder in (
-                    ("mode", MODE, Encoder.build(told, {"mode": self.mode})),
-                    ("battery", BATTERY, Encoder.build(battery, arrays)),
+                (
+                    self.participant.writer(message.topic, message.struct),
+                    message.encoder(arrays).encode,
                 )
+                for message in (facts.mode, facts.battery)
             ]
 
     @property
@@ -138,21 +111,14 @@ class BoosterFace(DdsEnd):
 
     def hear(self) -> bool:
         """Bring the newest good command into the command states, and answer requests."""
-        came = bool(self.take()) and self._acted()
+        came = super().hear()
         self._answer()
         return came
 
-    def _acted(self) -> bool:
-        heard = self._heard
-        if heard["cmd_type"] != self._facts.kind:
-            self.counts.refuse("cmd_type", f"{heard['cmd_type']}, not {self._facts.kind}")
-            return False
-        self._commanded = True
-        if not self.obeys:
-            return False
-        for name in COMMAND_STATES:
-            self._states[name][...] = heard[name]
-        return True
+    def _acts(self) -> bool:
+        right = self._right("cmd_type", self._heard["cmd_type"], self._facts.kind)
+        self._commanded |= right
+        return right and self.obeys
 
     def _answer(self) -> None:
         requests = self._facts.requests
@@ -177,3 +143,6 @@ class BoosterFace(DdsEnd):
         self._commanded = False
         self._told = 0  # it tells so at once
         return SUCCESS
+
+
+face = BoosterFace

@@ -5,18 +5,14 @@ None of it counts as a sign of life.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_core.blocks.controls.device import Controls
 from unicon_core.blocks.controls.remotes import REMOTES
-from unicon_ros.hardware.booster.codec import BATTERY, MODE, PERCENT, REMOTE, BoosterFacts
-from unicon_ros.hardware.dds.frames import HEADER, Frames
+from unicon_ros.hardware.booster.codec import BoosterFacts
+from unicon_ros.hardware.dds.frames import HEADER
 from unicon_ros.hardware.dds.inlet import Inlet
-from unicon_ros.hardware.dds.maps import subscribe
+from unicon_ros.hardware.dds.maps import Arrays, Message
 from unicon_ros.hardware.dds.participant import Participant
 from unicon_ros.hardware.wire import Counts
 
@@ -35,23 +31,19 @@ class Side:
         self,
         participant: Participant,
         facts: BoosterFacts,
-        arrays: Mapping[str, NDArray[Any]],
+        arrays: Arrays,
         controls: Controls | None,
     ) -> None:
         self._participant, self._counts = participant, Counts()
         self._number = np.full((), -1, np.int32)
         self._names = {value: name for name, value in facts.modes.items()}
         self._was_custom = False
-        topics = facts.topics
-        spec = subscribe(topics["mode"], MODE, {"current_mode": "mode"})
-        self._mode = self._inlet(topics["mode"], facts.message(MODE), spec, {"mode": self._number})
+        self._mode = self._inlet(facts.mode, {"mode": self._number})
         self._others: list[Inlet] = []
         if {"battery_charge", "battery_voltage"} <= set(arrays):
-            spec = facts.battery(subscribe, 1.0 / PERCENT)
-            battery = self._inlet(topics["battery"], facts.message(BATTERY), spec, arrays)
-            self._others.append(battery)
+            self._others.append(self._inlet(facts.battery, arrays))
         if controls is not None:
-            self._others.append(self._remote(topics["remote"], facts.message(REMOTE), controls))
+            self._others.append(self._remote(facts.remote, controls))
 
     @property
     def mode(self) -> str:
@@ -69,14 +61,12 @@ class Side:
             return ""
         return "custom" if self.mode == "custom" else "another"
 
-    def _inlet(
-        self, topic: str, message: Any, spec: Any, arrays: Mapping[str, NDArray[Any]]
-    ) -> Inlet:
-        frames = Frames(spec, arrays, self._counts, checked=False)
-        reader = self._participant.reader(topic, message)
-        return Inlet(reader, frames.good, frames.read, self._counts, topic)
+    def _inlet(self, message: Message, arrays: Arrays) -> Inlet:
+        frames = message.frames(arrays, self._counts)
+        reader = self._participant.reader(message.topic, message.struct)
+        return Inlet(reader, frames.good, frames.read, self._counts, message.topic)
 
-    def _remote(self, topic: str, message: Any, controls: Controls) -> Inlet:
+    def _remote(self, message: Message, controls: Controls) -> Inlet:
         size, taken = REMOTES["booster"]
 
         def good(raw: bytes) -> bool:
@@ -86,5 +76,5 @@ class Side:
             taken(raw[4 : 4 + size], controls)
             return True
 
-        reader = self._participant.reader(topic, message)
-        return Inlet(reader, good, read, self._counts, topic, controls.let_go)
+        reader = self._participant.reader(message.topic, message.struct)
+        return Inlet(reader, good, read, self._counts, message.topic, controls.let_go)

@@ -14,16 +14,15 @@ from unicon_core.platforms.kit.base import Mounting, quat_of_rpy
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
-from unicon_ros.hardware.booster.codec import COMMAND, STATE, BoosterFacts, command_arrays
+from unicon_ros.hardware.booster.codec import BoosterFacts
 from unicon_ros.hardware.booster.service import Client
 from unicon_ros.hardware.booster.side import Side
 from unicon_ros.hardware.booster.takeover import Takeover
 from unicon_ros.hardware.dds.end import DdsEnd
-from unicon_ros.hardware.dds.maps import arrays_of
-from unicon_ros.hardware.dds.participant import Participant
+from unicon_ros.hardware.dds.maps import arrays_of, command_arrays
 from unicon_ros.hardware.wire import Counts
 
-LABEL, EXTRA = "platform 'booster'", "hw-booster"
+EXTRA = "hw-booster"
 LAST = 5
 """Times that the last words are sent, 2 ms apart."""
 
@@ -44,6 +43,8 @@ class BoosterWire(DdsEnd):
         UniconError: it cannot be opened.
     """
 
+    label, extra = "platform 'booster'", EXTRA
+
     def __init__(
         self,
         states: States,
@@ -54,7 +55,6 @@ class BoosterWire(DdsEnd):
         silent: bool = False,
     ) -> None:
         facts, counts = BoosterFacts.of(robot), Counts()
-        domain = facts.domain if domain is None else domain
         self._states, self._robot, self._facts = states, robot, facts
         self._rpy = np.zeros(3, np.float32)
         self._mounting = Mounting.of(robot)
@@ -65,21 +65,20 @@ class BoosterWire(DdsEnd):
         self._client: Client | None = None
         self._takeover: Takeover | None = None
         self._put = False
-        participant = Participant(domain, address, LABEL, EXTRA, announced=True)
-        where = f"{facts.topics['state']} of DDS domain {domain}"
-        super().__init__(participant, where, counts)
+        super().__init__(
+            facts.state_topic, facts.domain, domain, address, counts=counts, announced=True
+        )
         with self.closing():
-            frames = facts.state_in(arrays_of(states) | {"rpy": self._rpy}, counts)
-            self.listen(facts.topics["state"], facts.message(STATE), frames)
+            arrays = arrays_of(states)
+            self.listen(facts.state, facts.state_in(arrays | {"rpy": self._rpy}, counts))
             controls = Controls(states) if "sticks" in states else None
-            self._side = Side(participant, facts, arrays_of(states), controls)
-            self.watch(facts.topics["command"])
+            self._side = Side(self.participant, facts, arrays, controls)
+            self.watch(facts.command_topic)
             if not silent:
-                encode = facts.command_out(self._sent)
-                self.speak(facts.topics["command"], facts.message(COMMAND), encode)
-                self._client = Client(participant, facts.topics["rpc"])
+                self.speak(facts.command, self._sent)
+                self._client = Client(self.participant, facts.rpc_topic)
                 self._takeover = Takeover(
-                    self._client, facts, lambda: self.matched, self._hold, LABEL
+                    self._client, facts, lambda: self.matched, self._hold, self.label
                 )
 
     def take(self) -> int:
@@ -94,8 +93,8 @@ class BoosterWire(DdsEnd):
         mode = self._side.take()
         if self._takeover is not None and self._takeover.done and mode == "another":
             raise Fault(
-                f"{LABEL}: the robot has left custom mode (it is in {self._side.mode}): the remote "
-                "or another program has taken it"
+                f"{self.label}: the robot has left custom mode (it is in {self._side.mode}): the "
+                "remote or another program has taken it"
             )
         return number
 

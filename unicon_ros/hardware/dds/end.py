@@ -176,16 +176,15 @@ class DdsFace(DdsEnd):
     """The robot's end, which takes commands.
 
     Attributes:
-        modes: of the motors; what has not heard a command reports 0.
+        modes: of the motors, where commands say theirs.
     """
 
     modes: EmulatedModes
 
     def _hears(self, states: States, robot: Robot, **more: NDArray[Any]) -> None:
-        """Make arrays of a command; more of them by name."""
-        modes = np.zeros(robot.num_joints, np.uint8)
+        """Make arrays of a command; more of them, such as `modes`, by name."""
         self._states = states
-        self._heard = command_arrays(robot.num_joints) | {"modes": modes} | more
+        self._heard = command_arrays(robot.num_joints) | more
 
     def hear(self) -> bool:
         """Bring the newest good command into the command states; True where one came."""
@@ -202,7 +201,8 @@ class DdsFace(DdsEnd):
         """Bring the command that came into the command states."""
         for name in COMMAND_STATES:
             self._states[name][...] = self._heard[name]
-        self.modes.command(self._heard["modes"], self._states)
+        if "modes" in self._heard:
+            self.modes.command(self._heard["modes"], self._states)
 
     def _right(self, reason: str, said: NDArray[Any], wanted: ArrayLike) -> bool:
         """Return whether a command says what is wanted; it is counted where it does not."""

@@ -66,7 +66,7 @@ class DobotFace(DdsFace):
         heat = np.full(n, TEMPERATURE, np.float32)
         defaults = {"motor_temperature": heat, "battery_charge": np.ones((), np.float32)}
         arrays = defaults | {name: states[name] for name in states} | self.own | self._imu
-        self._hears(states, robot)
+        self._hears(states, robot, modes=np.zeros(n, np.uint8))
         self._asked = {"id": np.zeros((), np.uint16), "flag": np.zeros((), np.uint8)}
         self._came = (False, False)
         super().__init__(facts.lower.command_topic, facts.domain, domain, address)

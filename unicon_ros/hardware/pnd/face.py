@@ -59,7 +59,8 @@ class PndFace(DdsFace):
         self.modes = EmulatedModes(np.zeros(n, np.uint8))
         own = {"remote": self.remote, "tick": self._tick, "modes": self.modes.reported}
         arrays = {"motor_error": np.zeros(n, np.uint32)} | arrays_of(states) | own
-        self._hears(states, robot, mode_pr=np.zeros((), np.uint8))
+        modes = np.zeros(n, np.uint8)
+        self._hears(states, robot, modes=modes, mode_pr=np.zeros((), np.uint8))
         super().__init__(facts.command_topic, facts.domain, domain, address)
         with self.closing():
             self.speak(facts.told(battery=battery), arrays)

@@ -59,7 +59,7 @@ class Dex3Face(DdsFace):
         self.rate, self.stopped = facts.rate, False
         self._modes = np.array(facts.modes, np.uint8)
         self._pairs, self._heat = own["temperatures"].reshape(-1, 2), arrays["motor_temperature"]
-        self._hears(states, robot)
+        self._hears(states, robot, modes=np.zeros(n, np.uint8))
         self.modes = EmulatedModes(own["modes"])
         super().__init__(facts.command_topic, facts.domain, domain, address)
         with self.closing():
