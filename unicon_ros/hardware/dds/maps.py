@@ -51,22 +51,23 @@ def command_arrays(joints: int) -> dict[str, NDArray[Any]]:
 
 
 def motors(
-    array: str, slots: Sequence[int], fields: Mapping[str, str], first: int = 0
+    array: str, slots: Sequence[int], fields: Mapping[str, str], first: int = 0, size: int = 1
 ) -> dict[str, str]:
     """Return paths of motors with the part of the array that each stands for.
 
     Args:
         array: of motors in the message.
         slots: of neighbouring joints.
-        fields: of a motor, with the array that has one element for each joint.
+        fields: of a motor, with the array that has elements for each joint.
         first: number of the first joint.
+        size: elements of the array for each joint.
     """
     made: dict[str, str] = {}
     begin = 0
     for end in range(1, len(slots) + 1):
         if end == len(slots) or slots[end] != slots[begin] + end - begin:
             run = f"{array}[{slots[begin]}:{slots[begin] + end - begin}]"
-            part = f"[{first + begin}:{first + end}]"
+            part = f"[{size * (first + begin)}:{size * (first + end)}]"
             made |= {f"{run}.{field}": name + part for field, name in fields.items()}
             begin = end
     return made
@@ -130,17 +131,23 @@ class Message:
         """Its layout."""
         return shared_messages().struct(self.type)
 
+    def subscribe(self, known: Container[str]) -> SubscribeSpec:
+        """Return how it is read into those arrays that are there."""
+        return subscribe(self.topic, self.type, _known({**self.fields, **self.taken}, known))
+
+    def publish(self, known: Container[str]) -> PublishSpec:
+        """Return how it is made of those arrays that are there."""
+        fields = {path: _sent(said) for path, said in _known(self.fields, known).items()}
+        return publish(self.topic, self.type, {**self.sent, **fields})
+
     def encoder(self, arrays: Arrays) -> Encoder:
         """Return what makes it of those arrays that are there."""
-        fields = {path: _sent(said) for path, said in _known(self.fields, arrays).items()}
-        spec = publish(self.topic, self.type, {**self.sent, **fields})
-        return Encoder.build(spec, arrays)
+        return Encoder.build(self.publish(arrays), arrays)
 
     def frames(self, arrays: Arrays, counts: Counts, *, size: int = 0) -> Frames:
         """Return what reads it into those arrays that are there; `size` as of `Frames`."""
-        fields = _known({**self.fields, **self.taken}, arrays)
         return Frames(
-            subscribe(self.topic, self.type, fields),
+            self.subscribe(arrays),
             arrays,
             counts,
             checked=False,

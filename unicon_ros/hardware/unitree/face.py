@@ -10,35 +10,30 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.blocks.controls.remotes import unitree_pressed
 from unicon_core.bounds import within
-from unicon_core.errors import PlatformError
 from unicon_core.robots import Robot
+from unicon_core.schema.marks import Within
 from unicon_core.states import States
-from unicon_core.states.standard import COMMAND_STATES
-from unicon_msgs_map import Encoder
 from unicon_ros.emulate.remote import Remote
-from unicon_ros.hardware.dds.end import DdsEnd
+from unicon_ros.hardware.dds.end import DdsFace
 from unicon_ros.hardware.dds.frames import Frames
 from unicon_ros.hardware.dds.maps import arrays_of
-from unicon_ros.hardware.dds.participant import Participant
 from unicon_ros.hardware.modes import EmulatedModes
 from unicon_ros.hardware.robot_clock import Milliseconds
 from unicon_ros.hardware.torso import IMU_STATES, turned
 from unicon_ros.hardware.unitree.facts import UnitreeFacts
-from unicon_ros.hardware.unitree.maps import command_in, state_out
+from unicon_ros.hardware.unitree.maps import command, command_in, state
 from unicon_ros.hardware.unitree.release import CHECK_MODE, RELEASE_MODE, SWITCHER
 from unicon_ros.hardware.unitree.service import Server
 from unicon_ros.hardware.unitree.wire import REMOTE, own_arrays
 from unicon_ros.hardware.wire import Counts
 
-LABEL = "emulated unitree"
 MODE = "normal"
 """Of its own controller, until it lets go."""
 TICK_MS = 2
@@ -49,20 +44,12 @@ TEMPERATURE, VOLTAGE = 35.0, 29.0
 """What it tells where its simulator knows none, in [°C] and [V]."""
 
 
-def face(
-    states: States,
-    robot: Robot,
-    *,
-    address: str | None = "127.0.0.1",
-    domain: int | None = None,
-    mode: str = MODE,
-    variant: int | None = None,
-    dead_man: float | None = None,
-    remote: str | None = None,
-) -> UnitreeFace:
-    """Build the robot's end.
+class UnitreeFace(DdsFace):
+    """What driver and vendor's SDK see of an emulated robot.
 
     Args:
+        states: of the emulator.
+        robot: its file.
         address: of this machine's network interface, or its name.
         domain: of DDS, instead of the robot file's.
         mode: of its own controller at the start, "" where it has let go.
@@ -71,29 +58,6 @@ def face(
             does is not public, and without this the last command goes on for ever.
         remote: a game pad that is held as its wireless remote, such as /dev/input/event5, or a
             pipe, or auto; see block `gamepad`.
-
-    Raises:
-        UniconError: the robot file lacks a fact, an option is out of range, or the network cannot
-            be used.
-    """
-    facts = UnitreeFacts.of(robot)
-    if variant is not None and not 0 <= variant <= 255:
-        raise PlatformError(f"{LABEL}: variant is {variant}; give 0 to 255")
-    if dead_man is not None:
-        dead_man = within(dead_man, f"{LABEL}: dead_man", "s", LONGEST, 1.0 / facts.rate)
-    domain = facts.domain if domain is None else domain
-    made = UnitreeFace(states, robot, facts, domain, address, mode, variant, dead_man)
-    if remote is not None:
-        try:
-            made.held = Remote(remote, robot, made.remote, unitree_pressed)
-        except BaseException:
-            made.close()
-            raise
-    return made
-
-
-class UnitreeFace(DdsEnd):
-    """What driver and vendor's SDK see of an emulated robot.
 
     Attributes:
         rate: of LowState in [Hz].
@@ -106,28 +70,36 @@ class UnitreeFace(DdsEnd):
         remote: the wireless remote's bytes, to be pressed.
         held: what presses them, or None.
         asked: numbers of the requests that its services got, by service.
+
+    Raises:
+        UniconError: the robot file lacks a fact, an option is out of range, or the network cannot
+            be used.
     """
 
-    platform = "unitree"
+    label, platform = "emulated unitree", "unitree"
 
     def __init__(
         self,
         states: States,
         robot: Robot,
-        facts: UnitreeFacts,
-        domain: int,
-        address: str | None,
-        mode: str,
-        variant: int | None,
-        dead_man: float | None,
+        *,
+        address: str | None = "127.0.0.1",
+        domain: int | None = None,
+        mode: str = MODE,
+        variant: Annotated[int | None, Within(0, 255)] = None,
+        dead_man: float | None = None,
+        remote: str | None = None,
     ) -> None:
-        self.rate, self.mode, counts = facts.rate, mode, Counts()
+        facts, counts, n = UnitreeFacts.of(robot), Counts(), robot.num_joints
+        if dead_man is not None:
+            label = f"{self.label}: dead_man"
+            dead_man = within(dead_man, label, "s", LONGEST, 1.0 / facts.rate)
+        self.rate, self.mode = facts.rate, mode
         self.dead_man = math.inf if dead_man is None else dead_man
         self.remote = bytearray(REMOTE)
         self.held: Remote | None = None
         self.asked: dict[str, list[int]] = {}
-        self._facts, self._states = facts, states
-        n = robot.num_joints
+        self._facts = facts
         defaults: dict[str, NDArray[Any]] = {
             "motor_temperature": np.full(n, TEMPERATURE, np.float32),
             "motor_error": np.zeros(n, np.uint32),
@@ -144,21 +116,20 @@ class UnitreeFace(DdsEnd):
         self._tick, self._pairs = own["tick"], own["temperatures"].reshape(-1, 2)
         self._heat = arrays["motor_temperature"]
         own["mode_machine"][...] = (facts.mode_machine or 0) if variant is None else variant
-        encode = Encoder.build(state_out(facts, arrays), arrays).encode
-        heard = {name: np.zeros(n, np.float32) for name in COMMAND_STATES} | own_arrays(robot)
-        self._heard: Mapping[str, NDArray[Any]] = heard
+        self._hears(states, robot, **own_arrays(robot))
         self._variant = own["mode_machine"]
         self._modes = np.array(facts.modes, np.uint8)
         own["modes"][...] = self._modes if mode else 0
         self.modes = EmulatedModes(own["modes"])
-        self._frames = Frames(command_in(facts), heard, counts)
-        where = f"{facts.command_topic} of DDS domain {domain}"
-        super().__init__(Participant(domain, address, LABEL), where, counts)
+        self._frames = Frames(command_in(facts), self._heard, counts)
+        super().__init__(facts.command_topic, facts.domain, domain, address, counts=counts)
         with self.closing():
-            self.speak(facts.state_topic, facts.message("LowState"), encode)
-            self.listen(facts.command_topic, facts.message("LowCmd"), self, anyone=True)
+            self.speak(state(facts), arrays)
+            self.listen(command(facts), self, anyone=True)
             services = [SWITCHER, *([facts.release[0][0]] if facts.release[0] else [])]
             self._servers = {name: Server(self.participant, name) for name in services}
+            if remote is not None:
+                self.held = Remote(remote, robot, self.remote, unitree_pressed)
 
     @property
     def obeys(self) -> bool:
@@ -186,29 +157,24 @@ class UnitreeFace(DdsEnd):
 
     def good(self, raw: bytes) -> bool:
         """Tell whether a command acts; count what does not."""
-        return self._frames.good(raw) and self._frames.read(raw) and self._accepted()
+        return self._frames.good(raw) and self._frames.read(raw) and self._acts()
 
     def read(self, raw: bytes) -> bool:
         """Bring a command that acts into the command states."""
         read = self._frames.read(raw)
         if read:
-            for name in COMMAND_STATES:
-                self._states[name][...] = self._heard[name]
-            self.modes.command(self._heard["modes"], self._states)
+            self._act()
         return read
 
-    def _accepted(self) -> bool:
+    def _acts(self) -> bool:
         heard = self._heard
-        if not np.array_equal(heard["modes"], self._modes):
-            self.counts.refuse("motor mode", f"{heard['modes'].tolist()}")
+        if not self._right("motor mode", heard["modes"], self._modes):
             return False
-        if heard["mode_machine"] != self._variant:
-            self.counts.refuse("mode_machine", f"{heard['mode_machine']}, not {self._variant}")
+        if not self._right("mode_machine", heard["mode_machine"], self._variant):
             return False
         if not self.obeys:
             self.counts.refuse("its own controller commands", f"mode {self.mode}")
-            return False
-        return True
+        return self.obeys
 
     def _answer(self, service: str, server: Server, asked: Any) -> None:
         number = asked.header.identity.api_id
@@ -228,3 +194,6 @@ class UnitreeFace(DdsEnd):
         if self.held is not None:
             self.held.close()
         super().close()
+
+
+face = UnitreeFace

@@ -19,7 +19,7 @@ from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import CONTROL_STATES, HARDWARE_STATES
 from unicon_ros.hardware.unitree.facts import PROTOCOLS, UnitreeFacts
-from unicon_ros.hardware.unitree.wire import FOOT_FORCE, LABEL, TOLD, UnitreeWire
+from unicon_ros.hardware.unitree.wire import FOOT_FORCE, TOLD, UnitreeWire
 from unicon_ros.hardware.wired_robot import SILENCE, WiredRobot, opened
 
 SIMULATOR = "unitree_mujoco"
@@ -117,18 +117,10 @@ def make(
         PlatformError: the network cannot be used, or no frame came in time.
     """
     if peer not in ("robot", SIMULATOR):
-        raise PlatformError(f"{LABEL}: no peer {peer!r}; known: robot, {SIMULATOR}")
-    facts = UnitreeFacts.of(robot)
-    real = peer == "robot"
+        raise PlatformError(f"platform 'unitree': no peer {peer!r}; known: robot, {SIMULATOR}")
+    facts, real = UnitreeFacts.of(robot), peer == "robot"
     wire = UnitreeWire(
-        states,
-        robot,
-        facts,
-        facts.domain if domain is None else domain,
-        address,
-        checked=real,
-        release=real,
-        silent=silent,
+        states, robot, facts, domain, address, checked=real, release=real, silent=silent
     )
     built = Unitree(states, robot, period, wire, peer=peer, silence=silence, silent=silent)
     return opened(built, connect)

@@ -20,16 +20,14 @@ from unicon_msgs_map import Decoder, Encoder
 from unicon_ros.hardware.dds.end import DdsEnd
 from unicon_ros.hardware.dds.frames import Frames, offset_of
 from unicon_ros.hardware.dds.maps import arrays_of
-from unicon_ros.hardware.dds.participant import Participant
 from unicon_ros.hardware.modes import ModeGuard
 from unicon_ros.hardware.robot_clock import Repeats
 from unicon_ros.hardware.torso import IMU_STATES, turned
 from unicon_ros.hardware.unitree.facts import UnitreeFacts
-from unicon_ros.hardware.unitree.maps import command_out, head_in, state_in
+from unicon_ros.hardware.unitree.maps import command, command_out, head_in, state, state_in
 from unicon_ros.hardware.unitree.release import Release
 from unicon_ros.hardware.wire import Counts, newer
 
-LABEL = "platform 'unitree'"
 TOLD, FOOT_FORCE = (*JOINT_STATES, *IMU_STATES, *HARDWARE_STATES), "foot_force"
 """States that LowState tells, those that are there."""
 REMOTE = 40
@@ -55,7 +53,7 @@ class UnitreeWire(DdsEnd):
         states: what is measured goes into these, commands come from these.
         robot: its file.
         facts: of the file.
-        domain: of DDS.
+        domain: of DDS; None for the robot file's.
         address: of this machine's network interface, or its name; None for the default.
         checked: LowState must have a right checksum and a new number.
         release: its own controller is asked to let go.
@@ -70,12 +68,14 @@ class UnitreeWire(DdsEnd):
         UniconError: it cannot be opened.
     """
 
+    label = "platform 'unitree'"
+
     def __init__(
         self,
         states: States,
         robot: Robot,
         facts: UnitreeFacts,
-        domain: int,
+        domain: int | None,
         address: str | None,
         *,
         checked: bool = True,
@@ -88,7 +88,7 @@ class UnitreeWire(DdsEnd):
         self._facts, self._checked, self._last = facts, checked, -1
         own = own_arrays(robot) | {"remote": np.frombuffer(self.remote, np.uint8)}
         self._tick, self._mode = own["tick"], own["mode_machine"]
-        self.modes = ModeGuard(LABEL, robot.joint_names, facts.modes)
+        self.modes = ModeGuard(self.label, robot.joint_names, facts.modes)
         self.modes.reported = own["modes"]
         told = {name for name in (*TOLD, FOOT_FORCE) if name in states}
         told -= set() if checked else set(HARDWARE_STATES)
@@ -109,24 +109,21 @@ class UnitreeWire(DdsEnd):
         message = facts.message("LowState")
         ends = ("head", "tick") if facts.go else ("imu_state", "wireless_remote")
         measured = slice(*(offset_of(message, name) for name in ends))
-        self._repeats = Repeats(LABEL, measured)
+        self._repeats = Repeats(self.label, measured)
         if "wireless_remote" in states:
             self._tell.append((memoryview(states["wireless_remote"].data), memoryview(self.remote)))
         self._release: Release | None = None
         super().__init__(
-            Participant(domain, address, LABEL),
-            f"{facts.state_topic} of DDS domain {domain}",
-            counts,
-            ahead=True,
+            facts.state_topic, facts.domain, domain, address, counts=counts, ahead=True
         )
         with self.closing():
-            self.listen(facts.state_topic, facts.message("LowState"), self, forget=self._forget)
+            self.listen(state(facts), self, forget=self._forget)
             self.watch(facts.command_topic)
             if not silent:
                 encode = Encoder.build(command_out(facts), arrays_of(states) | own).encode
-                self.speak(facts.command_topic, facts.message("LowCmd"), encode)
+                self.speak(command(facts), encode)
                 if release:
-                    self._release = Release(self.participant, *facts.release, LABEL)
+                    self._release = Release(self.participant, *facts.release, self.label)
 
     def take(self) -> int:
         """Bring the newest good frame into the states; return how many good ones have come.
@@ -136,8 +133,8 @@ class UnitreeWire(DdsEnd):
         """
         number = super().take()
         if number:
-            for state, value in self._tell:
-                state[:] = value
+            for view, value in self._tell:
+                view[:] = value
         return number
 
     def _forget(self) -> None:
@@ -174,7 +171,7 @@ class UnitreeWire(DdsEnd):
             told = {"protocol": self._facts.protocol, "mode_machine": int(self._mode)}
             if self.variant and told != self.variant:
                 raise Fault(
-                    f"{LABEL}: the robot's mode_machine is {told['mode_machine']}, and was "
+                    f"{self.label}: the robot's mode_machine is {told['mode_machine']}, and was "
                     f"{self.variant['mode_machine']}: it is another robot, or was configured anew; "
                     "choose its robot file"
                 )

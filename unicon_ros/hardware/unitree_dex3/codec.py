@@ -45,10 +45,7 @@ class Dex3Facts(DdsFacts):
     def state(self) -> Message:
         """HandState; its sensors of pressure tell 0."""
         told = MEASURED | {"motorstate": "motor_error", "mode": "modes"}
-        heat = {
-            f"motor_state[{slot}].temperature": f"temperatures[{2 * joint}:{2 * joint + 2}]"
-            for joint, slot in enumerate(self.slots)
-        }
+        heat = motors("motor_state", self.slots, {"temperature": "temperatures"}, size=2)
         return Message(
             self.state_topic,
             "unitree_hg/msg/HandState",
