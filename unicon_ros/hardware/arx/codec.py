@@ -8,13 +8,24 @@ bits is the integer part of (x - lower) (2^b - 1) / (upper - lower).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from functools import cached_property
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.robots import Robot
-from unicon_ros.hardware.facts import TransportFacts
+from unicon_core.schema.marks import Key, Text
+from unicon_ros.hardware.facts import (
+    AskingRate,
+    Numbers,
+    Transport,
+    each,
+    each_text,
+    fact,
+    facts_of,
+    wrong_fact,
+)
 
 ENABLE = bytes(7 * [0xFF]) + b"\xfc"
 """Lets a DM motor take commands; it answers with its state."""
@@ -74,28 +85,26 @@ def _bounds(layout: Layout) -> tuple[tuple[float, ...], tuple[float, ...], tuple
 
 
 @dataclass(frozen=True)
-class Motors:
+class Motors(Transport):
     """What the robot file says of the motors; arrays of shape (n,).
 
     Attributes:
         names: of the joints.
         numbers: on the bus.
-        layouts: of their frames.
+        types: of the motors.
         channel: of the bus.
+        rate: of asking, [Hz].
         command: the motor's measure for 1 N·m that is commanded.
         state: N·m for one of the motor's measure that is told.
-        lower: smallest figure of commands, rows as of `COMMAND_STATES`, shape (5, n).
-        upper: largest, shape (5, n).
     """
 
     names: tuple[str, ...]
     numbers: tuple[int, ...]
-    layouts: tuple[Layout, ...]
-    channel: str
-    command: NDArray[np.float64]
-    state: NDArray[np.float64]
-    lower: NDArray[np.float64]
-    upper: NDArray[np.float64]
+    types: Annotated[list[str], Key("motor_type"), each_text]
+    channel: Annotated[Text, Key("interface")]
+    rate: AskingRate
+    command: Annotated[Numbers, Key("torque_command"), each(1e-6, 1e6)]
+    state: Annotated[Numbers, Key("torque_state"), each(1e-6, 1e6)]
 
     @classmethod
     def of(cls, robot: Robot) -> Motors:
@@ -104,26 +113,24 @@ class Motors:
         Raises:
             RobotError: a fact is missing or wrong.
         """
-        facts = TransportFacts(robot)
-        told = facts.numbers("motor_id", 1, 15)
-        numbers = tuple(int(number) for number in told)
+        told = fact(robot, "motor_id", Annotated[Numbers, each(1.0, 15.0)])
+        numbers = tuple(map(int, told))
         if (told % 1.0).any() or len(set(numbers)) < len(numbers):
-            raise facts.wrong("motor_id", "a whole number of its own for each motor")
-        kinds = [kind.partition("_")[0] for kind in facts.texts("motor_type")]
-        if not LAYOUTS.keys() >= {*kinds}:
-            raise facts.wrong("motor_type", f"texts that begin with {'_ or '.join(LAYOUTS)}_")
-        layouts = tuple(LAYOUTS[kind] for kind in kinds)
-        lower, upper, _ = zip(*map(_bounds, layouts))
-        return cls(
-            robot.joint_names,
-            numbers,
-            layouts,
-            facts.text("interface"),
-            facts.numbers("torque_command", 1e-6, 1e6),
-            facts.numbers("torque_state", 1e-6, 1e6),
-            np.array(lower).T,
-            np.array(upper).T,
-        )
+            raise wrong_fact(robot, "motor_id", "a whole number of its own for each motor")
+        found = facts_of(cls, robot, names=robot.joint_names, numbers=numbers)
+        if not LAYOUTS.keys() >= {*map(_kind, found.types)}:
+            wanted = f"texts that begin with {'_ or '.join(LAYOUTS)}_"
+            raise wrong_fact(robot, "motor_type", wanted)
+        return found
+
+    @cached_property
+    def layouts(self) -> tuple[Layout, ...]:
+        """Of their frames."""
+        return tuple(LAYOUTS[_kind(each)] for each in self.types)
+
+
+def _kind(motor_type: str) -> str:
+    return motor_type.partition("_")[0]
 
 
 class Packing:
@@ -137,9 +144,9 @@ class Packing:
     """
 
     def __init__(self, motors: Motors) -> None:
-        bits = np.array([_bounds(layout)[2] for layout in motors.layouts]).T
+        lower, upper, bits = (np.array(each).T for each in zip(*map(_bounds, motors.layouts)))
         # In float32 and in the order below, as the vendor's: equal to the last bit.
-        self._lower, self._upper = np.float32(motors.lower), np.float32(motors.upper)
+        self._lower, self._upper = np.float32(lower), np.float32(upper)
         self._most, self._span = np.float32(2.0**bits - 1.0), self._upper - self._lower
         n = len(motors.numbers)
         order = np.array([layout.order for layout in motors.layouts]).T

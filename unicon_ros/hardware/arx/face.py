@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -12,7 +11,6 @@ from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES, HARDWARE_STATES
 from unicon_ros.hardware.arx.codec import DM, ENABLE, ENABLED, Motors, Reply, answer, command_of
 from unicon_ros.hardware.arx.wire import MOST, import_can, open_bus
-from unicon_ros.hardware.facts import TransportFacts
 from unicon_ros.hardware.modes import EmulatedModes
 
 EMPTY = 0.1
@@ -20,20 +18,35 @@ EMPTY = 0.1
 
 
 class ArxFace:
-    """See `Face`; `face` builds it.
+    """The arm's end of the bus; see `Face`.
+
+    Args:
+        states: of the emulator.
+        robot: its file.
+        channel: of the bus; the robot file's.
+        interface: of python-can; `virtual` is seen in this process alone.
 
     Attributes:
         modes: of the motors.
+
+    Raises:
+        PlatformError: the bus cannot be opened.
+        RobotError: the robot file lacks a fact.
     """
 
     dead_man = math.inf
     """Whether motors let go when commands stop is not known."""
 
-    def __init__(self, states: States, robot: Robot, bus: Any, reach: dict[str, object]) -> None:
-        self._states, self._motors, self._bus = states, Motors.of(robot), bus
-        self.rate = TransportFacts(robot).number("rate_hz", 1.0, 1000.0)
-        self.where, self.reach = bus.channel_info, reach
-        self.platform = "arx" if reach else ""
+    def __init__(
+        self, states: States, robot: Robot, *, channel: str = "", interface: str = "virtual"
+    ) -> None:
+        self._states, self._motors = states, Motors.of(robot)
+        channel = channel or self._motors.channel
+        self._bus = open_bus(channel, interface)
+        self.rate, self.where = self._motors.rate, self._bus.channel_info
+        reach = {"channel": channel, "interface": interface, "unverified": True}
+        self.reach: dict[str, object] = reach if interface != "virtual" else {}
+        self.platform = "arx" if self.reach else ""
         self._can = import_can()
         self._joints = {number: joint for joint, number in enumerate(self._motors.numbers)}
         self._on = np.array([ENABLED * (lay is DM) for lay in self._motors.layouts], np.uint8)
@@ -98,20 +111,4 @@ class ArxFace:
         self._bus.shutdown()
 
 
-def face(states: States, robot: Robot, *, channel: str = "", interface: str = "virtual") -> ArxFace:
-    """Return the arm's end of the bus.
-
-    Args:
-        states: of the emulator.
-        robot: its file.
-        channel: of the bus; the robot file's.
-        interface: of python-can; `virtual` is seen in this process alone.
-
-    Raises:
-        PlatformError: the bus cannot be opened.
-        RobotError: the robot file lacks a fact.
-    """
-    channel = channel or Motors.of(robot).channel
-    reach = {"channel": channel, "interface": interface, "unverified": True}
-    shared = interface != "virtual"
-    return ArxFace(states, robot, open_bus(channel, interface), reach if shared else {})
+face = ArxFace

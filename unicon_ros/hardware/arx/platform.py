@@ -8,7 +8,6 @@ from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_ros.hardware.arx.codec import EC, Motors
 from unicon_ros.hardware.arx.wire import ArxWire, open_bus
-from unicon_ros.hardware.facts import TransportFacts
 from unicon_ros.hardware.wired_robot import WiredRobot, opened
 
 SILENCE = 0.1
@@ -67,6 +66,5 @@ def make(
             "is doubtful, even in the vendor's SDK; write platforms: {arx: {unverified: true}} to "
             "drive them all the same, with the arm clear of people"
         )
-    rate = TransportFacts(robot).number("rate_hz", 1.0, 1000.0)
-    wire = ArxWire(states, motors, open_bus(channel or motors.channel, interface), rate)
+    wire = ArxWire(states, motors, open_bus(channel or motors.channel, interface), motors.rate)
     return opened(Arx(states, robot, period, wire, silence=silence), connect)

@@ -7,14 +7,15 @@ loongOpen's loong_sim_sdk_release, sdk/loong_jnt_sdk/loong_jnt_sdk_datas.py.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.robots import Robot
+from unicon_core.schema.marks import Key, Within
 from unicon_core.states.standard import COMMAND_STATES
-from unicon_ros.hardware.facts import TransportFacts
+from unicon_ros.hardware.facts import AskingRate, Numbers, Port, Transport, each, facts_of, named
 
 KEYS = ("enable", "reset", "idle", "walk", "damp", "disable", "commands")
 """Of `transport.keys`: what the remote is told, and what the robot then does."""
@@ -69,28 +70,34 @@ def part(kind: np.dtype[Any], first: str, behind: str) -> slice:
 
 
 @dataclass(frozen=True)
-class Link:
+class Link(Transport):
     """What both ends of the protocol know of it, from the robot file.
 
     Attributes:
+        joints: how many.
         port: where the robot takes commands, UDP.
         rate: of frames at most, [Hz].
         checker: in front of each command.
         commanding: `state` of a command that is to be carried out; 0 asks for states alone.
-        lost: without a command for so long the robot takes the client for lost, [s].
+        lost_ms: without a command for so long the robot takes the client for lost, [ms].
         keys: of the remote, by the names of `KEYS`.
-        command: layout of a command.
-        state: layout of a state.
+        left: fingers of the left hand.
+        right: fingers of the right hand.
+        torque, stiffness, damping: limits to which the robot's driver clamps, shape (n,).
     """
 
-    port: int
-    rate: float
-    checker: int
-    commanding: int
-    lost: float
-    keys: dict[str, int]
-    command: np.dtype[Any]
-    state: np.dtype[Any]
+    joints: int
+    port: Port
+    rate: AskingRate
+    checker: Annotated[int, Within(-32768, 32767)]
+    commanding: Annotated[int, Key("state"), Within(1, 127)]
+    lost_ms: Annotated[int, Within(1, 10_000)]
+    keys: Annotated[dict[str, int], named(KEYS, 1, 255)]
+    left: Annotated[int, Key("fingers_left"), Within(0, 32)]
+    right: Annotated[int, Key("fingers_right"), Within(0, 32)]
+    torque: Annotated[Numbers, Key("torque_limit"), each(0.0, 1000.0)]
+    stiffness: Annotated[Numbers, Key("stiffness_limit"), each(0.0, 2000.0)]
+    damping: Annotated[Numbers, Key("damping_limit"), each(0.0, 2000.0)]
 
     @classmethod
     def of(cls, robot: Robot) -> Link:
@@ -99,45 +106,28 @@ class Link:
         Raises:
             RobotError: a fact is missing or wrong.
         """
-        facts, joints = TransportFacts(robot), robot.num_joints
-        fingers = facts.integer("fingers_left", 0, 32), facts.integer("fingers_right", 0, 32)
-        return cls(
-            facts.integer("port", 1, 65535),
-            facts.number("rate_hz", 1.0, 1000.0),
-            facts.integer("checker", -32768, 32767),
-            facts.integer("state", 1, 127),
-            1e-3 * facts.integer("lost_ms", 1, 10_000),
-            facts.mapping("keys", KEYS, 1, 255),
-            command_type(joints, *fingers),
-            state_type(joints, *fingers),
-        )
+        return facts_of(cls, robot, joints=robot.num_joints)
 
+    @property
+    def lost(self) -> float:
+        """`lost_ms` in [s]."""
+        return 1e-3 * self.lost_ms
 
-@dataclass(frozen=True)
-class Limits:
-    """What the robot's driver clamps commands to, rows as of `COMMAND_STATES`, shape (5, n).
+    @property
+    def command(self) -> np.dtype[Any]:
+        """Layout of a command."""
+        return command_type(self.joints, self.left, self.right)
 
-    Attributes:
-        lower: smallest.
-        upper: largest.
-    """
+    @property
+    def state(self) -> np.dtype[Any]:
+        """Layout of a state."""
+        return state_type(self.joints, self.left, self.right)
 
-    lower: NDArray[np.float32]
-    upper: NDArray[np.float32]
-
-    @classmethod
-    def of(cls, robot: Robot) -> Limits:
-        """Return those of a robot file.
-
-        Raises:
-            RobotError: a fact is missing or wrong.
-        """
-        facts = TransportFacts(robot)
-        free = np.full(robot.num_joints, np.inf)
-        torque = facts.numbers("torque_limit", 0.0, 1000.0)
-        gains = [facts.numbers(k, 0.0, 2000.0) for k in ("stiffness_limit", "damping_limit")]
-        none = np.zeros_like(free)
-        return cls(
-            np.array((-free, -free, -torque, none, none), np.float32),
-            np.array((free, free, torque, *gains), np.float32),
+    @property
+    def limits(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Smallest and largest commands, rows as of `COMMAND_STATES`, shape (5, n)."""
+        free, none = np.full(self.joints, np.inf), np.zeros(self.joints)
+        return (
+            np.array((-free, -free, -self.torque, none, none), np.float32),
+            np.array((free, free, self.torque, self.stiffness, self.damping), np.float32),
         )

@@ -16,8 +16,8 @@ from unicon_core.platforms.kit.base import rpy_of_quat
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES, HARDWARE_STATES
-from unicon_ros.hardware.azureloong.codec import KEYS, Limits, Link
-from unicon_ros.hardware.facts import TransportFacts, ipv4
+from unicon_ros.hardware.azureloong.codec import KEYS, Link
+from unicon_ros.hardware.facts import Port, fact, ipv4
 from unicon_ros.hardware.udp import Udp
 
 KEY_FRAME, KEY_AT = 96, 84
@@ -35,21 +35,39 @@ FOLLOWS = {
 
 
 class AzureFace:
-    """See `Face`; `face` builds it."""
+    """The robot's end of its protocol; see `Face`.
+
+    Args:
+        states: of the emulator.
+        robot: its file.
+        address: where it listens.
+        plan: in which it begins, of `KEYS`.
+
+    Raises:
+        PlatformError: an option is wrong, or a port is taken.
+        RobotError: the robot file lacks a fact.
+    """
 
     platform = "azureloong"
 
-    def __init__(self, states: States, robot: Robot, address: str, plan: str) -> None:
-        self._states, self._link, self._limits = states, Link.of(robot), Limits.of(robot)
-        self.rate, self.dead_man = self._link.rate, self._link.lost
-        self._plan, self.where = plan, f"{address}:{self._link.port}"
+    def __init__(
+        self, states: States, robot: Robot, *, address: str = "127.0.0.1", plan: str = "walk"
+    ) -> None:
+        if plan not in KEYS:
+            raise PlatformError(
+                f"emulated azureloong: plan {plan!r} is not known; {alternatives(plan, KEYS)}"
+            )
+        address, link = ipv4(address, "azureloong"), Link.of(robot)
+        self._states, self._link, self._limits = states, link, link.limits
+        self.rate, self.dead_man = link.rate, link.lost
+        self._plan, self.where = plan, f"{address}:{link.port}"
         self.reach = {"address": address}
-        self._frame = np.zeros(1, self._link.state)
+        self._kind, self._frame = link.command, np.zeros(1, link.state)
         self._frame["size"] = self._frame.nbytes
         self._views = [states[name] for name in COMMAND_STATES]
         self._heard = -math.inf
-        port = TransportFacts(robot).integer("port_keys", 1, 65535)
-        self._udp = Udp((address, self._link.port), ("", 0), "emulated azureloong")
+        port = fact(robot, "port_keys", Port)
+        self._udp = Udp((address, link.port), ("", 0), "emulated azureloong")
         try:
             self._remote = Udp((address, port), ("", 0), "emulated azureloong, remote")
         except BaseException:
@@ -68,9 +86,9 @@ class AzureFace:
                 self._press(data[KEY_AT])
         newest = None
         for data, sender in self._udp.datagrams():
-            if len(data) != self._link.command.itemsize:
+            if len(data) != self._kind.itemsize:
                 continue
-            frame = np.frombuffer(data, self._link.command)[0]
+            frame = np.frombuffer(data, self._kind)[0]
             if frame["checker"] != self._link.checker or frame["size"] != len(data):
                 continue
             self._udp.peer, self._heard = sender, time.monotonic()
@@ -78,8 +96,8 @@ class AzureFace:
                 newest = frame
         if newest is None or not self.obeys:
             return False
-        for i, (view, name) in enumerate(zip(self._views, COMMAND_STATES)):
-            view[...] = np.clip(newest[name], self._limits.lower[i], self._limits.upper[i])
+        for view, name, *limits in zip(self._views, COMMAND_STATES, *self._limits):
+            view[...] = np.clip(newest[name], *limits)
         return True
 
     def _press(self, key: int) -> None:
@@ -112,23 +130,4 @@ class AzureFace:
         self._remote.close()
 
 
-def face(
-    states: States, robot: Robot, *, address: str = "127.0.0.1", plan: str = "walk"
-) -> AzureFace:
-    """Return the robot's end of its protocol.
-
-    Args:
-        states: of the emulator.
-        robot: its file.
-        address: where it listens.
-        plan: in which it begins, of `KEYS`.
-
-    Raises:
-        PlatformError: an option is wrong, or a port is taken.
-        RobotError: the robot file lacks a fact.
-    """
-    if plan not in KEYS:
-        raise PlatformError(
-            f"emulated azureloong: plan {plan!r} is not known; {alternatives(plan, KEYS)}"
-        )
-    return AzureFace(states, robot, ipv4(address, "azureloong"), plan)
+face = AzureFace

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from unicon_core.bounds import within
 from unicon_core.errors import PlatformError
 from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
+from unicon_core.schema.marks import Within
 from unicon_core.states import States
 from unicon_ros.hardware.azureloong.wire import AzureWire
-from unicon_ros.hardware.facts import TransportFacts, ipv4
+from unicon_ros.hardware.facts import fact, ipv4
 from unicon_ros.hardware.wired_robot import WiredRobot, opened
 
+SHARE = Annotated[float, Within(0.001, 1.0)]
 SILENCE = 0.1
 """In [s]: 20 frames at 200 Hz, a fifth of what the robot allows us."""
 
@@ -72,9 +76,8 @@ def make(
             "platform 'azureloong' needs the robot's address, which its vendor does not document; "
             "write platforms: {azureloong: {address: …}}"
         )
-    facts = TransportFacts(robot)
     shares = [
-        facts.number(key, 0.001, 1.0) if given is None else within(given, key, "", 1.0)
+        fact(robot, key, SHARE) if given is None else within(given, key, "", 1.0)
         for key, given in (("torque_limit_rate", torque_limit_rate), ("filter_rate", filter_rate))
     ]
     wire = AzureWire(states, robot, ipv4(address, "azureloong"), *shares)

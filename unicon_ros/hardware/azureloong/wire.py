@@ -17,7 +17,7 @@ from unicon_core.platforms.kit.base import IMU_STATES, Mounting, quat_of_rpy
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
-from unicon_ros.hardware.azureloong.codec import Limits, Link, part
+from unicon_ros.hardware.azureloong.codec import Link, part
 from unicon_ros.hardware.udp import Udp
 from unicon_ros.hardware.wire import Counts
 
@@ -55,27 +55,24 @@ class AzureWire:
         torque_limit_rate: float,
         filter_rate: float,
     ) -> None:
-        self._link, self._limits = Link.of(robot), Limits.of(robot)
-        self.counts, self.where = Counts(), f"{address}:{self._link.port}"
+        link = self._link = Link.of(robot)
+        self._lower, self._upper = link.limits
+        self.counts, self.where = Counts(), f"{address}:{link.port}"
         self._mounting = Mounting.of(robot)
-        self._rows = np.zeros_like(self._limits.lower)
+        self._rows = np.zeros_like(self._lower)
         self._sources = list(zip(self._rows, (states[name] for name in COMMAND_STATES)))
-        self._frame = np.zeros(1, self._link.command)
-        self._frame["checker"], self._frame["size"] = self._link.checker, self._frame.nbytes
-        self._frame["torque_limit_rate"], self._frame["filter_rate"] = (
-            torque_limit_rate,
-            filter_rate,
-        )
+        frame = self._frame = np.zeros(1, link.command)
+        frame["checker"], frame["size"] = link.checker, frame.nbytes
+        frame["torque_limit_rate"], frame["filter_rate"] = torque_limit_rate, filter_rate
         self._bytes = self._frame.view(np.uint8).data
-        block = self._frame.view(np.uint8)[
-            part(self._link.command, "joint_pos_target", "finger_left")
-        ]
+        block = frame.view(np.uint8)[part(link.command, "joint_pos_target", "finger_left")]
         self._block = block.view("<f4").reshape(self._rows.shape)
         self._stamp, self._plan = -math.inf, 0
         self._asked, self._commanding, self._strangers = -math.inf, False, 0
-        self._floats = part(self._link.state, "rpy", "temperature")
-        self._heard = bytearray(self._link.state.itemsize)
-        heard = np.frombuffer(self._heard, self._link.state)[0:1]
+        kind = link.state
+        self._floats, self._size = part(kind, "rpy", "temperature"), kind.itemsize
+        self._heard = bytearray(self._size)
+        heard = np.frombuffer(self._heard, kind)[0:1]
         self._rpy, self._key = heard["rpy"][0], heard["key"][0]
         readings = np.zeros(4), heard["gyro"][0], heard["acc"][0]
         self._imu = dict(zip(IMU_STATES, readings, strict=True))
@@ -84,12 +81,12 @@ class AzureWire:
             (states[state], heard[field][0]) for state, field in COPIED.items() if state in states
         ]
         self._fingers = [
-            (self._frame[f"finger_{side}"][0], heard[f"finger_target_{side}"][0])
+            (frame[f"finger_{side}"][0], heard[f"finger_target_{side}"][0])
             for side in ("left", "right")
         ]
-        self._stamp_at = part(self._link.state, "timestamp", "key").start
-        self._name_at = part(self._link.state, "plan", "state")
-        self._udp = Udp(("0.0.0.0", 0), (address, self._link.port), f"azureloong at {address}")
+        self._stamp_at = part(kind, "timestamp", "key").start
+        self._name_at = part(kind, "plan", "state")
+        self._udp = Udp(("0.0.0.0", 0), (address, link.port), f"azureloong at {address}")
 
     def take(self) -> int:
         """See `Wire`.
@@ -119,9 +116,9 @@ class AzureWire:
 
     def _accepted(self, data: bytes) -> bool:
         """Whether a frame is new and finite."""
-        kind, counts = self._link.state, self.counts
-        if len(data) != kind.itemsize:
-            counts.refuse("of another length", f"{len(data)} bytes, {kind.itemsize} are right")
+        counts = self.counts
+        if len(data) != self._size:
+            counts.refuse("of another length", f"{len(data)} bytes, {self._size} are right")
             return False
         told = np.frombuffer(data[self._floats], "<f4")
         (stamp,) = STAMP.unpack_from(data, self._stamp_at)
@@ -170,7 +167,7 @@ class AzureWire:
         """See `Wire`."""
         for row, source in self._sources:
             row[...] = source
-        np.clip(self._rows, self._limits.lower, self._limits.upper, out=self._block)
+        np.clip(self._rows, self._lower, self._upper, out=self._block)
         if not np.array_equal(self._rows, self._block):
             self.counts.clamped += 1
         self._frame["state"] = self._link.commanding

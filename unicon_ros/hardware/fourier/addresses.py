@@ -3,15 +3,28 @@
 from __future__ import annotations
 
 import ipaddress
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_core.errors import RobotError
 from unicon_core.robots import Robot
-from unicon_ros.hardware.facts import TransportFacts
+from unicon_core.schema.marks import Key
+from unicon_ros.hardware.facts import (
+    AskingRate,
+    Numbers,
+    Port,
+    each,
+    each_text,
+    fact,
+    facts_of,
+    wrong_fact,
+)
+
+A = TypeVar("A", bound="Addressed")
 
 
 @dataclass(frozen=True)
@@ -23,38 +36,39 @@ class Addressed:
         addresses: of the actuators.
         port: for codes.
         rate: at which they may be asked, [Hz].
-        degrees: of an actuator for one radian of the joint, with its sign.
+        signs: 1 or -1: which way an actuator turns with its joint.
     """
 
     names: tuple[str, ...]
     addresses: tuple[str, ...]
-    port: int
-    rate: float
-    degrees: NDArray[np.float64]
+    port: Annotated[Port, Key("port_fast")]
+    rate: AskingRate
+    signs: Annotated[Numbers, Key("actuator_sign"), each(-1.0, 1.0)]
 
-    @staticmethod
-    def facts(robot: Robot, network: str) -> dict[str, Any]:
-        """Return the attributes above by name.
+    @cached_property
+    def degrees(self) -> Numbers:
+        """Of an actuator for one radian of the joint, with its sign."""
+        return np.rad2deg(self.signs)
 
-        Args:
-            robot: the file.
-            network: see `addresses`.
 
-        Raises:
-            RobotError: a fact is missing or wrong.
-        """
-        facts = TransportFacts(robot)
-        listed = addresses(robot, "actuators", facts.texts("actuators"), network)
-        signs = facts.numbers("actuator_sign", -1.0, 1.0)
-        if not (np.abs(signs) == 1.0).all():
-            raise facts.wrong("actuator_sign", "1 or -1 for each joint")
-        return {
-            "names": robot.joint_names,
-            "addresses": listed,
-            "port": facts.integer("port_fast", 1, 65535),
-            "rate": facts.number("rate_hz", 1.0, 1000.0),
-            "degrees": np.rad2deg(signs),
-        }
+def addressed(kind: type[A], robot: Robot, network: str, **given: Any) -> A:
+    """Return the facts of one version.
+
+    Args:
+        kind: class of its facts.
+        robot: the file.
+        network: see `addresses`.
+        given: as of `facts_of`.
+
+    Raises:
+        RobotError: a fact is missing or wrong.
+    """
+    listed = fact(robot, "actuators", Annotated[list[str], each_text])
+    where = addresses(robot, "actuators", listed, network)
+    found = facts_of(kind, robot, names=robot.joint_names, addresses=where, **given)
+    if not (np.abs(found.signs) == 1.0).all():
+        raise wrong_fact(robot, "actuator_sign", "1 or -1 for each joint")
+    return found
 
 
 def complete(robot: Robot, version: int, keys: tuple[str, ...], why: str) -> None:
@@ -83,7 +97,7 @@ def complete(robot: Robot, version: int, keys: tuple[str, ...], why: str) -> Non
         )
 
 
-def addresses(robot: Robot, key: str, listed: tuple[str, ...], network: str) -> tuple[str, ...]:
+def addresses(robot: Robot, key: str, listed: Sequence[str], network: str) -> tuple[str, ...]:
     """Return addresses, each once.
 
     Args:
@@ -102,7 +116,7 @@ def addresses(robot: Robot, key: str, listed: tuple[str, ...], network: str) -> 
     try:
         found = tuple(str(ipaddress.IPv4Address(address)) for address in listed)
     except ValueError as error:
-        raise TransportFacts(robot).wrong(key, f"IPv4 addresses ({error})") from error
+        raise wrong_fact(robot, key, f"IPv4 addresses ({error})") from error
     if len(set(found)) < len(found):
-        raise TransportFacts(robot).wrong(key, "an address of its own for each")
+        raise wrong_fact(robot, key, "an address of its own for each")
     return found

@@ -9,13 +9,15 @@ actuator's own, and the robot file says what they are.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_core.robots import Robot
-from unicon_ros.hardware.facts import TransportFacts
-from unicon_ros.hardware.fourier.addresses import Addressed, complete
+from unicon_core.schema.marks import Key
+from unicon_ros.hardware.facts import Numbers, Octet, each
+from unicon_ros.hardware.fourier.addresses import Addressed, addressed, complete
 
 DISABLE, COMMAND, GAINS = 0x02, 0x0E, 0xA1
 STATE, TEMPERATURE = 0x21, 0x22
@@ -44,14 +46,14 @@ class Actuators(Addressed):
     Attributes:
         kp: of an actuator for 1 N·m/rad of the joint.
         kd: of an actuator for 1 N·m·s/rad of the joint.
-        current: for 1 N·m of the joint in [A], with its sign; None where nobody knows.
         timeout_mode: which mode an actuator enters that gets no commands.
+        scale: of the current for 1 N·m of the joint in [A]; None where nobody knows.
     """
 
-    kp: NDArray[np.float64]
-    kd: NDArray[np.float64]
-    current: NDArray[np.float64] | None
-    timeout_mode: int
+    kp: Annotated[Numbers, Key("stiffness_scale"), each(1e-9, 1e9)]
+    kd: Annotated[Numbers, Key("damping_scale"), each(1e-9, 1e9)]
+    timeout_mode: Octet
+    scale: Annotated[Numbers | None, Key("current_scale"), each(1e-9, 1e9)] = None
 
     @classmethod
     def of(cls, robot: Robot, network: str = "") -> Actuators:
@@ -65,15 +67,10 @@ class Actuators(Addressed):
         Raises:
             RobotError: a fact is missing or wrong.
         """
-        facts = TransportFacts(robot)
         complete(robot, 2, UNITS, WHY)
-        common = cls.facts(robot, network)
-        known = robot.transport.get("current_scale") is not None
-        signs = np.sign(common["degrees"])
-        return cls(
-            **common,
-            kp=facts.numbers("stiffness_scale", 1e-9, 1e9),
-            kd=facts.numbers("damping_scale", 1e-9, 1e9),
-            current=signs * facts.numbers("current_scale", 1e-9, 1e9) if known else None,
-            timeout_mode=facts.integer("timeout_mode", 0, 255),
-        )
+        return addressed(cls, robot, network)
+
+    @cached_property
+    def current(self) -> Numbers | None:
+        """For 1 N·m of the joint in [A], with its sign; None where nobody knows."""
+        return None if self.scale is None else self.signs * self.scale

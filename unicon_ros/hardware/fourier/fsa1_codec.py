@@ -11,15 +11,17 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import RobotError
 from unicon_core.robots import Robot
-from unicon_ros.hardware.facts import TransportFacts
-from unicon_ros.hardware.fourier.addresses import Addressed, addresses, complete
+from unicon_core.schema.marks import Key, Size, Within, Write
+from unicon_ros.hardware.facts import Numbers, Port, each, fact
+from unicon_ros.hardware.fourier.addresses import Addressed, addressed, addresses, complete
 
 ENABLE, POSITION, STATE, ERROR = 0x01, 0x0A, 0x1A, 0x1B
 STATE_TYPE = np.dtype([("code", "u1"), ("measured", ">f4", (3,))])
@@ -107,22 +109,22 @@ class Servos(Addressed):
     With the torque i k_t I of the joint, and radians for degrees, its gains are those of `gains`.
 
     Attributes:
-        control_port: for JSON.
-        reduction: of the gear.
-        speed: what the inner loop counts for 1 deg/s of the actuator: i p / 360.
-        torque: of the joint for 1 A, with its sign, [N·m/A].
         encoders: addresses of the absolute encoders, which the first m joints have.
         encoder_degrees: of the actuator for one of the encoder, with its sign.
         encoder_zero: what an encoder tells where its joint is at zero, [deg].
+        control_port: for JSON.
+        reduction: of the gear.
+        pole_pairs: of the motor.
+        torque_constant: of the motor in [N·m/A].
     """
 
-    control_port: int
-    reduction: NDArray[np.float64]
-    speed: NDArray[np.float64]
-    torque: NDArray[np.float64]
     encoders: tuple[str, ...]
     encoder_degrees: NDArray[np.float64]
     encoder_zero: NDArray[np.float64]
+    control_port: Annotated[Port, Key("port_control")]
+    reduction: Annotated[Numbers, Key("reduction_ratio"), each(1.0, 1e3)]
+    pole_pairs: Annotated[Numbers, each(1.0, 1e3)]
+    torque_constant: Annotated[Numbers, each(1e-6, 1e3)]
 
     @classmethod
     def of(cls, robot: Robot, network: str = "") -> Servos:
@@ -135,36 +137,40 @@ class Servos(Addressed):
         Raises:
             RobotError: a fact is missing or wrong.
         """
-        facts, transport = TransportFacts(robot), robot.transport
-        listed: Any = transport.get("encoders") or []
+        listed: Any = robot.transport.get("encoders") or []
         complete(robot, 1, (*UNITS, "encoder_zero") if listed else UNITS, WHY)
-        common = cls.facts(robot, network)
         if not isinstance(listed, list | tuple) or len(listed) > robot.num_joints:
             raise RobotError(
                 f"robot {robot.name}: transport.encoders is not a list of addresses of the first "
                 "joints' encoders"
             )
         encoders = addresses(robot, "encoders", tuple(map(str, listed)), network)
-        if set(encoders) & set(common["addresses"]):
-            raise RobotError(
-                f"robot {robot.name}: transport.encoders names an address of transport.actuators"
-            )
-        reduction = facts.numbers("reduction_ratio", 1.0, 1e3)
-        poles = facts.numbers("pole_pairs", 1.0, 1e3)
-        torque = facts.numbers("torque_constant", 1e-6, 1e3)
         signs = _each(robot, "encoder_sign", len(encoders), 1.0)
         if not (np.abs(signs) == 1.0).all():
             raise RobotError(f"robot {robot.name}: transport.encoder_sign is not 1 or -1 for each")
-        return cls(
-            **common,
-            control_port=facts.integer("port_control", 1, 65535),
-            reduction=reduction,
-            speed=reduction * poles / 360.0,
-            torque=np.sign(common["degrees"]) * torque * reduction,
+        found = addressed(
+            cls,
+            robot,
+            network,
             encoders=encoders,
             encoder_degrees=signs * _each(robot, "encoder_ratio", len(encoders), 1e3),
             encoder_zero=_each(robot, "encoder_zero", len(encoders), 360.0),
         )
+        if set(encoders) & set(found.addresses):
+            raise RobotError(
+                f"robot {robot.name}: transport.encoders names an address of transport.actuators"
+            )
+        return found
+
+    @cached_property
+    def speed(self) -> Numbers:
+        """What the inner loop counts for 1 deg/s of the actuator: i p / 360."""
+        return self.reduction * self.pole_pairs / 360.0
+
+    @cached_property
+    def torque(self) -> Numbers:
+        """Of the joint for 1 A, with its sign, [N·m/A]."""
+        return self.signs * self.torque_constant * self.reduction
 
     def gains(
         self, stiffness: NDArray[np.floating[Any]], damping: NDArray[np.floating[Any]]
@@ -188,15 +194,6 @@ class Servos(Addressed):
 
 def _each(robot: Robot, key: str, count: int, most: float) -> NDArray[np.float64]:
     """Return a number for each encoder, within ±`most`."""
-    if not count:
-        return np.zeros(0)
-    values: Any = robot.transport.get(key)
-    if not isinstance(values, list | tuple) or len(values) != count:
-        values = [None]
-    if not all(type(value) in (int, float) and abs(value) <= most for value in values):
-        raise RobotError(
-            f"robot {robot.name}: transport.{key} is {str(robot.transport.get(key))[:60]}; write "
-            f"{count} numbers from {-most:g} to {most:g} into {robot.path.name}, one for each of "
-            "transport.encoders, with its source"
-        )
-    return np.array(values, np.float64)
+    wanted = f"{count} numbers from {-most:g} to {most:g}, one for each of transport.encoders,"
+    hint = Annotated[list[Annotated[float, Within(-most, most)]], Size(count, count), Write(wanted)]
+    return np.array(fact(robot, key, hint) if count else (), np.float64)
