@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import Annotated
 
 import numpy as np
 
 from unicon_core.robots import Robot
-from unicon_ros.hardware.facts import TransportFacts
+from unicon_core.schema.marks import Within
+from unicon_ros.hardware.facts import Octet, Word, fact
 from unicon_ros.hardware.modbus.registers import HandRegisters, Told
+
+RAW = Annotated[float, Within(-32768.0, 32767.0)]
 
 
 def registers_of(robot: Robot) -> HandRegisters:
@@ -17,15 +21,14 @@ def registers_of(robot: Robot) -> HandRegisters:
     Raises:
         RobotError: the robot file does not say them.
     """
-    facts = TransportFacts(robot)
-    register = partial(facts.integer, least=0, most=0xFFFF)
-    open_, closed = (facts.number(key, -32768, 32767) for key in ("raw_lower", "raw_upper"))
+    register = partial(fact, robot, hint=Word)
+    open_, closed = (fact(robot, key, RAW) for key in ("raw_lower", "raw_upper"))
     lower, upper = robot.lower.astype(np.float64), robot.upper.astype(np.float64)
     per_rad = (closed - open_) / (upper - lower)
     ends = np.array([[min(open_, closed)], [max(open_, closed)]]).astype(np.int64)
     lowest, highest = np.repeat(ends, robot.num_joints, axis=1)
     return HandRegisters(
-        unit=facts.integer("device_id", 0, 0xFF),
+        unit=fact(robot, "device_id", Octet),
         target=register("register_angle_set"),
         angle=register("register_angle_actual"),
         at_zero=open_ - per_rad * lower,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_ros.hardware.facts import TransportFacts
+from unicon_ros.hardware.facts import Port, fact
 from unicon_ros.hardware.inspire.codec import registers_of
 from unicon_ros.hardware.modbus.served import HandFace, PtyServer, TcpServer
 
@@ -19,6 +19,6 @@ def face(
         serial: it is reached over a pty, `face.where`.
     """
     if port is None:
-        port = TransportFacts(robot).integer("port", 1, 65535)
+        port = fact(robot, "port", Port)
     server = PtyServer() if serial else TcpServer(port)
     return HandFace(states, registers_of(robot), server, "inspire")

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from unicon_core.errors import PlatformError
 from unicon_core.robots import Robot
-from unicon_ros.hardware.facts import TransportFacts, port_number
+from unicon_ros.hardware.facts import Baud, Port, fact, port_number
 from unicon_ros.hardware.modbus.link import Link, open_serial, open_tcp
 
 
@@ -26,14 +26,13 @@ def reached(
         PlatformError: an option is wrong, or none says where it is.
         RobotError: the robot file does not say its port or baud rate.
     """
-    facts = TransportFacts(robot)
     if device is not None:
         if address is not None or port is not None:
             raise PlatformError(
                 f"platform {platform!r}: device is a serial line, and address and port are of a "
                 "network; give one of them"
             )
-        baudrate = facts.integer("baudrate", 1, 10_000_000)
+        baudrate = fact(robot, "baudrate", Baud)
         return f"{device} ({baudrate} baud)", lambda: open_serial(device, baudrate)
     address = robot.transport.get("address") if address is None else address
     if not address:
@@ -41,5 +40,5 @@ def reached(
             f"platform {platform!r}: where is the hand? give its serial line: platforms: "
             f"{{{platform}: {{device: /dev/ttyUSB0}}}}"
         )
-    number = facts.integer("port", 1, 65535) if port is None else port_number(port, platform)
+    number = fact(robot, "port", Port) if port is None else port_number(port, platform)
     return f"{address}:{number}", lambda: open_tcp(str(address), number)

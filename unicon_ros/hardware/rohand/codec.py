@@ -7,16 +7,19 @@ sections 4.1 to 4.3.
 from __future__ import annotations
 
 import math
-from functools import partial
+from typing import Annotated
 
 import numpy as np
 
 from unicon_core.errors import PlatformError
 from unicon_core.robots import Robot
-from unicon_ros.hardware.facts import TransportFacts
+from unicon_core.schema.marks import Within
+from unicon_ros.hardware.facts import Octet, Word, fact
 from unicon_ros.hardware.modbus.frames import read_answer, read_request
 from unicon_ros.hardware.modbus.link import Link
 from unicon_ros.hardware.modbus.registers import HandRegisters, Told
+
+SCALE = Annotated[float, Within(1e-3, 1.0)]
 
 
 def registers_of(robot: Robot) -> HandRegisters:
@@ -25,18 +28,16 @@ def registers_of(robot: Robot) -> HandRegisters:
     Raises:
         RobotError: the robot file does not say them.
     """
-    facts = TransportFacts(robot)
-    register = partial(facts.integer, least=0, most=0xFFFF)
-    per_rad = math.degrees(1.0) / facts.number("angle_scale", 1e-3, 1.0)
+    per_rad = math.degrees(1.0) / fact(robot, "angle_scale", SCALE)
     return HandRegisters(
-        unit=facts.integer("node_id", 0, 0xFF),
-        target=register("register_angle_target"),
-        angle=register("register_angle"),
+        unit=fact(robot, "node_id", Octet),
+        target=fact(robot, "register_angle_target", Word),
+        angle=fact(robot, "register_angle", Word),
         at_zero=np.zeros(robot.num_joints),
         per_rad=np.full(robot.num_joints, per_rad),
         lowest=np.ceil(robot.lower.astype(np.float64) * per_rad).astype(np.int64),
         highest=np.floor(robot.upper.astype(np.float64) * per_rad).astype(np.int64),
-        slow={"motor_status": Told(register("register_status"))},
+        slow={"motor_status": Told(fact(robot, "register_status", Word))},
     )
 
 
@@ -48,9 +49,8 @@ def check_protocol(link: Link, robot: Robot) -> None:
         Refused: it does not answer.
         OSError: the line is gone.
     """
-    facts = TransportFacts(robot)
-    expected, unit = (facts.integer(key, 0, 0xFF) for key in ("protocol_major", "node_id"))
-    request = read_request(facts.integer("register_protocol", 0, 0xFFFF), 1)
+    expected, unit = (fact(robot, key, Octet) for key in ("protocol_major", "node_id"))
+    request = read_request(fact(robot, "register_protocol", Word), 1)
     answer = link.exchange(unit, request, timeout=0.5)
     version = int(read_answer(answer, 1)[0])
     if version >> 8 != expected:

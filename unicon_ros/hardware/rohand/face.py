@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_ros.hardware.facts import TransportFacts
+from unicon_ros.hardware.facts import Word, fact
 from unicon_ros.hardware.modbus.served import HandFace, PtyServer
 from unicon_ros.hardware.rohand.codec import registers_of
 
@@ -15,5 +15,5 @@ def face(states: States, robot: Robot, *, version: int = 0x0100) -> HandFace:
     Args:
         version: of its protocol, the major one in the high byte.
     """
-    extra = {TransportFacts(robot).integer("register_protocol", 0, 0xFFFF): version}
+    extra = {fact(robot, "register_protocol", Word): version}
     return HandFace(states, registers_of(robot), PtyServer(), "rohand", extra)

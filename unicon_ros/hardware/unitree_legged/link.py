@@ -4,11 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 from unicon_core.errors import PlatformError, RobotError, alternatives
 from unicon_core.robots import Robot
-from unicon_ros.hardware.facts import TransportFacts, ipv4, port_number
+from unicon_core.schema.marks import Key, Text, Within
+from unicon_ros.hardware.facts import (
+    Octet,
+    Port,
+    Rate,
+    fact,
+    facts_of,
+    ipv4,
+    port_number,
+    slots,
+    wrong_fact,
+)
 from unicon_ros.hardware.unitree_legged.codec import LAYOUTS, SLOTS, Layout
 
 NAME = "unitree_legged"
@@ -40,13 +51,13 @@ class Link:
     port: int
     local_port: int
     motors: slice
-    level_flag: int
-    servo: int
-    damping: int
-    pos_stop: float
-    vel_stop: float
-    rate: float
-    preparation: str
+    level_flag: Octet
+    servo: Annotated[Octet, Key("motor_mode")]
+    damping: Annotated[Octet, Key("damping_mode")]
+    pos_stop: Annotated[float, Within(1.0, 1e10)]
+    vel_stop: Annotated[float, Within(1.0, 1e10)]
+    rate: Rate
+    preparation: Text = "bring it into its low-level mode as its maker says"
 
 
 def link_of(
@@ -70,8 +81,7 @@ def link_of(
         PlatformError: an option is wrong, or the generation has to be said.
         RobotError: the file lacks a fact, or it is wrong.
     """
-    facts, transport = TransportFacts(robot), robot.transport
-    chosen, spoken = _generation(robot, facts, generation)
+    chosen, spoken = _generation(robot, generation)
     lengths = [spoken.get(key) for key in ("command_bytes", "state_bytes")]
     layout = next((layout for known, layout in LAYOUTS.items() if lengths == [*known]), None)
     if layout is None:
@@ -80,40 +90,31 @@ def link_of(
             f"robot {robot.name}: transport.generations.{chosen} has {lengths[0]} and "
             f"{lengths[1]} bytes; known: {known} ({robot.path})"
         )
-    motors = facts.slots("motors", SLOTS)
+    motors = fact(robot, "motors", Annotated[list[int], slots(SLOTS)])
     if [*motors] != [*range(motors[0], motors[0] + len(motors))]:
-        raise facts.wrong("motors", f"{len(motors)} slots in sequence, all below {SLOTS},")
-    preparation = "bring it into its low-level mode as its maker says"
-    if "preparation" in transport:
-        preparation = facts.text("preparation")
-    return Link(
-        chosen,
-        layout,
-        ipv4(facts.text("address") if address is None else address, NAME),
-        facts.integer("port", 1, 65535) if port is None else port_number(port, NAME),
-        port_number(
-            spoken.get("local_port") if local_port is None else local_port, NAME, "local_port"
-        ),
-        slice(motors[0], motors[-1] + 1),
-        facts.integer("level_flag", 0, 255),
-        facts.integer("motor_mode", 0, 255),
-        facts.integer("damping_mode", 0, 255),
-        facts.number("pos_stop", 1.0, 1e10),
-        facts.number("vel_stop", 1.0, 1e10),
-        facts.number("rate_hz", 1.0, 10_000.0),
-        preparation,
+        raise wrong_fact(robot, "motors", f"{len(motors)} slots in sequence, all below {SLOTS},")
+    address = fact(robot, "address", Text) if address is None else address
+    port = fact(robot, "port", Port) if port is None else port
+    local_port = spoken.get("local_port") if local_port is None else local_port
+    return facts_of(
+        Link,
+        robot,
+        generation=chosen,
+        layout=layout,
+        address=ipv4(address, NAME),
+        port=port_number(port, NAME),
+        local_port=port_number(local_port, NAME, "local_port"),
+        motors=slice(motors[0], motors[-1] + 1),
     )
 
 
-def _generation(
-    robot: Robot, facts: TransportFacts, chosen: str | None
-) -> tuple[str, Mapping[str, Any]]:
+def _generation(robot: Robot, chosen: str | None) -> tuple[str, Mapping[str, Any]]:
     known = robot.transport.get("generations")
     mapping = isinstance(known, Mapping) and all(
         isinstance(said, Mapping) for said in known.values()
     )
     if not known or not mapping:
-        raise facts.wrong("generations", "{NAME: {…}, …}")
+        raise wrong_fact(robot, "generations", "{NAME: {…}, …}")
     spoken = [name for name, said in known.items() if "command_bytes" in said]
     if chosen is None and len(known) == 1:
         chosen = next(iter(known))

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import Fault, MissingDependencyError, PlatformError
 from unicon_core.robots import Robot
+from unicon_core.schema.marks import Text
 from unicon_core.states import States
-from unicon_ros.hardware.facts import TransportFacts
+from unicon_ros.hardware.facts import Baud, Word, fact
 from unicon_ros.hardware.wire import Counts
 
 POWERLESS = 0
@@ -43,8 +44,7 @@ class XhandWire:
     """
 
     def __init__(self, states: States, robot: Robot, serial: str, hand_id: int | None) -> None:
-        facts = TransportFacts(robot)
-        name = facts.text("module")
+        name = fact(robot, "module", Text)
         try:
             module = importlib.import_module(f"{name}.xhand_control")
         except ImportError as error:
@@ -52,9 +52,9 @@ class XhandWire:
                 "platform 'xhand'", name, "install the wheel that RobotEra delivers with the hand"
             ) from error
         self.counts = Counts()
-        self._baudrate = facts.integer("baudrate", 1, 10_000_000)
-        self._mode = facts.integer("mode", 0, 0xFFFF)
-        self._gains = [facts.integer(key, 0, 0xFFFF) for key in ("kp", "ki", "kd", "max_torque")]
+        self._baudrate = fact(robot, "baudrate", Baud)
+        self._mode = fact(robot, "mode", Word)
+        self._gains = [fact(robot, key, Word) for key in ("kp", "ki", "kd", "max_torque")]
         self._count = robot.num_joints
         self._lower, self._upper = robot.lower.astype(float), robot.upper.astype(float)
         self._target, self._stiffness = states["joint_pos_target"], states["joint_stiffness"]
