@@ -12,12 +12,10 @@ import uuid
 from collections.abc import Iterator
 from typing import Any
 
-from unicon_msgs_map.layout.messages import shared_messages
-from unicon_ros.hardware.dds.objects import packed, unpacked
 from unicon_ros.hardware.dds.participant import Participant
+from unicon_ros.hardware.dds.service import ServiceEnd
 
 REQUEST, RESPONSE = "booster_msgs/msg/RpcReqMsg", "booster_msgs/msg/RpcRespMsg"
-ENDS = {REQUEST: "Req", RESPONSE: "Resp"}
 SUCCESS = 0
 
 
@@ -30,22 +28,11 @@ def number(text: str, key: str) -> int | None:
     return found if type(found) is int else None
 
 
-def _made(name: str, *texts: str) -> bytes:
-    return packed(shared_messages().store.types[name](*texts))
-
-
-class _End:
+class _End(ServiceEnd):
     def __init__(self, participant: Participant, topic: str, writes: str, reads: str) -> None:
-        messages = shared_messages()
-        self._writer = participant.writer(topic + ENDS[writes], messages.struct(writes))
-        self._reader = participant.reader(topic + ENDS[reads], messages.struct(reads))
-        self._reads = reads
-
-    def _heard(self) -> Iterator[Any]:
-        for raw, info in self._reader.take():
-            said = unpacked(raw, self._reads) if info.valid_data else None
-            if said is not None:
-                yield said
+        topics = {REQUEST: f"{topic}Req", RESPONSE: f"{topic}Resp"}
+        super().__init__(participant, topics, writes, reads)
+        self.topic = topic
 
 
 class Client(_End):
@@ -58,20 +45,14 @@ class Client(_End):
 
     def __init__(self, participant: Participant, topic: str) -> None:
         super().__init__(participant, topic, REQUEST, RESPONSE)
-        self.topic = topic
         self._asked = ""
-
-    @property
-    def there(self) -> bool:
-        """Whether somebody serves it."""
-        return self._writer.matched and bool(self._reader.sources)
 
     def ask(self, request: int, **parameters: int) -> None:
         """Send a request; what it is answered is told by `answer`."""
         self._asked = str(uuid.uuid4())
         header = json.dumps({"api_id": request, "expect_response": True})
         body = json.dumps(parameters) if parameters else ""
-        self._writer.write(_made(REQUEST, self._asked, header, body))
+        self._say(self._types[REQUEST](self._asked, header, body))
 
     def answer(self) -> tuple[int | None, str] | None:
         """Return status and body of the answer; None as long as there is none."""
@@ -85,7 +66,7 @@ class Server(_End):
     """Serves requests, for an emulated robot.
 
     Args:
-        participant: of its domain.
+        participant: of the robot's domain.
         topic: of the service, without its end.
     """
 
@@ -99,4 +80,4 @@ class Server(_End):
     def reply(self, asked: Any, status: int, **values: int) -> None:
         """Answer a request."""
         body = json.dumps(values) if values else ""
-        self._writer.write(_made(RESPONSE, asked.uuid, json.dumps({"status": status}), body))
+        self._say(self._types[RESPONSE](asked.uuid, json.dumps({"status": status}), body))
