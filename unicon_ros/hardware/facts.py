@@ -114,8 +114,8 @@ def fact(robot: Robot, key: str, hint: Any) -> Any:
     Raises:
         RobotError: the file does not say it, or says nonsense.
     """
-    fitted = next(filter(callable, _marks(hint)), None)
-    kind = type_of(hint) if fitted is None else fitted(robot)
+    kinds: list[Type] = [mark(robot) for mark in _marks(hint) if callable(mark)]
+    kind = kinds[0] if kinds else type_of(hint)
     found = kind.read(robot.transport.get(key), (), Mistakes())
     if found is INVALID:
         raise wrong_fact(robot, key, kind.wanted)

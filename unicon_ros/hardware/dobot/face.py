@@ -7,8 +7,10 @@ commands stop.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from unicon_core.robots import Robot
 from unicon_core.states import States
@@ -67,7 +69,10 @@ class DobotFace(DdsFace):
         defaults = {"motor_temperature": heat, "battery_charge": np.ones((), np.float32)}
         arrays = defaults | {name: states[name] for name in states} | self.own | self._imu
         self._hears(states, robot, modes=np.zeros(n, np.uint8))
-        self._asked = {"id": np.zeros((), np.uint16), "flag": np.zeros((), np.uint8)}
+        self._asked: dict[str, NDArray[Any]] = {
+            "id": np.zeros((), np.uint16),
+            "flag": np.zeros((), np.uint8),
+        }
         self._came = (False, False)
         super().__init__(facts.lower.command_topic, facts.domain, domain, address)
         with self.closing():

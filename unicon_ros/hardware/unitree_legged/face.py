@@ -22,7 +22,7 @@ from unicon_ros.hardware.unitree_legged.codec import (
     TORQUE,
     Frame,
 )
-from unicon_ros.hardware.unitree_legged.link import Link, link_of
+from unicon_ros.hardware.unitree_legged.link import link_of
 
 BRAKE = 2.0
 """Damping of an emulated motor in mode 0x00 in [N·m·s/rad]; a real one's is not public."""
@@ -34,17 +34,8 @@ REST = 30
 """Temperature of emulated motors in [°C], where the states have none."""
 
 
-def face(
-    states: States,
-    robot: Robot,
-    *,
-    generation: str | None = None,
-    address: str = "127.0.0.1",
-    port: int | None = None,
-    encrypted: bool = False,
-    obeys: bool = True,
-) -> LeggedFace:
-    """Open the robot's end.
+class LeggedFace:
+    """The board; see `Face`.
 
     Args:
         states: of the emulated robot.
@@ -56,17 +47,6 @@ def face(
         obeys: commands act from the beginning; else until somebody sets `obeys`, as with the
             remote, motors tell mode 0x00.
 
-    Raises:
-        PlatformError: an option is wrong, or the port is taken.
-        RobotError: the robot file lacks a fact.
-    """
-    link = link_of(robot, generation=generation, address=address, port=port)
-    return LeggedFace(states, robot, link, encrypted, obeys)
-
-
-class LeggedFace:
-    """The board; see `Face`.
-
     Attributes:
         rate: of its frames in [Hz].
         dead_man: infinity.
@@ -76,14 +56,27 @@ class LeggedFace:
         refused: others so far.
         remote: the 40 bytes of the wireless remote that it tells.
         modes: of the motors.
+
+    Raises:
+        PlatformError: an option is wrong, or the port is taken.
+        RobotError: the robot file lacks a fact.
     """
 
     platform = "unitree_legged"
     dead_man = math.inf
 
     def __init__(
-        self, states: States, robot: Robot, link: Link, encrypted: bool, obeys: bool
+        self,
+        states: States,
+        robot: Robot,
+        *,
+        generation: str | None = None,
+        address: str = "127.0.0.1",
+        port: int | None = None,
+        encrypted: bool = False,
+        obeys: bool = True,
     ) -> None:
+        link = link_of(robot, generation=generation, address=address, port=port)
         self.rate, self.obeys, self._encrypted, self._link = link.rate, obeys, encrypted, link
         self.good = self.refused = 0
         self.where = f"{link.address}:{link.port}"
@@ -183,3 +176,6 @@ class LeggedFace:
     def close(self) -> None:
         """Close the socket."""
         self._udp.close()
+
+
+face = LeggedFace
