@@ -21,7 +21,13 @@ from unicon_core.errors import RobotError
 from unicon_core.robots import Robot
 from unicon_core.schema.marks import Key, Size, Within, Write
 from unicon_ros.hardware.facts import Numbers, Port, each, fact
-from unicon_ros.hardware.fourier.addresses import Addressed, addressed, addresses, complete
+from unicon_ros.hardware.fourier.addresses import (
+    Addressed,
+    addressed,
+    addresses,
+    complete,
+    of_actuators,
+)
 
 ENABLE, POSITION, STATE, ERROR = 0x01, 0x0A, 0x1A, 0x1B
 STATE_TYPE = np.dtype([("code", "u1"), ("measured", ">f4", (3,))])
@@ -145,10 +151,14 @@ class Servos(Addressed):
                 "joints' encoders"
             )
         encoders = addresses(robot, "encoders", tuple(map(str, listed)), network)
+        if set(encoders) & set(of_actuators(robot, network)):
+            raise RobotError(
+                f"robot {robot.name}: transport.encoders names an address of transport.actuators"
+            )
         signs = _each(robot, "encoder_sign", len(encoders), 1.0)
         if not (np.abs(signs) == 1.0).all():
             raise RobotError(f"robot {robot.name}: transport.encoder_sign is not 1 or -1 for each")
-        found = addressed(
+        return addressed(
             cls,
             robot,
             network,
@@ -156,11 +166,6 @@ class Servos(Addressed):
             encoder_degrees=signs * _each(robot, "encoder_ratio", len(encoders), 1e3),
             encoder_zero=_each(robot, "encoder_zero", len(encoders), 360.0),
         )
-        if set(encoders) & set(found.addresses):
-            raise RobotError(
-                f"robot {robot.name}: transport.encoders names an address of transport.actuators"
-            )
-        return found
 
     @cached_property
     def speed(self) -> Numbers:
