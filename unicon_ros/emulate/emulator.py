@@ -11,24 +11,28 @@ which it began; commands do not act while the face does not obey; and without an
 
 from __future__ import annotations
 
+import json
+import os
+import shlex
 import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
-from unicon_core.errors import Fault, PlatformError, UniconError
+from unicon_core.errors import Fault, PlatformError, RobotError, UniconError
 from unicon_core.pacing import Pacing, WallClock, prepare_process
 from unicon_core.platforms.kit.command import FiniteCheck
 from unicon_core.platforms.kit.damping import LastSent
-from unicon_core.robots import Robot
+from unicon_core.resources import find_config
+from unicon_core.robots import Robot, robot_names
 from unicon_core.states import States, standard_states
 from unicon_core.states.standard import COMMAND_STATES, hardware_states
 from unicon_core.workflow.autowire import refuse_options
+from unicon_core.workflow.hardware import refuse_incomplete
 from unicon_ros.emulate.body import Body, body_of
 from unicon_ros.emulate.defects import Defects
 from unicon_ros.emulate.face import Face, Timed
-from unicon_ros.emulate.reaching import reaching
 from unicon_ros.emulate.telling import Say, Telling, say
 
 SILENCE = 0.5
@@ -39,6 +43,9 @@ FASTEST = 5000.0
 """Of faces in [Hz]: a tick of Python takes 0.1 ms."""
 ROOM_TEMPERATURE = 25.0
 """Of motors in [°C]."""
+
+WORKFLOW = "h1_stand"
+"""What `reaching` runs: it goes to the default pose; any robot does."""
 
 
 class Emulator:
@@ -311,3 +318,40 @@ def emulated(
     except BaseException:
         face.close()
         raise
+
+
+def reaching(robot: Robot, face: Face) -> dict[str, str]:
+    """Return `command`, which drives an emulated robot to its default pose in a shell.
+
+    A robot whose file lacks what driving it needs has none, and `refused` says what is lacking.
+
+    Args:
+        robot: its file.
+        face: its end of the protocol; without attributes `platform` and `reach` no command is
+            known, and the text is empty.
+    """
+    platform, reach = getattr(face, "platform", ""), getattr(face, "reach", {})
+    if not platform:
+        return {"command": ""}
+    try:
+        refuse_incomplete(robot, platform)
+    except RobotError as error:
+        return {"command": "", "refused": str(error)}
+    settings = {"robot": _named(robot), "platform": platform}
+    settings |= {f"platforms.{platform}.{option}": value for option, value in reach.items()}
+    words = ["unicon", "run", WORKFLOW]
+    for path, value in settings.items():
+        shown = value if isinstance(value, str) else json.dumps(value)
+        words += ["--set", f"{path}={shown}"]
+    domain = os.environ.get("ROS_DOMAIN_ID") if platform == "ros" else None
+    domains = [f"ROS_DOMAIN_ID={domain}"] if domain else []
+    return {"command": shlex.join([*domains, *words, "--yes"])}
+
+
+def _named(robot: Robot) -> str:
+    """Return what finds the robot's file from anywhere: its name, else its path."""
+    if robot.name in robot_names():
+        found = find_config("robots", robot.name, ".yaml", error=RobotError)
+        if found.samefile(robot.path):
+            return robot.name
+    return str(robot.path.resolve())

@@ -11,7 +11,7 @@ Such a factory is named `module:face`, or registered under its protocol in the e
 `unicon.faces`. An attribute `where`, such as "127.0.0.1:8007", is told to the user. With `modes`,
 an `EmulatedModes`, a motor can be let leave the commanded mode. Attributes `platform`, which drives
 it, and `reach`, the options of that platform which lead here, make the command of a run that
-reaches it (`reaching.py`).
+reaches it (`emulator.py`).
 """
 
 from __future__ import annotations

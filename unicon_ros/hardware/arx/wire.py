@@ -15,10 +15,9 @@ import numpy as np
 from unicon_core.errors import Fault, MissingDependencyError, PlatformError
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES, HARDWARE_STATES
-from unicon_ros.hardware.answers import Answers
 from unicon_ros.hardware.arx.codec import DM, ENABLE, ENABLED, Motors, Packing, reply_of
 from unicon_ros.hardware.modes import UNDOCUMENTED, ModeGuard
-from unicon_ros.hardware.wire import Counts
+from unicon_ros.hardware.wire import Answers, Counts
 
 MOST = 256
 """Frames that are looked at in a tick: a flood must not hold it up. More than a bus of 1 Mbit/s

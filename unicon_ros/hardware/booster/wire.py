@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.blocks.controls.device import Controls
+from unicon_core.blocks.controls.remotes import REMOTES
 from unicon_core.errors import Fault
 from unicon_core.platforms.kit.base import Mounting, quat_of_rpy
 from unicon_core.robots import Robot
@@ -16,10 +17,11 @@ from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_ros.hardware.booster.codec import BoosterFacts
 from unicon_ros.hardware.booster.service import Client
-from unicon_ros.hardware.booster.side import Side
 from unicon_ros.hardware.booster.takeover import Takeover
-from unicon_ros.hardware.dds.end import DdsEnd
-from unicon_ros.hardware.dds.maps import arrays_of, command_arrays
+from unicon_ros.hardware.dds.end import DdsEnd, Inlet
+from unicon_ros.hardware.dds.frames import HEADER
+from unicon_ros.hardware.dds.maps import Arrays, Message, arrays_of, command_arrays
+from unicon_ros.hardware.dds.participant import Participant
 from unicon_ros.hardware.wire import Counts
 
 EXTRA = "hw-booster"
@@ -170,3 +172,68 @@ class BoosterWire(DdsEnd):
                 time.sleep(0.002)
         client.ask(self._facts.requests["change_mode"], mode=self._facts.modes["damping"])
         time.sleep(0.002 * LAST)  # for it to leave this machine
+
+
+class Side:
+    """What a T1 tells besides LowState, each on a topic of its own: mode, battery, gamepad.
+
+    A robot need not tell any of it, and none of it counts as a sign of life.
+
+    Args:
+        participant: of the robot's domain.
+        facts: of the robot file.
+        arrays: states; the battery's are written where they are there.
+        controls: take the gamepad; None where nobody asks for it.
+    """
+
+    def __init__(
+        self,
+        participant: Participant,
+        facts: BoosterFacts,
+        arrays: Arrays,
+        controls: Controls | None,
+    ) -> None:
+        self._participant, self._counts = participant, Counts()
+        self._number = np.full((), -1, np.int32)
+        self._names = {value: name for name, value in facts.modes.items()}
+        self._was_custom = False
+        self._mode = self._inlet(facts.mode, {"mode": self._number})
+        self._others: list[Inlet] = []
+        if {"battery_charge", "battery_voltage"} <= set(arrays):
+            self._others.append(self._inlet(facts.battery, arrays))
+        if controls is not None:
+            self._others.append(self._remote(facts.remote, controls))
+
+    @property
+    def mode(self) -> str:
+        """Name of the mode that was told last, "-1" before."""
+        return self._names.get(int(self._number), str(int(self._number)))
+
+    def take(self) -> str:
+        """Take what has come; return "custom", "another" mode behind it, or "" for not known."""
+        for inlet in self._others:
+            inlet.take()
+        if self._mode.take():
+            custom = self.mode == "custom"
+            self._was_custom = self._was_custom or custom
+        if not self._was_custom:  # older ones may still be on their way
+            return ""
+        return "custom" if self.mode == "custom" else "another"
+
+    def _inlet(self, message: Message, arrays: Arrays) -> Inlet:
+        frames = message.frames(arrays, self._counts)
+        reader = self._participant.reader(message.topic, message.struct)
+        return Inlet(reader, frames.good, frames.read, self._counts, message.topic)
+
+    def _remote(self, message: Message, controls: Controls) -> Inlet:
+        size, taken = REMOTES["booster"]
+
+        def good(raw: bytes) -> bool:
+            return raw[:2] == HEADER and 0 <= len(raw) - len(HEADER) - 2 - size < 4
+
+        def read(raw: bytes) -> bool:
+            taken(raw[4 : 4 + size], controls)
+            return True
+
+        reader = self._participant.reader(message.topic, message.struct)
+        return Inlet(reader, good, read, self._counts, message.topic, controls.let_go)

@@ -16,19 +16,102 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from unicon_core.errors import Fault
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
-from unicon_ros.hardware.dds.inlet import Inlet
 from unicon_ros.hardware.dds.maps import Arrays, Message, command_arrays
-from unicon_ros.hardware.dds.participant import Participant, Writer
+from unicon_ros.hardware.dds.participant import Participant, Reader, Writer
 from unicon_ros.hardware.modes import EmulatedModes
 from unicon_ros.hardware.wire import Counts
+from unicon_ros.hardware.wired_robot import SILENCE, WiredRobot, opened
+
+R = TypeVar("R", bound=WiredRobot)
+
+
+class Inlet:
+    """Messages of whoever sent the first good one, until that sender has gone.
+
+    Args:
+        reader: of the topic.
+        good: whether a message may be read; it counts what it refuses.
+        read: reads a message; where it returns False, the one before it is read.
+        counts: gets the good ones, and those of others.
+        where: topic and domain, for messages.
+        forget: called when the sender has gone: the next one begins anew.
+        anyone: whoever sends is read, as a robot does with commands.
+    """
+
+    def __init__(
+        self,
+        reader: Reader,
+        good: Callable[[bytes], bool],
+        read: Callable[[bytes], bool],
+        counts: Counts,
+        where: str,
+        forget: Callable[[], None] = lambda: None,
+        *,
+        anyone: bool = False,
+    ) -> None:
+        self._reader, self._good, self._read = reader, good, read
+        self._counts, self._where, self._forget = counts, where, forget
+        self._anyone = anyone
+        self._source: int | None = None
+        self._ahead = 0
+        self._fault: Fault | None = None
+
+    def wait(self, timeout: float) -> bool:
+        """Return True once something is there, False after `timeout` in [s]."""
+        return bool(self._ahead) or self._fault is not None or self._reader.wait(timeout)
+
+    def read_ahead(self) -> None:
+        """Do now what `take` would do; it tells of it, of a fault too, when it is called."""
+        if self._fault is None:
+            try:
+                self._ahead += self._take()
+            except Fault as fault:
+                self._fault = fault
+
+    def take(self) -> int:
+        """Read the newest good message; return how many good ones have come."""
+        fault, ahead = self._fault, self._ahead
+        self._fault, self._ahead = None, 0
+        if fault is not None:
+            raise fault
+        return ahead + self._take()
+
+    def _take(self) -> int:
+        good: list[bytes] = []
+        for raw, info in self._reader.take():
+            if not info.valid_data:
+                if info.publication_handle == self._source:
+                    self._anew()
+            elif self._own(info.publication_handle) and self._good(raw):
+                self._source = info.publication_handle
+                good.append(raw)
+        number = len(good)
+        while good and not self._read(good.pop()):
+            number -= 1
+        self._counts.good += number
+        return number
+
+    def _anew(self) -> None:
+        self._source = None
+        self._forget()
+
+    def _own(self, source: int) -> bool:
+        if self._anyone or self._source in (None, source):
+            return True
+        if self._source not in self._reader.sources:  # it has gone, and another robot has come
+            self._anew()
+            return True
+        self._counts.refuse("another sender", f"{self._where} has two")
+        return False
 
 
 class Checked(Protocol):
@@ -210,3 +293,51 @@ class DdsFace(DdsEnd):
         if not right:
             self.counts.refuse(reason, f"{said.tolist()}, not {np.unique(wanted).tolist()}")
         return right
+
+
+def factory_of(
+    kind: type[R], wire: Callable[..., DdsEnd], silence: float = SILENCE
+) -> Callable[..., R]:
+    """Return the factory of a platform, which stands as `make` in the module of its class.
+
+    Args:
+        kind: its class.
+        wire: makes the wire of states, robot, domain, address and `silent`.
+        silence: default of the option, in [s].
+    """
+    usual = silence
+
+    def make(
+        states: States,
+        robot: Robot,
+        period: float,
+        *,
+        address: str | None = None,
+        domain: int | None = None,
+        connect: float = 5.0,
+        silence: float = usual,
+        silent: bool = False,
+    ) -> R:
+        """Build the platform and wait for the robot.
+
+        Args:
+            period: of a tick in [s].
+            address: of this machine's network interface to the robot, or that interface's name;
+                without it CYCLONEDDS_URI, or CycloneDDS itself, decides.
+            domain: of DDS, instead of the robot file's.
+            connect: how long to wait for the first frame in [s].
+            silence: of the robot that is a fault, in [s].
+            silent: receive only: nothing is sent, at the end either.
+
+        Raises:
+            MissingDependencyError: cyclonedds is not installed.
+            RobotError: the robot file lacks a fact.
+            PlatformError: the network cannot be used, or no frame came in time.
+        """
+        opening = wire(states, robot, domain, address, silent=silent)
+        return opened(kind(states, robot, period, opening, silence=silence, silent=silent), connect)
+
+    # A workflow reads the class in the annotation, and a child process imports the factory by name.
+    make.__annotations__["return"] = kind
+    make.__module__, make.__qualname__ = kind.__module__, "make"
+    return make

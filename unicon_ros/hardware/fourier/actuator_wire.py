@@ -13,12 +13,10 @@ from collections.abc import Iterable
 from unicon_core.errors import Fault
 from unicon_core.states import States
 from unicon_core.states.standard import HARDWARE_STATES
-from unicon_ros.hardware.answers import Answers
-from unicon_ros.hardware.fourier.addresses import Addressed
-from unicon_ros.hardware.fourier.codec import DISABLE
+from unicon_ros.hardware.fourier.codec import DISABLE, Addressed
 from unicon_ros.hardware.fourier.enabling import Enabling
 from unicon_ros.hardware.udp import Udp
-from unicon_ros.hardware.wire import Counts
+from unicon_ros.hardware.wire import Answers, Counts
 
 LARGEST = 1e6
 """[deg], and of gains and currents: nothing beyond it is meant, and its float stays finite."""

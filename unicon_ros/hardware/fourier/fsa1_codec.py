@@ -21,7 +21,7 @@ from unicon_core.errors import RobotError
 from unicon_core.robots import Robot
 from unicon_core.schema.marks import Key, Size, Within, Write
 from unicon_ros.hardware.facts import Numbers, Port, each, fact
-from unicon_ros.hardware.fourier.addresses import (
+from unicon_ros.hardware.fourier.codec import (
     Addressed,
     addressed,
     addresses,

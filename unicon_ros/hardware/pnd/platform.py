@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from unicon_core.platforms.platform import Facts
 from unicon_core.states.standard import CONTROL_STATES, JOINT_STATES
-from unicon_ros.hardware.dds.factory import factory_of
+from unicon_ros.hardware.dds.end import factory_of
 from unicon_ros.hardware.pnd.wire import PndWire
 from unicon_ros.hardware.wired_robot import WiredRobot
 
