@@ -31,12 +31,12 @@ MOST = 8
 """Messages that are looked at in a tick."""
 
 
-def face(
-    states: States, robot: Robot, *, rate: float = 200.0, imu_seconds: float = math.inf
-) -> RosFace:
-    """Open a node.
+class RosFace:
+    """A node with two publishers and two subscriptions; see the module.
 
     Args:
+        states: of the emulator.
+        robot: its file.
         rate: of the states in [Hz].
         imu_seconds: after so many the IMU is silent; 0 for never there.
 
@@ -44,20 +44,24 @@ def face(
         MissingDependencyError: rclpy or its messages are not installed.
         PlatformError: the rate is wrong.
     """
-    if not 0.0 < rate <= FASTEST:
-        raise PlatformError(f"face 'ros': rate is {rate} Hz; give more than 0, at most {FASTEST:g}")
-    return RosFace(states, robot, rate, imu_seconds)
-
-
-class RosFace:
-    """A node with two publishers and two subscriptions; see the module."""
 
     platform = "ros"
     dead_man = WATCHDOG
     obeys = True
     where = "joint_commands"
 
-    def __init__(self, states: States, robot: Robot, rate: float, imu_seconds: float) -> None:
+    def __init__(
+        self,
+        states: States,
+        robot: Robot,
+        *,
+        rate: float = 200.0,
+        imu_seconds: float = math.inf,
+    ) -> None:
+        if not 0.0 < rate <= FASTEST:
+            raise PlatformError(
+                f"face 'ros': rate is {rate} Hz; give more than 0, at most {FASTEST:g}"
+            )
         self.rate, self._states = rate, states
         self._names = list(robot.joint_names)
         self._stiffness = np.nan_to_num(robot.joint_stiffness, nan=1.0)
@@ -131,3 +135,6 @@ class RosFace:
     def close(self) -> None:
         """Let go of the node."""
         self._own.close()
+
+
+face = RosFace

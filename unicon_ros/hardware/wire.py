@@ -13,10 +13,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from unicon_core.states import States
 from unicon_ros.hardware.modes import ModeGuard
 
 _HALF = 1 << 31
@@ -61,6 +62,11 @@ class Counts:
     def __str__(self) -> str:
         """Return what was refused: `3 wrong CRC, 1 short`; "" for nothing."""
         return ", ".join(f"{number} {reason}" for reason, number in self.refused.items())
+
+
+def known(states: States, name: str, unless: Any = None) -> Any:
+    """Return a state, or something else where there is none of that name."""
+    return states[name] if name in states else unless
 
 
 class Wire(Protocol):

@@ -49,6 +49,7 @@ class WiredRobot:
         wire: open, and aligned with the robot's joints; it is closed where this fails.
         silence: of the robot that is a fault, in [s].
         silent: nothing is sent, in `close` either.
+        facts: in place of the class's.
     """
 
     facts = Facts("wired")
@@ -62,7 +63,9 @@ class WiredRobot:
         *,
         silence: float = SILENCE,
         silent: bool = False,
+        facts: Facts | None = None,
     ) -> None:
+        self.facts = facts or self.facts
         self._states, self._robot, self._period, self._wire = states, robot, period, wire
         self._silence, self._silent = silence, silent
         try:

@@ -8,10 +8,11 @@ import numpy as np
 
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_core.states.standard import COMMAND_STATES, HARDWARE_STATES
+from unicon_core.states.standard import COMMAND_STATES
 from unicon_ros.hardware.arx.codec import DM, ENABLE, ENABLED, Motors, Reply, answer, command_of
 from unicon_ros.hardware.arx.wire import MOST, import_can, open_bus
 from unicon_ros.hardware.modes import EmulatedModes
+from unicon_ros.hardware.wire import known
 
 EMPTY = 0.1
 """[N·m]: torques of 12 bits have no zero."""
@@ -88,8 +89,7 @@ class ArxFace:
     def tell(self) -> None:
         """See `Face`: the answers to what was asked."""
         states, motors = self._states, self._motors
-        hardware = {name: states[name] for name in HARDWARE_STATES if name in states}
-        hot, error = hardware.get("motor_temperature"), hardware.get("motor_error")
+        hot, error = known(states, "motor_temperature"), known(states, "motor_error")
         for joint in self._asked:
             told = Reply(
                 motors.numbers[joint],

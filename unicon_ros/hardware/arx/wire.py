@@ -14,10 +14,10 @@ import numpy as np
 
 from unicon_core.errors import Fault, MissingDependencyError, PlatformError
 from unicon_core.states import States
-from unicon_core.states.standard import COMMAND_STATES, HARDWARE_STATES
+from unicon_core.states.standard import COMMAND_STATES
 from unicon_ros.hardware.arx.codec import DM, ENABLE, ENABLED, Motors, Packing, reply_of
 from unicon_ros.hardware.modes import UNDOCUMENTED, ModeGuard
-from unicon_ros.hardware.wire import Answers, Counts
+from unicon_ros.hardware.wire import Answers, Counts, known
 
 MOST = 256
 """Frames that are looked at in a tick: a flood must not hold it up. More than a bus of 1 Mbit/s
@@ -92,8 +92,7 @@ class ArxWire:
         self._packing(self._rows)
         empty = [frame.tobytes() for frame in self._packing.frames]
         self._asking = [ENABLE if lay is DM else e for lay, e in zip(motors.layouts, empty)]
-        hardware = {name: states[name] for name in HARDWARE_STATES if name in states}
-        self._error = hardware.get("motor_error")
+        self._error = known(states, "motor_error")
         self._pending: list[Any] = []
         self._asked, self._commanding, self._foreign = -np.inf, False, -np.inf
 

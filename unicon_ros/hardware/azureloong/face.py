@@ -15,10 +15,11 @@ from unicon_core.errors import PlatformError, alternatives
 from unicon_core.platforms.kit.base import rpy_of_quat
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_core.states.standard import COMMAND_STATES, HARDWARE_STATES
+from unicon_core.states.standard import COMMAND_STATES
 from unicon_ros.hardware.azureloong.codec import KEYS, Link
 from unicon_ros.hardware.facts import Port, fact, ipv4
 from unicon_ros.hardware.udp import Udp
+from unicon_ros.hardware.wire import known
 
 KEY_FRAME, KEY_AT = 96, 84
 """Bytes of the remote's frame, and which of them is the key: tools/py_ui.py of the vendor."""
@@ -118,9 +119,8 @@ class AzureFace:
         frame["gyro"], frame["acc"] = states["base_ang_vel"], states["base_lin_acc"]
         frame["pos"], frame["vel"] = states["joint_pos"], states["joint_vel"]
         frame["effort"] = states["joint_effort"]
-        told = {name: states[name] for name in HARDWARE_STATES if name in states}
-        frame["temperature"] = told.get("motor_temperature", WARM)
-        frame["error"] = told.get("motor_error", 0)
+        frame["temperature"] = known(states, "motor_temperature", WARM)
+        frame["error"] = known(states, "motor_error", 0)
         frame["pos_target"] = states["joint_pos_target"]
         self._udp.send(frame.view(np.uint8).data)
 

@@ -12,11 +12,10 @@ from collections.abc import Iterable
 
 from unicon_core.errors import Fault
 from unicon_core.states import States
-from unicon_core.states.standard import HARDWARE_STATES
 from unicon_ros.hardware.fourier.codec import DISABLE, Addressed
 from unicon_ros.hardware.fourier.enabling import Enabling
 from unicon_ros.hardware.udp import Udp
-from unicon_ros.hardware.wire import Answers, Counts
+from unicon_ros.hardware.wire import Answers, Counts, known
 
 LARGEST = 1e6
 """[deg], and of gains and currents: nothing beyond it is meant, and its float stays finite."""
@@ -36,8 +35,7 @@ class ActuatorWire:
         self._labels = tuple(map("{} ({})".format, actuators.names, actuators.addresses))
         self._answered = Answers(self._labels)
         self._asked, self._turn, self._strangers = 0.0, 0, 0
-        hardware = {name: states[name] for name in HARDWARE_STATES if name in states}
-        self._hot, self._error = hardware.get("motor_temperature"), hardware.get("motor_error")
+        self._hot, self._error = known(states, "motor_temperature"), known(states, "motor_error")
         self._opened: list[Udp] = []
         self._sockets = self._open(self._labels, actuators.addresses, actuators.port)
 

@@ -11,7 +11,6 @@ import numpy as np
 
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_core.states.standard import HARDWARE_STATES
 from unicon_ros.hardware.facts import ipv4
 from unicon_ros.hardware.fourier.codec import (
     ACKNOWLEDGED_GAINS,
@@ -31,6 +30,7 @@ from unicon_ros.hardware.fourier.codec import (
 from unicon_ros.hardware.fourier.fsa1_codec import Servos
 from unicon_ros.hardware.fourier.fsa1_face import Fsa1Face
 from unicon_ros.hardware.udp import Udp
+from unicon_ros.hardware.wire import known
 
 WARM = 40.0
 """What actuators tell where the simulator has no temperature, [°C]."""
@@ -151,8 +151,7 @@ class FourierFace:
         """See `Face`: the answers to what was asked."""
         states, facts, answer = self._states, self._facts, np.zeros(1, STATE_TYPE)
         answer["code"] = STATE
-        hardware = {name: states[name] for name in HARDWARE_STATES if name in states}
-        hot, error = hardware.get("motor_temperature"), hardware.get("motor_error")
+        hot, error = known(states, "motor_temperature"), known(states, "motor_error")
         for joint, (actuator, socket) in enumerate(zip(self._actuators, self._sockets)):
             scale = facts.degrees[joint]
             for code in actuator.asked:

@@ -57,19 +57,6 @@ class Inspire(WiredRobot):
         examine=_examined,
     )
 
-    def __init__(
-        self,
-        states: States,
-        robot: Robot,
-        period: float,
-        wire: Wire,
-        *,
-        silence: float,
-        silent: bool,
-    ) -> None:
-        self.facts = _facts(robot)
-        super().__init__(states, robot, period, wire, silence=silence, silent=silent)
-
 
 def make(
     states: States,
@@ -118,4 +105,6 @@ def make(
         wire = HandWire(states, registers_of(robot), link, where, silent=silent)
     else:
         wire = InspireDdsWire(states, robot, domain, address, silent=silent)
-    return opened(Inspire(states, robot, period, wire, silence=silence, silent=silent), connect)
+    told = _facts(robot)
+    made = Inspire(states, robot, period, wire, silence=silence, silent=silent, facts=told)
+    return opened(made, connect)
