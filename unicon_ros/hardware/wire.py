@@ -66,7 +66,9 @@ class Counts:
 
 def known(states: States, name: str, unless: Any = None) -> Any:
     """Return a state, or something else where there is none of that name."""
-    return states[name] if name in states else unless
+    if name in states:
+        return states[name]
+    return unless
 
 
 class Wire(Protocol):
