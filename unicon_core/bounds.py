@@ -9,9 +9,10 @@ no robots.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Annotated, Any, Literal
 
 from unicon_core.errors import WorkflowError
+from unicon_core.schema.marks import Unit, Within
 
 POSITION = 4.0 * math.pi
 """|position| in [rad], [m] of sliding joints: two turns; go2's rear thighs have 4.54."""
@@ -39,8 +40,6 @@ TILT = 0.5 * math.pi
 """In [rad] for `tilt_stop`: a robot that lies on its side has fallen."""
 STALE = 5.0
 """In [s] for `stale_stop`: 0.1 unless given; a humanoid falls within 1."""
-GAIN_SCALES = {"stiffness_scale": 2.0, "damping_scale": 5.0}
-"""Factors on a robot file's gains, as of the node's parameters of these names."""
 POSE_DURATION = 0.1
 """Least duration of `pose` in [s]: what is shorter is a step."""
 POSE_SPEED = 10.0
@@ -48,6 +47,27 @@ POSE_SPEED = 10.0
 standing in 2 s is 1.2 for go2, and legs can do 20 to 30."""
 DURATION = 1e7
 """In [s]: four months; what is longer has no end, and says so by having no duration."""
+
+LONGEST = 1e9
+"""In [s], that a block counts: thirty years."""
+
+Timeout = Annotated[float, Unit("s"), Within(0.0, STALE, above=True)]
+"""Time after which a stop trips."""
+Seconds = Annotated[float, Unit("s"), Within(0.0, LONGEST)]
+"""Time that a block counts."""
+Motion = Annotated[float, Unit("rad"), Within(0.0, POSITION, above=True)]
+"""By which a joint moves, or is off."""
+Speed = Annotated[float, Unit("rad/s"), Within(0.0, VELOCITY, above=True)]
+"""Of a joint."""
+MaxRate = Speed | Literal["robot"]
+"""Of each joint, or the robot file's velocity limits."""
+Stiffness = Annotated[float, Unit("N·m/rad"), Within(0.0, STIFFNESS)]
+Damping = Annotated[float, Unit("N·m·s/rad"), Within(0.0, DAMPING)]
+StiffnessScale = Annotated[float, Within(0.0, 2.0)]
+DampingScale = Annotated[float, Within(0.0, 5.0)]
+"""Factors on the robot file's gains."""
+Scale = Annotated[float | None, Within(0.0, TRIP_SHARE, above=True)]
+"""Of the robot file's limits; None for the usual."""
 
 
 def within(
@@ -58,9 +78,10 @@ def within(
     lowest: float = 0.0,
     *,
     above: bool = True,
-    what: str = "",
 ) -> float:
-    """Return an option that is a number within its bounds.
+    """Return a value that is a number within its bounds.
+
+    What a hint can say stands there instead: `Annotated[float, Unit(…), Within(…)]`.
 
     Args:
         value: as given.
@@ -69,7 +90,6 @@ def within(
         highest: allowed.
         lowest: allowed, or not allowed itself where `above` is true.
         above: whether `lowest` itself is refused.
-        what: it would switch off, a block; the message then says how to do so honestly.
 
     Raises:
         WorkflowError: it is not; the message has the range and the remedy.
@@ -78,8 +98,5 @@ def within(
     if not (number and value <= highest and (value > lowest if above else value >= lowest)):
         end = f" [{unit}]" if unit else ""
         start = f"above {lowest:g}" if above else f"from {lowest:g}"
-        off = f"; to run without {what} leave it out of safety:" if what else ""
-        raise WorkflowError(
-            f"{option} is {value!r}; give a number {start} to {highest:g}{end}{off}"
-        )
+        raise WorkflowError(f"{option} is {value!r}; give a number {start} to {highest:g}{end}")
     return float(value)

@@ -196,22 +196,22 @@ def test_sway_oscillates_by_itself(bench: Build) -> None:
         (
             "pose",
             {"duration": -1},
-            "block 'pose': duration is -1; give a number from 0.1 to 1e+07 [s]",
+            "block 'pose': duration is -1; write a number from 0.1 to 1e+07 [s]",
         ),
         (
             "damp",
             {"damping": -1.0},
-            "block 'damp': damping is -1.0; give a number from 0 to 200 [N·m·s/rad]",
+            "block 'damp': damping is -1.0; write a number from 0 to 200 [N·m·s/rad], or null",
         ),
         (
             "sway",
             {"gains": {"*_hip_joint": [1.0]}},
-            "block 'sway': gains of '*_hip_joint' are [1.0]; give [per vx, per vy, per wz]",
+            "block 'sway': gains.*_hip_joint is [1.0]; write [per vx, per vy, per wz]",
         ),
         (
             "sway",
             {"gains": GAINS, "amplitude": [1.0]},
-            "block 'sway': amplitude is [1.0]; give [vx, vy, wz]",
+            "block 'sway': amplitude is [1.0]; write [vx, vy, wz]",
         ),
     ],
 )

@@ -163,7 +163,7 @@ def test_velocity_limits_clamp_or_trip(bench: Build) -> None:
     with pytest.raises(Fault, match="FR_calf_joint is sent a velocity of nan rad/s"):
         stop.tick()
     with pytest.raises(
-        WorkflowError, match=r"scale is 1.5; give a number above 0 to 1; to run wit"
+        WorkflowError, match=r"scale is 1.5; write a number above 0 to 1, or beyond: trip"
     ):
         it.block("velocity_limits", scale=1.5)
 
@@ -252,25 +252,26 @@ def test_stale_stop_waits_for_its_timeout(bench: Build) -> None:
         (
             "effort_limits",
             {"scale": 0.0},
-            "block 'effort_limits': scale is 0.0; give a number above 0 to 1; to run without "
-            "effort_limits leave it out of safety:",
+            "block 'effort_limits': scale is 0.0; write a number above 0 to 10, or null; to "
+            "run without it leave it out of safety:",
         ),
         (
             "rate_limit",
             {"max_rate": "fast"},
-            "block 'rate_limit': max_rate is 'fast'; write a number or robot",
+            "block 'rate_limit': max_rate is 'fast'; write a number above 0 to 200 [rad/s] or "
+            "robot; to run without it leave it out of safety:",
         ),
         (
             "tilt_stop",
             {"angle": 60},
-            "block 'tilt_stop': angle is 60; give a number above 0 to 1.5708 [rad]; to run without "
-            "tilt_stop leave it out of safety:",
+            "block 'tilt_stop': angle is 60; write a number above 0 to 1.5708 [rad]; to run "
+            "without it leave it out of safety:",
         ),
         (
             "velocity_stop",
             {"limit": -1.0},
-            "block 'velocity_stop': limit is -1.0; give a number above 0 to 200 [rad/s]; to run "
-            "without velocity_stop leave it out of safety:",
+            "block 'velocity_stop': limit is -1.0; write a number above 0 to 200 [rad/s], or "
+            "null; to run without it leave it out of safety:",
         ),
     ],
 )

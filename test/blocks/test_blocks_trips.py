@@ -445,7 +445,7 @@ def test_overrun_stop_leaves_simulators_alone(
 ) -> None:
     from types import SimpleNamespace
 
-    from unicon_core.blocks.safety.overrun import overrun_stop
+    from unicon_core.blocks.safety.overrun import OverrunStop
     from unicon_core.workflow.autowire import BuildContext
 
     it, clock = made(bench), Clock(monkeypatch)
@@ -457,7 +457,7 @@ def test_overrun_stop_leaves_simulators_alone(
             it.period,
             platform=SimpleNamespace(facts=facts),  # type: ignore[arg-type]
         )
-        block = SimpleNamespace(tick=overrun_stop(context, count=3))
+        block = SimpleNamespace(tick=OverrunStop(context, count=3))
 
         def late() -> None:
             clock.now += 60_000_000
@@ -548,23 +548,23 @@ def test_a_file_of_bounds_that_does_not_fit_is_refused(
     ("block", "options", "said"),
     [
         ("joint_limits", {"beyond": "warn"}, "beyond 'warn' is not known; known: clamp, trip"),
-        ("effort_limits", {"beyond": "trip", "scale": 11}, "scale is 11; give a number above 0"),
-        ("effort_limits", {"scale": 1.1}, "scale is 1.1; give a number above 0 to 1"),
-        ("tracking_stop", {"bound": np.inf}, "bound is inf; give a number above 0"),
-        ("tracking_stop", {"timeout": 0}, "timeout is 0; give a number above 0 to 5 [s]"),
-        ("power_stop", {"limit": -1.0}, "limit is -1.0; give a number above 0"),
-        ("power_stop", {"limit": 100.0, "loss": -1.0}, "loss is -1.0; give a number from 0"),
-        ("height_stop", {"lowest": -1e9}, "lowest is -1000000000.0; give a number above -10000"),
-        ("height_stop", {"lowest": 0.5, "highest": 0.2}, "lowest is 0.5; give a number above"),
-        ("overrun_stop", {"count": 0}, "count is 0; give 1 to 50, the ticks of window: 1 s"),
+        ("effort_limits", {"beyond": "trip", "scale": 11}, "scale is 11; write a number above 0"),
+        ("effort_limits", {"scale": 1.1}, "scale is 1.1; write a number above 0 to 1, or bey"),
+        ("tracking_stop", {"bound": np.inf}, "bound is inf; write a number above 0"),
+        ("tracking_stop", {"timeout": 0}, "timeout is 0; write a number above 0 to 5 [s]"),
+        ("power_stop", {"limit": -1.0}, "limit is -1.0; write a number above 0"),
+        ("power_stop", {"limit": 100.0, "loss": -1.0}, "loss is -1.0; write a number from 0"),
+        ("height_stop", {"lowest": -1e9}, "lowest is -1000000000.0; write a number above -10000"),
+        ("height_stop", {"lowest": 0.5, "highest": 0.2}, "lowest is 0.5; write at most 0.2 [m]"),
+        ("overrun_stop", {"count": 0}, "count is 0; write a whole number from 1"),
         ("overrun_stop", {"count": 51}, "count is 51; give 1 to 50, the ticks of window: 1 s"),
-        ("overrun_stop", {"window": 1e9}, "window is 1000000000.0; give a number above 0 to 60"),
-        ("hardware_stop", {"temperature": 1e6}, "temperature is 1000000.0; give a number above 0"),
-        ("hardware_stop", {"charge": -1}, "charge is -1; give a number from 0 to 1"),
+        ("overrun_stop", {"window": 1e9}, "window is 1000000000.0; write a number above 0 to 60"),
+        ("hardware_stop", {"temperature": 1e6}, "temperature is 1000000.0; write a number above 0"),
+        ("hardware_stop", {"charge": -1}, "charge is -1; write a number from 0 to 1"),
         ("hardware_stop", {"voltage": np.nan}, "voltage is nan; write a number"),
-        ("action_stop", {"limit": 1e9}, "limit is 1000000000.0; give a number above 0 to 1000"),
-        ("observation_stop", {"file": "a.npz", "margin": -1}, "margin is -1; give a number from"),
-        ("observation_stop", {"file": "a.txt"}, "file is 'a.txt'; give a path that ends in .npz"),
+        ("action_stop", {"limit": 1e9}, "limit is 1000000000.0; write a number above 0 to 1000"),
+        ("observation_stop", {"file": "a.npz", "margin": -1}, "margin is -1; write a number from"),
+        ("observation_stop", {"file": "a.txt"}, "file is 'a.txt'; write a path that ends in .npz"),
     ],
 )
 def test_an_option_that_would_switch_it_off_is_refused(

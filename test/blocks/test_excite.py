@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
 
-from unicon_core.blocks.excite import SIGNALS
+from unicon_core.blocks.excite import Signal
 from unicon_core.errors import WorkflowError
 
 Build = Callable[..., Any]
@@ -27,7 +27,7 @@ def path_of(it: Any, **options: Any) -> Any:
     return np.array(path)
 
 
-@pytest.mark.parametrize("signal", SIGNALS)
+@pytest.mark.parametrize("signal", get_args(Signal))
 def test_signals_are_faded_stay_within_their_amplitude_and_end_in_the_pose(
     bench: Build, signal: str
 ) -> None:
@@ -135,9 +135,9 @@ def test_a_batch_moves_as_one_robot(bench: Build) -> None:
             r"amplitude 0\.9 rad about -1\.6 rad .* FR_calf_joint; give at most 0",
         ),
         ({"amplitude": float("nan")}, r"amplitude is nan"),
-        ({"amplitude": -0.1}, r"amplitude is -0\.1; give a number above 0"),
+        ({"amplitude": -0.1}, r"amplitude is -0\.1; write a number above 0"),
         ({"amplitude": {"RL_*": 0.1}}, r"amplitude says nothing of joint FR_hip_joint"),
-        ({"joints": []}, r"joints is empty"),
+        ({"joints": []}, r"joints is \[\]; write a list"),
         ({"joints": ["tail"]}, r"no joint like 'tail'"),
         ({"frequency": 0.0}, r"frequency is 0\.0"),
         ({"frequency": 40.0}, r"frequency is 40\.0; give a number above 0 to 12\.5 \[Hz\]"),

@@ -126,9 +126,9 @@ def test_an_integral_takes_off_what_gravity_leaves_and_not_more(following: Bench
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"max_rate": 0}, "max_rate is 0; give a number above 0 to 200 [rad/s]"),
+        ({"max_rate": 0}, "max_rate is 0; write a number above 0 to 200 [rad/s]"),
         ({"max_rate": float("inf")}, "max_rate is inf"),
-        ({"max_rate": "fast"}, "max_rate is 'fast'; write a number or robot"),
+        ({"max_rate": "fast"}, "max_rate is 'fast'; write a number above 0 to 200"),
         ({"start_tolerance": -1}, "start_tolerance is -1"),
         ({"integral": 1e9}, "integral is"),
         ({"stiffness_scale": 9}, "stiffness_scale is 9"),
@@ -280,9 +280,9 @@ def test_gains_may_be_given_in_place_of_the_robots(following: Bench) -> None:
         ({"silent": "sleep"}, "silent 'sleep' is not known; known: hold, home"),
         ({"silent": "home", "home": "bed"}, "no pose 'bed'; "),
         ({"silent": "home", "home": {"*_hip_joint": 3.0}}, "is beyond the limits of joint"),
-        ({"silent": "home", "home_rate": 0}, "home_rate is 0; give a number above 0"),
-        ({"stiffness": -1}, "stiffness is -1; give a number from 0 to 2000 [N·m/rad]"),
-        ({"damping": {"*_hip_joint": 1e9}}, "damping of '*_hip_joint' is 1000000000.0"),
+        ({"silent": "home", "home_rate": 0}, "home_rate is 0; write a number above 0"),
+        ({"stiffness": -1}, "stiffness is -1; write a number from 0 to 2000 [N·m/rad]"),
+        ({"damping": {"*_hip_joint": 1e9}}, "damping.*_hip_joint is 1000000000.0"),
         ({"stiffness": {"elbow": 1.0}}, "no group or joint 'elbow'"),
     ],
 )

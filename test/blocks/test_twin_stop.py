@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from unicon_core.blocks.safety.twin_stop import TwinStop, twin_stop
-from unicon_core.errors import Fault, UniconError
+from unicon_core.blocks.safety.twin_stop import TwinStop
+from unicon_core.errors import Fault, WorkflowError
 from unicon_core.robots import load_robot
+from unicon_core.workflow.autowire import read_options
 
 ROBOT = load_robot("go2")
 PERIOD = 0.02
@@ -19,9 +20,7 @@ class Flags:
     def __init__(self, **options: float) -> None:
         self.raised = np.zeros(ROBOT.num_joints, np.int32)
         self.gap = np.linspace(0.2, 0.3, ROBOT.num_joints, dtype=np.float32)
-        self.stop: TwinStop = twin_stop(
-            self.raised, self.gap, robot=ROBOT, period=PERIOD, **options
-        )
+        self.stop = TwinStop(self.raised, self.gap, robot=ROBOT, period=PERIOD, **options)
 
     def ticks(self, count: int) -> None:
         """Look so often."""
@@ -65,5 +64,5 @@ def test_of_several_the_largest_gap_is_named() -> None:
 
 @pytest.mark.parametrize("timeout", [float("nan"), -1.0, float("inf")])
 def test_a_time_that_is_none_is_refused(timeout: float) -> None:
-    with pytest.raises(UniconError, match="timeout"):
-        Flags(timeout=timeout)
+    with pytest.raises(WorkflowError, match=r"timeout is .*; write a number above 0 to 5 \[s\]"):
+        read_options(TwinStop, {"timeout": timeout}, lambda text, *_: WorkflowError(text))

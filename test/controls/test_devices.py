@@ -21,7 +21,7 @@ from unicon_core.errors import WorkflowError
 from unicon_core.robots import load_robot
 from unicon_core.states import States
 from unicon_core.states.standard import BUTTONS, control_states, standard_states
-from unicon_core.workflow.autowire import BuildContext
+from unicon_core.workflow.autowire import BuildContext, autowire
 
 KEY, ABS, SYN = 1, 3, 0
 
@@ -116,8 +116,8 @@ def test_a_device_that_is_not_there_is_looked_for_and_told_once(tmp_path: Path, 
     plain.write_text("")
     with pytest.raises(WorkflowError, match="is not an input device"):
         gamepad(context=pad.context, device=str(plain))
-    with pytest.raises(WorkflowError, match="hold is 9"):
-        keyboard(context=pad.context, hold=9.0)
+    with pytest.raises(WorkflowError, match=r"hold is 9\.0; write a number from 0.05 to 2"):
+        autowire(keyboard, "keyboard", pad.context, {"hold": 9.0})
 
 
 def test_a_robot_that_tells_its_own_remote_needs_no_device(pad: Pad) -> None:

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from unicon_core.blocks.controls.drive import drive
-from unicon_core.blocks.controls.headset import headset_controls
+from unicon_core.blocks.controls.drive import Drive
+from unicon_core.blocks.controls.headset import HeadsetControls
 from unicon_core.errors import WorkflowError
 from unicon_core.states import States, StateSpec
 from unicon_core.states.standard import BUTTONS
@@ -24,11 +24,11 @@ class Rig:
     """A headset's states, and the block behind them."""
 
     def __init__(self) -> None:
-        specs = {**webxr.declares(), **headset_controls.declares()}  # type: ignore[attr-defined]
+        specs = {**webxr.declares(), **HeadsetControls.declares()}  # type: ignore[attr-defined]
         self.states = States({**specs, "velocity_command": StateSpec((3,))})
         controls = [self.states[name] for name in ("sticks", "buttons", "controls_alive")]
-        self.tick = headset_controls(*controls, states=self.states)
-        self.drive = drive(*controls, self.states["velocity_command"], speed=(1.0, 0.5, 2.0))
+        self.tick = HeadsetControls(*controls, states=self.states)
+        self.drive = Drive(*controls, self.states["velocity_command"], speed=(1.0, 0.5, 2.0))
         self.states["webxr_alive"] = 1
 
     def go(self, *tracked: str) -> None:
@@ -82,7 +82,7 @@ def test_buttons_have_the_names_of_their_places() -> None:
 
 
 def test_a_device_that_is_not_there_is_told() -> None:
-    states = States(headset_controls.declares())  # type: ignore[attr-defined]
+    states = States(HeadsetControls.declares())  # type: ignore[attr-defined]
     controls = [states[name] for name in ("sticks", "buttons", "controls_alive")]
     with pytest.raises(WorkflowError, match="no state 'vive_alive'; list the device"):
-        headset_controls(*controls, states=states, device="vive")
+        HeadsetControls(*controls, states=states, device="vive")

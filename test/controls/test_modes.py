@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from unicon_core.blocks.controls.drive import drive
+from unicon_core.blocks.controls.drive import Drive
 from unicon_core.blocks.controls.gamepad import EVENT
 from unicon_core.blocks.controls.modes import modes
-from unicon_core.blocks.safety.button_stop import button_stop, remote_stop
+from unicon_core.blocks.safety.button_stop import ButtonStop, RemoteStop
 from unicon_core.check import check_workflow
 from unicon_core.errors import EmergencyStopPressed, Fault, WorkflowError
 from unicon_core.flow import Block, Stage
@@ -23,7 +23,7 @@ from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import States, StateSpec
 from unicon_core.states.standard import BUTTONS, control_states, standard_states
 from unicon_core.workflow import Program, load_document
-from unicon_core.workflow.autowire import BuildContext
+from unicon_core.workflow.autowire import BuildContext, autowire
 
 TO = {
     "passive": {"button": "B"},
@@ -49,8 +49,7 @@ class Hands:
         self.states["buttons"][...] = [int(name in names) for name in BUTTONS]
 
     def modes(self, to: Mapping[str, Any] = TO, begin: str = "passive") -> Any:
-        seen = [self.states[name] for name in ("sticks", "buttons", "projected_gravity", "mode")]
-        return modes(*seen, context=self.context, begin=begin, to=to)
+        return autowire(modes, "modes", self.context, {"begin": begin, "to": to}).tick
 
 
 @pytest.fixture
@@ -59,7 +58,7 @@ def hands() -> Hands:
 
 
 def test_sticks_drive_while_the_button_is_held(hands: Hands) -> None:
-    tick = drive(**hands.controls, speed=[1.0, 0.5, 2.0], dead_zone=0.2, hold="R1")
+    tick = Drive(**hands.controls, speed=(1.0, 0.5, 2.0), dead_zone=0.2, hold="R1")
     command, sticks = hands.states["velocity_command"], hands.states["sticks"]
     sticks[...] = (1.0, 0.6, 0.1, 0.0)
     tick()
@@ -123,15 +122,18 @@ def test_buttons_change_modes_and_wrong_ones_are_refused_with_the_reason(hands: 
 @pytest.mark.parametrize(
     ("to", "message"),
     [
-        ({}, "no modes"),
-        ({"stand": "A"}, "to.stand: give {button: NAME}"),
-        ({"stand": {"button": "a"}}, "to.stand.button: no button 'a'; known: A, B"),
-        ({"stand": {"button": "A", "form": []}}, "to.stand: no 'form'; did you mean 'from'"),
+        ({}, "to is {}; write {stand: {button: A}}"),
+        ({"stand": "A"}, "to.stand is 'A'; write {button: NAME}"),
+        ({"stand": {"button": "a"}}, "to.stand.button 'a' is not known; known: A, B"),
+        (
+            {"stand": {"button": "A", "form": []}},
+            "to.stand: unknown key 'form'; did you mean 'from'",
+        ),
         ({"stand": {"button": "A", "from": ["lie"]}}, "to.stand.from: no mode 'lie'"),
-        ({"stand": {"button": "A", "from": "passive"}}, "give a list of modes"),
-        ({"stand": {"button": "A", "after": "2"}}, "to.stand.after is '2'; give a number"),
+        ({"stand": {"button": "A", "from": "passive"}}, "to.stand.from is 'passive'; write a list"),
+        ({"stand": {"button": "A", "after": "2"}}, "to.stand.after is '2'; write a number from 0"),
         ({"stand": {"button": "A", "tilt": 9.0}}, "tilt"),
-        ({"stand": {"button": "A", "calm": 1}}, "give true or false"),
+        ({"stand": {"button": "A", "calm": 1}}, "to.stand.calm is 1; write true or false"),
         ({"stand": {"button": "A"}, "walk": {"button": "A"}}, "button A leads to stand and to"),
     ],
 )
@@ -143,7 +145,7 @@ def test_wrong_modes_are_named(hands: Hands, to: Mapping[str, Any], message: str
 
 def test_a_button_or_a_lost_device_stops(hands: Hands) -> None:
     seen = {name: hands.states[name] for name in ("buttons", "controls_alive")}
-    tick = button_stop(**seen, period=0.02, on=["select", "F1"], lost=0.04)
+    tick = ButtonStop(**seen, period=0.02, on=["select", "F1"], lost=0.04)
     tick()
     hands.hold("F1")
     with pytest.raises(Fault, match="the operator pressed F1"):
@@ -156,15 +158,16 @@ def test_a_button_or_a_lost_device_stops(hands: Hands) -> None:
         tick()
     tick.reset()
     tick()
-    with pytest.raises(WorkflowError, match="on: no button 'halt'"):
-        button_stop(**seen, period=0.02, on=["halt"])
-    with pytest.raises(WorkflowError, match="give a list of buttons"):
-        button_stop(**seen, period=0.02, on="select")
+    for stop in (ButtonStop, RemoteStop):
+        with pytest.raises(WorkflowError, match=r"on\.0 'halt' is not known; known: A, B"):
+            autowire(stop, "stop", hands.context, {"on": ["halt"]})
+        with pytest.raises(WorkflowError, match="on is 'select'; write a list of buttons"):
+            autowire(stop, "stop", hands.context, {"on": "select"})
 
 
 def test_the_remote_stops_where_all_buttons_are_held_for_two_ticks(hands: Hands) -> None:
     buttons = hands.states["buttons"]
-    tick = remote_stop(buttons, robot=load_robot("go1"))
+    tick = RemoteStop(buttons, robot=load_robot("go1"))
     assert tick.names == ("L2", "B")
     for pressed in ([], ["L2"], ["B"], ["L2", "B"], ["L2"], ["L2", "B"]):  # never for two ticks
         hands.hold(*pressed)
@@ -173,11 +176,9 @@ def test_the_remote_stops_where_all_buttons_are_held_for_two_ticks(hands: Hands)
         tick()
     tick.reset()
     tick()
-    remote_stop(buttons, robot=load_robot("t1"), on=["select"])
+    RemoteStop(buttons, robot=load_robot("t1"), on=["select"])
     with pytest.raises(WorkflowError, match=r"t1.yaml has no transport.stop_buttons; give on: "):
-        remote_stop(buttons, robot=load_robot("t1"))
-    with pytest.raises(WorkflowError, match="on: no button 'halt'"):
-        remote_stop(buttons, robot=load_robot("go1"), on=["halt"])
+        RemoteStop(buttons, robot=load_robot("t1"))
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -13,12 +14,12 @@ from unicon_core.blocks.controls import gamepad as module
 from unicon_core.blocks.controls import pads
 from unicon_core.blocks.controls.device import Controls
 from unicon_core.blocks.controls.gamepad import ABS, EVENT, KEY, SYN, Gamepad, gamepad
-from unicon_core.blocks.controls.pads import MAPPINGS, Finder, Identity, pad_of
+from unicon_core.blocks.controls.pads import Finder, Identity, Mapped, pad_of
 from unicon_core.errors import WorkflowError
 from unicon_core.robots import load_robot
 from unicon_core.states import States
 from unicon_core.states.standard import BUTTONS, control_states
-from unicon_core.workflow.autowire import BuildContext
+from unicon_core.workflow.autowire import BuildContext, autowire
 
 EVIDENCE = "stand_in"
 """What these tests run against, the most that config/evidence.yaml may say by them."""
@@ -57,7 +58,7 @@ class Rig:
         return [name for name, value in zip(BUTTONS, self.controls.buttons) if value]
 
 
-@pytest.mark.parametrize("mapping", MAPPINGS)
+@pytest.mark.parametrize("mapping", get_args(Mapped)[1:])
 def test_the_same_place_is_the_same_button(mapping: str, tmp_path: Path) -> None:
     rig = Rig(tmp_path, mapping)
     for code, name in zip(BELOW_RIGHT_LEFT_ABOVE[mapping], "ABXY"):
@@ -125,8 +126,8 @@ def test_a_pad_is_known_by_what_it_is(
 
 def test_an_unknown_mapping_is_named(tmp_path: Path) -> None:
     rig = Rig(tmp_path)
-    with pytest.raises(WorkflowError, match="mapping 'xbax'; did you mean 'xbox'"):
-        gamepad(context=rig.context, device=str(rig.path), mapping="xbax")
+    with pytest.raises(WorkflowError, match="mapping 'xbax' is not known; did you mean 'xbox'"):
+        autowire(gamepad, "gamepad", rig.context, {"mapping": "xbax"})
 
 
 def test_a_pad_without_a_cable_is_found_among_the_others(

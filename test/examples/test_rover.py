@@ -15,6 +15,7 @@ import yaml
 pytest.importorskip("mujoco")
 pytest.importorskip("onnxruntime")
 
+from unicon_core.blocks.joint_command import Commands
 from unicon_core.blocks.safety.ranges import command_stop
 from unicon_core.check import check_workflow
 from unicon_core.errors import Fault, RobotError
@@ -197,8 +198,8 @@ def test_an_approach_leaves_wheels_where_they_are() -> None:
 def test_targets_of_wheels_may_be_far_and_others_may_not() -> None:
     robot = load_robot(HERE / "rover.yaml")
     states = States(standard_states(robot.joint_names))
-    views = (states[name] for name in COMMAND_STATES)
-    stop = command_stop(*views, states=states, robot=robot)
+    command = Commands(**{name: states[name] for name in COMMAND_STATES})
+    stop = command_stop(command, states=states, robot=robot)
     states.joint_pos_target = [5e4, -5e4, 0.0]
     stop()
     states.joint_pos_target[2] = 26.0

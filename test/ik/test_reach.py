@@ -18,7 +18,7 @@ from unicon_core.models.load import load_model
 from unicon_core.robots import Robot, load_robot
 from unicon_core.states.spec import StateSpec
 from unicon_core.testing import Bench
-from unicon_core.workflow.autowire import BuildContext, autowire
+from unicon_core.workflow.autowire import BuildContext, autowire, read_options
 
 pytest.importorskip("daqp", reason="daqp is not installed: pip install 'unicon_ros[ik]'")
 
@@ -33,13 +33,13 @@ class Reaching(Bench):
     """
 
     def __init__(self, robot: Robot, **options: Any) -> None:
-        names = options.setdefault("effectors", ["tool"])
-        options.setdefault("moves", ["arm"])
-        specs: dict[str, StateSpec] = reach.declares(robot=robot, effectors=names)  # type: ignore[attr-defined]
+        lag = options.pop("lag", 0.0)
+        given = {"effectors": ["tool"], "moves": ["arm"]} | options
+        options = read_options(reach, given, lambda text, *_: WorkflowError(f"block 'reach'{text}"))
+        specs: dict[str, StateSpec] = reach.declares(robot=robot, **options)  # type: ignore[attr-defined]
         super().__init__(robot, states=specs)
         self.stand()
         self.heard: list[str] = []
-        lag = options.pop("lag", 0.0)
         context = BuildContext(self.states, robot, self.period, tell=self.heard.append, lag=lag)
         self.reach = autowire(reach, "reach", context, options)
         frames = Frames(
@@ -411,24 +411,26 @@ def test_warm_ups_change_nothing_and_tell_nothing(welder: Reaching) -> None:
         ({"effectors": []}, "block 'reach': effectors names none; known: elbow, tool"),
         (
             {"effectors": {"tool": {"turn": 1}}},
-            "block 'reach': effectors.tool is {'turn': 1}; give {position: 1.0, orientation: 0.3}, "
-            "weights of 1 m and 1 rad",
+            "block 'reach': effectors.tool: unknown key 'turn'; known: orientation, position",
         ),
         (
             {"effectors": {"tool": {"position": -1}}},
-            "effectors.tool.position is -1; give a number from 0 to 100",
+            "block 'reach': effectors.tool.position is -1; write a number from 0 to 100",
         ),
         (
             {"effectors": {"tool": {"position": 0, "orientation": 0}}},
             "block 'reach': effectors.tool is free; give it a weight above 0",
         ),
         ({"moves": ["leg"]}, "robot welder has no group or joint 'leg'; known: arm, elbow, …"),
-        ({"max_rate": "fast"}, "block 'reach': max_rate is 'fast'; write a number or robot"),
-        ({"max_rate": 0}, "block 'reach': max_rate is 0; give a number above 0 to 200 [rad/s]"),
-        ({"apart": 2.0}, "block 'reach': apart is 2.0; give a number from 0 to 0.5 [m]"),
-        ({"look_ahead": 1.0}, "block 'reach': look_ahead is 1.0; give a number from 0 to 0.3 [s]"),
-        ({"posture": -1.0}, "block 'reach': posture is -1.0; give a number from 0 to 1"),
-        ({"tolerance": 0}, "block 'reach': tolerance is 0; give a number above 0 to 1 [m]"),
+        (
+            {"max_rate": "fast"},
+            "block 'reach': max_rate is 'fast'; write a number above 0 to 200 [rad/s] or robot",
+        ),
+        ({"max_rate": 0}, "block 'reach': max_rate is 0; write a number above 0 to 200 [rad/s]"),
+        ({"apart": 2.0}, "block 'reach': apart is 2.0; write a number from 0 to 0.5 [m]"),
+        ({"look_ahead": 1.0}, "block 'reach': look_ahead is 1.0; write a number from 0 to 0.3 [s]"),
+        ({"posture": -1.0}, "block 'reach': posture is -1.0; write a number from 0 to 1"),
+        ({"tolerance": 0}, "block 'reach': tolerance is 0; write a number above 0 to 1 [m]"),
     ],
 )
 def test_what_is_wrong_is_told_in_one_line(
@@ -449,7 +451,7 @@ def test_a_batch_is_refused(arm: Robot) -> None:
     with pytest.raises(WorkflowError) as caught:
         it.block("reach", effectors=["tool"], moves=["arm"])
     assert str(caught.value) == (
-        "block 'reach': it moves one robot; leave num_robots out, or leave it out"
+        "block 'reach': it is for one robot; leave num_robots out, or leave it out"
     )
 
 

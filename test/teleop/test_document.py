@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from unicon_core.blocks.teleop.teleop import teleop
+from unicon_core.blocks.teleop.teleop import Teleop
 from unicon_core.workflow.autowire import option_names
 from unicon_core.workflow.load import load_document
 
@@ -18,10 +18,10 @@ TEXT = (ROOT / "docs" / "teleoperation.md").read_text("utf-8")
 
 
 def test_it_names_every_option_and_state() -> None:
-    free = option_names(teleop)
-    for name in inspect.signature(teleop).parameters:
+    free = option_names(Teleop)
+    for name in inspect.signature(Teleop).parameters:
         assert name not in free or f"`{name}" in TEXT, name
-    for name in teleop.declares(left="E", right=None):  # type: ignore[attr-defined]
+    for name in Teleop.declares(left="E", right=None):
         assert f"`{name}`" in TEXT, name
 
 

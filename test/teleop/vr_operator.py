@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.blocks.controls.headset import headset_controls
+from unicon_core.blocks.controls.headset import HeadsetControls
 from unicon_core.blocks.teleop.operator import FINGERS
-from unicon_core.blocks.teleop.teleop import Teleop, teleop
+from unicon_core.blocks.teleop.teleop import Teleop
 from unicon_core.robots import load_robot
 from unicon_core.states import States, StateSpec
-from unicon_core.workflow.autowire import BuildContext
+from unicon_core.workflow.autowire import BuildContext, autowire
 from unicon_ros.peripherals.webxr.frames import BUTTONS, PARTS
 from unicon_ros.peripherals.webxr.webxr import webxr
 
@@ -31,14 +31,14 @@ class Operator:
         names = [given.get("left", "left_hand"), given.get("right", "right_hand")]
         specs = {
             **webxr.declares(),  # type: ignore[attr-defined]
-            **headset_controls.declares(),  # type: ignore[attr-defined]
-            **teleop.declares(**given),  # type: ignore[attr-defined]
+            **HeadsetControls.declares(),
+            **Teleop.declares(**given),
             **{f"{name}_pose": StateSpec((7,)) for name in names if name},
             "stamp_ns": StateSpec((), "int64"),
         }
         self.states = States(specs)
         self.context = BuildContext(self.states, load_robot("go2"), period)
-        self.tick: Teleop = teleop(context=self.context, **given)
+        self.tick: Any = autowire(Teleop, "teleop", self.context, given).tick
         for name, side in zip(names, (1.0, -1.0)):
             if name:
                 self.states[f"{name}_pose"][...] = OURS

@@ -183,7 +183,7 @@ def test_a_wrong_option_is_told_with_what_there_is(
 
 def test_a_batch_or_a_robot_without_end_effectors_is_refused(reacher: Robot) -> None:
     batch = Bench(reacher, 3, states=pose_states("tool"))
-    with pytest.raises(WorkflowError, match="looks at one robot; leave num_robots out"):
+    with pytest.raises(WorkflowError, match="is for one robot; leave num_robots out"):
         batch.block("frames")
     bare = replace(reacher, end_effectors={})
     with pytest.raises(WorkflowError, match=r"names no end effectors; give of: \{NAME: BODY\}"):

@@ -72,7 +72,7 @@ def test_without_a_ramp_it_is_on_the_circle_at_once(reacher: Robot) -> None:
     [
         ({"effector": "tol"}, "no end effector 'tol'; did you mean 'tool'"),
         ({}, "needs the option 'effector'"),
-        ({"effector": "tool", "radius": 3}, "radius is 3; give a number from 0 to 1 [m]"),
+        ({"effector": "tool", "radius": 3}, "radius is 3; write a number from 0 to 1 [m]"),
         ({"effector": "tool", "frequency": -1}, "frequency is -1"),
         ({"effector": "tool", "ramp": -1}, "ramp is -1"),
         ({"effector": "tool", "plane": "yx"}, "plane 'yx' is not known; known: xy, xz, yz"),

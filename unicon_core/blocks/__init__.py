@@ -1,38 +1,40 @@
 """Built-in blocks: postures, commands, predicates and safety, for the `flow:` of a workflow."""
 
+import re
+
 __all__ = ["BUILTIN"]
 
 BUILTIN: dict[str, str] = {
-    name: f"unicon_core.blocks.{module}:{name}"
-    for module, names in {
-        "pose": ("pose",),
-        "hold": ("hold", "damp"),
-        "sway": ("sway",),
-        "excite": ("excite",),
-        "motor_heat": ("motor_heat",),
-        "velocity_command": ("velocity_command",),
-        "controls.drive": ("drive",),
+    re.sub("(?<=[a-z])(?=[A-Z])", "_", factory).lower(): f"unicon_core.blocks.{module}:{factory}"
+    for module, factories in {
+        "pose": ("Pose",),
+        "hold": ("Hold", "Damp"),
+        "sway": ("Sway",),
+        "excite": ("Excite",),
+        "motor_heat": ("MotorHeat",),
+        "velocity_command": ("VelocityCommand",),
+        "controls.drive": ("Drive",),
         "controls.gamepad": ("gamepad",),
-        "controls.headset": ("headset_controls",),
+        "controls.headset": ("HeadsetControls",),
         "controls.keyboard": ("keyboard",),
         "controls.modes": ("modes",),
-        "teleop.teleop": ("teleop",),
-        "predicates": ("commanded", "elapsed", "settled", "tilted"),
-        "safety.button_stop": ("button_stop", "remote_stop"),
+        "teleop.teleop": ("Teleop",),
+        "predicates": ("Commanded", "Elapsed", "Settled", "tilted"),
+        "safety.button_stop": ("ButtonStop", "RemoteStop"),
         "safety.hardware": ("hardware_stop",),
-        "safety.learned": ("action_stop", "observation_range", "observation_stop"),
+        "safety.learned": ("action_stop", "ObservationRange", "ObservationStop"),
         "safety.limits": ("effort_limits", "joint_limits", "rate_limit"),
-        "safety.overrun": ("overrun_stop",),
+        "safety.overrun": ("OverrunStop",),
         "safety.ranges": ("command_stop", "range_stop"),
-        "safety.sensors": ("joint_sensor_stop",),
-        "safety.servo_stops": ("power_stop", "tracking_stop"),
+        "safety.sensors": ("JointSensorStop",),
+        "safety.servo_stops": ("PowerStop", "TrackingStop"),
         "safety.speeds": ("velocity_limits",),
-        "safety.stops": ("finite", "height_stop", "stale_stop", "tilt_stop", "velocity_stop"),
-        "safety.stuck": ("encoder_stop", "imu_stop"),
-        "safety.twin_stop": ("twin_stop",),
-        "blend_in": ("blend_in",),
-        "fade_in": ("fade_in",),
-        "forward_command": ("forward_command",),
+        "safety.stops": ("Finite", "height_stop", "StaleStop", "TiltStop", "VelocityStop"),
+        "safety.stuck": ("EncoderStop", "ImuStop"),
+        "safety.twin_stop": ("TwinStop",),
+        "blend_in": ("BlendIn",),
+        "fade_in": ("FadeIn",),
+        "forward_command": ("ForwardCommand",),
         "odometry.leg_odometry": ("leg_odometry",),
         "projected_gravity": ("projected_gravity",),
         "whole_body.reach": ("reach",),
@@ -42,6 +44,6 @@ BUILTIN: dict[str, str] = {
         "whole_body.gravity": ("gravity",),
         "whole_body.moving_target": ("moving_target",),
     }.items()
-    for name in names
+    for factory in factories
 }
-"""Block name to `module:factory`; a factory is imported when a workflow names it."""
+"""Block name to `module:factory`, a function or the tick's class; imported when a workflow asks."""

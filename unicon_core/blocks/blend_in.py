@@ -3,25 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_core.blocks.joint_command import ticks_of
+from unicon_core.bounds import Seconds
 from unicon_core.flow.block import Amends
 from unicon_core.workflow.autowire import BuildContext
 
-RATES = ("joint_vel_target", "joint_effort_ff")
 
-
-def blend_in(
-    joint_pos_target: Amends,
-    joint_stiffness: Amends,
-    joint_damping: Amends,
-    joint_vel_target: Amends,
-    joint_effort_ff: Amends,
-    *,
-    context: BuildContext,
-    duration: float = 0.5,
-) -> BlendIn:
+class BlendIn:
     """Blend from the command that was sent last to the present one, then leave it alone.
 
     Stands behind a policy, in a zip: with K ticks, tick k = 1 … K after the entry sends
@@ -36,20 +25,23 @@ def blend_in(
         joint_effort_ff: in [N·m], shape (..., n).
         duration: in [s].
     """
-    live = (joint_pos_target, joint_stiffness, joint_damping, joint_vel_target, joint_effort_ff)
-    ticks = ticks_of(duration, context.period, "duration") or 1
-    return BlendIn(context, live, ticks)
-
-
-class BlendIn:
-    """The tick of `blend_in`."""
 
     memory = ("_held", "_own", "_mixed", "_tick", "_sent")
 
     def __init__(
-        self, context: BuildContext, live: tuple[NDArray[np.float32], ...], ticks: int
+        self,
+        joint_pos_target: Amends,
+        joint_stiffness: Amends,
+        joint_damping: Amends,
+        joint_vel_target: Amends,
+        joint_effort_ff: Amends,
+        *,
+        context: BuildContext,
+        duration: Seconds = 0.5,
     ) -> None:
-        self._sent, self._live, self._ticks, self._tick = context.sent, live, ticks, 0
+        live = (joint_pos_target, joint_stiffness, joint_damping, joint_vel_target, joint_effort_ff)
+        self._sent, self._live = context.sent, live
+        self._ticks, self._tick = ticks_of(duration, context.period), 0
         self._held, self._own, self._mixed = ([array.copy() for array in live] for _ in range(3))
         names = ("joint_pos_target", "joint_stiffness", "joint_damping")
         last = self._sent

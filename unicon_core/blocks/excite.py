@@ -8,21 +8,30 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.blocks.joint_command import JointCommand, robot_gains, ticks_of
-from unicon_core.bounds import DURATION, POSE_DURATION, POSE_SPEED, POSITION, within
-from unicon_core.errors import WorkflowError, alternatives
+from unicon_core.bounds import (
+    DURATION,
+    POSE_DURATION,
+    POSE_SPEED,
+    POSITION,
+    DampingScale,
+    Motion,
+    Seconds,
+    StiffnessScale,
+    within,
+)
+from unicon_core.errors import WorkflowError
 from unicon_core.robots import Robot
 from unicon_core.robots.poses import joints_like, named_pose
+from unicon_core.schema.marks import NotEmpty, Unit, Within
 
 Float = NDArray[np.float32]
 Signal = Literal["sine", "chirp", "square", "triangle", "random"]
-
-SIGNALS = get_args(Signal)
 
 FREQUENCY = 100.0
 """In [Hz]: no leg's joint follows a tenth of it."""
@@ -37,23 +46,7 @@ _SLOPE = {
 }
 
 
-def excite(
-    command: JointCommand,
-    *,
-    robot: Robot,
-    period: float,
-    signal: Signal = "chirp",
-    joints: Sequence[str] = ("*",),
-    amplitude: float | Mapping[str, float] = 0.1,
-    frequency: float | Sequence[float] = 1.0,
-    duration: float = 10.0,
-    fade: float = 1.0,
-    in_turn: bool = False,
-    around: str | Mapping[str, float] = "stand",
-    seed: int = 0,
-    stiffness_scale: float = 1.0,
-    damping_scale: float = 1.0,
-) -> Excite:
+class Excite:
     """Move position targets about a pose: target = pose + envelope · amplitude · signal.
 
     It goes to the pose first, within `fade`; the signal is faded in, and out before it is done.
@@ -75,22 +68,69 @@ def excite(
         stiffness_scale: factor on the robot file's stiffness.
         damping_scale: factor on the robot file's damping.
     """
-    if signal not in SIGNALS:
-        raise WorkflowError(f"no signal {signal!r}; {alternatives(signal, SIGNALS)}")
-    if seed < 0:
-        raise WorkflowError(f"seed is {seed}; give 0 or more")
-    within(duration, "duration", "s", DURATION)
-    within(fade, "fade", "s", duration / 2, POSE_DURATION, above=False)
-    sweep = _sweep(signal, frequency, period)
-    centre, said = named_pose(around, robot, "block 'excite'")
-    centre = np.where(said > 0.0, centre, np.nan_to_num(robot.default_joint_pos))
-    sizes = _amplitudes(robot, joints, amplitude)
-    _check(robot, signal, centre.astype(np.float32), sizes, max(sweep))
-    rows = np.diag(sizes)[sizes > 0.0] if in_turn else sizes[None]
-    ticks, fades = (ticks_of(time, period, "duration") or 1 for time in (duration, fade))
-    gains = robot_gains(robot, "excite", stiffness_scale, damping_scale)
-    wave = _Wave(signal, sweep, ticks, period, seed, robot.num_joints)
-    return Excite(command, wave, centre, rows, (ticks, fades), gains, period)
+
+    memory = ("_start", "_way", "_approach", "_tick")
+
+    def __init__(
+        self,
+        command: JointCommand,
+        *,
+        robot: Robot,
+        period: float,
+        signal: Signal = "chirp",
+        joints: Annotated[Sequence[str], NotEmpty] = ("*",),
+        amplitude: Motion | Mapping[str, Motion] = 0.1,
+        frequency: float | Annotated[Sequence[float], NotEmpty] = 1.0,
+        duration: Annotated[float, Unit("s"), Within(0.0, DURATION, above=True)] = 10.0,
+        fade: Seconds = 1.0,
+        in_turn: bool = False,
+        around: str | Mapping[str, float] = "stand",
+        seed: Annotated[int, Within(0)] = 0,
+        stiffness_scale: StiffnessScale = 1.0,
+        damping_scale: DampingScale = 1.0,
+    ) -> None:
+        within(fade, "fade", "s", duration / 2, POSE_DURATION, above=False)
+        sweep = _sweep(signal, frequency, period)
+        centre, said = named_pose(around, robot, "block 'excite'")
+        self._centre = np.where(said > 0.0, centre, np.nan_to_num(robot.default_joint_pos))
+        sizes = _amplitudes(robot, joints, amplitude)
+        _check(robot, signal, self._centre.astype(np.float32), sizes, max(sweep))
+        self._amplitudes = np.diag(sizes)[sizes > 0.0] if in_turn else sizes[None]
+        self._ticks, self._fade = ticks_of(duration, period), ticks_of(fade, period)
+        self.gains = robot_gains(robot, "excite", stiffness_scale, damping_scale)
+        self._wave = _Wave(signal, sweep, self._ticks, period, seed, robot.num_joints)
+        self._command, self._approach = command, self._fade
+        self._ticks_per_rad = 0.5 * math.pi / (POSE_SPEED * period)
+        self._start, self._way = (np.zeros_like(command.joint_pos_target) for _ in range(2))
+        self._tick = 0
+
+    def __call__(self) -> bool:
+        command, target = self._command, self._command.joint_pos_target
+        if self._tick == 0:
+            command.entry(self._start)
+            np.subtract(self._centre, self._start, out=self._way)
+            farthest = float(np.abs(self._way).max())
+            if math.isfinite(farthest):
+                self._approach = max(self._fade, math.ceil(farthest * self._ticks_per_rad))
+        self._tick += 1
+        turn, tick = divmod(self._tick - self._approach, self._ticks)
+        turns = len(self._amplitudes)
+        if turn < 0 and self._tick < self._approach:
+            np.multiply(self._way, _eased(self._tick / self._approach), out=target)
+            target += self._start
+        elif turn >= turns:
+            target[...] = self._centre
+        else:
+            envelope = _eased(min(tick, self._ticks - tick, self._fade) / self._fade)
+            target[...] = self._centre + self._amplitudes[turn] * (envelope * self._wave(tick))
+        command.joint_vel_target[...] = 0.0
+        command.joint_effort_ff[...] = 0.0
+        command.joint_stiffness[...], command.joint_damping[...] = self.gains
+        return turn >= turns
+
+    def reset(self) -> None:
+        """Begin anew from wherever the joints are at the next tick."""
+        self._tick = 0
 
 
 def _sweep(signal: str, frequency: float | Sequence[float], period: float) -> tuple[float, float]:
@@ -109,13 +149,11 @@ def _amplitudes(
     robot: Robot, joints: Sequence[str], amplitude: float | Mapping[str, float]
 ) -> Float:
     moving = sorted({i for pattern in joints for i in joints_like(pattern, robot)})
-    if not moving:
-        raise WorkflowError("joints is empty; name those that move, or leave it out for all")
     sizes = np.full(robot.num_joints, np.nan)
     for pattern, size in (
         amplitude if isinstance(amplitude, Mapping) else {"*": amplitude}
     ).items():
-        sizes[joints_like(pattern, robot)] = within(size, "amplitude", "rad", POSITION)
+        sizes[joints_like(pattern, robot)] = size
     without = [robot.joint_names[i] for i in moving if math.isnan(sizes[i])]
     if without:
         raise WorkflowError(f"amplitude says nothing of joint {without[0]}; add it, or a pattern")
@@ -192,57 +230,6 @@ def _triangle(cycles: float) -> float:
 def _drawn(seed: int, knot: int, count: int) -> NDArray[np.float64]:
     """Return the values of a knot, the same whenever they are asked for."""
     return np.random.default_rng((seed, knot)).uniform(-1.0, 1.0, count)
-
-
-class Excite:
-    """The tick of `excite`."""
-
-    memory = ("_start", "_way", "_approach", "_tick")
-
-    def __init__(
-        self,
-        command: JointCommand,
-        wave: _Wave,
-        centre: NDArray[Any],
-        amplitudes: Float,
-        times: tuple[int, int],
-        gains: tuple[Float, Float],
-        period: float,
-    ) -> None:
-        self._command, self._wave, self._centre = command, wave, centre
-        self._amplitudes, (self._ticks, self._fade) = amplitudes, times
-        self.gains, self._approach = gains, times[1]
-        self._ticks_per_rad = 0.5 * math.pi / (POSE_SPEED * period)
-        self._start, self._way = (np.zeros_like(command.joint_pos_target) for _ in range(2))
-        self._tick = 0
-
-    def __call__(self) -> bool:
-        command, target = self._command, self._command.joint_pos_target
-        if self._tick == 0:
-            command.entry(self._start)
-            np.subtract(self._centre, self._start, out=self._way)
-            farthest = float(np.abs(self._way).max())
-            if math.isfinite(farthest):
-                self._approach = max(self._fade, math.ceil(farthest * self._ticks_per_rad))
-        self._tick += 1
-        turn, tick = divmod(self._tick - self._approach, self._ticks)
-        turns = len(self._amplitudes)
-        if turn < 0 and self._tick < self._approach:
-            np.multiply(self._way, _eased(self._tick / self._approach), out=target)
-            target += self._start
-        elif turn >= turns:
-            target[...] = self._centre
-        else:
-            envelope = _eased(min(tick, self._ticks - tick, self._fade) / self._fade)
-            target[...] = self._centre + self._amplitudes[turn] * (envelope * self._wave(tick))
-        command.joint_vel_target[...] = 0.0
-        command.joint_effort_ff[...] = 0.0
-        command.joint_stiffness[...], command.joint_damping[...] = self.gains
-        return turn >= turns
-
-    def reset(self) -> None:
-        """Begin anew from wherever the joints are at the next tick."""
-        self._tick = 0
 
 
 def _eased(share: float) -> float:

@@ -3,21 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_core.blocks.joint_command import ticks_of
+from unicon_core.bounds import Seconds
 from unicon_core.flow.block import Amends
 from unicon_core.flow.stage import Stage
 
 
-def fade_in(
-    joint_stiffness: Amends,
-    joint_vel_target: Amends,
-    joint_effort_ff: Amends,
-    *,
-    period: float,
-    duration: float = 1.0,
-) -> FadeIn:
+class FadeIn:
     """Scale stiffness, velocity target and torque from 0 to 1 over a time, then leave them alone.
 
     Args:
@@ -26,19 +19,22 @@ def fade_in(
         joint_effort_ff: in [N·m], shape (..., n).
         duration: in [s].
     """
-    faded = (joint_stiffness, joint_vel_target, joint_effort_ff)
-    return FadeIn(faded, ticks_of(duration, period, "duration") or 1)
-
-
-class FadeIn:
-    """The tick of `fade_in`."""
 
     memory = ("_whole", "_left", "_tick")
 
     stage = Stage.SAFETY
 
-    def __init__(self, faded: tuple[NDArray[np.float32], ...], ticks: int) -> None:
-        self._ticks, self._tick = ticks, 0
+    def __init__(
+        self,
+        joint_stiffness: Amends,
+        joint_vel_target: Amends,
+        joint_effort_ff: Amends,
+        *,
+        period: float,
+        duration: Seconds = 1.0,
+    ) -> None:
+        faded = (joint_stiffness, joint_vel_target, joint_effort_ff)
+        self._ticks, self._tick = ticks_of(duration, period), 0
         # What is there, what it was whole, and what was left of it in the tick before.
         self._whole = [live.copy() for live in faded]
         self._left = [np.full_like(live, np.nan) for live in faded]

@@ -10,21 +10,31 @@ no joint moves faster than told. An element that is NaN says nothing.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.blocks.joint_command import Gain, JointCommand, robot_gains, ticks_of
+from unicon_core.blocks.joint_command import JointCommand, end_of, robot_gains
 from unicon_core.blocks.safety.limits import rates_of
-from unicon_core.bounds import DURATION, POSITION, VELOCITY, within
-from unicon_core.errors import RobotError, WorkflowError
+from unicon_core.bounds import (
+    DURATION,
+    Damping,
+    DampingScale,
+    MaxRate,
+    Motion,
+    Speed,
+    Stiffness,
+    StiffnessScale,
+)
+from unicon_core.errors import RobotError
 from unicon_core.flow.block import Bundle, Reads
 from unicon_core.models.rows import index_of
 from unicon_core.robots import Robot
 from unicon_core.robots.poses import named_pose
+from unicon_core.schema.marks import Unit, Within
 from unicon_core.states import StateSpec
 from unicon_core.states.standard import forwarded_states
 from unicon_core.workflow.autowire import BuildContext
@@ -56,26 +66,7 @@ class Commanded(Bundle):
     joint_effort_command: Reads
 
 
-def forward_command(
-    command: JointCommand,
-    commanded: Commanded,
-    *,
-    robot: Robot,
-    period: float,
-    context: BuildContext,
-    max_rate: float | Literal["robot"] = MAX_RATE,
-    moves: Sequence[str] = (),
-    silent: Literal["hold", "home"] = "hold",
-    home_rate: float = HOME_RATE,
-    home: str | Mapping[str, float] = "default",
-    start_tolerance: float | None = None,
-    integral: float = 0.0,
-    stiffness_scale: float = 1.0,
-    damping_scale: float = 1.0,
-    stiffness: Gain | None = None,
-    damping: Gain | None = None,
-    duration: float | None = None,
-) -> ForwardCommand:
+class ForwardCommand:
     """Let the position targets go to the commanded positions, no faster than a speed.
 
     A joint without a command keeps its target; it begins where it is on entry, as `hold`. Commanded
@@ -102,46 +93,16 @@ def forward_command(
         damping: in [N·m·s/rad], likewise.
         duration: in [s]; None never ends.
 
-    Raises:
-        RobotError: the robot file lacks a gain or the pose to go home to, or a word means no joint.
-        WorkflowError: an option is wrong.
-    """
-    rate = rates_of(max_rate, robot, "forward_command")
-    if start_tolerance is not None:
-        start_tolerance = within(start_tolerance, "start_tolerance", "rad", POSITION)
-    if duration is not None:
-        within(duration, "duration", "s", DURATION)
-    integral = within(integral, "integral", "1/s", MOST_INTEGRAL, above=False)
-    scales = stiffness_scale, damping_scale
-    gains = robot_gains(robot, "forward_command", *scales, stiffness, damping)
-    ticks = ticks_of(duration, period, "duration")
-    words = (moves,) if isinstance(moves, str) else tuple(moves)
-    made = ForwardCommand(command, commanded, robot, period, rate, gains, integral, ticks, words)
-    if silent == "home":
-        made.go_home(within(home_rate, "home_rate", "rad/s", VELOCITY), home)
-    elif silent != "hold":
-        raise WorkflowError(f"silent is {silent!r}; give hold or home")
-    if start_tolerance is not None:
-        made.guard(start_tolerance, context.tell)
-    return made
-
-
-def _declares(*, robot: Robot, **_: Any) -> Mapping[str, StateSpec]:
-    return forwarded_states(robot.joint_names)
-
-
-setattr(forward_command, "declares", _declares)  # noqa: B010  a function has none to mypy
-
-
-class ForwardCommand:
-    """The tick of `forward_command`.
-
     Attributes:
         max_rate: of each target in [rad/s], shape (n,).
         moves: groups, joints or patterns, as they were given; none for all joints.
         held: positions that are commanded in this tick in [rad], shape (..., n).
         ticks: that it has run since its flow entered it; who gives commands sees whether anybody
             follows them.
+
+    Raises:
+        RobotError: the robot file lacks a gain or the pose to go home to, or a word means no joint.
+        WorkflowError: there is no such pose to go home to, or it is beyond a limit.
     """
 
     memory = ("held", "ticks", "_offset", "_heard", "_refused")
@@ -150,24 +111,33 @@ class ForwardCommand:
         self,
         command: JointCommand,
         commanded: Commanded,
-        robot: Robot,
-        period: float,
-        max_rate: NDArray[np.float32],
-        gains: tuple[NDArray[np.float32], NDArray[np.float32]],
-        integral: float,
-        ticks: int | None,
-        moves: tuple[str, ...] = (),
+        *,
+        context: BuildContext,
+        max_rate: MaxRate = MAX_RATE,
+        moves: Sequence[str] = (),
+        silent: Literal["hold", "home"] = "hold",
+        home_rate: Speed = HOME_RATE,
+        home: str | Mapping[str, float] = "default",
+        start_tolerance: Motion | None = None,
+        integral: Annotated[float, Unit("1/s"), Within(0.0, MOST_INTEGRAL)] = 0.0,
+        stiffness_scale: StiffnessScale = 1.0,
+        damping_scale: DampingScale = 1.0,
+        stiffness: Stiffness | Mapping[str, Stiffness] | None = None,
+        damping: Damping | Mapping[str, Damping] | None = None,
+        duration: Annotated[float | None, Unit("s"), Within(0.0, DURATION, above=True)] = None,
     ) -> None:
-        self.moves = moves
-        self._places = robot.group(moves or robot.joint_names)
+        robot, period = context.robot, context.period
+        scales = stiffness_scale, damping_scale
+        self.gains = robot_gains(robot, "forward_command", *scales, stiffness, damping)
+        self.moves = tuple(moves)
+        self._places = robot.group(self.moves or robot.joint_names)
         self._at = (..., index_of(self._places.tolist()))
         self._command, self._commanded, self._robot = command, commanded, robot
-        self.gains, self._ends = gains, ticks
-        self.endless = ticks is None
-        self.max_rate = max_rate
+        self._ends, self.endless = end_of(duration, period), duration is None
+        self.max_rate = rates_of(max_rate, robot, "forward_command")
         self.ticks = 0
         self._period = np.float32(period)
-        self._step = self._steps = (max_rate * period).astype(np.float32)
+        self._step = self._steps = (self.max_rate * period).astype(np.float32)
         self._lower = np.nan_to_num(robot.lower, nan=-np.inf)
         self._upper = np.nan_to_num(robot.upper, nan=np.inf)
         self._effort = np.nan_to_num(robot.effort_limit, nan=np.inf)
@@ -176,21 +146,19 @@ class ForwardCommand:
         self._share, self._offset = np.float32(integral * period), np.zeros_like(target)
         self._silent = np.zeros(target.shape, np.bool_)
         self._home: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None
-        self._tolerance = np.inf
-        self._tell: Callable[[str], None] = _quiet
+        self._tolerance = np.inf if start_tolerance is None else start_tolerance
+        self._tell = context.tell
         self._heard, self._refused = False, False
+        if silent == "home":
+            self._go_home(home_rate, home)
 
-    def guard(self, tolerance: float, tell: Callable[[str], None]) -> None:
-        """Follow the first command after silence only within a tolerance in [rad]."""
-        self._tolerance, self._tell = tolerance, tell
+    @staticmethod
+    def declares(*, robot: Robot, **_: Any) -> Mapping[str, StateSpec]:
+        """Return the states of joint commands."""
+        return forwarded_states(robot.joint_names)
 
-    def go_home(self, rate: float, to: str | Mapping[str, float] = "default") -> None:
-        """Let joints of which nothing is commanded go to a pose, at a rate in [rad/s].
-
-        Raises:
-            RobotError: the robot file does not say that pose.
-            WorkflowError: there is no such pose or joint, or it is beyond a limit.
-        """
+    def _go_home(self, rate: float, to: str | Mapping[str, float]) -> None:
+        """Let joints of which nothing is commanded go to a pose, at a rate in [rad/s]."""
         robot, home = self._robot, self._robot.default_joint_pos
         if to != "default":
             pose, said = named_pose(to, robot, "block 'forward_command'")
@@ -304,7 +272,3 @@ class ForwardCommand:
     def reset(self) -> None:
         """Begin anew from wherever the joints are at the next tick."""
         self.ticks = 0
-
-
-def _quiet(_: str) -> None:
-    """Say nothing."""

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.bounds import DAMPING, GAIN_SCALES, STIFFNESS, within
 from unicon_core.errors import RobotError, WorkflowError
 from unicon_core.flow.block import Bundle, Reads, Writes
 from unicon_core.robots import Robot
 
 Float = NDArray[np.float32]
-
-LONGEST_S = 1e9
-"""Longest time that a block counts in [s]: thirty years."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +46,18 @@ class JointCommand(Bundle):
         out[...] = np.where(self.joint_stiffness > 0.0, self.joint_pos_target, self.joint_pos)
 
 
-Gain = float | Mapping[str, float]
-"""A gain for all joints, or groups, joints and patterns to gains."""
+@dataclass(frozen=True, eq=False)
+class Commands(Bundle):
+    """The command states as a block reads them, in their order, each of shape (..., n)."""
+
+    joint_pos_target: Reads
+    joint_vel_target: Reads
+    joint_effort_ff: Reads
+    joint_stiffness: Reads
+    joint_damping: Reads
+
+    def __iter__(self) -> Iterator[NDArray[np.float32]]:
+        return iter(vars(self).values())
 
 
 def robot_gains(
@@ -59,8 +65,8 @@ def robot_gains(
     needed_for: str,
     stiffness_scale: float = 1.0,
     damping_scale: float = 1.0,
-    stiffness: Gain | None = None,
-    damping: Gain | None = None,
+    stiffness: float | Mapping[str, float] | None = None,
+    damping: float | Mapping[str, float] | None = None,
 ) -> tuple[Float, Float]:
     """Return the stiffness [N·m/rad] and damping [N·m·s/rad] of a robot file, each shape (n,).
 
@@ -71,25 +77,22 @@ def robot_gains(
         needed_for: the block, for the message.
         stiffness_scale: factor on the stiffness.
         damping_scale: factor on the damping.
-        stiffness: in [N·m/rad], in place of the robot file's and not scaled.
+        stiffness: in [N·m/rad], in place of the robot file's and not scaled: of all joints, or of
+            groups, joints and patterns.
         damping: in [N·m·s/rad], likewise.
 
     Raises:
         RobotError: a gain is unknown, or a word means no joint.
-        WorkflowError: a factor or gain is not plausible.
     """
     gains = []
-    for key, values, scale, given, unit, most in (
-        ("stiffness", robot.joint_stiffness, stiffness_scale, stiffness, "N·m/rad", STIFFNESS),
-        ("damping", robot.joint_damping, damping_scale, damping, "N·m·s/rad", DAMPING),
+    for key, values, scale, given in (
+        ("stiffness", robot.joint_stiffness, stiffness_scale, stiffness),
+        ("damping", robot.joint_damping, damping_scale, damping),
     ):
-        option = f"{key}_scale"
-        scale = within(scale, option, "", GAIN_SCALES[option], above=False)
         known = np.where(np.isnan(values) & robot.by_position, 1.0, values) * np.float32(scale)
         each = given if isinstance(given, Mapping) else {} if given is None else {"*": given}
         for word, gain in each.items():
-            of = f"{key} of {word!r}" if isinstance(given, Mapping) else key
-            known[robot.group([word])] = within(gain, of, unit, most, above=False)
+            known[robot.group([word])] = gain
         unknown = [name for name, value in zip(robot.joint_names, known) if math.isnan(value)]
         if unknown:
             raise RobotError(
@@ -100,17 +103,21 @@ def robot_gains(
     return gains[0], gains[1]
 
 
-def ticks_of(seconds: float | None, period: float, option: str) -> int | None:
-    """Return a time as a number of ticks, at least 1; None for no end.
+def ticks_of(seconds: float, period: float) -> int:
+    """Return a time as a number of ticks, at least 1."""
+    return max(round(seconds / period), 1)
+
+
+def end_of(duration: float | None, period: float) -> int | None:
+    """Return a duration as a number of ticks, at least 1; None for no end."""
+    return None if duration is None else ticks_of(duration, period)
+
+
+def single(view: NDArray[Any]) -> None:
+    """Refuse states of several robots, by a view whose robots are its first axis but one.
 
     Raises:
-        WorkflowError: it is not a time.
+        WorkflowError: they are.
     """
-    if seconds is None:
-        return None
-    number = isinstance(seconds, (int, float)) and not isinstance(seconds, bool)
-    if not number or not 0.0 <= seconds <= LONGEST_S:
-        raise WorkflowError(
-            f"{option} is {seconds!r}; give a time from 0 to {LONGEST_S:g} in [s], or leave it out"
-        )
-    return max(round(seconds / period), 1)
+    if view.ndim > 1:
+        raise WorkflowError("it is for one robot; leave num_robots out, or leave it out")

@@ -8,39 +8,27 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from unicon_core.bounds import DURATION, within
+from unicon_core.blocks.joint_command import Commands
+from unicon_core.bounds import DURATION
 from unicon_core.flow.block import Reads, Writes
 from unicon_core.platforms.kit.servo import Servo
 from unicon_core.robots import Robot
+from unicon_core.schema.marks import Unit, Within
 from unicon_core.states import StateSpec
 from unicon_core.states.standard import hardware_states
 
 STATE = "motor_temperature"
+AMBIENT = 25.0
+"""Unless said, in [°C]."""
 RISE = 100.0
 """In [K/(N·m)²]: leg motors with gears have 0.05 to 1."""
 
 
-def motor_heat(
-    joint_pos: Reads,
-    joint_vel: Reads,
-    joint_pos_target: Reads,
-    joint_vel_target: Reads,
-    joint_effort_ff: Reads,
-    joint_stiffness: Reads,
-    joint_damping: Reads,
-    motor_temperature: Writes,
-    *,
-    robot: Robot,
-    period: float,
-    ambient: float = 25.0,
-    rise: float = 0.5,
-    time_constant: float = 60.0,
-) -> MotorHeat:
+class MotorHeat:
     """Heat each motor by what it is asked for, and cool it by its surroundings.
 
     c dT/dt = ambient + rise · tau² - T, with the time constant c and the torque of the servo,
@@ -52,25 +40,6 @@ def motor_heat(
         rise: in the end for each squared torque in [K/(N·m)²].
         time_constant: in [s].
     """
-    within(ambient, "ambient", "°C", 100.0, -40.0, above=False)
-    within(rise, "rise", "K/(N·m)²", RISE, above=False)
-    within(time_constant, "time_constant", "s", DURATION)
-    command = joint_pos_target, joint_vel_target, joint_effort_ff, joint_stiffness, joint_damping
-    servo = Servo(command, robot.effort_limit)
-    share = -math.expm1(-period / time_constant)
-    return MotorHeat(servo, (joint_pos, joint_vel), motor_temperature, ambient, rise, share)
-
-
-def _declares(*, robot: Robot, ambient: float = 25.0, **_: Any) -> Mapping[str, StateSpec]:
-    spec = hardware_states(robot.joint_names)[STATE]
-    return {STATE: replace(spec, initial=ambient)}
-
-
-setattr(motor_heat, "declares", _declares)  # noqa: B010  a function has no such attribute to mypy
-
-
-class MotorHeat:
-    """The tick of `motor_heat`."""
 
     memory = ("_now",)
 
@@ -78,18 +47,30 @@ class MotorHeat:
 
     def __init__(
         self,
-        servo: Servo,
-        measured: tuple[NDArray[np.float32], NDArray[np.float32]],
-        temperature: NDArray[np.float32],
-        ambient: float,
-        rise: float,
-        share: float,
+        joint_pos: Reads,
+        joint_vel: Reads,
+        command: Commands,
+        motor_temperature: Writes,
+        *,
+        robot: Robot,
+        period: float,
+        ambient: Annotated[float, Unit("°C"), Within(-40.0, 100.0)] = AMBIENT,
+        rise: Annotated[float, Unit("K/(N·m)²"), Within(0.0, RISE)] = 0.5,
+        time_constant: Annotated[float, Unit("s"), Within(0.0, DURATION, above=True)] = 60.0,
     ) -> None:
-        self._servo, self._measured, self._temperature = servo, measured, temperature
-        self._ambient, self._rise, self._share = ambient, rise, share
+        self._servo = Servo(tuple(command), robot.effort_limit)
+        self._measured, temperature = (joint_pos, joint_vel), motor_temperature
+        self._temperature, self._ambient, self._rise = temperature, ambient, rise
+        self._share = -math.expm1(-period / time_constant)
         # In float64: 1e-4 K a tick would vanish in a float32 of 25.
         self._now = np.full(temperature.shape, ambient)
         self._goal = np.zeros(temperature.shape)
+
+    @staticmethod
+    def declares(*, robot: Robot, ambient: float = AMBIENT, **_: Any) -> Mapping[str, StateSpec]:
+        """Return the temperature as it is at the beginning."""
+        spec = hardware_states(robot.joint_names)[STATE]
+        return {STATE: replace(spec, initial=ambient)}
 
     def __call__(self) -> None:
         torque, goal, now = self._servo(*self._measured), self._goal, self._now

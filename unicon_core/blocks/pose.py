@@ -4,26 +4,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import Annotated
 
 import numpy as np
 
 from unicon_core.blocks.joint_command import JointCommand, robot_gains, ticks_of
-from unicon_core.bounds import DURATION, POSE_DURATION, POSE_SPEED, within
+from unicon_core.bounds import (
+    DURATION,
+    POSE_DURATION,
+    POSE_SPEED,
+    DampingScale,
+    Seconds,
+    StiffnessScale,
+)
 from unicon_core.robots import Robot
 from unicon_core.robots.poses import named_pose
+from unicon_core.schema.marks import Unit, Within
 
 
-def pose(
-    command: JointCommand,
-    *,
-    robot: Robot,
-    period: float,
-    to: str | Mapping[str, float] = "stand",
-    duration: float = 2.0,
-    fade_in: float = 0.0,
-    stiffness_scale: float = 1.0,
-    damping_scale: float = 1.0,
-) -> Pose:
+class Pose:
     """Interpolate the position targets from where they are to a pose.
 
     The path is half a cosine: it begins and ends at rest, and its largest speed is
@@ -38,35 +37,30 @@ def pose(
         stiffness_scale: factor on the robot file's stiffness.
         damping_scale: factor on the robot file's damping.
     """
-    return Pose(command, robot, period, to, duration, fade_in, stiffness_scale, damping_scale)
-
-
-class Pose:
-    """The tick of `pose`."""
 
     memory = ("_start", "_way", "_first", "_ticks", "_tick")
 
     def __init__(
         self,
         command: JointCommand,
+        *,
         robot: Robot,
         period: float,
-        to: str | Mapping[str, float],
-        duration: float,
-        fade_in: float,
-        stiffness_scale: float,
-        damping_scale: float,
+        to: str | Mapping[str, float] = "stand",
+        duration: Annotated[float, Unit("s"), Within(POSE_DURATION, DURATION)] = 2.0,
+        fade_in: Seconds = 0.0,
+        stiffness_scale: StiffnessScale = 1.0,
+        damping_scale: DampingScale = 1.0,
     ) -> None:
         self._command = command
         self._goal, self._said = named_pose(to, robot, "block 'pose'")
         if isinstance(to, str):  # a wheel is left where it stands
             self._said = np.where(robot.endless, np.float32(0.0), self._said)
         self.gains = gains = robot_gains(robot, "pose", stiffness_scale, damping_scale)
-        within(duration, "duration", "s", DURATION, POSE_DURATION, above=False)
-        self._asked = self._ticks = ticks_of(duration, period, "duration") or 1
+        self._asked = self._ticks = ticks_of(duration, period)
         # Peak speed π/2 · way / time: ticks that a way of 1 rad takes at the speed allowed.
         self._ticks_per_rad = 0.5 * math.pi / (POSE_SPEED * period)
-        self._fade_ticks = ticks_of(fade_in, period, "fade_in") or 1
+        self._fade_ticks = ticks_of(fade_in, period)
         self._start, self._way = (np.zeros_like(command.joint_pos_target) for _ in range(2))
         # The states, what they held at the beginning, and the gains that they go to.
         states = (command.joint_stiffness, command.joint_damping)

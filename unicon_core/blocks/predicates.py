@@ -4,32 +4,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import cast
+from typing import Annotated, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.blocks.joint_command import ticks_of
-from unicon_core.errors import WorkflowError
+from unicon_core.bounds import Seconds
 from unicon_core.flow.block import Reads
+from unicon_core.schema.marks import Unit, Within
 
 
-def elapsed(*, period: float, seconds: float) -> Elapsed:
+class Elapsed:
     """Hold from the tick on in which a time has passed since entry.
 
     Args:
         seconds: counted in ticks, so that it means the same at any speed of the run.
     """
-    return Elapsed(ticks_of(seconds, period, "seconds") or 1)
-
-
-class Elapsed:
-    """The tick of `elapsed`."""
 
     memory = ("_tick",)
 
-    def __init__(self, ticks: int) -> None:
-        self._ticks, self._tick = ticks, 0
+    def __init__(self, *, period: float, seconds: Seconds) -> None:
+        self._ticks, self._tick = ticks_of(seconds, period), 0
 
     def __call__(self) -> bool:
         self._tick += 1
@@ -40,15 +36,17 @@ class Elapsed:
         self._tick = 0
 
 
-def tilted(projected_gravity: Reads, *, angle: float = 1.0) -> Callable[[], bool]:
+def tilted(
+    projected_gravity: Reads,
+    *,
+    angle: Annotated[float, Unit("rad"), Within(0.0, math.pi, above=True)] = 1.0,
+) -> Callable[[], bool]:
     """Hold while the base leans by more than an angle; of a batch, any of them.
 
     Args:
         projected_gravity: unit vector of gravity in the base frame, shape (..., 3).
         angle: between the base's z axis and the vertical in [rad].
     """
-    if not 0.0 < angle <= math.pi:
-        raise WorkflowError(f"angle is {angle}; give radians above 0, at most {math.pi:.4f}")
     bound, most = -math.cos(angle), largest(projected_gravity[..., 2])
 
     def is_tilted() -> bool:
@@ -62,9 +60,7 @@ def largest(values: NDArray[np.float32]) -> Callable[[], float]:
     return cast("Callable[[], float]", values.max if values.ndim else values.item)
 
 
-def commanded(
-    velocity_command: Reads, *, period: float, least: float = 0.05, hold: float = 1.0
-) -> Commanded:
+class Commanded:
     """Hold while somebody commands a motion, and a while longer.
 
     Args:
@@ -72,17 +68,19 @@ def commanded(
         least: a magnitude below this is not a command, in [m/s] or [rad/s].
         hold: for how long it holds after the last command in [s].
     """
-    return Commanded(velocity_command, least, ticks_of(hold, period, "hold") or 1)
-
-
-class Commanded:
-    """The tick of `commanded`."""
 
     memory = ("_left",)
 
-    def __init__(self, command: NDArray[np.float32], least: float, ticks: int) -> None:
-        self._command, self._least, self._ticks = command.reshape(-1), least, ticks
-        self._left = 0
+    def __init__(
+        self,
+        velocity_command: Reads,
+        *,
+        period: float,
+        least: float = 0.05,
+        hold: Seconds = 1.0,
+    ) -> None:
+        self._command, self._least = velocity_command.reshape(-1), least
+        self._ticks, self._left = ticks_of(hold, period), 0
 
     def __call__(self) -> bool:
         if max(map(abs, self._command.tolist())) > self._least:
@@ -96,9 +94,7 @@ class Commanded:
         self._left = 0
 
 
-def settled(
-    joint_vel: Reads, *, period: float, velocity: float = 0.1, duration: float = 0.5
-) -> Settled:
+class Settled:
     """Hold once every joint has been slow for some time.
 
     Args:
@@ -106,16 +102,18 @@ def settled(
         velocity: what counts as slow in [rad/s].
         duration: for how long in [s].
     """
-    return Settled(joint_vel, velocity, ticks_of(duration, period, "duration") or 1)
-
-
-class Settled:
-    """The tick of `settled`."""
 
     memory = ("_slow",)
 
-    def __init__(self, joint_vel: NDArray[np.float32], velocity: float, ticks: int) -> None:
-        self._vel, self._bound, self._ticks = joint_vel, velocity, ticks
+    def __init__(
+        self,
+        joint_vel: Reads,
+        *,
+        period: float,
+        velocity: float = 0.1,
+        duration: Seconds = 0.5,
+    ) -> None:
+        self._vel, self._bound, self._ticks = joint_vel, velocity, ticks_of(duration, period)
         self._speed = np.zeros_like(joint_vel)
         self._slow = 0
 

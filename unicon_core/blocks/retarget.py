@@ -10,20 +10,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.blocks.joint_command import single
 from unicon_core.blocks.safety.limits import rates_of
-from unicon_core.bounds import within
+from unicon_core.bounds import MaxRate
 from unicon_core.errors import WorkflowError, alternatives
 from unicon_core.flow.block import Reads, Writes
 from unicon_core.retarget.hand_model import HandModel, told_hand
 from unicon_core.retarget.human_hand import ABSENT, JOINTS, HumanHand
 from unicon_core.retarget.retargeting import NEAR, Retargeting
 from unicon_core.robots import Robot
-from unicon_core.robots.hand import SIDES
+from unicon_core.schema.marks import Unit, Within
 from unicon_core.states import StateSpec
 from unicon_core.states.standard import forwarded_states
 from unicon_core.workflow.autowire import BuildContext
@@ -42,11 +43,11 @@ def retarget(
     *,
     context: BuildContext,
     hand: str = "",
-    side: str = "",
-    scale: float | None = None,
-    contact: float = 0.0,
-    filter: float | None = None,
-    max_rate: float | Literal["robot"] | None = None,
+    side: Literal["left", "right"] | None = None,
+    scale: Annotated[float | None, Within(*SCALES)] = None,
+    contact: Annotated[float, Unit("m"), Within(0.0, 0.5 * NEAR)] = 0.0,
+    filter: Annotated[float | None, Unit("Hz"), Within(0.0, FASTEST, above=True)] = None,
+    max_rate: MaxRate | None = None,
     model: str | None = None,
 ) -> Retarget:
     """Command the joints at which the fingers point as those of a human hand, and pinch as they do.
@@ -69,18 +70,16 @@ def retarget(
         model: MJCF or URDF instead of the robot file's.
 
     Raises:
-        WorkflowError: an option is wrong, or there is no such state.
+        WorkflowError: there is no such state, or nobody says the side.
         RobotError: the robot file says nothing of a hand.
         ModelError: there is no model of it.
         MissingDependencyError: mujoco is not installed.
     """
+    single(joint_pos)
     robot, period = context.robot, context.period
     human = side_of(robot, side)
     hands = HandModel(robot, human, model, context.relative_to)
     name = hand or f"webxr_{human}_hand"
-    if scale is not None:
-        scale = within(scale, "scale", "", SCALES[1], SCALES[0], above=False)
-    within(contact, "contact", "m", 0.5 * NEAR, above=False)
     mirrored = told_hand(robot).side not in ("", human)
     made = Retarget(
         HumanHand(_poses(context, name), hands.fingers, human, mirrored=mirrored),
@@ -90,7 +89,7 @@ def retarget(
         context.states[_error(human)],
         period=period,
         scale=scale,
-        cut=within(FASTEST if filter is None else filter, "filter", "Hz", FASTEST),
+        cut=FASTEST if filter is None else filter,
         rate=np.full(robot.num_joints, np.inf)
         if max_rate is None
         else rates_of(max_rate, robot, "retarget").astype(np.float64),
@@ -103,15 +102,13 @@ def retarget(
     return made
 
 
-def side_of(robot: Robot, side: str = "") -> str:
+def side_of(robot: Robot, side: str | None = None) -> str:
     """Return the side of the human's hand: the one that is given, else the robot's.
 
     Raises:
-        WorkflowError: it is none, or nobody says it.
+        WorkflowError: nobody says it.
         RobotError: the robot file says nothing of a hand.
     """
-    if side and side not in SIDES:
-        raise WorkflowError(f"side is {side!r}; give left or right")
     found = side or told_hand(robot).side
     if not found:
         raise WorkflowError(
@@ -133,8 +130,6 @@ def _poses(context: BuildContext, name: str) -> NDArray[np.float32]:
             f"state {name!r} has shape {list(specs[name].shape)}; a human hand has [{JOINTS}, 7], "
             "position and quaternion wxyz of each joint"
         )
-    if context.states.num_robots is not None:
-        raise WorkflowError("it is for one robot; leave num_robots out")
     return context.states[name]
 
 
@@ -142,10 +137,10 @@ def _error(side: str) -> str:
     return f"{side}_hand_retarget_error"
 
 
-def _declares(*, robot: Robot, side: str = "", **_: Any) -> Mapping[str, StateSpec]:
+def _declares(*, robot: Robot, side: str | None = None, **_: Any) -> Mapping[str, StateSpec]:
     specs = forwarded_states(robot.joint_names)
     told = side or (robot.hand.side if robot.hand is not None else "")
-    if robot.hand is not None and told in SIDES:
+    if robot.hand is not None and told:
         fingers = tuple(robot.hand.fingers)
         specs[_error(told)] = StateSpec(
             (len(fingers),),

@@ -1,12 +1,20 @@
-"""`model_for`: a robot's model for blocks that compute with it, loaded once for all of them."""
+"""What blocks that compute with a robot's model share: that model, and a tick for warm-ups."""
 
 from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
+
+from numpy.typing import NDArray
 
 from unicon_core.errors import MissingDependencyError
 from unicon_core.models.find import model_of
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel
 from unicon_core.workflow.autowire import BuildContext
+
+Views = Mapping[str, NDArray[Any]]
+Made = TypeVar("Made")
 
 
 def model_for(block: str, context: BuildContext) -> LoadedModel:
@@ -34,3 +42,23 @@ def model_for(block: str, context: BuildContext) -> LoadedModel:
             ) from error
         context.models[robot.name, path] = found
     return found
+
+
+def twice(
+    make: Callable[[Views, Views], Made], views: Views, outs: Views
+) -> tuple[Made, Made, Callable[[], None]]:
+    """Return a tick, another one that runs the same code on copies, and what refreshes those.
+
+    Args:
+        make: makes a tick of what it reads and what it writes.
+        views: states that it reads.
+        outs: states that it writes.
+    """
+    copies = {name: view.copy() for name, view in views.items()}
+    second = make(copies, {name: view.copy() for name, view in outs.items()})
+
+    def refresh() -> None:
+        for name, view in views.items():
+            copies[name][...] = view
+
+    return make(views, outs), second, refresh

@@ -3,35 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
-from unicon_core.blocks.joint_command import JointCommand, robot_gains, ticks_of
-from unicon_core.errors import WorkflowError
+from unicon_core.blocks.joint_command import JointCommand, end_of, robot_gains
+from unicon_core.bounds import Seconds
 from unicon_core.flow.block import Reads
 from unicon_core.robots import Robot
 from unicon_core.robots.poses import joints_like, named_pose
+from unicon_core.schema.marks import Write
 
 OTHERS = "give gains of its joints, or run h1_stand, which names none"
 """What helps a robot that the workflow was not written for."""
 
 
-def sway(
-    command: JointCommand,
-    velocity_command: Reads,
-    *,
-    robot: Robot,
-    period: float,
-    gains: Mapping[str, Sequence[float]],
-    amplitude: Sequence[float] = (0.0, 0.0, 0.0),
-    frequency: float = 0.5,
-    time_constant: float = 0.3,
-    around: str | Mapping[str, float] = "stand",
-    duration: float | None = None,
-) -> Sway:
+class Sway:
     """Move the position targets around a pose: target = pose + K (command + own oscillation).
+
+    The targets stay within the robot's joint limits.
 
     Args:
         gains: joint names and patterns to their row of K: radians for each m/s of vx, m/s of vy and
@@ -41,65 +32,45 @@ def sway(
         time_constant: of the first-order filter on the targets in [s].
         around: the pose, as for `pose`.
         duration: in [s]; None never ends.
-
-    The targets stay within the robot's joint limits.
     """
-    matrix = np.zeros((robot.num_joints, 3), np.float32)
-    for pattern, row in gains.items():
-        if not isinstance(row, Sequence) or len(row) != 3:
-            raise WorkflowError(f"gains of {pattern!r} are {row!r}; give [per vx, per vy, per wz]")
-        matrix[joints_like(pattern, robot, OTHERS)] += np.asarray(row, np.float32)
-    if len(amplitude) != 3:
-        raise WorkflowError(f"amplitude is {list(amplitude)}; give [vx, vy, wz]")
-    centre, said = named_pose(around, robot, "block 'sway'")
-    centre = np.where(said > 0.0, centre, np.nan_to_num(robot.default_joint_pos))
-    return Sway(
-        command,
-        velocity_command,
-        robot,
-        period,
-        matrix,
-        centre,
-        np.asarray(amplitude, np.float32),
-        frequency,
-        time_constant,
-        ticks_of(duration, period, "duration"),
-    )
-
-
-class Sway:
-    """The tick of `sway`."""
 
     memory = ("_filtered", "_tick")
 
     def __init__(
         self,
         command: JointCommand,
-        velocity_command: NDArray[np.float32],
+        velocity_command: Reads,
+        *,
         robot: Robot,
         period: float,
-        matrix: NDArray[np.float32],
-        centre: NDArray[np.float32],
-        amplitude: NDArray[np.float32],
-        frequency: float,
-        time_constant: float,
-        ticks: int | None,
+        gains: Mapping[
+            str, Annotated[tuple[float, float, float], Write("[per vx, per vy, per wz]")]
+        ],
+        amplitude: Annotated[tuple[float, float, float], Write("[vx, vy, wz]")] = (0.0, 0.0, 0.0),
+        frequency: float = 0.5,
+        time_constant: float = 0.3,
+        around: str | Mapping[str, float] = "stand",
+        duration: Seconds | None = None,
     ) -> None:
+        matrix = np.zeros((3, robot.num_joints), np.float32)
+        for pattern, row in gains.items():
+            matrix[:, joints_like(pattern, robot, OTHERS)] += np.asarray(row, np.float32)[:, None]
+        centre, said = named_pose(around, robot, "block 'sway'")
+        self._centre = np.where(said > 0.0, centre, np.nan_to_num(robot.default_joint_pos))
         self._command, self._velocity = command, velocity_command
-        self._centre = centre
-        self._amplitude, self._turn = amplitude, 2.0 * math.pi * frequency * period
+        self._amplitude = np.asarray(amplitude, np.float32)
+        self._turn = 2.0 * math.pi * frequency * period
         self._share = 1.0 if time_constant <= 0.0 else -math.expm1(-period / time_constant)
         self._lower = np.nan_to_num(robot.lower, nan=-np.inf)
         self._upper = np.nan_to_num(robot.upper, nan=np.inf)
         self.gains = robot_gains(robot, "sway")
-        self._ticks, self._tick = ticks, 0
-        self.endless = ticks is None
+        self._ticks, self._tick = end_of(duration, period), 0
+        self.endless = duration is None
         self._filtered, self._wanted, self._moved = (
             np.zeros_like(command.joint_pos_target) for _ in range(3)
         )
         self._twist = np.zeros_like(velocity_command)
-        rows = np.ascontiguousarray(matrix.T)
-        self._parts = [(self._twist[..., i : i + 1], row) for i, row in enumerate(rows)]
+        self._parts = [(self._twist[..., i : i + 1], row) for i, row in enumerate(matrix)]
 
     def __call__(self) -> bool:
         command, wanted, filtered = self._command, self._wanted, self._filtered

@@ -6,7 +6,7 @@ import numpy as np
 
 from unicon_core.blocks.safety.ranges import RangeStop
 from unicon_core.blocks.safety.stops import TiltStop
-from unicon_core.blocks.safety.stuck import imu_stop
+from unicon_core.blocks.safety.stuck import ImuStop
 from unicon_core.bounds import POSITION
 from unicon_core.flow import Block, blocks_of
 from unicon_core.flow.stage import Stage
@@ -139,7 +139,7 @@ def _imu_stop(
         return None
     quat, gyro, gravity, joints = (told[name] for name in needs)
     stamp = program.states["stamp_ns"]
-    stop = imu_stop(quat, gyro, gravity, joints, stamp, period=program.period)
+    stop = ImuStop(quat, gyro, gravity, joints, stamp, period=program.period)
     remedy = "correct the IMU's axes and signs in the driver or the map"
     return Heeding("imu_stop", "", stop, remedy, stop.reset, _lasting(program))
 
@@ -148,7 +148,7 @@ def _tilt(program: ProgramData, told: dict[str, np.typing.NDArray[np.float32]]) 
     """The workflow's own `tilt_stop`, or that of a robot that walks."""
     stops = [block.tick for block in program.blocks if isinstance(block.tick, TiltStop)]
     if not stops and program.robot.walks and "projected_gravity" in told:
-        stops = [TiltStop(told["projected_gravity"], TILT)]
+        stops = [TiltStop(told["projected_gravity"], angle=TILT)]
     remedy = "set the robot upright, or correct the IMU's axes"
     return [
         Heeding("tilt", "the base leans no more than it may in the run", stop, remedy)

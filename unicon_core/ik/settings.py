@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
+from unicon_core.schema.marks import Within
+
+Weight = Annotated[float, Within(0.0, 100.0)]
 APART = 0.02
 """Between capsules in [m]: targets of arms that a walking robot swings are off by 4 to 12 mm."""
 
@@ -12,9 +16,9 @@ APART = 0.02
 class Weights:
     """How much an end effector's errors count against those of others."""
 
-    position: float = 1.0
+    position: Weight = 1.0
     """Of 1 m; 0 leaves it free."""
-    orientation: float = 0.3
+    orientation: Weight = 0.3
     """Of 1 rad: a hand that is 0.3 m wide moves its edge as far. 0 leaves it free."""
 
 

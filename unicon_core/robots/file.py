@@ -37,7 +37,7 @@ from unicon_core.schema.marks import (
 )
 from unicon_core.schema.records import largest, record_of
 from unicon_core.schema.types import Here
-from unicon_core.states.standard import BUTTONS
+from unicon_core.states.standard import BUTTONS, Button
 
 SCHEMA = "unicon.robot/1"
 Kind = Literal["quadruped", "humanoid", "wheeled", "hand", "arm"]
@@ -166,7 +166,7 @@ class Transport:
     protocol: Text | None
     command: Literal["position", "torque"] = "torque"
     stop_buttons: Annotated[
-        list[Literal[tuple(BUTTONS)]] | None,  # type: ignore[valid-type]
+        list[Button] | None,
         NotEmpty,
         Write(f"a list of {', '.join(BUTTONS)}"),
     ] = None

@@ -346,12 +346,10 @@ def _fields(kind: Any) -> dict[str, Field]:
 @lru_cache(256)
 def option_hints(factory: Callable[..., Any]) -> dict[str, Any]:
     """Return the hints of what a function, or a class, takes by name; {} where they say nothing."""
-    target: Any = factory
-    if inspect.isclass(factory):
-        target = vars(factory).get("__init__", factory)
+    target: Any = factory.__init__ if inspect.isclass(factory) else factory
     try:
         return get_type_hints(target, include_extras=True)
-    except (AttributeError, NameError, TypeError):  # not written for files
+    except (AttributeError, NameError, SyntaxError, TypeError):  # not written for files
         return {}
 
 

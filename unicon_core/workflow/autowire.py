@@ -12,17 +12,18 @@ import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any
 
 from unicon_core.errors import StateError, UniconError, WorkflowError, alternatives
 from unicon_core.flow.block import Block, Bundle, as_block
+from unicon_core.flow.stage import Stage
 from unicon_core.platforms.kit.damping import LastSent
 from unicon_core.platforms.platform import Platform
 from unicon_core.robots import Robot
-from unicon_core.schema.records import option_type
+from unicon_core.schema.records import option_hints, option_type
 from unicon_core.schema.types import Mistakes
 from unicon_core.states import States
-from unicon_core.workflow.registry import Factory, states_in
+from unicon_core.workflow.registry import Factory, product_of, states_in
 
 
 @dataclass
@@ -105,8 +106,7 @@ def autowire(
         if parameter not in named:
             known = alternatives(parameter, named)
             raise wrong(f" has no state parameter {parameter!r}; {known}")
-    refuse_options(factory, options, wrong)
-    arguments |= options
+    arguments |= read_options(factory, options, wrong)
     free = option_names(factory)
     for parameter, declared in inspect.signature(factory).parameters.items():
         if parameter in arguments:
@@ -136,10 +136,10 @@ def autowire(
     return block
 
 
-def refuse_options(
+def read_options(
     factory: Factory, options: Mapping[str, Any], wrong: Callable[..., UniconError]
-) -> None:
-    """Refuse options that a factory does not have, or not with such a value.
+) -> dict[str, Any]:
+    """Return options as the hints of a factory have them: each value read, nothing left to check.
 
     Args:
         factory: of a block, a platform or a face.
@@ -148,7 +148,7 @@ def refuse_options(
             that is not there.
 
     Raises:
-        UniconError: made by `wrong`.
+        UniconError: made by `wrong`: there is no such option, or a value is not what its hint says.
     """
     free = option_names(factory)
     parameters = inspect.signature(factory).parameters.values()
@@ -156,13 +156,17 @@ def refuse_options(
         for option in options:
             if option not in free:
                 raise wrong(f" has no option {option!r}; {alternatives(option, free)}", option)
-    mistakes = Mistakes()
+    mistakes, found = Mistakes(options), dict(options)
     for option, value in options.items():
         kind = option_type(factory, option)
         if kind is not None:
-            kind.read(value, (option,), mistakes)
+            found[option] = kind.read(value, (option,), mistakes)
     if mistakes.found:
-        raise wrong(f": {'; '.join(text for _, text in mistakes.found)}")
+        texts = [text for _, text in mistakes.found]
+        if getattr(product_of(factory), "stage", None) is Stage.SAFETY:
+            texts.append("to run without it leave it out of safety:")
+        raise wrong(f": {'; '.join(texts)}")
+    return found
 
 
 def option_names(factory: Factory) -> list[str]:
@@ -224,6 +228,5 @@ def _states_of(
 
 
 def _annotated(factory: Factory) -> tuple[dict[str, str], dict[str, type[Bundle]]]:
-    target = factory.__init__ if inspect.isclass(factory) else factory
-    hints = get_type_hints(target, include_extras=True)
+    hints = option_hints(factory)
     return states_in({name: hints.get(name) for name in inspect.signature(factory).parameters})

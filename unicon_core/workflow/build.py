@@ -23,7 +23,7 @@ from unicon_core.workflow.autowire import (
     BuildContext,
     autowire,
     option_names,
-    refuse_options,
+    read_options,
 )
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.expression import expression
@@ -238,8 +238,7 @@ def specs_of(
         factory = factory_of(use)
         declares = getattr(factory, "declares", None)
         if declares is not None:
-            own, options = member_robot(robot, use.of), _options(factory, use)
-            _refuse_options(factory, use, options)
+            own, options = member_robot(robot, use.of), _read_options(factory, use)
             for name, spec in declares(robot=own, **options).items():
                 specs.setdefault(use.rename.get(name, name), of_whole(spec, own, robot))
     return specs
@@ -268,11 +267,11 @@ def factory_of(use: Use) -> Factory:
         raise WorkflowError(str(error), use.where) from error
 
 
-def _refuse_options(factory: Factory, use: Use, options: Mapping[str, Any]) -> None:
+def _read_options(factory: Factory, use: Use) -> dict[str, Any]:
     def wrong(text: str, *_: str) -> WorkflowError:
         return WorkflowError(f"block {use.name!r}{text}", use.where)
 
-    refuse_options(factory, options, wrong)
+    return read_options(factory, _options(factory, use), wrong)
 
 
 def _options(factory: Factory, use: Use) -> dict[str, Any]:

@@ -3,11 +3,12 @@
 Blocks and flows are read by the builder, which knows their factories.
 """
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-from unicon_core.bounds import DURATION
+from unicon_core.bounds import DURATION, Seconds
 from unicon_core.errors import UniconError, alternatives
 from unicon_core.pacing import Pacing
 from unicon_core.resources import find_config
@@ -24,6 +25,7 @@ from unicon_core.schema.marks import (
 )
 from unicon_core.schema.records import meant
 from unicon_core.schema.types import Here
+from unicon_core.states.standard import Button
 
 _BLOCK = Write("a block, or {chain: [...]}")
 FlowType = Annotated[Any, Later("unicon_core.workflow.flow_schema:FLOW"), _BLOCK]
@@ -55,7 +57,26 @@ class PolicyEntry:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Skill:
+class Entry:
+    """How a mode or a skill is entered.
+
+    Attributes:
+        button: that asks for it.
+        sources: modes or skills from which it is entered; any unless given.
+        after: time that the one before must have had.
+        tilt: most that the base may lean.
+        calm: the sticks are let go.
+    """
+
+    button: Button | None = None
+    sources: Annotated[Sequence[str], Key("from")] = ()
+    after: Seconds = 0.0
+    tilt: Annotated[float, Unit("rad"), Within(0.0, math.pi, above=True)] = math.pi
+    calm: bool = False
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Skill(Entry):
     """A skill: one policy or a flow, and how it is entered.
 
     Attributes:
@@ -76,11 +97,6 @@ class Skill:
     enter: Annotated[str | None, Write("an expression over states")] = None
     blend: Annotated[float, Unit("s"), Within(0.0, 60.0)] = 0.5
     next: str | None = None
-    button: Any = None
-    sources: Annotated[Any, Key("from")] = None
-    after: Any = None
-    tilt: Any = None
-    calm: Any = None
 
     @staticmethod
     def between(found: dict[str, Any], here: Here) -> None:

@@ -23,7 +23,7 @@ from unicon_core.platforms.kit.scene import SCENE_KEYS, Scene
 from unicon_core.platforms.platform import SIMULATED, Binding, Facts, Platform
 from unicon_core.robots import Robot
 from unicon_core.robots.joint_physics import joint_physics
-from unicon_core.workflow.autowire import BuildContext, option_names, refuse_options
+from unicon_core.workflow.autowire import BuildContext, option_names, read_options
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.hardware import (
     UNDECLARED,
@@ -316,5 +316,6 @@ def _checked_options(document: WorkflowDocument, name: str, factory: Factory) ->
                 f"{{{option}: …}}",
                 option,
             )
-    refuse_options(factory, options, lambda text, *path: wrong(f"platform {name!r}{text}", *path))
-    return dict(options)
+    return read_options(
+        factory, options, lambda text, *path: wrong(f"platform {name!r}{text}", *path)
+    )

@@ -16,12 +16,13 @@ import inspect
 from collections.abc import Callable, Mapping
 from functools import lru_cache
 from importlib import import_module
-from typing import Annotated, Any, TypeAlias, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, TypeAlias, get_args, get_origin
 
 from unicon_core.errors import MissingDependencyError, UniconError, alternatives
 from unicon_core.flow.block import Access, Block, Bundle, Tick
 from unicon_core.platforms.platform import Facts
 from unicon_core.registered import registered
+from unicon_core.schema.records import option_hints
 
 Factory: TypeAlias = Callable[..., Any]
 
@@ -63,8 +64,8 @@ def is_block_factory(factory: Factory) -> bool:
     It has a parameter `Reads`, `Writes`, `Amends` or a `Bundle`, or returns a `Tick`, a `Block` or
     a class whose objects say what they read, write or amend.
     """
-    hints = _hints(factory)
-    made = hints.pop("return", None)
+    hints = option_hints(factory)
+    made = hints.get("return")
     if made == Tick or (inspect.isclass(made) and issubclass(made, Block)):
         return True
     if inspect.isclass(made) and any(hasattr(made, name) for name in ("reads", "writes", "amends")):
@@ -93,15 +94,7 @@ def _makes(factory: Factory, *methods: str) -> bool:
 
 def product_of(factory: Factory) -> Any:
     """Return what a factory says that it returns, None if it does not; a class makes itself."""
-    return factory if inspect.isclass(factory) else _hints(factory).get("return")
-
-
-def _hints(factory: Factory) -> dict[str, Any]:
-    target = factory.__init__ if inspect.isclass(factory) else factory
-    try:
-        return get_type_hints(target, include_extras=True)
-    except (AttributeError, NameError, SyntaxError, TypeError):  # not written for us
-        return {}
+    return factory if inspect.isclass(factory) else option_hints(factory).get("return")
 
 
 def states_in(hints: Mapping[str, Any]) -> tuple[dict[str, str], dict[str, type[Bundle]]]:

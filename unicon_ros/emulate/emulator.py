@@ -28,7 +28,7 @@ from unicon_core.resources import find_config
 from unicon_core.robots import Robot, robot_names
 from unicon_core.states import States, standard_states
 from unicon_core.states.standard import COMMAND_STATES, hardware_states
-from unicon_core.workflow.autowire import refuse_options
+from unicon_core.workflow.autowire import read_options
 from unicon_core.workflow.hardware import refuse_incomplete
 from unicon_ros.emulate.body import Body, body_of
 from unicon_ros.emulate.defects import Defects
@@ -284,9 +284,8 @@ def emulated(
     Raises:
         UniconError: an option is wrong, an address is taken, or the physics cannot be built.
     """
-    options = options or {}
     name = f"face {name or robot.transport.get('protocol')!r}"
-    refuse_options(factory, options, lambda text, *_: PlatformError(f"{name}{text}"))
+    options = read_options(factory, options or {}, lambda text, *_: PlatformError(f"{name}{text}"))
     states = States({**standard_states(robot.joint_names), **hardware_states(robot.joint_names)})
     try:
         face = factory(states, robot, **options)

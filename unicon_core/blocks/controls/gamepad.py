@@ -18,8 +18,8 @@ from contextlib import suppress
 from pathlib import Path
 
 from unicon_core.blocks.controls.device import Controls, declares_controls, device_block
-from unicon_core.blocks.controls.pads import HATS, INPUT, MAPPINGS, Finder, ask, pad_of
-from unicon_core.errors import WorkflowError, alternatives
+from unicon_core.blocks.controls.pads import HATS, INPUT, Finder, Mapped, ask, pad_of
+from unicon_core.errors import WorkflowError
 from unicon_core.flow import Block
 from unicon_core.states.standard import BUTTONS
 from unicon_core.workflow.autowire import BuildContext
@@ -38,7 +38,7 @@ def gamepad(
     *,
     context: BuildContext,
     device: str = "auto",
-    mapping: str = "auto",
+    mapping: Mapped = "auto",
 ) -> Block:
     """Write sticks and buttons of a game pad; all zero while it is not there.
 
@@ -51,12 +51,8 @@ def gamepad(
             order); auto goes by what the device is.
 
     Raises:
-        WorkflowError: the device is a file that is neither, or there is no such mapping.
+        WorkflowError: the device is a file that is neither.
     """
-    if mapping not in ("auto", *MAPPINGS):
-        raise WorkflowError(
-            f"gamepad mapping {mapping!r}; {alternatives(mapping, ('auto', *MAPPINGS))}"
-        )
     if device != "auto" and (Path(device).is_dir() or Path(device).is_file()):
         raise WorkflowError(
             f"device {device!r} is not an input device; give one such as /dev/input/event5, or auto"

@@ -11,9 +11,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from unicon_core.blocks.controls.device import declares_controls
 from unicon_core.errors import WorkflowError
 from unicon_core.flow.block import Writes
@@ -30,16 +27,13 @@ _BUTTONS: Mapping[str, Mapping[str, str]] = {
 """Side to the controller's button and ours."""
 _STICKS = {"left": (0, 1), "right": (2, 3)}
 """Side to the elements of `sticks`: thumbstick x and y, of which y is positive to the back."""
+_NEEDED = (
+    *("alive", "valid"),
+    *(f"{side}_{what}" for side in _BUTTONS for what in ("buttons", "axes")),
+)
 
 
-def headset_controls(
-    sticks: Writes,
-    buttons: Writes,
-    controls_alive: Writes,
-    *,
-    states: States,
-    device: str = "webxr",
-) -> HeadsetControls:
+class HeadsetControls:
     """Write sticks and buttons of a headset's controllers; all zero while none is tracked.
 
     A robot that tells its own remote writes these states itself: rename them here and in the blocks
@@ -51,43 +45,29 @@ def headset_controls(
     Raises:
         WorkflowError: there is no such device.
     """
-    needed = [f"{device}_{what}" for what in _needed()]
-    for state in needed:
-        if state not in states.layout.specs:
-            raise WorkflowError(
-                f"no state {state!r}; list the device that writes it, such as webxr, before "
-                "headset_controls (commands:), or name yours: device: PREFIX"
-            )
-    return HeadsetControls((sticks, buttons, controls_alive), states, device, needed)
-
-
-setattr(headset_controls, "declares", declares_controls)  # noqa: B010  mypy: a function has none
-
-
-def _needed() -> tuple[str, ...]:
-    return (
-        "alive",
-        "valid",
-        *(f"{side}_{what}" for side in _BUTTONS for what in ("buttons", "axes")),
-    )
-
-
-class HeadsetControls:
-    """The tick of `headset_controls`."""
 
     memory = ()
 
     endless = True
+    declares = staticmethod(declares_controls)
 
     def __init__(
         self,
-        out: tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]],
+        sticks: Writes,
+        buttons: Writes,
+        controls_alive: Writes,
+        *,
         states: States,
-        device: str,
-        reads: list[str],
+        device: str = "webxr",
     ) -> None:
-        self._sticks, self._buttons, self._heard = out
-        self.reads = tuple(reads)
+        self.reads = tuple(f"{device}_{what}" for what in _NEEDED)
+        for state in self.reads:
+            if state not in states.layout.specs:
+                raise WorkflowError(
+                    f"no state {state!r}; list the device that writes it, such as webxr, before "
+                    "headset_controls (commands:), or name yours: device: PREFIX"
+                )
+        self._sticks, self._buttons, self._heard = sticks, buttons, controls_alive
         self._alive, self._valid = states[f"{device}_alive"], states[f"{device}_valid"]
         parts = states.spec(f"{device}_valid").names
         self._sides = []

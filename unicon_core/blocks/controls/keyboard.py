@@ -11,12 +11,12 @@ import os
 import select
 import sys
 from contextlib import suppress
-from typing import Any
+from typing import Annotated, Any
 
 from unicon_core.blocks.controls.device import Controls, declares_controls, device_block
 from unicon_core.blocks.joint_command import ticks_of
-from unicon_core.errors import WorkflowError
 from unicon_core.flow import Block
+from unicon_core.schema.marks import Unit, Within
 from unicon_core.states.standard import BUTTONS
 from unicon_core.workflow.autowire import BuildContext
 
@@ -31,13 +31,12 @@ STICK_KEYS = {
 """Key to element of `sticks` and value."""
 BUTTON_KEYS = dict(zip("123456789", ("A", "B", "X", "Y", "start", "select", "L1", "R1", "L2")))
 ESCAPE = "\x1b"
-LONGEST_HOLD = 2.0
 
 
 def keyboard(
     *,
     context: BuildContext,
-    hold: float = 0.5,
+    hold: Annotated[float, Unit("s"), Within(0.05, 2.0)] = 0.5,
 ) -> Block:
     """Write sticks and buttons as keys of the terminal say.
 
@@ -46,13 +45,8 @@ def keyboard(
     Args:
         hold: for how long a key counts in [s]; terminals repeat one that is held after 0.25 to
             0.5 s, and then 30 times a second.
-
-    Raises:
-        WorkflowError: `hold` is not plausible.
     """
-    if not 0.05 <= hold <= LONGEST_HOLD:
-        raise WorkflowError(f"hold is {hold}; give 0.05 to {LONGEST_HOLD:g} s")
-    ticks = ticks_of(hold, context.period, "hold") or 1
+    ticks = ticks_of(hold, context.period)
     return device_block("keyboard", Keyboard(Controls(context.states), ticks, context), context)
 
 

@@ -19,23 +19,30 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeAlias
+from typing import Annotated, Any, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.blocks.controls.device import declares_controls
-from unicon_core.blocks.controls.drive import button_named
 from unicon_core.blocks.joint_command import ticks_of
-from unicon_core.bounds import within
 from unicon_core.errors import WorkflowError, alternatives
 from unicon_core.flow.block import Reads, Writes
+from unicon_core.schema.marks import Like, NotEmpty, Write
 from unicon_core.states import StateSpec
+from unicon_core.states.standard import BUTTONS, Button
 from unicon_core.workflow.autowire import BuildContext
+from unicon_core.workflow.file import Entry
 
 CENTRED = 0.2
 """A stick that is no further away is let go."""
-KEYS = ("button", "from", "after", "tilt", "calm")
+
+
+@dataclass(frozen=True)
+class Mode(Entry):
+    """How a mode is entered, as of `Entry`; by its button in any case."""
+
+    button: Button
 
 
 class Condition(Protocol):
@@ -83,7 +90,11 @@ def modes(
     *,
     context: BuildContext,
     begin: str,
-    to: Mapping[str, Mapping[str, Any]],
+    to: Annotated[
+        Mapping[str, Annotated[Mapping[str, Any], Like(Mode), Write("{button: NAME}")]],
+        NotEmpty,
+        Write("{stand: {button: A}}"),
+    ],
 ) -> Modes:
     """Return the name of the present mode.
 
@@ -94,21 +105,10 @@ def modes(
             (the sticks are let go).
 
     Raises:
-        WorkflowError: an unknown mode, button or key, or a button of two modes from one.
+        WorkflowError: an unknown mode, or a button of two modes from one.
     """
-    if not to:
-        raise WorkflowError("to: no modes; give them as {stand: {button: A}}")
     names = list(dict.fromkeys([begin, *to]))
-    ways = []
-    for name, said in to.items():
-        if not isinstance(said, Mapping) or "button" not in said:
-            raise WorkflowError(
-                f"to.{name}: give {{button: NAME}}, as {{button: A, from: [passive]}}"
-            )
-        for key in said:
-            if key not in KEYS:
-                raise WorkflowError(f"to.{name}: no {key!r}; {alternatives(str(key), KEYS)}")
-        ways.append(way_of(name, said, names, context.period, "to."))
+    ways = [way_of(name, said, names, context.period, "to.") for name, said in to.items()]
     check_buttons(ways)
     return Modes((sticks, buttons, projected_gravity), mode, names, ways, context)
 
@@ -144,33 +144,29 @@ def way_of(
 
     Args:
         name: of the mode.
-        said: what the workflow says of it.
+        said: what the workflow says of it, as of `Entry`.
         names: of all modes.
         period: of a tick in [s].
         place: stands before the name in messages.
 
     Raises:
-        WorkflowError: a value does not do.
+        WorkflowError: it is entered from a mode that there is not.
     """
-    sources = said.get("from", ())
-    if isinstance(sources, str) or not isinstance(sources, Sequence):
-        raise WorkflowError(f"{place}{name}.from is {sources!r}; give a list of modes")
-    for source in sources:
+    sources, button, after = (said.get(key) for key in ("from", "button", "after"))
+    for source in sources or ():
         if source not in names:
             raise WorkflowError(
                 f"{place}{name}.from: no mode {source!r}; {alternatives(str(source), names)}"
             )
-    after, tilt, calm = said.get("after", 0.0), said.get("tilt", math.pi), said.get("calm", False)
-    for key, value in (("after", after), ("tilt", tilt)):
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise WorkflowError(f"{place}{name}.{key} is {value!r}; give a number")
-    if not isinstance(calm, bool):
-        raise WorkflowError(f"{place}{name}.calm is {calm!r}; give true or false")
-    ticks = ticks_of(float(after), period, f"{place}{name}.after") if after else 0
-    within(float(tilt), f"{place}{name}.tilt", "rad", math.pi)
-    button = str(said.get("button", ""))
-    number = button_named(button, f"{place}{name}.button") if button else -1
-    return Way(name, number, button, tuple(sources), ticks or 0, float(tilt), calm)
+    return Way(
+        name,
+        BUTTONS.index(button) if button else -1,
+        button or "",
+        tuple(sources or ()),
+        ticks_of(after, period) if after else 0,
+        said.get("tilt", math.pi),
+        said.get("calm", False),
+    )
 
 
 class Modes:

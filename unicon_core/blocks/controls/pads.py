@@ -16,6 +16,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 INPUT = Path("/dev/input")
 
@@ -48,7 +49,8 @@ _GENERIC = dict(enumerate(("X", "A", "B", "Y", "L1", "R1", "L2", "R2"), 0x120)) 
     0x12B: "F2",
 }
 """BTN_TRIGGER … BTN_BASE6, in the order of Logitech's pads."""
-MAPPINGS = (*_FACES, "generic")
+Mapped = Literal["auto", "xbox", "playstation", "nintendo", "8bitdo", "generic"]
+"""Kinds of pads; `auto` goes by what the device is."""
 
 _LEFT = {0x00: (0, 1.0), 0x01: (1, -1.0)}
 """ABS_X, ABS_Y: element of `sticks` and sign; down is positive there."""
@@ -91,7 +93,7 @@ class Pad:
     """The codes of one.
 
     Attributes:
-        name: one of `MAPPINGS`.
+        name: one of `Mapped`.
         keys: code to button.
         sticks: code to element of `sticks` and sign.
         triggers: code to button.
@@ -111,7 +113,7 @@ def pad_of(identity: Identity | None, mapping: str = "auto") -> Pad:
     Args:
         identity: what the kernel says; None for a pipe, which is as an Xbox pad unless `mapping`
             says otherwise.
-        mapping: one of `MAPPINGS`, or auto.
+        mapping: one of `Mapped`.
     """
     name = mapping if mapping != "auto" else _name(identity)
     keys = _GENERIC if name == "generic" else _FACES[name]

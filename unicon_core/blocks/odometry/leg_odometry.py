@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Mapping
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.blocks.joint_command import single
 from unicon_core.blocks.odometry.standing import Standing
 from unicon_core.blocks.odometry.velocity_filter import VelocityFilter
-from unicon_core.blocks.robot_model import model_for
-from unicon_core.bounds import within
+from unicon_core.blocks.robot_model import model_for, twice
 from unicon_core.errors import WorkflowError
 from unicon_core.flow.block import Block, Reads, Writes
 from unicon_core.models.feet import Feet
 from unicon_core.robots import Robot
+from unicon_core.schema.marks import Unit, Within
 from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext
 
@@ -44,8 +45,10 @@ def leg_odometry(
     context: BuildContext,
     position: bool | None = None,
     foot_force: float | None = None,
-    joint_noise: float = JOINT_NOISE,
-    acceleration_noise: float = ACCELERATION_NOISE,
+    joint_noise: Annotated[float, Unit("rad/s"), Within(0.0, 20.0, above=True)] = JOINT_NOISE,
+    acceleration_noise: Annotated[
+        float, Unit("m/s²"), Within(0.0, 100.0, above=True)
+    ] = ACCELERATION_NOISE,
 ) -> Block:
     """Estimate the velocity of the base, and its position from the beginning on.
 
@@ -70,14 +73,11 @@ def leg_odometry(
         acceleration_noise: of the mean acceleration between two ticks at 50 Hz in [m/s²].
 
     Raises:
-        WorkflowError: the states are of a batch, or an option is wrong.
+        WorkflowError: the states are of a batch, or nobody says from which force a foot stands.
         ModelError: the robot's model has no feet, or there is none.
         MissingDependencyError: MuJoCo, which computes the kinematics, is not installed.
     """
-    if base_quat.ndim != 1:
-        raise WorkflowError("it looks at one robot; leave num_robots out, or leave it out")
-    joint_noise = within(joint_noise, "joint_noise", "rad/s", 20.0)
-    acceleration_noise = within(acceleration_noise, "acceleration_noise", "m/s²", 100.0)
+    single(base_quat)
     told = () if context.platform is None else context.platform.facts.writes
     more: tuple[str, ...] = ("joint_effort", "stamp_ns")
     reads = {name: context.states[name] for name in more if name in told}
@@ -115,14 +115,20 @@ def leg_odometry(
             feet, standing, VelocityFilter(acceleration_noise), ins, results, context
         )
 
-    tick = make(views, outs)
+    tick, second, refresh = twice(make, views, outs)
+
+    def warm_up() -> None:
+        refresh()
+        second.again()  # the one that counts looks at new data only
+        second()
+
     return Block(
         "",
         tick,
         reads=tuple(reads),
         writes=tuple(writes),
         reset=tick.reset,
-        warm_up=_warm_up(make, views, outs),
+        warm_up=warm_up,
         endless=True,
     )
 
@@ -146,25 +152,6 @@ def _declares(robot: Robot, **_: Any) -> dict[str, StateSpec]:
 
 setattr(leg_odometry, "declares", _declares)  # noqa: B010  a function has none to mypy
 _FORCE, _POS_VARIANCE = "foot_force", "base_pos_w_variance"
-
-
-def _warm_up(
-    make: Callable[[Mapping[str, View], Mapping[str, View]], LegOdometry],
-    views: Mapping[str, View],
-    outs: Mapping[str, View],
-) -> Callable[[], None]:
-    """Return what runs the same code on copies: the one that counts looks at new data only."""
-    copies = {name: view.copy() for name, view in views.items()}
-    second = make(copies, {name: view.copy() for name, view in outs.items()})
-    pairs = [(copies[name], view) for name, view in views.items()]
-
-    def warm_up() -> None:
-        for copy, view in pairs:
-            copy[...] = view
-        second.again()
-        second()
-
-    return warm_up
 
 
 class LegOdometry:

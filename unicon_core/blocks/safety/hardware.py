@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 from unicon_core.blocks.safety.ranges import RangeStop
-from unicon_core.bounds import within
 from unicon_core.errors import WorkflowError
+from unicon_core.schema.marks import Unit, Within
 from unicon_core.states.standard import HARDWARE_STATES
 from unicon_core.workflow.autowire import BuildContext
 
@@ -21,9 +21,9 @@ HIGHEST_VOLTAGE = 1000.0
 def hardware_stop(
     context: BuildContext,
     *,
-    temperature: float = 90.0,
-    charge: float = 0.05,
-    voltage: float | None = None,
+    temperature: Annotated[float, Unit("°C"), Within(0.0, HOTTEST, above=True)] = 90.0,
+    charge: Annotated[float, Within(0.0, 1.0)] = 0.05,
+    voltage: Annotated[float | None, Unit("V"), Within(0.0, HIGHEST_VOLTAGE, above=True)] = None,
 ) -> RangeStop:
     """Stop where a motor is too hot or tells an error, or where the battery is empty.
 
@@ -36,18 +36,14 @@ def hardware_stop(
         voltage: lowest of the battery in [V]; None does not look.
 
     Raises:
-        WorkflowError: an option is not plausible, or the platform tells nothing of this.
+        WorkflowError: the platform tells nothing of this.
     """
-    what = "hardware_stop"
-    temperature = within(temperature, "temperature", "°C", HOTTEST, what=what)
-    charge = within(charge, "charge", "", 1.0, above=False, what=what)
     bounds: dict[str, tuple[Any, Any]] = {
         "motor_temperature": (COLDEST, temperature),
         "motor_error": (0, 0),
         "battery_charge": (charge, 1.0),
     }
     if voltage is not None:
-        voltage = within(voltage, "voltage", "V", HIGHEST_VOLTAGE, what=what)
         bounds["battery_voltage"] = (voltage, HIGHEST_VOLTAGE)
     states, platform = context.states, context.platform
     told = HARDWARE_STATES if platform is None else platform.facts.writes

@@ -8,16 +8,16 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.blocks.safety.ranges import RangeStop
-from unicon_core.bounds import within
 from unicon_core.errors import WorkflowError
 from unicon_core.flow.block import Reads
 from unicon_core.robots import Robot
+from unicon_core.schema.marks import Matches, Within
 from unicon_core.states import States
 
 MARGIN = 10.0
@@ -28,18 +28,13 @@ LEAST = 1e-3
 """What an entry that never changed may change by."""
 LARGEST_FILE = 16 * 2**20
 """In bytes, of a file of bounds."""
+File = Annotated[str, Matches(r".*\.npz", "a path that ends in .npz")]
 
 
-def observation_stop(
-    observation: Reads,
-    *,
-    states: States,
-    robot: Robot,
-    file: str,
-    margin: float = 0.5,
-    relative_to: Path | None = None,
-) -> ObservationStop:
+class ObservationStop(RangeStop):
     """Stop where a policy gets to see what no good run has shown.
+
+    Before a policy has made one, an observation is all zeros.
 
     Args:
         observation: of the policy, shape (..., m).
@@ -48,37 +43,46 @@ def observation_stop(
         margin: beyond both, as a share of what lies between them.
 
     Raises:
-        WorkflowError: an option is not plausible, or the file does not fit.
+        WorkflowError: the file does not fit.
     """
-    margin = within(margin, "margin", "", MARGIN, above=False, what="observation_stop")
-    lower, upper = _bounds_of(_path(file, relative_to), observation.shape[-1])
-    more = np.maximum(margin * (upper - lower), LEAST)
-    bounds = {_label(observation, states): (lower - more, upper + more)}
-    return ObservationStop(states, robot, bounds, "which no good run has shown:")
 
-
-class ObservationStop(RangeStop):
-    """The tick of `observation_stop`; before a policy has made one, an observation is all zeros."""
+    def __init__(
+        self,
+        observation: Reads,
+        *,
+        states: States,
+        robot: Robot,
+        file: File,
+        margin: Annotated[float, Within(0.0, MARGIN)] = 0.5,
+        relative_to: Path | None = None,
+    ) -> None:
+        lower, upper = _bounds_of(_path(file, relative_to), observation.shape[-1])
+        more = np.maximum(margin * (upper - lower), LEAST)
+        bounds = {_label(observation, states): (lower - more, upper + more)}
+        super().__init__(states, robot, bounds, "which no good run has shown:")
 
     def _raise(self) -> None:
         if self.ranges[0].view.any():
             super()._raise()
 
 
-def action_stop(action: Reads, *, states: States, robot: Robot, limit: float = 50.0) -> RangeStop:
+def action_stop(
+    action: Reads,
+    *,
+    states: States,
+    robot: Robot,
+    limit: Annotated[float, Within(0.0, ACTION, above=True)] = 50.0,
+) -> RangeStop:
     """Stop where a network's output is NaN or larger than any that moves a robot.
 
     Args:
         action: of the policy before scale and offset, shape (..., k).
         limit: of each entry.
     """
-    limit = within(limit, "limit", "", ACTION, what="action_stop")
     return RangeStop(states, robot, {_label(action, states): (-limit, limit)}, "allowed are")
 
 
-def observation_range(
-    observation: Reads, *, file: str, relative_to: Path | None = None
-) -> ObservationRange:
+class ObservationRange:
     """Note the lowest and highest value of each entry, and write them when the run ends.
 
     Args:
@@ -86,29 +90,17 @@ def observation_range(
         file: .npz to write, beside the workflow; one that is there counts too, so that several
             runs add up.
     """
-    path = _path(file, relative_to)
-    size = observation.shape[-1]
-    known = _bounds_of(path, size) if path.exists() else None
-    return ObservationRange(observation, path, known)
-
-
-class ObservationRange:
-    """The tick of `observation_range`."""
 
     memory = ("_lower", "_upper")
+    pure = False  # it writes a file
 
-    def __init__(
-        self,
-        observation: NDArray[np.float32],
-        path: Path,
-        known: tuple[NDArray[np.float32], NDArray[np.float32]] | None,
-    ) -> None:
-        self._seen, self._path = observation.reshape(-1, observation.shape[-1]), path
-        size = self._seen.shape[-1]
-        self._lower, self._upper = known or (
-            np.full(size, np.inf, np.float32),
-            np.full(size, -np.inf, np.float32),
-        )
+    def __init__(self, observation: Reads, *, file: File, relative_to: Path | None = None) -> None:
+        path = self._path = _path(file, relative_to)
+        size = observation.shape[-1]
+        self._seen = observation.reshape(-1, size)
+        self._lower, self._upper = (np.full(size, end, np.float32) for end in (np.inf, -np.inf))
+        if path.exists():
+            self._lower, self._upper = _bounds_of(path, size)
 
     def __call__(self) -> None:
         for row in self._seen:
@@ -128,14 +120,8 @@ class ObservationRange:
         part.replace(self._path)
 
 
-observation_range.pure = False  # type: ignore[attr-defined]  # it writes a file
-
-
 def _path(file: str, relative_to: Path | None) -> Path:
-    path = Path(file)
-    if path.suffix != ".npz":
-        raise WorkflowError(f"file is {file!r}; give a path that ends in .npz")
-    return path if relative_to is None else relative_to / path
+    return Path(file) if relative_to is None else relative_to / file
 
 
 def _bounds_of(path: Path, size: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -7,16 +7,17 @@ leaves commands alone; behind a limit that clamps the same one may trip with a w
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.bounds import POSITION, SHARE, TRIP_SHARE, VELOCITY, within
+from unicon_core.bounds import POSITION, SHARE, MaxRate, Scale
 from unicon_core.errors import Fault, RobotError, WorkflowError
 from unicon_core.flow.block import Amends, Bundle, Reads
 from unicon_core.flow.stage import Stage
 from unicon_core.robots import Robot
+from unicon_core.schema.marks import Unit, Within
 from unicon_core.states.screen import Range
 
 Float = NDArray[np.float32]
@@ -28,15 +29,23 @@ Beyond = Literal["clamp", "trip"]
 """What a limit does with a command that is beyond it."""
 
 
-def trips(beyond: Beyond) -> bool:
-    """Return whether a limit trips.
+def limits_of(known: Float, scale: float | None, usual: float, beyond: Beyond) -> Float:
+    """Return limits of a robot file times the option `scale`, infinite where it says none.
+
+    Args:
+        known: of the robot file, shape (n,).
+        scale: as given.
+        usual: where it is not given.
+        beyond: `trip` allows more than the robot file's.
 
     Raises:
-        WorkflowError: it is neither of the two words.
+        WorkflowError: it would not limit.
     """
-    if beyond not in ("clamp", "trip"):
-        raise WorkflowError(f"beyond is {beyond!r}; give clamp or trip")
-    return beyond == "trip"
+    if scale is not None and scale > SHARE and beyond == "clamp":
+        raise WorkflowError(
+            f"scale is {scale:g}; write a number above 0 to {SHARE:g}, or beyond: trip"
+        )
+    return np.nan_to_num(known, nan=np.inf) * np.float32(usual if scale is None else scale)
 
 
 def first_of(wrong: NDArray[np.bool_], robot: Robot) -> tuple[tuple[int, ...], str]:
@@ -47,7 +56,11 @@ def first_of(wrong: NDArray[np.bool_], robot: Robot) -> tuple[tuple[int, ...], s
 
 
 def joint_limits(
-    joint_pos_target: Amends, *, robot: Robot, margin: float = 0.0, beyond: Beyond = "clamp"
+    joint_pos_target: Amends,
+    *,
+    robot: Robot,
+    margin: Annotated[float, Unit("rad"), Within(0.0, POSITION)] = 0.0,
+    beyond: Beyond = "clamp",
 ) -> JointLimits:
     """Hold position targets within the robot's limits; an unknown limit does not bind.
 
@@ -57,20 +70,25 @@ def joint_limits(
         beyond: `clamp` clips the target, `trip` is a fault.
 
     Raises:
-        WorkflowError: the margin is negative or leaves a joint nothing.
+        WorkflowError: the margin leaves a joint nothing.
     """
-    margin = within(margin, "margin", "rad", POSITION, above=False, what="joint_limits")
     lower = np.nan_to_num(robot.lower, nan=-np.inf) + np.float32(margin)
     upper = np.nan_to_num(robot.upper, nan=np.inf) - np.float32(margin)
     if (lower > upper).any():
         joint = robot.joint_names[int(np.argmax(lower > upper))]
         raise WorkflowError(f"margin {margin} rad leaves joint {joint} no range; give less")
-    made = JointLimitStop if trips(beyond) else JointLimits
+    made = JointLimitStop if beyond == "trip" else JointLimits
     return made(joint_pos_target, lower, upper, robot)
 
 
-class JointLimits:
-    """The tick of `joint_limits`."""
+class Clamp:
+    """Holds targets between bounds, for the ticks of limits.
+
+    Args:
+        target: shape (..., n); changed.
+        lower, upper: of each joint, in the target's unit, shape (n,).
+        robot: names the joints.
+    """
 
     memory = ()
 
@@ -87,19 +105,33 @@ class JointLimits:
         np.minimum(self._target, self._upper, out=self._target)
 
 
-class JointLimitStop(JointLimits):
-    """The tick of `joint_limits` with `beyond: trip`."""
+class Trip(Clamp):
+    """Raises a fault instead.
+
+    Attributes:
+        said: of target, lower and upper bound, behind the joint.
+    """
 
     clamps = False
+    said: str
 
     def __call__(self) -> None:
         inside = (self._target >= self._lower) & (self._target <= self._upper)
         if not inside.all():
             index, who = first_of(~inside, self._robot)
-            raise Fault(
-                f"{who} is sent to {self._target[index]:.3f} rad, allowed are "
-                f"{self._lower[index[-1]]:.3f} to {self._upper[index[-1]]:.3f}"
-            )
+            joint = index[-1]
+            said = self.said.format(self._target[index], self._lower[joint], self._upper[joint])
+            raise Fault(f"{who} {said}")
+
+
+class JointLimits(Clamp):
+    """The tick of `joint_limits`."""
+
+
+class JointLimitStop(Trip, JointLimits):
+    """The tick of `joint_limits` with `beyond: trip`."""
+
+    said = "is sent to {:.3f} rad, allowed are {:.3f} to {:.3f}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +148,7 @@ class Servo(Bundle):
 
 
 def effort_limits(
-    servo: Servo, *, robot: Robot, scale: float | None = None, beyond: Beyond = "clamp"
+    servo: Servo, *, robot: Robot, scale: Scale = None, beyond: Beyond = "clamp"
 ) -> EffortLimits:
     """Move targets so that the servo's torque stays within the effort limits.
 
@@ -128,10 +160,8 @@ def effort_limits(
             trips, since what the motor cannot do does not hurt, and at most 10.
         beyond: `clamp` moves the target, `trip` is a fault.
     """
-    trip = trips(beyond)
-    most, usual = (TRIP_SHARE, 2.0) if trip else (SHARE, 1.0)
-    scale = within(usual if scale is None else scale, "scale", "", most, what="effort_limits")
-    limit = np.nan_to_num(robot.effort_limit, nan=np.inf) * np.float32(scale)
+    trip = beyond == "trip"
+    limit = limits_of(robot.effort_limit, scale, 2.0 if trip else 1.0, beyond)
     return (EffortStop if trip else EffortLimits)(servo, limit, robot)
 
 
@@ -216,7 +246,7 @@ def velocity_limits(robot: Robot, remedy: str, hands: float | None = None) -> Fl
     return robot.velocity_limit
 
 
-def rates_of(max_rate: float | Literal["robot"], robot: Robot, block: str) -> NDArray[np.float32]:
+def rates_of(max_rate: MaxRate, robot: Robot, block: str) -> Float:
     """Return how fast each joint may go by the option `max_rate` of a block, [rad/s], shape (n,).
 
     Args:
@@ -226,15 +256,10 @@ def rates_of(max_rate: float | Literal["robot"], robot: Robot, block: str) -> ND
 
     Raises:
         RobotError: `robot` is asked for, and its file does not say them.
-        WorkflowError: it is not a speed.
     """
-    if max_rate == "robot":
-        return velocity_limits(robot, f"give {block} a max_rate in [rad/s]")
     if isinstance(max_rate, str):
-        raise WorkflowError(f"max_rate is {max_rate!r}; give [rad/s] above 0, or robot")
-    most = np.float32(within(max_rate, "max_rate", "rad/s", VELOCITY))
-    found: Float = np.fmin(np.full(robot.num_joints, most), robot.velocity_limit)
-    return found
+        return velocity_limits(robot, f"give {block} a max_rate in [rad/s]")
+    return np.fmin(np.float32(max_rate), robot.velocity_limit)
 
 
 def rate_limit(
@@ -243,7 +268,7 @@ def rate_limit(
     *,
     robot: Robot,
     period: float,
-    max_rate: float | Literal["robot"] = "robot",
+    max_rate: MaxRate = "robot",
     beyond: Beyond = "clamp",
 ) -> RateLimit:
     """Let position targets move no faster than a speed, beginning at the measured positions.
@@ -255,14 +280,11 @@ def rate_limit(
     Raises:
         RobotError: the robot file does not say them.
     """
-    if max_rate == "robot":
+    if isinstance(max_rate, str):
         rate = velocity_limits(robot, "give rate_limit a max_rate in [rad/s]")
-    elif isinstance(max_rate, str):
-        raise WorkflowError(f"max_rate is {max_rate!r}; give [rad/s] above 0, or robot")
     else:
-        most = within(max_rate, "max_rate", "rad/s", VELOCITY, what="rate_limit")
-        rate = np.full(robot.num_joints, most, np.float32)
-    made = RateStop if trips(beyond) else RateLimit
+        rate = np.full(robot.num_joints, max_rate, np.float32)
+    made = RateStop if beyond == "trip" else RateLimit
     return made(joint_pos, joint_pos_target, rate * np.float32(period), robot)
 
 

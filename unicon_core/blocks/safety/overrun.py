@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from typing import Annotated
 
-from unicon_core.bounds import within
 from unicon_core.errors import Fault, WorkflowError
 from unicon_core.flow.stage import Stage
+from unicon_core.schema.marks import Unit, Within
 from unicon_core.workflow.autowire import BuildContext
 
 LONGEST = 60.0
@@ -18,7 +19,7 @@ PAUSE_NS = 250_000_000
 on a robot is a fault of its own (`pacing.hang`)."""
 
 
-def overrun_stop(context: BuildContext, *, count: int = 10, window: float = 1.0) -> OverrunStop:
+class OverrunStop:
     """Stop where too many ticks were missed within a time, by the machine's clock.
 
     A simulator has no deadlines where it runs at full speed, so there it never trips.
@@ -28,32 +29,29 @@ def overrun_stop(context: BuildContext, *, count: int = 10, window: float = 1.0)
         window: in [s].
 
     Raises:
-        WorkflowError: an option is not plausible.
+        WorkflowError: the window has fewer ticks.
     """
-    window = within(window, "window", "s", LONGEST, what="overrun_stop")
-    ticks = round(window / context.period)
-    if isinstance(count, bool) or not 1 <= count <= ticks:
-        raise WorkflowError(
-            f"count is {count!r}; give 1 to {max(ticks, 1)}, the ticks of window: {window:g} s"
-        )
-    platform = context.platform
-    return OverrunStop(
-        context.period, count, window, paced=platform is None or not platform.facts.simulated
-    )
-
-
-overrun_stop.pure = False  # type: ignore[attr-defined]  # a dry run would be a tick too
-
-
-class OverrunStop:
-    """The tick of `overrun_stop`."""
 
     memory = ()
 
     stage = Stage.SAFETY
+    pure = False  # a dry run would be a tick too
 
-    def __init__(self, period: float, count: int, window: float, *, paced: bool) -> None:
-        self._period_ns, self._window_ns, self._paced = period * 1e9, round(window * 1e9), paced
+    def __init__(
+        self,
+        context: BuildContext,
+        *,
+        count: Annotated[int, Within(1)] = 10,
+        window: Annotated[float, Unit("s"), Within(0.0, LONGEST, above=True)] = 1.0,
+    ) -> None:
+        period, platform = context.period, context.platform
+        ticks = round(window / period)
+        if count > ticks:
+            raise WorkflowError(
+                f"count is {count}; give 1 to {max(ticks, 1)}, the ticks of window: {window:g} s"
+            )
+        self._period_ns, self._window_ns = period * 1e9, round(window * 1e9)
+        self._paced = platform is None or not platform.facts.simulated
         self._late_ns = 1.5 * self._period_ns
         self._pause_ns = max(PAUSE_NS, 5.0 * self._period_ns)
         self._window = window

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
-from unicon_core.bounds import DAMPING, EFFORT, POSITION, STIFFNESS, VELOCITY, within
+from unicon_core.blocks.joint_command import Commands
+from unicon_core.bounds import DAMPING, EFFORT, POSITION, STIFFNESS, VELOCITY
 from unicon_core.errors import Fault, WorkflowError
-from unicon_core.flow.block import Reads
 from unicon_core.flow.stage import Stage
 from unicon_core.robots import Robot
+from unicon_core.schema.marks import Unit, Within
 from unicon_core.states import States
 from unicon_core.states.screen import Range, Screen
 from unicon_core.states.standard import COMMAND_STATES
@@ -39,7 +40,12 @@ MEASURED = (
 """What `range_stop` looks at, as far as the platform measures it."""
 
 
-def range_stop(context: BuildContext, *, margin: float = 0.5, factor: float = 3.0) -> RangeStop:
+def range_stop(
+    context: BuildContext,
+    *,
+    margin: Annotated[float, Unit("rad"), Within(0.0, POSITION)] = 0.5,
+    factor: Annotated[float, Within(1.0, 10.0)] = 3.0,
+) -> RangeStop:
     """Stop where what was measured is NaN, infinite, or more than any robot of this kind does.
 
     Args:
@@ -48,11 +54,9 @@ def range_stop(context: BuildContext, *, margin: float = 0.5, factor: float = 3.
         factor: of the robot file's velocity limits.
 
     Raises:
-        WorkflowError: an option is not plausible, or nothing is measured.
+        WorkflowError: nothing is measured.
     """
     robot, states, platform = context.robot, context.states, context.platform
-    margin = within(margin, "margin", "rad", POSITION, above=False, what="range_stop")
-    factor = within(factor, "factor", "", 10.0, 1.0, above=False, what="range_stop")
     told = MEASURED if platform is None else platform.facts.writes
     names = [name for name in MEASURED if name in told and name in states]
     if not names:
@@ -73,17 +77,13 @@ def range_stop(context: BuildContext, *, margin: float = 0.5, factor: float = 3.
 
 
 def command_stop(
-    joint_pos_target: Reads,
-    joint_vel_target: Reads,
-    joint_effort_ff: Reads,
-    joint_stiffness: Reads,
-    joint_damping: Reads,
+    command: Commands,
     *,
     states: States,
     robot: Robot,
-    stiffness: float = STIFFNESS,
-    damping: float = DAMPING,
-    factor: float = 2.0,
+    stiffness: Annotated[float, Unit("N·m/rad"), Within(0.0, STIFFNESS, above=True)] = STIFFNESS,
+    damping: Annotated[float, Unit("N·m·s/rad"), Within(0.0, DAMPING, above=True)] = DAMPING,
+    factor: Annotated[float, Within(0.0, 10.0, above=True)] = 2.0,
 ) -> RangeStop:
     """Stop where a command is NaN, infinite, or one that nobody can mean.
 
@@ -95,27 +95,13 @@ def command_stop(
         factor: of the robot file's limits of velocity and effort, for the velocity target and the
             feed-forward effort.
     """
-    what = "command_stop"
-    stiffness = within(stiffness, "stiffness", "N·m/rad", STIFFNESS, what=what)
-    damping = within(damping, "damping", "N·m·s/rad", DAMPING, what=what)
-    factor = within(factor, "factor", "", 10.0, what=what)
     speed = np.nan_to_num(robot.velocity_limit * factor, nan=VELOCITY)
     effort = np.nan_to_num(robot.effort_limit * factor, nan=EFFORT)
     # A wheel without stiffness has its own position as target, and that grows and grows.
     target = np.where(robot.endless, np.float32(UNBOUNDED), np.float32(2.0 * POSITION))
-    bounds = dict(
-        zip(
-            COMMAND_STATES,
-            (
-                (-target, target),
-                (-speed, speed),
-                (-effort, effort),
-                (0.0, stiffness),
-                (0.0, damping),
-            ),
-        )
-    )
-    return RangeStop(states, robot, bounds)
+    gains = (0.0, stiffness), (0.0, damping)
+    bounds = (-target, target), (-speed, speed), (-effort, effort), *gains
+    return RangeStop(states, robot, dict(zip(COMMAND_STATES, bounds)))
 
 
 class RangeStop:

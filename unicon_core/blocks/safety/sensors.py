@@ -3,29 +3,18 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from unicon_core.bounds import POSITION, within
-from unicon_core.errors import Fault, WorkflowError
+from unicon_core.blocks.joint_command import single
+from unicon_core.bounds import Motion
+from unicon_core.errors import Fault
 from unicon_core.flow.block import Reads
 from unicon_core.flow.stage import Stage
 from unicon_core.robots import Robot
 
-Float = NDArray[np.float32]
-
 NEVER = -(1 << 62)
 
 
-def joint_sensor_stop(
-    joint_pos: Reads,
-    joint_vel: Reads,
-    stamp_ns: Reads,
-    *,
-    robot: Robot,
-    period: float,
-    step: float = 0.1,
-    drift: float | None = None,
-) -> JointSensorStop:
+class JointSensorStop:
     """Stop where joints move otherwise than their velocities say.
 
     Between two frames a joint has to move by a distance that lies between dt times the lower and
@@ -56,18 +45,8 @@ def joint_sensor_stop(
         drift: in [rad]; None for 0.075 sqrt(n), at least 0.3.
 
     Raises:
-        WorkflowError: an option is not plausible, or the states are of a batch.
+        WorkflowError: the states are of a batch.
     """
-    if joint_pos.ndim != 1:
-        raise WorkflowError("it looks at one robot; leave num_robots out, or leave it out")
-    step = within(step, "step", "rad", POSITION, what="joint_sensor_stop")
-    wide = max(0.075 * len(joint_pos) ** 0.5, 0.3) if drift is None else drift
-    wide = within(wide, "drift", "rad", POSITION, what="joint_sensor_stop")
-    return JointSensorStop(joint_pos, joint_vel, stamp_ns, robot, period, step, wide)
-
-
-class JointSensorStop:
-    """The tick of `joint_sensor_stop`."""
 
     memory = ("_at", "_doubtful", "_last", "_was", "_start", "_same", "_sum", "_excused", "_late")
 
@@ -96,16 +75,20 @@ class JointSensorStop:
 
     def __init__(
         self,
-        pos: Float,
-        vel: Float,
-        stamp: NDArray[np.int64],
+        joint_pos: Reads,
+        joint_vel: Reads,
+        stamp_ns: Reads,
+        *,
         robot: Robot,
         period: float,
-        step: float,
-        drift: float,
+        step: Motion = 0.1,
+        drift: Motion | None = None,
     ) -> None:
-        self._pos, self._vel, self._stamp, self._names = pos, vel, stamp, robot.joint_names
-        self._step, self._drift, self._at = step, drift, NEVER
+        single(joint_pos)
+        pos, vel = self._pos, self._vel = joint_pos, joint_vel
+        self._stamp, self._names = stamp_ns, robot.joint_names
+        self._drift = max(0.075 * len(pos) ** 0.5, 0.3) if drift is None else drift
+        self._step, self._at = step, NEVER
         self._period2 = (1.1 * period) ** 2  # frames come a little apart
         self._longest, self._doubtful = max(self.LONGEST, 2.5 * period), False
         self.looked_at = (~robot.endless & ~robot.by_position).astype(np.float32)

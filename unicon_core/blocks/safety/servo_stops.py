@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from typing import Annotated
 
-from unicon_core.blocks.joint_command import ticks_of
+import numpy as np
+
+from unicon_core.blocks.joint_command import Commands, ticks_of
 from unicon_core.blocks.safety.limits import first_of
-from unicon_core.bounds import POSITION, STALE, within
+from unicon_core.bounds import Motion, Timeout
 from unicon_core.errors import Fault
 from unicon_core.flow.block import Reads
 from unicon_core.flow.stage import Stage
 from unicon_core.platforms.kit.servo import Servo
 from unicon_core.robots import Robot
-
-Float = NDArray[np.float32]
+from unicon_core.schema.marks import Unit, Within
 
 POWER = 100_000.0
 """In [W]: a humanoid's battery gives some 5,000 at most."""
@@ -22,16 +22,7 @@ LOSS = 10.0
 """In [W/(N·m)²]: small motors have some 0.5, geared legs 0.01 to 0.1."""
 
 
-def tracking_stop(
-    joint_pos: Reads,
-    joint_pos_target: Reads,
-    joint_stiffness: Reads,
-    *,
-    robot: Robot,
-    period: float,
-    bound: float = 1.0,
-    timeout: float = 0.5,
-) -> TrackingStop:
+class TrackingStop:
     """Stop where a joint with stiffness stays far from its target.
 
     Args:
@@ -39,14 +30,6 @@ def tracking_stop(
             springs asks for 0.5 and more in a healthy run: look at yours before you give less.
         timeout: for which it is beyond without a break in [s]; at least one tick.
     """
-    bound = within(bound, "bound", "rad", POSITION, what="tracking_stop")
-    timeout = within(timeout, "timeout", "s", STALE, what="tracking_stop")
-    ticks = ticks_of(timeout, period, "timeout") or 1
-    return TrackingStop(joint_pos, joint_pos_target, joint_stiffness, robot, ticks, bound)
-
-
-class TrackingStop:
-    """The tick of `tracking_stop`."""
 
     memory = ("_count", "_counting")
 
@@ -54,12 +37,20 @@ class TrackingStop:
     awaits = True  # that the robot follows its commands
 
     def __init__(
-        self, pos: Float, target: Float, stiffness: Float, robot: Robot, ticks: int, bound: float
+        self,
+        joint_pos: Reads,
+        joint_pos_target: Reads,
+        joint_stiffness: Reads,
+        *,
+        robot: Robot,
+        period: float,
+        bound: Motion = 1.0,
+        timeout: Timeout = 0.5,
     ) -> None:
-        self._pos, self._target, self._stiffness = pos, target, stiffness
-        self._robot, self._ticks, self._bound = robot, ticks, bound
-        self._apart = np.zeros_like(pos)
-        self._count = np.zeros(pos.shape, np.int64)
+        self._pos, self._target, self._stiffness = joint_pos, joint_pos_target, joint_stiffness
+        self._robot, self._ticks, self._bound = robot, ticks_of(timeout, period), bound
+        self._apart = np.zeros_like(joint_pos)
+        self._count = np.zeros(joint_pos.shape, np.int64)
         self._counting = False
 
     def __call__(self) -> None:
@@ -92,21 +83,7 @@ class TrackingStop:
         self._counting = False
 
 
-def power_stop(
-    joint_pos: Reads,
-    joint_vel: Reads,
-    joint_pos_target: Reads,
-    joint_vel_target: Reads,
-    joint_effort_ff: Reads,
-    joint_stiffness: Reads,
-    joint_damping: Reads,
-    *,
-    robot: Robot,
-    period: float,
-    limit: float,
-    loss: float = 0.0,
-    timeout: float = 0.1,
-) -> PowerStop:
+class PowerStop:
     """Stop where the servos would take more power than is allowed.
 
     tau = kp (q* - q) + kd (qd* - qd) + tau_ff, clipped to the effort limits, gives
@@ -117,17 +94,6 @@ def power_stop(
         loss: of a winding in [W/(N·m)²]; 0 leaves only what the joints do.
         timeout: for which it is beyond without a break in [s]; at least one tick.
     """
-    limit = within(limit, "limit", "W", POWER, what="power_stop")
-    loss = within(loss, "loss", "W/(N·m)²", LOSS, above=False, what="power_stop")
-    timeout = within(timeout, "timeout", "s", STALE, what="power_stop")
-    measured = joint_pos, joint_vel
-    command = joint_pos_target, joint_vel_target, joint_effort_ff, joint_stiffness, joint_damping
-    ticks = ticks_of(timeout, period, "timeout") or 1
-    return PowerStop(measured, command, robot, ticks, limit, loss)
-
-
-class PowerStop:
-    """The tick of `power_stop`."""
 
     memory = ("_count",)
 
@@ -135,16 +101,20 @@ class PowerStop:
 
     def __init__(
         self,
-        measured: tuple[Float, Float],
-        command: tuple[Float, ...],
+        joint_pos: Reads,
+        joint_vel: Reads,
+        command: Commands,
+        *,
         robot: Robot,
-        ticks: int,
-        limit: float,
-        loss: float,
+        period: float,
+        limit: Annotated[float, Unit("W"), Within(0.0, POWER, above=True)],
+        loss: Annotated[float, Unit("W/(N·m)²"), Within(0.0, LOSS)] = 0.0,
+        timeout: Timeout = 0.1,
     ) -> None:
-        self._measured, self._servo = measured, Servo(command, robot.effort_limit)
-        self._ticks, self._limit, self._loss = ticks, limit, loss
-        self._work = np.zeros_like(measured[0])
+        self._measured = joint_pos, joint_vel
+        self._servo = Servo(tuple(command), robot.effort_limit)
+        self._ticks, self._limit, self._loss = ticks_of(timeout, period), limit, loss
+        self._work = np.zeros_like(joint_pos)
         self._count = 0
 
     def __call__(self) -> None:

@@ -3,84 +3,63 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
-from unicon_core.blocks.joint_command import ticks_of
+from unicon_core.blocks.joint_command import Commands, ticks_of
 from unicon_core.blocks.predicates import largest
 from unicon_core.blocks.safety.limits import velocity_limits
 from unicon_core.blocks.safety.ranges import RangeStop
-from unicon_core.bounds import STALE, TILT, VELOCITY, VELOCITY_FACTOR, within
-from unicon_core.errors import Fault, Silence
+from unicon_core.bounds import TILT, VELOCITY, VELOCITY_FACTOR, Speed, Timeout
+from unicon_core.errors import Fault, Silence, WorkflowError
 from unicon_core.flow.block import Reads
 from unicon_core.flow.stage import Stage
 from unicon_core.platforms.kit.command import FiniteCheck
 from unicon_core.robots import Robot
+from unicon_core.schema.marks import Unit, Within
 from unicon_core.states import States
 from unicon_core.states.screen import Range, Screen
-
-Float = NDArray[np.float32]
 
 PATIENT = 5
 """Ticks that a block looks at before it stops a robot, from which on it may look after `send`."""
 
 HEIGHT = 10_000.0
 """In [m]: what stands on a mountain."""
-
-
-def finite(
-    joint_pos_target: Reads,
-    joint_vel_target: Reads,
-    joint_effort_ff: Reads,
-    joint_stiffness: Reads,
-    joint_damping: Reads,
-    *,
-    robot: Robot,
-) -> Finite:
-    """Stop where a command is NaN or infinite; the fault names the state and the joint."""
-    commands = {
-        "joint_pos_target": joint_pos_target,
-        "joint_vel_target": joint_vel_target,
-        "joint_effort_ff": joint_effort_ff,
-        "joint_stiffness": joint_stiffness,
-        "joint_damping": joint_damping,
-    }
-    return Finite(commands, robot.joint_names)
+Height = Annotated[float, Unit("m"), Within(-HEIGHT, HEIGHT, above=True)]
 
 
 class Finite(FiniteCheck):
-    """The tick of `finite`."""
+    """Stop where a command is NaN or infinite; the fault names the state and the joint."""
 
     memory = ()
 
     stage = Stage.SAFETY
 
-    def __init__(self, commands: dict[str, NDArray[np.float32]], joint_names: Sequence[str]):
-        super().__init__(commands, joint_names)
+    def __init__(self, command: Commands, *, robot: Robot) -> None:
+        super().__init__(vars(command), robot.joint_names)
         most = np.finfo(np.float32).max
-        self.ranges = [Range(view, -most, most) for view in commands.values()]
+        self.ranges = [Range(view, -most, most) for view in command]
 
 
-def tilt_stop(projected_gravity: Reads, *, angle: float = 1.0) -> TiltStop:
+class TiltStop:
     """Stop when the base leans too far.
 
     Args:
         projected_gravity: unit vector of gravity in the base frame, shape (..., 3).
         angle: between the base's z axis and the vertical in [rad], at most a right angle.
     """
-    return TiltStop(projected_gravity, within(angle, "angle", "rad", TILT, what="tilt_stop"))
-
-
-class TiltStop:
-    """The tick of `tilt_stop`."""
 
     memory = ()
 
     stage = Stage.SAFETY
 
-    def __init__(self, projected_gravity: NDArray[np.float32], angle: float) -> None:
+    def __init__(
+        self,
+        projected_gravity: Reads,
+        *,
+        angle: Annotated[float, Unit("rad"), Within(0.0, TILT, above=True)] = 1.0,
+    ) -> None:
         self._down, self._angle = projected_gravity[..., 2], angle
         self._bound = -math.cos(angle)
         self.ranges = [Range(self._down, -np.inf, self._bound)]
@@ -102,8 +81,8 @@ def height_stop(
     *,
     states: States,
     robot: Robot,
-    lowest: float,
-    highest: float = HEIGHT,
+    lowest: Height,
+    highest: Height = HEIGHT,
 ) -> RangeStop:
     """Stop where the base is too low or too high; for platforms that know where it is.
 
@@ -111,21 +90,17 @@ def height_stop(
         base_pos_w: in the world frame in [m], shape (..., 3).
         lowest: height of the base in [m].
         highest: the same.
+
+    Raises:
+        WorkflowError: the lowest is above the highest.
     """
-    highest = within(highest, "highest", "m", HEIGHT, -HEIGHT, what="height_stop")
-    lowest = within(lowest, "lowest", "m", highest, -HEIGHT, what="height_stop")
+    if lowest > highest:
+        raise WorkflowError(f"lowest is {lowest:g}; write at most {highest:g} [m], the highest")
     bounds = (-np.inf, -np.inf, lowest), (np.inf, np.inf, highest)
     return RangeStop(states, robot, {"base_pos_w": bounds}, "allowed are")
 
 
-def velocity_stop(
-    joint_vel: Reads,
-    *,
-    states: States,
-    robot: Robot,
-    factor: float = 1.5,
-    limit: float | None = None,
-) -> VelocityStop:
+class VelocityStop:
     """Stop when a joint is too fast.
 
     Args:
@@ -137,28 +112,27 @@ def velocity_stop(
     Raises:
         RobotError: the robot file does not say its velocity limits.
     """
-    if limit is not None:
-        limit = within(limit, "limit", "rad/s", VELOCITY, what="velocity_stop")
-        bound = np.full(robot.num_joints, limit, np.float32)
-    else:
-        factor = within(factor, "factor", "", VELOCITY_FACTOR, what="velocity_stop")
-        limits = velocity_limits(robot, "give velocity_stop a limit in [rad/s]", VELOCITY)
-        bound = limits * np.float32(factor)
-    return VelocityStop(joint_vel, bound, states, robot.joint_names)
-
-
-class VelocityStop:
-    """The tick of `velocity_stop`."""
 
     memory = ()
 
     stage = Stage.SAFETY
 
     def __init__(
-        self, vel: Float, bound: Float, states: States, joint_names: Sequence[str]
+        self,
+        joint_vel: Reads,
+        *,
+        states: States,
+        robot: Robot,
+        factor: Annotated[float, Within(0.0, VELOCITY_FACTOR, above=True)] = 1.5,
+        limit: Speed | None = None,
     ) -> None:
-        self._vel, self._bound, self._names = vel, bound, joint_names
-        self.ranges = [Range(vel, -bound, bound)]
+        if limit is not None:
+            bound = np.full(robot.num_joints, limit, np.float32)
+        else:
+            limits = velocity_limits(robot, "give velocity_stop a limit in [rad/s]", VELOCITY)
+            bound = limits * np.float32(factor)
+        self._vel, self._bound, self._names = joint_vel, bound, robot.joint_names
+        self.ranges = [Range(joint_vel, -bound, bound)]
         self._screen = Screen(states, self.ranges)
 
     def __call__(self) -> None:
@@ -173,29 +147,22 @@ class VelocityStop:
             )
 
 
-def stale_stop(stamp_ns: Reads, *, period: float, timeout: float = 0.1) -> StaleStop:
+class StaleStop:
     """Stop when the robot's data no longer gets newer.
 
     Args:
         stamp_ns: source time of the data in [ns], shape (...).
         timeout: in [s] of ticks without a newer stamp; at least one tick.
     """
-    timeout = within(timeout, "timeout", "s", STALE, what="stale_stop")
-    ticks = ticks_of(timeout, period, "timeout") or 1
-    return StaleStop(stamp_ns, ticks, timeout)
-
-
-class StaleStop:
-    """The tick of `stale_stop`."""
 
     memory = ("_last", "_same")
 
     stage = Stage.SAFETY
 
-    def __init__(self, stamp: NDArray[np.int64], ticks: int, timeout: float) -> None:
-        self.patient = ticks >= PATIENT
-        self._ticks, self._timeout = ticks, timeout
-        self._oldest = stamp.min if stamp.ndim else stamp.item  # `min` takes 1.3 µs
+    def __init__(self, stamp_ns: Reads, *, period: float, timeout: Timeout = 0.1) -> None:
+        self._ticks, self._timeout = ticks_of(timeout, period), timeout
+        self.patient = self._ticks >= PATIENT
+        self._oldest = stamp_ns.min if stamp_ns.ndim else stamp_ns.item  # `min` takes 1.3 µs
         self._last: int | None = None
         self._same = 0
 

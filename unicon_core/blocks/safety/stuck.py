@@ -8,32 +8,25 @@ to see.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.blocks.joint_command import ticks_of
+from unicon_core.blocks.joint_command import single, ticks_of
+from unicon_core.blocks.safety.limits import first_of
 from unicon_core.blocks.safety.stops import PATIENT
-from unicon_core.bounds import POSITION, STALE, within
-from unicon_core.errors import Fault, WorkflowError
+from unicon_core.bounds import Motion, Timeout
+from unicon_core.errors import Fault
 from unicon_core.flow.block import Reads
 from unicon_core.flow.stage import Stage
 from unicon_core.robots import Robot
+from unicon_core.schema.marks import Unit, Within
 
 Float = NDArray[np.float32]
 
 
-def encoder_stop(
-    joint_pos: Reads,
-    joint_pos_target: Reads,
-    joint_stiffness: Reads,
-    *,
-    robot: Robot,
-    period: float,
-    timeout: float = 0.1,
-    motion: float = 0.1,
-) -> EncoderStop:
+class EncoderStop:
     """Stop where a joint's position keeps its bits for some time after its target has moved.
 
     A joint that takes positions and closes the loop itself is not looked at: the fingers of a hand
@@ -44,18 +37,6 @@ def encoder_stop(
             so far away.
         motion: by which the target has moved since the position last changed, in [rad].
     """
-    timeout = within(timeout, "timeout", "s", STALE, what="encoder_stop")
-    motion = within(motion, "motion", "rad", POSITION, what="encoder_stop")
-    ticks = ticks_of(timeout, period, "timeout") or 1
-    made = EncoderStop(
-        joint_pos, joint_pos_target, joint_stiffness, robot.joint_names, max(ticks, 2), motion
-    )
-    made.looked_at &= ~robot.by_position
-    return made
-
-
-class EncoderStop:
-    """The tick of `encoder_stop`."""
 
     memory = ("_last", "_reference", "_since", "_asked_at", "_tick", "_all", "_began")
 
@@ -64,22 +45,24 @@ class EncoderStop:
 
     def __init__(
         self,
-        pos: Float,
-        target: Float,
-        stiffness: Float,
-        joint_names: tuple[str, ...],
-        ticks: int,
-        motion: float,
+        joint_pos: Reads,
+        joint_pos_target: Reads,
+        joint_stiffness: Reads,
+        *,
+        robot: Robot,
+        period: float,
+        timeout: Timeout = 0.1,
+        motion: Motion = 0.1,
     ) -> None:
-        self.patient = ticks >= PATIENT
-        self._pos, self._target, self._stiffness = pos, target, stiffness
-        self._names, self._ticks, self._motion = joint_names, ticks, motion
+        self._ticks, self._motion = max(ticks_of(timeout, period), 2), motion
+        self.patient = self._ticks >= PATIENT
+        pos, target = self._pos, self._target = joint_pos, joint_pos_target
+        self._stiffness, self._robot = joint_stiffness, robot
         self._last, self._reference = np.full_like(pos, np.nan), np.zeros_like(pos)
         self._moves = np.ones(pos.shape, np.bool_)
         self._since, self._asked_at = (np.zeros(pos.shape, np.int64) for _ in range(2))
         self._tick = self._all = self._began = 0
         self._asked = np.zeros_like(pos)
-        self.looked_at = np.ones(pos.shape, np.bool_)
         # As bytes, 29 numbers are copied in 0.1 µs; as arrays in 0.25.
         self._into_last, self._from_pos = _bytes(self._last), _bytes(pos)
         self._into_reference, self._from_target = _bytes(self._reference), _bytes(target)
@@ -109,16 +92,16 @@ class EncoderStop:
             self._look()
 
     def _look(self) -> None:
-        over = ~(np.abs(self._asked) <= self._motion) & (self._stiffness > 0.0) & self.looked_at
+        over = ~(np.abs(self._asked) <= self._motion) & (self._stiffness > 0.0)
+        over &= ~self._robot.by_position
         # A joint that rested before has no less time to follow.
         np.copyto(self._asked_at, self._tick, where=over & (self._asked_at <= self._since))
         same = self._tick - self._since
         stuck = over & (self._tick - self._asked_at + 1 >= self._ticks)
         if stuck.any():
-            index = tuple(int(i) for i in np.argwhere(stuck)[0])
-            who = f"robot {index[0]}, " if len(index) > 1 else ""
+            index, who = first_of(stuck, self._robot)
             raise Fault(
-                f"{who}joint {self._names[index[-1]]} is stuck: its position has been "
+                f"{who} is stuck: its position has been "
                 f"{self._pos[index]:.6g} rad for {same[index]} ticks while its target moved "
                 f"by {abs(self._asked[index]):.2f} rad; is its encoder there?"
             )
@@ -134,18 +117,7 @@ def _bytes(view: Float) -> memoryview:
     return memoryview(flat)
 
 
-def imu_stop(
-    base_quat: Reads,
-    base_ang_vel: Reads,
-    projected_gravity: Reads,
-    joint_pos: Reads,
-    stamp_ns: Reads,
-    *,
-    period: float,
-    timeout: float = 0.2,
-    motion: float = 0.3,
-    angle: float = 0.35,
-) -> ImuStop:
+class ImuStop:
     """Stop where the IMU stands still while the joints move, or contradicts itself.
 
     From one tick to the next the quaternion turns by 2 vec(conj(q0) q1), small angles, and the
@@ -168,26 +140,8 @@ def imu_stop(
             the quaternion and `projected_gravity`, in [rad].
 
     Raises:
-        WorkflowError: an option is not plausible, or the states are of a batch.
+        WorkflowError: the states are of a batch.
     """
-    if base_quat.ndim != 1:
-        raise WorkflowError("it looks at one robot; leave num_robots out, or leave it out")
-    timeout = within(timeout, "timeout", "s", STALE, what="imu_stop")
-    motion = within(motion, "motion", "rad", 100.0, what="imu_stop")
-    angle = within(angle, "angle", "rad", 0.5 * math.pi, what="imu_stop")
-    ticks = max(ticks_of(timeout, period, "timeout") or 1, 2)
-    return ImuStop(
-        (base_quat, base_ang_vel, projected_gravity, joint_pos),
-        stamp_ns,
-        period,
-        ticks,
-        motion,
-        angle,
-    )
-
-
-class ImuStop:
-    """The tick of `imu_stop`."""
 
     memory = (
         "_at",
@@ -220,17 +174,24 @@ class ImuStop:
 
     def __init__(
         self,
-        views: tuple[Float, ...],
-        stamp: NDArray[np.int64],
+        base_quat: Reads,
+        base_ang_vel: Reads,
+        projected_gravity: Reads,
+        joint_pos: Reads,
+        stamp_ns: Reads,
+        *,
         period: float,
-        ticks: int,
-        motion: float,
-        angle: float,
+        timeout: Timeout = 0.2,
+        motion: Annotated[float, Unit("rad"), Within(0.0, 100.0, above=True)] = 0.3,
+        angle: Annotated[float, Unit("rad"), Within(0.0, 0.5 * math.pi, above=True)] = 0.35,
     ) -> None:
+        single(base_quat)
+        ticks = self._ticks = max(ticks_of(timeout, period), 2)
         self.patient = ticks >= PATIENT
-        self._quat, self._gyro, self._gravity, self._joints = views
-        self._period, self._ticks, self._motion, self._angle = period, ticks, motion, angle
-        self._stamp, self._at = stamp, -1
+        self._quat, self._gyro = base_quat, base_ang_vel
+        self._gravity, self._joints = projected_gravity, joint_pos
+        self._period, self._motion, self._angle = period, motion, angle
+        self._stamp, self._at = stamp_ns, -1
         self._allowed = 2.0 * math.sin(0.5 * angle)  # chord between two unit vectors
         self._every = max(ticks // 4, 1)  # what is compared without a history needs no haste
         self._wait = 0

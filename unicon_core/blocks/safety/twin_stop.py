@@ -3,30 +3,23 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_core.blocks.joint_command import ticks_of
-from unicon_core.bounds import STALE, within
+from unicon_core.bounds import Timeout
 from unicon_core.errors import Fault
 from unicon_core.flow.block import Reads
 from unicon_core.flow.stage import Stage
 from unicon_core.robots import Robot
 
 
-def twin_stop(
-    twin_flag: Reads, twin_gap: Reads, *, robot: Robot, period: float, timeout: float = 0.2
-) -> TwinStop:
+class TwinStop:
     """Stop where the twin's flag stays raised; the workflow has a `twin:`, whose bound counts.
+
+    It looks right behind the twin, which simulates behind `send`.
 
     Args:
         timeout: for which one joint's flag is raised without a break in [s]; at least one tick.
     """
-    timeout = within(timeout, "timeout", "s", STALE, what="twin_stop")
-    return TwinStop(twin_flag, twin_gap, robot, ticks_of(timeout, period, "timeout") or 1)
-
-
-class TwinStop:
-    """The tick of `twin_stop`; it looks right behind the twin, which simulates behind `send`."""
 
     memory = ("_count",)
 
@@ -35,10 +28,17 @@ class TwinStop:
     patient = True
 
     def __init__(
-        self, flag: NDArray[np.int32], gap: NDArray[np.float32], robot: Robot, ticks: int
+        self,
+        twin_flag: Reads,
+        twin_gap: Reads,
+        *,
+        robot: Robot,
+        period: float,
+        timeout: Timeout = 0.2,
     ) -> None:
-        self._flag, self._gap, self._robot, self._ticks = flag, gap, robot, ticks
-        self._count = np.zeros(flag.shape, np.int64)
+        self._flag, self._gap, self._robot = twin_flag, twin_gap, robot
+        self._ticks = ticks_of(timeout, period)
+        self._count = np.zeros(twin_flag.shape, np.int64)
 
     def __call__(self) -> None:
         """Look.

@@ -8,7 +8,6 @@ from __future__ import annotations
 from typing import Literal, TypeAlias
 
 Mode: TypeAlias = Literal["hold", "toggle", "always"]
-MODES: tuple[Mode, ...] = ("hold", "toggle", "always")
 
 
 class Clutch:

@@ -7,7 +7,7 @@ hand stand in the order of XRHandJoint (W3C, WebXR Hand Input Module, section 3.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Literal
 
 from numpy.typing import NDArray
 
@@ -19,7 +19,8 @@ from unicon_core.states import States
 SIDES = ("left", "right")
 WRIST, THUMB = 0, 4
 """Joints of a hand; the latter is the thumb's tip."""
-FINGERS = {"index": 9, "middle": 14, "ring": 19, "pinky": 24}
+Finger = Literal["index", "middle", "ring", "pinky"]
+FINGERS: dict[Finger, int] = {"index": 9, "middle": 14, "ring": 19, "pinky": 24}
 """Finger to the joint that is its tip."""
 
 CLOSED, OPEN = 0.02, 0.035
@@ -157,7 +158,7 @@ class Side:
         self,
         headset: Headset,
         side: str,
-        finger: str,
+        finger: Finger,
         squeeze: str,
         home: str | None,
         smooth: OneEuro | None,

@@ -13,21 +13,22 @@ operator can go back with his hand; what is not tracked has no target, and the a
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, cast
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.blocks.joint_command import ticks_of
 from unicon_core.blocks.teleop.arm import Arm
-from unicon_core.blocks.teleop.clutch import MODES, Clutch, Mode
+from unicon_core.blocks.teleop.clutch import Clutch, Mode
 from unicon_core.blocks.teleop.hand import Hand, Pace
 from unicon_core.blocks.teleop.one_euro import OneEuro
-from unicon_core.blocks.teleop.operator import FINGERS, SIDES, Headset, Side
+from unicon_core.blocks.teleop.operator import SIDES, Finger, Headset, Side
 from unicon_core.blocks.teleop.workspace import Workspace
-from unicon_core.bounds import within
-from unicon_core.errors import WorkflowError, alternatives
+from unicon_core.errors import WorkflowError
+from unicon_core.models.plain_turns import Vector
+from unicon_core.schema.marks import Unit, Within, Write
 from unicon_core.states import StateSpec
 from unicon_core.states.effectors import target_states
 from unicon_core.workflow.autowire import BuildContext
@@ -36,29 +37,18 @@ SPEED, TURN = 5.0, 20.0
 """Largest `max_speed` in [m/s] and `max_turn` in [rad/s]: a hand that throws has 10 m/s."""
 FARTHEST = 3.0
 """Of a workspace in [m]; no arm is longer."""
+Coordinate = Annotated[float, Unit("m"), Within(-FARTHEST, FARTHEST)]
+Radius = Annotated[float, Unit("m"), Within(0.0, FARTHEST, above=True)]
+Corner = tuple[Coordinate, Coordinate, Coordinate]
+Cutoff = Annotated[float, Unit("Hz"), Within(0.0, 100.0, above=True)]
+Slope = Annotated[float, Unit("Hz"), Within(0.0, 100.0)]
 PINCHED = 0.06
 """How long fingers have to be together in [s]: headsets see a pinch now and then that is none."""
 STEADY = 0.5
 """How long a hand has to be tracked before `always` engages, in [s]."""
 
 
-def teleop(
-    *,
-    context: BuildContext,
-    box: Sequence[Sequence[float]],
-    left: str | None = "left_hand",
-    right: str | None = "right_hand",
-    device: str = "webxr",
-    sphere: Sequence[float] | None = None,
-    clutch: str | Mapping[str, str] = "hold",
-    pinch: str = "ring",
-    scale: float = 1.0,
-    max_speed: float = 0.5,
-    max_turn: float = 2.0,
-    smooth: Sequence[float] | None = None,
-    home: str | None = "a",
-    stale: float = 0.2,
-) -> Teleop:
+class Teleop:
     """Write targets of end effectors: `E_target`, `E_target_velocity` and `E_target_stamp_ns`.
 
     Args:
@@ -79,111 +69,7 @@ def teleop(
         stale: a headset's frame that is older has no hands, in [s].
 
     Raises:
-        WorkflowError: an option is not plausible, or a state is not there.
-    """
-    effectors = {side: name for side, name in zip(SIDES, (left, right)) if name is not None}
-    if not effectors or left == right:
-        raise WorkflowError(
-            f"left is {left!r} and right is {right!r}; give the end effector of one of them, or "
-            "of each its own"
-        )
-    if pinch not in FINGERS:
-        raise WorkflowError(f"pinch is {pinch!r}; {alternatives(pinch, FINGERS)}")
-    modes = _modes(clutch)
-    pace = Pace(
-        within(scale, "scale", "", 4.0),
-        within(max_speed, "max_speed", "m/s", SPEED),
-        within(max_turn, "max_turn", "rad/s", TURN),
-    )
-    period = context.period
-    stale = within(stale, "stale", "s", 2.0)
-    headset = Headset(context.states, device)
-    arms = []
-    for side, name in effectors.items():
-        theirs = Side(headset, side, pinch, "squeeze", home, _filter(smooth))
-        sure = {"controller": 1, "hand": ticks_of(PINCHED, period, "pinch") or 1}
-        steady = ticks_of(STEADY, period, "steady") or 1
-        clutches = {
-            kind: Clutch(mode, steady if mode == "always" else sure[kind])
-            for kind, mode in modes.items()
-        }
-        hand = Hand(_workspace(box, sphere, side), pace, period)
-        arms.append(Arm(SIDES.index(side), theirs, clutches, hand, context.states, name))
-    return Teleop(headset, arms, context, stale)
-
-
-def _declares(
-    *, left: str | None = "left_hand", right: str | None = "right_hand", **_: Any
-) -> Mapping[str, StateSpec]:
-    specs = {
-        "teleop_engaged": StateSpec(
-            (2,), "int32", names=SIDES, description="1 while the operator's hand moves the robot's"
-        ),
-        "teleop_latency": StateSpec(
-            (), unit="s", description="from the headset's frame to this tick; 0 while none is heard"
-        ),
-    }
-    for name in (left, right):
-        if isinstance(name, str):
-            specs |= target_states(name)
-    return specs
-
-
-setattr(teleop, "declares", _declares)  # noqa: B010  a function has none to mypy
-
-
-def _modes(clutch: str | Mapping[str, str]) -> dict[str, Mode]:
-    said = clutch if isinstance(clutch, Mapping) else {"controller": clutch, "hand": clutch}
-    modes: dict[str, str] = {"controller": "hold", "hand": "hold", **said}
-    for kind, mode in modes.items():
-        if kind not in ("controller", "hand"):
-            raise WorkflowError(f"clutch of {kind!r}; {alternatives(kind, ('controller', 'hand'))}")
-        if mode not in MODES:
-            raise WorkflowError(f"clutch is {mode!r}; {alternatives(str(mode), MODES)}")
-    return cast(dict[str, Mode], modes)
-
-
-def _filter(smooth: Sequence[float] | None) -> OneEuro | None:
-    if smooth is None:
-        return None
-    if len(smooth) != 2:
-        raise WorkflowError(f"smooth is {smooth!r}; give [Hz, Hz for 1 m/s], such as [2.0, 5.0]")
-    cutoff = within(smooth[0], "smooth", "Hz", 100.0)
-    return OneEuro(cutoff, within(smooth[1], "smooth", "Hz", 100.0, above=False))
-
-
-def _workspace(
-    box: Sequence[Sequence[float]], sphere: Sequence[float] | None, side: str
-) -> Workspace:
-    corners = [list(map(float, corner)) for corner in box]
-    good = [len(corner) for corner in corners] == [3, 3] and all(
-        -FARTHEST <= lower <= upper <= FARTHEST for lower, upper in zip(*corners)
-    )
-    if not good:
-        raise WorkflowError(
-            f"box is {box!r:.80}; give [[x, y, z], [x, y, z]], least and largest in [m], at most "
-            f"{FARTHEST:g}"
-        )
-    (a, b, c), (d, e, f) = corners
-    if sphere is None:
-        return Workspace((a, b, c), (d, e, f))
-    ball = list(map(float, sphere))
-    if len(ball) != 4 or not all(abs(v) <= FARTHEST for v in ball) or not ball[3] > 0.0:
-        raise WorkflowError(
-            f"sphere is {sphere!r:.80}; give [x, y, z, radius] in [m], at most {FARTHEST:g}"
-        )
-    x, y, z, radius = ball
-    return Workspace((a, b, c), (d, e, f), (x, y if side == "left" else -y, z), radius)
-
-
-class Teleop:
-    """The tick of `teleop`.
-
-    Args:
-        headset: of the operator.
-        arms: that he moves.
-        context: of the workflow.
-        stale: a headset's frame that is older has no hands, in [s].
+        WorkflowError: the options contradict each other, or a state is not there.
     """
 
     memory = ("_headset", "_arms")
@@ -191,8 +77,47 @@ class Teleop:
     endless = True
 
     def __init__(
-        self, headset: Headset, arms: Sequence[Arm], context: BuildContext, stale: float
+        self,
+        *,
+        context: BuildContext,
+        box: Annotated[tuple[Corner, Corner], Write("[[x, y, z], [x, y, z]], least and largest")],
+        left: str | None = "left_hand",
+        right: str | None = "right_hand",
+        device: str = "webxr",
+        sphere: Annotated[
+            tuple[Coordinate, Coordinate, Coordinate, Radius], Write("[x, y, z, radius]")
+        ]
+        | None = None,
+        clutch: Mode | Mapping[Literal["controller", "hand"], Mode] = "hold",
+        pinch: Finger = "ring",
+        scale: Annotated[float, Within(0.0, 4.0, above=True)] = 1.0,
+        max_speed: Annotated[float, Unit("m/s"), Within(0.0, SPEED, above=True)] = 0.5,
+        max_turn: Annotated[float, Unit("rad/s"), Within(0.0, TURN, above=True)] = 2.0,
+        smooth: Annotated[tuple[Cutoff, Slope], Write("[Hz, Hz for 1 m/s], such as [2.0, 5.0]")]
+        | None = None,
+        home: str | None = "a",
+        stale: Annotated[float, Unit("s"), Within(0.0, 2.0, above=True)] = 0.2,
     ) -> None:
+        effectors = {side: name for side, name in zip(SIDES, (left, right)) if name is not None}
+        if not effectors or left == right:
+            raise WorkflowError(
+                f"left is {left!r} and right is {right!r}; give the end effector of one of them, "
+                "or of each its own"
+            )
+        said = clutch if isinstance(clutch, Mapping) else {"controller": clutch, "hand": clutch}
+        modes: dict[str, Mode] = {"controller": "hold", "hand": "hold", **said}
+        pace, period = Pace(scale, max_speed, max_turn), context.period
+        sure = {"controller": 1, "hand": ticks_of(PINCHED, period)}
+        headset, arms = Headset(context.states, device), []
+        for side, name in effectors.items():
+            smoother = None if smooth is None else OneEuro(*smooth)
+            theirs = Side(headset, side, pinch, "squeeze", home, smoother)
+            clutches = {
+                kind: Clutch(mode, ticks_of(STEADY, period) if mode == "always" else sure[kind])
+                for kind, mode in modes.items()
+            }
+            hand = Hand(_workspace(box, sphere, side), pace, period)
+            arms.append(Arm(SIDES.index(side), theirs, clutches, hand, context.states, name))
         self._headset, self._arms, self._stale = headset, tuple(arms), stale
         states = context.states
         self._engaged: NDArray[np.int32] = states["teleop_engaged"]
@@ -202,6 +127,29 @@ class Teleop:
         self.reads = (*headset.reads, *given, "stamp_ns")
         written = [state for arm in arms for state in arm.writes]
         self.writes = ("teleop_engaged", "teleop_latency", *written)
+
+    @staticmethod
+    def declares(
+        *, left: str | None = "left_hand", right: str | None = "right_hand", **_: Any
+    ) -> Mapping[str, StateSpec]:
+        """Return the states that tell how it fares, and the targets."""
+        specs = {
+            "teleop_engaged": StateSpec(
+                (2,),
+                "int32",
+                names=SIDES,
+                description="1 while the operator's hand moves the robot's",
+            ),
+            "teleop_latency": StateSpec(
+                (),
+                unit="s",
+                description="from the headset's frame to this tick; 0 while none is heard",
+            ),
+        }
+        for name in (left, right):
+            if name is not None:
+                specs |= target_states(name)
+        return specs
 
     def __call__(self) -> None:
         headset = self._headset
@@ -221,3 +169,16 @@ class Teleop:
         """Let go of everything; who is engaged has to engage anew."""
         for arm in self._arms:
             arm.reset()
+
+
+def _workspace(
+    box: tuple[Vector, Vector], sphere: tuple[float, float, float, float] | None, side: str
+) -> Workspace:
+    if any(lower > upper for lower, upper in zip(*box)):
+        raise WorkflowError(
+            f"box is {list(map(list, box))}; give [[x, y, z], [x, y, z]], least and largest in [m]"
+        )
+    if sphere is None:
+        return Workspace(*box)
+    x, y, z, radius = sphere
+    return Workspace(*box, (x, y if side == "left" else -y, z), radius)

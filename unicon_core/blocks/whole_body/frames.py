@@ -12,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.blocks.joint_command import single
 from unicon_core.blocks.robot_model import model_for
 from unicon_core.errors import WorkflowError, alternatives
 from unicon_core.flow.block import Block, Reads
@@ -48,8 +49,7 @@ def frames(
         WorkflowError: no such end effector, or the states are of a batch.
         ModelError: there is no model, or it lacks a body.
     """
-    if joint_pos.ndim != 1:
-        raise WorkflowError("it looks at one robot; leave num_robots out, or leave it out")
+    single(joint_pos)
     loaded, states, robot = model_for("frames", context), context.states, context.robot
     places = _places(of, robot)
     base: tuple[str, ...] = ()
@@ -95,7 +95,7 @@ def effector_of(name: str, robot: Robot, block: str) -> Place:
 def _places(of: Of, robot: Robot) -> dict[str, Place]:
     if isinstance(of, Mapping):
         return {check_name(name): Place(body) for name, body in of.items()}
-    words = (of,) if isinstance(of, str) else tuple(of) or tuple(robot.end_effectors)
+    words = tuple(of) or tuple(robot.end_effectors)
     if not words:
         raise WorkflowError(
             f"block 'frames': robot {robot.name} names no end effectors; give of: {{NAME: BODY}}, "
@@ -105,8 +105,6 @@ def _places(of: Of, robot: Robot) -> dict[str, Place]:
 
 
 def _declares(*, robot: Robot, of: Of = (), frame: str = "base", **_: Any) -> dict[str, StateSpec]:
-    if frame not in ("base", "world"):
-        raise WorkflowError(f"block 'frames': frame is {frame!r}; give base or world")
     found: dict[str, StateSpec] = {}
     for name in _places(of, robot):
         found |= pose_states(name, frame)

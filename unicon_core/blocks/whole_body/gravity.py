@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.blocks.joint_command import single
 from unicon_core.blocks.robot_model import model_for
 from unicon_core.errors import WorkflowError
 from unicon_core.flow.block import Amends, Block, Reads
@@ -47,15 +48,14 @@ def gravity(
         RobotError: a word means no joint.
         ModelError: there is no model, or it lacks a joint.
     """
-    if joint_pos.ndim != 1:
-        raise WorkflowError("it is for one robot; leave num_robots out, or leave it out")
+    single(joint_pos)
     if context.carried:
         raise WorkflowError(
             "how the member is turned is not known here; leave of: out beside it, and name the "
             "member under moves"
         )
     robot, loaded = context.robot, model_for("gravity", context)
-    words = (moves,) if isinstance(moves, str) else tuple(moves)
+    words = tuple(moves)
     bears = bearing_joints(loaded, robot)
     places = _carried(robot, words, bears)
     weight = Weight(loaded)

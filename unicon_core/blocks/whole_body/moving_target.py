@@ -7,20 +7,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.blocks.joint_command import single
 from unicon_core.blocks.robot_model import model_for
 from unicon_core.blocks.whole_body.frames import effector_of
-from unicon_core.bounds import DURATION, within
+from unicon_core.bounds import DURATION
 from unicon_core.errors import WorkflowError
 from unicon_core.flow.block import Block, Reads
 from unicon_core.models.frames import Frames
 from unicon_core.robots import Robot
-from unicon_core.schema.marks import Point
-from unicon_core.schema.read import read_value
+from unicon_core.schema.marks import Point, Unit, Within
 from unicon_core.states import StateSpec
 from unicon_core.states.effectors import target_of, target_states
 from unicon_core.workflow.autowire import BuildContext
@@ -37,11 +37,11 @@ def moving_target(
     *,
     context: BuildContext,
     effector: str,
-    centre: Literal["default"] | Sequence[float] = "default",
-    radius: float = 0.08,
-    frequency: float = 0.4,
+    centre: Literal["default"] | Point = "default",
+    radius: Annotated[float, Unit("m"), Within(0.0, LARGEST)] = 0.08,
+    frequency: Annotated[float, Unit("Hz"), Within(0.0, QUICKEST)] = 0.4,
     plane: Literal["xy", "xz", "yz"] = "yz",
-    ramp: float = 2.0,
+    ramp: Annotated[float, Unit("s"), Within(0.0, DURATION)] = 2.0,
 ) -> Block:
     """Move an end effector's target on a circle in the base frame, from its centre on.
 
@@ -58,23 +58,16 @@ def moving_target(
         ramp: in [s].
 
     Raises:
-        WorkflowError: no such end effector, an option is wrong, or the states are of a batch.
+        WorkflowError: no such end effector, or the states are of a batch.
         ModelError: there is no model, or it lacks the body.
     """
-    if stamp_ns.ndim:
-        raise WorkflowError("it is for one robot; leave num_robots out, or leave it out")
-    if plane not in PLANES:
-        raise WorkflowError(f"plane is {plane!r}; give one of {', '.join(PLANES)}")
-    radius = within(radius, "radius", "m", LARGEST, above=False)
-    turn = 2.0 * math.pi * within(frequency, "frequency", "Hz", QUICKEST, above=False)
-    ramp = within(ramp, "ramp", "s", DURATION, above=False)
+    single(stamp_ns[..., None])
     robot = context.robot
     places = {effector: effector_of(effector, robot, "moving_target")}
     pose = Frames(model_for("moving_target", context), robot, places).of(robot.default_joint_pos)
     middle = pose[effector]
     if centre != "default":
-        at = read_value(Point, centre, lambda where, text: WorkflowError(text), "centre")
-        middle[:3] = at
+        middle[:3] = centre
     if not np.isfinite(middle).all():
         raise WorkflowError(
             f"robot {robot.name} does not say its default pose; give centre: [x, y, z], and the "
@@ -82,6 +75,7 @@ def moving_target(
         )
     names = target_of(effector)
     outs = [context.states[name] for name in names]
+    turn = 2.0 * math.pi * frequency
     tick = MovingTarget(stamp_ns, outs, middle, radius, turn, PLANES[plane], ramp, context.period)
     return Block("", tick, writes=names, reset=tick.reset, endless=True)
 

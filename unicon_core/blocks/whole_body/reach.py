@@ -7,17 +7,19 @@ flow: {zip: [{policy: walk, drives: [legs, waist]}, {forward_command: {moves: [a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.blocks.forward_command import MAX_RATE
+from unicon_core.blocks.joint_command import single
+from unicon_core.blocks.robot_model import twice
 from unicon_core.blocks.safety.limits import rates_of
 from unicon_core.blocks.whole_body.frames import effector_of
 from unicon_core.blocks.whole_body.reaching import COMMANDED, HELD, Reach, told_of
-from unicon_core.bounds import within
+from unicon_core.bounds import MaxRate
 from unicon_core.errors import MissingDependencyError, WorkflowError
 from unicon_core.flow.block import Block, Reads, Writes
 from unicon_core.ik.chain import Chain
@@ -27,13 +29,16 @@ from unicon_core.ik.settings import APART, Settings, Weights
 from unicon_core.ik.targets import LONGEST, Target
 from unicon_core.models.find import model_of
 from unicon_core.robots import Robot
+from unicon_core.schema.marks import Unit, Within, Write
 from unicon_core.states import StateSpec
 from unicon_core.states.effectors import target_of, target_states
 from unicon_core.states.standard import forwarded_states
 from unicon_core.workflow.autowire import BuildContext
 
 View = NDArray[Any]
-Effectors = Sequence[str] | Mapping[str, Mapping[str, float]]
+Effectors = (
+    Sequence[str] | Mapping[str, Annotated[Weights, Write("{position: 1.0, orientation: 0.3}")]]
+)
 
 _ARMS = "arms"
 
@@ -48,12 +53,14 @@ def reach(
     context: BuildContext,
     effectors: Effectors,
     moves: Sequence[str] = (_ARMS,),
-    look_ahead: float = 0.0,
-    max_rate: float | Literal["robot"] = MAX_RATE,
-    posture: float = Settings.posture,
-    apart: float = APART,
-    tolerance: float = Settings.tolerance[0],
-    angle_tolerance: float = Settings.tolerance[1],
+    look_ahead: Annotated[float, Unit("s"), Within(0.0, LONGEST)] = 0.0,
+    max_rate: MaxRate = MAX_RATE,
+    posture: Annotated[float, Within(0.0, 1.0)] = Settings.posture,
+    apart: Annotated[float, Unit("m"), Within(0.0, 0.5)] = APART,
+    tolerance: Annotated[float, Unit("m"), Within(0.0, 1.0, above=True)] = Settings.tolerance[0],
+    angle_tolerance: Annotated[
+        float, Unit("rad"), Within(0.0, 3.2, above=True)
+    ] = Settings.tolerance[1],
 ) -> Block:
     """Command the joints that bring end effectors to their targets.
 
@@ -79,24 +86,16 @@ def reach(
 
     Raises:
         WorkflowError: the states are of a batch, an end effector is unknown or no moved joint
-            carries it, or an option is wrong.
+            carries it.
         RobotError: the model lacks a body that the robot file names.
         ModelError: there is no model.
         MissingDependencyError: MuJoCo or daqp is not installed.
     """
-    if joint_pos.ndim != 1:
-        raise WorkflowError("it moves one robot; leave num_robots out, or leave it out")
+    single(joint_pos)
     robot, states = context.robot, context.states
     weights = _weights(robot, effectors)
-    settings = Settings(
-        within(posture, "posture", "", 1.0, above=False),
-        within(apart, "apart", "m", 0.5, above=False),
-        (
-            within(tolerance, "tolerance", "m", 1.0),
-            within(angle_tolerance, "angle_tolerance", "rad", 3.2),
-        ),
-    )
-    look_ahead = within(look_ahead, "look_ahead", "s", LONGEST, above=False) + context.lag
+    settings = Settings(posture, apart, (tolerance, angle_tolerance))
+    look_ahead += context.lag
     rate = rates_of(max_rate, robot, "reach")
     moved = robot.group(list(moves))
     reaching = _loaded(context, list(weights), moved, settings.apart)
@@ -107,9 +106,8 @@ def reach(
     outs = dict(zip(COMMANDED, (joint_pos_command, joint_vel_command)))
     outs |= {name: states[name] for name in writes}
 
-    def make(
-        ins: Mapping[str, View], results: Mapping[str, View], tell: Callable[[str], None]
-    ) -> Reach:
+    def make(ins: Mapping[str, View], results: Mapping[str, View]) -> Reach:
+        tell = context.tell if results is outs else _quiet
         chain = Chain(reaching.loaded, robot, list(weights), moved)
         ik = DifferentialIk(
             chain,
@@ -127,20 +125,25 @@ def reach(
         told = context.period, tell, context.lag
         return Reach(ik, chain, list(weights), targets, ins, results, *told)
 
-    tick = make(views, outs, context.tell)
+    tick, second, refresh = twice(make, views, outs)
     tick.moves = tuple(moves)
     tick.notes = tuple(
         f"capsules {one} and {other} are not kept apart: at the default pose they are "
         f"{1e3 * distance:.0f} mm from each other"
         for one, other, distance in reaching.left_out
     )
+
+    def warm_up() -> None:
+        refresh()
+        second()
+
     return Block(
         "",
         tick,
         reads=tuple(reads),
         writes=tuple(writes),
         reset=tick.reset,
-        warm_up=_warm_up(make, views, outs),
+        warm_up=warm_up,
         endless=True,
     )
 
@@ -155,33 +158,20 @@ def _declares(robot: Robot, effectors: Effectors = (), **_: Any) -> dict[str, St
 setattr(reach, "declares", _declares)  # noqa: B010  a function has none to mypy
 
 
-def _weights(robot: Robot, effectors: Any) -> dict[str, Weights]:
+def _weights(robot: Robot, effectors: Effectors) -> dict[str, Weights]:
     """Return the weights of each end effector that an option names.
 
     Raises:
-        WorkflowError: one is unknown, or its weights are none.
+        WorkflowError: one is unknown, or its weights are 0.
     """
-    named = effectors if isinstance(effectors, (Mapping, list, tuple)) else [effectors]
     found = {}
-    for name in named:
-        effector_of(str(name), robot, "reach")
-        said = effectors[name] if isinstance(effectors, Mapping) else {}
-        if not isinstance(said, Mapping) or not set(said) <= {"position", "orientation"}:
-            raise WorkflowError(
-                f"block 'reach': effectors.{name} is {said!r:.60}; give {{position: 1.0, "
-                "orientation: 0.3}, weights of 1 m and 1 rad"
-            )
-        weights = Weights(
-            **{
-                key: within(w, f"effectors.{name}.{key}", "", 100.0, above=False)
-                for key, w in said.items()
-            }
-        )
+    for name in effectors:
+        effector_of(name, robot, "reach")
+        weights = found[name] = effectors[name] if isinstance(effectors, Mapping) else Weights()
         if not weights.position and not weights.orientation:
             raise WorkflowError(
                 f"block 'reach': effectors.{name} is free; give it a weight above 0"
             )
-        found[str(name)] = weights
     if not found:
         known = ", ".join(robot.end_effectors) or f"add some to {robot.path}"
         raise WorkflowError(f"block 'reach': effectors names none; known: {known}")
@@ -199,24 +189,6 @@ def _loaded(
         raise MissingDependencyError(
             "block 'reach'", "mujoco", "pip install 'unicon_ros[sim]'"
         ) from error
-
-
-def _warm_up(
-    make: Callable[[Mapping[str, View], Mapping[str, View], Callable[[str], None]], Reach],
-    views: Mapping[str, View],
-    outs: Mapping[str, View],
-) -> Callable[[], None]:
-    """Return what runs the same code on copies, and tells nothing."""
-    copies = {name: view.copy() for name, view in views.items()}
-    second = make(copies, {name: view.copy() for name, view in outs.items()}, _quiet)
-    pairs = [(copies[name], view) for name, view in views.items()]
-
-    def warm_up() -> None:
-        for copy, view in pairs:
-            copy[...] = view
-        second()
-
-    return warm_up
 
 
 def _quiet(_: str) -> None:
