@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from unicon_core.errors import Fault
+from unicon_core.errors import Fault, PlatformError
 from unicon_core.platforms.fake import FakeRobot
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.robots import Robot
@@ -21,7 +21,7 @@ class Noting(FakeRobot):
 
     Args:
         after: ticks after which it goes wrong.
-        wrong: `recv`, `send` or `close` raises, or `silent` of `prepare`.
+        wrong: `build`, `recv`, `send` or `close` raises.
     """
 
     facts = replace(FakeRobot.facts, name="noting")
@@ -36,6 +36,8 @@ class Noting(FakeRobot):
         steps: int,
         others: int,
     ) -> None:
+        if wrong == "build":
+            raise PlatformError(f"build of {robot.name} failed")
         super().__init__(states, robot, period, Scene(), 0.0)
         self._states, self._robot = states, robot
         self._wrong, self._after, self._left = wrong, after, steps

@@ -324,12 +324,8 @@ def test_all_are_closed_though_one_raises() -> None:
 
 
 def test_what_was_opened_is_closed_where_the_next_cannot_be_built() -> None:
-    with pytest.raises(UniconError, match="time_constant is -1"):
-        robots(
-            {},
-            {"time_constant": -1.0},
-            platform={"body": MADE, "left_hand": "fake_robot"},
-        )
+    with pytest.raises(UniconError, match="left_hand: build of inspire_rh56_left failed"):
+        robots({}, {"wrong": "build"})
     assert LOG == [("go2", "closed")]
 
 

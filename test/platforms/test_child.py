@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from unicon_core.check import check_workflow
-from unicon_core.errors import Fault, PlatformError, WorkflowError
+from unicon_core.errors import Fault, ModelError, PlatformError, WorkflowError
 from unicon_core.platforms.platform import (
     CountsArrivals,
     Pausable,
@@ -91,9 +91,9 @@ def test_a_command_that_is_not_finite_never_leaves():
 def test_errors_of_the_build_are_those_of_the_platform():
     with pytest.raises(WorkflowError, match=r"scene\.initial_pose|initial_pose is 'sleeping'"):
         load_workflow("go2_stand", ["platform={child: mujoco}", "scene.initial_pose=sleeping"])
-    with pytest.raises(PlatformError, match="time_constant is -1"):
+    with pytest.raises(ModelError, match="a physics step of 1e-09 s is too short"):
         load_workflow(
-            "go2_stand", ["platform={child: fake}", "platforms={fake: {time_constant: -1}}"]
+            "go2_stand", ["platform={child: mujoco}", "platforms={mujoco: {timestep: 1e-9}}"]
         )
     assert left() == []
 

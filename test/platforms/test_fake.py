@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 from scenes import in_scene
 
-from unicon_core.errors import Fault, PlatformError
+from unicon_core.errors import Fault, PlatformError, WorkflowError
 from unicon_core.platforms.fake import FakePlatform, make, make_robot
 from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states
+from unicon_core.workflow import Program
 
 PERIOD = 0.01
 
@@ -107,13 +108,23 @@ def test_command_that_is_not_finite_is_a_fault(build: Build) -> None:
             "scene.initial_pose is 'defualt'; did you mean 'default'? known: default, "
             "keyframe:NAME, lie, model, policy:NAME, rest, stand; or joints to [rad]",
         ),
-        ({"time_constant": -1.0}, "platform 'fake': time_constant is -1.0 s; give 0 or more"),
     ],
 )
 def test_wrong_options(build: Build, options: dict[str, Any], message: str) -> None:
     with pytest.raises(PlatformError) as error:
         build(**options)
     assert str(error.value) == message
+
+
+def test_a_time_that_is_none_is_refused() -> None:
+    with pytest.raises(WorkflowError, match="'fake': time_constant is -1; write a number from 0"):
+        Program(
+            robot="go2",
+            platform="fake",
+            platforms={"fake": {"time_constant": -1}},
+            rate=50,
+            flow="hold",
+        )
 
 
 def test_platform_modules_import_no_simulator() -> None:

@@ -123,10 +123,10 @@ def test_joints_do_without_their_damping_for_a_while(
     [
         (
             {"solver": "mujocoo"},
-            r"solver is 'mujocoo'; did you mean 'mujoco'\? known: mujoco, warp",
+            r"solver 'mujocoo' is not known; did you mean 'mujoco'\? known: mujoco, warp",
         ),
         ({"device": "cuda:99"}, r"device is 'cuda:99'; .*known: cpu"),
-        ({"passive": "maybe"}, r"passive is 'maybe'"),
+        ({"passive": "maybe"}, r"passive 'maybe' is not known; known: keep, replace"),
     ],
 )
 def test_options_that_are_wrong_are_told(

@@ -21,6 +21,7 @@ from unicon_core.platforms.platform import Platform, info_of
 from unicon_core.robots import Robot, load_robot
 from unicon_core.states import States, standard_states
 from unicon_core.states.standard import COMMAND_STATES
+from unicon_core.workflow.autowire import read_options
 from unicon_core.workflow.registry import find_factory
 
 Array = NDArray[Any]
@@ -165,7 +166,11 @@ class Rig:
             raise TypeError(f"no key of a scene: {', '.join(set(said) - set(SCENE_KEYS))}")
         begin = Scene(**said)
         make = find_factory("platforms", platform, PlatformError)
-        whole = {"timestep": TIMESTEP} | dict(options or {})
+        whole = read_options(
+            make,
+            {"timestep": TIMESTEP, **(options or {})},
+            lambda text, *_: PlatformError(f"platform {platform!r}{text}"),
+        )
         built = make(self.states, self.robot, self.period, scene=begin, **whole)
         self.platform: Platform = disturb(built, begin, self.states, self.robot, self.period)
         self.info = info_of(self.platform)

@@ -6,12 +6,11 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.errors import PlatformError
 from unicon_core.platforms.kit.command import Command
 from unicon_core.platforms.kit.gantry import GANTRY
 from unicon_core.platforms.kit.scene import Scene
@@ -19,7 +18,10 @@ from unicon_core.platforms.kit.servo import Servo
 from unicon_core.platforms.kit.start import start_of
 from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.robots import Robot
+from unicon_core.schema.marks import Unit, Within
 from unicon_core.states import States
+
+TimeConstant = Annotated[float, Unit("s"), Within(0.0)]
 
 _GRAVITY = 9.81  # [m/s²]
 
@@ -30,7 +32,7 @@ def make(
     period: float,
     *,
     scene: Scene | None = None,
-    time_constant: float = 0.0,
+    time_constant: TimeConstant = 0.0,
 ) -> FakePlatform:
     """Build the platform.
 
@@ -38,9 +40,6 @@ def make(
         period: of a tick in [s].
         scene: how it begins; None for the default pose.
         time_constant: of the joints' first-order response in [s]; 0 follows within the tick.
-
-    Raises:
-        PlatformError: an option is wrong.
     """
     return FakePlatform(states, robot, period, scene or Scene(), time_constant)
 
@@ -50,7 +49,7 @@ def make_robot(
     robot: Robot,
     period: float,
     *,
-    time_constant: float = 0.0,
+    time_constant: TimeConstant = 0.0,
     silent: bool = False,
 ) -> FakeRobot:
     """Build a fake that counts as a robot; see `make`. Its `close` sends nothing in any case."""
@@ -70,10 +69,6 @@ class FakePlatform:
     def __init__(
         self, states: States, robot: Robot, period: float, scene: Scene, time_constant: float
     ) -> None:
-        if not time_constant >= 0.0:
-            raise PlatformError(
-                f"platform {self.facts.name!r}: time_constant is {time_constant} s; give 0 or more"
-            )
         writes = tuple(name for name in self.facts.writes if name in states)
         self.facts = replace(self.facts, writes=writes)
         self._period, self._time_constant = period, time_constant

@@ -104,8 +104,10 @@ class Teleop:
                 f"left is {left!r} and right is {right!r}; give the end effector of one of them, "
                 "or of each its own"
             )
-        said = clutch if isinstance(clutch, Mapping) else {"controller": clutch, "hand": clutch}
-        modes: dict[str, Mode] = {"controller": "hold", "hand": "hold", **said}
+        modes: dict[str, Mode] = {"controller": "hold", "hand": "hold"}
+        given = clutch if isinstance(clutch, Mapping) else dict.fromkeys(modes, clutch)
+        for kind, mode in given.items():
+            modes[kind] = mode
         pace, period = Pace(scale, max_speed, max_turn), context.period
         sure = {"controller": 1, "hand": ticks_of(PINCHED, period)}
         headset, arms = Headset(context.states, device), []

@@ -9,12 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.errors import PlatformError, alternatives
 from unicon_core.models.actuators import actuator_kind
 from unicon_core.models.joints import drives
 from unicon_core.models.loaded import LoadedModel, import_mujoco
@@ -67,9 +66,6 @@ def joint_model(start: Start, passive: Passive) -> JointModel:
     Args:
         start: has the model, and what was said.
         passive: whether the model's damping acts.
-
-    Raises:
-        PlatformError: passive is another word.
     """
     model, physics, joints = start.loaded.model, start.physics, start.loaded.joints
     dofs = model.jnt_dofadr[joints]
@@ -77,25 +73,13 @@ def joint_model(start: Start, passive: Passive) -> JointModel:
     limited = model.jnt_limited[joints].astype(bool)
     lower, upper = model.jnt_range[joints].T
     return JointModel(
-        passive=known_passive(passive),
+        passive=passive,
         armature=np.where(np.isnan(physics.armature), armature, physics.armature),
         damping=np.array(model.dof_damping[dofs]) * (passive == "keep"),
         friction=np.where(np.isnan(physics.friction), friction, physics.friction),
         lower=np.where(limited, lower, -np.inf),
         upper=np.where(limited, upper, np.inf),
     )
-
-
-def known_passive(word: Passive) -> Passive:
-    """Return the word.
-
-    Raises:
-        PlatformError: it is another one.
-    """
-    known = get_args(Passive)
-    if word not in known:
-        raise PlatformError(f"passive is {word!r}; {alternatives(str(word), known)}")
-    return word
 
 
 def ground_friction(start: Start) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -16,9 +16,10 @@ from unicon_core.platforms.kit.base import BaseStates, WorldPose
 from unicon_core.platforms.kit.clock import steps_in, tick_ns
 from unicon_core.platforms.kit.command import Command
 from unicon_core.platforms.kit.joint_delay import JointDelay, delay_of, strength_of
-from unicon_core.platforms.kit.joint_model import JointModel, lost
+from unicon_core.platforms.kit.joint_model import JointModel, Passive, joint_model, lost
+from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.kit.servo import Servo
-from unicon_core.platforms.kit.start import Start
+from unicon_core.platforms.kit.start import Start, start_of
 from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
@@ -32,6 +33,59 @@ GRAVITY = np.array((0.0, 0.0, -9.81))
 _TOO_FAST = 1e5  # [rad/s]: no robot's joint turns that fast
 
 
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """What a simulator is built with.
+
+    Attributes:
+        states: the states; N is the length of their batch axis, 1 without.
+        robot: the robot.
+        period: of a tick in [s].
+        timestep: of the physics in [s].
+        start: where it begins; states of a base that cannot move are not written.
+        figures: of the joints, as the engine is told them.
+    """
+
+    states: States
+    robot: Robot
+    period: float
+    timestep: float
+    start: Start
+    figures: JointModel
+
+    @property
+    def num_robots(self) -> int:
+        """N."""
+        return self.states.num_robots or 1
+
+
+def setup_of(
+    states: States,
+    robot: Robot,
+    period: float,
+    scene: Scene,
+    timestep: float | None,
+    passive: Passive,
+) -> Setup:
+    """Return what a factory builds its simulator with.
+
+    Args:
+        states: of the workflow.
+        robot: the robot.
+        period: of a tick in [s].
+        scene: how it begins.
+        timestep: physics step in [s], None for the model's.
+        passive: whether the damping of the model's joints acts.
+
+    Raises:
+        ModelError: the model is missing or wrong, or lacks a joint.
+        PlatformError: no such pose, or no such body.
+    """
+    start = start_of(robot, scene)
+    step = float(start.loaded.model.opt.timestep) if timestep is None else timestep
+    return Setup(states, robot, period, step, start, joint_model(start, passive))
+
+
 class SteppedSimulator(ABC):
     """N robots, each in a world of its own, their servos computed here at each physics step.
 
@@ -41,12 +95,7 @@ class SteppedSimulator(ABC):
     one call, it has `simulate` too.
 
     Args:
-        states: the states; N is the length of their batch axis, 1 without.
-        robot: the robot.
-        period: of a tick in [s].
-        timestep: of the physics in [s].
-        start: where it begins; states of a base that cannot move are not written.
-        figures: of the joints, as the engine has been told them.
+        setup: as of its factory; the engine has been told the joints' figures.
         notes: what of the model the engine does otherwise, one line each, where `represents` has no
             word for it.
 
@@ -60,27 +109,19 @@ class SteppedSimulator(ABC):
     represents: ClassVar[frozenset[str]] = frozenset()
     """Words of `kit/joint_model.py` for what the engine has as the model says."""
 
-    def __init__(
-        self,
-        states: States,
-        robot: Robot,
-        period: float,
-        timestep: float,
-        start: Start,
-        figures: JointModel,
-        notes: Sequence[str] = (),
-    ) -> None:
+    def __init__(self, setup: Setup, notes: Sequence[str] = ()) -> None:
+        states, robot, timestep, start = setup.states, setup.robot, setup.timestep, setup.start
+        figures = self.figures = setup.figures
         unmeasured = () if start.floating else BASE_STATES
         told = [name for name in self.facts.writes if name not in unmeasured]
-        self.figures = figures
         self.notes = [*start.loaded.notes, *lost(start, robot, figures, self.represents), *notes]
         told_of = (*self.facts.notes, *self.notes)
         self.facts = replace(self.facts, writes=tuple(told), notes=told_of)
         self._names, self.start, self.model_path = robot.joint_names, start, start.loaded.path
         self.timestep = timestep
-        self.decimation = steps_in(period, timestep, self.model_path, self.facts.name)
+        self.decimation = steps_in(setup.period, timestep, self.model_path, self.facts.name)
         self._tick_ns = tick_ns(timestep, self.decimation)
-        self.num_robots, self._alone = states.num_robots or 1, states.num_robots is None
+        self.num_robots, self._alone = setup.num_robots, states.num_robots is None
         self._command = Command(states, robot.joint_names)
         rows = self._rows = self._command.rows.reshape(5, self.num_robots, -1)
         self._acting = np.zeros_like(rows)

@@ -8,11 +8,10 @@ import numpy as np
 
 from unicon_core.errors import Fault, ModelError
 from unicon_core.platforms.kit.base import Float, WorldPose, rotation
-from unicon_core.platforms.kit.joint_model import JointModel, Passive, joint_model
+from unicon_core.platforms.kit.joint_model import Passive
 from unicon_core.platforms.kit.patience import patience
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.kit.start import Start, start_of
-from unicon_core.platforms.kit.stepped import SteppedSimulator
+from unicon_core.platforms.kit.stepped import Setup, SteppedSimulator, setup_of
 from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.platforms.sim.genesis.engine import begun, built
 from unicon_core.platforms.sim.genesis.model import adapted, otherwise
@@ -32,33 +31,19 @@ class GenesisPlatform(SteppedSimulator):
     )
     represents = frozenset(
         {
-            "armature",
-            "damping",
-            "friction",
-            "limits",
-            "self-collision",
-            "meshes",
-            "contact friction",
-            "constraints",
-            "terrain",
+            *("armature", "damping", "friction", "limits"),
+            *("self-collision", "meshes", "contact friction", "constraints", "terrain"),
         }
     )
 
-    def __init__(
-        self,
-        genesis: Any,
-        states: States,
-        robot: Robot,
-        period: float,
-        step: float,
-        start: Start,
-        figures: JointModel,
-    ) -> None:
-        count, loaded = states.num_robots or 1, start.loaded
+    def __init__(self, genesis: Any, setup: Setup) -> None:
+        count, start = setup.num_robots, setup.start
+        loaded = start.loaded
         self._begin = np.tile(start.qpos, (count, 1))
         self._broken = genesis.GenesisException
         try:
-            self._scene, self._robots = built(genesis, adapted(start, figures), step, self._begin)
+            model = adapted(start, setup.figures)
+            self._scene, self._robots = built(genesis, model, setup.timestep, self._begin)
         except self._broken as error:
             raise ModelError(f"model {loaded.path}: Genesis says: {_line(error)}") from error
         # Its coordinates are MuJoCo's: the same joints in the same order.
@@ -72,7 +57,7 @@ class GenesisPlatform(SteppedSimulator):
         self._place, self._turn = slice(at, at + 3), slice(at + 3, at + 7)
         self._linear, self._angular = slice(rate, rate + 3), slice(rate + 3, rate + 6)
         self._forces = np.zeros((count, model.nv))
-        super().__init__(states, robot, period, step, start, figures, otherwise(start))
+        super().__init__(setup, otherwise(start))
 
     def place(self) -> None:
         self._scene.reset()
@@ -143,7 +128,5 @@ def make(
     """
     with patience("genesis: compiling its kernels, some 90 s the first time, 20 s from then on"):
         genesis = begun()
-        start = start_of(robot, scene)
-        figures = joint_model(start, passive)
-        step = float(start.loaded.model.opt.timestep) if timestep is None else timestep
-        return GenesisPlatform(genesis, states, robot, period, step, start, figures)
+        setup = setup_of(states, robot, period, scene, timestep, passive)
+        return GenesisPlatform(genesis, setup)

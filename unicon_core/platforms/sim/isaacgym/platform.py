@@ -19,11 +19,10 @@ from unicon_core.platforms.kit.joint_model import (
     JointModel,
     Passive,
     ground_friction,
-    joint_model,
 )
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.kit.start import Start, start_of
-from unicon_core.platforms.kit.stepped import SteppedSimulator
+from unicon_core.platforms.kit.start import Start
+from unicon_core.platforms.kit.stepped import Setup, SteppedSimulator, setup_of
 from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
@@ -50,23 +49,12 @@ class IsaacGymPlatform(SteppedSimulator):
     )
     represents = frozenset({"armature", "damping", "limits"})
 
-    def __init__(
-        self,
-        modules: tuple[Any, Any, Any],
-        device: str,
-        states: States,
-        robot: Robot,
-        period: float,
-        step: float,
-        start: Start,
-        figures: JointModel,
-    ) -> None:
+    def __init__(self, modules: tuple[Any, Any, Any], device: str, setup: Setup) -> None:
         api, self._interop, self._torch = modules
         self._device, self._on_gpu = device, device != "cpu"
-        count = states.num_robots or 1
         gym = self._gym = api.acquire_gym()
         self._sim: Any = gym.create_sim(
-            int(device.partition(":")[2] or 0), -1, api.SIM_PHYSX, _params(api, start, step, device)
+            int(device.partition(":")[2] or 0), -1, api.SIM_PHYSX, _params(api, setup, device)
         )
         if self._sim is None:
             raise PlatformError(
@@ -74,14 +62,15 @@ class IsaacGymPlatform(SteppedSimulator):
                 "platforms.isaacgym.device: cpu or cuda:0"
             )
         try:
-            self._build(api, robot, start, figures, count)
+            self._build(api, setup)
         except BaseException:
             self.close()
             raise
-        super().__init__(states, robot, period, step, start, figures)
+        super().__init__(setup)
 
-    def _build(self, api: Any, robot: Robot, start: Start, figures: JointModel, count: int) -> None:
-        gym, sim, friction = self._gym, self._sim, ground_friction(start)
+    def _build(self, api: Any, setup: Setup) -> None:
+        gym, sim, robot, start = self._gym, self._sim, setup.robot, setup.start
+        friction, count = ground_friction(start), setup.num_robots
         plane = api.PlaneParams()
         plane.normal = api.Vec3(0.0, 0.0, 1.0)
         plane.static_friction = plane.dynamic_friction = friction
@@ -96,10 +85,10 @@ class IsaacGymPlatform(SteppedSimulator):
         for k in range(count):
             env = gym.create_env(sim, nowhere, nowhere, count)
             actor = gym.create_actor(env, asset, pose, robot.name, k, _FILTER, 0)
-            self._tell(api, env, actor, figures, friction)
+            self._tell(api, env, actor, setup.figures, friction)
         centre = gym.get_actor_rigid_body_properties(env, actor)[0].com
         self._centre = np.array((centre.x, centre.y, centre.z))
-        self._damping = figures.damping
+        self._damping = setup.figures.damping
         gym.prepare_sim(sim)
         self._root_tensor = gym.acquire_actor_root_state_tensor(sim)
         self._dof_tensor = gym.acquire_dof_state_tensor(sim)
@@ -203,11 +192,11 @@ class IsaacGymPlatform(SteppedSimulator):
             self._gym.destroy_sim(sim)
 
 
-def _params(api: Any, start: Start, step: float, device: str) -> Any:
+def _params(api: Any, setup: Setup, device: str) -> Any:
     params = api.SimParams()
-    params.dt, params.substeps = step, 1
+    params.dt, params.substeps = setup.timestep, 1
     params.up_axis = api.UP_AXIS_Z
-    params.gravity = api.Vec3(*map(float, start.gravity))
+    params.gravity = api.Vec3(*map(float, setup.start.gravity))
     params.use_gpu_pipeline = params.physx.use_gpu = device != "cpu"
     params.physx.solver_type = 1  # TGS
     params.physx.num_position_iterations, params.physx.num_velocity_iterations = 4, 1
@@ -244,7 +233,5 @@ def make(
     except (ImportError, RuntimeError) as error:
         how = f"{INSTALL} ({error})"
         raise MissingDependencyError("platform 'isaacgym'", "isaacgym", how) from error
-    start = start_of(robot, scene)
-    figures = joint_model(start, passive)
-    modules = (gymapi, gymtorch, torch)
-    return IsaacGymPlatform(modules, device, states, robot, period, timestep, start, figures)
+    setup = setup_of(states, robot, period, scene, timestep, passive)
+    return IsaacGymPlatform((gymapi, gymtorch, torch), device, setup)

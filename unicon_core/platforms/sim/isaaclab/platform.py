@@ -11,24 +11,19 @@ import atexit
 from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from unicon_core.errors import MissingDependencyError, PlatformError
 from unicon_core.models.physical import physical_urdf
 from unicon_core.platforms.kit.base import Float, WorldPose
-from unicon_core.platforms.kit.joint_model import (
-    JointModel,
-    Passive,
-    ground_friction,
-    joint_model,
-)
+from unicon_core.platforms.kit.joint_model import Passive, ground_friction
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.kit.start import Start, start_of
-from unicon_core.platforms.kit.stepped import SteppedSimulator
+from unicon_core.platforms.kit.stepped import Setup, SteppedSimulator, setup_of
 from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.robots import Robot
+from unicon_core.schema.marks import Matches
 from unicon_core.states import States
 
 INSTALL = (
@@ -37,6 +32,7 @@ INSTALL = (
 )
 
 _FAST, _STRONG = 1000.0, 1e6  # [m/s], [rad/s] and [N·m]: nothing is held back
+Device = Annotated[str, Matches("cpu|cuda.*", "cpu or cuda:0")]
 _APART = 3.0  # [m] between robots, which do not meet
 
 
@@ -53,29 +49,19 @@ class IsaacLabPlatform(SteppedSimulator):
     )
     represents = frozenset({"armature", "damping", "friction", "limits"})
 
-    def __init__(
-        self,
-        device: str,
-        states: States,
-        robot: Robot,
-        period: float,
-        step: float,
-        start: Start,
-        figures: JointModel,
-    ) -> None:
+    def __init__(self, device: str, setup: Setup) -> None:
         self._torch, self._device = import_module("torch"), device
         self._sim: Any = None
         self._folder = TemporaryDirectory()  # the importer's USD files are made in it
         try:
-            self._build(robot, step, start, figures, states.num_robots or 1)
-            super().__init__(states, robot, period, step, start, figures)
+            self._build(setup)
+            super().__init__(setup)
         except BaseException:
             self.close()
             raise
 
-    def _build(
-        self, robot: Robot, step: float, start: Start, figures: JointModel, count: int
-    ) -> None:
+    def _build(self, setup: Setup) -> None:
+        robot, start = setup.robot, setup.start
         lab, assets = import_module("isaaclab.sim"), import_module("isaaclab.assets")
         scene = import_module("isaaclab.scene")
         friction = ground_friction(start)
@@ -90,13 +76,13 @@ class IsaacLabPlatform(SteppedSimulator):
         lab.create_new_stage()
         self._sim = lab.SimulationContext(
             lab.SimulationCfg(
-                dt=step,
+                dt=setup.timestep,
                 device=self._device,
                 gravity=tuple(map(float, start.gravity)),
                 physics_material=material,
             )
         )
-        worlds = scene.InteractiveSceneCfg(num_envs=count, env_spacing=_APART)
+        worlds = scene.InteractiveSceneCfg(num_envs=setup.num_robots, env_spacing=_APART)
         # A box: the ground plane is a file of NVIDIA's servers.
         worlds.floor = assets.AssetBaseCfg(
             prim_path="/World/floor",
@@ -108,7 +94,7 @@ class IsaacLabPlatform(SteppedSimulator):
             init_state=assets.AssetBaseCfg.InitialStateCfg(pos=(0.0, 0.0, -0.5)),
             collision_group=-1,
         )
-        worlds.robot = self._articulation(lab, assets, robot, start, figures)
+        worlds.robot = self._articulation(lab, assets, setup)
         self._scene = scene.InteractiveScene(worlds)
         self._sim.reset()
         self._robot = self._scene["robot"]
@@ -118,19 +104,14 @@ class IsaacLabPlatform(SteppedSimulator):
         self._robot_from_lab = [names.index(name) for name in robot.joint_names]
         self._origins = self._read(self._scene.env_origins)
 
-    def _articulation(
-        self, lab: Any, assets: Any, robot: Robot, start: Start, figures: JointModel
-    ) -> Any:
+    def _articulation(self, lab: Any, assets: Any, setup: Setup) -> Any:
+        robot, start = setup.robot, setup.start
         file = Path(self._folder.name) / f"{robot.name}.urdf"
         file.write_text(physical_urdf(start.loaded, robot), encoding="utf-8")
         drive = lab.UrdfFileCfg.JointDriveCfg
         by_name = {
-            word: dict(zip(robot.joint_names, map(float, values)))
-            for word, values in (
-                ("armature", figures.armature),
-                ("damping", figures.damping),
-                ("friction", figures.friction),
-            )
+            word: dict(zip(robot.joint_names, map(float, getattr(setup.figures, word))))
+            for word in ("armature", "damping", "friction")
         }
         motors = import_module("isaaclab.actuators").ImplicitActuatorCfg(
             joint_names_expr=list(robot.joint_names),
@@ -260,7 +241,7 @@ def make(
     scene: Scene,
     timestep: float = 0.005,
     passive: Passive = "replace",
-    device: str = "cpu",
+    device: Device = "cpu",
     headless: bool = True,
 ) -> IsaacLabPlatform:
     """Build the platform.
@@ -276,9 +257,6 @@ def make(
         device: `cpu`, or `cuda:0` for physics and tensors on a GPU.
         headless: without Isaac Sim's window.
     """
-    if device != "cpu" and not device.startswith("cuda"):
-        raise PlatformError(f"platforms.isaaclab.device is {device!r}; give cpu or cuda:0")
-    start = start_of(robot, scene)
-    figures = joint_model(start, passive)
+    setup = setup_of(states, robot, period, scene, timestep, passive)
     _launch(device, headless)
-    return IsaacLabPlatform(device, states, robot, period, timestep, start, figures)
+    return IsaacLabPlatform(device, setup)

@@ -19,12 +19,12 @@ from unicon_core.models.loaded import import_mujoco
 from unicon_core.platforms.kit.base import Float, WorldPose, rotation
 from unicon_core.platforms.kit.bodies import BODY_PHYSICS
 from unicon_core.platforms.kit.joint_delay import strength_of
-from unicon_core.platforms.kit.joint_model import JointModel, Passive, joint_model
+from unicon_core.platforms.kit.joint_model import Passive
 from unicon_core.platforms.kit.patience import patience
 from unicon_core.platforms.kit.quiet import quiet
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.kit.start import Start, start_of
-from unicon_core.platforms.kit.stepped import SteppedSimulator
+from unicon_core.platforms.kit.start import Start
+from unicon_core.platforms.kit.stepped import Setup, SteppedSimulator, setup_of
 from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.platforms.sim.mjx.tick import Places, compiled_tick
 from unicon_core.robots import Robot
@@ -53,21 +53,13 @@ class MjxPlatform(SteppedSimulator):
         }
     )
 
-    def __init__(
-        self,
-        states: States,
-        robot: Robot,
-        period: float,
-        step: float,
-        start: Start,
-        figures: JointModel,
-    ) -> None:
+    def __init__(self, setup: Setup) -> None:
         import jax
         from mujoco import mjx
 
-        count = states.num_robots or 1
+        count, robot, start = setup.num_robots, setup.robot, setup.start
         self._count, self._size = count, robot.num_joints
-        model = _model(start, figures, step)
+        model = _model(setup)
         compiled, first = _put(mjx, model, start)
         places = Places.of(model, start)
         # On the same device as all else: JAX would compile anew for the first tick.
@@ -81,7 +73,7 @@ class MjxPlatform(SteppedSimulator):
         self._tick = partial(compiled_tick(places), compiled, limits, factor)
         with patience(f"mjx: compiling the physics of {count} robots for JAX"):
             self._begin()
-        super().__init__(states, robot, period, step, start, figures)
+        super().__init__(setup)
 
     def _command_of(self, torque: Float | float) -> Any:
         """Return the command of a torque [N·m] alone, shape (5, N, n)."""
@@ -125,13 +117,14 @@ class MjxPlatform(SteppedSimulator):
         return super().info() | {"devices": devices}
 
 
-def _model(start: Start, figures: JointModel, step: float) -> Any:
+def _model(setup: Setup) -> Any:
     """Return the model with the joints' figures and without its own actuators."""
-    mujoco, model = import_mujoco(), start.loaded.model
-    model.opt.timestep = step
+    mujoco, loaded = import_mujoco(), setup.start.loaded
+    model = loaded.model
+    model.opt.timestep = setup.timestep
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
     model.opt.tolerance = max(float(model.opt.tolerance), FINEST)
-    figures.tell(model, start.loaded)
+    setup.figures.tell(model, loaded)
     return model
 
 
@@ -210,7 +203,4 @@ def make(
         raise MissingDependencyError("platform 'mjx'", "mujoco-mjx", install) from error
     if jax.config.jax_compilation_cache_dir is None:  # nobody wants it elsewhere
         jax.config.update("jax_compilation_cache_dir", str(_cache()))
-    start = start_of(robot, scene)
-    step = float(start.loaded.model.opt.timestep) if timestep is None else timestep
-    figures = joint_model(start, passive)
-    return MjxPlatform(states, robot, period, step, start, figures)
+    return MjxPlatform(setup_of(states, robot, period, scene, timestep, passive))

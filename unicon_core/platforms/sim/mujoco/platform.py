@@ -19,7 +19,7 @@ from unicon_core.platforms.kit.clock import steps_in
 from unicon_core.platforms.kit.command import Command
 from unicon_core.platforms.kit.gantry import GANTRY, hold
 from unicon_core.platforms.kit.joint_delay import delay_of, strength_of
-from unicon_core.platforms.kit.joint_model import Passive, known_passive
+from unicon_core.platforms.kit.joint_model import Passive
 from unicon_core.platforms.kit.scene import TERRAIN, Scene
 from unicon_core.platforms.kit.start import initial_positions
 from unicon_core.platforms.platform import SIMULATED, Facts
@@ -61,7 +61,7 @@ def make(
     Raises:
         MissingDependencyError: mujoco is not installed.
         ModelError: the model is missing, wrong, lacks a joint, or does not fit the period.
-        PlatformError: the scene has no such pose, or passive is another word.
+        PlatformError: the scene has no such pose.
     """
     mujoco = import_mujoco()
     scene = scene or Scene()
@@ -119,7 +119,7 @@ class MujocoPlatform:
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self._physics = physics = joint_physics(robot, scene.joints)
         _tell_joints(mujoco, loaded, physics)
-        self._passive = known_passive(passive)
+        self._passive = passive
         self._dofs = model.jnt_dofadr[loaded.joints]
         if passive == "replace":
             model.dof_damping[self._dofs] = 0.0

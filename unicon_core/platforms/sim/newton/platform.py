@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
 from itertools import pairwise
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 from unicon_core.errors import MissingDependencyError, PlatformError, alternatives, one_line
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.platforms.kit.base import WorldPose
-from unicon_core.platforms.kit.joint_model import JointModel, Passive, joint_model
+from unicon_core.platforms.kit.joint_model import Passive
 from unicon_core.platforms.kit.patience import patience
 from unicon_core.platforms.kit.quiet import quiet
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.kit.start import Start, start_of
-from unicon_core.platforms.kit.stepped import SteppedSimulator
+from unicon_core.platforms.kit.stepped import Setup, SteppedSimulator, setup_of
 from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.platforms.sim.newton.engine import Engine
 from unicon_core.platforms.sim.newton.world import build_world, not_told, solver_options
@@ -50,20 +49,11 @@ class NewtonPlatform(SteppedSimulator):
         | {"contact friction", "terrain"}
     )
 
-    def __init__(
-        self,
-        engines: Sequence[Engine],
-        states: States,
-        robot: Robot,
-        period: float,
-        step: float,
-        start: Start,
-        figures: JointModel,
-    ) -> None:
+    def __init__(self, engines: Sequence[Engine], setup: Setup) -> None:
         self._engines = list(engines)
         bounds = np.cumsum([0, *(engine.worlds for engine in engines)])
         self._parts = [slice(*ends) for ends in pairwise(bounds)]
-        super().__init__(states, robot, period, step, start, figures)
+        super().__init__(setup)
         self.step(self.torque)  # else the first tick would compile kernels
         self.reset()
 
@@ -136,17 +126,17 @@ def make(
         solver: `mujoco` or `warp`; unless said `mujoco` on the CPU, and `warp` elsewhere.
 
     Raises:
-        PlatformError: no such solver or device, or Newton refuses the model.
+        PlatformError: no such device, the solver has it not, or Newton refuses the model.
     """
     newton, warp = _imported(device)
-    inside = _known(solver or ("mujoco" if device == "cpu" else "warp"), device)
-    start = start_of(robot, scene)
-    figures = joint_model(start, passive)
-    step = float(start.loaded.model.opt.timestep) if timestep is None else timestep
-    world, numbers = build_world(newton, warp, start, robot, figures)
+    if solver == "mujoco" and device != "cpu":
+        raise PlatformError("platform 'newton': solver mujoco has device cpu alone; give warp")
+    setup = setup_of(states, robot, period, scene, timestep, passive)
+    start = setup.start
+    world, numbers = build_world(newton, warp, start, robot, setup.figures)
     start.loaded.notes += not_told(start)
     joints = [numbers[name] for name in robot.joint_names]
-    count, options = states.num_robots or 1, solver_options(start)
+    count, options = setup.num_robots, solver_options(start)
 
     def engine(builder: Any, **more: Any) -> Engine:
         model = builder.finalize()
@@ -158,14 +148,14 @@ def make(
         return Engine(model, solving, joints)
 
     with patience(_COMPILES), warp.ScopedDevice(device):
-        if inside == "mujoco":
+        if (solver or ("mujoco" if device == "cpu" else "warp")) == "mujoco":
             engines = [engine(world, use_mujoco_cpu=True) for _ in range(count)]
         else:
             worlds = newton.ModelBuilder(gravity=warp.vec3(*start.gravity))
             newton.solvers.SolverMuJoCo.register_custom_attributes(worlds)
             worlds.replicate(world, count)
             engines = [engine(worlds)]
-        return NewtonPlatform(engines, states, robot, period, step, start, figures)
+        return NewtonPlatform(engines, setup)
 
 
 def _imported(device: str) -> tuple[Any, Any]:
@@ -199,20 +189,6 @@ def _imported(device: str) -> tuple[Any, Any]:
             f"platform 'newton': device is {device!r}; {alternatives(device, names)}"
         )
     return newton, warp
-
-
-def _known(solver: str, device: str) -> str:
-    """Return the solver.
-
-    Raises:
-        PlatformError: there is none of that name, or none on the device.
-    """
-    if solver not in get_args(Solver):
-        known = alternatives(solver, get_args(Solver))
-        raise PlatformError(f"platform 'newton': solver is {solver!r}; {known}")
-    if solver == "mujoco" and device != "cpu":
-        raise PlatformError("platform 'newton': solver mujoco has device cpu alone; give warp")
-    return solver
 
 
 @contextmanager

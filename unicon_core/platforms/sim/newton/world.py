@@ -26,6 +26,8 @@ from unicon_core.robots import Robot
 Float = NDArray[np.float64]
 
 _RAW = 1  # of `solref_mode`: a pair as MuJoCo has it, not a stiffness and a damping
+_WHOLE = ("solver", "integrator", "cone", "iterations", "ls_iterations")
+_NUMBERS = ("impratio", "tolerance", "ls_tolerance", "density", "viscosity")
 _WORLD = -1  # Newton's number of the body that does not move
 
 
@@ -53,17 +55,9 @@ def solver_options(start: Start) -> dict[str, Any]:
     single = getattr(import_mujoco().mjtDisableBit, "mjDSBL_MULTICCD", None)
     return {
         "enable_multiccd": single is not None and not option.disableflags & int(single),
-        "solver": int(option.solver),
-        "integrator": int(option.integrator),
-        "cone": int(option.cone),
-        "impratio": float(option.impratio),
-        "iterations": int(option.iterations),
-        "ls_iterations": int(option.ls_iterations),
-        "tolerance": float(option.tolerance),
-        "ls_tolerance": float(option.ls_tolerance),
-        "density": float(option.density),
-        "viscosity": float(option.viscosity),
         "wind": tuple(map(float, option.wind)),
+        **{name: int(getattr(option, name)) for name in _WHOLE},
+        **{name: float(getattr(option, name)) for name in _NUMBERS},
     }
 
 
@@ -208,7 +202,7 @@ class _Builder:
         """Add a geom of the model, with its contacts' settings."""
         builder, model, kinds = self._builder, self._model, self._kinds
         kind = int(model.geom_type[geom])
-        size = [float(value) for value in model.geom_size[geom]]
+        size = model.geom_size[geom].tolist()
         slide, turn, roll = map(float, model.geom_friction[geom])
         config = self._newton.ModelBuilder.ShapeConfig(
             density=0.0,

@@ -13,16 +13,10 @@ from unicon_core.errors import MissingDependencyError
 from unicon_core.models.physical import physical_urdf
 from unicon_core.platforms.kit.base import Float, WorldPose
 from unicon_core.platforms.kit.bodies import BODY_PHYSICS
-from unicon_core.platforms.kit.joint_model import (
-    JointModel,
-    Passive,
-    ground_friction,
-    joint_model,
-)
+from unicon_core.platforms.kit.joint_model import Passive, ground_friction
 from unicon_core.platforms.kit.quiet import quiet
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.kit.start import Start, start_of
-from unicon_core.platforms.kit.stepped import SteppedSimulator
+from unicon_core.platforms.kit.stepped import Setup, SteppedSimulator, setup_of
 from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
@@ -40,21 +34,10 @@ class PybulletPlatform(SteppedSimulator):
     )
     represents = frozenset({"damping", "friction", "limits"})
 
-    def __init__(
-        self,
-        clients: Sequence[Any],
-        states: States,
-        robot: Robot,
-        period: float,
-        step: float,
-        start: Start,
-        figures: JointModel,
-    ) -> None:
-        description = physical_urdf(start.loaded, robot)
-        self._worlds = [
-            _World(client, description, robot, step, start, figures) for client in clients
-        ]
-        super().__init__(states, robot, period, step, start, figures)
+    def __init__(self, clients: Sequence[Any], setup: Setup) -> None:
+        description = physical_urdf(setup.start.loaded, setup.robot)
+        self._worlds = [_World(client, description, setup) for client in clients]
+        super().__init__(setup)
 
     @property
     def passive_damping(self) -> Float:
@@ -100,26 +83,17 @@ class PybulletPlatform(SteppedSimulator):
 class _World:
     """One robot on a plane, which does not collide with itself."""
 
-    def __init__(
-        self,
-        client: Any,
-        description: str,
-        robot: Robot,
-        step: float,
-        start: Start,
-        figures: JointModel,
-    ) -> None:
-        self._client, self._description, self._names = client, description, robot.joint_names
-        self._timestep, self._start, self._figures = step, start, figures
+    def __init__(self, client: Any, description: str, setup: Setup) -> None:
+        self._client, self._description, self._setup = client, description, setup
         self._torque_control = client.TORQUE_CONTROL
-        self._friction = ground_friction(start)
+        self._friction = ground_friction(setup.start)
 
     def place(self) -> None:
         """Build the world anew: what contacts and motors remember goes with the old one."""
-        client, start = self._client, self._start
+        client, start, figures = self._client, self._setup.start, self._setup.figures
         client.resetSimulation()
         client.setPhysicsEngineParameter(
-            fixedTimeStep=self._timestep, deterministicOverlappingPairs=1
+            fixedTimeStep=self._setup.timestep, deterministicOverlappingPairs=1
         )
         client.setGravity(*start.gravity)
         plane = client.createMultiBody(0.0, client.createCollisionShape(client.GEOM_PLANE))
@@ -129,19 +103,19 @@ class _World:
             print(self._description, file=file, flush=True)
             self._body = body = client.loadURDF(file.name, **how)
         names = [client.getJointInfo(body, i)[1].decode() for i in range(client.getNumJoints(body))]
-        self._joints = [names.index(name) for name in self._names]
+        self._joints = [names.index(name) for name in self._setup.robot.joint_names]
         for link in range(-1, len(names)):
             client.changeDynamics(body, link, lateralFriction=self._friction)
             # By itself: in one call a link keeps its friction (0.5).
             client.changeDynamics(body, link, linearDamping=0.0, angularDamping=0.0)
-        self.damp(self._figures.damping)
+        self.damp(figures.damping)
         self._centre = client.getDynamicsInfo(body, -1)[3:5]  # of mass, in the base's frame
         self._base_from_centre = client.invertTransform(*self._centre)
         base = start.position, np.roll(start.quat, -1)
         centre = client.multiplyTransforms(*base, *self._centre)
         client.resetBasePositionAndOrientation(body, *centre)
         client.resetBaseVelocity(body, (0, 0, 0), (0, 0, 0))
-        for joint, angle, brake in zip(self._joints, start.joint_pos, self._figures.friction):
+        for joint, angle, brake in zip(self._joints, start.joint_pos, figures.friction):
             client.resetJointState(body, joint, angle, 0.0)
             # The engine's own motor brakes with this torque, as dry friction does.
             client.setJointMotorControl2(body, joint, 0, force=brake)
@@ -211,8 +185,7 @@ def make(
     except ImportError as error:
         install = "pip install 'unicon_ros[sim-pybullet]'"
         raise MissingDependencyError("platform 'pybullet'", "pybullet", install) from error
-    start = start_of(robot, scene)
-    figures = joint_model(start, passive)
+    setup = setup_of(states, robot, period, scene, timestep, passive)
     with quiet():  # it says "argv[0]=" at each connection
-        clients = [BulletClient(pybullet.DIRECT) for _ in range(states.num_robots or 1)]
-    return PybulletPlatform(clients, states, robot, period, timestep, start, figures)
+        clients = [BulletClient(pybullet.DIRECT) for _ in range(setup.num_robots)]
+    return PybulletPlatform(clients, setup)

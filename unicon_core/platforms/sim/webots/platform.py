@@ -18,11 +18,10 @@ from unicon_core.platforms.kit.joint_model import (
     JointModel,
     Passive,
     ground_friction,
-    joint_model,
 )
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.kit.start import Start, start_of
-from unicon_core.platforms.kit.stepped import SteppedSimulator
+from unicon_core.platforms.kit.start import Start
+from unicon_core.platforms.kit.stepped import Setup, SteppedSimulator, setup_of
 from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
@@ -49,29 +48,20 @@ class WebotsPlatform(SteppedSimulator):
     )
     represents = frozenset({"damping", "limits"})
 
-    def __init__(
-        self,
-        supervisor: Any,
-        states: States,
-        robot: Robot,
-        period: float,
-        step: float,
-        start: Start,
-        figures: JointModel,
-    ) -> None:
-        self._supervisor, self._step_ms = supervisor, round(step * 1e3)
+    def __init__(self, supervisor: Any, setup: Setup) -> None:
+        self._supervisor, self._step_ms = supervisor, round(setup.timestep * 1e3)
         self._mat2quat = import_mujoco().mju_mat2Quat
         self._open = True
-        self._find(robot, figures)
+        self._find(setup.robot, setup.figures)
         self._node = supervisor.getSelf()
         self._limp()
         notes = []
-        if _tell_world(supervisor, start):
+        if _tell_world(supervisor, setup.start):
             notes.append("contact friction is that of the world's contactProperties")
         if self._unstopped:
             far = ", ".join(self._unstopped)
             notes.append(f"left out: stops beyond ±π, which Webots does not have, of {far}")
-        super().__init__(states, robot, period, step, start, figures, notes)
+        super().__init__(setup, notes)
 
     def _find(self, robot: Robot, figures: JointModel) -> None:
         """Look up motors, sensors and joints by name."""
@@ -248,8 +238,6 @@ def make(
     """
     if states.num_robots is not None:
         raise PlatformError("platform 'webots' has one robot; leave num_robots out")
-    start = start_of(robot, scene)
-    figures = joint_model(start, passive)
     supervisor = _supervisor()
     step = supervisor.getBasicTimeStep()
     if step != round(step) or (timestep is not None and abs(1e3 * timestep - step) > 1e-6):
@@ -258,6 +246,7 @@ def make(
             f"platform 'webots': the world's basicTimeStep is {step:g} ms, not {asked}; correct "
             "it in the world, or platforms.webots.timestep"
         )
-    platform = WebotsPlatform(supervisor, states, robot, period, step * 1e-3, start, figures)
+    setup = setup_of(states, robot, period, scene, step * 1e-3, passive)
+    platform = WebotsPlatform(supervisor, setup)
     _HELD.append(True)
     return platform
