@@ -106,8 +106,7 @@ class Teleop:
             )
         modes: dict[str, Mode] = {"controller": "hold", "hand": "hold"}
         given = clutch if isinstance(clutch, Mapping) else dict.fromkeys(modes, clutch)
-        for kind, mode in given.items():
-            modes[kind] = mode
+        modes |= {str(kind): mode for kind, mode in given.items()}
         pace, period = Pace(scale, max_speed, max_turn), context.period
         sure = {"controller": 1, "hand": ticks_of(PINCHED, period)}
         headset, arms = Headset(context.states, device), []
