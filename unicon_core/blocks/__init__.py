@@ -41,8 +41,8 @@ BUILTIN: dict[str, str] = {
         "retarget": ("retarget",),
         "maps": ("copy", "linear_map"),
         "whole_body.frames": ("frames",),
-        "whole_body.gravity": ("gravity",),
-        "whole_body.moving_target": ("moving_target",),
+        "whole_body.gravity": ("Gravity",),
+        "whole_body.moving_target": ("MovingTarget",),
     }.items()
     for factory in factories
 }

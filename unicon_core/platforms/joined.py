@@ -33,6 +33,20 @@ from unicon_core.states import States
 from unicon_core.states.member import STAMP, divided, stamp_of
 from unicon_core.states.standard import JOINT_STATES, MOTOR_STATES
 
+_OF_BASE: dict[str, Any] = {
+    "wait": WaitsForData,
+    "arrivals": CountsArrivals,
+    "push": Pushable,
+    "viewer": Viewable,
+}
+_OF_EACH: dict[str, Any] = {"reset": Resettable, "pause": Pausable, "warm_up": WarmsUp}
+_OF_SOME: dict[str, Any] = {
+    "prepare": Prepares,
+    "commanders": SeesCommanders,
+    "require": RequiresStates,
+}
+"""Method to protocol: what the base alone does, what all do that can, and what is put together."""
+
 
 def joined_facts(each: Mapping[str, Facts]) -> Facts:
     """Return the facts of several platforms together.
@@ -103,30 +117,19 @@ class JoinedPlatform:
 
     def _able(self, base: Platform) -> None:
         """Take over abilities: the protocols look for methods."""
-        abilities: dict[str, Any] = {}
-        if isinstance(base, WaitsForData):
-            abilities["wait"] = base.wait
-        if isinstance(base, CountsArrivals):
-            abilities["arrivals"] = base.arrivals
-        if isinstance(base, Pushable):
-            abilities["push"] = base.push
-        if isinstance(base, Viewable):
-            abilities["viewer"] = base.viewer
         every = self.members.values()
-        if all(isinstance(each, Resettable) for each in every):
-            abilities["reset"] = _all(
-                [each.reset for each in every if isinstance(each, Resettable)]
-            )
-        for name, protocol in (("pause", Pausable), ("warm_up", WarmsUp)):
+        abilities: dict[str, Any] = {
+            name: getattr(base, name)
+            for name, protocol in _OF_BASE.items()
+            if isinstance(base, protocol)
+        }
+        for name, protocol in _OF_EACH.items():
             calls = [getattr(each, name) for each in every if isinstance(each, protocol)]
-            if calls:
+            if len(calls) == len(every) or (calls and protocol is not Resettable):
                 abilities[name] = _all(calls)
-        if any(isinstance(each, Prepares) for each in every):
-            abilities["prepare"] = self._prepare
-        if any(isinstance(each, SeesCommanders) for each in every):
-            abilities["commanders"] = self._commanders
-        if any(isinstance(each, RequiresStates) for each in every):
-            abilities["require"] = self._require
+        for name, protocol in _OF_SOME.items():
+            if any(isinstance(each, protocol) for each in every):
+                abilities[name] = getattr(self, f"_{name}")
         for name, ability in abilities.items():
             setattr(self, name, ability)
 

@@ -105,8 +105,8 @@ class Teleop:
                 "or of each its own"
             )
         modes: dict[str, Mode] = {"controller": "hold", "hand": "hold"}
-        given = clutch if isinstance(clutch, Mapping) else dict.fromkeys(modes, clutch)
-        modes |= {str(kind): mode for kind, mode in given.items()}
+        said = clutch if isinstance(clutch, Mapping) else dict.fromkeys(modes, clutch)
+        modes |= {str(kind): mode for kind, mode in said.items()}
         pace, period = Pace(scale, max_speed, max_turn), context.period
         sure = {"controller": 1, "hand": ticks_of(PINCHED, period)}
         headset, arms = Headset(context.states, device), []

@@ -17,20 +17,14 @@ from numpy.typing import NDArray
 from unicon_core.blocks.joint_command import single
 from unicon_core.blocks.robot_model import model_for
 from unicon_core.errors import WorkflowError
-from unicon_core.flow.block import Amends, Block, Reads
+from unicon_core.flow.block import Amends, Reads
 from unicon_core.models.rows import index_of
 from unicon_core.models.weight import Weight, bearing_joints
 from unicon_core.robots import Robot
 from unicon_core.workflow.autowire import BuildContext
 
 
-def gravity(
-    joint_pos: Reads,
-    joint_effort_ff: Amends,
-    *,
-    context: BuildContext,
-    moves: Sequence[str] = (),
-) -> Block:
+class Gravity:
     """Add the torques that hold the robot's own links at rest, where they are measured.
 
     What the hands of a robot made of members weigh counts; what they grip does not: nobody knows
@@ -42,27 +36,58 @@ def gravity(
         moves: groups, joints or patterns of joints that are carried; of a robot without feet all
             whose vendor takes torques, unless told.
 
+    Attributes:
+        moves: groups or joints, for checks.
+        torque: that was added last in [N·m], shape (n,).
+
     Raises:
         WorkflowError: a joint bears a foot or takes no torques, or a robot with feet is not told
             which to carry; the states are of a batch, or of a member that another one carries.
         RobotError: a word means no joint.
         ModelError: there is no model, or it lacks a joint.
     """
-    single(joint_pos)
-    if context.carried:
-        raise WorkflowError(
-            "how the member is turned is not known here; leave of: out beside it, and name the "
-            "member under moves"
-        )
-    robot, loaded = context.robot, model_for("gravity", context)
-    words = tuple(moves)
-    bears = bearing_joints(loaded, robot)
-    places = _carried(robot, words, bears)
-    weight = Weight(loaded)
-    quat = context.states["base_quat"] if weight.floats else None
-    words = words or tuple(robot.joint_names[place] for place in places)
-    tick = Gravity(weight, robot, words, places, joint_pos, joint_effort_ff, quat)
-    return Block("", tick, reads=("base_quat",) if weight.floats else (), endless=True)
+
+    memory = ()
+
+    endless = True
+
+    def __init__(
+        self,
+        joint_pos: Reads,
+        joint_effort_ff: Amends,
+        *,
+        context: BuildContext,
+        moves: Sequence[str] = (),
+    ) -> None:
+        single(joint_pos)
+        if context.carried:
+            raise WorkflowError(
+                "how the member is turned is not known here; leave of: out beside it, and name the "
+                "member under moves"
+            )
+        robot, loaded = context.robot, model_for("gravity", context)
+        places = _carried(robot, tuple(moves), bearing_joints(loaded, robot))
+        self.moves = tuple(moves) or tuple(robot.joint_names[place] for place in places)
+        self._weight = Weight(loaded)
+        self.reads = ("base_quat",) if self._weight.floats else ()
+        self._quat = context.states["base_quat"] if self._weight.floats else None
+        self._joint_pos, self._effort = joint_pos, joint_effort_ff
+        self._at = index_of(places.tolist())
+        self._most = np.nan_to_num(robot.effort_limit, nan=np.inf)[self._at]
+        self._least = -self._most
+        self.torque = np.zeros(robot.num_joints)
+        self._asked = np.zeros(robot.num_joints)
+        self._sum = np.zeros(len(places), np.float32)
+
+    def __call__(self) -> None:
+        asked, total = self._asked, self._sum
+        self._weight(self._joint_pos, asked, self._quat)
+        if math.isfinite(float(asked.sum())):  # else what was measured makes no sense: the last
+            self.torque[:] = asked
+        np.add(self._effort[self._at], self.torque[self._at], out=total)
+        np.maximum(total, self._least, out=total)
+        np.minimum(total, self._most, out=total)
+        self._effort[self._at] = total
 
 
 def _carried(robot: Robot, words: tuple[str, ...], bears: NDArray[np.bool_]) -> NDArray[np.intp]:
@@ -95,52 +120,3 @@ def _carried(robot: Robot, words: tuple[str, ...], bears: NDArray[np.bool_]) -> 
 
 def _any(robot: Robot, joints: Sequence[str], of: NDArray[np.bool_]) -> bool:
     return any(of[robot.joint_names.index(name)] for name in joints)
-
-
-class Gravity:
-    """The tick of `gravity`.
-
-    Args:
-        weight: of the robot.
-        robot: says how much torque a joint gives.
-        moves: groups or joints that are carried.
-        places: of these joints in the robot's order.
-        joint_pos: in [rad], shape (n,).
-        effort: that is fed forward, in [N·m], shape (n,); changed.
-        quat: base to world, wxyz, shape (4,); None of a fixed base.
-
-    Attributes:
-        moves: groups or joints, for checks.
-        torque: that was added last in [N·m], shape (n,).
-    """
-
-    memory = ()
-
-    def __init__(
-        self,
-        weight: Weight,
-        robot: Robot,
-        moves: tuple[str, ...],
-        places: NDArray[np.intp],
-        joint_pos: NDArray[np.float32],
-        effort: NDArray[np.float32],
-        quat: NDArray[np.float32] | None,
-    ) -> None:
-        self.moves, self._weight = moves, weight
-        self._joint_pos, self._effort, self._quat = joint_pos, effort, quat
-        self._at = index_of(places.tolist())
-        self._most = np.nan_to_num(robot.effort_limit, nan=np.inf)[self._at]
-        self._least = -self._most
-        self.torque = np.zeros(robot.num_joints)
-        self._asked = np.zeros(robot.num_joints)
-        self._sum = np.zeros(len(places), np.float32)
-
-    def __call__(self) -> None:
-        asked, total = self._asked, self._sum
-        self._weight(self._joint_pos, asked, self._quat)
-        if math.isfinite(float(asked.sum())):  # else what was measured makes no sense: the last
-            self.torque[:] = asked
-        np.add(self._effort[self._at], self.torque[self._at], out=total)
-        np.maximum(total, self._least, out=total)
-        np.minimum(total, self._most, out=total)
-        self._effort[self._at] = total

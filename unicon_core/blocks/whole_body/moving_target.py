@@ -6,18 +6,16 @@ commands: [{moving_target: {effector: left_hand, radius: 0.08, frequency: 0.4}}]
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_core.blocks.joint_command import single
 from unicon_core.blocks.robot_model import model_for
 from unicon_core.blocks.whole_body.frames import effector_of
 from unicon_core.bounds import DURATION
 from unicon_core.errors import WorkflowError
-from unicon_core.flow.block import Block, Reads
+from unicon_core.flow.block import Reads
 from unicon_core.models.frames import Frames
 from unicon_core.robots import Robot
 from unicon_core.schema.marks import Point, Unit, Within
@@ -32,17 +30,7 @@ QUICKEST = 10.0
 PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 
 
-def moving_target(
-    stamp_ns: Reads,
-    *,
-    context: BuildContext,
-    effector: str,
-    centre: Literal["default"] | Point = "default",
-    radius: Annotated[float, Unit("m"), Within(0.0, LARGEST)] = 0.08,
-    frequency: Annotated[float, Unit("Hz"), Within(0.0, QUICKEST)] = 0.4,
-    plane: Literal["xy", "xz", "yz"] = "yz",
-    ramp: Annotated[float, Unit("s"), Within(0.0, DURATION)] = 2.0,
-) -> Block:
+class MovingTarget:
     """Move an end effector's target on a circle in the base frame, from its centre on.
 
     The orientation is that of the end effector at the robot's default pose. Over `ramp` the radius
@@ -61,66 +49,48 @@ def moving_target(
         WorkflowError: no such end effector, or the states are of a batch.
         ModelError: there is no model, or it lacks the body.
     """
-    single(stamp_ns[..., None])
-    robot = context.robot
-    places = {effector: effector_of(effector, robot, "moving_target")}
-    pose = Frames(model_for("moving_target", context), robot, places).of(robot.default_joint_pos)
-    middle = pose[effector]
-    if centre != "default":
-        middle[:3] = centre
-    if not np.isfinite(middle).all():
-        raise WorkflowError(
-            f"robot {robot.name} does not say its default pose; give centre: [x, y, z], and the "
-            f"default of every joint in {robot.path}"
-        )
-    names = target_of(effector)
-    outs = [context.states[name] for name in names]
-    turn = 2.0 * math.pi * frequency
-    tick = MovingTarget(stamp_ns, outs, middle, radius, turn, PLANES[plane], ramp, context.period)
-    return Block("", tick, writes=names, reset=tick.reset, endless=True)
-
-
-def _declares(*, robot: Robot, effector: Any = None, **_: Any) -> dict[str, StateSpec]:
-    if effector is None:  # told when it is built, as of every option
-        return {}
-    effector_of(effector, robot, "moving_target")
-    return target_states(effector)
-
-
-setattr(moving_target, "declares", _declares)  # noqa: B010  a function has none to mypy
-
-
-class MovingTarget:
-    """The tick of `moving_target`.
-
-    Args:
-        stamp: state with the time of the robot's data in [ns].
-        outs: target, its velocity and its stamp.
-        middle: pose of the centre, shape (7,).
-        radius: in [m].
-        turn: in [rad/s].
-        axes: of the plane.
-        ramp: in [s].
-        period: of a tick in [s].
-    """
 
     memory = ("_ticks",)
 
+    endless = True
+
     def __init__(
         self,
-        stamp: NDArray[Any],
-        outs: Sequence[NDArray[Any]],
-        middle: NDArray[np.float64],
-        radius: float,
-        turn: float,
-        axes: tuple[int, int],
-        ramp: float,
-        period: float,
+        stamp_ns: Reads,
+        *,
+        context: BuildContext,
+        effector: str,
+        centre: Literal["default"] | Point = "default",
+        radius: Annotated[float, Unit("m"), Within(0.0, LARGEST)] = 0.08,
+        frequency: Annotated[float, Unit("Hz"), Within(0.0, QUICKEST)] = 0.4,
+        plane: Literal["xy", "xz", "yz"] = "yz",
+        ramp: Annotated[float, Unit("s"), Within(0.0, DURATION)] = 2.0,
     ) -> None:
-        self._stamp, (self._target, self._velocity, self._said) = stamp, outs
-        self._middle, self._radius, self._turn = middle, radius, turn
-        self._axes, self._ramp, self._period = axes, ramp, period
+        single(stamp_ns[..., None])
+        robot = context.robot
+        places = {effector: effector_of(effector, robot, "moving_target")}
+        frames = Frames(model_for("moving_target", context), robot, places)
+        middle = self._middle = frames.of(robot.default_joint_pos)[effector]
+        if centre != "default":
+            middle[:3] = centre
+        if not np.isfinite(middle).all():
+            raise WorkflowError(
+                f"robot {robot.name} does not say its default pose; give centre: [x, y, z], and "
+                f"the default of every joint in {robot.path}"
+            )
+        self.writes = target_of(effector)
+        self._target, self._velocity, self._said = (context.states[name] for name in self.writes)
+        self._stamp, self._radius, self._turn = stamp_ns, radius, 2.0 * math.pi * frequency
+        self._axes, self._ramp, self._period = PLANES[plane], ramp, context.period
         self._ticks = 0
+
+    @staticmethod
+    def declares(*, robot: Robot, effector: str = "", **_: Any) -> dict[str, StateSpec]:
+        """Return the states of the target; without an end effector none, which the build tells."""
+        if not effector:
+            return {}
+        effector_of(effector, robot, "moving_target")
+        return target_states(effector)
 
     def __call__(self) -> None:
         time = self._ticks * self._period

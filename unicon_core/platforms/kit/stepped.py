@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -277,3 +278,25 @@ class SteppedSimulator(ABC):
             "passive": self.figures.passive,
             "notes": list(self.notes),
         }
+
+
+class DampedSimulator(SteppedSimulator):
+    """One whose joints' own damping can be changed while it runs: it has `damp` besides."""
+
+    @abstractmethod
+    def damp(self, damping: Float) -> None:
+        """Give the joints damping [N·m·s/rad], shape (n,)."""
+
+    @property
+    def passive_damping(self) -> Float:
+        """Damping of the joints themselves in [N·m·s/rad], shape (n,)."""
+        return self.figures.damping
+
+    @contextmanager
+    def undamped(self) -> Iterator[None]:
+        """Do without the joints' own damping for a while, as with `passive: replace`."""
+        self.damp(np.zeros_like(self.figures.damping))
+        try:
+            yield
+        finally:
+            self.damp(self.figures.damping)

@@ -19,7 +19,7 @@ from unicon_core.platforms.kit.joint_model import Passive
 from unicon_core.platforms.kit.patience import patience
 from unicon_core.platforms.kit.quiet import quiet
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.kit.stepped import Setup, SteppedSimulator, setup_of
+from unicon_core.platforms.kit.stepped import DampedSimulator, Setup, setup_of
 from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.platforms.sim.newton.engine import Engine
 from unicon_core.platforms.sim.newton.world import build_world, not_told, solver_options
@@ -34,7 +34,7 @@ Solver = Literal["mujoco", "warp"]
 _COMPILES = "newton: loading its kernels, which compile for a minute or two the first time"
 
 
-class NewtonPlatform(SteppedSimulator):
+class NewtonPlatform(DampedSimulator):
     """Robots, each in a world of its own; built by `make`."""
 
     facts = Facts(
@@ -57,21 +57,7 @@ class NewtonPlatform(SteppedSimulator):
         self.step(self.torque)  # else the first tick would compile kernels
         self.reset()
 
-    @property
-    def passive_damping(self) -> Float:
-        """Damping of the joints themselves in [N·m·s/rad], shape (n,)."""
-        return self.figures.damping
-
-    @contextmanager
-    def undamped(self) -> Iterator[None]:
-        """Do without the joints' own damping for a while, as with `passive: replace`."""
-        self._damp(np.zeros_like(self.figures.damping))
-        try:
-            yield
-        finally:
-            self._damp(self.figures.damping)
-
-    def _damp(self, damping: Float) -> None:
+    def damp(self, damping: Float) -> None:
         from newton import ModelFlags
 
         for engine in self._engines:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from tempfile import NamedTemporaryFile
 from typing import Any
 
@@ -16,13 +15,13 @@ from unicon_core.platforms.kit.bodies import BODY_PHYSICS
 from unicon_core.platforms.kit.joint_model import Passive, ground_friction
 from unicon_core.platforms.kit.quiet import quiet
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.kit.stepped import Setup, SteppedSimulator, setup_of
+from unicon_core.platforms.kit.stepped import DampedSimulator, Setup, setup_of
 from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
 
 
-class PybulletPlatform(SteppedSimulator):
+class PybulletPlatform(DampedSimulator):
     """Robots on planes, each in a world of its own; built by `make`."""
 
     facts = Facts(
@@ -39,21 +38,9 @@ class PybulletPlatform(SteppedSimulator):
         self._worlds = [_World(client, description, setup) for client in clients]
         super().__init__(setup)
 
-    @property
-    def passive_damping(self) -> Float:
-        """Damping of the joints themselves in [N·m·s/rad], shape (n,)."""
-        return self.figures.damping
-
-    @contextmanager
-    def undamped(self) -> Iterator[None]:
-        """Do without the joints' own damping for a while, as with `passive: replace`."""
+    def damp(self, damping: Float) -> None:
         for world in self._worlds:
-            world.damp(np.zeros_like(self.figures.damping))
-        try:
-            yield
-        finally:
-            for world in self._worlds:
-                world.damp(self.figures.damping)
+            world.damp(damping)
 
     def place(self) -> None:
         for world in self._worlds:
