@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 
 from unicon_core.platforms.kit.command import Command
 from unicon_core.platforms.kit.side_by_side import SideBySide
-from unicon_core.platforms.sim.mujoco.shared_servo import SharedServo, Told
+from unicon_core.platforms.sim.mujoco.servo import Servo
 from unicon_core.platforms.sim.mujoco.simulated_robot import SimulatedRobot
 
 Array = NDArray[Any]
+Told = tuple[Array, Array, Array]
+"""Controls, gains and biases of one robot's actuators: shapes (n,), (n,) and (n, 3)."""
 Part = tuple[int, list[Told]]
 """Physics steps, and what acts in them on each robot."""
 
@@ -29,6 +31,37 @@ def shares(count: int) -> list[range]:
     cores = len(affinity(0)) if affinity else os.cpu_count() or 1
     threads = max(min(cores, count // FEWEST), 1)
     return [range(i * count // threads, (i + 1) * count // threads) for i in range(threads)]
+
+
+class SharedServo(Servo):
+    """Reckons the commands of all robots at once, and writes each one before its robot's step."""
+
+    def told(self, command: Array) -> list[Told]:
+        """Return what `push` would bring into the model, of every robot of a batch at once.
+
+        Args:
+            command: rows as of `push`, shape (5, N, n).
+
+        Returns:
+            What `write` takes, for each robot.
+        """
+        if self._strength is not None:
+            command = np.concatenate((command[:2], command[2:] * self._strength))
+        stiffness, damping = command[3:] / self.gear**2
+        b0 = (command[4] * command[1] + command[2]) / self.gear
+        bias = np.stack((b0, -stiffness, -damping), axis=-1)
+        return list(zip(command[0] * self.gear, stiffness, bias))
+
+    def write(self, ctrl: Array, told: Told) -> None:
+        """Put what `told` returned into the model and one robot's controls.
+
+        Args:
+            ctrl: `MjData.ctrl` of the robot.
+            told: of the robot.
+        """
+        index = self.index
+        ctrl[index], self._gain[index], self._bias[index, :3] = told
+        self._written = b""  # it is not what was pushed any more
 
 
 class Batch:

@@ -23,10 +23,9 @@ from unicon_core.platforms.kit.joint_model import Passive
 from unicon_core.platforms.kit.scene import TERRAIN, Scene
 from unicon_core.platforms.kit.start import initial_positions
 from unicon_core.platforms.platform import SIMULATED, Facts
-from unicon_core.platforms.sim.mujoco.batch import Batch, shares
+from unicon_core.platforms.sim.mujoco.batch import Batch, SharedServo, shares
 from unicon_core.platforms.sim.mujoco.models import Models
 from unicon_core.platforms.sim.mujoco.placement import Placement
-from unicon_core.platforms.sim.mujoco.shared_servo import SharedServo
 from unicon_core.platforms.sim.mujoco.simulated_robot import SimulatedRobot
 from unicon_core.platforms.sim.mujoco.viewer import Viewer
 from unicon_core.robots import Robot

@@ -118,8 +118,8 @@ class WebotsPlatform(SteppedSimulator):
         start = self.start
         w, *vector = map(float, start.quat)
         length = float(np.linalg.norm(vector))
-        axis = [float(value) / length for value in vector] if length > 1e-12 else [0.0, 0.0, 1.0]
-        self._node.getField("translation").setSFVec3f([float(value) for value in start.position])
+        axis = [value / length for value in vector] if length > 1e-12 else [0.0, 0.0, 1.0]
+        self._node.getField("translation").setSFVec3f(start.position.tolist())
         self._node.getField("rotation").setSFRotation([*axis, 2.0 * float(np.arctan2(length, w))])
         for joint, angle in zip(self._joint_nodes, start.joint_pos):
             joint.setJointPosition(float(angle))
@@ -155,7 +155,7 @@ class WebotsPlatform(SteppedSimulator):
         # Each solid has a velocity of its own.
         for solid in (self._node, *self._solids):
             now = solid.getVelocity()
-            linear = [float(value) for value in np.add(now[:3], velocity[0])]
+            linear = np.add(now[:3], velocity[0]).tolist()
             solid.setVelocity([*linear, *now[3:]])
         self._moves = self._moves + velocity
 
