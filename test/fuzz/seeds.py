@@ -90,7 +90,7 @@ deferred: [{observation_range: {file: good.npz}}]
 flow:
   zip:
     - call: "unicon_core.blocks.hold:hold"
-    - call: {function: "unicon_core.blocks.safety.stops:finite", name: again}
+    - call: {function: "unicon_core.blocks.safety.stops:Finite", name: again}
     - deferred: {call: {function: "unicon_core.blocks.predicates:tilted", angle: 1.0}}
 """
 

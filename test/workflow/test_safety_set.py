@@ -108,7 +108,7 @@ def behind(writes: tuple[str, ...], **options: Any) -> dict[str, Any]:
             ],
         ),
         (
-            [{"call": {"function": "unicon_core.blocks.safety.stops:finite", "name": "all"}}],
+            [{"call": {"function": "unicon_core.blocks.safety.stops:Finite", "name": "all"}}],
             ["all", *STRICT[1:]],
         ),
     ],
