@@ -43,12 +43,18 @@ WORKFLOWS = {
         with_flow("{sway: {gains: {'*': ['a', 1, 2]}}}"),
         "block 'sway': gains.*.0 is 'a'; write a number",
     ),
-    "endless pose": (with_flow("{pose: {to: stand, duration: 1e308}}"), "duration is 1e+308; write"),
-    "hold for inf": (with_flow("{hold: {duration: .inf}}"), "duration is inf; write a number from 0"),
+    "endless pose": (
+        with_flow("{pose: {to: stand, duration: 1e308}}"),
+        "duration is 1e+308; write",
+    ),
+    "hold for inf": (
+        with_flow("{hold: {duration: .inf}}"),
+        "duration is inf; write a number from 0",
+    ),
     "hold for nan": (with_flow("{hold: {duration: .nan}}"), "duration is nan; write a number"),
     "schedule to inf": (
         command("{schedule: [[0, 0, 0, 0], [.inf, 1, 0, 0]]}"),
-        "the schedule's",
+        "schedule.1.0 is inf; write a number from 0 to 1e+09 [s]",
     ),
     "schedule to nan": (
         command("{schedule: [[.nan, 1, 0, 0]]}"),

@@ -57,7 +57,7 @@ class EncoderStop:
         self._ticks, self._motion = max(ticks_of(timeout, period), 2), motion
         self.patient = self._ticks >= PATIENT
         pos, target = self._pos, self._target = joint_pos, joint_pos_target
-        self._stiffness, self._robot = joint_stiffness, robot
+        self._stiffness, self._robot, self._looked_at = joint_stiffness, robot, ~robot.by_position
         self._last, self._reference = np.full_like(pos, np.nan), np.zeros_like(pos)
         self._moves = np.ones(pos.shape, np.bool_)
         self._since, self._asked_at = (np.zeros(pos.shape, np.int64) for _ in range(2))
@@ -92,8 +92,7 @@ class EncoderStop:
             self._look()
 
     def _look(self) -> None:
-        over = ~(np.abs(self._asked) <= self._motion) & (self._stiffness > 0.0)
-        over &= ~self._robot.by_position
+        over = ~(np.abs(self._asked) <= self._motion) & (self._stiffness > 0.0) & self._looked_at
         # A joint that rested before has no less time to follow.
         np.copyto(self._asked_at, self._tick, where=over & (self._asked_at <= self._since))
         same = self._tick - self._since
