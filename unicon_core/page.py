@@ -1,6 +1,6 @@
-"""Page: what all HTML pages of unicon share: one file that needs nothing beside it, no server.
+r"""Page: what all HTML pages of unicon share: one file that needs nothing beside it, no server.
 
-    page("walk", ["<h1>walk</h1>", table(["joint", "limit"], [["FL_hip", "1.05"]])])
+    page("walk", "go2 on MuJoCo", [table(["joint", "limit\nrad"], [["FL_hip", "1.05"]])])
 
 Light or dark as the reader has it; drawings take the page's colours by its CSS variables.
 """
@@ -41,11 +41,12 @@ th small { color: var(--pale); font-weight: 400; }
 """
 
 
-def page(title: str, parts: Iterable[str], width: int = 1150) -> str:
+def page(title: str, below: str, parts: Iterable[str], width: int = 1150) -> str:
     """Return a whole page that needs nothing beside it, light or dark as the reader has it.
 
     Args:
-        title: of the window, not escaped yet.
+        title: of the window and of the page, not escaped yet.
+        below: a line below the title, not escaped yet.
         parts: of the body, as HTML.
         width: of its text at most, [pixels].
     """
@@ -56,7 +57,8 @@ def page(title: str, parts: Iterable[str], width: int = 1150) -> str:
             '<meta name="viewport" content="width=device-width, initial-scale=1">',
             '<link rel="icon" href="data:,">',  # or browsers ask the server for one
             f"<title>{html.escape(title)}</title><style>{_STYLE}</style></head>",
-            f'<body style="max-width: {width}px">',
+            f'<body style="max-width: {width}px"><h1>{html.escape(title)}</h1>',
+            f'<p class="sub">{html.escape(below)}</p>',
             *parts,
             "</body></html>\n",
         ]
@@ -74,14 +76,6 @@ def figure(heading: str, caption: str, svg: str) -> str:
         f"<h2>{html.escape(heading)}</h2><figure><figcaption>{html.escape(caption)}</figcaption>"
         f'<div class="wide" role="img" aria-label="{html.escape(heading)}">{svg}</div></figure>'
     )
-
-
-def units(heads: Sequence[str], below: Sequence[str]) -> list[str]:
-    """Return the heads of a table with their units below them; neither is escaped yet."""
-    return [
-        html.escape(head) + (f"<br><small>{html.escape(unit)}</small>" if unit else "")
-        for head, unit in zip(heads, below)
-    ]
 
 
 def findings(texts: Iterable[str], *, bad: bool = False) -> str:
@@ -105,19 +99,24 @@ def pairs(facts: Mapping[str, str]) -> str:
 
 
 def table(heads: Sequence[str], rows: Iterable[Sequence[str]], *, words: bool = False) -> str:
-    """Return a table; heads are HTML, cells are escaped.
+    r"""Return a table; heads and cells are escaped.
 
     Args:
-        heads: of the columns.
+        heads: of the columns; what follows a `\n` is the unit, which stands below.
         rows: of cells.
         words: the cells are words, not figures: all columns begin at the left.
     """
-    head = "".join(f"<th>{text}</th>" for text in heads)
+    head = "".join(f"<th>{_head(text)}</th>" for text in heads)
     body = "".join(
         f"<tr>{''.join(f'<td>{html.escape(cell)}</td>' for cell in row)}</tr>" for row in rows
     )
     kind = ' class="words"' if words else ""
     return f'<div class="wide"><table{kind}><tr>{head}</tr>{body}</table></div>'
+
+
+def _head(text: str) -> str:
+    head, _, unit = html.escape(text).partition("\n")
+    return f"{head}<br><small>{unit}</small>" if unit else head
 
 
 def place(path: str | Path) -> str:
@@ -126,9 +125,9 @@ def place(path: str | Path) -> str:
     return str(shown.relative_to(Path.cwd())) if shown.is_relative_to(Path.cwd()) else str(shown)
 
 
-def number(value: float) -> str:
+def number(value: float | None) -> str:
     """Return three digits of a number, – for what is none."""
-    return f"{value:.3g}" if math.isfinite(value) else "–"
+    return "–" if value is None or not math.isfinite(value) else f"{value:.3g}"
 
 
 def refuse_unwritable(path: Path) -> None:

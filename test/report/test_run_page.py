@@ -258,10 +258,12 @@ def test_long_runs_keep_their_peaks_in_the_same_room(monkeypatch: pytest.MonkeyP
     assert keeper.ticks == 1000
     assert keeper.stride == 16
     assert len(keeper.time()) == -(-1000 // 16)
-    assert keeper.highest("joint_pos")[776 // 16, 2] == pytest.approx(0.9)
-    assert keeper.lowest("joint_pos")[776 // 16, 3] == pytest.approx(-0.9)
-    time, values = keeper.curve("joint_pos")
-    assert values[:, 2].max() == pytest.approx(0.9)
+    time, values = keeper.curve("joint_pos")  # the lowest and the highest of each row
+    assert values[2 * (776 // 16) + 1, 2] == pytest.approx(0.9)
+    assert values[2 * (776 // 16), 3] == pytest.approx(-0.9)
+    low, high = keeper.reached("joint_pos")
+    assert (low[3], high[2]) == pytest.approx((-0.9, 0.9))
+    assert keeper.largest("joint_pos")[2:4] == pytest.approx(0.9)
     assert time[-1] == pytest.approx((len(keeper.time()) - 1) * 16 * 0.002)
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from unicon_core import __version__
 from unicon_core.figures import span
-from unicon_core.page import figure, page, pairs, place, table, units
+from unicon_core.page import figure, page, pairs, place, table
 from unicon_core.show.parts import parts_rows
 from unicon_core.show.state_table import state_rows
 from unicon_core.show.svg import graph_svg
@@ -32,10 +32,7 @@ def show_page(program: Program) -> str:
     Raises:
         PolicyError: a policy's observation does not fit the states.
     """
-    description = program.document.get("description", "")
     parts = [
-        f"<h1>{html.escape(program.name)}</h1>",
-        f'<p class="sub">{html.escape(description)}</p>',
         pairs(dict(_facts(program))),
         figure(
             "Graph of a tick",
@@ -50,7 +47,8 @@ def show_page(program: Program) -> str:
         *_policies(program),
         f'<p class="sub">unicon_ros {__version__}; the tick as Python: unicon show --source</p>',
     ]
-    return page(f"{program.name}: workflow", parts, WIDTH)
+    description = program.document.get("description", "")
+    return page(f"{program.name}: workflow", description, parts, WIDTH)
 
 
 def _facts(program: Program) -> Iterator[tuple[str, str]]:
@@ -78,11 +76,11 @@ def _facts(program: Program) -> Iterator[tuple[str, str]]:
 def _states(program: Program) -> Iterator[str]:
     head, *rows = state_rows(program.root, program.states, MANY)
     yield "<h2>States</h2>"
-    yield table(list(map(html.escape, head)), rows, words=True)
+    yield table(head, rows, words=True)
     if program.parts is not None:
         head, *rows = parts_rows(program.parts, program.states)
         yield "<h2>Parts</h2>"
-        yield table(list(map(html.escape, head)), rows, words=True)
+        yield table(head, rows, words=True)
 
 
 def _phases(program: Program) -> Iterator[str]:
@@ -99,11 +97,10 @@ def _phases(program: Program) -> Iterator[str]:
 def _robot(program: Program) -> Iterator[str]:
     from unicon_core.robots.table import joint_limits
 
-    head, below, *rows = joint_limits(program.robot)
+    head, below, *rows = ((row[1], row[0], *row[2:]) for row in joint_limits(program.robot))
     yield f"<h2>Joints of {html.escape(program.robot.name)}</h2>"
     yield '<p class="sub">Limits, poses and gains of the robot file; ? is not known.</p>'
-    heads = units((head[1], head[0], *head[2:]), (below[1], below[0], *below[2:]))
-    yield table(heads, [(row[1], row[0], *row[2:]) for row in rows])
+    yield table(list(map("\n".join, zip(head, below))), rows)
 
 
 def _policies(program: Program) -> Iterator[str]:
@@ -124,8 +121,8 @@ def _policies(program: Program) -> Iterator[str]:
         seen = PrefixedStates(program.states, prefix) if prefix else program.states
         head, *rows = joint_rows(contract, program.robot)
         yield "<h3>Joints, in the policy's order</h3>"
-        yield table(list(map(html.escape, head)), rows, words=True)
+        yield table(head, rows, words=True)
         (head, *rows), tail = observation_rows(contract, program.robot, seen)
         yield "<h3>Observation</h3>"
-        yield table(list(map(html.escape, head)), rows, words=True)
+        yield table(head, rows, words=True)
         yield f'<p class="sub">{html.escape(tail)}</p>'

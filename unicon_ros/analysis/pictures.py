@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,16 +9,17 @@ import numpy as np
 from unicon_core.gap import rmse, shift_losses
 from unicon_core.gap.trajectories import Array
 from unicon_ros.analysis.comparison import Comparison, tracking_error
-from unicon_ros.report.drawing import INK, MARK, PALE, envelope, grids
+from unicon_ros.analysis.together import Together
+from unicon_ros.report.drawing import INK, MARK, PALE, Pictures, curve, grid, zoomed
 
 REAL, SIM = MARK, "#e07b00"
+CLOCK = "time of the real run [s]"
 COLUMNS = 400
 """Of the heat map in time."""
 TOP = 6
 """Joints whose curves are drawn."""
 MOST = 32
 """Joints in the other pictures; the rest are in the table."""
-ZOOM_S = 3.0
 
 
 def _ranking(figure: Any, comparison: Comparison) -> bool:
@@ -35,7 +34,6 @@ def _ranking(figure: Any, comparison: Comparison) -> bool:
     axes.bar_label(axes.containers[0], fmt=" %.3g", fontsize=8)
     axes.set(xlabel="gap [rad]")
     axes.margins(x=0.12)
-    axes.grid(axis="x", alpha=0.3)
     return True
 
 
@@ -48,47 +46,40 @@ def _alignment(figure: Any, comparison: Comparison) -> bool:
     )
     shifts, losses = shift_losses(real, sim)
     found = int(both.aligned.shift) * both.period
-    above.plot(*envelope(shifts * both.period, losses), color=INK, linewidth=0.9)
+    curve(above, shifts * both.period, losses, INK)
     above.plot([found], [float(both.aligned.loss)], "o", color=REAL, label=f"found: {found:+.3f} s")
     above.set(xlabel="shift of the simulated run [s]", ylabel="loss [rad²]")
-    above.set_title("aligned MSE of all joint positions at each shift", fontsize=10)
+    above.set_title("aligned MSE of all joint positions at each shift")
     above.legend()
     k = comparison.order[0]
     time = both.begins[0] - max(0.0, found) + both.period * np.arange(len(real))
     own = time[0] + both.period * np.arange(len(sim))
-    below.plot(*envelope(own, sim[:, k]), color=PALE, label="simulated, as it was recorded")
-    below.plot(*envelope(own + found, sim[:, k]), color=SIM, label="simulated, shifted")
-    below.plot(*envelope(time, real[:, k]), color=REAL, label="real")
-    below.axvspan(both.time[0], both.time[-1], color="0.5", alpha=0.1, label="compared")
-    below.set(xlabel="time of the real run [s]", ylabel="[rad]")
-    below.set_title(f"{both.joints[k]}: position before and after the shift", fontsize=10)
-    below.legend(loc="upper right", fontsize=8, ncols=4)
-    grids(above, below)
+    curve(below, own, sim[:, k], PALE, "simulated, as it was recorded")
+    curve(below, own + found, sim[:, k], SIM, "simulated, shifted")
+    curve(below, time, real[:, k], REAL, "real")
+    _compared(below, both)
+    below.set(xlabel=CLOCK, ylabel="[rad]")
+    below.set_title(f"{both.joints[k]}: position before and after the shift")
+    below.legend(loc="upper right", ncols=4)
     return True
 
 
+def _compared(axes: Any, both: Together) -> None:
+    axes.axvspan(both.time[0], both.time[-1], color="0.5", alpha=0.1, label="compared")
+
+
 def _curves(figure: Any, comparison: Comparison) -> bool:
-    both = comparison.together
-    order, time = comparison.order[:TOP], both.time
-    figure.set_size_inches(12.0, 0.6 + 1.7 * len(order))
-    rows = figure.subplots(len(order), 2, squeeze=False, width_ratios=[2.0, 1.0])
-    count = min(len(time), max(2, round(ZOOM_S / both.period)))
-    for (left, right), k in zip(rows, order):
-        real, sim = both.real["joint_pos"][:, k], both.sim["joint_pos"][:, k]
-        sums = np.concatenate([[0.0], np.cumsum((real - sim) ** 2)])
-        worst = int(np.argmax(sums[count:] - sums[:-count]))
-        part = slice(worst, worst + count)
-        for axes, seen in ((left, slice(None)), (right, part)):
-            axes.plot(*envelope(time[seen], sim[seen]), color=SIM, linewidth=1.0, label="simulated")
-            axes.plot(*envelope(time[seen], real[seen]), color=REAL, linewidth=1.0, label="real")
-        left.axvspan(time[part][0], time[part][-1], color="0.5", alpha=0.15)
-        left.set_title(both.joints[k], fontsize=10, loc="left")
-        left.set_ylabel("[rad]")
-        grids(left, right)
-    rows[0][0].legend(loc="upper right", fontsize=8, ncols=2)
-    rows[0][1].set_title(f"the {count * both.period:.3g} s that differ most", fontsize=10)
-    for axes in rows[-1]:
-        axes.set_xlabel("time of the real run [s]")
+    both, order = comparison.together, comparison.order[:TOP]
+    real, sim = (side["joint_pos"][:, order] for side in (both.real, both.sim))
+    zoomed(
+        figure,
+        [both.joints[k] for k in order],
+        [("simulated", SIM, sim), ("real", REAL, real)],
+        (real - sim) ** 2,
+        both.period,
+        both.begins[0],
+        CLOCK,
+    )
     return True
 
 
@@ -98,7 +89,7 @@ def _heat(figure: Any, comparison: Comparison) -> bool:
     figure.set_size_inches(12.0, 2.6 + 0.24 * len(order))
     above, below = figure.subplots(2, sharex=True, height_ratios=[1.0, 0.5 + 0.18 * len(order)])
     real, sim = both.real["joint_pos"], both.sim["joint_pos"]
-    above.plot(*envelope(both.time, rmse(real, sim, "frame")), color=INK, linewidth=0.9)
+    curve(above, both.time, rmse(real, sim, "frame"), INK)
     above.set_ylabel("RMSE of all [rad]")
     edges = np.unique(np.linspace(0, len(real), min(COLUMNS, len(real)) + 1).astype(int))
     squares = (real - sim)[:, order] ** 2
@@ -110,10 +101,10 @@ def _heat(figure: Any, comparison: Comparison) -> bool:
         interpolation="nearest",
         extent=(both.time[0], both.time[-1] + both.period, len(order) - 0.5, -0.5),
     )
-    below.set_yticks(range(len(order)), [both.joints[k] for k in order], fontsize=8)
-    below.set_xlabel("time of the real run [s]")
+    below.set_yticks(range(len(order)), [both.joints[k] for k in order])
+    below.grid(False)
+    below.set_xlabel(CLOCK)
     figure.colorbar(image, ax=below, label="difference [rad]", pad=0.01)
-    grids(above)
     return True
 
 
@@ -123,23 +114,18 @@ def _tracking(figure: Any, comparison: Comparison) -> bool:
     if real is None or sim is None:
         return False
     order = comparison.order[:MOST]
-    lines = math.ceil(len(order) / 4)
-    figure.set_size_inches(12.0, 0.6 + 1.6 * lines)
-    grid = figure.subplots(lines, 4, squeeze=False).reshape(-1)
-    for axes in grid[len(order) :]:
-        axes.set_axis_off()
-    for axes, k in zip(grid, order):
+    every = grid(figure, len(order), 4, 1.6)
+    for axes, k in zip(every, order):
         low, high = np.percentile(np.concatenate([real[:, k], sim[:, k]]), [0.2, 99.8])
         bins = np.linspace(low, max(high, low + 1e-6), 60)
         for values, colour, label in ((sim, SIM, "simulated"), (real, REAL, "real")):
             counts, _ = np.histogram(np.clip(values[:, k], bins[0], bins[-1]), bins)
             axes.stairs(counts, bins, fill=True, color=colour, alpha=0.55, label=label)
         axes.axvline(0.0, color=INK, linewidth=0.6)
-        axes.set_title(both.joints[k], fontsize=9)
+        axes.set_title(both.joints[k])
         axes.set_yticks([])
-        axes.tick_params(labelsize=7)
-    grid[0].legend(fontsize=7)
-    figure.supxlabel("target − position [rad]", fontsize=9)
+    every[0].legend()
+    figure.supxlabel("target − position [rad]")
     return True
 
 
@@ -157,10 +143,9 @@ def _effort(figure: Any, comparison: Comparison) -> bool:
         axes.bar(places - 0.2, figures[f"{key}_real"][order], 0.4, color=REAL, label="real")
         axes.bar(places + 0.2, figures[f"{key}_sim"][order], 0.4, color=SIM, label="simulated")
         names = [both.joints[k] for k in order]
-        axes.set_xticks(places, names, rotation=35, ha="right", fontsize=8)
+        axes.set_xticks(places, names, rotation=35, ha="right")
         axes.set_ylabel(label)
-        axes.legend(fontsize=8)
-        axes.grid(axis="y", alpha=0.3)
+        axes.legend()
     return True
 
 
@@ -186,12 +171,11 @@ def _base(figure: Any, comparison: Comparison) -> bool:
         for side, shift, colour, who in sides:
             values = _shown_of_base(name, side[name])
             time = begin + both.period * (shift + np.arange(len(values)))
-            axes.plot(*envelope(time, values), color=colour, linewidth=0.9, label=who)
-        axes.axvspan(both.time[0], both.time[-1], color="0.5", alpha=0.1, label="compared")
+            curve(axes, time, values, colour, who)
+        _compared(axes, both)
         axes.set_ylabel(label)
-        grids(axes)
-    rows[0].legend(loc="upper left", fontsize=8, ncols=3)
-    rows[-1].set_xlabel("time of the real run [s]")
+    rows[0].legend(loc="upper left", ncols=3)
+    rows[-1].set_xlabel(CLOCK)
     return True
 
 
@@ -201,7 +185,7 @@ def _shown_of_base(name: str, values: Array) -> Array:
     return values[:, 2] if name == "base_ang_vel" else values[:, 0]
 
 
-PICTURES: dict[str, tuple[Callable[[Any, Comparison], bool], str, str]] = {
+PICTURES: Pictures = {
     "ranking": (
         _ranking,
         "Joints by gap",

@@ -4,35 +4,35 @@ from __future__ import annotations
 
 import html
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from unicon_core import __version__
-from unicon_core.page import figure, findings, number, page, pairs, table, write_file
+from unicon_core.page import findings, number, page, pairs, table, write_file
 from unicon_ros.analysis.comparison import Comparison
 from unicon_ros.analysis.findings import findings as found_in
 from unicon_ros.analysis.pictures import PICTURES
 from unicon_ros.analysis.run import Run
-from unicon_ros.report.drawing import as_png, as_svg, drawn
+from unicon_ros.report.drawing import drawings
 
 SCHEMA = "unicon.analysis/1"
 
 _COLUMNS = {
-    "gap": ("gap", "rad", 1.0),
-    "position_rmse": ("RMSE of position", "rad", 1.0),
-    "position_bias": ("mean difference", "rad", 1.0),
-    "tracking_rms_real": ("tracking error, real", "rad", 1.0),
-    "tracking_rms_sim": ("tracking error, simulated", "rad", 1.0),
-    "lag_s": ("lag", "ms", 1e3),
-    "gain": ("gain", "", 1.0),
-    "correlation": ("correlation", "", 1.0),
-    "spectral_distance": ("spectral distance", "0 to 1", 1.0),
-    "effort_ratio": ("torque RMS, real ÷ simulated", "", 1.0),
-    "strength": ("torque for what is asked, real ÷ simulated", "", 1.0),
-    "temperature_rise_real": ("warming, real", "K", 1.0),
-    "temperature_rise_sim": ("warming, simulated", "K", 1.0),
+    "gap": "gap\nrad",
+    "position_rmse": "RMSE of position\nrad",
+    "position_bias": "mean difference\nrad",
+    "tracking_rms_real": "tracking error, real\nrad",
+    "tracking_rms_sim": "tracking error, simulated\nrad",
+    "lag_s": "lag\nms",
+    "gain": "gain",
+    "correlation": "correlation",
+    "spectral_distance": "spectral distance\n0 to 1",
+    "effort_ratio": "torque RMS, real ÷ simulated",
+    "strength": "torque for what is asked, real ÷ simulated",
+    "temperature_rise_real": "warming, real\nK",
+    "temperature_rise_sim": "warming, simulated\nK",
 }
-"""Figure of a joint to heading, unit and factor in the table; the JSON has all of them."""
+"""Figure of a joint to heading and unit in the table; the JSON has all of them."""
 
 _STATE_COLUMNS = {
     "rmse_step_by_step": "RMSE sample by sample",
@@ -69,14 +69,7 @@ def write_report(
         "findings": said,
         **comparison.to_json(),
     }
-    figures = []
-    for name, (fill, heading, caption) in PICTURES.items():
-        tell(f"drawing {name}")
-        if (picture := drawn(fill, comparison)) is None:
-            continue
-        write_file(folder / f"{name}.png", as_png(picture))
-        figures.append(figure(heading, caption, as_svg(picture, name)))
-    text = _page(comparison, runs, said, figures)
+    text = _page(comparison, runs, said, drawings(PICTURES, comparison, folder=folder, tell=tell))
     write_file(folder / "analysis.json", (json.dumps(result, indent=1) + "\n").encode())
     write_file(folder / "report.html", text.encode())
     return result
@@ -96,27 +89,25 @@ def _page(
     comparison: Comparison,
     runs: tuple[Run, Run],
     said: list[str],
-    figures: list[str],
+    figures: Iterable[tuple[str, str]],
 ) -> str:
-    names = tuple(html.escape(run.path.name) for run in runs)
     parts = [
-        "<h1>How far the simulator is from the robot</h1>",
-        f'<p class="sub">{names[0]} (real) and {names[1]} (simulated)</p>',
         findings(said),
         "<h2>What was compared</h2>",
         _facts(comparison, runs),
         "".join(f"<p>{html.escape(note)}</p>" for note in comparison.together.notes),
     ]
-    for place, shown in enumerate(figures):
+    for name, shown in figures:
         parts.append(shown)
-        if place == 0:
+        if name == "ranking":
             parts += ["<h2>Every joint</h2>", _joint_table(comparison)]
     parts += [
         "<h2>Every state</h2>",
         _state_table(comparison),
         f'<p class="sub">All figures, with all digits: analysis.json. unicon_ros {__version__}</p>',
     ]
-    return page(f"{runs[0].path.name} and {runs[1].path.name}", parts)
+    title = f"{runs[0].path.name} (real) and {runs[1].path.name} (simulated)"
+    return page(title, "How far the simulator is from the robot", parts)
 
 
 def _facts(comparison: Comparison, runs: tuple[Run, Run]) -> str:
@@ -149,17 +140,14 @@ def _in_words(run: Run) -> str:
 
 
 def _joint_table(comparison: Comparison) -> str:
-    columns = {key: shown for key, shown in _COLUMNS.items() if key in comparison.joints}
-    heads = [
-        f"{html.escape(name)}<br><small>{html.escape(unit)}</small>"
-        for name, unit, _ in columns.values()
-    ]
+    columns = [key for key in _COLUMNS if key in comparison.joints]
+    heads = ["joint", *(_COLUMNS[key] for key in columns)]
+    figures = comparison.joints | {"lag_s": 1e3 * comparison.joints["lag_s"]}
     rows = [
-        [comparison.together.joints[k]]
-        + [number(factor * comparison.joints[key][k]) for key, (_, _, factor) in columns.items()]
+        [comparison.together.joints[k], *(number(figures[key][k]) for key in columns)]
         for k in comparison.order
     ]
-    return table(["joint", *heads], rows)
+    return table(heads, rows)
 
 
 def _state_table(comparison: Comparison) -> str:

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import html
 import io
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import MissingDependencyError
+from unicon_core.page import figure as figure_html
+from unicon_core.page import write_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -21,13 +25,25 @@ INK, MARK, PALE = "#222221", "#1f4e9c", "#b8b8b8"
 _PAPER = "#fefefd"
 POINTS = 1500
 """Of a curve: of more than twice as many the lowest and the highest of each stretch are drawn."""
+ZOOM_S = 3.0
+"""Length of the stretch that `zoomed` draws larger in [s]."""
+
+Pictures = Mapping[str, tuple[Callable[..., bool], str, str]]
+"""Name to what fills a figure, as of `drawn`, heading and caption, in the order of a page."""
 
 _FOLLOWS = {INK: "currentColor", MARK: "var(--mark)", _PAPER: "var(--page)"}
 _LOOKS: dict[str, Any] = {
     **dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor"), INK),
     **dict.fromkeys(("xtick.color", "ytick.color", "axes.titlecolor"), INK),
     **dict.fromkeys(("figure.facecolor", "axes.facecolor"), "none"),
+    **dict.fromkeys(("xtick.labelsize", "ytick.labelsize", "legend.fontsize"), 8),
+    **dict.fromkeys(("axes.grid", "axes.axisbelow"), True),
+    "axes.titlesize": 10,
+    "axes.xmargin": 0.01,
+    "figure.labelsize": 9,
     "legend.facecolor": _PAPER,
+    "lines.linewidth": 0.9,
+    "grid.alpha": 0.3,
     "grid.color": "0.5",
     "svg.fonttype": "none",  # text stays text
     "path.simplify_threshold": 0.2,  # pixels; an eye sees no more
@@ -121,8 +137,108 @@ def envelope(
     return np.repeat(time[starts], 2), np.stack([low, high], axis=1).reshape(-1, *values.shape[1:])
 
 
-def grids(*all_axes: Any) -> None:
-    """Give axes a pale grid, and curves all of their width."""
-    for axes in all_axes:
-        axes.grid(alpha=0.3)
-        axes.margins(x=0.01)
+def curve(
+    axes: Any,
+    time: NDArray[Any],
+    values: NDArray[Any],
+    colour: str | None = None,
+    label: Any = None,
+    points: int = POINTS,
+    **look: Any,
+) -> None:
+    """Draw `envelope` of a curve, or of several."""
+    axes.plot(*envelope(time, values, points), color=colour, label=label, **look)
+
+
+def grid(figure: Any, count: int, columns: int, height: float, **shared: Any) -> Any:
+    """Return small axes in rows, and make the figure fit them.
+
+    Args:
+        figure: that has none yet.
+        count: of axes.
+        columns: of them in a row.
+        height: of a row in [inches].
+        shared: as of `Figure.subplots`.
+    """
+    lines = math.ceil(count / columns)
+    figure.set_size_inches(12.0, 0.7 + height * lines)
+    every = figure.subplots(lines, columns, squeeze=False, **shared).reshape(-1)
+    for axes in every[count:]:
+        axes.set_axis_off()
+    return every[:count]
+
+
+def zoomed(
+    figure: Any,
+    names: Sequence[str],
+    curves: Sequence[tuple[str, str, NDArray[Any]]],
+    squares: NDArray[Any],
+    period: float,
+    begin: float = 0.0,
+    clock: str = "time [s]",
+) -> None:
+    """Draw joints over time, a row each, and the stretch that differs most once more at the right.
+
+    Args:
+        figure: that is filled.
+        names: of the joints.
+        curves: label, colour and values of each in [rad], shape (samples, joints).
+        squares: by which a sample differs, shape (samples, joints).
+        period: between two samples in [s].
+        begin: time of the first one in [s].
+        clock: what the axis of time is called.
+    """
+    figure.set_size_inches(12.0, 0.7 + 1.7 * len(names))
+    rows = figure.subplots(len(names), 2, squeeze=False, width_ratios=[2.0, 1.0])
+    count = min(len(squares), max(2, round(ZOOM_S / period)))
+    for k, (left, right) in enumerate(rows):
+        sums = np.concatenate([[0.0], np.cumsum(squares[:, k])])
+        worst = int(np.argmax(sums[count:] - sums[:-count]))
+        for axes, first, last in ((left, 0, None), (right, worst, worst + count)):
+            for label, colour, values in curves:
+                seen = values[first:last, k]
+                time = begin + period * (first + np.arange(len(seen)))
+                curve(axes, time, seen, colour, label)
+        left.axvspan(*(begin + period * (worst + np.array([0, count]))), color="0.5", alpha=0.15)
+        left.set_title(names[k], loc="left")
+        left.set_ylabel("[rad]")
+    rows[0][0].legend(loc="upper right", ncols=len(curves))
+    rows[0][1].set_title(f"the {count * period:.3g} s that differ most")
+    for axes in rows[-1]:
+        axes.set_xlabel(clock)
+
+
+def drawings(
+    pictures: Pictures,
+    *of: Any,
+    folder: Path | None = None,
+    tell: Callable[[str], object] = bool,
+) -> Iterator[tuple[str, str]]:
+    """Yield name and HTML of each picture in which there is something to show.
+
+    Instead of one that cannot be drawn the HTML says why: the rest of the page is shown for all
+    that.
+
+    Args:
+        pictures: the pictures.
+        of: what they show.
+        folder: where a PNG of each is written, too.
+        tell: takes what is being drawn.
+
+    Raises:
+        UniconError: a PNG cannot be written.
+    """
+    for name, (fill, heading, caption) in pictures.items():
+        tell(f"drawing {name}")
+        try:
+            figure = drawn(fill, *of)
+            if figure is None:
+                continue
+            shown = figure_html(heading, caption, as_svg(figure, name))
+        except Exception as error:
+            why = f"could not be drawn: {type(error).__name__}: {error}"
+            yield name, f"<h2>{html.escape(heading)}</h2><p>{html.escape(why)}</p>"
+            continue
+        if folder is not None:
+            write_file(folder / f"{name}.png", as_png(figure))
+        yield name, shown

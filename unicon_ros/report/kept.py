@@ -148,22 +148,22 @@ class Keeper:
         """Return the first values of a state in each row, shape (rows, elements)."""
         return self._of(name, 0)
 
-    def lowest(self, name: str) -> NDArray[np.float32]:
-        """Return the lowest values of a state in each row, shape (rows, elements)."""
-        return self._of(name, 1)
+    def reached(self, name: str) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return the lowest and the highest value of each element in the run, shape (elements,)."""
+        return np.fmin.reduce(self._of(name, 1), axis=0), np.fmax.reduce(self._of(name, 2), axis=0)
 
-    def highest(self, name: str) -> NDArray[np.float32]:
-        """Return the highest values of a state in each row, shape (rows, elements)."""
-        return self._of(name, 2)
+    def largest(self, name: str) -> NDArray[Any]:
+        """Return the largest size of each element in the run, shape (elements,)."""
+        low, high = self.reached(name)
+        return np.fmax(np.abs(low), np.abs(high))
 
     def curve(self, name: str) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return times in [s] and values of a state to draw, no peak lost."""
         time = self.time()
         if self.stride == 1:
             return time, self.first(name)
-        low, high = self.lowest(name), self.highest(name)
-        both = np.stack([low, high], axis=1).reshape(-1, low.shape[1])
-        return np.repeat(time, 2), both
+        both = np.stack([self._of(name, 1), self._of(name, 2)], axis=1)
+        return np.repeat(time, 2), both.reshape(-1, both.shape[2])
 
     def has(self, name: str) -> bool:
         """Return whether somebody tells a state, and it is a number in some tick."""
@@ -177,15 +177,16 @@ class Keeper:
         """Return states that were not a number for a while: when first, in [s] of the run."""
         found = {}
         for name in self._columns:
-            bad = ~np.isfinite(self.lowest(name) + self.highest(name)).all(axis=1)
+            bad = ~np.isfinite(self._of(name, 1) + self._of(name, 2)).all(axis=1)
             if self.has(name) and bad.any():
                 found[name] = float(self.time()[bad.argmax()])
         return found
 
+    def _of(self, name: str, which: int) -> NDArray[np.float32]:
+        """Return the first (0), lowest (1) or highest (2) values of a state in each row."""
+        kept: NDArray[np.float32] = self._rows[: self._used, which, self._columns[name]]
+        return kept
+
     @property
     def _used(self) -> int:
         return self._row + (self._in_row > 0)
-
-    def _of(self, name: str, which: int) -> NDArray[np.float32]:
-        kept: NDArray[np.float32] = self._rows[: self._used, which, self._columns[name]]
-        return kept

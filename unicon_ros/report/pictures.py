@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +10,7 @@ from numpy.typing import NDArray
 
 from unicon_core.page import write_file
 from unicon_core.runtime.statistics import TickStatistics
-from unicon_ros.report.drawing import INK, MARK, as_png, drawn, envelope, grids
+from unicon_ros.report.drawing import INK, MARK, Pictures, as_png, curve, drawn, grid
 from unicon_ros.report.kept import Keeper
 
 MEASURED, COMMANDED, BAD = MARK, "#e07b00", "#d62728"
@@ -27,21 +25,19 @@ BINS = 80
 ROUNDING = 1e-4
 """Share of a torque limit that is no more than rounding: simulators clip to it in other figures."""
 _SPEEDS = (("forward, vx", "m/s"), ("to the left, vy", "m/s"), ("turning, wz", "rad/s"))
+_OF_SPEEDS = ("base_lin_vel", "base_lin_vel", "base_ang_vel")
 
 
 def write_overview(path: str | Path, keeper: Keeper, title: str) -> None:
     """Write path, speeds and joints as one PNG, for `--picture`, folders made as needed.
 
     Raises:
-        OSError: the folder cannot be made.
         UniconError: the file cannot be written.
     """
     figure = drawn(_overview, keeper)
     assert figure is not None
     figure.suptitle(title)
-    target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    write_file(target, as_png(figure))
+    write_file(Path(path), as_png(figure), folders=True)
 
 
 def _overview(figure: Any, keeper: Keeper) -> bool:
@@ -53,23 +49,18 @@ def _overview(figure: Any, keeper: Keeper) -> bool:
     ).values()
     _path(path, keeper)
     for k, (name, unit) in enumerate(_SPEEDS):
-        time, measured = _measured(keeper, k)
-        speeds.plot(
-            *envelope(time, measured), color=f"C{k}", linewidth=0.8, label=f"{name} [{unit}]"
-        )
-        time, command = keeper.curve("velocity_command")
-        speeds.plot(*envelope(time, command[:, k]), color=f"C{k}", linestyle="--", linewidth=1.5)
+        curve(speeds, *_measured(keeper, k), f"C{k}", f"{name} [{unit}]")
+        curve(speeds, *_commanded(keeper, k), f"C{k}", linestyle="--", linewidth=1.5)
     speeds.set(title="velocity: measured, dashed as commanded", xlabel="time [s]")
     speeds.legend(loc="upper right")
     names = keeper.robot.joint_names
     # Matplotlib's own ten colours repeat: two joints would look like one.
     joints.set_prop_cycle(color=colormaps["turbo"](np.linspace(0.0, 1.0, len(names))))
-    joints.plot(*envelope(*keeper.curve("joint_pos")), linewidth=0.8, label=names)
+    curve(joints, *keeper.curve("joint_pos"), label=names)
     joints.set(title="joint positions", xlabel="time [s]", ylabel="[rad]")
     if len(names) <= 32:
         columns = 1 + (len(names) - 1) // 16
         joints.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=7, ncols=columns)
-    grids(path, speeds, joints)
     return True
 
 
@@ -90,50 +81,48 @@ def _shade(axes: Any, keeper: Keeper) -> None:
 
 
 def _measured(keeper: Keeper, k: int) -> tuple[NDArray[Any], NDArray[Any]]:
-    time, values = keeper.curve("base_ang_vel" if k == 2 else "base_lin_vel")
+    time, values = keeper.curve(_OF_SPEEDS[k])
+    return time, values[:, k]
+
+
+def _commanded(keeper: Keeper, k: int) -> tuple[NDArray[Any], NDArray[Any]]:
+    time, values = keeper.curve("velocity_command")
     return time, values[:, k]
 
 
 def _base(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
     """Path, and velocities as commanded and as they were."""
-    if not keeper.ticks or not (keeper.has("base_lin_vel") or keeper.has("base_ang_vel")):
+    if not any(map(keeper.has, _OF_SPEEDS)):
         return False
     placed = keeper.has("base_pos_w")
     figure.set_size_inches(12.0, 5.2)
-    layout = [["path", name] for name, _ in _SPEEDS] if placed else [[n] for n, _ in _SPEEDS]
-    axes = figure.subplot_mosaic(layout, width_ratios=[1.0, 1.3] if placed else [1.0])
+    layout = [["path", name][not placed :] for name, _ in _SPEEDS]
+    axes = figure.subplot_mosaic(layout, width_ratios=[1.0, 1.3][not placed :])
     if placed:
         _path(axes["path"], keeper)
     for k, (name, unit) in enumerate(_SPEEDS):
         below = axes[name]
-        state = "base_ang_vel" if k == 2 else "base_lin_vel"
-        if keeper.has(state):
-            below.plot(
-                *envelope(*_measured(keeper, k)), color=MEASURED, linewidth=0.9, label="measured"
-            )
+        if keeper.has(_OF_SPEEDS[k]):
+            curve(below, *_measured(keeper, k), MEASURED, "measured")
         if keeper.has("velocity_command"):
-            time, command = keeper.curve("velocity_command")
-            below.plot(
-                *envelope(time, command[:, k]), "--", color=COMMANDED, linewidth=1.4,
-                label="commanded",
-            )  # fmt: skip
+            look = {"linestyle": "--", "linewidth": 1.4}
+            curve(below, *_commanded(keeper, k), COMMANDED, "commanded", **look)
         _shade(below, keeper)
-        below.set_title(name, fontsize=10, loc="left")
+        below.set_title(name, loc="left")
         below.set_ylabel(f"[{unit}]")
         if k == 0:
-            below.legend(*_once(below), fontsize=8, loc="upper right", ncols=3)
-    axes[_SPEEDS[-1][0]].set_xlabel("time [s]")
-    grids(*axes.values())
+            below.legend(*_once(below), loc="upper right", ncols=3)
+    below.set_xlabel("time [s]")
     return True
 
 
 def beyond(keeper: Keeper) -> list[str]:
     """Return which joints were beyond a limit, and by how much: what is red in the pictures."""
     robot = keeper.robot
-    if not keeper.ticks or not keeper.has("joint_pos"):
+    if not keeper.has("joint_pos"):
         return []
     said: list[str] = []
-    low, high = _reached(keeper)
+    low, high = keeper.reached("joint_pos")
     names = robot.joint_names
     for what, past, limits in (
         ("below its lower limit", robot.lower - low, robot.lower),
@@ -153,14 +142,6 @@ def beyond(keeper: Keeper) -> list[str]:
     return said
 
 
-def _reached(keeper: Keeper) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return the lowest and the highest position of each joint in [rad]."""
-    return (
-        np.fmin.reduce(keeper.lowest("joint_pos"), axis=0),
-        np.fmax.reduce(keeper.highest("joint_pos"), axis=0),
-    )
-
-
 def _too_strong(torque: NDArray[Any], limit: NDArray[Any]) -> NDArray[np.bool_]:
     """Return where a torque is more than its limit, not by the rounding of a float32 alone."""
     return np.asarray(torque > limit * (1.0 + ROUNDING))
@@ -169,9 +150,9 @@ def _too_strong(torque: NDArray[Any], limit: NDArray[Any]) -> NDArray[np.bool_]:
 def _ranges(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
     """How much of its range each joint used, and of its torque."""
     robot = keeper.robot
-    if not keeper.ticks or not keeper.has("joint_pos"):
+    if not keeper.has("joint_pos"):
         return False
-    low, high = _reached(keeper)
+    low, high = keeper.reached("joint_pos")
     bounded = np.isfinite(robot.lower) & np.isfinite(robot.upper)
     torque = _peaks(keeper)
     told = bounded if torque is None else bounded | np.isfinite(robot.effort_limit)
@@ -191,12 +172,12 @@ def _ranges(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
     left.barh(places[bounded[shown]], 100.0, color="0.5", alpha=0.18)
     left.barh(places, np.nan_to_num(end - begin), left=np.nan_to_num(begin), color=colours,
               height=0.5)  # fmt: skip
-    left.set_yticks(places, names, fontsize=8)
+    left.set_yticks(places, names)
     left.set(xlabel="position [% of the way from its lower to its upper limit]")
     first, last = np.nan_to_num(begin).min(), np.nan_to_num(end).max()
     left.set_xlim(min(-2.0, first - 2.0), max(102.0, last + 2.0))
     left.invert_yaxis()
-    left.set_title("range that was used", fontsize=10)
+    left.set_title("range that was used")
     if torque is None:
         right.set_axis_off()
     else:
@@ -205,10 +186,8 @@ def _ranges(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
         colours = [BAD if bad else COMMANDED for bad in strong]
         right.barh(places, np.nan_to_num(share), color=colours, height=0.5)
         right.axvline(100.0, color=INK, linewidth=0.8)
-        right.set_title("largest torque", fontsize=10)
+        right.set_title("largest torque")
         right.set_xlabel("|torque| [% of its effort limit]")
-    for axes in (left, right):
-        axes.grid(axis="x", alpha=0.3)
     return True
 
 
@@ -216,40 +195,39 @@ def _peaks(keeper: Keeper) -> NDArray[Any] | None:
     """Return the largest torque of each joint, [N·m]; None where nobody tells one."""
     if not keeper.has("joint_effort") or not np.isfinite(keeper.robot.effort_limit).any():
         return None
-    low, high = keeper.lowest("joint_effort"), keeper.highest("joint_effort")
-    peaks: NDArray[Any] = np.fmax.reduce(np.maximum(np.abs(low), np.abs(high)), axis=0)
-    return peaks
+    return keeper.largest("joint_effort")
 
 
 def _joints(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
     """Positions over time between their limits, targets behind them."""
     robot = keeper.robot
-    if not keeper.ticks or not keeper.has("joint_pos"):
+    if not keeper.has("joint_pos"):
         return False
-    count = min(robot.num_joints, MOST)
-    lines = math.ceil(count / COLUMNS)
-    figure.set_size_inches(12.0, 0.7 + 1.5 * lines)
-    grid = figure.subplots(lines, COLUMNS, squeeze=False, sharex=True).reshape(-1)
-    for axes in grid[count:]:
-        axes.set_axis_off()
     shown = [("joint_pos_target", COMMANDED, "target"), ("joint_pos", MEASURED, "measured")]
-    for k, axes in enumerate(grid[:count]):
+    every = grid(figure, min(robot.num_joints, MOST), COLUMNS, 1.5, sharex=True)
+    for k, axes in enumerate(every):
         for name, colour, label in shown:
             if keeper.has(name):
                 time, values = keeper.curve(name)
-                curve = envelope(time, values[:, k], SMALL)
-                axes.plot(*curve, color=colour, linewidth=0.8, label=label)
-        for limit in (robot.lower[k], robot.upper[k]):
-            if np.isfinite(limit):
-                axes.axhline(limit, color=BAD, linewidth=0.9, linestyle=":", label="limit")
+                curve(axes, time, values[:, k], colour, label, SMALL)
+        _limits(axes, (robot.lower[k], robot.upper[k]), "limit")
         _shade(axes, keeper)
         axes.set_title(robot.joint_names[k], fontsize=8, loc="left")
-        axes.tick_params(labelsize=7)
-    grids(*grid[:count])
-    figure.legend(*_once(*grid[:count]), loc="outside upper right", ncols=4, fontsize=8)
-    figure.supylabel("[rad]", fontsize=9)
-    figure.supxlabel("time [s]", fontsize=9)
+    _around(figure, every, "[rad]")
     return True
+
+
+def _limits(axes: Any, limits: tuple[float, float], label: str) -> None:
+    for limit in limits:
+        if np.isfinite(limit):
+            axes.axhline(limit, color=BAD, linestyle=":", label=label)
+
+
+def _around(figure: Any, every: Any, label: str) -> None:
+    """Write what all axes of a figure share around them."""
+    figure.legend(*_once(*every), loc="outside upper right", ncols=4)
+    figure.supylabel(label)
+    figure.supxlabel("time [s]")
 
 
 def _once(*all_axes: Any) -> tuple[list[Any], list[str]]:
@@ -262,35 +240,19 @@ def _once(*all_axes: Any) -> tuple[list[Any], list[str]]:
 
 def _torque(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
     """Torque over time of the joints that came nearest to their effort limit."""
-    peaks, robot = _peaks(keeper) if keeper.ticks else None, keeper.robot
+    peaks, robot = _peaks(keeper), keeper.robot
     if peaks is None:
         return False
     share = np.nan_to_num(peaks / robot.effort_limit)
     order = np.argsort(-share, kind="stable")[:TOP]
-    lines = math.ceil(len(order) / 2)
-    figure.set_size_inches(12.0, 0.7 + 1.7 * lines)
-    grid = figure.subplots(lines, 2, squeeze=False, sharex=True).reshape(-1)
-    for axes in grid[len(order) :]:
-        axes.set_axis_off()
+    every = grid(figure, len(order), 2, 1.7, sharex=True)
     time, values = keeper.curve("joint_effort")
-    for axes, k in zip(grid, order):
-        axes.plot(
-            *envelope(time, values[:, k], 2 * SMALL),
-            color=MEASURED,
-            linewidth=0.8,
-            label="measured",
-        )
+    for axes, k in zip(every, order):
+        curve(axes, time, values[:, k], MEASURED, "measured", 2 * SMALL)
         limit = float(robot.effort_limit[k])
-        if np.isfinite(limit):
-            for line in (-limit, limit):
-                axes.axhline(line, color=BAD, linewidth=0.9, linestyle=":", label="effort limit")
-        axes.set_title(
-            f"{robot.joint_names[k]}: {share[k]:.0%} of its limit", fontsize=9, loc="left"
-        )
-    grids(*grid[: len(order)])
-    figure.legend(*_once(*grid[: len(order)]), loc="outside upper right", ncols=3, fontsize=8)
-    figure.supylabel("torque [N·m]", fontsize=9)
-    figure.supxlabel("time [s]", fontsize=9)
+        _limits(axes, (-limit, limit), "effort limit")
+        axes.set_title(f"{robot.joint_names[k]}: {share[k]:.0%} of its limit", loc="left")
+    _around(figure, every, "torque [N·m]")
     return True
 
 
@@ -303,7 +265,7 @@ def _timing(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
     late = (rows[:, 2] - rows[:, 0]) * 1e-3
     paced = keeper.paced
     if len(rows) < statistics.count:
-        figure.suptitle(f"the last {len(rows):,} of {statistics.count:,} ticks", fontsize=10)
+        figure.suptitle(f"the last {len(rows):,} of {statistics.count:,} ticks")
     period = keeper.period * 1e6
     figure.set_size_inches(12.0, 5.4 if paced else 5.0)
     layout = [["busy", "late"], ["over", "over"]] if paced else [["busy"], ["over"]]
@@ -323,18 +285,15 @@ def _timing(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
         axes[name].axvline(period, color=BAD, linestyle=":", label="next deadline")
         axes[name].set(xscale="log", yscale="log", ylabel="ticks", xlabel=f"{name} [µs], {what}")
         axes[name].set_ylim(bottom=0.7)
-        axes[name].legend(fontsize=8)
-        axes["over"].plot(
-            *envelope(number, values), color=colour, linewidth=0.7, alpha=0.9, label=name
-        )
+        axes[name].legend()
+        curve(axes["over"], number, values, colour, name)
     axes["over"].axhline(period, color=BAD, linestyle=":", label="next deadline")
     axes["over"].set(yscale="log", ylabel="[µs]", xlabel="number of the tick in the run")
-    axes["over"].legend(fontsize=8, loc="upper right", ncols=3)
-    grids(*axes.values())
+    axes["over"].legend(loc="upper right", ncols=3)
     return True
 
 
-PICTURES: dict[str, tuple[Callable[[Any, Keeper, TickStatistics], bool], str, str]] = {
+PICTURES: Pictures = {
     "base": (
         _base,
         "Path and velocity",

@@ -9,13 +9,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from unicon_core import __version__
-from unicon_core.page import figure, findings, number, page, pairs, place, table, write_file
+from unicon_core.page import findings, number, page, pairs, place, table, write_file
 from unicon_core.runtime.phases import describe
 from unicon_ros.recording.facts import facts_of
-from unicon_ros.report.drawing import as_svg, drawn
+from unicon_ros.report.drawing import drawings
 from unicon_ros.report.kept import Keeper
 from unicon_ros.report.pictures import PICTURES, beyond
 
@@ -46,26 +44,15 @@ class RunPage:
         """Write the page, folders made as needed.
 
         Raises:
-            OSError: the folder cannot be made.
             UniconError: the page cannot be written.
         """
-        title = f"{report.workflow} on {report.robot} ({report.platform})"
         parts = [
-            f"<h1>{html.escape(title)}</h1>",
-            f'<p class="sub">{html.escape(self._subtitle(report))}</p>',
             findings(self._said(report), bad=bool(report.faults or report.fell)),
             "<h2>Run</h2>",
             pairs(self._about(report)),
         ]
-        for name, (fill, heading, caption) in PICTURES.items():
-            try:
-                picture = drawn(fill, self._keeper, self._runner.statistics)
-                if picture is None:
-                    continue
-                parts.append(figure(heading, caption, as_svg(picture, name)))
-            except Exception as error:  # the rest of the page is shown for all that
-                why = f"could not be drawn: {type(error).__name__}: {error}"
-                parts.append(f"<h2>{html.escape(heading)}</h2><p>{html.escape(why)}</p>")
+        for name, shown in drawings(PICTURES, self._keeper, self._runner.statistics):
+            parts.append(shown)
             if name == "ranges":
                 parts += ["<h2>Every joint</h2>", self._joints()]
         parts += ["<h2>Blocks</h2>", self._blocks(report), "<h2>Phases</h2>", self._in_phases()]
@@ -77,13 +64,11 @@ class RunPage:
             f'<p class="sub">unicon_ros {__version__}; all figures with all digits: '
             "--report FILE.json; every state of every tick: --record FILE.mcap</p>",
         ]
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        write_file(self.path, page(title, parts).encode())
-
-    def _subtitle(self, report: Report) -> str:
+        title = f"{report.workflow} on {report.robot} ({report.platform})"
         robots = self._runner.program.states.num_robots
         many = "" if robots is None else f"; the first of {robots} robots is shown"
-        return f"begun {self._begun}{many}"
+        text = page(title, f"begun {self._begun}{many}", parts)
+        write_file(self.path, text.encode(), folders=True)
 
     def _said(self, report: Report) -> list[str]:
         """Return what stands out, most important first."""
@@ -146,23 +131,15 @@ class RunPage:
         robot = keeper.robot
         if not keeper.ticks:
             return "<p>no tick was run</p>"
-        heads = ["joint", "lowest<br><small>rad</small>", "highest<br><small>rad</small>"]
-        heads += ["lower limit<br><small>rad</small>", "upper limit<br><small>rad</small>"]
-        columns = [
-            np.fmin.reduce(keeper.lowest("joint_pos"), axis=0),
-            np.fmax.reduce(keeper.highest("joint_pos"), axis=0),
-            robot.lower,
-            robot.upper,
-        ]
+        heads = ["joint", "lowest\nrad", "highest\nrad", "lower limit\nrad", "upper limit\nrad"]
+        columns = [*keeper.reached("joint_pos"), robot.lower, robot.upper]
         for state, limit, unit, what in (
             ("joint_vel", robot.velocity_limit, "rad/s", "speed"),
             ("joint_effort", robot.effort_limit, "N·m", "torque"),
         ):
             if keeper.has(state):
-                sizes = np.maximum(abs(keeper.lowest(state)), abs(keeper.highest(state)))
-                columns += [np.fmax.reduce(sizes, axis=0), limit]
-                heads.append(f"largest {what}<br><small>{unit}</small>")
-                heads.append(f"{what} limit<br><small>{unit}</small>")
+                columns += [keeper.largest(state), limit]
+                heads += [f"largest {what}\n{unit}", f"{what} limit\n{unit}"]
         rows = [
             [name, *(number(float(column[k])) for column in columns)]
             for k, name in enumerate(robot.joint_names)
@@ -171,8 +148,8 @@ class RunPage:
 
     def _blocks(self, report: Report) -> str:
         period = self._runner.program.period * 1e6
-        heads = ["block", *(f"{n}<br><small>µs</small>" for n in ("p50", "p99", "max"))]
-        heads += ["p50<br><small>% of the period</small>", "calls", "late ticks by it"]
+        heads = ["block", "p50\nµs", "p99\nµs", "max\nµs"]
+        heads += ["p50\n% of the period", "calls", "late ticks by it"]
         rows = [
             [
                 label,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise
 from typing import Any
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_ros.report.drawing import INK, MARK
+from unicon_ros.report.drawing import MARK, Pictures, grid
 from unicon_ros.sweep.proportions import wilson
 from unicon_ros.sweep.results import Results
 
@@ -87,24 +87,19 @@ def _each(figure: Any, results: Results) -> bool:
     shown = _varied(results, BINS)
     if not shown or not results.good:
         return False
-    lines = -(-len(shown) // COLUMNS)
-    figure.set_size_inches(12.0, 3.1 * lines)
-    grid = figure.subplots(lines, COLUMNS, squeeze=False, sharey=True).reshape(-1)
+    every = grid(figure, len(shown), COLUMNS, 3.1, sharey=True)
     hits = _hits(results)
-    for axes in grid[len(shown) :]:
-        axes.set_axis_off()
-    for axes, bins in zip(grid, shown):
+    for axes, bins in zip(every, shown):
         places = np.arange(len(bins.labels))
         counts = bins.count(hits)
-        rates = np.array([some / every if every else np.nan for some, every in counts])
-        ends = np.array([wilson(some, every) for some, every in counts])
+        rates = np.array([some / count if count else np.nan for some, count in counts])
+        ends = np.array([wilson(*each) for each in counts])
         axes.vlines(places, ends[:, 0], ends[:, 1], color=MARK, linewidth=2.0, alpha=0.5)
         axes.plot(places, rates, "o", color=MARK)
         axes.set_xticks(places, bins.labels, rotation=35, ha="right", fontsize=7)
-        axes.set_title(bins.path, fontsize=9)
+        axes.set_title(bins.path)
         axes.set_ylim(-0.03, 1.03)
-        axes.grid(alpha=0.3)
-    for axes in grid[::COLUMNS]:
+    for axes in every[::COLUMNS]:
         axes.set_ylabel("share that fell")
     return True
 
@@ -114,13 +109,8 @@ def _pairs(figure: Any, results: Results) -> bool:
     pairs = list(combinations(shown, 2))
     if not pairs or not results.good:
         return False
-    lines = -(-len(pairs) // COLUMNS)
-    figure.set_size_inches(12.0, 3.6 * lines)
-    grid = figure.subplots(lines, COLUMNS, squeeze=False).reshape(-1)
     hits = _hits(results)
-    for axes in grid[len(pairs) :]:
-        axes.set_axis_off()
-    for axes, (across, up) in zip(grid, pairs):
+    for axes, (across, up) in zip(grid(figure, len(pairs), COLUMNS, 3.6), pairs):
         shape = (len(up.labels), len(across.labels))
         every, some = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
         np.add.at(every, (up.places, across.places), 1)
@@ -134,12 +124,12 @@ def _pairs(figure: Any, results: Results) -> bool:
                 axes.text(k, i, text, ha="center", va="center", fontsize=6, color=ink)
         axes.set_xticks(range(shape[1]), across.labels, rotation=35, ha="right", fontsize=6)
         axes.set_yticks(range(shape[0]), up.labels, fontsize=6)
-        axes.set_xlabel(across.path, fontsize=8, color=INK)
-        axes.set_ylabel(up.path, fontsize=8, color=INK)
+        axes.grid(False)
+        axes.set(xlabel=across.path, ylabel=up.path)
     return True
 
 
-PICTURES: dict[str, tuple[Callable[..., bool], str, str]] = {
+PICTURES: Pictures = {
     "falls": (
         _each,
         "Falls over each parameter",

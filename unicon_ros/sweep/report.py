@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import html
 from pathlib import Path
-from typing import Any
 
-from unicon_core.page import figure, findings, number, page, pairs, table, units, write_file
-from unicon_ros.report.drawing import as_svg, drawn, require
+from unicon_core.page import findings, number, page, pairs, table, write_file
+from unicon_ros.report.drawing import drawings, require
 from unicon_ros.sweep.figures import COLUMNS
 from unicon_ros.sweep.pictures import PICTURES
 from unicon_ros.sweep.results import Results
@@ -28,19 +26,11 @@ def write_report(results: Results) -> Path:
         UniconError: it cannot be written.
     """
     require("unicon sweep report")
-    figures = []
-    for name, (fill, heading, caption) in PICTURES.items():
-        picture = drawn(fill, results)
-        if picture is not None:
-            figures.append(figure(heading, caption, as_svg(picture, name)))
-    title = f"{results.identity['workflow']}: {len(results)} rollouts"
     parts = [
-        f"<h1>{html.escape(title)}</h1>",
-        f'<p class="sub">{html.escape(_varied(results))}</p>',
         _said(results),
         "<h2>Figures</h2>",
-        table([html.escape(head) for head in HEADS], figure_rows(results)),
-        *figures,
+        table(HEADS, figure_rows(results)),
+        *(shown for _, shown in drawings(PICTURES, results)),
         "<h2>Worst cases</h2>",
         '<p class="sub">Each command runs its row again, to the bit: its report (--report FILE) '
         "has the same sha256_commands.</p>",
@@ -51,7 +41,8 @@ def write_report(results: Results) -> Path:
         _facts(results),
     ]
     path = results.path / "report.html"
-    write_file(path, page(title, parts).encode())
+    title = f"{results.identity['workflow']}: {len(results)} rollouts"
+    write_file(path, page(title, _varied(results), parts).encode())
     return path
 
 
@@ -74,8 +65,8 @@ def _said(results: Results) -> str:
 
 
 def _worst(results: Results) -> str:
-    heads = ("row", "outcome", "fall_s", "distance_m", "speed_error", "block", "said", "command")
-    below = ["", "", "s", "m", "m/s", "", "", ""]
+    figures = ("fall_s", "distance_m", "speed_error")
+    heads = [f"{name}\n{COLUMNS[name].unit}" for name in figures]
     rows = []
     for place in results.worst(WORST):
         row = results.row(place)
@@ -83,17 +74,13 @@ def _worst(results: Results) -> str:
             [
                 str(row["row"]),
                 str(row["outcome"]),
-                *(_number(row[name]) for name in ("fall_s", "distance_m", "speed_error")),
+                *(number(row[name]) for name in figures),
                 str(row["fault_block"] or ""),
                 str(row["text"] or "")[:120],
                 results.command(place),
             ]
         )
-    return table(units(heads, below), rows, words=True)
-
-
-def _number(value: Any) -> str:
-    return "–" if value is None else number(float(value))
+    return table(["row", "outcome", *heads, "block", "said", "command"], rows, words=True)
 
 
 def _facts(results: Results) -> str:

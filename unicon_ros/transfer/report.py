@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import html
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from unicon_core.page import figure, findings, page, pairs, table, write_file
-from unicon_ros.report.drawing import as_png, as_svg, drawn
+from unicon_core.page import findings, page, pairs, table, write_file
+from unicon_ros.report.drawing import drawings
 from unicon_ros.transfer.pictures import PICTURES, tracks_of
 from unicon_ros.transfer.results import OUTCOMES
-from unicon_ros.transfer.table import COLUMNS, cell, row
+from unicon_ros.transfer.table import COLUMNS, cell, heads, row
 
 _WORDS = {
     "runs": "how many of the runs that were asked for have come to an end",
@@ -34,38 +33,23 @@ def write_report(result: Mapping[str, Any], folder: Path) -> Path:
         UniconError: a file cannot be written.
     """
     tracks = tracks_of(result, folder)
-    figures = []
-    for name, (fill, heading, caption) in PICTURES.items():
-        picture = drawn(fill, result, tracks)
-        if picture is not None:
-            write_file(folder / f"{name}.png", as_png(picture))
-            figures.append(figure(heading, caption, as_svg(picture, name)))
-    title = f"{result['workflow']['name']} in {len(result['platforms'])} simulators"
     parts = [
-        f"<h1>{html.escape(title)}</h1>",
-        f'<p class="sub">{html.escape(result["workflow"]["description"])}</p>',
         _said(result),
         "<h2>Comparison</h2>",
-        table(_heads(), [row(each) for each in result["platforms"]]),
+        table(heads("\n{}"), [row(each) for each in result["platforms"]]),
         _legend(result),
-        *figures,
+        *(shown for _, shown in drawings(PICTURES, result, tracks, folder=folder)),
         "<h2>What was run</h2>",
         _facts(result),
         _engines(result),
         '<p class="sub">All figures of all runs, with all digits: transfer.json; the states of '
         "every tick: runs/PLATFORM/seed_K.npz, which unicon analyze reads. unicon_ros "
-        f"{html.escape(result['unicon_ros'])}</p>",
+        f"{result['unicon_ros']}</p>",
     ]
-    path = folder / "report.html"
-    write_file(path, page(title, parts).encode())
+    path, workflow = folder / "report.html", result["workflow"]
+    title = f"{workflow['name']} in {len(result['platforms'])} simulators"
+    write_file(path, page(title, workflow["description"], parts).encode())
     return path
-
-
-def _heads() -> list[str]:
-    figures = [
-        f"{html.escape(n)}<br><small>{html.escape(u)}</small>" for n, u, _ in COLUMNS.values()
-    ]
-    return ["platform", "runs", *figures, "falls", "outcome"]
 
 
 def _said(result: Mapping[str, Any]) -> str:

@@ -40,9 +40,9 @@ COLUMNS: dict[str, tuple[str, str, str]] = {
 FACTORS = {"distance_share": 100.0}
 
 
-def heads() -> list[str]:
-    """Return the headings of all columns."""
-    figures = [f"{name} [{unit}]" for name, unit, _ in COLUMNS.values()]
+def heads(form: str = " [{}]") -> list[str]:
+    """Return the headings of all columns, with their units in a form."""
+    figures = [f"{name}{form.format(unit)}" for name, unit, _ in COLUMNS.values()]
     return ["platform", "runs", *figures, "falls", "outcome"]
 
 
