@@ -21,6 +21,8 @@ with several mistakes has `problems`, and a line for each.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from importlib import import_module
+from typing import Any
 
 
 class UniconError(Exception):
@@ -120,6 +122,25 @@ class MissingDependencyError(UniconError):
     def __init__(self, what: str, package: str, install: str) -> None:
         super().__init__(f"{what} needs {package}: {install}")
         self.package = package
+
+
+def imported(name: str, what: str, package: str, extra: str) -> Any:
+    """Return an optional module.
+
+    Args:
+        name: of the module.
+        what: who needs it, such as `"--picture"`.
+        package: the distribution's name.
+        extra: of `unicon_ros`, which installs it.
+
+    Raises:
+        MissingDependencyError: it is not installed.
+    """
+    try:
+        return import_module(name)
+    except ModuleNotFoundError as error:
+        install = f"pip install 'unicon_ros[{extra}]'"
+        raise MissingDependencyError(what, package, install) from error
 
 
 class Fault(Exception):

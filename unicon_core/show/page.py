@@ -117,8 +117,7 @@ def _policies(program: Program) -> Iterator[str]:
                 **({"taken": "; ".join(contract.notes)} if contract.notes else {}),
             }
         )
-        prefix = prefix_of(name, program.policies)
-        seen = PrefixedStates(program.states, prefix) if prefix else program.states
+        seen = PrefixedStates(program.states, prefix_of(name, program.policies))
         head, *rows = joint_rows(contract, program.robot)
         yield "<h3>Joints, in the policy's order</h3>"
         yield table(head, rows, words=True)

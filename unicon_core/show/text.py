@@ -53,8 +53,7 @@ def show_text(
         for name, contract in policies.items():
             parts += [f"joints of policy {name}", joint_table(contract, robot)]
             parts += [f"note: {note}" for note in contract.notes]
-            prefix = prefix_of(name, policies)
-            seen = PrefixedStates(states, prefix) if prefix else states
+            seen = PrefixedStates(states, prefix_of(name, policies))
             table = observation_table(contract, robot, seen)
             parts += [f"observation of policy {name}", table]
     return "\n\n".join(parts)

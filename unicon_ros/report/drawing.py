@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.errors import MissingDependencyError
+from unicon_core.errors import imported
 from unicon_core.page import figure as figure_html
 from unicon_core.page import write_file
 
@@ -59,12 +59,7 @@ def require(what: str) -> None:
     Raises:
         MissingDependencyError: matplotlib is not installed.
     """
-    try:
-        import matplotlib  # noqa: F401
-    except ModuleNotFoundError as error:
-        raise MissingDependencyError(
-            what, "matplotlib", "pip install 'unicon_ros[plots]'"
-        ) from error
+    imported("matplotlib", what, "matplotlib", "plots")
 
 
 def drawn(fill: Callable[..., bool], *of: Any) -> Figure | None:

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from unicon_core.aligned import aligned
-from unicon_core.errors import MissingDependencyError, UniconError
+from unicon_core.errors import UniconError, imported
 from unicon_ros.sweep.figures import COLUMNS
-from unicon_ros.sweep.proportions import fisher, mcnemar, wilson
+from unicon_ros.sweep.proportions import wilson
 from unicon_ros.sweep.results import Results
 
 SURE = 0.05
@@ -34,12 +34,7 @@ def comparison(a: Results, b: Results) -> str:
         UniconError: there is nothing to compare.
         MissingDependencyError: scipy is not installed.
     """
-    try:
-        from scipy import stats
-    except ModuleNotFoundError as error:
-        raise MissingDependencyError(
-            "unicon sweep compare", "scipy", "pip install 'unicon_ros[sweep]'"
-        ) from error
+    stats = imported("scipy.stats", "unicon sweep compare", "scipy", "sweep")
     for each in (a, b):
         if not each.good:
             raise UniconError(f"{each.path} has no rollout with a result; run it first")
@@ -51,9 +46,10 @@ def comparison(a: Results, b: Results) -> str:
     hits, counts = [sum(each) for each in fell], [len(each) for each in fell]
     if pairs:
         only_a = sum(x and not y for x, y in zip(*fell))
-        p = mcnemar(only_a, sum(y and not x for x, y in zip(*fell)))
+        differ = only_a + sum(y and not x for x, y in zip(*fell))
+        p = stats.binomtest(only_a, differ).pvalue if differ else 1.0
     else:
-        p = fisher(hits[0], counts[0], hits[1], counts[1])
+        p = stats.fisher_exact([[hit, count - hit] for hit, count in zip(hits, counts)])[1]
     rows: list[tuple[str, ...]] = [("figure", "A", "B", "B - A", "p", "")]
     shares = [_share(hit, count) for hit, count in zip(hits, counts)]
     apart = hits[1] / counts[1] - hits[0] / counts[0]

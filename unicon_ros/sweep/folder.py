@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from unicon_core.errors import MissingDependencyError, UniconError
+from unicon_core.errors import UniconError, imported
 from unicon_core.page import write_file
 from unicon_ros.sweep.identity import changes, code_sha256, versions
 from unicon_ros.sweep.plan import Plan
@@ -29,12 +29,7 @@ def require_pyarrow() -> None:
     Raises:
         MissingDependencyError: pyarrow is not installed.
     """
-    try:
-        import pyarrow.parquet  # noqa: F401
-    except ModuleNotFoundError as error:
-        raise MissingDependencyError(
-            "unicon sweep", "pyarrow", "pip install 'unicon_ros[sweep]'"
-        ) from error
+    imported("pyarrow.parquet", "unicon sweep", "pyarrow", "sweep")
 
 
 class Folder:

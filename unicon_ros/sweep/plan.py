@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.errors import MissingDependencyError, UniconError, WorkflowError
+from unicon_core.errors import UniconError, WorkflowError, imported
 from unicon_core.located_yaml import Located, read_yaml
 from unicon_core.resources import find_config, sha256_of
 from unicon_core.workflow.document import WorkflowDocument
@@ -108,22 +108,15 @@ class Plan:
                 values.append(each.values[at])
             return tuple(reversed(values))
         if self.sweep.sample == "sobol":
-            places: Sequence[float] = self._sobol[point].tolist()
+            places = self._sobol[point]
         else:
-            places = (
-                np.random.default_rng((self.sweep.seed, point)).random(len(parameters)).tolist()
-            )
-        return tuple(each.at(u) for each, u in zip(parameters, places))
+            places = np.random.default_rng((self.sweep.seed, point)).random(len(parameters))
+        return tuple(each.at(u) for each, u in zip(parameters, places.tolist()))
 
     @cached_property
     def _sobol(self) -> NDArray[np.float64]:
         """All points of a scrambled Sobol sequence, shape (points, parameters)."""
-        try:
-            from scipy.stats import qmc
-        except ModuleNotFoundError as error:
-            raise MissingDependencyError(
-                "sample: sobol", "scipy", "pip install 'unicon_ros[sweep]'"
-            ) from error
+        qmc = imported("scipy.stats", "sample: sobol", "scipy", "sweep").qmc
         count = self.sweep.points
         bits = max(1, (count - 1).bit_length())
         random = np.random.default_rng(self.sweep.seed)

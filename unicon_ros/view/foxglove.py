@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping
 from types import SimpleNamespace
 from typing import Any, cast
 
-from unicon_core.errors import MissingDependencyError
+from unicon_core.errors import imported
 from unicon_core.platforms.platform import Facts
 from unicon_core.states import States
 from unicon_core.workflow import Program
@@ -31,8 +31,6 @@ from unicon_ros.view.source import Remote, Source
 APP = "https://app.foxglove.dev"
 """Whose pages may come in besides those of this machine."""
 
-COMMAND = "velocity_command"
-TWIST = "geometry_msgs/msg/Twist"
 TRIGGER = "std_srvs/srv/Trigger"
 BACKLOG = 4096
 """Messages that are kept for a slow client; older ones are dropped for it alone."""
@@ -71,13 +69,8 @@ class Foxglove:
     def __init__(
         self, shown: Shown, source: Source, remote: Remote, options: Mapping[str, Any]
     ) -> None:
-        try:
-            import foxglove
-            from foxglove import websocket
-        except ImportError as error:
-            raise MissingDependencyError(
-                "--view=foxglove", "foxglove-sdk", "pip install 'unicon_ros[foxglove]'"
-            ) from error
+        foxglove = imported("foxglove", "--view=foxglove", "foxglove-sdk", "foxglove")
+        websocket = foxglove.websocket
         self._sdk, self._shown, self._source, self._remote = websocket, shown, source, remote
         self._states = States(shown.layout)
         self._context = foxglove.Context()

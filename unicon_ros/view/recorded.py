@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -126,7 +125,7 @@ class RecordedSource:
         self.texts: dict[str, Any] = {
             "waits_for": "",
             "timed": False,
-            "faults": _lines(record.facts.get("faults", "")),
+            "faults": list(map(str, record.told("faults", list) or ())),
             "notes": [f"recording {record.paths[0].name}", *(notes or ())],
         }
 
@@ -166,11 +165,3 @@ def _times(record: Record) -> NDArray[np.float64]:
     if (np.diff(stamps) >= 0.0).all() and stamps[-1] > 0.5 * (len(stamps) - 1) * record.period:
         return stamps
     return np.arange(len(stamps), dtype=np.float64) * record.period
-
-
-def _lines(text: str) -> list[str]:
-    try:
-        said = json.loads(text or "[]")
-    except ValueError:
-        return []
-    return [str(line) for line in said] if isinstance(said, list) else []

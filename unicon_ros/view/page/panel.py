@@ -3,17 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from unicon_ros.view.page.history import History
 from unicon_ros.view.page.plots import ALL, TIMES, VELOCITY, Plot, choices, element_choices
 from unicon_ros.view.page.scene import Scene
 from unicon_ros.view.page.words import legend_html
-from unicon_ros.view.shown import Shown
+from unicon_ros.view.shown import Parameter, Shown
 
 NONE = "nothing"
 _AXES = ("vx [m/s]", "vy [m/s]", "wz [rad/s]")
 _HINTS = ("forwards", "to the left", "turning to the left")
+
+
+def _on(event: Callable[[Any], object], do: Callable[[Any], object]) -> None:
+    """Let what a viewer does to a widget do something; viser calls one after the other.
+
+    Args:
+        event: `on_click` or `on_update` of the widget.
+        do: takes viser's event.
+    """
+
+    @event
+    async def _(happened: Any) -> None:
+        if happened.client is not None:  # else it was set from here
+            do(happened)
 
 
 class Chart:
@@ -36,11 +51,8 @@ class Chart:
             self._state = gui.add_dropdown(
                 "plot", known, initial_value=first if first in known else NONE
             )
-        self._changed = "state"
-
-        @self._state.on_update
-        async def _(_: Any) -> None:
-            self._changed = "state"
+        self._changed = {"state"}
+        _on(self._state.on_update, lambda _: self._changed.add("state"))
 
     def refresh(self, seconds: float) -> None:
         """Draw the newest curves, anew where something else is chosen."""
@@ -50,9 +62,9 @@ class Chart:
             self._chart.data = self._plot.data(seconds)
 
     def _build(self, seconds: float) -> None:
-        what, self._changed = self._changed, ""
+        changed, self._changed = self._changed, set()
         layout, state = self._shown.layout, self._state.value
-        if what == "state":
+        if "state" in changed:
             if self._elements is not None:
                 self._elements.remove()
                 self._elements = None
@@ -60,11 +72,7 @@ class Chart:
             if len(known) > 1:
                 with self._folder:
                     self._elements = self._gui.add_dropdown("of", known, initial_value=known[0])
-
-                @self._elements.on_update
-                async def _(_: Any) -> None:
-                    self._changed = self._changed or "elements"
-
+                _on(self._elements.on_update, lambda _: self._changed.add("elements"))
         if self._chart is not None:
             self._chart.remove()
             self._chart = None
@@ -137,12 +145,15 @@ class Panel:
                 ("contacts", "contacts"),
                 ("path", "path"),
             ):
-                self._switch(gui, scene, label, name)
+                box = gui.add_checkbox(label, True)
+                _on(box.on_update, partial(self._switch, scene, name))
         gui.add_html(legend_html(bool(shown.robot.feet)))
         with gui.add_folder("running part of the graph", visible=bool(shown.graph)):
             self.graph = gui.add_html("")
         if span is None and shown.parameters:
-            self._parameters(gui)
+            with gui.add_folder("Parameters", expand_by_default=False):
+                for name, parameter in shown.parameters.items():
+                    self._parameter(gui, name, parameter)
         plots = gui.add_panel()
         with plots.add_tab("Plots"):
             self.window = gui.add_slider("last [s]", 1.0, 12.0, 1.0, 6.0)
@@ -207,31 +218,24 @@ class Panel:
                     "U O sideways, J L turn; half speed, with Shift full.</div>"
                 )
         with gui.add_folder("Run"):
-            acts = ["start", "stop"]
-            self._acts(gui, acts)
+            self._acts(gui, "start", "stop")
             if shown.simulated:
-                self._acts(gui, ["pause", "step", "reset"])
+                self._acts(gui, "pause", "step", "reset")
             if shown.skills:
                 group = gui.add_button_group("skill", shown.skills)
+                _on(group.on_click, lambda e: self._do("act", "skill", {"name": e.target.value}))
 
-                @group.on_click
-                async def _(event: Any) -> None:
-                    self._do("act", "skill", {"name": event.target.value})
+    @staticmethod
+    def _switch(scene: Scene, name: str, event: Any) -> None:
+        setattr(scene, name, event.target.value)
 
-    def _acts(self, gui: Any, names: list[str]) -> None:
-        group = gui.add_button_group(" ", tuple(names))
-
-        @group.on_click
-        async def _(event: Any) -> None:
-            self._do("act", event.target.value, {})
+    def _acts(self, gui: Any, *names: str) -> None:
+        group = gui.add_button_group(" ", names)
+        _on(group.on_click, lambda event: self._do("act", event.target.value, {}))
 
     def _button(self, gui: Any, label: str, what: str, colour: str, visible: bool = True) -> Any:
         button = gui.add_button(label, color=colour, visible=visible)
-
-        @button.on_click
-        async def _(_: Any) -> None:
-            self._do(what)
-
+        _on(button.on_click, lambda _: self._do(what))
         return button
 
     def _slider(self, gui: Any, axis: str, hint: str, low: float, high: float) -> Any:
@@ -240,53 +244,25 @@ class Panel:
             axis, round(low, 2), round(max(high, low + 0.01), 2), 0.01, 0.0, hint=hint,
             disabled=True,
         )  # fmt: skip
-
-        @slider.on_update
-        async def _(event: Any) -> None:
-            if event.client is not None:  # else it was set from here
-                self._do("steer", [slider.value for slider in self.sliders])
-
+        _on(slider.on_update, lambda _: self._do("steer", [each.value for each in self.sliders]))
         return slider
 
-    def _switch(self, gui: Any, scene: Scene, label: str, name: str) -> None:
-        box = gui.add_checkbox(label, True)
-
-        @box.on_update
-        async def _(_: Any) -> None:
-            setattr(scene, name, box.value)
-
-    def _parameters(self, gui: Any) -> None:
-        with gui.add_folder("Parameters", expand_by_default=False):
-            for name, parameter in self._shown.parameters.items():
-                self._parameter(gui, name, parameter)
-
-    def _parameter(self, gui: Any, name: str, parameter: Any) -> None:
+    def _parameter(self, gui: Any, name: str, parameter: Parameter) -> None:
         number = gui.add_number(
-            name, float(parameter.value), min=float(parameter.low), max=float(parameter.high),
-            step=0.01, hint=parameter.description,
+            name, parameter.value, min=parameter.low, max=parameter.high, step=0.01,
+            hint=parameter.description,
         )  # fmt: skip
 
-        @number.on_update
-        async def _(event: Any) -> None:
-            if event.client is not None:
-                self._do("act", "set_parameter", {"name": name, "value": number.value})
+        def change(_: Any) -> None:
+            self._do("act", "set_parameter", {"name": name, "value": number.value})
+
+        _on(number.on_update, change)
 
     def _recorded(self, gui: Any, span: tuple[float, float]) -> None:
         with gui.add_folder("Recording"):
             self.time = gui.add_slider("time [s]", span[0], max(span[1], span[0] + 0.01), 0.01,
                                        span[0])  # fmt: skip
-            self.play = gui.add_button("Play", color="blue")
+            self.play = self._button(gui, "Play", "play", "blue")
             speed = gui.add_dropdown("speed", ("0.25", "0.5", "1", "2", "5", "10"), "1")
-
-        @self.time.on_update
-        async def _(event: Any) -> None:
-            if event.client is not None:
-                self._do("seek", self.time.value)
-
-        @self.play.on_click
-        async def _(_: Any) -> None:
-            self._do("play")
-
-        @speed.on_update
-        async def _(_: Any) -> None:
-            self._do("speed", float(speed.value))
+        _on(self.time.on_update, lambda _: self._do("seek", self.time.value))
+        _on(speed.on_update, lambda _: self._do("speed", float(speed.value)))

@@ -10,6 +10,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from unicon_core.models.loaded import LoadedModel, import_mujoco
+from unicon_core.platforms.kit.base import rotation
 
 _SHOWN = 3
 """MuJoCo's own viewers hide the groups of geoms from here on."""
@@ -55,7 +56,7 @@ def shapes_of(loaded: LoadedModel) -> list[Shape]:
         if found is None:
             continue
         matrix = np.eye(4)
-        matrix[:3, :3] = _turned(model.geom_quat[geom])
+        matrix[:3, :3] = rotation(model.geom_quat[geom])
         matrix[:3, 3] = model.geom_pos[geom]
         parts.setdefault((body, colour), []).append(found.apply_transform(matrix))
         dressed.add(body)
@@ -80,12 +81,6 @@ def _colour(model: Any, geom: int) -> tuple[float, ...]:
     material = int(model.geom_matid[geom])
     rgba = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
     return tuple(round(float(x), 3) for x in rgba)
-
-
-def _turned(quat: NDArray[Any]) -> NDArray[np.float64]:
-    flat = np.zeros(9)
-    import_mujoco().mju_quat2Mat(flat, np.asarray(quat, float))
-    return flat.reshape(3, 3)
 
 
 def _bone(child: NDArray[np.float64]) -> Any:
