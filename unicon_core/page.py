@@ -13,6 +13,7 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from unicon_core.errors import UniconError
 
@@ -128,6 +129,15 @@ def place(path: str | Path) -> str:
 def number(value: float | None) -> str:
     """Return three digits of a number, – for what is none."""
     return "–" if value is None or not math.isfinite(value) else f"{value:.3g}"
+
+
+def plain(value: Any) -> Any:
+    """Return what JSON can have: lists, mappings by texts, and null for what is not finite."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(each) for key, each in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def refuse_unwritable(path: Path) -> None:

@@ -96,12 +96,8 @@ def _simulator(robot: Robot, scene: Scene) -> _Simulator:
     dofs = model.jnt_dofadr[loaded.joints]
     figures = {
         "strength": np.nan_to_num(physics.strength, nan=1.0),
-        "friction": np.where(
-            np.isnan(physics.friction), model.dof_frictionloss[dofs], physics.friction
-        ),
-        "armature": np.where(
-            np.isnan(physics.armature), model.dof_armature[dofs], physics.armature
-        ),
+        "friction": _said(physics.friction, model.dof_frictionloss[dofs]),
+        "armature": _said(physics.armature, model.dof_armature[dofs]),
         "delay": np.nan_to_num(physics.delay),
     }
     root = 0 if loaded.base is None else int(model.jnt_bodyid[loaded.base])
@@ -112,6 +108,10 @@ def _simulator(robot: Robot, scene: Scene) -> _Simulator:
             body = int(model.body_parentid[body])
         limbs.append(body)
     return _Simulator(figures, np.array(limbs))
+
+
+def _said(figures: Float, otherwise: Float) -> Float:
+    return np.where(np.isnan(figures), otherwise, figures)
 
 
 class _Search:
@@ -130,10 +130,12 @@ class _Search:
         self._tell, self._real = tell, motion.answers
         self._begin = np.array([simulator.figures[word][i] for i, word in keys])
         self._limbs, self._groups = simulator.limbs, _groups(keys, simulator.limbs)
-        self._step = np.array([_STEP[word] for _, word in keys])
-        self._prior = np.array([_PRIOR[word] for _, word in keys])
-        most = np.array([_MOST[word] for _, word in keys])
-        self._most = np.maximum(np.minimum(most, _longest(keys, motion.period)), self._begin)
+        # A window knows one tick before it: no longer delay can show.
+        largest = _MOST | {"delay": min(_MOST["delay"], motion.period)}
+        self._step, self._prior, most = (
+            np.array([known[word] for _, word in keys]) for known in (_STEP, _PRIOR, largest)
+        )
+        self._most = np.maximum(most, self._begin)
         self._shift = 0 if any(word == "delay" for _, word in keys) else motion.length // 2
         count = len(self._real)
         self._held = np.arange(count) % HELD_OUT == HELD_OUT - 1
@@ -355,8 +357,3 @@ def _groups(keys: Sequence[tuple[int, str]], limbs: NDArray[np.int64]) -> list[l
         else:
             groups.append((word, {limb}, [k]))
     return [group for _, _, group in groups]
-
-
-def _longest(keys: Sequence[tuple[int, str]], period: float) -> Float:
-    """Return the largest figure that a replay can show: a window knows one tick before it."""
-    return np.array([period if word == "delay" else math.inf for _, word in keys])

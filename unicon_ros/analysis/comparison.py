@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,6 +22,7 @@ from unicon_core.gap import (
     wasserstein,
 )
 from unicon_core.gap.trajectories import Array
+from unicon_core.page import plain
 from unicon_ros.analysis.together import Together
 
 LAG_S = 0.1
@@ -31,6 +31,7 @@ SMOOTHED_S = 0.1
 """Over which torques are averaged in [s] before they are held against what was asked."""
 STRETCHES = 8
 """Of a comparison, whose gaps tell by how much the gap of a joint may differ by chance."""
+SIDES = ("real", "sim")
 PATHS = 2000
 """Samples of each run at most for the chamfer distance, evenly taken: it grows with the square."""
 
@@ -59,27 +60,25 @@ class Comparison:
         """Return all of it as plain values, joints in the order of their rank."""
         both = self.together
         names = both.joints
-        return {
+        values = {
             "period_s": both.period,
             "method": both.method,
             "shift_samples": int(both.aligned.shift),
             "shift_s": int(both.aligned.shift) * both.period,
             "samples": int(both.aligned.overlap),
-            "begins_s": {"real": both.begins[0], "sim": both.begins[1]},
-            "fall_s": {"real": _plain(both.falls[0]), "sim": _plain(both.falls[1])},
+            "begins_s": dict(zip(SIDES, both.begins)),
+            "fall_s": dict(zip(SIDES, both.falls)),
             "ranked_by": self.ranked_by,
             "joints": [
                 {"name": names[k], "rank": rank}
-                | {figure: _plain(values[k]) for figure, values in self.joints.items()}
+                | {figure: float(values[k]) for figure, values in self.joints.items()}
                 for rank, k in enumerate(self.order, 1)
             ],
-            "states": {
-                name: {figure: _plain(value) for figure, value in figures.items()}
-                for name, figures in self.states.items()
-            },
+            "states": self.states,
             "swapped_joints": [[names[k] for k in cycle] for cycle in self.swapped],
             "notes": both.notes,
         }
+        return dict(plain(values))
 
 
 def tracking_error(states: dict[str, Array]) -> Array | None:
@@ -112,7 +111,6 @@ def _ranked(both: Together) -> tuple[Array, Array, str]:
 def compare_runs(both: Together) -> Comparison:
     """Return all figures."""
     real, sim = both.real, both.sim
-    errors = tracking_error(real), tracking_error(sim)
     lag = max(1, round(LAG_S / both.period))
     position = affine(real["joint_pos"], sim["joint_pos"], lag)
     each = aligned_mse(real["joint_pos"].T[..., None], sim["joint_pos"].T[..., None], lag)
@@ -128,13 +126,12 @@ def compare_runs(both: Together) -> Comparison:
         "correlation": position.correlation,
         "spectral_distance": spectral_distance(real["joint_pos"], sim["joint_pos"]),
     }
-    *ranked, what = _ranked(both)
+    real_ranked, sim_ranked, what = _ranked(both)
     ranked_by = f"distance of the distributions of the {what} (Wasserstein-1) in rad"
-    gap = wasserstein(*ranked)
-    if errors[0] is not None and errors[1] is not None:
-        joints["tracking_rms_real"], joints["tracking_rms_sim"] = (
-            np.sqrt(np.mean(error**2, axis=0)) for error in errors if error is not None
-        )
+    gap = wasserstein(real_ranked, sim_ranked)
+    if what == "tracking error":
+        for who, error in zip(SIDES, (real_ranked, sim_ranked)):
+            joints[f"tracking_rms_{who}"] = np.sqrt(np.mean(error**2, axis=0))
     joints = {"gap": gap} | joints | _strain(both)
     return Comparison(
         both,
@@ -150,10 +147,11 @@ def _strain(both: Together) -> dict[str, Array]:
     """Return what torques and temperatures tell, where both runs have them."""
     real, sim = both.real, both.sim
     figures: dict[str, Array] = {}
+    sides = dict(zip(SIDES, (real, sim)))
     if "joint_effort" in real:
-        loads = load(real["joint_effort"]), load(sim["joint_effort"])
-        figures["effort_rms_real"], figures["effort_rms_sim"] = loads[0].rms, loads[1].rms
-        figures["effort_ratio"] = compare(loads[0].rms, loads[1].rms)
+        for who, side in sides.items():
+            figures[f"effort_rms_{who}"] = load(side["joint_effort"]).rms
+        figures["effort_ratio"] = compare(figures["effort_rms_real"], figures["effort_rms_sim"])
         asked = [torque for side in (real, sim) if (torque := _asked(side)) is not None]
         if len(asked) == 2:
             # Asked of what was given: speeds are noisier than torques, and noise in what is given
@@ -165,15 +163,10 @@ def _strain(both: Together) -> dict[str, Array]:
             ]
             figures["strength"] = compare(needed[1], needed[0])
     if "motor_temperature" in real:
-        warm = [warming(side["motor_temperature"], both.period) for side in (real, sim)]
-        figures["temperature_rise_real"], figures["temperature_rise_sim"] = (
-            warm[0].rise,
-            warm[1].rise,
-        )
-        figures["temperature_peak_real"], figures["temperature_peak_sim"] = (
-            warm[0].peak,
-            warm[1].peak,
-        )
+        for who, side in sides.items():
+            warm = warming(side["motor_temperature"], both.period)
+            figures[f"temperature_rise_{who}"] = warm.rise
+            figures[f"temperature_peak_{who}"] = warm.peak
     return figures
 
 
@@ -218,8 +211,3 @@ def _whole(name: str, both: Together) -> dict[str, float]:
         figures["aligned_mse"] = float(both.aligned.loss)
         figures["unfolded_mse"] = float(unfolded_mse(*both.unshifted))
     return figures
-
-
-def _plain(value: float) -> float | None:
-    """Return a number as JSON has it: what is not finite is null."""
-    return float(value) if math.isfinite(value) else None

@@ -122,7 +122,7 @@ def _run(arguments: argparse.Namespace, gates: list[Gate]) -> int:
     from unicon_ros.sweep.sweep_file import read_sweep
 
     sweep = read_sweep(arguments.what[0], arguments.overrides)
-    engine = arguments.engine or sweep.engine
+    engine = arguments.engine or sweep.said.engine
     wish = Wish(engine, arguments.workers, arguments.batch, arguments.address)
     for gate in gates:
         gate.check([each.path for each in sweep.parameters])
@@ -174,9 +174,10 @@ def _checked(plan: Plan, force: list[str]) -> str:
 def _dry(plan: Plan) -> str:
     """Return what would be run."""
     sweep = plan.sweep
-    repeated = f", {sweep.repeat} times each" if sweep.repeat > 1 else ""
+    sample, repeat = sweep.said.sample, sweep.said.repeat
+    repeated = f", {repeat} times each" if repeat > 1 else ""
     lines = [
-        f"{plan.document.name}: {len(plan)} rollouts of {plan.duration:g} s at most: {sweep.sample}"
+        f"{plan.document.name}: {len(plan)} rollouts of {plan.duration:g} s at most: {sample}"
         f" of {sweep.points} points{repeated}",
         *(f"  {each.path}: {each.words}" for each in sweep.parameters),
         f"SHA-256 {plan.sha256}",

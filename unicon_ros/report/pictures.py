@@ -24,8 +24,11 @@ TOP = 6
 BINS = 80
 ROUNDING = 1e-4
 """Share of a torque limit that is no more than rounding: simulators clip to it in other figures."""
-_SPEEDS = (("forward, vx", "m/s"), ("to the left, vy", "m/s"), ("turning, wz", "rad/s"))
-_OF_SPEEDS = ("base_lin_vel", "base_lin_vel", "base_ang_vel")
+_SPEEDS = (
+    ("forward, vx", "m/s", "base_lin_vel"),
+    ("to the left, vy", "m/s", "base_lin_vel"),
+    ("turning, wz", "rad/s", "base_ang_vel"),
+)
 
 
 def write_overview(path: str | Path, keeper: Keeper, title: str) -> None:
@@ -48,9 +51,10 @@ def _overview(figure: Any, keeper: Keeper) -> bool:
         [["path", "speeds"], ["joints", "joints"]], height_ratios=[1.2, 1.0]
     ).values()
     _path(path, keeper)
-    for k, (name, unit) in enumerate(_SPEEDS):
-        curve(speeds, *_measured(keeper, k), f"C{k}", f"{name} [{unit}]")
-        curve(speeds, *_commanded(keeper, k), f"C{k}", linestyle="--", linewidth=1.5)
+    for k, (name, unit, state) in enumerate(_SPEEDS):
+        curve(speeds, *_one(keeper, state, k), f"C{k}", f"{name} [{unit}]")
+        command = _one(keeper, "velocity_command", k)
+        curve(speeds, *command, f"C{k}", linestyle="--", linewidth=1.5)
     speeds.set(title="velocity: measured, dashed as commanded", xlabel="time [s]")
     speeds.legend(loc="upper right")
     names = keeper.robot.joint_names
@@ -80,33 +84,29 @@ def _shade(axes: Any, keeper: Keeper) -> None:
         axes.axvspan(begin, end, color="0.5", alpha=0.2, label="other phase")
 
 
-def _measured(keeper: Keeper, k: int) -> tuple[NDArray[Any], NDArray[Any]]:
-    time, values = keeper.curve(_OF_SPEEDS[k])
-    return time, values[:, k]
-
-
-def _commanded(keeper: Keeper, k: int) -> tuple[NDArray[Any], NDArray[Any]]:
-    time, values = keeper.curve("velocity_command")
+def _one(keeper: Keeper, name: str, k: int) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return times and values of one element of a state."""
+    time, values = keeper.curve(name)
     return time, values[:, k]
 
 
 def _base(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
     """Path, and velocities as commanded and as they were."""
-    if not any(map(keeper.has, _OF_SPEEDS)):
+    if not any(keeper.has(state) for _, _, state in _SPEEDS):
         return False
     placed = keeper.has("base_pos_w")
     figure.set_size_inches(12.0, 5.2)
-    layout = [["path", name][not placed :] for name, _ in _SPEEDS]
+    layout = [["path", name][not placed :] for name, *_ in _SPEEDS]
     axes = figure.subplot_mosaic(layout, width_ratios=[1.0, 1.3][not placed :])
     if placed:
         _path(axes["path"], keeper)
-    for k, (name, unit) in enumerate(_SPEEDS):
+    for k, (name, unit, state) in enumerate(_SPEEDS):
         below = axes[name]
-        if keeper.has(_OF_SPEEDS[k]):
-            curve(below, *_measured(keeper, k), MEASURED, "measured")
+        if keeper.has(state):
+            curve(below, *_one(keeper, state, k), MEASURED, "measured")
         if keeper.has("velocity_command"):
-            look = {"linestyle": "--", "linewidth": 1.4}
-            curve(below, *_commanded(keeper, k), COMMANDED, "commanded", **look)
+            command = _one(keeper, "velocity_command", k)
+            curve(below, *command, COMMANDED, "commanded", linestyle="--", linewidth=1.4)
         _shade(below, keeper)
         below.set_title(name, loc="left")
         below.set_ylabel(f"[{unit}]")
@@ -162,20 +162,18 @@ def _ranges(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
     figure.set_size_inches(12.0, 1.1 + 0.25 * len(shown))
     left, right = figure.subplots(1, 2, sharey=True, width_ratios=[1.3, 1.0])
     # A wheel has no limits: its place in the left one stays empty.
-    lower = np.where(bounded, robot.lower, 0.0)[shown]
-    width = np.where(bounded, robot.upper - robot.lower, np.nan)[shown]
-    begin, end = ((side[shown] - lower) / width * 100 for side in (low, high))
+    with np.errstate(invalid="ignore"):
+        shares = [(side - robot.lower) / (robot.upper - robot.lower) for side in (low, high)]
+    begin, end = (np.nan_to_num(100.0 * np.where(bounded, side, np.nan))[shown] for side in shares)
     outside = ((low < robot.lower) | (high > robot.upper))[shown]
     colours = [BAD if bad else MEASURED for bad in outside]
     names = [robot.joint_names[k] for k in shown]
     places = np.arange(len(shown))
     left.barh(places[bounded[shown]], 100.0, color="0.5", alpha=0.18)
-    left.barh(places, np.nan_to_num(end - begin), left=np.nan_to_num(begin), color=colours,
-              height=0.5)  # fmt: skip
+    left.barh(places, end - begin, left=begin, color=colours, height=0.5)
     left.set_yticks(places, names)
     left.set(xlabel="position [% of the way from its lower to its upper limit]")
-    first, last = np.nan_to_num(begin).min(), np.nan_to_num(end).max()
-    left.set_xlim(min(-2.0, first - 2.0), max(102.0, last + 2.0))
+    left.set_xlim(min(0.0, begin.min()) - 2.0, max(100.0, end.max()) + 2.0)
     left.invert_yaxis()
     left.set_title("range that was used")
     if torque is None:
@@ -208,8 +206,7 @@ def _joints(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
     for k, axes in enumerate(every):
         for name, colour, label in shown:
             if keeper.has(name):
-                time, values = keeper.curve(name)
-                curve(axes, time, values[:, k], colour, label, SMALL)
+                curve(axes, *_one(keeper, name, k), colour, label, SMALL)
         _limits(axes, (robot.lower[k], robot.upper[k]), "limit")
         _shade(axes, keeper)
         axes.set_title(robot.joint_names[k], fontsize=8, loc="left")
@@ -246,9 +243,8 @@ def _torque(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
     share = np.nan_to_num(peaks / robot.effort_limit)
     order = np.argsort(-share, kind="stable")[:TOP]
     every = grid(figure, len(order), 2, 1.7, sharex=True)
-    time, values = keeper.curve("joint_effort")
     for axes, k in zip(every, order):
-        curve(axes, time, values[:, k], MEASURED, "measured", 2 * SMALL)
+        curve(axes, *_one(keeper, "joint_effort", k), MEASURED, "measured", 2 * SMALL)
         limit = float(robot.effort_limit[k])
         _limits(axes, (-limit, limit), "effort limit")
         axes.set_title(f"{robot.joint_names[k]}: {share[k]:.0%} of its limit", loc="left")
@@ -261,19 +257,15 @@ def _timing(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
     rows = statistics.kept()
     if not len(rows):
         return False
-    busy = statistics.durations_us()
-    late = (rows[:, 2] - rows[:, 0]) * 1e-3
-    paced = keeper.paced
+    parts = [("busy", statistics.durations_us(), MEASURED, "from recv to the end of send")]
+    if keeper.paced:
+        late = (rows[:, 2] - rows[:, 0]) * 1e-3
+        parts.append(("late", late, COMMANDED, "from the deadline to the begin of the tick"))
     if len(rows) < statistics.count:
         figure.suptitle(f"the last {len(rows):,} of {statistics.count:,} ticks")
     period = keeper.period * 1e6
-    figure.set_size_inches(12.0, 5.4 if paced else 5.0)
-    layout = [["busy", "late"], ["over", "over"]] if paced else [["busy"], ["over"]]
-    axes = figure.subplot_mosaic(layout)
-    parts: list[tuple[str, NDArray[Any], str, str]] = [
-        ("busy", busy, MEASURED, "from recv to the end of send")
-    ]
-    parts += [("late", late, COMMANDED, "from the deadline to the begin of the tick")] * paced
+    figure.set_size_inches(12.0, 5.4)
+    axes = figure.subplot_mosaic([[name for name, *_ in parts], ["over"] * len(parts)])
     number = np.arange(statistics.count - len(rows), statistics.count)
     for name, values, colour, what in parts:
         if not values.size:

@@ -82,4 +82,4 @@ def engine_of(plan: Plan, wish: Wish, left: int, folder: Path) -> Engine:
         return RayEngine(plan, wish.workers, left, folder, wish.address)
     count = min(wish.workers or len(os.sched_getaffinity(0)), left)
     batch = wish.batch or BATCH if wish.engine == "batch" else 1
-    return LocalEngine(plan.task(folder), count, plan.sweep.timeout, folder, batch)
+    return LocalEngine(plan.task(folder), count, plan.sweep.said.timeout, folder, batch)

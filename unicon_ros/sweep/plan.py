@@ -68,18 +68,18 @@ class Plan:
         self.workflow_file = read_yaml(path, WorkflowError)
         self._seed = 0
         first = self.row(0).settings
-        base = document_with(self.workflow_file, first[:-1] if sweep.repeat > 1 else first)
+        base = document_with(self.workflow_file, first[:-1] if sweep.said.repeat > 1 else first)
         self._seed = one_robots_seed(base)
         self.document = document_with(self.workflow_file, self.row(0).settings)
         one_robots_seed(self.document)
         refuse_robot(self.document)
         said = self.document.get("duration")
-        if sweep.duration is None and said is None:
+        if sweep.said.duration is None and said is None:
             raise UniconError(
                 f"workflow {base.name} says no duration, so it may never end; give duration in "
                 f"{sweep.path}"
             )
-        self.duration = float(said if sweep.duration is None else sweep.duration)
+        self.duration = float(said if sweep.said.duration is None else sweep.said.duration)
 
     def __len__(self) -> int:
         return self.sweep.rows
@@ -90,27 +90,27 @@ class Plan:
     def row(self, index: int) -> Row:
         """Return row `index`."""
         sweep = self.sweep
-        point, repetition = divmod(index, sweep.repeat)
+        point, repetition = divmod(index, sweep.said.repeat)
         values = self._point(point)
         settings = [setting_of(p.path, value) for p, value in zip(sweep.parameters, values)]
-        if sweep.repeat > 1:
+        if sweep.said.repeat > 1:
             settings.append(setting_of("scene.seed", self._seed + repetition))
         name = f"row_{index:06d}"
         return Row(index, repetition, values, (*sweep.settings, *settings), name)
 
     def _point(self, point: int) -> tuple[Any, ...]:
         parameters = self.sweep.parameters
-        if self.sweep.sample == "grid":  # the last parameter changes first
+        if self.sweep.said.sample == "grid":  # the last parameter changes first
             values = []
             for each in reversed(parameters):
                 assert each.values is not None  # refused when it was read
                 point, at = divmod(point, len(each.values))
                 values.append(each.values[at])
             return tuple(reversed(values))
-        if self.sweep.sample == "sobol":
+        if self.sweep.said.sample == "sobol":
             places = self._sobol[point]
         else:
-            places = np.random.default_rng((self.sweep.seed, point)).random(len(parameters))
+            places = np.random.default_rng((self.sweep.said.seed, point)).random(len(parameters))
         return tuple(each.at(u) for each, u in zip(parameters, places.tolist()))
 
     @cached_property
@@ -119,7 +119,7 @@ class Plan:
         qmc = imported("scipy.stats", "sample: sobol", "scipy", "sweep").qmc
         count = self.sweep.points
         bits = max(1, (count - 1).bit_length())
-        random = np.random.default_rng(self.sweep.seed)
+        random = np.random.default_rng(self.sweep.said.seed)
         sequence = qmc.Sobol(len(self.sweep.parameters), scramble=True, rng=random)
         points: NDArray[np.float64] = sequence.random_base2(bits)[:count]
         return points
@@ -133,10 +133,10 @@ class Plan:
             "sha256_workflow": sha256_of(document.path),
             "set": list(sweep.settings),
             "vary": [[each.path, each.words] for each in sweep.parameters],
-            "sample": sweep.sample,
+            "sample": sweep.said.sample,
             "points": sweep.points,
-            "seed": sweep.seed,
-            "repeat": sweep.repeat,
+            "seed": sweep.said.seed,
+            "repeat": sweep.said.repeat,
             "duration_s": self.duration,
             "early_stop": sweep.stops_at_fall,
             "sha256_reference": None if sweep.reference is None else sha256_of(sweep.reference),

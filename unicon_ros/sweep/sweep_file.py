@@ -132,18 +132,12 @@ class SweepFile:
         workflow: name or path.
         settings: texts of `--set` of every rollout.
         parameters: what is varied, in order.
-        sample: grid, random or sobol.
-        rollouts: points that are drawn; None of a grid.
-        seed: of the draws.
-        repeat: rollouts of each point.
-        duration: in [s], None for the workflow's.
+        said: what the document says besides: `sample`, `seed`, `repeat`, `duration` in [s] or None
+            for the workflow's, `timeout` in [s] of wall time, `engine`, on which no row depends.
         stops_at_fall: a rollout ends where the robot falls.
         reference: run to compare with, or None.
         keep: states of every tick that are kept, by name.
-        timeout: in [s] of wall time.
-        engine: local, batch or ray; no row depends on it.
         gates: conditions that have to hold.
-        description: one line.
         located: for errors.
     """
 
@@ -151,31 +145,24 @@ class SweepFile:
     workflow: str
     settings: tuple[str, ...]
     parameters: tuple[Parameter, ...]
-    sample: str
-    rollouts: int | None
-    seed: int
-    repeat: int
-    duration: float | None
+    said: SweepDocument
     stops_at_fall: bool
     reference: Path | None
     keep: tuple[str, ...]
-    timeout: float
-    engine: str
     gates: tuple[Gate, ...]
-    description: str
     located: Located
 
     @property
     def points(self) -> int:
         """Points of the grid, or those that are drawn."""
-        if self.rollouts is not None:
-            return self.rollouts
+        if self.said.rollouts is not None:
+            return self.said.rollouts
         return math.prod(len(each.values or ()) for each in self.parameters)
 
     @property
     def rows(self) -> int:
         """Rollouts in all."""
-        return self.points * self.repeat
+        return self.points * self.said.repeat
 
 
 def read_sweep(path: str | Path, overrides: Iterable[str] = ()) -> SweepFile:
@@ -215,18 +202,11 @@ def read_sweep(path: str | Path, overrides: Iterable[str] = ()) -> SweepFile:
         workflow=workflow,
         settings=(*(setting_of(k, v) for k, v in (said.set or {}).items()), *overrides),
         parameters=tuple(parameter(path, each) for path, each in said.vary.items()),
-        sample=said.sample,
-        rollouts=said.rollouts,
-        seed=said.seed,
-        repeat=said.repeat,
-        duration=said.duration,
+        said=said,
         stops_at_fall=said.early_stop == "fall",
         reference=None if said.reference is None else folder / said.reference,
         keep=tuple(dict.fromkeys(said.keep or ())),
-        timeout=said.timeout,
-        engine=said.engine,
         gates=gates_of(said.gate, said.vary),
-        description=said.description or "",
         located=located,
     )
     if sweep.rows > MOST_ROLLOUTS:

@@ -13,6 +13,7 @@ import yaml
 
 from unicon_core import __version__
 from unicon_core.errors import UniconError
+from unicon_core.page import plain
 from unicon_ros.analysis.read import read_run
 from unicon_ros.bench.report import machine
 from unicon_ros.sweep.motion import apart
@@ -117,7 +118,7 @@ class Results:
             "notes": list(self.plan.notes),
             "platforms": [self._platform(name, commanded) for name in self._shown()],
         }
-        return dict(_plain(values))
+        return dict(plain(values))
 
     def _shown(self) -> list[str]:
         """Return the platforms that have a row; of those nobody named, those installed."""
@@ -198,13 +199,3 @@ def spread(values: Iterable[float | None]) -> dict[str, float | int | None]:
         "std": float(np.std(there, ddof=1)) if len(there) > 1 else None,
         "runs": len(there),
     }
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(key): _plain(each) for key, each in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(each) for each in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

@@ -113,44 +113,72 @@ class Feed:
         self.ring.close()
 
 
-def started(
-    runner: Runner,
-    name: str,
-    told: States,
-    options: dict[str, Any],
-    warn: Callable[[str], None],
-    *,
-    stale: float,
-    period: float,
-    map: str = "default",
-    frame_prefix: str = "",
-) -> tuple[Feed, Peripheral, str]:
-    """Start the process that reads a run's ring; return the ring, the process and its address.
+class Fed:
+    """A run whose ticks a process of its own is given; whoever made it closes it.
 
     Args:
-        runner: of the run, before its first tick.
-        name: of the peripheral that the process is.
-        told: what it tells.
-        options: of its sink; `port` becomes the one that it has got, where browsers look for a
-            process that is started again.
         warn: takes lines for the operator.
-        stale: so long it may be silent, in [s].
-        period: between two looks at it, in [s].
-        map: name of the message map.
-        frame_prefix: of ROS frames.
 
-    Raises:
-        UniconError: it cannot begin.
+    Attributes:
+        address: where that process shows them, once it is started.
     """
-    shown, variables = shown_of(runner.program, runner.graph, map, frame_prefix)
-    feed = Feed(runner, variables)
-    data = {"shown": shown, "ring": str(feed.ring.path)}
-    given = {"name": name, "options": options, "data": data}
-    try:
-        process = Peripheral(told, told.layout, PROCESS, given, {}, stale, period, warn)
-    except BaseException:
-        feed.close()
-        raise
-    address: str = process.first["address"]
-    options["port"] = urlsplit(address).port or options.get("port", PORT)
-    return feed, process, address
+
+    def __init__(self, warn: Callable[[str], None]) -> None:
+        self.warn, self.address = warn, ""
+        self._feed: Feed | None = None
+        self._peripheral: Peripheral | None = None
+        self._runner: Runner | None = None
+        self._fill: Callable[[], object] = bool
+        self._due_ns = 0
+
+    def _start(
+        self,
+        runner: Runner,
+        name: str,
+        told: States,
+        options: dict[str, Any],
+        driver: Driver,
+        controls: Controls,
+        *,
+        stale: float,
+        period: float,
+        map: str = "default",
+        frame_prefix: str = "",
+    ) -> Peripheral:
+        """Start the process that reads a run's ring, and return it.
+
+        Args:
+            runner: of the run, before its first tick.
+            name: of the peripheral that the process is.
+            told: what it tells.
+            options: of its sink; `port` becomes the one that it has got, where browsers look for a
+                process that is started again.
+            driver, controls: as of `Feed.filling`.
+            stale: so long it may be silent, in [s].
+            period: between two looks at it, in [s].
+            map: name of the message map.
+            frame_prefix: of ROS frames.
+
+        Raises:
+            UniconError: it cannot begin.
+        """
+        shown, variables = shown_of(runner.program, runner.graph, map, frame_prefix)
+        feed = Feed(runner, variables)
+        data = {"shown": shown, "ring": str(feed.ring.path)}
+        given = {"name": name, "options": options, "data": data}
+        try:
+            process = Peripheral(told, told.layout, PROCESS, given, {}, stale, period, self.warn)
+        except BaseException:
+            feed.close()
+            raise
+        self._feed, self._peripheral, self.address = feed, process, str(process.first["address"])
+        self._runner, self._fill = runner, feed.filling(driver, controls)
+        options["port"] = urlsplit(self.address).port or options.get("port", PORT)
+        return process
+
+    def close(self) -> None:
+        """End the process; safe to call twice."""
+        if self._peripheral is not None:
+            self._peripheral.close()
+        if self._feed is not None:
+            self._feed.close()

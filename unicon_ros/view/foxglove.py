@@ -39,14 +39,7 @@ ANSWER = 2.0
 LOUD, LINES = 1.0, 10
 """Of what is told of refused messages: so many lines in that time [s]."""
 
-_ACTS = {
-    "start": "the operator's go, or on after a pause",
-    "stop": "end the run in order",
-    "estop": "stop before the next command is sent",
-    "pause": "let a simulator stand still",
-    "step": "tick once in a pause",
-    "reset": "bring a simulator and the flow back to their beginning",
-}
+_ACTS = ("start", "stop", "estop", "pause", "step", "reset")
 
 
 class Foxglove:
@@ -87,15 +80,19 @@ class Foxglove:
         self._driver = Publishers(shown, remote, self._say)
         self._loud_until, self._lines = 0.0, 0
         hidden = hidden_address()
+
+        class Listener(_Listener, websocket.ServerListener):
+            """What else the server calls does nothing."""
+
         capability = websocket.Capability
         self._server = foxglove.start_server(
             name=f"unicon {shown.workflow} on {shown.robot.name}",
             host=hidden,
             port=0,
             capabilities=[capability.ClientPublish, capability.Parameters, capability.Services],
-            server_listener=cast(Any, _Listener(self)),
+            server_listener=Listener(self),
             supported_encodings=["cdr", "json"],
-            services=self._services(websocket),
+            services=self._services(foxglove),
             asset_handler=self._topics.meshes.fetch,
             context=self._context,
             message_backlog_size=BACKLOG,
@@ -177,26 +174,25 @@ class Foxglove:
         if server is not None and self._lines <= LINES:
             server.publish_status(line, self._sdk.StatusLevel.Warning)
 
-    def _services(self, websocket: Any) -> list[Any]:
-        request = websocket.MessageSchema(encoding="cdr", schema=_schema(websocket, "Request", ""))
-        told = "bool success\nstring message"
-        response = websocket.MessageSchema(
-            encoding="cdr", schema=_schema(websocket, "Response", told)
-        )
-        schema = websocket.ServiceSchema(TRIGGER, request=request, response=response)
+    def _services(self, foxglove: Any) -> list[Any]:
+        websocket = foxglove.websocket
 
-        def calling(act: str, /, **arguments: str) -> Callable[[Any], bytes]:
-            return lambda _: _trigger(*self.act(act, **arguments))
+        def message(end: str, fields: str) -> Any:
+            name, data = f"{TRIGGER}_{end}", fields.encode()
+            schema = foxglove.Schema(name=name, encoding="ros2msg", data=data)
+            return websocket.MessageSchema(encoding="cdr", schema=schema)
 
-        made = [
-            websocket.Service(name=f"/unicon/{name}", schema=schema, handler=calling(name))
-            for name in _ACTS
-        ]
-        for skill in self._shown.skills:
-            calls = calling("skill", name=skill)
-            name = f"/unicon/skills/{skill}"
-            made.append(websocket.Service(name=name, schema=schema, handler=calls))
-        return made
+        told = message("Response", "bool success\nstring message")
+        schema = websocket.ServiceSchema(TRIGGER, request=message("Request", ""), response=told)
+
+        def service(place: str, act: str, /, **arguments: str) -> Any:
+            def call(_: Any) -> bytes:
+                return _trigger(*self.act(act, **arguments))
+
+            return websocket.Service(name=f"/unicon/{place}", schema=schema, handler=call)
+
+        skills = [service(f"skills/{name}", "skill", name=name) for name in self._shown.skills]
+        return [service(act, act) for act in _ACTS] + skills
 
 
 class _Listener:
@@ -208,8 +204,6 @@ class _Listener:
 
     def on_subscribe(self, client: Any, channel: Any) -> None:
         self._sink._topics.again(channel.id)
-
-    def on_unsubscribe(self, client: Any, channel: Any) -> None: ...
 
     def on_client_advertise(self, client: Any, channel: Any) -> None:
         if len(self._channels) < 1000:
@@ -230,16 +224,6 @@ class _Listener:
         for parameter in parameters:
             self._sink.set_parameter(parameter.name, parameter.get_value())
         return self._sink.parameters([])
-
-    def on_parameters_subscribe(self, param_names: list[str]) -> None: ...
-
-    def on_parameters_unsubscribe(self, param_names: list[str]) -> None: ...
-
-    def on_connection_graph_subscribe(self) -> None: ...
-
-    def on_connection_graph_unsubscribe(self) -> None: ...
-
-    def on_playback_control_request(self, playback_control_request: Any) -> None: ...
 
 
 class _Topics:
@@ -306,12 +290,6 @@ def _program_of(shown: Shown, states: States) -> SimpleNamespace:
         platform=platform,
         name=shown.workflow,
     )
-
-
-def _schema(websocket: Any, end: str, text: str) -> Any:
-    import foxglove
-
-    return foxglove.Schema(name=f"{TRIGGER}_{end}", encoding="ros2msg", data=text.encode())
 
 
 def _trigger(success: bool, message: str) -> bytes:

@@ -12,7 +12,7 @@ from unicon_core.states import States
 from unicon_core.workflow import Program
 from unicon_ros.bridge.bindings import told_states
 from unicon_ros.peripherals.peripheral import Peripheral, peripheral_states
-from unicon_ros.view.feed import Feed, started
+from unicon_ros.view.feed import Fed
 
 if TYPE_CHECKING:
     from unicon_core.runtime import Runner
@@ -27,7 +27,7 @@ MOST = 40
 """Topics whose counts it is told."""
 
 
-class Metered:
+class Metered(Fed):
     """Lets a process of its own count the ticks and answer; whoever made it closes it.
 
     Args:
@@ -42,12 +42,8 @@ class Metered:
     def __init__(
         self, port: int, session: RosSession | None = None, warn: Callable[[str], None] = print
     ) -> None:
-        self._port, self._session, self._warn, self.address = port, session, warn, ""
-        self._feed: Feed | None = None
-        self._peripheral: Peripheral | None = None
-        self._runner: Runner | None = None
-        self._fill: Callable[[], object] = bool
-        self._due_ns = 0
+        super().__init__(warn)
+        self._port, self._session = port, session
 
     def hook(self, program: Program) -> dict[Stage, list[Block]]:
         """Return the block that copies each tick."""
@@ -61,13 +57,9 @@ class Metered:
         """
         written = sorted(told_states(runner.program))
         options: dict[str, Any] = {"port": self._port, "written": written, "sink": SINK}
-        self._feed, self._peripheral, self.address = started(
-            *(runner, NAME, States(peripheral_states(NAME, {})), options, self._warn),
-            stale=TOLD,
-            period=TOLD,
-        )
         nobody: Any = SimpleNamespace(driving=0, paused=0)
-        self._runner, self._fill = runner, self._feed.filling(nobody, nobody)
+        told = States(peripheral_states(NAME, {}))
+        self._start(runner, NAME, told, options, nobody, nobody, stale=TOLD, period=TOLD)
 
     def _tick(self) -> None:
         self._fill()
@@ -84,13 +76,6 @@ class Metered:
             if self._session is not None:
                 texts["counts"] = _counts(self._session)
             peripheral.wish("texts", texts)
-
-    def close(self) -> None:
-        """End the process; safe to call twice."""
-        if self._peripheral is not None:
-            self._peripheral.close()
-        if self._feed is not None:
-            self._feed.close()
 
 
 def _counts(session: RosSession) -> dict[str, list[tuple[str, int]]]:

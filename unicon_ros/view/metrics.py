@@ -36,7 +36,9 @@ BOUNDS = (
 )
 """Of the histograms, in [s]."""
 
-_AXES = ("x", "y", "z")
+_Labelled = tuple[Mapping[str, str], Any]
+"""Labels and a value."""
+
 _OF_STATES = (
     # state, elements, metric, what it is
     ("velocity_command", slice(0, 2), "velocity_command_meters_per_second", "commanded velocity"),
@@ -119,17 +121,14 @@ class Metrics:
         yield from _single("tick_period_seconds", "gauge", "of a tick", shown.period)
         yield from _single("faults", "gauge", "faults of the run", len(texts["faults"]))
         for key, what in (("published", "published to"), ("received", "taken from")):
-            given = texts.get("counts", {}).get(key, ())
-            counts = [({"topic": topic}, count) for topic, count in given]
-            if counts:
-                what = f"messages {what} a topic"
-                yield from _metric(f"ros_messages_{key}_total", "counter", what, counts)
+            if counts := texts.get("counts", {}).get(key):
+                name, what = f"ros_messages_{key}_total", f"messages {what} a topic"
+                yield from _metric(name, "counter", what, _each("topic", *zip(*counts)))
         if tick is None:
             return
-        phases = [
-            ({"phase": name}, int(number == tick.phase)) for number, name in enumerate(shown.phases)
-        ]
-        yield from _metric("phase", "gauge", "1 for the phase that the run is at", phases)
+        at = [int(number == tick.phase) for number in range(len(shown.phases))]
+        what = "1 for the phase that the run is at"
+        yield from _metric("phase", "gauge", what, _each("phase", shown.phases, at))
         stamp, missed, what = tick.wall_ns * 1e-9, tick.overruns, "deadlines that were missed"
         yield from _single("last_tick_timestamp_seconds", "gauge", "of the newest tick", stamp)
         yield from _single("ticks_total", "counter", "ticks of all phases", self._handle)
@@ -141,17 +140,16 @@ class Metrics:
         yield from self._of_states(tick.states)
 
     def _of_states(self, states: Mapping[str, NDArray[Any]]) -> Iterator[str]:
-        joints = self._shown.robot.joint_names
+        robot = self._shown.robot
+        joints = robot.joint_names
         for state, part, name, what in _OF_STATES:
             if state not in states or state not in self._written:
                 continue
             values = states[state].reshape(-1)
-            if part == slice(2, 3):
-                told = [({"axis": "z"}, values[2])]
-            elif part is not None:
-                told = [({"axis": axis}, x) for axis, x in zip(_AXES[part], values[part])]
+            if part is not None:
+                told = _each("axis", "xyz"[part], values[part])
             elif values.size == len(joints) and values.size > 1:
-                told = [({"joint": joint}, x) for joint, x in zip(joints, values)]
+                told = _each("joint", joints, values)
             else:
                 told = [({}, x) for x in values[:1]]
             yield from _metric(name, "gauge", what, told)
@@ -160,14 +158,11 @@ class Metrics:
             tilt = np.arccos(upright)
             yield from _single("base_tilt_radians", "gauge", "of the base from upright", tilt)
         if self._largest is not None:
-            most = [({"joint": joint}, x) for joint, x in zip(joints, self._largest)]
+            most = _each("joint", joints, self._largest)
             what = "largest torque of a joint so far, without its sign"
             yield from _metric("joint_torque_largest_newton_meters", "gauge", what, most)
-            limits = [
-                ({"joint": joint}, x)
-                for joint, x in zip(joints, self._shown.robot.effort_limit)
-                if np.isfinite(x)
-            ]
+            limits = _each("joint", joints, robot.effort_limit)
+            limits = [(joint, x) for joint, x in limits if np.isfinite(x)]
             what = "largest allowed torque of a joint"
             yield from _metric("joint_torque_limit_newton_meters", "gauge", what, limits)
 
@@ -253,9 +248,12 @@ def _head(name: str, kind: str, what: str) -> Iterator[str]:
     yield f"# HELP unicon_{name} {what}\n# TYPE unicon_{name} {kind}\n"
 
 
-def _metric(
-    name: str, kind: str, what: str, told: Iterable[tuple[Mapping[str, str], Any]]
-) -> Iterator[str]:
+def _each(label: str, names: Iterable[str], values: Iterable[Any]) -> list[_Labelled]:
+    """Return values, each with a label."""
+    return [({label: name}, value) for name, value in zip(names, values)]
+
+
+def _metric(name: str, kind: str, what: str, told: Iterable[_Labelled]) -> Iterator[str]:
     yield from _head(name, kind, what)
     for labels, value in told:
         inside = ",".join(f'{key}="{_escaped(text)}"' for key, text in labels.items())
@@ -273,9 +271,5 @@ def _escaped(text: str) -> str:
 def _number(value: Any) -> str:
     if isinstance(value, int):
         return str(value)
-    number = float(value)
-    if np.isnan(number):
-        return "NaN"
-    if np.isinf(number):
-        return "+Inf" if number > 0 else "-Inf"
-    return repr(number)
+    text = repr(float(value))
+    return {"nan": "NaN", "inf": "+Inf", "-inf": "-Inf"}.get(text, text)

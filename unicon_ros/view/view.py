@@ -12,9 +12,9 @@ from unicon_core.states import States
 from unicon_core.workflow import Program, WorkflowDocument
 from unicon_ros.bridge.tuning import Tuning
 from unicon_ros.controls import Controls
-from unicon_ros.peripherals.peripheral import Peripheral, short
+from unicon_ros.peripherals.peripheral import short
 from unicon_ros.view.driver import Driver
-from unicon_ros.view.feed import Feed, started
+from unicon_ros.view.feed import Fed
 from unicon_ros.view.shown import DEAD_MAN, NAME, PAGE
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ LONGEST = 3500
 """Bytes of the texts: they go through a pipe whole or not at all."""
 
 
-class View:
+class View(Fed):
     """A viewer of one run; whoever made it closes it.
 
     Args:
@@ -56,20 +56,16 @@ class View:
         frame_prefix: str = "",
         warn: Callable[[str], None] = print,
     ) -> None:
+        super().__init__(warn)
         self._options, self._session, self._map = dict(options), session, map or "default"
-        self._prefix, self.warn, self.address = frame_prefix, warn, ""
+        self._prefix = frame_prefix
         self.controls = session.controls if session is not None else Controls(time.sleep)
         self._tuning = Tuning()
         self._told = States(PAGE)
         self._lines: list[str] = []
         self._texts: dict[str, Any] = {}
         self._reader: object = None
-        self._feed: Feed | None = None
         self._driver: Driver | None = None
-        self._runner: Runner | None = None
-        self._peripheral: Peripheral | None = None
-        self._fill: Callable[[], object] = bool
-        self._due_ns = 0
 
     def declare(self, document: WorkflowDocument) -> None:
         """Let the workflow have the states that a viewer's parameters change."""
@@ -97,15 +93,14 @@ class View:
         assert driver is not None
         if self.controls.runner is None:
             self.controls.runner = runner
-        self._feed, self._peripheral, self.address = started(
-            *(runner, NAME, self._told, self._options, self.warn),
+        peripheral = self._start(
+            *(runner, NAME, self._told, self._options, driver, self.controls),
             stale=DEAD_MAN,
             period=driver.interval,
             map=self._map,
             frame_prefix=self._prefix,
         )
-        self._runner, self._fill = runner, self._feed.filling(driver, self.controls)
-        driver.attach(self._peripheral, runner)
+        driver.attach(peripheral, runner)
         self.controls.others += [driver.look, self._show]
         tell = runner.options.warn
 
@@ -143,12 +138,9 @@ class View:
 
         Safe to call twice.
         """
-        if self._peripheral is not None:
-            if self._runner is not None and self._tell(self._runner):
-                time.sleep(LAST_WORDS)
-            self._peripheral.close()
-        if self._feed is not None:
-            self._feed.close()
+        if self._runner is not None and self._tell(self._runner):
+            time.sleep(LAST_WORDS)
+        super().close()
 
 
 def _cut(value: Any) -> Any:

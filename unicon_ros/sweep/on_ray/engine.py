@@ -90,7 +90,7 @@ class RayEngine:
                     "left": left,
                     "log": str(self._log),
                     "manifest": manifest(plan.task()),
-                    "timeout": plan.sweep.timeout,
+                    "timeout": plan.sweep.said.timeout,
                     "workers": workers or (None if address else len(os.sched_getaffinity(0))),
                 }
             )

@@ -190,7 +190,7 @@ class Page:
     def _status(self, tick: Snapshot | None, driver: str) -> str:
         """Return how the run is, as HTML, with who drives in words."""
         if tick is None:
-            return table([("phase", "no tick yet")])
+            return table({"phase": "no tick yet"})
         rate = 0.0
         if self._ticks:  # of late
             (first, one), (last, other) = self._ticks[0], self._ticks[-1]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
@@ -16,15 +16,14 @@ COMMANDED, MEASURED = (31, 119, 180), (255, 127, 14)
 """Colours of the velocity arrows, and of their legend."""
 
 _STYLE = "font:13px/1.45 system-ui,sans-serif;padding:2px 12px 6px"
-_RED = "color:#c00;font-weight:600"
 
 
-def table(rows: Sequence[tuple[str, str]]) -> str:
-    """Return rows of a name and HTML."""
+def table(rows: Mapping[str, str]) -> str:
+    """Return names and what is said of them, as HTML."""
     cells = "".join(
         f'<tr><td style="color:#667;padding-right:10px;vertical-align:top;white-space:nowrap">'
         f"{name}</td><td>{value}</td></tr>"
-        for name, value in rows
+        for name, value in rows.items()
     )
     return f'<div style="{_STYLE}"><table>{cells}</table></div>'
 
@@ -54,39 +53,36 @@ def status_html(
     phase = shown.phases[tick.phase] if tick.phase < len(shown.phases) else str(tick.phase)
     phase = f"<b>{escape(phase)}</b>" + (", paused" if tick.paused else "")
     if stale > 1.0 and not tick.paused:
-        phase += f' <span style="{_RED}">no tick for {stale:.0f} s</span>'
-    found = [("phase", phase)]
+        phase += f" {_red(f'no tick for {stale:.0f} s')}"
+    found = {"phase": phase}
     if texts.get("waits_for"):
-        found.append(("waits for", f'<b style="color:#b60">{escape(texts["waits_for"])}</b>'))
+        found["waits for"] = f'<b style="color:#b60">{escape(texts["waits_for"])}</b>'
     if "skill" in tick.states and shown.skills:
         number = int(tick.states["skill"].reshape(-1)[0])
         name = shown.skills[number] if 0 <= number < len(shown.skills) else "none"
-        found.append(("skill", f"<b>{escape(name)}</b>"))
-    found += [
-        ("tick", f"{tick.tick} · {tick.tick * shown.period:.1f} s"),
-    ]
-    timed = texts.get("timed", True)
-    if timed:
-        found.append(("rate", f"{rate:.1f} Hz, wanted {1.0 / shown.period:.1f} Hz"))
-    if len(rows) and timed:
-        deadline = shown.period * 1e3
-        p50, p99 = np.percentile(busy, (50, 99))
-        share = f"{100.0 * p99 / deadline:.0f} % of the deadline of {deadline:g} ms"
-        found.append(("busy", f"p50 {p50:.2f} ms, p99 {p99:.2f} ms: {share}"))
-        found.append(("late", f"p99 {np.percentile(late, 99):.2f} ms, max {late.max():.2f} ms"))
-    overruns = f"{tick.overruns}"
-    if timed:
-        found.append(
-            ("overruns", f'<span style="{_RED}">{overruns}</span>' if tick.overruns else overruns)
-        )
+        found["skill"] = f"<b>{escape(name)}</b>"
+    found["tick"] = f"{tick.tick} · {tick.tick * shown.period:.1f} s"
+    if texts.get("timed", True):
+        found["rate"] = f"{rate:.1f} Hz, wanted {1.0 / shown.period:.1f} Hz"
+        if len(rows):
+            deadline = shown.period * 1e3
+            p50, p99 = np.percentile(busy, (50, 99))
+            share = f"{100.0 * p99 / deadline:.0f} % of the deadline of {deadline:g} ms"
+            found["busy"] = f"p50 {p50:.2f} ms, p99 {p99:.2f} ms: {share}"
+            found["late"] = f"p99 {np.percentile(late, 99):.2f} ms, max {late.max():.2f} ms"
+        overruns = f"{tick.overruns}"
+        found["overruns"] = _red(overruns) if tick.overruns else overruns
     if driver:
-        found.append(("driver", escape(driver)))
-    for fault in texts.get("faults") or ():
-        found.append(("fault", f'<span style="{_RED}">{escape(str(fault))}</span>'))
-    notes = [str(note) for note in texts.get("notes") or ()][-3:]
-    if notes:
-        found.append(("notes", "<br>".join(map(escape, notes))))
+        found["driver"] = escape(driver)
+    if faults := texts.get("faults"):
+        found["fault"] = "<br>".join(_red(str(fault)) for fault in faults)
+    if notes := texts.get("notes"):
+        found["notes"] = "<br>".join(escape(str(note)) for note in notes[-3:])
     return table(found)
+
+
+def _red(text: str) -> str:
+    return f'<span style="color:#c00;font-weight:600">{escape(text)}</span>'
 
 
 def graph_html(graph: Sequence[GraphLine], counters: Sequence[int]) -> str:
