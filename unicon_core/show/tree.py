@@ -47,15 +47,11 @@ def branches(node: Node) -> list[tuple[str, Node]]:
     """
     if isinstance(node, Block):
         return [("", part) for part in node.parts]
-    if isinstance(node, Zip):
-        return [("", child) for child in node.children]
     if isinstance(node, Chain):
         return [(str(i + 1), child) for i, child in enumerate(node.children)]
     if isinstance(node, Switch):
         return list(zip(node.names, node.children))
-    if isinstance(node, (Loop, Every, When, Deferred)):
-        return [("", node.child)]
-    return []
+    return [("", child) for child in (node.children if isinstance(node, Zip) else (node.child,))]
 
 
 def is_critical(node: Node, critical: Collection[Block]) -> bool:

@@ -127,16 +127,19 @@ class Keeper:
     @property
     def begin(self) -> int:
         """Number of the kept tick with which the flow began; time counts from there."""
-        run = [tick for tick, phase in self.phases if phase.value == "run"]
-        return run[0] if run else 0
+        return next((tick for tick, phase in self.phases if phase.value == "run"), 0)
+
+    def spans(self) -> list[tuple[str, int, int]]:
+        """Return each phase with the numbers of its first tick and of the one behind its last."""
+        ends = [*(tick for tick, _ in self.phases[1:]), self._count]
+        return [(phase.value, begin, end) for (begin, phase), end in zip(self.phases, ends)]
 
     def beside_the_run(self) -> list[tuple[float, float]]:
         """Return from when to when another phase than the run was kept, in [s]."""
-        ends = [*(tick for tick, _ in self.phases[1:]), self._count]
         return [
             ((begin - self.begin) * self.period, (end - self.begin) * self.period)
-            for (begin, phase), end in zip(self.phases, ends)
-            if phase.value != "run"
+            for phase, begin, end in self.spans()
+            if phase != "run"
         ]
 
     def time(self) -> NDArray[np.float64]:

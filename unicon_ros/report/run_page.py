@@ -164,15 +164,14 @@ class RunPage:
 
     def _in_phases(self) -> str:
         keeper = self._keeper
-        ends = [tick for tick, _ in keeper.phases[1:]] + [keeper.ticks]
         rows = [
             [
-                phase.value,
-                f"{(tick - keeper.begin) * keeper.period:.2f}",
-                str(end - tick),
-                self._phases.get(phase.value, ""),
+                phase,
+                f"{(begin - keeper.begin) * keeper.period:.2f}",
+                str(end - begin),
+                self._phases.get(phase, ""),
             ]
-            for (tick, phase), end in zip(keeper.phases, ends)
+            for phase, begin, end in keeper.spans()
         ]
         return table(["phase", "begins [s]", "ticks", "what it is"], rows, words=True)
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from unicon_core.aligned import aligned
 from unicon_core.errors import UniconError, imported
-from unicon_ros.sweep.figures import COLUMNS
+from unicon_ros.sweep.figures import COLUMNS, NUMBERS
 from unicon_ros.sweep.proportions import wilson
 from unicon_ros.sweep.results import Results
 
@@ -54,8 +54,8 @@ def comparison(a: Results, b: Results) -> str:
     shares = [_share(hit, count) for hit, count in zip(hits, counts)]
     apart = hits[1] / counts[1] - hits[0] / counts[0]
     rows.append(("fell", *shares, f"{apart:+.2%}", f"{p:.2g}", _verdict(p)))
-    for name, column in COLUMNS.items():
-        if column.kind not in (int, float) or name in LEFT_OUT:
+    for name in NUMBERS:
+        if name in LEFT_OUT:
             continue
         first, second = ([s.every(name)[i] for i in at] for s, at in zip((a, b), places))
         if pairs:
@@ -65,9 +65,8 @@ def comparison(a: Results, b: Results) -> str:
         if len(x) and len(y):
             p = _p(stats, x, y, pairs)
             means = (x.mean(), y.mean())
-            label = f"{name} [{column.unit}]" if column.unit else name
             told = (*(f"{m:.4g}" for m in means), f"{means[1] - means[0]:+.3g}", f"{p:.2g}")
-            rows.append((label, *told, _verdict(p)))
+            rows.append((COLUMNS[name].named(name), *told, _verdict(p)))
     how = (
         f"{counts[0]} rows with the same values, pair by pair (McNemar, Wilcoxon)"
         if pairs

@@ -61,8 +61,7 @@ def parameter(path: str, said: Any) -> Parameter:
     Raises:
         UniconError: it is of no known form.
     """
-    words = yaml.safe_dump(said, default_flow_style=True, width=10_000).strip()
-    words = words.removesuffix("...").strip()[:200]
+    words = _one_line(said)[:200]
     if isinstance(said, list):
         return _listed(path, "list", said, words)
     if not isinstance(said, dict) or len(said) != 1:
@@ -74,14 +73,16 @@ def parameter(path: str, said: Any) -> Parameter:
     if not isinstance(of, list) or len(of) != count or not all(map(_number, of)):
         raise UniconError(f"{kind} is {of!r:.60}; write {KINDS[kind]}")
     a, b = float(of[0]), float(of[1])
+
+    def drawn(at: Callable[[float], float]) -> Parameter:
+        return Parameter(path, kind, at, None, words)
+
     if kind == "normal":
         if not b > 0.0:
             raise UniconError(f"normal is {of!r}; its standard deviation must be above 0")
         normal = NormalDist(a, b)
         least, most = normal.cdf(a - CUT * b), normal.cdf(a + CUT * b)
-        return Parameter(
-            path, kind, lambda u: _short(normal.inv_cdf(least + u * (most - least))), None, words
-        )
+        return drawn(lambda u: _short(normal.inv_cdf(least + u * (most - least))))
     if not a <= b:
         raise UniconError(f"{kind} is {of!r}; the first number must not be above the second")
     if kind == "range":
@@ -97,14 +98,8 @@ def parameter(path: str, said: Any) -> Parameter:
         if not a > 0.0:
             raise UniconError(f"log_uniform is {of!r}; both numbers must be above 0")
         low, high = math.log(a), math.log(b)
-        return Parameter(
-            path,
-            kind,
-            lambda u: min(max(_short(math.exp(low + u * (high - low))), a), b),
-            None,
-            words,
-        )
-    return Parameter(path, kind, lambda u: _short(a + u * (b - a)), None, words)
+        return drawn(lambda u: min(max(_short(math.exp(low + u * (high - low))), a), b))
+    return drawn(lambda u: _short(a + u * (b - a)))
 
 
 KINDS = {
@@ -129,8 +124,7 @@ def setting_of(path: str, value: Any) -> str:
         if exponent and "." not in mantissa:  # YAML takes 1e-05 for a word
             text = f"{mantissa}.0e{power}"
         return f"{path}={text}"
-    text = yaml.safe_dump(value, default_flow_style=True, width=1_000_000).strip()
-    text = text.removesuffix("...").strip()
+    text = _one_line(value)
     try:
         same = parse_value(text) == value
     except YamlError:
@@ -149,6 +143,11 @@ def _listed(path: str, kind: str, values: list[Any], words: str) -> Parameter:
             raise UniconError(f"value {value} is more than 63 bits and a sign hold; give a smaller")
     each, count = tuple(values), len(values)
     return Parameter(path, kind, lambda u: each[min(int(u * count), count - 1)], each, words)
+
+
+def _one_line(value: Any) -> str:
+    text = yaml.safe_dump(value, default_flow_style=True, width=1_000_000)
+    return str(text).strip().removesuffix("...").strip()
 
 
 def _number(value: object) -> bool:

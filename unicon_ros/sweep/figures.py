@@ -47,6 +47,10 @@ class Column:
     unit: str
     words: str
 
+    def named(self, name: str) -> str:
+        """Return a name with the unit."""
+        return f"{name} [{self.unit}]" if self.unit else name
+
 
 COLUMNS = {
     "outcome": Column(str, "", "done, duration, fell (early stop), fault, refused or crashed"),
@@ -71,6 +75,10 @@ COLUMNS = {
     "sha256_commands": Column(str, "", "of the commands of all ticks, as unicon run reports it"),
     "program": Column(str, "", "hash of robot, model and policies, see the shard's metadata"),
 }
+
+
+NUMBERS = [name for name, column in COLUMNS.items() if column.kind in (int, float)]
+"""Figures of which there are means."""
 
 
 def empty_row() -> dict[str, Any]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from unicon_core.errors import UniconError, alternatives
-from unicon_ros.sweep.figures import COLUMNS
+from unicon_ros.sweep.figures import NUMBERS
 
 _EACH = " for each "
 _FORM = re.compile(r"\s*(\w+)(?:\.(\w+))?\s*(<=|>=|<|>)\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*")
@@ -78,10 +78,9 @@ def read_gate(text: str) -> Gate:
             f"gate {text!r:.60} is not a condition; write fall<0.01 or distance_m.p05>3"
         )
     word, statistic, sign = found[1], found[2], found[3]
-    figures = [name for name, column in COLUMNS.items() if column.kind in (int, float)]
-    if word not in SHARES and word not in figures:
+    if word not in SHARES and word not in NUMBERS:
         raise UniconError(
-            f"gate {text!r}: no figure {word!r}; {alternatives(word, [*SHARES, *figures])}"
+            f"gate {text!r}: no figure {word!r}; {alternatives(word, [*SHARES, *NUMBERS])}"
         )
     known: Any = _OF_SHARES if word in SHARES else _OF_FIGURES
     statistic = statistic or known[0]

@@ -36,7 +36,7 @@ def write_report(results: Results) -> Path:
         "has the same sha256_commands.</p>",
         _worst(results),
         "<h2>What the figures say</h2>",
-        pairs({f"{n} [{c.unit}]" if c.unit else n: c.words for n, c in COLUMNS.items()}),
+        pairs({column.named(name): column.words for name, column in COLUMNS.items()}),
         "<h2>What was run</h2>",
         _facts(results),
     ]

@@ -7,7 +7,7 @@ from collections import Counter
 import numpy as np
 
 from unicon_core.aligned import aligned
-from unicon_ros.sweep.figures import COLUMNS
+from unicon_ros.sweep.figures import COLUMNS, NUMBERS
 from unicon_ros.sweep.proportions import wilson
 from unicon_ros.sweep.results import Results
 
@@ -36,8 +36,7 @@ def outcome_words(results: Results) -> str:
 def figure_rows(results: Results) -> list[tuple[str, ...]]:
     """Return a row for each figure that there is, with the columns of `HEADS`."""
     rows = []
-    numbers = [name for name, column in COLUMNS.items() if column.kind in (int, float)]
-    for name in numbers:
+    for name in NUMBERS:
         pairs = [
             (value, results.every("row")[place])
             for place, value in zip(results.good, results.column(name))

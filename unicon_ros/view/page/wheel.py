@@ -4,27 +4,11 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
-from typing import Any, Protocol
 
 import numpy as np
 
 from unicon_ros.view.shown import DEAD_MAN
-
-
-class Drives(Protocol):
-    """The part of `Remote` that a wheel needs."""
-
-    def touch(self) -> None:
-        """Begin to drive."""
-        ...
-
-    def drive(self, velocity: Any) -> None:
-        """Command a velocity, shape (3,) in [m/s, m/s, rad/s]; counts for `DEAD_MAN` seconds."""
-        ...
-
-    def let_go(self) -> None:
-        """Give the command back to the workflow."""
-        ...
+from unicon_ros.view.source import Remote
 
 
 class Wheel:
@@ -44,7 +28,7 @@ class Wheel:
         lost: why the last driver was lost; "" when nobody was, or somebody drives again.
     """
 
-    def __init__(self, remote: Drives, bounds: Sequence[tuple[float, float]]) -> None:
+    def __init__(self, remote: Remote, bounds: Sequence[tuple[float, float]]) -> None:
         self._remote, self._lock = remote, threading.RLock()
         self._low, self._high = np.array(bounds, float).reshape(-1, 2).T
         self._heard = 0.0
