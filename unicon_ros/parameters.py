@@ -16,8 +16,8 @@ from unicon_core.workflow.registry import known
 from unicon_ros import compat
 from unicon_ros.bridge.bindings import checked_prefix
 from unicon_ros.bridge.declare import declare, fitted
-from unicon_ros.bridge.tuning import Tuning, too_little_damping
-from unicon_ros.parameter_table import DECLARED, LIMITS, RANGES, SCALES, WORDS
+from unicon_ros.bridge.tuning import Tuning
+from unicon_ros.parameter_table import DECLARED, RANGES, WORDS
 
 DEFAULTS = {name: value for name, value, _ in DECLARED}
 FOREIGN = ("qos_overrides.", "start_type_description_service", "use_sim_time", "bond")
@@ -98,7 +98,7 @@ class Parameters:
         refusal = self._refusal(given)
         if refusal:
             raise UniconError(refusal)
-        self._apply(given)
+        self._tuning.apply(given)
         compat.convert_parameters(node, self._fitted)
         node.add_on_set_parameters_callback(self._set)
 
@@ -143,7 +143,7 @@ class Parameters:
         refusal = unsuitable(values) or self._refusal(values)
         if refusal:
             return SetParametersResult(successful=False, reason=refusal)
-        self._apply(values)
+        self._tuning.apply(values)
         return SetParametersResult(successful=True)
 
     def _refusal(self, values: dict[str, Any]) -> str:
@@ -151,16 +151,4 @@ class Parameters:
         for name in RANGES:
             if not math.isfinite(values.get(name, 0.0)):
                 return f"{name} is {values[name]}; give a finite number"
-        if values.keys().isdisjoint(SCALES):
-            return ""
-        return too_little_damping(
-            *(values.get(name, getattr(self._tuning, name)) for name in SCALES)
-        )
-
-    def _apply(self, values: dict[str, Any]) -> None:
-        tuning = self._tuning
-        tuning.stiffness_scale = values.get("stiffness_scale", tuning.stiffness_scale)
-        tuning.damping_scale = values.get("damping_scale", tuning.damping_scale)
-        for i, name in enumerate(LIMITS):
-            if name in values:
-                tuning.command_limit[i] = values[name]
+        return self._tuning.refusal(values)

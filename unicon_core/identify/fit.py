@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,21 +75,17 @@ def fit(
     if not which or not words:
         raise UniconError("nothing to estimate; name joints and figures")
     scene = scene or Scene()
-    simulator = _simulator(robot, scene)
+    figures, limbs = _simulator(robot, scene)
     keys = [(i, word) for word in words for i in which]
     with Replays(robot, scene, motion, processes) as replays:
-        return _Search(motion, robot, keys, simulator, replays, tell).run()
+        return _Search(motion, robot, keys, figures, limbs, replays, tell).run()
 
 
-@dataclass(frozen=True, eq=False)
-class _Simulator:
-    """What the simulator has of each figure, shape (n,), and to which limb each joint belongs."""
+def _simulator(robot: Robot, scene: Scene) -> tuple[dict[str, Float], NDArray[np.int64]]:
+    """Return what the simulator has of each figure, and which limb each joint belongs to.
 
-    figures: dict[str, Float]
-    limbs: NDArray[np.int64]
-
-
-def _simulator(robot: Robot, scene: Scene) -> _Simulator:
+    Both of shape (n,).
+    """
     loaded = load_model(scene.model_path(robot), robot, quiet=True)
     model, physics = loaded.model, joint_physics(robot, scene.joints)
     dofs = model.jnt_dofadr[loaded.joints]
@@ -107,7 +102,7 @@ def _simulator(robot: Robot, scene: Scene) -> _Simulator:
         while int(model.body_parentid[body]) not in (root, 0):
             body = int(model.body_parentid[body])
         limbs.append(body)
-    return _Simulator(figures, np.array(limbs))
+    return figures, np.array(limbs)
 
 
 def _said(figures: Float, otherwise: Float) -> Float:
@@ -122,14 +117,15 @@ class _Search:
         motion: Motion,
         robot: Robot,
         keys: Sequence[tuple[int, str]],
-        simulator: _Simulator,
+        figures: dict[str, Float],
+        limbs: NDArray[np.int64],
         replays: Replays,
         tell: Callable[[str], None],
     ) -> None:
         self._motion, self._robot, self._keys, self._replays = motion, robot, keys, replays
         self._tell, self._real = tell, motion.answers
-        self._begin = np.array([simulator.figures[word][i] for i, word in keys])
-        self._limbs, self._groups = simulator.limbs, _groups(keys, simulator.limbs)
+        self._begin = np.array([figures[word][i] for i, word in keys])
+        self._limbs, self._groups = limbs, _groups(keys, limbs)
         # A window knows one tick before it: no longer delay can show.
         largest = _MOST | {"delay": min(_MOST["delay"], motion.period)}
         self._step, self._prior, most = (

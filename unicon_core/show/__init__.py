@@ -2,8 +2,7 @@
 
 from unicon_core.show.mermaid import show_mermaid
 from unicon_core.show.page import show_page
-from unicon_core.show.parts import parts_table
-from unicon_core.show.state_table import state_rows
+from unicon_core.show.state_table import parts_table, state_rows
 from unicon_core.show.svg import show_svg
 from unicon_core.show.text import show_text
 

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 from unicon_core import __version__
 from unicon_core.figures import span
 from unicon_core.page import figure, page, pairs, place, table
-from unicon_core.show.parts import parts_rows
-from unicon_core.show.state_table import state_rows
+from unicon_core.show.state_table import parts_rows, state_rows
 from unicon_core.show.svg import graph_svg
 
 if TYPE_CHECKING:

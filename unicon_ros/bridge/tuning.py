@@ -7,6 +7,7 @@ costs a comparison or two for each block, in the place of its call.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -71,6 +72,19 @@ class Tuning:
         """Return what the parameters are at present, by their names on `unicon_node`."""
         limits = zip(LIMITS, map(float, self.command_limit))
         return {**dict(zip(SCALES, map(float, self._scales))), **dict(limits)}
+
+    def refusal(self, values: Mapping[str, float]) -> str:
+        """Return why parameters cannot be set together with the present ones, or ""."""
+        if values.keys().isdisjoint(SCALES):
+            return ""
+        return too_little_damping(*(values.get(name, getattr(self, name)) for name in SCALES))
+
+    def apply(self, values: Mapping[str, float]) -> None:
+        """Set those of some parameters that are here."""
+        for i, name in enumerate(SCALES):
+            self._scales[i] = values.get(name, self._scales[i])
+        for i, name in enumerate(LIMITS):
+            self.command_limit[i] = values.get(name, self.command_limit[i])
 
     def declare(self, document: WorkflowDocument) -> None:
         """Let a workflow have the state `gain_scale`, before it is built: records tell it then.

@@ -138,7 +138,7 @@ def _run(
             refuse_unwritable(Path(path))
         with_page = bool(arguments.report) and arguments.report.lower().endswith(".html")
         if arguments.picture or with_page:
-            from unicon_ros.report.pictured import Pictured
+            from unicon_ros.report.run_page import Pictured
 
             pictured = Pictured(arguments.picture, arguments.report if with_page else "")
             hooks.append(pictured.hook)

@@ -1,4 +1,4 @@
-"""RunPage: what a run did, as one page that needs nothing beside it."""
+"""What a run did: as one page that needs nothing beside it, and as a picture."""
 
 from __future__ import annotations
 
@@ -15,13 +15,51 @@ from unicon_core.runtime.phases import describe
 from unicon_ros.recording.facts import facts_of
 from unicon_ros.report.drawing import drawings
 from unicon_ros.report.kept import Keeper
-from unicon_ros.report.pictures import PICTURES, beyond
+from unicon_ros.report.pictures import PICTURES, beyond, write_overview
 
 if TYPE_CHECKING:
     from unicon_core.runtime import Report, Runner
 
 MOST_TOLD = 4
 """Joints beyond a limit that are named at the head; the pictures show all of them red."""
+
+
+class Pictured(Keeper):
+    """What `--picture` and `--report FILE.html` need of a run: keeps what is drawn at its end.
+
+    Args:
+        picture: path of the PNG, or "".
+        page: path of the page, or "".
+
+    Attributes:
+        page: of the run, once it is attached; None where none was asked for.
+
+    Raises:
+        MissingDependencyError: matplotlib is not installed.
+    """
+
+    def __init__(self, picture: str | None, page: str | None) -> None:
+        super().__init__("--picture" if picture else "--report FILE.html")
+        self._picture, self._path = picture or "", page or ""
+        self.page: RunPage | None = None
+
+    def attach(self, runner: Runner) -> None:
+        """Get to know the runner, before its first tick."""
+        super().attach(runner)
+        if self._path:
+            self.page = RunPage(self._path, self, runner)
+
+    def draw(self, report: Report) -> None:
+        """Write the PNG.
+
+        Raises:
+            UniconError: it cannot be written.
+        """
+        write_overview(self._picture, self, _title(report))
+
+
+def _title(report: Report) -> str:
+    return f"{report.workflow} on {report.robot} ({report.platform})"
 
 
 class RunPage:
@@ -64,10 +102,9 @@ class RunPage:
             f'<p class="sub">unicon_ros {__version__}; all figures with all digits: '
             "--report FILE.json; every state of every tick: --record FILE.mcap</p>",
         ]
-        title = f"{report.workflow} on {report.robot} ({report.platform})"
         robots = self._runner.program.states.num_robots
         many = "" if robots is None else f"; the first of {robots} robots is shown"
-        text = page(title, f"begun {self._begun}{many}", parts)
+        text = page(_title(report), f"begun {self._begun}{many}", parts)
         write_file(self.path, text.encode(), folders=True)
 
     def _said(self, report: Report) -> list[str]:

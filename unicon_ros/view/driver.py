@@ -20,9 +20,9 @@ from unicon_core.states import States
 from unicon_core.workflow import Program
 from unicon_core.workflow.skills import skills_of
 from unicon_ros.bridge.bindings import told_states
-from unicon_ros.bridge.tuning import Tuning, too_little_damping
+from unicon_ros.bridge.tuning import Tuning
 from unicon_ros.controls import Answer, Controls
-from unicon_ros.parameter_table import LIMITS, RANGES
+from unicon_ros.parameter_table import RANGES
 from unicon_ros.peripherals.peripheral import short
 from unicon_ros.view.shown import DEAD_MAN, DRIVING, GIVEN_BACK
 
@@ -229,16 +229,7 @@ class Driver:
         low, high = RANGES[name]
         if not low <= value <= high:
             return False, f"{name} is {value:g}; give {low:g} to {high:g}"
-        if name in LIMITS:
-            tuning.command_limit[LIMITS.index(name)] = value
-            return True, f"{name} is {value:g}"
-        scales = {
-            "stiffness_scale": tuning.stiffness_scale,
-            "damping_scale": tuning.damping_scale,
-            name: value,
-        }
-        wrong = too_little_damping(scales["stiffness_scale"], scales["damping_scale"])
-        if wrong:
-            return False, wrong
-        setattr(tuning, name, value)
-        return True, f"{name} is {value:g}"
+        wrong = tuning.refusal({name: value})
+        if not wrong:
+            tuning.apply({name: value})
+        return not wrong, wrong or f"{name} is {value:g}"
