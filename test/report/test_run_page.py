@@ -22,6 +22,7 @@ from unicon_core.runtime.phases import Phase
 from unicon_core.workflow import Program
 from unicon_ros.cli.main import main
 from unicon_ros.report import kept
+from unicon_ros.report.drawing import drawings
 from unicon_ros.report.kept import Keeper
 from unicon_ros.report.pictures import PICTURES
 from unicon_ros.report.run_page import RunPage
@@ -321,3 +322,22 @@ def test_a_hundred_thousand_ticks_make_no_larger_page(tmp_path: Path) -> None:
     assert report.ticks == 100_000
     assert "the last 32,768 of 100,000 ticks" in page.text
     assert "late [µs]" not in page.text  # it was not paced
+
+
+def test_a_picture_that_cannot_be_drawn_says_why_and_leaves_the_others(tmp_path: Path) -> None:
+    def fails(figure: Any) -> bool:
+        raise ValueError("no <luck>")
+
+    def draws(figure: Any) -> bool:
+        figure.add_subplot().plot([0.0, 1.0])
+        return True
+
+    def empty(figure: Any) -> bool:
+        return False
+
+    pictures = {"a": (fails, "A", ""), "b": (draws, "B", ""), "c": (empty, "C", "")}
+    found = dict(drawings(pictures, folder=tmp_path))
+    assert list(found) == ["a", "b"]
+    assert "could not be drawn: ValueError: no &lt;luck&gt;" in found["a"]
+    assert "<svg" in found["b"]
+    assert [path.name for path in tmp_path.iterdir()] == ["b.png"]

@@ -216,3 +216,19 @@ def test_sobol_names_scipy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     text = HEAD + "vary: {scene.delay: [0, 1]}\nsample: sobol\nrollouts: 2"
     with pytest.raises(UniconError, match=r"sample: sobol needs scipy: pip install 'unicon_ros\["):
         Plan(sweep_of(tmp_path, text))
+
+
+@pytest.mark.parametrize(
+    ("said", "kind"),
+    [
+        ([1, 2], int),
+        ([1, 2.5], float),
+        ({"uniform": [0, 1]}, float),
+        ({"range": [0, 3]}, int),
+        ([True, False], str),
+        ([1, "two"], str),
+        ([None, [1]], str),
+    ],
+)
+def test_a_column_is_of_whole_numbers_numbers_or_words(said: Any, kind: type) -> None:
+    assert parameter("scene.x", said).type is kind

@@ -48,11 +48,12 @@ class Parameter:
     words: str
 
     @property
-    def numeric(self) -> bool:
-        """Whether its values are numbers."""
-        return self.values is None or all(
-            isinstance(v, (int, float)) and not isinstance(v, bool) for v in self.values
-        )
+    def type(self) -> type:
+        """Of its values: int, float, or str for whatever is no number."""
+        if self.values is None:
+            return float
+        types = set(map(type, self.values))
+        return str if types - {int, float} else int if types == {int} else float
 
 
 def parameter(path: str, said: Any) -> Parameter:

@@ -46,25 +46,22 @@ def write_shard(
     from pyarrow import parquet
 
     kinds = {bool: pyarrow.bool_(), int: pyarrow.int64(), float: pyarrow.float64()}
-    columns: dict[str, Any] = {
-        "row": pyarrow.array([row.index for row, _ in rows], pyarrow.int64()),
-        "repetition": pyarrow.array([row.repetition for row, _ in rows], pyarrow.int64()),
-    }
-    for place, each in enumerate(plan.sweep.parameters):
-        values = [row.values[place] for row, _ in rows]
-        whole = each.values is not None and all(type(value) is int for value in each.values)
-        if each.numeric:
-            kind = pyarrow.int64() if whole else pyarrow.float64()
-            columns[VARIED + each.path] = pyarrow.array(values, kind)
-        else:
-            told = [value if isinstance(value, str) else json.dumps(value) for value in values]
-            columns[VARIED + each.path] = pyarrow.array(told, pyarrow.string())
-    settings = [json.dumps(row.settings, ensure_ascii=False) for row, _ in rows]
-    columns[SETTINGS] = pyarrow.array(settings, pyarrow.string())
-    for name, column in COLUMNS.items():
-        kind = kinds.get(column.kind, pyarrow.string())
-        columns[name] = pyarrow.array([figures.get(name) for _, figures in rows], kind)
-    table = pyarrow.table(columns).replace_schema_metadata({METADATA: json.dumps(facts)})
+    varied = {VARIED + each.path: each.type for each in plan.sweep.parameters}
+    types = {"row": int, "repetition": int, **varied, SETTINGS: str}
+    types |= {name: column.kind for name, column in COLUMNS.items()}
+    told = []
+    for row, figures in rows:
+        values = zip(varied.items(), row.values)
+        told.append(
+            {"row": row.index, "repetition": row.repetition, **figures}
+            | {SETTINGS: json.dumps(row.settings, ensure_ascii=False)}
+            | {name: _text(v) if kind is str else v for (name, kind), v in values}
+        )
+    schema = pyarrow.schema(
+        [(name, kinds.get(kind, pyarrow.string())) for name, kind in types.items()],
+        metadata={METADATA: json.dumps(facts)},
+    )
+    table = pyarrow.Table.from_pylist(told, schema)
     half = path.with_name(f".{path.name}.half")
     try:
         with half.open("wb") as file:
@@ -80,6 +77,10 @@ def write_shard(
         os.fsync(folder)
     finally:
         os.close(folder)
+
+
+def _text(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value)
 
 
 def read_shards(

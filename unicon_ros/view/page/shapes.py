@@ -67,14 +67,12 @@ def shapes_of(loaded: LoadedModel) -> list[Shape]:
             bone = _bone(np.array(model.body_pos[body]))
             if bone is not None:
                 parts.setdefault((parent, _BONE_COLOUR), []).append(bone)
-    return [_joined(body, colour, meshes) for (body, colour), meshes in parts.items()]
-
-
-def _joined(body: int, colour: tuple[float, ...], meshes: list[Any]) -> Shape:
-    mesh = trimesh.util.concatenate(meshes)
-    return Shape(
-        body, np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.uint32), colour
-    )
+    shapes = []
+    for (body, colour), meshes in parts.items():
+        mesh = trimesh.util.concatenate(meshes)
+        vertices, faces = np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.uint32)
+        shapes.append(Shape(body, vertices, faces, colour))
+    return shapes
 
 
 def _colour(model: Any, geom: int) -> tuple[float, ...]:
@@ -94,22 +92,21 @@ def _bone(child: NDArray[np.float64]) -> Any:
 
 def _triangles(model: Any, geom: int) -> Any:
     """Return a geom in its own frame; None for what has no triangles."""
-    kinds, kind = import_mujoco().mjtGeom, int(model.geom_type[geom])
-    size = np.array(model.geom_size[geom], float)
+    kind = import_mujoco().mjtGeom(int(model.geom_type[geom])).name.removeprefix("mjGEOM_")
+    size, number = np.array(model.geom_size[geom], float), int(model.geom_dataid[geom])
     make = trimesh.creation
-    if kind == int(kinds.mjGEOM_SPHERE):
+    if kind == "SPHERE":
         return make.icosphere(2, size[0])
-    if kind == int(kinds.mjGEOM_ELLIPSOID):
+    if kind == "ELLIPSOID":
         return make.icosphere(2, 1.0).apply_scale(size)
-    if kind == int(kinds.mjGEOM_CYLINDER):
+    if kind == "CYLINDER":
         return make.cylinder(size[0], 2.0 * size[1], sections=24)
-    if kind == int(kinds.mjGEOM_CAPSULE):
+    if kind == "CAPSULE":
         capsule = make.capsule(2.0 * size[1], size[0], count=[16, 12])
         return capsule.apply_translation(-capsule.bounds.mean(axis=0))
-    if kind == int(kinds.mjGEOM_BOX):
+    if kind == "BOX":
         return make.box(2.0 * size)
-    number = int(model.geom_dataid[geom])
-    if kind == int(kinds.mjGEOM_MESH):
+    if kind == "MESH":
         first, count = int(model.mesh_vertadr[number]), int(model.mesh_vertnum[number])
         face, faces = int(model.mesh_faceadr[number]), int(model.mesh_facenum[number])
         return trimesh.Trimesh(
@@ -117,9 +114,7 @@ def _triangles(model: Any, geom: int) -> Any:
             np.array(model.mesh_face[face : face + faces]),
             process=False,
         )
-    if kind == int(kinds.mjGEOM_HFIELD):
-        return _field(model, number)
-    return None
+    return _field(model, number) if kind == "HFIELD" else None
 
 
 def _field(model: Any, number: int) -> Any:
