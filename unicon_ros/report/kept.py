@@ -158,7 +158,8 @@ class Keeper:
     def largest(self, name: str) -> NDArray[Any]:
         """Return the largest size of each element in the run, shape (elements,)."""
         low, high = self.reached(name)
-        return np.fmax(np.abs(low), np.abs(high))
+        sizes: NDArray[Any] = np.fmax(np.abs(low), np.abs(high))
+        return sizes
 
     def curve(self, name: str) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return times in [s] and values of a state to draw, no peak lost."""

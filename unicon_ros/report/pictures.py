@@ -257,9 +257,10 @@ def _timing(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
     rows = statistics.kept()
     if not len(rows):
         return False
-    parts = [("busy", statistics.durations_us(), MEASURED, "from recv to the end of send")]
+    busy: NDArray[Any] = statistics.durations_us()
+    parts = [("busy", busy, MEASURED, "from recv to the end of send")]
     if keeper.paced:
-        late = (rows[:, 2] - rows[:, 0]) * 1e-3
+        late: NDArray[Any] = (rows[:, 2] - rows[:, 0]) * 1e-3
         parts.append(("late", late, COMMANDED, "from the deadline to the begin of the tick"))
     if len(rows) < statistics.count:
         figure.suptitle(f"the last {len(rows):,} of {statistics.count:,} ticks")
