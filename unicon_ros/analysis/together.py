@@ -84,8 +84,8 @@ def bring_together(real: Run, sim: Run, options: Options) -> Together:
     notes = [*real.notes, *sim.notes]
     joints, columns = _joints(real, sim, notes)
     period, method = common_period(real, sim, options.rate)
-    sides = []
-    for run, column in zip((real, sim), columns):
+    runs, sides = (real, sim), []
+    for run, column in zip(runs, columns):
         holes = np.diff(run.time)
         if holes.max() > HOLE * period:
             notes.append(
@@ -98,23 +98,23 @@ def bring_together(real: Run, sim: Run, options: Options) -> Together:
         }
         sides.append(states if method == "" else resample(run.time, states, period))
     common = [name for name in sides[0] if name in sides[1]]
-    for one, other, run in ((0, 1, sim), (1, 0, real)):
-        if missing := [name for name in sides[one] if name not in sides[other]]:
+    for run, other in zip(runs, sides[::-1]):
+        if missing := [name for name in other if name not in common]:
             notes.append(f"{run.path.name} has no {', '.join(missing)}.")
-    a, b = ({name: side[name] for name in common} for side in sides)
     falls = [_fall(side, period) for side in sides]
-    whole = dict(a), dict(b)
+    whole = [{name: side[name] for name in common} for side in sides]
+    cut = whole
     if not options.whole:
-        a, b = (
-            _until(side, fall, period, run, notes)
-            for side, fall, run in zip((a, b), falls, (real, sim))
-        )
-    for side, run in ((a, real), (b, sim)):
+        cut = [
+            _until(side, fall, period, run, notes) for side, fall, run in zip(whole, falls, runs)
+        ]
+    for side, run in zip(cut, runs):
         if len(side["joint_pos"]) < FEWEST:
             raise UniconError(
                 f"{run.path} has {len(side['joint_pos'])} samples at {1 / period:g} Hz; at least "
                 f"{FEWEST} tell something: give a higher --rate or a longer run"
             )
+    a, b = cut
     limit = None if options.max_shift is None else math.floor(options.max_shift / period)
     aligned = aligned_mse(a["joint_pos"], b["joint_pos"], limit)
     shift, count = int(aligned.shift), int(aligned.overlap)
@@ -126,7 +126,8 @@ def bring_together(real: Run, sim: Run, options: Options) -> Together:
         aligned,
         {name: values[first_a : first_a + count] for name, values in a.items()},
         {name: values[first_b : first_b + count] for name, values in b.items()},
-        *whole,
+        whole[0],
+        whole[1],
         (len(a["joint_pos"]), len(b["joint_pos"])),
         (real.begins + first_a * period, sim.begins + first_b * period),
         (real.begins + falls[0], sim.begins + falls[1]),

@@ -80,17 +80,13 @@ class Foxglove:
         self._driver = Publishers(shown, remote, self._say)
         self._loud_until, self._lines = 0.0, 0
         hidden = hidden_address()
-
-        class Listener(_Listener, websocket.ServerListener):
-            """What else the server calls does nothing."""
-
         capability = websocket.Capability
         self._server = foxglove.start_server(
             name=f"unicon {shown.workflow} on {shown.robot.name}",
             host=hidden,
             port=0,
             capabilities=[capability.ClientPublish, capability.Parameters, capability.Services],
-            server_listener=Listener(self),
+            server_listener=_listener(websocket.ServerListener, self),
             supported_encodings=["cdr", "json"],
             services=self._services(foxglove),
             asset_handler=self._topics.meshes.fetch,
@@ -195,35 +191,40 @@ class Foxglove:
         return [service(act, act) for act in _ACTS] + skills
 
 
-class _Listener:
-    """What the server calls, in threads of its own."""
+def _listener(base: Any, sink: Foxglove) -> Any:
+    """Return what the server calls, in threads of its own.
 
-    def __init__(self, sink: Foxglove) -> None:
-        self._sink = sink
-        self._channels: dict[tuple[int, int], Any] = {}
+    Args:
+        base: foxglove-sdk's, which does nothing.
+        sink: for whom it listens.
+    """
+    channels: dict[tuple[int, int], Any] = {}
 
-    def on_subscribe(self, client: Any, channel: Any) -> None:
-        self._sink._topics.again(channel.id)
+    class Listener(base):
+        def on_subscribe(self, client: Any, channel: Any) -> None:
+            sink._topics.again(channel.id)
 
-    def on_client_advertise(self, client: Any, channel: Any) -> None:
-        if len(self._channels) < 1000:
-            self._channels[client.id, channel.id] = channel
+        def on_client_advertise(self, client: Any, channel: Any) -> None:
+            if len(channels) < 1000:
+                channels[client.id, channel.id] = channel
 
-    def on_client_unadvertise(self, client: Any, client_channel_id: int) -> None:
-        self._channels.pop((client.id, client_channel_id), None)
+        def on_client_unadvertise(self, client: Any, client_channel_id: int) -> None:
+            channels.pop((client.id, client_channel_id), None)
 
-    def on_message_data(self, client: Any, client_channel_id: int, data: bytes) -> None:
-        channel = self._channels.get((client.id, client_channel_id))
-        if channel is not None:
-            self._sink.heard(client.id, channel, data)
+        def on_message_data(self, client: Any, client_channel_id: int, data: bytes) -> None:
+            channel = channels.get((client.id, client_channel_id))
+            if channel is not None:
+                sink.heard(client.id, channel, data)
 
-    def on_get_parameters(self, client: Any, param_names: list[str], request_id: Any = None) -> Any:
-        return self._sink.parameters(param_names)
+        def on_get_parameters(self, client: Any, names: list[str], request: Any = None) -> Any:
+            return sink.parameters(names)
 
-    def on_set_parameters(self, client: Any, parameters: list[Any], request_id: Any = None) -> Any:
-        for parameter in parameters:
-            self._sink.set_parameter(parameter.name, parameter.get_value())
-        return self._sink.parameters([])
+        def on_set_parameters(self, client: Any, parameters: Any, request: Any = None) -> Any:
+            for parameter in parameters:
+                sink.set_parameter(parameter.name, parameter.get_value())
+            return sink.parameters([])
+
+    return Listener()
 
 
 class _Topics:
