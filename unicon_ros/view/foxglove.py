@@ -216,10 +216,12 @@ def _listener(base: Any, sink: Foxglove) -> Any:
             if channel is not None:
                 sink.heard(client.id, channel, data)
 
-        def on_get_parameters(self, client: Any, names: list[str], request: Any = None) -> Any:
-            return sink.parameters(names)
+        def on_get_parameters(
+            self, client: Any, param_names: list[str], request_id: Any = None
+        ) -> Any:
+            return sink.parameters(param_names)
 
-        def on_set_parameters(self, client: Any, parameters: Any, request: Any = None) -> Any:
+        def on_set_parameters(self, client: Any, parameters: Any, request_id: Any = None) -> Any:
             for parameter in parameters:
                 sink.set_parameter(parameter.name, parameter.get_value())
             return sink.parameters([])
