@@ -9,7 +9,7 @@ from html import escape
 
 from unicon_core.flow import Block, Chain, Node, Switch
 from unicon_core.show.state_table import state_rows
-from unicon_core.show.tree import LEGEND, branches, is_critical, shortened, title
+from unicon_core.show.tree import LEGEND, branches, data_lines, is_critical, title
 from unicon_core.states import States
 
 CHAR = 7.3  # px, a character of 12 px monospace, rounded up
@@ -113,7 +113,7 @@ def _svg(parts: list[str], width: float, height: float) -> str:
 
 
 def _measured(node: Node, label: str) -> _Box:
-    box = _Box(node, _lines(node), label)
+    box = _Box(node, [title(node), *data_lines(node, "⇠⇢±", 3)], label)
     box.children = [_measured(child, name) for name, child in branches(node)]
     text = max(len(line) for line in [*box.lines, label]) * CHAR
     head = len(box.lines) * LINE + (LINE if label else 0)
@@ -126,15 +126,6 @@ def _measured(node: Node, label: str) -> _Box:
         inner = max(widths), sum(heights) + (len(heights) - 1) * GAP
     box.width, box.height = max(text, inner[0]) + 2 * PAD, head + inner[1] + 2 * PAD
     return box
-
-
-def _lines(node: Node) -> list[str]:
-    lines = [title(node)]
-    if isinstance(node, Block):
-        for word, names in (("⇠", node.reads), ("⇢", node.writes), ("±", node.amends)):
-            if names:
-                lines.append(f"{word} {shortened(names, 3)}")
-    return lines
 
 
 def _drawn(box: _Box, x: float, y: float, critical: Collection[Block]) -> list[str]:

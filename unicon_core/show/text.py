@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from unicon_core.aligned import aligned
 from unicon_core.flow import Block, Node
 from unicon_core.show.state_table import state_rows
-from unicon_core.show.tree import LEGEND, branches, is_critical, shortened, title
+from unicon_core.show.tree import LEGEND, branches, data_lines, is_critical, title
 from unicon_core.states import States
 
 if TYPE_CHECKING:
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from unicon_core.robots import Robot
 
 MARK = "●"
+WORDS = ("reads", "writes", "amends")
 
 
 def show_text(
@@ -64,7 +65,7 @@ def _tree(
 ) -> Iterator[tuple[str, str]]:
     """Yield (tree part, data part) for each line below a node."""
     mark = f"{MARK} " if is_critical(node, critical) else ""
-    yield f"{lead}{label}{mark}{title(node)}", _data(node) if isinstance(node, Block) else ""
+    yield f"{lead}{label}{mark}{title(node)}", "  ".join(data_lines(node, WORDS, 4))
     children = branches(node)
     for i, (name, child) in enumerate(children):
         last = i == len(children) - 1
@@ -75,8 +76,3 @@ def _tree(
             below + ("   " if last else "│  "),
             f"{name}: " if name else "",
         )
-
-
-def _data(block: Block) -> str:
-    words = (("reads", block.reads), ("writes", block.writes), ("amends", block.amends))
-    return "  ".join(f"{word} {shortened(names, 4)}" for word, names in words if names)

@@ -66,6 +66,14 @@ def shortened(names: Sequence[str], limit: int) -> str:
     return f"{', '.join(names[: limit - 1])}, +{len(names) - limit + 1}"
 
 
+def data_lines(node: Node, words: Sequence[str], limit: int) -> list[str]:
+    """Return what a block reads, writes and amends, each behind its word; none of other nodes."""
+    if not isinstance(node, Block):
+        return []
+    uses = zip(words, (node.reads, node.writes, node.amends))
+    return [f"{word} {shortened(names, limit)}" for word, names in uses if names]
+
+
 def data_flow(root: Node) -> dict[tuple[Block, Block], list[str]]:
     """Return the states that go from a block that writes or amends them to one that reads them.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -149,27 +150,27 @@ def _effort(figure: Any, comparison: Comparison) -> bool:
     return True
 
 
+_OF_BASE: tuple[tuple[str, str, Callable[[Array], Array]], ...] = (
+    ("projected_gravity", "lean [rad]", lambda rows: np.arccos(np.clip(-rows[:, 2], -1.0, 1.0))),
+    ("base_ang_vel", "turning: z [rad/s]", lambda rows: rows[:, 2]),
+    ("base_lin_vel", "speed: x [m/s]", lambda rows: rows[:, 0]),
+)
+"""State, label, and what is drawn of it."""
+
+
 def _base(figure: Any, comparison: Comparison) -> bool:
     both = comparison.together
-    shown = [
-        (name, label)
-        for name, label in (
-            ("projected_gravity", "lean [rad]"),
-            ("base_ang_vel", "turning: z [rad/s]"),
-            ("base_lin_vel", "speed: x [m/s]"),
-        )
-        if name in both.real
-    ]
+    shown = [each for each in _OF_BASE if each[0] in both.real]
     if not shown:
         return False
     figure.set_size_inches(12.0, 0.5 + 1.8 * len(shown))
     rows = figure.subplots(len(shown), sharex=True, squeeze=False)[:, 0]
     found = int(both.aligned.shift)
     begin = both.begins[0] - max(0, found) * both.period
-    for axes, (name, label) in zip(rows, shown):
+    for axes, (name, label, part) in zip(rows, shown):
         sides = ((both.sim_whole, found, SIM, "simulated"), (both.real_whole, 0, REAL, "real"))
         for side, shift, colour, who in sides:
-            values = _shown_of_base(name, side[name])
+            values = part(side[name])
             time = begin + both.period * (shift + np.arange(len(values)))
             curve(axes, time, values, colour, who)
         _compared(axes, both)
@@ -177,12 +178,6 @@ def _base(figure: Any, comparison: Comparison) -> bool:
     rows[0].legend(loc="upper left", ncols=3)
     rows[-1].set_xlabel(CLOCK)
     return True
-
-
-def _shown_of_base(name: str, values: Array) -> Array:
-    if name == "projected_gravity":
-        return np.asarray(np.arccos(np.clip(-values[:, 2], -1.0, 1.0)), np.float64)
-    return values[:, 2] if name == "base_ang_vel" else values[:, 0]
 
 
 PICTURES: Pictures = {

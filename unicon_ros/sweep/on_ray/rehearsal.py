@@ -19,13 +19,13 @@ from typing import Any
 from unicon_core.errors import UniconError
 from unicon_core.resources import config_roots
 from unicon_ros.sweep.draws import setting_of
+from unicon_ros.sweep.on_ray.shipment import PACKAGES
 from unicon_ros.sweep.piped import PipedProcess
 from unicon_ros.sweep.plan import Plan
 
 MOMENT = 0.05
 """Of a rollout in [s]: some blocks open files in the first tick."""
 SYSTEM = ("/proc", "/sys", "/dev", "/run", "/etc", "/usr", "/lib", "/lib64", "/bin", "/sbin")
-OURS = ("unicon_core", "unicon_msgs_map", "unicon_ros")
 
 
 def rehearsed(plan: Plan) -> Iterator[tuple[str, ...]]:
@@ -132,7 +132,7 @@ def to_ship(seen: Iterable[str]) -> list[str]:
     """
     roots = [f"{root}{os.sep}" for root in config_roots()]
     source = Path(__file__).resolve().parents[3]
-    there = [*SYSTEM, *(str(source / name) for name in OURS), sys.prefix, sys.base_prefix]
+    there = [*SYSTEM, *(str(source / name) for name in PACKAGES), sys.prefix, sys.base_prefix]
     there += _installed(tuple(there))
     has = tuple(f"{each}{os.sep}" for each in there)
 

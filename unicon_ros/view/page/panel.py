@@ -131,7 +131,6 @@ class Panel:
         self.status = gui.add_html("")
         self.sliders: list[Any] = []
         self._wheel: Any = None
-        self._speed: Any = None
         self.time: Any = None
         self.play: Any = None
         if span is None:
