@@ -61,9 +61,9 @@ def affine(real: ArrayLike, sim: ArrayLike, max_lag: int | None = None) -> Affin
     still_a, still_b = (STILL * np.max(np.abs(x), axis=-2, keepdims=True) for x in (a, b))
     a, b = a - mean_a, b - mean_b
     first_a, first_b, count = np.maximum(shifts, 0), np.maximum(-shifts, 0), overlaps[:, None]
-    sum_a, sum_b = _windows(a, first_a, overlaps), _windows(b, first_b, overlaps)
-    var_a = _windows(a * a, first_a, overlaps) / count - (sum_a / count) ** 2
-    var_b = _windows(b * b, first_b, overlaps) / count - (sum_b / count) ** 2
+    sum_a, sum_b = windows(a, first_a, overlaps), windows(b, first_b, overlaps)
+    var_a = windows(a * a, first_a, overlaps) / count - (sum_a / count) ** 2
+    var_b = windows(b * b, first_b, overlaps) / count - (sum_b / count) ** 2
     covariance = correlations(a, b, shifts) / count - sum_a * sum_b / count**2
     moves_a, moves_b = var_a > still_a**2, var_b > still_b**2
     moves = moves_a & moves_b
@@ -91,7 +91,7 @@ def affine(real: ArrayLike, sim: ArrayLike, max_lag: int | None = None) -> Affin
     return Affine(shifts[best], gain, offset, sign, correlation)
 
 
-def _windows(x: Array, first: NDArray[np.int64], count: NDArray[np.int64]) -> Array:
+def windows(x: Array, first: NDArray[np.int64], count: NDArray[np.int64] | int) -> Array:
     """Return the sums of count[k] samples from first[k] on, shape (…, s, d)."""
     total = np.zeros((*x.shape[:-2], x.shape[-2] + 1, x.shape[-1]))
     np.cumsum(x, axis=-2, out=total[..., 1:, :])

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from unicon_core.errors import UniconError
-from unicon_core.gap.trajectories import Array, one
+from unicon_core.gap.trajectories import Array, one, refuse_period
 
 LEANS = 0.8
 """Between the base's z axis and the vertical in [rad]: too far. `tilt_stop` ends a run at 1."""
@@ -75,8 +75,7 @@ def warming(temperature: ArrayLike, period: float) -> Warming:
         UniconError: something that is not a number, or empty; a period that is not > 0.
     """
     x = one(temperature, "temperature")
-    if not 0.0 < period < math.inf:
-        raise UniconError(f"gap: period is {period}; give a time > 0 in [s]")
+    refuse_period(period)
     time = period * (np.arange(x.shape[-2]) - 0.5 * (x.shape[-2] - 1))
     spread = max(float(time @ time), np.finfo(np.float64).tiny)
     rate = np.einsum("n,...nd->...d", time, x - x[..., :1, :]) / spread
@@ -113,8 +112,7 @@ def fall_time(
     gravity = one(projected_gravity, "projected_gravity")
     if gravity.shape[-1] != 3:
         raise UniconError(f"gap: projected_gravity has {gravity.shape[-1]} elements; give x, y, z")
-    if not 0.0 < period < math.inf:
-        raise UniconError(f"gap: period is {period}; give a time > 0 in [s]")
+    refuse_period(period)
     leans = -gravity[..., 2] < math.cos(LEANS)
     held = max(1, round(for_s / period))
     count = leans.shape[-1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -78,6 +79,16 @@ def two(real: ArrayLike, sim: ArrayLike, same_length: bool = False) -> tuple[Arr
         np.broadcast_to(a, (*front, *a.shape[-2:])),
         np.broadcast_to(b, (*front, *b.shape[-2:])),
     )
+
+
+def refuse_period(period: float) -> None:
+    """Refuse a time between two samples that is none.
+
+    Raises:
+        UniconError: it is not > 0, or has no end.
+    """
+    if not 0.0 < period < math.inf:
+        raise UniconError(f"gap: period is {period}; give a time > 0 in [s]")
 
 
 def _of_batch(index: Sequence[int]) -> str:

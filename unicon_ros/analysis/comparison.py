@@ -21,6 +21,7 @@ from unicon_core.gap import (
     warming,
     wasserstein,
 )
+from unicon_core.gap.affine import windows
 from unicon_core.gap.trajectories import Array
 from unicon_core.page import plain
 from unicon_ros.analysis.together import Together
@@ -188,9 +189,7 @@ def _asked(states: dict[str, Array]) -> Array | None:
 
 def _smooth(values: Array, width: int) -> Array:
     """Return the means of consecutive samples, shape (n + 1 − width, d)."""
-    total = np.zeros((len(values) + 1, values.shape[1]))
-    np.cumsum(values, axis=0, out=total[1:])
-    return np.asarray((total[width:] - total[:-width]) / width, np.float64)
+    return windows(values, np.arange(len(values) + 1 - width), width) / width
 
 
 def _whole(name: str, both: Together) -> dict[str, float]:

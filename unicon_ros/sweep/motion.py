@@ -20,6 +20,10 @@ from unicon_core.gap.trajectories import Array
 from unicon_ros.analysis.run import Run
 from unicon_ros.analysis.together import Options, bring_together
 
+MOVED = (
+    *("distance_m", "commanded_m", "speed_error", "turn_error", "speed_bias", "turn_bias"),
+    "fall_s",
+)
 STILL = 1e-6
 """Command in [m/s] and [rad/s] up to which nothing is asked for."""
 
@@ -51,12 +55,7 @@ def moved(
         last tick with a command; `speed_bias`, `turn_bias`: size of the mean of the same, in which
         the sway of the gait cancels out; `fall_s`: when it fell. None where there is none.
     """
-    figures: dict[str, float | None] = dict.fromkeys(
-        (
-            *("distance_m", "commanded_m", "speed_error", "turn_error"),
-            *("speed_bias", "turn_bias", "fall_s"),
-        )
-    )
+    figures: dict[str, float | None] = dict.fromkeys(MOVED)
     command = states["velocity_command"]
     if len(command) < 2:
         return figures
@@ -81,10 +80,12 @@ def moved(
         part = slice(active[0], active[-1] + 1)
         wrong = way[part] / period - asked[part]
         turn = states["base_ang_vel"][:-1][part, 2] - command[:-1][part, 2]
-        figures["speed_error"] = float(np.sqrt(np.mean(np.sum(wrong**2, axis=1))))
-        figures["turn_error"] = float(np.sqrt(np.mean(turn**2)))
-        figures["speed_bias"] = float(np.linalg.norm(wrong.mean(axis=0)))
-        figures["turn_bias"] = float(abs(turn.mean()))
+        figures |= {
+            "speed_error": float(np.sqrt(np.mean(np.sum(wrong**2, axis=1)))),
+            "turn_error": float(np.sqrt(np.mean(turn**2))),
+            "speed_bias": float(np.linalg.norm(wrong.mean(axis=0))),
+            "turn_bias": float(abs(turn.mean())),
+        }
     return figures
 
 
