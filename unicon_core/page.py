@@ -92,11 +92,7 @@ def findings(texts: Iterable[str], *, bad: bool = False) -> str:
 
 def pairs(facts: Mapping[str, str]) -> str:
     """Return a table of names and what is said of them; both are escaped."""
-    rows = "".join(
-        f"<tr><td>{html.escape(key)}</td><td>{html.escape(text)}</td></tr>"
-        for key, text in facts.items()
-    )
-    return f'<div class="wide"><table class="facts">{rows}</table></div>'
+    return f'<div class="wide"><table class="facts">{_rows(facts.items())}</table></div>'
 
 
 def table(heads: Sequence[str], rows: Iterable[Sequence[str]], *, words: bool = False) -> str:
@@ -108,11 +104,14 @@ def table(heads: Sequence[str], rows: Iterable[Sequence[str]], *, words: bool = 
         words: the cells are words, not figures: all columns begin at the left.
     """
     head = "".join(f"<th>{_head(text)}</th>" for text in heads)
-    body = "".join(
+    kind = ' class="words"' if words else ""
+    return f'<div class="wide"><table{kind}><tr>{head}</tr>{_rows(rows)}</table></div>'
+
+
+def _rows(rows: Iterable[Sequence[str]]) -> str:
+    return "".join(
         f"<tr>{''.join(f'<td>{html.escape(cell)}</td>' for cell in row)}</tr>" for row in rows
     )
-    kind = ' class="words"' if words else ""
-    return f'<div class="wide"><table{kind}><tr>{head}</tr>{body}</table></div>'
 
 
 def _head(text: str) -> str:
