@@ -67,7 +67,8 @@ def test_a_quiet_list_is_its_names(words: list[str], capsys: pytest.CaptureFixtu
 def test_verbose_shows_what_parts_log_and_where_an_error_comes_from() -> None:
     code = "import unicon_ros.cli.known as k, logging\n"
     code += "def broken(_): logging.getLogger('part').info('so far'); raise ZeroDivisionError\n"
-    code += "k._robots = broken\nfrom unicon_ros.cli.main import main; raise SystemExit(main())"
+    code += "k.LISTS['robots'] = broken, ''\n"
+    code += "from unicon_ros.cli.main import main; raise SystemExit(main())"
     for words, seen in ((["-v", "robots"], True), (["robots"], False)):
         command = [sys.executable, "-c", code, *words]
         said = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)

@@ -324,7 +324,7 @@ def test_nothing_is_overwritten_and_mistakes_are_told(
     empty = tmp_path / "empty.xml"
     empty.write_text("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>", "utf-8")
     for arguments, told in (
-        ([str(model), "--out", str(there)], f"{there} exists; remove it"),
+        ([str(model), "--out", str(there)], f"{there} exists; move it away"),
         ([str(model), "--out", str(tmp_path / "x.txt")], "x.txt is not a .yaml file"),
         ([str(model), "--out", str(tmp_path / "no/x.yaml")], "cannot write"),
         ([str(empty), "--out", str(tmp_path / "e.yaml")], "no joint that turns or slides"),

@@ -18,7 +18,7 @@ from unicon_core.errors import UniconError
 from unicon_core.states import Layout, States, StateSpec
 from unicon_core.states.standard import standard_states
 from unicon_ros.cli.main import _parser, main
-from unicon_ros.cli.workflow_arguments import view_options
+from unicon_ros.cli.options import view_options
 from unicon_ros.view.front import check_reach, listening, refusal
 from unicon_ros.view.page.history import SECONDS, History
 from unicon_ros.view.page.plots import (

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from unicon_core.errors import MissingDependencyError, UniconError
+from unicon_core.errors import UniconError
+from unicon_core.page import write_file
 from unicon_ros.bench.report import Bench
+from unicon_ros.report.drawing import as_png, require
 
 
 def plot(bench: Bench, path: Path) -> None:
@@ -20,12 +22,11 @@ def plot(bench: Bench, path: Path) -> None:
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
-        UniconError: the benchmark's cases are not times.
+        UniconError: the benchmark's cases are not times, or the picture cannot be written.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ModuleNotFoundError as error:
-        raise MissingDependencyError("--plot", "matplotlib", "pip install matplotlib") from error
+    require("--plot")
+    from matplotlib.figure import Figure
+
     rows = {name: case for name, case in bench.cases.items() if "[" not in name}
     if not all("p50" in case for case in rows.values()):
         raise UniconError(f"bench {bench.name} measures no times to plot; leave --plot out")
@@ -55,4 +56,4 @@ def plot(bench: Bench, path: Path) -> None:
     axes.set_xlabel("µs (dot: p50, end of the line: p99), log scale")
     axes.set_title(f"unicon bench {bench.name}, {bench.rounds} rounds")
     axes.grid(alpha=0.3)
-    figure.savefig(path, dpi=110)
+    write_file(path, as_png(figure))

@@ -3,54 +3,42 @@
 from __future__ import annotations
 
 import argparse
+import json
 import math
-import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import UniconError
-from unicon_ros.cli.fit import add_fit, run_fit
-from unicon_ros.cli.workflow_arguments import positive
+from unicon_core.page import write_file
+from unicon_ros.cli.console import note
+from unicon_ros.cli.options import argument, command, flag, positive, seconds
 
 
 def add(commands: Any) -> None:
     """Add the command to the parser."""
-    parser = commands.add_parser(
-        "analyze", help="compare a real run with a simulated one", description=__doc__
+    parser = command(
+        commands, "analyze", _analyze, "compare a real run with a simulated one", __doc__
     )
-    parser.add_argument("real", metavar="REAL", help="record (.mcap) or .npz of the robot")
-    parser.add_argument(
-        "sim", metavar="SIM", nargs="?", help="record (.mcap) or .npz of the simulator"
-    )
-    parser.add_argument("--out", metavar="DIR", required=True, help="folder for the report")
-    for side, who in (("", "real"), ("sim-", "simulated")):
-        parser.add_argument(
-            f"--{side}from", type=_time, default=0.0, metavar="S", dest=f"{who}_from",
-            help=f"begin S seconds after the {who} run's first sample",
-        )  # fmt: skip
-        parser.add_argument(
-            f"--{side}to", type=_time, default=math.inf, metavar="S", dest=f"{who}_to",
-            help=f"end S seconds after the {who} run's first sample",
-        )  # fmt: skip
-    parser.add_argument(
+    argument(parser, "real", "REAL", "record (.mcap) or .npz of the robot")
+    argument(parser, "sim", "SIM", "record (.mcap) or .npz of the simulator", nargs="?")
+    argument(parser, "--out", "DIR", "folder for the report", required=True)
+    for who, side, run in (("real", "", "real"), ("sim", "sim-", "simulated")):
+        after = f"S seconds after the {run} run's first sample"
+        begin = {"type": seconds, "default": 0.0, "dest": f"{who}_from"}
+        end = {"type": seconds, "default": math.inf, "dest": f"{who}_to"}
+        argument(parser, f"--{side}from", "S", f"begin {after}", **begin)
+        argument(parser, f"--{side}to", "S", f"end {after}", **end)
+    argument(
+        parser,
         "--max-shift",
-        type=_time,
-        metavar="S",
-        help="largest shift in time (default: any that leaves half of the shorter run)",
+        "S",
+        "largest shift in time (default: any that leaves half of the shorter run)",
+        type=seconds,
     )
-    parser.add_argument(
-        "--rate", type=positive, metavar="HZ", help="compare at this rate (default: the slower's)"
-    )
-    parser.add_argument("--whole", action="store_true", help="compare what comes after a fall, too")
-    add_fit(parser)
-    parser.set_defaults(function=_analyze)
-
-
-def _time(text: str) -> float:
-    value = float(text)
-    if not 0.0 <= value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text} is not a time >= 0 in [s]")
-    return value
+    argument(parser, "--rate", "HZ", "compare at this rate (default: the slower's)", type=positive)
+    flag(parser, "--whole", "compare what comes after a fall, too")
+    _add_fit(parser)
 
 
 def _analyze(arguments: argparse.Namespace) -> int:
@@ -59,7 +47,7 @@ def _analyze(arguments: argparse.Namespace) -> int:
         raise UniconError("unicon analyze REAL needs SIM, or --fit; give a record of the simulator")
     status = 0
     if arguments.fit is not None:
-        status = run_fit(arguments, _folder(arguments.out))
+        status = _fit(arguments, _folder(arguments.out))
         if arguments.sim is None:
             return status
     from unicon_ros.analysis.comparison import compare_runs
@@ -74,16 +62,14 @@ def _analyze(arguments: argparse.Namespace) -> int:
     for who in ("real", "sim"):
         path = Path(getattr(arguments, who))
         _tell(f"reading {path}{_size(path)}")
-        long = {"sim": "simulated"}.get(who, who)
-        runs.append(
-            read_run(path, (getattr(arguments, f"{long}_from"), getattr(arguments, f"{long}_to")))
-        )
+        span = getattr(arguments, f"{who}_from"), getattr(arguments, f"{who}_to")
+        runs.append(read_run(path, span))
     real, sim = runs
     _tell(f"comparing {len(real.time):,} samples with {len(sim.time):,}")
     options = Options(arguments.max_shift, arguments.rate, arguments.whole)
     comparison = compare_runs(bring_together(real, sim, options))
-    result = write_report(comparison, (real, sim), folder, _tell)
-    for text in [*_list(result["findings"]), *_list(result["notes"])]:
+    result: Any = write_report(comparison, (real, sim), folder, _tell)
+    for text in [*result["findings"], *result["notes"]]:
         print(text)
     print(f"report  {folder / 'report.html'}")
     return status
@@ -107,9 +93,85 @@ def _size(path: Path) -> str:
         return ""
 
 
-def _list(value: Any) -> list[str]:
-    return list(value)
-
-
 def _tell(text: str) -> None:
-    print(f"unicon analyze: {text}", file=sys.stderr)
+    note(f"unicon analyze: {text}")
+
+
+def _add_fit(parser: argparse.ArgumentParser) -> None:
+    """Add the options of a fit to those of `unicon analyze`."""
+    group = parser.add_argument_group("fit", "estimates joints of the simulator from REAL alone")
+    argument(
+        group,
+        "--fit",
+        "WORDS",
+        "write a robot overlay: strength, friction, armature, delay, or some of them, "
+        "separated by commas",
+        nargs="?",
+        const=True,  # all words, which are not known before NumPy is loaded
+    )
+    argument(group, "--fit-joints", "PATTERNS", "of these joints (default: all)", default="*")
+    argument(group, "--fit-window", "S", "of a replay (default: 0.2)", type=positive, default=0.2)
+    argument(group, "--robot", "ROBOT", "its file (default: the record's)")
+    argument(group, "--processes", "N", "at once (default: one for each core)", type=int, default=0)
+
+
+def _fit(arguments: argparse.Namespace, folder: Path) -> int:
+    """Fit, write overlay and JSON into a folder, and print what was found.
+
+    A fit that is not better for what it has not seen gets no overlay.
+
+    Returns:
+        The exit status: 1 where figures were found that are not better.
+
+    Raises:
+        UniconError: REAL is not a record, or lacks what is needed.
+    """
+    from unicon_core.robots import load_robot
+    from unicon_core.robots.joint_physics import JOINT_PHYSICS
+    from unicon_ros.identify import fit_record
+    from unicon_ros.recording import open_record
+
+    if arguments.processes < 0:
+        raise UniconError(f"--processes is {arguments.processes}; give 1 or more")
+    real = Path(arguments.real)
+    if real.suffix == ".npz":
+        raise UniconError(
+            f"{real}: a fit replays records; make one of it: unicon bag import {real} real.mcap"
+        )
+    asked = JOINT_PHYSICS if arguments.fit is True else arguments.fit.split(",")
+    record = open_record(real)
+    robot = load_robot(arguments.robot) if arguments.robot else None
+    found, text = fit_record(
+        record,
+        real.name,
+        robot=robot,
+        words=[word.strip() for word in asked if word.strip()],
+        joints=[each.strip() for each in arguments.fit_joints.split(",") if each.strip()],
+        window=arguments.fit_window,
+        processes=arguments.processes,
+        tell=_tell,
+    )
+    name = (robot.name if robot else record.facts.get("robot")) or "robot"
+    path = folder / f"{name}_fitted.yaml"
+    overlay = path.name if found.better else None
+    if found.better:
+        write_file(path, text.encode())
+    content: dict[str, Any] = asdict(found) | {"overlay": overlay, "better": found.better}
+    write_file(folder / "fit.json", json.dumps(content, indent=1).encode())
+    for each in found.parameters:
+        unit = JOINT_PHYSICS[each.word]
+        interval = f"{each.after:.4g} ± {each.deviation:.2g} {unit}".rstrip()
+        print(f"{each.joint:24} {each.word:9} {each.before:.4g} -> {interval}")
+    if not found.parameters:
+        print("no figure of a joint explains more than noise would: the simulator is as it should")
+    print(
+        f"aligned MSE   {found.before:.4g} -> {found.after:.4g} rad² ({found.windows[0]} windows)"
+    )
+    worse = bool(found.parameters) and not found.better
+    print(
+        f"held out      {found.held_before:.4g} -> {found.held_after:.4g} rad² "
+        f"({found.windows[1]} windows){': NOT better' if worse else ''}"
+    )
+    earlier = f"; {path} is of an earlier fit" if path.exists() else ""
+    print(f"overlay  {path if found.better else f'none{earlier}'}")
+    return int(worse)

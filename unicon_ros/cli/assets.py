@@ -9,17 +9,16 @@ unicon assets verify [NAME …]        compares files with the SHA-256 of config
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from unicon_core.aligned import aligned
 from unicon_core.errors import UniconError
 from unicon_core.resources import assets_roots
-from unicon_ros.cli.console import CLEAR, is_terminal
+from unicon_ros.cli.console import CLEAR, is_terminal, print_json, print_table
+from unicon_ros.cli.options import argument, command, flag
 
 if TYPE_CHECKING:
     from unicon_core.workflow.document import WorkflowDocument
@@ -39,24 +38,21 @@ def add(commands: Any) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
-    listing = verbs.add_parser("list", help="what there is, and what is at hand")
-    listing.add_argument("--json", action="store_true", help="print JSON")
-    listing.set_defaults(function=_list)
-    fetching = verbs.add_parser("fetch", help="fetch assets into the user's cache")
+    listing = command(verbs, "list", _list, "what there is, and what is at hand")
+    flag(listing, "--json", "print JSON")
+    fetching = command(verbs, "fetch", _fetch, "fetch assets into the user's cache")
     fetching.add_argument("names", nargs="+", metavar="NAME")
-    fetching.add_argument(
+    argument(
+        fetching,
         "--from",
+        "DIR|URL",
+        "a mirror, which has NAME/FILE, instead of GitHub",
         dest="mirror",
-        metavar="DIR|URL",
-        help="a mirror, which has NAME/FILE, instead of GitHub",
     )
-    fetching.set_defaults(function=lambda arguments: fetch_all(arguments.names, arguments.mirror))
-    path = verbs.add_parser("path", help="print the folder of an asset that is at hand")
+    path = command(verbs, "path", _path, "print the folder of an asset that is at hand")
     path.add_argument("name", metavar="NAME")
-    path.set_defaults(function=_path)
-    verify = verbs.add_parser("verify", help="compare files with their SHA-256")
-    verify.add_argument("names", nargs="*", metavar="NAME", help="all that was fetched if none")
-    verify.set_defaults(function=_verify)
+    verify = command(verbs, "verify", _verify, "compare files with their SHA-256")
+    argument(verify, "names", "NAME", "all that was fetched if none", nargs="*")
 
 
 def fetch_all(names: Sequence[str], mirror: str | None = None) -> int:
@@ -147,6 +143,10 @@ class _Line:
         print(f"{self._name}: another process fetches it; waiting", file=sys.stderr, flush=True)
 
 
+def _fetch(arguments: argparse.Namespace) -> int:
+    return fetch_all(arguments.names, arguments.mirror)
+
+
 def _list(arguments: argparse.Namespace) -> int:
     from unicon_core.assets import asset_folder, load_assets
 
@@ -166,13 +166,13 @@ def _list(arguments: argparse.Namespace) -> int:
             }
             for name, asset in assets.items()
         ]
-        print(json.dumps(told, indent=2))
+        print_json(told)
         return 0
     rows = [
         (a.name, a.kind, f"{a.size / 1e6:.1f}", a.licence, str(folders[a.name] or "-"))
         for a in assets.values()
     ]
-    print("\n".join(aligned([HEAD, *rows])))
+    print_table([HEAD, *rows], underlined=True)
     for name in known.keys() - assets.keys():
         print(f"{name}: {' and '.join(asset.name for asset in known[name])}")
     return 0

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import json
-import sys
 from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import UniconError
-from unicon_ros.cli.workflow_arguments import positive
+from unicon_ros.cli.console import note, print_json
+from unicon_ros.cli.options import argument, command, flag, positive
 from unicon_ros.datasets import WRITERS
 
 
@@ -20,77 +19,64 @@ def add(commands: Any) -> None:
     )
     kinds = parser.add_subparsers(dest="bag", metavar="WHAT", required=True)
 
-    info = kinds.add_parser("info", help="what is in it: topics, ticks, workflow, versions")
-    info.add_argument("path", type=Path, metavar="BAG", help="a file, or a bag folder")
-    info.add_argument("--json", action="store_true", help="print all of it as JSON")
-    info.set_defaults(function=_info)
+    info = command(kinds, "info", _info, "what is in it: topics, ticks, workflow, versions")
+    argument(info, "path", "BAG", "a file, or a bag folder", type=Path)
+    flag(info, "--json", "print all of it as JSON")
 
-    recover = kinds.add_parser("recover", help="finish what a killed run left")
-    recover.add_argument(
-        "path", type=Path, nargs="+", metavar="FILE.mcap.partial|FOLDER", help="what it left"
-    )
-    recover.set_defaults(function=_recover)
+    recover = command(kinds, "recover", _recover, "finish what a killed run left")
+    argument(recover, "path", "FILE.mcap.partial|FOLDER", "what it left", type=Path, nargs="+")
 
-    export = kinds.add_parser(
-        "export", help="write states to .npz, .csv or .parquet, or recordings as a data set"
+    export = command(
+        kinds,
+        "export",
+        _export,
+        "write states to .npz, .csv or .parquet, or recordings as a data set",
     )
-    export.add_argument(
+    argument(
+        export,
         "paths",
+        "BAG",
+        "a recording or fault record, then the name of what is written, which ends in .npz, "
+        ".csv or .parquet; with --lerobot any number of recordings",
         type=Path,
         nargs="+",
-        metavar="BAG",
-        help="a recording or fault record, then the name of what is written, which ends in .npz, "
-        ".csv or .parquet; with --lerobot any number of recordings",
     )
-    export.add_argument("--states", nargs="+", default=[], metavar="STATE", help="these alone")
+    argument(export, "--states", "STATE", "these alone", nargs="+", default=[])
     export.add_argument(
         "--moment", default="sent", help="received, input, tuned or sent (default: sent)"
     )
     _add_dataset_options(export)
-    export.set_defaults(function=_export)
 
-    read = kinds.add_parser("import", help="make a recording of ticks of a bag or an .npz")
-    read.add_argument("path", type=Path, metavar="BAG", help="a ROS bag, or an .npz of UniCon")
-    read.add_argument("out", type=Path, metavar="OUT.mcap", help="the recording to write")
+    read = command(kinds, "import", _import, "make a recording of ticks of a bag or an .npz")
+    argument(read, "path", "BAG", "a ROS bag, or an .npz of UniCon", type=Path)
+    argument(read, "out", "OUT.mcap", "the recording to write", type=Path)
     read.add_argument("--robot", required=True, help="whose states they are: a name, or a file")
     read.add_argument(
         "--map", help="of a bag: the message map whose `subscribe` is meant (default: ros_robot)"
     )
-    read.add_argument(
-        "--joints", nargs="+", default=[], metavar="JOINT", help="of an .npz: its order of joints"
-    )
-    read.add_argument(
-        "--rate", type=positive, metavar="HZ", help="ticks a second (default: as it was recorded)"
-    )
-    read.set_defaults(function=_import)
+    argument(read, "--joints", "JOINT", "of an .npz: its order of joints", nargs="+", default=[])
+    argument(read, "--rate", "HZ", "ticks a second (default: as it was recorded)", type=positive)
 
 
 def _add_dataset_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("data sets for learning")
-    group.add_argument("--lerobot", action="store_true", help="one LeRobot data set, format v3.0")
-    group.add_argument("--out", type=Path, metavar="DIR", help="folder of the data set")
-    group.add_argument(
-        "--fps", type=int, default=0, metavar="N", help="frames a second (default: the camera's)"
-    )
+    flag(group, "--lerobot", "one LeRobot data set, format v3.0")
+    argument(group, "--out", "DIR", "folder of the data set", type=Path)
+    argument(group, "--fps", "N", "frames a second (default: the camera's)", type=int, default=0)
     group.add_argument(
         "--task", default="", help="what is done, in words (default: the workflow's name)"
     )
-    group.add_argument(
+    argument(
+        group,
         "--actions",
+        "STATE",
+        "states that make up the action (default: what was commanded)",
         nargs="+",
         default=[],
-        metavar="STATE",
-        help="states that make up the action (default: what was commanded)",
     )
-    group.add_argument(
-        "--cameras", nargs="*", metavar="NAME", help="pictures of these alone (default: all)"
-    )
-    group.add_argument(
-        "--phases", nargs="+", default=["run"], metavar="PHASE", help="whose ticks (default: run)"
-    )
-    group.add_argument(
-        "--no-video", action="store_true", help="pictures in the Parquet files, as PNG or JPEG"
-    )
+    argument(group, "--cameras", "NAME", "pictures of these alone (default: all)", nargs="*")
+    argument(group, "--phases", "PHASE", "whose ticks (default: run)", nargs="+", default=["run"])
+    flag(group, "--no-video", "pictures in the Parquet files, as PNG or JPEG")
     group.add_argument(
         "--writer",
         default="auto",
@@ -103,7 +89,7 @@ def _info(arguments: argparse.Namespace) -> int:
     from unicon_ros.recording.info import info_of, info_text
 
     info = info_of(arguments.path)
-    print(json.dumps(info, indent=2) if arguments.json else info_text(info))
+    print_json(info) if arguments.json else print(info_text(info))
     return 0
 
 
@@ -166,10 +152,6 @@ def _export_dataset(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _note(line: str) -> None:
-    print(f"unicon bag: {line}", file=sys.stderr)
-
-
 def _import(arguments: argparse.Namespace) -> int:
     from unicon_core.robots import load_robot
     from unicon_ros.recording.import_bag import MAP, import_bag
@@ -186,6 +168,8 @@ def _import(arguments: argparse.Namespace) -> int:
     else:
         if arguments.joints:
             raise UniconError(f"{source}: --joints goes with an .npz; leave it out")
-        ticks = import_bag(source, out, robot, arguments.map or MAP, rate, _note)
+        ticks = import_bag(
+            source, out, robot, arguments.map or MAP, rate, lambda line: note(f"unicon bag: {line}")
+        )
     print(f"{out}: {ticks} ticks")
     return 0

@@ -11,6 +11,8 @@ from typing import Any
 
 import unicon_ros
 from unicon_core.errors import UniconError
+from unicon_core.page import write_file
+from unicon_ros.cli.options import argument, command, flag
 
 BENCHES = {
     "batch": "benchmarks.batch",
@@ -61,17 +63,14 @@ _OPTIONS: dict[str, dict[str, dict[str, Any]]] = {
 
 def add(commands: Any) -> None:
     """Add the command to the parser."""
-    parser = commands.add_parser("bench", help="compare side by side", description=__doc__)
-    parser.set_defaults(function=bench)
+    parser = command(commands, "bench", bench, "compare side by side", __doc__)
     benches = parser.add_subparsers(dest="bench", metavar="NAME", required=True)
     for name in BENCHES:
         each = benches.add_parser(name, help=f"see {BENCHES[name]}")
-        each.add_argument("--rounds", type=int, metavar="N", help="interleaved rounds")
-        each.add_argument("--json", metavar="FILE", help="write the result as JSON")
-        each.add_argument("--plot", metavar="FILE.png", help="plot the cases (needs matplotlib)")
-        each.add_argument(
-            "--assert", action="store_true", dest="strict", help="exit 1 where a ratio misses"
-        )
+        argument(each, "--rounds", "N", "interleaved rounds", type=int)
+        argument(each, "--json", "FILE", "write the result as JSON")
+        argument(each, "--plot", "FILE.png", "plot the cases (needs matplotlib)")
+        flag(each, "--assert", "exit 1 where a ratio misses", dest="strict")
         for option, settings in _OPTIONS.get(name, {}).items():
             each.add_argument(f"--{option.replace('_', '-')}", **settings)
 
@@ -84,15 +83,12 @@ def bench(arguments: argparse.Namespace) -> int:
     options = {name: value for name, value in given.items() if value is not None}
     result = _module(arguments.bench).run(rounds=arguments.rounds, **options)
     print(result.table())
-    try:
-        if arguments.json:
-            Path(arguments.json).write_text(result.to_json() + "\n", encoding="utf-8")
-        if arguments.plot:
-            from unicon_ros.bench.plot import plot
+    if arguments.json:
+        write_file(Path(arguments.json), f"{result.to_json()}\n".encode())
+    if arguments.plot:
+        from unicon_ros.bench.plot import plot
 
-            plot(result, Path(arguments.plot))
-    except OSError as error:
-        raise UniconError(f"cannot write {error.filename}: {error.strerror}") from error
+        plot(result, Path(arguments.plot))
     return 1 if arguments.strict and not result.holds else 0
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from unicon_ros.cli.workflow_arguments import add_workflow
+from unicon_ros.cli.options import add_workflow, argument, command, flag
 
 if TYPE_CHECKING:
     from unicon_core.flow import Block, Stage
@@ -14,18 +14,16 @@ if TYPE_CHECKING:
 
 def add(commands: Any) -> None:
     """Add the command to the parser."""
-    parser = commands.add_parser("check", help="check a workflow before a motor moves")
+    parser = command(commands, "check", check, "check a workflow before a motor moves")
     add_workflow(parser)
-    parser.add_argument("--twin", action="store_true", help="also simulate it, and broken twins")
-    parser.add_argument(
+    flag(parser, "--twin", "also simulate it, and broken twins")
+    flag(
+        parser,
         "--ros",
-        action="store_true",
-        help="also check the message map that `run --ros` would use (default: what the workflow "
-        "says)",
+        "also check the message map that `run --ros` would use (default: what the workflow says)",
     )
-    parser.add_argument("--map", metavar="MAP", help="of that: name in config/maps/, or a path")
-    parser.add_argument("--json", metavar="FILE", help="write the findings as JSON")
-    parser.set_defaults(function=check)
+    argument(parser, "--map", "MAP", "of that: name in config/maps/, or a path")
+    argument(parser, "--json", "FILE", "write the findings as JSON")
 
 
 def check(arguments: argparse.Namespace) -> int:

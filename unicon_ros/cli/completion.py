@@ -9,10 +9,8 @@ import argparse
 import os
 from collections.abc import Iterable, Iterator
 
-from unicon_ros.cli.known import VERBS
+from unicon_ros.cli.known import LISTS, VERBS
 
-LISTS = ("robots", "policies", "platforms", "faces", "blocks", "workflows")
-"""Commands that list names."""
 ASSETS = ("fetch", "path", "verify")
 """Verbs of `unicon assets` that take names."""
 

@@ -1,14 +1,38 @@
-"""Console: warnings and the status line of a run on standard error, which never hold a tick up."""
+"""What commands print, and the console of a run, which never holds a tick up."""
 
 from __future__ import annotations
 
+import argparse
+import json
 import os
 import sys
+from collections.abc import Callable
 from typing import Any
 
+from unicon_core.aligned import Rows, aligned
 from unicon_core.outlet import Outlet, to_stderr
 
 CLEAR = "\r\x1b[K"
+
+
+def print_table(rows: Rows, *, underlined: bool = False, **options: Any) -> None:
+    """Print rows of cells; options as of `aligned`."""
+    print("\n".join(aligned(rows, underlined=underlined, **options)))
+
+
+def print_json(values: Any) -> None:
+    """Print plain values as JSON."""
+    print(json.dumps(values, indent=2, ensure_ascii=False))
+
+
+def note(line: str) -> None:
+    """Print a line on standard error."""
+    print(line, file=sys.stderr)
+
+
+def warn(message: str) -> None:
+    """Print a warning on standard error, outside of ticks."""
+    note(f"unicon: warning: {message}")
 
 
 def is_terminal() -> bool:
@@ -17,7 +41,7 @@ def is_terminal() -> bool:
 
 
 class Console:
-    """What a run says while it ticks.
+    """Warnings and the status line of a run on standard error.
 
     Attributes:
         terminal: whether it is a terminal: only there is a status line.
@@ -42,6 +66,10 @@ class Console:
         line = "  ".join(f"{key} {value}" for key, value in values.items())
         self._shown = True
         self._outlet(f"{CLEAR}{line}")
+
+    def status_of(self, arguments: argparse.Namespace) -> Callable[[dict[str, Any]], None] | None:
+        """Return what shows the status line; None where there is none."""
+        return None if arguments.quiet or not self.terminal else self.status
 
     def close(self) -> None:
         """End the status line and let what waits out, for a second at most; safe to call twice."""

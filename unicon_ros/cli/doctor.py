@@ -6,24 +6,26 @@ Exit status 1 where something keeps runs from working; warnings and notes are no
 from __future__ import annotations
 
 import argparse
-import json
 from dataclasses import asdict
 from typing import Any
 
 from unicon_core.aligned import aligned
+from unicon_ros.cli.console import print_json
+from unicon_ros.cli.options import command, flag
 
 MARKS = {"ok": "", "note": "·", "warning": "!", "error": "✗"}
 
 
 def add(commands: Any) -> None:
     """Add the command to the parser."""
-    parser = commands.add_parser(
+    parser = command(
+        commands,
         "doctor",
-        help="examine this machine: packages, ROS, network, clock, permissions",
-        description=__doc__,
+        _doctor,
+        "examine this machine: packages, ROS, network, clock, permissions",
+        __doc__,
     )
-    parser.add_argument("--json", action="store_true", help="print JSON")
-    parser.set_defaults(function=_doctor)
+    flag(parser, "--json", "print JSON")
 
 
 def _doctor(arguments: argparse.Namespace) -> int:
@@ -31,7 +33,7 @@ def _doctor(arguments: argparse.Namespace) -> int:
 
     found = [*examine()]
     if arguments.json:
-        print(json.dumps([asdict(each) for each in found], indent=2, ensure_ascii=False))
+        print_json([asdict(each) for each in found])
     else:
         rows = [(MARKS[e.level], e.area, e.name, e.said) for e in found]
         for line, each in zip(aligned(rows, underlined=False), found):

@@ -8,12 +8,12 @@ each: `ready`, `first`, `commands`, `silence`, `damping`.
 from __future__ import annotations
 
 import argparse
-import sys
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from unicon_core.errors import Fault, PlatformError, RobotError, UniconError, alternatives
-from unicon_ros.cli.workflow_arguments import positive
+from unicon_ros.cli.console import note, warn
+from unicon_ros.cli.options import REPEATED, argument, command, flag, positive
 
 if TYPE_CHECKING:
     from unicon_core.robots import Robot
@@ -24,31 +24,31 @@ LOOPBACK = "127.0.0.1"
 
 def add(commands: Any) -> None:
     """Add the command to the parser."""
-    parser = commands.add_parser(
-        "emulate", help="be a robot on loopback, in front of a simulator", description=__doc__
+    parser = command(
+        commands, "emulate", emulate, "be a robot on loopback, in front of a simulator", __doc__
     )
-    parser.add_argument("robot", metavar="ROBOT", help="name in config/robots/, or a path")
-    parser.add_argument(
+    argument(parser, "robot", "ROBOT", "name in config/robots/, or a path")
+    argument(
+        parser,
         "--model",
-        metavar="FILE",
-        help="MJCF or URDF, or `fake`: joints alone (default: the robot's own, if it is there)",
+        "FILE",
+        "MJCF or URDF, or `fake`: joints alone (default: the robot's own, if it is there)",
     )
-    parser.add_argument(
+    argument(
+        parser,
         "--face",
-        metavar="NAME",
-        help="protocol, or module:function (default: transport.protocol of the robot file)",
+        "NAME",
+        "protocol, or module:function (default: transport.protocol of the robot file)",
     )
-    parser.add_argument(
+    argument(
+        parser,
         "--set",
-        action="append",
-        default=[],
-        metavar="OPTION=VALUE",
+        "OPTION=VALUE",
+        "an option of the face (repeatable)",
         dest="options",
-        help="an option of the face (repeatable)",
+        **REPEATED,
     )
-    parser.add_argument(
-        "--address", metavar="IP", help=f"where it is served, of a face with one ({LOOPBACK})"
-    )
+    argument(parser, "--address", "IP", f"where it is served, of a face with one ({LOOPBACK})")
     parser.add_argument("--seed", type=int, default=0, help="of posture and noise (0)")
     parser.add_argument(
         "--posture",
@@ -57,37 +57,32 @@ def add(commands: Any) -> None:
         help="it begins lying, on its legs, or in one drawn at random",
     )
     held = parser.add_mutually_exclusive_group()
-    held.add_argument("--hang", action="store_true", help="its base hangs on a gantry")
-    held.add_argument(
+    flag(held, "--hang", "its base hangs on a gantry")
+    argument(
+        held,
         "--let-go",
+        "S",
+        "a gantry holds it where it stands, and lets go S seconds after the first command",
         type=positive,
-        metavar="S",
-        help="a gantry holds it where it stands, and lets go S seconds after the first command",
     )
-    parser.add_argument("--still", action="store_true", help="its sensors have no noise")
-    parser.add_argument("--duration", type=positive, metavar="S", help="end after S seconds")
-    parser.add_argument("--each", action="store_true", help="say every command")
+    flag(parser, "--still", "its sensors have no noise")
+    argument(parser, "--duration", "S", "end after S seconds", type=positive)
+    flag(parser, "--each", "say every command")
     wrong = parser.add_argument_group("what is wrong with it, to see it found")
-    wrong.add_argument("--swap", nargs=2, default=(), metavar="JOINT", help="their encoders")
-    wrong.add_argument(
-        "--dead", action="append", default=[], metavar="JOINT", help="its motor does nothing"
-    )
-    wrong.add_argument(
-        "--leave", metavar="JOINT", help="its motor leaves the commanded mode after a while"
-    )
-    wrong.add_argument(
+    argument(wrong, "--swap", "JOINT", "their encoders", nargs=2, default=())
+    argument(wrong, "--dead", "JOINT", "its motor does nothing", **REPEATED)
+    argument(wrong, "--leave", "JOINT", "its motor leaves the commanded mode after a while")
+    argument(
+        wrong,
         "--leave-after",
+        "S",
+        "so long after the first command (default %(default)s)",
         type=positive,
         default=3.0,
-        metavar="S",
-        help="so long after the first command (default %(default)s)",
     )
-    wrong.add_argument("--imu-upside-down", action="store_true", help="as it is mounted")
-    wrong.add_argument("--rate", type=positive, metavar="HZ", help="of its frames, less than usual")
-    wrong.add_argument(
-        "--variant", type=int, metavar="N", help="in place of the robot file's mode_machine"
-    )
-    parser.set_defaults(function=emulate)
+    flag(wrong, "--imu-upside-down", "as it is mounted")
+    argument(wrong, "--rate", "HZ", "of its frames, less than usual", type=positive)
+    argument(wrong, "--variant", "N", "in place of the robot file's mode_machine", type=int)
 
 
 def emulate(arguments: argparse.Namespace) -> int:
@@ -115,7 +110,7 @@ def emulate(arguments: argparse.Namespace) -> int:
         defects=_defects(arguments, robot),
         let_go=arguments.let_go,
         each=arguments.each,
-        warn=_warn,
+        warn=warn,
         model=arguments.model,
         posture=arguments.posture,
         hang=arguments.hang,
@@ -127,7 +122,7 @@ def emulate(arguments: argparse.Namespace) -> int:
             SIGNALS.check()
             emulator.run(arguments.duration or float("inf"))
     except Fault as fault:
-        print(f"unicon: fault: {fault}", file=sys.stderr)
+        note(f"unicon: fault: {fault}")
         return 3
     finally:
         emulator.close()
@@ -181,7 +176,3 @@ def _defects(arguments: argparse.Namespace, robot: Robot) -> Defects:
         arguments.rate,
         leaves,
     )
-
-
-def _warn(message: str) -> None:
-    print(f"unicon: warning: {message}", file=sys.stderr)

@@ -6,28 +6,28 @@ import argparse
 from typing import Any
 
 from unicon_core.errors import UniconError, alternatives
+from unicon_ros.cli.console import print_table
+from unicon_ros.cli.options import argument, command, flag
 
 
 def add(commands: Any) -> None:
     """Add the command to the parser."""
-    parser = commands.add_parser(
-        "explain", help="what a finding means and what to do about it", description=__doc__
+    parser = command(
+        commands, "explain", explain, "what a finding means and what to do about it", __doc__
     )
-    parser.add_argument("code", nargs="?", metavar="CODE", help="of a finding; all unless given")
-    parser.add_argument("--markdown", action="store_true", help="all rules as a page")
-    parser.set_defaults(function=explain)
+    argument(parser, "code", "CODE", "of a finding; all unless given", nargs="?")
+    flag(parser, "--markdown", "all rules as a page")
 
 
 def explain(arguments: argparse.Namespace) -> int:
     """Run the command."""
-    from unicon_core.aligned import aligned
     from unicon_core.check.rules import CODES, markdown
 
     if arguments.markdown:
         print(markdown(), end="")
     elif arguments.code is None:
         rows = [(code, rule.what) for code, rule in sorted(CODES.items())]
-        print("\n".join(aligned(rows, underlined=False)))
+        print_table(rows)
     elif arguments.code in CODES:
         print(CODES[arguments.code].text())
     else:

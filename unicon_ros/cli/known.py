@@ -4,83 +4,63 @@ from __future__ import annotations
 
 import argparse
 import inspect
-import json
 import os
 import re
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from unicon_core.aligned import aligned
 from unicon_core.errors import PlatformError, PolicyError, UniconError, WorkflowError
+from unicon_ros.cli.console import print_json, print_table
+from unicon_ros.cli.options import argument, command, flag
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
     from unicon_core.robots import Robot
 
-VERBS = ("robots new", "policies import", "policies fetch")
-"""Commands of two words, each with its own help."""
+    Run = Callable[[argparse.Namespace], int]
 
 
 def add(commands: Any) -> None:
     """Add the commands to the parser."""
-    for name, function, what in (
-        ("robots", _robots, "robots and their joints, gains, limits and sources"),
-        ("policies", _policies, "policies and their contracts"),
-        ("platforms", _platforms, "platforms and their options"),
-        ("faces", _faces, "faces of emulated robots, by protocol, and their options"),
-        ("blocks", _blocks, "blocks and their options"),
-        ("workflows", _workflows, "workflows"),
-    ):
-        verbs = [verb for verb in VERBS if verb.startswith(name)]
-        also = f"See also: {', '.join(f'unicon {verb} --help' for verb in verbs)}." if verbs else ""
-        parser = commands.add_parser(name, help=f"list the {what}", epilog=also)
-        parser.add_argument("name", nargs="?", metavar="NAME", help="show this one in full")
-        parser.add_argument("--json", action="store_true", help="print the list as JSON")
-        parser.set_defaults(function=_listed(function, name))
+    for name, (run, what) in LISTS.items():
+        verbs = [f"unicon {verb} --help" for verb in VERBS if verb.startswith(name)]
+        also = f"See also: {', '.join(verbs)}." if verbs else ""
+        parser = command(commands, name, _listed(run, name), f"list the {what}", epilog=also)
+        argument(parser, "name", "NAME", "show this one in full", nargs="?")
+        flag(parser, "--json", "print the list as JSON")
         if name == "policies":
-            parser.add_argument("--robot", metavar="ROBOT", help="robot that orders the joints")
+            argument(parser, "--robot", "ROBOT", "robot that orders the joints")
     new, imported, fetched = (
-        commands.add_parser(verb, help=what, description=what)
-        for verb, what in zip(
-            VERBS,
-            (
-                "write a robot file of what a model knows",
-                "convert a policy to policy.yaml and its network",
-                "fetch a policy from where it is published, and convert it",
-            ),
-        )
+        command(commands, verb, run, what, what) for verb, (run, what) in VERBS.items()
     )
-    new.add_argument("model", metavar="MODEL", help="MJCF or URDF")
-    new.add_argument("--out", metavar="FILE", help="where to write (default: NAME.yaml)")
-    new.add_argument(
-        "--kind", metavar="KIND", help="what the robot is, where its model does not say"
-    )
-    new.set_defaults(function=_new)
-    imported.add_argument("source", metavar="FILE_OR_FOLDER", help="what to read")
-    fetched.add_argument(
+    argument(new, "model", "MODEL", "MJCF or URDF")
+    argument(new, "--out", "FILE", "where to write (default: NAME.yaml)")
+    argument(new, "--kind", "KIND", "what the robot is, where its model does not say")
+    argument(imported, "source", "FILE_OR_FOLDER", "what to read")
+    argument(
+        fetched,
         "source",
-        metavar="URL",
-        help="hf://OWNER/REPO[@REV][/PATH], wandb://ENTITY/PROJECT/RUN or file:///PATH",
+        "URL",
+        "hf://OWNER/REPO[@REV][/PATH], wandb://ENTITY/PROJECT/RUN or file:///PATH",
     )
-    fetched.add_argument("--sha256", metavar="HEX", help="of the network; another one is refused")
-    for parser, function in ((imported, _import), (fetched, _fetch)):
-        parser.add_argument("--out", metavar="DIR", required=True, help="where to write")
-        parser.add_argument("--force", action="store_true", help="replace a policy in DIR")
-        parser.add_argument("--robot", metavar="ROBOT", help="robot that orders the joints")
-        parser.add_argument(
+    argument(fetched, "--sha256", "HEX", "of the network; another one is refused")
+    for parser in (imported, fetched):
+        argument(parser, "--out", "DIR", "where to write", required=True)
+        flag(parser, "--force", "replace a policy in DIR")
+        argument(parser, "--robot", "ROBOT", "robot that orders the joints")
+        argument(
+            parser,
             "--joints",
-            metavar="NAMES",
-            help="in the training side's order, where the source does not say it: NAME,NAME…, a "
+            "NAMES",
+            "in the training side's order, where the source does not say it: NAME,NAME…, a "
             "file with a list, or '{from: model}' of ROBOT, or of some of its joints: "
             "'{from: model, only: [PATTERN, …]}'",
         )
-        parser.set_defaults(function=function)
 
 
-def _listed(
-    function: Callable[[argparse.Namespace], int], what: str
-) -> Callable[[argparse.Namespace], int]:
+def _listed(function: Run, what: str) -> Run:
     """Return a command that refuses `--json` beside a name."""
 
     def run(arguments: argparse.Namespace) -> int:
@@ -93,8 +73,10 @@ def _listed(
 
 def _rows(rows: list[dict[str, Any]], arguments: argparse.Namespace) -> int:
     """Print a list as JSON, or its names alone."""
-    as_json = json.dumps(rows, indent=2, ensure_ascii=False) if arguments.json else ""
-    print(as_json or "\n".join(str(row["name"]) for row in rows))
+    if arguments.json:
+        print_json(rows)
+    else:
+        print("\n".join(str(row["name"]) for row in rows))
     return 0
 
 
@@ -176,16 +158,8 @@ def _robot(arguments: argparse.Namespace) -> Robot | None:
     return load_robot(arguments.robot) if arguments.robot else None
 
 
-def _platforms(arguments: argparse.Namespace) -> int:
-    return _factories("platforms", arguments, PlatformError)
-
-
-def _faces(arguments: argparse.Namespace) -> int:
-    return _factories("faces", arguments, PlatformError)
-
-
 def _blocks(arguments: argparse.Namespace) -> int:
-    status = _factories("blocks", arguments, WorkflowError)
+    status = _factories("blocks", WorkflowError, arguments)
     if arguments.name is None and not (arguments.json or arguments.quiet):
         from unicon_core.workflow.flow_yaml import FLOW_WORDS
 
@@ -193,7 +167,7 @@ def _blocks(arguments: argparse.Namespace) -> int:
     return status
 
 
-def _factories(kind: str, arguments: argparse.Namespace, error: type[UniconError]) -> int:
+def _factories(kind: str, error: type[UniconError], arguments: argparse.Namespace) -> int:
     from unicon_core.evidence import LEVELS, load_evidence
     from unicon_core.workflow.registry import find_factory, known
 
@@ -206,12 +180,12 @@ def _factories(kind: str, arguments: argparse.Namespace, error: type[UniconError
         return _rows(rows, arguments)
     if name is None:
         words = {n: LEVELS["never"] if e.level == "never" else e.against for n, e in seen.items()}
-        _print_table([(each, at, words.get(each, "")) for each, at in listed])
+        print_table([(each, at, words.get(each, "")) for each, at in listed])
         return 0
     factory = find_factory(kind, name, error)
     target = known(kind).get(name, name)
     print(name if target == name else f"{name}  ({target})")
-    _print_table(_parameters(factory), indent="  ")
+    print_table([(f"  {option}", what) for option, what in _parameters(factory)])
     print(f"\n{inspect.getdoc(factory) or 'no description'}")
     return 0
 
@@ -245,10 +219,26 @@ def _workflows(arguments: argparse.Namespace) -> int:
             rows.append((name, f"file is wrong: {error}"))
     if arguments.json or arguments.quiet:
         return _rows([{"name": name, "description": text} for name, text in rows], arguments)
-    _print_table(rows)
+    print_table(rows)
     return 0
 
 
-def _print_table(rows: Sequence[Sequence[str]], indent: str = "") -> None:
-    for line in aligned(rows, underlined=False):
-        print(f"{indent}{line}")
+LISTS: dict[str, tuple[Run, str]] = {
+    "robots": (_robots, "robots and their joints, gains, limits and sources"),
+    "policies": (_policies, "policies and their contracts"),
+    "platforms": (partial(_factories, "platforms", PlatformError), "platforms and their options"),
+    "faces": (
+        partial(_factories, "faces", PlatformError),
+        "faces of emulated robots, by protocol, and their options",
+    ),
+    "blocks": (_blocks, "blocks and their options"),
+    "workflows": (_workflows, "workflows"),
+}
+"""Commands that list names: what runs each, and what it lists."""
+
+VERBS = {
+    "robots new": (_new, "write a robot file of what a model knows"),
+    "policies import": (_import, "convert a policy to policy.yaml and its network"),
+    "policies fetch": (_fetch, "fetch a policy from where it is published, and convert it"),
+}
+"""Commands of two words, each with its own help: what runs it, and what it does."""

@@ -5,25 +5,26 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from unicon_core.aligned import aligned
 from unicon_core.errors import UniconError
 from unicon_core.latches import Latched, latch_folder, latches
+from unicon_ros.cli.console import print_table
+from unicon_ros.cli.options import argument, command
 
 HEAD = ("node or robot", "domain", "latched", "since", "reason")
 
 
 def add(commands: Any) -> None:
     """Add the command to the parser."""
-    parser = commands.add_parser(
-        "latches", help="list emergency stops that are latched, or let go", description=__doc__
+    parser = command(
+        commands, "latches", _latches, "list emergency stops that are latched, or let go", __doc__
     )
-    parser.add_argument(
+    argument(
+        parser,
         "--clear",
-        metavar="NAME",
-        help="let go: the node NAME, such as /robot1/unicon, or the robot may be started again",
+        "NAME",
+        "let go: the node NAME, such as /robot1/unicon, or the robot may be started again",
     )
-    parser.add_argument("--domain", type=int, metavar="N", help="of --clear: in this ROS domain")
-    parser.set_defaults(function=_latches)
+    argument(parser, "--domain", "N", "of --clear: in this ROS domain", type=int)
 
 
 def _latches(arguments: argparse.Namespace) -> int:
@@ -38,7 +39,7 @@ def _latches(arguments: argparse.Namespace) -> int:
     rows = [
         (e.owner, str(e.domain) if e.node else "-", e.kind, e.at or "?", e.reason) for e in found
     ]
-    print("\n".join(aligned([HEAD, *rows])))
+    print_table([HEAD, *rows], underlined=True)
     return 0
 
 

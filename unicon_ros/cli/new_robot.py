@@ -20,12 +20,12 @@ from unicon_core.models.find import find_model
 from unicon_core.models.joints import drives, is_simple
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, import_mujoco
+from unicon_core.page import write_file
 from unicon_core.robots import Robot
 from unicon_core.robots.file import KINDS, SCHEMA, joint_bounds
 from unicon_core.robots.load import read_robot_file
 from unicon_core.robots.robot import JOINT_FIELDS
-from unicon_ros.cli.robot_feet import feet_of
-from unicon_ros.cli.robot_kind import kind_of, legs_of, wheels_of
+from unicon_ros.cli.robot_kind import feet_of, kind_of, legs_of, wheels_of
 
 Float = NDArray[np.float64]
 
@@ -69,7 +69,8 @@ def new_robot(model: str, out: str | None, kind: str | None = None) -> str:
 
     Raises:
         ModelError: there is no such model, or it has no joints.
-        RobotError: the file exists, or cannot be written, or the model does not say the kind.
+        RobotError: the file exists, or the model does not say the kind.
+        UniconError: the file cannot be written.
     """
     path = find_model(model, Path.cwd())
     bare = load_model(path, _robot(path, (), "arm"), quiet=True)
@@ -77,7 +78,7 @@ def new_robot(model: str, out: str | None, kind: str | None = None) -> str:
     if file.suffix != ".yaml":
         raise RobotError(f"robots new: {file} is not a .yaml file; give --out NAME.yaml")
     if file.exists():
-        raise RobotError(f"robots new: {file} exists; remove it, or give another one: --out FILE")
+        raise RobotError(f"robots new: {file} exists; move it away, or give another --out FILE")
     if kind is not None and kind not in KINDS:
         raise RobotError(
             f"robots new: --kind {kind} is none of {', '.join(KINDS)}; give one of them"
@@ -86,14 +87,7 @@ def new_robot(model: str, out: str | None, kind: str | None = None) -> str:
     models, named = _models(model, path, file)
     text = _text(facts, models)
     read_robot_file(parse_yaml(text, file, RobotError))
-    try:
-        with file.open("x", encoding="utf-8") as stream:
-            stream.write(text)
-    except OSError as error:
-        raise RobotError(
-            f"robots new: cannot write {file}: {error.strerror}; give --out FILE in a writable "
-            "folder"
-        ) from error
+    write_file(file, text.encode())
     unknown = _unknown(facts)
     lines = [
         f"{file}: {facts.kind} ({facts.reason}; else give --kind), {len(facts.joints)} joints "

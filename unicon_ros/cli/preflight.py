@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 from unicon_core.errors import CheckError, Fault, UniconError
 from unicon_core.latches import clearing
-from unicon_ros.cli.workflow_arguments import add_workflow, positive
+from unicon_ros.cli.console import print_table, warn
+from unicon_ros.cli.options import add_workflow, argument, command, flag, positive
+from unicon_ros.cli.run import uses_ros
 
 if TYPE_CHECKING:
     from unicon_core.preflight.result import PreflightResult
@@ -31,13 +33,11 @@ QUESTION = (
 
 def add(commands: Any) -> None:
     """Add the command to the parser."""
-    parser = commands.add_parser(
-        "preflight", help="look at the live robot, sending nothing", description=__doc__
+    parser = command(
+        commands, "preflight", preflight, "look at the live robot, sending nothing", __doc__
     )
     add_workflow(parser)
-    parser.add_argument(
-        "--seconds", type=positive, default=3.0, metavar="S", help="receive for S seconds (3)"
-    )
+    argument(parser, "--seconds", "S", "receive for S seconds (3)", type=positive, default=3.0)
     parser.add_argument(
         "--ros",
         action=argparse.BooleanOptionalAction,
@@ -45,16 +45,11 @@ def add(commands: Any) -> None:
         help="also open the node of a run, with its topics and ~/estop (default: what the "
         "workflow says, else no)",
     )
-    parser.add_argument("--map", metavar="MAP", help="of that: name in config/maps/, or a path")
-    parser.add_argument("--json", metavar="FILE", help="write all of it as JSON")
-    parser.add_argument(
-        "--wiggle", action="store_true", help="then move each joint a little, after a yes"
-    )
-    parser.add_argument(
-        "--angle", type=positive, default=0.05, metavar="RAD", help="of these moves (0.05)"
-    )
-    parser.add_argument("--yes", action="store_true", help="do not ask before them")
-    parser.set_defaults(function=preflight)
+    argument(parser, "--map", "MAP", "of that: name in config/maps/, or a path")
+    argument(parser, "--json", "FILE", "write all of it as JSON")
+    flag(parser, "--wiggle", "then move each joint a little, after a yes")
+    argument(parser, "--angle", "RAD", "of these moves (0.05)", type=positive, default=0.05)
+    flag(parser, "--yes", "do not ask before them")
 
 
 def preflight(arguments: argparse.Namespace) -> int:
@@ -89,21 +84,18 @@ def _looked(
     from unicon_core.signals import SIGNALS
     from unicon_core.workflow import Program
 
-    with_ros = document.get("ros", False) if arguments.ros is None else arguments.ros
     session: Any = None
-    if with_ros:
+    if uses_ros(arguments, document):
         from unicon_ros.bridge import RosSession
 
-        session = RosSession(
-            map=arguments.map or document.get("map"), node_name="unicon", warn=_warn
-        )
+        session = RosSession(map=arguments.map or document.get("map"), warn=warn)
     try:
         with SIGNALS.guard() as guard:
             hooks = [] if session is None else [session.hook]
             program = Program(document, hooks=hooks, silent=silent)
             guard.damp = program.damp_now
             try:
-                program.warn = _warn
+                program.warn = warn
                 result = look(program, arguments.seconds)
                 _static(program, result)
                 _latched(document, program, result)
@@ -161,7 +153,6 @@ def _estop(session: Any, program: Program, result: PreflightResult) -> None:
 
 def _wiggle(arguments: argparse.Namespace, document: WorkflowDocument, told: dict[str, Any]) -> int:
     """Move each joint and tell what followed; exit status."""
-    from unicon_core.aligned import aligned
     from unicon_core.preflight.look import look
     from unicon_core.preflight.wiggle import verdicts, wiggle
     from unicon_core.signals import SIGNALS
@@ -173,7 +164,7 @@ def _wiggle(arguments: argparse.Namespace, document: WorkflowDocument, told: dic
     with SIGNALS.guard() as guard:
         program = Program(document)
         guard.damp = program.damp_now
-        program.warn = _warn
+        program.warn = warn
         try:
             again = look(program, SHORTEST)  # the yes may have taken its time
             if not again.ok:
@@ -188,7 +179,7 @@ def _wiggle(arguments: argparse.Namespace, document: WorkflowDocument, told: dic
             program.close()
     heads = ("moved", "followed", "by", "share", "verdict")
     print()
-    print("\n".join(aligned([heads, *verdicts(moved, arguments.angle)])))
+    print_table([heads, *verdicts(moved, arguments.angle)], underlined=True)
     told["wiggle"] = [{**vars(each), "wrong": each.wrong} for each in moved]
     SIGNALS.check()
     return int(any(each.wrong for each in moved))
@@ -206,7 +197,3 @@ def _agreed(robot: str, angle: float) -> bool:
             "--yes if the robot hangs or lies and nobody is near it"
         )
     return input(QUESTION.format(robot=robot, angle=angle)).strip().lower() == "yes"
-
-
-def _warn(message: str) -> None:
-    print(f"unicon: warning: {message}", file=sys.stderr)

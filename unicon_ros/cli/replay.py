@@ -9,37 +9,38 @@ from functools import partial
 from typing import Any
 
 from unicon_core.errors import UniconError
-from unicon_ros.cli.run import close_session, run_document
-from unicon_ros.cli.run_options import add_options
-from unicon_ros.cli.workflow_arguments import add_overrides, positive
+from unicon_ros.cli.console import Console, print_table
+from unicon_ros.cli.options import add_overrides, add_run_options, argument, flag, positive, seconds
+from unicon_ros.cli.run import close_session, ros_session, run_document
 
 
 def add(commands: Any) -> None:
     """Add the command to the parser."""
     parser = commands.add_parser("replay", help="run a recording again", description=__doc__)
-    parser.add_argument("bag", metavar="BAG", help="record of a fault, or recording of a run")
-    parser.add_argument(
+    argument(parser, "bag", "BAG", "record of a fault, or recording of a run")
+    argument(
+        parser,
         "workflow",
+        "WORKFLOW",
+        "name in config/workflows/, or a path (default: the recorded one)",
         nargs="?",
-        metavar="WORKFLOW",
-        help="name in config/workflows/, or a path (default: the recorded one)",
     )
     add_overrides(parser)
     form = parser.add_mutually_exclusive_group()
-    form.add_argument(
+    flag(
+        form,
         "--verify",
-        action="store_true",
-        help="compare every state of every tick with the recorded; exit status 1 where one differs",
+        "compare every state of every tick with the recorded; exit status 1 where one differs",
     )
-    form.add_argument(
+    flag(
+        form,
         "--play",
-        action="store_true",
-        help="publish the recorded states to ROS topics, with /clock; nothing is computed",
+        "publish the recorded states to ROS topics, with /clock; nothing is computed",
     )
-    parser.add_argument("--start", type=_seconds, default=0.0, metavar="S", help="leave S s out")
-    parser.add_argument("--loop", action="store_true", help="begin anew at the end")
-    parser.add_argument("--rate", type=positive, metavar="X", help="with --play: X times faster")
-    add_options(parser)
+    argument(parser, "--start", "S", "leave S s out", type=seconds, default=0.0)
+    flag(parser, "--loop", "begin anew at the end")
+    argument(parser, "--rate", "X", "with --play: X times faster", type=positive)
+    add_run_options(parser)
     parser.set_defaults(function=partial(replay, parser))
 
 
@@ -78,13 +79,6 @@ def _refuse_others(
             )
 
 
-def _seconds(text: str) -> float:
-    value = float(text)
-    if not 0.0 <= value < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text} is not a number of seconds, 0 or more")
-    return value
-
-
 def _run(arguments: argparse.Namespace) -> int:
     from unicon_ros.recording import open_record
     from unicon_ros.replay import workflow_of
@@ -97,7 +91,6 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _play(arguments: argparse.Namespace) -> int:
-    from unicon_ros.cli.console import Console
     from unicon_ros.replay.keys import HELP
     from unicon_ros.replay.player import play
 
@@ -105,16 +98,7 @@ def _play(arguments: argparse.Namespace) -> int:
     keys = console.terminal and sys.stdin is not None and sys.stdin.isatty()
     try:
         if arguments.ros is not False:
-            from unicon_ros.bridge import RosSession
-
-            session = RosSession(
-                map=arguments.map,
-                node_name="unicon",
-                namespace=arguments.namespace,
-                ros_args=arguments.ros_args,
-                warn=console.warn,
-                frame_prefix=arguments.frame_prefix,
-            )
+            session = ros_session(arguments, arguments.map, console.warn)
         if keys:
             print(HELP)
         report = play(
@@ -126,7 +110,7 @@ def _play(arguments: argparse.Namespace) -> int:
             session=session,
             keys=keys,
             warn=console.warn,
-            status=None if arguments.quiet or not console.terminal else console.status,
+            status=console.status_of(arguments),
         )
         status = 3 if report.faults else 0
     finally:
@@ -138,7 +122,6 @@ def _play(arguments: argparse.Namespace) -> int:
 
 
 def _verify(arguments: argparse.Namespace) -> int:
-    from unicon_core.aligned import aligned
     from unicon_ros.recording import open_record
     from unicon_ros.replay import verify, workflow_of
 
@@ -152,6 +135,6 @@ def _verify(arguments: argparse.Namespace) -> int:
         rows += verdict.first.lines(verdict.period)
     rows += [("fault", verdict.fault)] if verdict.fault else []
     rows += [("note", note) for note in verdict.notes]
-    print("\n".join(aligned(rows, underlined=False)))
+    print_table(rows)
     print(count)
     return 0 if verdict.first is None else 1

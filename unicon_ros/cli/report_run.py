@@ -13,28 +13,28 @@ from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import UniconError
+from unicon_ros.cli.options import argument, command, flag
 
 
 def add(commands: Any) -> None:
     """Add the command to the parser."""
-    parser = commands.add_parser(
+    parser = command(
+        commands,
         "report-run",
-        help="report a run on hardware, without anybody's name, for the ledger of evidence",
-        description=__doc__,
+        _report_run,
+        "report a run on hardware, without anybody's name, for the ledger of evidence",
+        __doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     path: dict[str, Any] = {"type": Path, "metavar": "FILE"}
-    parser.add_argument("recording", nargs="?", type=Path, metavar="BAG", help="of the run")
-    parser.add_argument("--hardware", action="store_true", help="say that it was a robot of metal")
+    argument(parser, "recording", "BAG", "of the run", nargs="?", type=Path)
+    flag(parser, "--hardware", "say that it was a robot of metal")
     parser.add_argument("--out", **path, help="the report (default: ROBOT-DATE.yaml)")
-    parser.add_argument("--force", action="store_true", help="overwrite it")
-    parser.add_argument(
-        "--sign", type=Path, metavar="KEY", help="sign it with your SSH key, as FILE.sig"
-    )
+    flag(parser, "--force", "overwrite it")
+    argument(parser, "--sign", "KEY", "sign it with your SSH key, as FILE.sig", type=Path)
     parser.add_argument("--verify", **path, help="check the signature of a report")
     parser.add_argument("--allowed-signers", **path, help="of --verify: keys that count, OpenSSH's")
-    parser.add_argument("--bag", type=Path, metavar="BAG", help="of --verify: its recording")
-    parser.set_defaults(function=_report_run)
+    argument(parser, "--bag", "BAG", "of --verify: its recording", type=Path)
 
 
 def _report_run(arguments: argparse.Namespace) -> int:

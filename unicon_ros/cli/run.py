@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import os
+import select
 import sys
-from contextlib import suppress
+import threading
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,27 +18,27 @@ from unicon_core.outlet import relayed_stderr
 from unicon_core.page import refuse_unwritable
 from unicon_core.signals import SIGNALS, Guard
 from unicon_ros.cli.console import Console
-from unicon_ros.cli.operator import listen
-from unicon_ros.cli.run_options import add_options
-from unicon_ros.cli.workflow_arguments import (
-    add_workflow,
-    view_options,
-)
+from unicon_ros.cli.options import add_run_options, add_workflow, command, view_options
 from unicon_ros.view import LOCAL
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from unicon_core.flow import Block, Stage
     from unicon_core.runtime import Report, Runner
     from unicon_core.workflow import Hook, Program
     from unicon_core.workflow.document import WorkflowDocument
+    from unicon_ros.bridge import RosSession
+
+LOOK = 0.2
+"""How long Enter is waited for before the phase is looked at, in [s]."""
 
 
 def add(commands: Any) -> None:
     """Add the command to the parser."""
-    parser = commands.add_parser("run", help="run a workflow", description=__doc__)
+    parser = command(commands, "run", run, "run a workflow", __doc__)
     add_workflow(parser)
-    add_options(parser)
-    parser.set_defaults(function=run)
+    add_run_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -88,45 +91,24 @@ def _run(
     from unicon_core.workflow import Program
     from unicon_ros.fault_record import FaultRecord
 
+    _refuse_wrong_use(arguments)
+    map_name = arguments.map or document.get("map")
     hooks: list[Hook] = []
-    with_ros = document.get("ros", False) if arguments.ros is None else arguments.ros
-    session: Any = None
-    pictured: Any = None
-    recording: Any = None
-    view: Any = None
-    metered: Any = None
-    if with_ros:
-        from unicon_ros.bridge import RosSession
-
-        session = RosSession(
-            map=arguments.map or document.get("map"),
-            node_name="unicon",
-            namespace=arguments.namespace,
-            ros_args=arguments.ros_args,
-            warn=console.warn,
-            frame_prefix=arguments.frame_prefix,
-        )
+    viewers: dict[str, Any] = {}
+    session = pictured = recording = None
+    if uses_ros(arguments, document):
+        session = ros_session(arguments, map_name, console.warn)
         hooks.append(session.hook)
     try:
-        if arguments.record == "":  # as of a variable that is not set
-            raise UniconError("--record has no name; give FILE.mcap or FOLDER/")
-        if arguments.record_split and not arguments.record:
-            raise UniconError("--record-split goes with --record FOLDER/; add it")
-        if arguments.record_frames and not arguments.record:
-            raise UniconError("--record-frames goes with --record FILE.mcap; add it")
-        if arguments.record_jpeg and not arguments.record_frames:
-            raise UniconError("--record-jpeg goes with --record-frames all; add it")
         if arguments.record:
             from unicon_ros.run_recording import Recording, names_in
 
-            map_name = arguments.map or document.get("map")
-            patient = arguments.speed == "max"
             recording = Recording(
                 arguments.record,
                 map_name,
                 session,
                 console.warn,
-                patient,
+                arguments.speed == "max",
                 arguments.record_split,
                 arguments.namespace or "",
                 arguments.frame_prefix,
@@ -147,66 +129,58 @@ def _run(
         elif arguments.view:
             from unicon_ros.view.view import View
 
-            view = View(
-                view_options(arguments),
-                session,
-                arguments.map or document.get("map"),
-                arguments.frame_prefix,
-                console.warn,
-            )
+            options = view_options(arguments)
+            view = View(options, session, map_name, arguments.frame_prefix, console.warn)
             view.declare(document)
-            hooks.append(view.hook)
-        elif arguments.view_token or arguments.view_host != LOCAL:
-            raise UniconError("--view-host and --view-token go with --view; add it")
+            viewers["view"] = view
         if arguments.metrics is not None:
             from unicon_ros.view.metered import Metered
 
-            metered = Metered(arguments.metrics, session, console.warn)
-            hooks.append(metered.hook)
+            viewers["metrics"] = Metered(arguments.metrics, session, console.warn)
         record = FaultRecord(arguments.faults, console.warn, recording)
-        hooks.append(record.hook)  # the last one: it looks behind the others
+        # The record is the last one: it looks behind the others.
+        hooks += [*(each.hook for each in viewers.values()), record.hook]
         program = Program(document, hooks=hooks, part=arguments.part, silent=arguments.dry)
         guard.damp = program.damp_now
-        options = RunOptions(
+        run_options = RunOptions(
             detail=bool(arguments.trace),
             duration=arguments.duration,
             speed=arguments.speed,
             warn=console.warn,
-            status=None if arguments.quiet or not console.terminal else console.status,
+            status=console.status_of(arguments),
             operator=not arguments.yes,
         )
-        try:
-            for line in refuse_errors(program, arguments.force):
-                console.warn(line)
-            if not program.platform.facts.simulated:
-                for evidence in little_seen(program.platform.facts, program.robot):
-                    if evidence.level in ("never", "stand_in"):
-                        console.say(f"{evidence.kind} {evidence.name}: {evidence}")
-            if arguments.speed == "max" and never_ends(program, options):
-                console.say(f"{program.name} never ends by itself: Ctrl-C does, or --duration S")
-            runner = Runner(program, options)
-            if session is not None:
-                session.attach(runner)
-            if view is not None:
-                view.attach(runner)
-                console.say(f"view: {view.address}")
-            if metered is not None:
-                metered.attach(runner)
-                console.say(f"metrics: {metered.address}")
-            if runner.asks:
-                listen(runner, session is not None or view is not None)
-            record.attach(runner)
-            if pictured is not None:
-                pictured.attach(runner)
-            SIGNALS.check()
-        except BaseException:
-            program.close()
-            raise
-        report = runner.run()
-        guard.damp = None
-        for each in (view, metered):
-            if each is not None:
-                each.close()
+        with ExitStack() as shown:
+            for each in viewers.values():
+                shown.callback(each.close)
+            try:
+                for line in refuse_errors(program, arguments.force):
+                    console.warn(line)
+                if not program.platform.facts.simulated:
+                    for evidence in little_seen(program.platform.facts, program.robot):
+                        if evidence.level in ("never", "stand_in"):
+                            console.say(f"{evidence.kind} {evidence.name}: {evidence}")
+                if arguments.speed == "max" and never_ends(program, run_options):
+                    console.say(
+                        f"{program.name} never ends by itself: Ctrl-C does, or --duration S"
+                    )
+                runner = Runner(program, run_options)
+                if session is not None:
+                    session.attach(runner)
+                for name, viewer in viewers.items():
+                    viewer.attach(runner)
+                    console.say(f"{name}: {viewer.address}")
+                if runner.asks:
+                    _listen(runner, session is not None or "view" in viewers)
+                record.attach(runner)
+                if pictured is not None:
+                    pictured.attach(runner)
+                SIGNALS.check()
+            except BaseException:
+                program.close()
+                raise
+            report = runner.run()
+            guard.damp = None
         if session is not None:
             report.bridge = session.counts()
         if recording is not None:
@@ -215,13 +189,78 @@ def _run(
         if fault is not None:
             report.extra["fault_record"] = str(fault)
     except BaseException:
-        for each in (view, metered):
-            if each is not None:
-                each.close()
         if session is not None:
             session.close()
         raise
     return _Ended(report, runner, pictured, recording, session, fault)
+
+
+def _refuse_wrong_use(arguments: argparse.Namespace) -> None:
+    """Refuse options that go with others, which are not given."""
+    if arguments.record == "":  # as of a variable that is not set
+        raise UniconError("--record has no name; give FILE.mcap or FOLDER/")
+    alone = bool(arguments.view_token) or arguments.view_host != LOCAL
+    for option, given, whole, needed in (
+        ("--record-split", arguments.record_split, "--record FOLDER/", arguments.record),
+        ("--record-frames", arguments.record_frames, "--record FILE.mcap", arguments.record),
+        ("--record-jpeg", arguments.record_jpeg, "--record-frames all", arguments.record_frames),
+        ("--view-host and --view-token", alone, "--view", arguments.view),
+    ):
+        if given and not needed:
+            verb = "go" if " " in option else "goes"
+            raise UniconError(f"{option} {verb} with {whole}; add it")
+
+
+def uses_ros(arguments: argparse.Namespace, document: WorkflowDocument) -> bool:
+    """Return whether states are mirrored to ROS: as `--ros` says, else the workflow."""
+    return bool(document.get("ros", False) if arguments.ros is None else arguments.ros)
+
+
+def ros_session(
+    arguments: argparse.Namespace, map_name: str | None, warn: Callable[[str], None]
+) -> RosSession:
+    """Return the node of a run, as the options say."""
+    from unicon_ros.bridge import RosSession
+
+    return RosSession(
+        map=map_name,
+        namespace=arguments.namespace,
+        ros_args=arguments.ros_args,
+        warn=warn,
+        frame_prefix=arguments.frame_prefix,
+    )
+
+
+def _listen(runner: Runner, with_ros: bool) -> None:
+    """Take the Enter key for the operator's go.
+
+    Raises:
+        UniconError: nobody could say it.
+    """
+    if not sys.stdin or not sys.stdin.isatty():
+        if with_ros:
+            return
+        raise UniconError(
+            f"platform {runner.program.platform.facts.name!r} is a robot, which waits for the "
+            "operator's go, and standard input is not a terminal: add --yes to let it move once "
+            "its gates hold, or --ros and call ~/start"
+        )
+
+    from unicon_core.runtime.phases import Phase
+
+    moving = (Phase.APPROACH, Phase.RUN, Phase.SOFT, Phase.DAMP)
+
+    def wait() -> None:
+        with suppress(OSError):
+            while runner.phase not in moving:  # then keys are the workflow's
+                if not select.select([0], [], [], LOOK)[0]:
+                    continue
+                if not os.read(0, 1024):
+                    return
+                if not runner.go() and runner.waits_for:
+                    runner.options.warn(f"not yet: it waits for {runner.waits_for}")
+
+    threading.Thread(target=wait, name="operator", daemon=True).start()
 
 
 def close_session(session: Any, status: int) -> None:

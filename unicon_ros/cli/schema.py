@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import UniconError, alternatives
+from unicon_core.page import write_file
+from unicon_ros.cli.options import argument, command
 
 KINDS = {
     "workflow": ("unicon_core.workflow.file:Workflow",),
@@ -22,12 +24,9 @@ KINDS = {
 
 def add(commands: Any) -> None:
     """Add the command to the parser."""
-    parser = commands.add_parser(
-        "schema", help="JSON Schema of documents, for editors", description=__doc__
-    )
-    parser.add_argument("kind", nargs="?", metavar="KIND", help=f"one of {', '.join(KINDS)}")
-    parser.add_argument("--out", metavar="FOLDER", help="write KIND.json, or all of them, there")
-    parser.set_defaults(function=schema)
+    parser = command(commands, "schema", schema, "JSON Schema of documents, for editors", __doc__)
+    argument(parser, "kind", "KIND", f"one of {', '.join(KINDS)}", nargs="?")
+    argument(parser, "--out", "FOLDER", "write KIND.json, or all of them, there")
 
 
 def schema_of(kind: str) -> dict[str, Any]:
@@ -58,12 +57,6 @@ def schema(arguments: argparse.Namespace) -> int:
             print(text, end="")
             continue
         path = Path(arguments.out) / f"{kind}.json"
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise UniconError(
-                f"cannot write {path}: {error.strerror}; give another --out"
-            ) from error
+        write_file(path, text.encode(), folders=True)
         print(path)
     return 0

@@ -6,24 +6,23 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from unicon_ros.cli.workflow_arguments import add_workflow
+from unicon_ros.cli.console import print_table
+from unicon_ros.cli.options import add_workflow, argument, command, flag
 
 
 def add(commands: Any) -> None:
     """Add the command to the parser."""
-    parser = commands.add_parser("show", help="show graph and states", description=__doc__)
+    parser = command(commands, "show", show, "show graph and states", __doc__)
     add_workflow(parser)
     form = parser.add_mutually_exclusive_group()
-    form.add_argument("--source", action="store_true", help="the compiled step as Python")
-    form.add_argument("--mermaid", action="store_true", help="the graph as Mermaid")
-    form.add_argument("--svg", metavar="FILE", help="the graph as SVG, written to FILE")
-    form.add_argument("--html", metavar="FILE", help="all of it as one page, written to FILE")
-    parser.set_defaults(function=show)
+    flag(form, "--source", "the compiled step as Python")
+    flag(form, "--mermaid", "the graph as Mermaid")
+    argument(form, "--svg", "FILE", "the graph as SVG, written to FILE")
+    argument(form, "--html", "FILE", "all of it as one page, written to FILE")
 
 
 def show(arguments: argparse.Namespace) -> int:
     """Run the command."""
-    from unicon_core.aligned import aligned
     from unicon_core.flow import compile_graph
     from unicon_core.page import write_file
     from unicon_core.runtime.phases import describe
@@ -51,7 +50,7 @@ def show(arguments: argparse.Namespace) -> int:
             if program.gates:
                 print("\nGates")
                 gates = [(f"  {g.name}", getattr(g, "about", "")) for g in program.gates]
-                print("\n".join(aligned(gates, underlined=False)))
+                print_table(gates)
             if program.parts is not None:
                 print("\nParts")
                 print("\n".join(f"  {line}" for line in parts_table(program.parts, program.states)))

@@ -9,13 +9,17 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from unicon_core.aligned import aligned, number_text
-from unicon_core.errors import StateError, UniconError
-from unicon_ros.cli.workflow_arguments import add_overrides, positive
+from unicon_core.aligned import number_text
+from unicon_core.errors import StateError
+from unicon_core.page import write_file
+from unicon_ros.cli.console import print_table
+from unicon_ros.cli.options import add_overrides, argument, command, flag, positive
 
 if TYPE_CHECKING:
     from unicon_core.states.backends.shm import Segment
+    from unicon_core.states.groups import Groups
     from unicon_core.states.states import Array
+    from unicon_core.workflow import Program
 
 LOOK = 0.5
 """Time in [s] over which rates are counted."""
@@ -23,48 +27,33 @@ LOOK = 0.5
 RATE = 10.0
 """Looks of `--watch` in [Hz] where none are asked for."""
 
+OF_WATCH = ("rate", "duration", "csv")
+"""Options that go with `--watch` alone."""
+
 HEAD = ("name", "process", "size", "group", "states", "bytes", "rate", "age")
 
 
 def add(commands: Any) -> None:
     """Add the command to the parser."""
-    parser = commands.add_parser(
-        "states", help="look at the states that running processes share", description=__doc__
+    parser = command(
+        commands, "states", states, "look at the states that running processes share", __doc__
     )
-    add_looking(parser)
-    parser.add_argument(
-        "--header", metavar="FILE.h", help="write the states of workflow NAME as a header of C"
-    )
-    parser.add_argument("--part", metavar="PART", default="", help="of --header: one part's states")
+    argument(parser, "name", "NAME", "show its states; all are listed", nargs="?")
+    argument(parser, "--watch", "STATE", "follow these states of NAME", nargs="+")
+    argument(parser, "--rate", "HZ", f"of --watch: looks a second ({RATE:g})", type=positive)
+    argument(parser, "--duration", "S", "of --watch: end after S seconds", type=positive)
+    flag(parser, "--csv", "of --watch: print CSV, in full precision")
+    argument(parser, "--json", "FILE", "write the list as JSON")
+    flag(parser, "--clean", "remove what writers that died have left")
+    argument(parser, "--header", "FILE.h", "write the states of workflow NAME as a header of C")
+    argument(parser, "--part", "PART", "of --header: one part's states", default="")
     add_overrides(parser)
-    parser.set_defaults(function=states)
-
-
-def add_looking(parser: argparse.ArgumentParser) -> None:
-    """Add what is for looking in."""
-    parser.add_argument("name", nargs="?", metavar="NAME", help="show its states; all are listed")
-    parser.add_argument("--watch", nargs="+", metavar="STATE", help="follow these states of NAME")
-    parser.add_argument(
-        "--rate", type=positive, metavar="HZ", help=f"of --watch: looks a second ({RATE:g})"
-    )
-    parser.add_argument(
-        "--duration", type=positive, metavar="S", help="of --watch: end after S seconds"
-    )
-    parser.add_argument(
-        "--csv", action="store_true", help="of --watch: print CSV, in full precision"
-    )
-    parser.add_argument("--json", metavar="FILE", help="write the list as JSON")
-    parser.add_argument(
-        "--clean", action="store_true", help="remove what writers that died have left"
-    )
 
 
 def states(arguments: argparse.Namespace) -> int:
     """Run the command."""
     if arguments.header or arguments.part or arguments.overrides:
-        from unicon_ros.cli.header import header
-
-        return header(arguments)
+        return _header(arguments)
     _refuse_wrong_use(arguments)
     if arguments.clean:
         return _clean()
@@ -79,23 +68,19 @@ def states(arguments: argparse.Namespace) -> int:
 
 
 def _refuse_wrong_use(arguments: argparse.Namespace) -> None:
-    given = {
-        option: bool(getattr(arguments, option.removeprefix("--")))
-        for option in ("--watch", "--rate", "--duration", "--csv", "--json", "--clean")
-    }
-    if given["--watch"] and not arguments.name:
+    if arguments.watch and not arguments.name:
         raise StateError(
             f"states: --watch goes with a name: unicon states NAME --watch {arguments.watch[0]}; "
             f"there are: {_names()}"
         )
-    for option in ("--rate", "--duration", "--csv"):
-        if given[option] and not given["--watch"]:
+    for option in OF_WATCH:
+        if getattr(arguments, option) and not arguments.watch:
             raise StateError(
-                f"states: {option} goes with --watch: unicon states NAME --watch STATE {option}"
+                f"states: --{option} goes with --watch: unicon states NAME --watch STATE --{option}"
             )
-    if given["--json"] and (arguments.name or given["--clean"]):
+    if arguments.json and (arguments.name or arguments.clean):
         raise StateError("states: --json writes the list: unicon states --json FILE")
-    if given["--clean"] and arguments.name:
+    if arguments.clean and arguments.name:
         raise StateError(
             "states: --clean removes whatever writers that died have left, and takes no name: "
             "unicon states --clean"
@@ -114,10 +99,7 @@ def _names() -> str:
 def _list(file: str | None) -> int:
     found = look()
     if file:
-        try:
-            Path(file).write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
-        except OSError as error:
-            raise UniconError(f"cannot write {file}: {error.strerror}") from error
+        write_file(Path(file), f"{json.dumps(found, indent=2)}\n".encode())
     rows = [HEAD]
     for segment in found:
         process = f"{segment['pid'] or '?'}" + ("" if segment["alive"] else " (dead)")
@@ -128,7 +110,7 @@ def _list(file: str | None) -> int:
     if len(rows) == 1:
         print("no process of this user shares its states (a workflow does with store: shm)")
         return 0
-    print("\n".join(aligned(rows, right=(2, 4, 5, 6, 7), underlined=False)))
+    print_table(rows, right=(2, 4, 5, 6, 7))
     wrong = [segment["error"] for segment in found if segment["error"]]
     dead = [segment["name"] for segment in found if not segment["alive"] and not segment["error"]]
     if dead:
@@ -222,7 +204,7 @@ def _show(name: str) -> int:
         for state in layout.specs:
             value = summary(values[state]) if taken else "-"
             rows.append((*spec_cells(layout, state), value))
-        print("\n".join(aligned(rows)))
+        print_table(rows, underlined=True)
         watcher.close()
     segment.close()
     return 0
@@ -266,3 +248,45 @@ def _clean() -> int:
     if not removed and not left:
         print("no writer that died has left anything")
     return 0
+
+
+# -- the header of C ----------------------------------------------------------------------------
+
+
+def _header(arguments: argparse.Namespace) -> int:
+    """Write the groups of a workflow's states for C and C++."""
+    from unicon_core.states.c_header import write_header
+    from unicon_core.workflow import load_workflow
+
+    other = any(getattr(arguments, name) for name in ("watch", *OF_WATCH, "json", "clean"))
+    if not arguments.header or not arguments.name or other:
+        raise StateError(
+            "states: --header takes a workflow, --part and --set, and they go with it alone: "
+            "unicon states --header FILE.h WORKFLOW"
+        )
+    program = load_workflow(arguments.name, arguments.overrides)
+    try:
+        groups = _published(program, arguments.part)
+    finally:
+        program.close()
+    part = f", part {arguments.part}" if arguments.part else ""
+    write_header(arguments.header, groups, arguments.name + part)
+    print(arguments.header)
+    return 0
+
+
+def _published(program: Program, part: str) -> Groups:
+    """Return what a run of the program publishes in one segment."""
+    from unicon_core.states.groups import groups_of
+
+    layout, parts = program.states.layout, program.parts
+    if parts is not None and part in parts.parts:
+        return parts.groups(part, layout)
+    if parts is not None:
+        raise StateError(
+            f"states: {f'no part {part!r}' if part else 'each part publishes its own states'}; "
+            f"give --part {' or --part '.join(parts.parts)}"
+        )
+    if part:
+        raise StateError(f"states: --part {part}: the workflow has no parts; leave it out")
+    return groups_of(layout)

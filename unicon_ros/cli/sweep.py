@@ -6,15 +6,14 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from unicon_core.errors import MissingDependencyError, UniconError
 from unicon_core.signals import SIGNALS
-from unicon_ros.cli.console import Console
-from unicon_ros.cli.workflow_arguments import add_overrides, count_to
+from unicon_ros.cli.console import Console, note, warn
+from unicon_ros.cli.options import REPEATED, add_overrides, argument, command, flag, whole
 
 if TYPE_CHECKING:
     from unicon_ros.sweep.engines import Wish
@@ -33,59 +32,61 @@ SHOWN = 5
 
 def add(commands: Any) -> None:
     """Add the command to the parser."""
-    parser = commands.add_parser(
-        "sweep", help="run a workflow thousands of times, varied", description=__doc__
+    parser = command(
+        commands, "sweep", _sweep, "run a workflow thousands of times, varied", __doc__
     )
-    parser.add_argument(
+    argument(
+        parser,
         "what",
+        "SWEEP.yaml | report FOLDER | compare A B",
+        "a sweep to run or to go on with; or what to do with folders of sweeps",
         nargs="+",
-        metavar="SWEEP.yaml | report FOLDER | compare A B",
-        help="a sweep to run or to go on with; or what to do with folders of sweeps",
     )
     add_overrides(parser)
-    parser.add_argument(
-        "--out", metavar="DIR", help="folder of the results (default: NAME.sweep, here)"
-    )
-    parser.add_argument(
+    argument(parser, "--out", "DIR", "folder of the results (default: NAME.sweep, here)")
+    argument(
+        parser,
         "--workers",
-        type=count_to(MOST_WORKERS),
-        metavar="N",
-        help="processes (default: one for each core)",
+        "N",
+        "processes (default: one for each core)",
+        type=whole("a number", 1, MOST_WORKERS),
     )
-    parser.add_argument(
+    argument(
+        parser,
         "--engine",
-        metavar="NAME",
-        help="local (processes here), batch (several rows side by side in each) or ray (a "
+        "NAME",
+        "local (processes here), batch (several rows side by side in each) or ray (a "
         "cluster); the file's unless told, else local",
     )
-    parser.add_argument(
+    argument(
+        parser,
         "--address",
-        metavar="HOST:PORT",
+        "HOST:PORT",
+        "head node of a Ray cluster to join (default: a Ray of its own, here)",
         default="",
-        help="head node of a Ray cluster to join (default: a Ray of its own, here)",
     )
-    parser.add_argument(
+    argument(
+        parser,
         "--batch",
-        type=count_to(MOST_WORKERS),
-        metavar="N",
-        help="rows side by side in each process, with --engine batch (default: 4)",
+        "N",
+        "rows side by side in each process, with --engine batch (default: 4)",
+        type=whole("a number", 1, MOST_WORKERS),
     )
-    parser.add_argument(
+    argument(
+        parser,
         "--gate",
-        action="append",
-        default=[],
-        metavar="CONDITION",
-        help="exit 1 where it does not hold, such as 'fall<0.01' (repeatable)",
+        "CONDITION",
+        "exit 1 where it does not hold, such as 'fall<0.01' (repeatable)",
+        **REPEATED,
     )
-    parser.add_argument(
+    argument(
+        parser,
         "--force",
-        metavar="CODE",
-        action="append",
-        default=[],
-        help="go on with an error of `unicon check` of this code; may be repeated",
+        "CODE",
+        "go on with an error of `unicon check` of this code; may be repeated",
+        **REPEATED,
     )
-    parser.add_argument("--dry", action="store_true", help="tell what would be run")
-    parser.set_defaults(function=_sweep)
+    flag(parser, "--dry", "tell what would be run")
 
 
 def _sweep(arguments: argparse.Namespace) -> int:
@@ -146,7 +147,7 @@ def _run(arguments: argparse.Namespace, gates: list[Gate]) -> int:
         folder.close()
     status = _ended(Results(out), [*sweep.gates, *gates])
     if SIGNALS.asked:
-        print("unicon sweep: run the same command again to go on", file=sys.stderr)
+        note("unicon sweep: run the same command again to go on")
     SIGNALS.check()
     return status
 
@@ -162,7 +163,7 @@ def _checked(plan: Plan, force: list[str]) -> str:
     program = Program(plan.document)
     try:
         for line in refuse_errors(program, force):
-            print(f"unicon: warning: {line}", file=sys.stderr)
+            warn(line)
         columns_of(program.states, plan.sweep.keep)
         if plan.sweep.reference is not None:
             Reference(plan.sweep.reference).of(program.robot, program.period)
@@ -250,7 +251,7 @@ def _ended(results: Results, gates: list[Gate]) -> int:
 
         print(f"report {write_report(results)}")
     except MissingDependencyError as error:
-        print(f"unicon: warning: no report: {error}", file=sys.stderr)
+        warn(f"no report: {error}")
     for gate in gates:
         print(results.verdict(gate))
     if not all(results.holds(gate) for gate in gates):

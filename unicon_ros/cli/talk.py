@@ -17,7 +17,7 @@ from typing import Any
 
 from unicon_core.errors import UniconError, alternatives
 from unicon_core.signals import SIGNALS
-from unicon_ros.cli.workflow_arguments import positive
+from unicon_ros.cli.options import argument, command, flag, positive
 
 PATIENCE = 5.0
 """In [s], for somebody to be there, and for an answer."""
@@ -31,19 +31,15 @@ def add(commands: Any) -> None:
         "description": __doc__,
         "formatter_class": argparse.RawDescriptionHelpFormatter,
     }
-    parser = commands.add_parser("pub", help="publish a message to a topic", **shared)
-    parser.add_argument("topic", metavar="TOPIC", help="such as cmd_vel, which is /cmd_vel")
-    parser.add_argument("values", metavar="VALUES", help="fields as YAML; the others are zero")
-    parser.add_argument("--type", metavar="TYPE", help="of the message; else what others use")
-    parser.add_argument("--rate", type=positive, default=10.0, metavar="HZ", help="10 unless given")
-    parser.add_argument("--duration", type=positive, metavar="S", help="end after S seconds")
-    parser.add_argument("--once", action="store_true", help="publish one message and end")
-    parser.set_defaults(function=_pub)
-    parser = commands.add_parser("call", help="call a service of type Trigger", **shared)
-    parser.add_argument(
-        "service", metavar="SERVICE", help="of the node /unicon, such as stop; or /NAMESPACE/…"
-    )
-    parser.set_defaults(function=_call)
+    parser = command(commands, "pub", _pub, "publish a message to a topic", **shared)
+    argument(parser, "topic", "TOPIC", "such as cmd_vel, which is /cmd_vel")
+    argument(parser, "values", "VALUES", "fields as YAML; the others are zero")
+    argument(parser, "--type", "TYPE", "of the message; else what others use")
+    argument(parser, "--rate", "HZ", "10 unless given", type=positive, default=10.0)
+    argument(parser, "--duration", "S", "end after S seconds", type=positive)
+    flag(parser, "--once", "publish one message and end")
+    parser = command(commands, "call", _call, "call a service of type Trigger", **shared)
+    argument(parser, "service", "SERVICE", "of the node /unicon, such as stop; or /NAMESPACE/…")
 
 
 def filled(message: Any, values: Any, place: str = "") -> Any:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -12,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from unicon_core.errors import UniconError
 from unicon_core.signals import SIGNALS
-from unicon_ros.cli.console import Console
-from unicon_ros.cli.workflow_arguments import add_workflow, count_to, positive
+from unicon_ros.cli.console import Console, note
+from unicon_ros.cli.options import add_workflow, argument, command, positive, whole
 
 if TYPE_CHECKING:
     from unicon_ros.transfer.plan import Plan
@@ -33,34 +32,34 @@ BAD = ("crashed", "timeout", "fault")
 
 def add(commands: Any) -> None:
     """Add the command to the parser."""
-    parser = commands.add_parser(
-        "transfer", help="run a workflow in several simulators and compare", description=__doc__
+    parser = command(
+        commands, "transfer", _transfer, "run a workflow in several simulators and compare", __doc__
     )
     add_workflow(parser)
-    parser.add_argument(
+    argument(
+        parser,
         "--platforms",
-        metavar="A,B,…",
-        help="simulators; the others are compared with the first (default: all that are installed)",
+        "A,B,…",
+        "simulators; the others are compared with the first (default: all that are installed)",
     )
-    parser.add_argument(
+    argument(
+        parser,
         "--seeds",
-        type=count_to(MOST_SEEDS),
-        metavar="N",
-        help="runs of each platform, with N seeds of the scene's noise and pushes (default: 3; 1 "
+        "N",
+        "runs of each platform, with N seeds of the scene's noise and pushes (default: 3; 1 "
         "where the scene has neither)",
+        type=whole("a number", 1, MOST_SEEDS),
     )
-    parser.add_argument("--duration", type=positive, metavar="S", help="end each run after S s")
-    parser.add_argument(
+    argument(parser, "--duration", "S", "end each run after S s", type=positive)
+    argument(
+        parser,
         "--timeout",
+        "S",
+        f"end a run that takes S s of wall time (default: {TIMEOUT:g})",
         type=positive,
         default=TIMEOUT,
-        metavar="S",
-        help=f"end a run that takes S s of wall time (default: {TIMEOUT:g})",
     )
-    parser.add_argument(
-        "--out", metavar="DIR", help="new folder for transfer.json, report.html and the runs"
-    )
-    parser.set_defaults(function=_transfer)
+    argument(parser, "--out", "DIR", "new folder for transfer.json, report.html and the runs")
 
 
 def _transfer(arguments: argparse.Namespace) -> int:
@@ -125,10 +124,9 @@ def _run(plan: Plan, folder: Path, out: Path | None) -> int:
             f"no simulator is installed; --platforms {left_out.replace(' ', '')} tells how each is"
         )
     if left_out:
-        print(
+        note(
             f"unicon transfer: not installed, so left out: {left_out} (--platforms tells how each "
-            "is installed)",
-            file=sys.stderr,
+            "is installed)"
         )
     print(table(result))
     if problem:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from pathlib import Path
 from typing import Any
 
 from unicon_core.signals import SIGNALS
-from unicon_ros.cli.workflow_arguments import add_view_options, positive, view_options
+from unicon_ros.cli.console import note
+from unicon_ros.cli.options import add_view_options, argument, command, positive, view_options
 from unicon_ros.view import SINKS
 
 INTERVAL = 1.0 / 60.0
@@ -18,8 +18,8 @@ INTERVAL = 1.0 / 60.0
 
 def add(commands: Any) -> None:
     """Add the command to the parser."""
-    parser = commands.add_parser("view", help="look at a recording", description=__doc__)
-    parser.add_argument("path", type=Path, metavar="BAG", help="a recording, or a fault record")
+    parser = command(commands, "view", _view, "look at a recording", __doc__)
+    argument(parser, "path", "BAG", "a recording, or a fault record", type=Path)
     parser.add_argument(
         "--in",
         dest="sink",
@@ -31,7 +31,6 @@ def add(commands: Any) -> None:
         "--speed", type=positive, default=1.0, help="of playing, where no slider is (default: 1)"
     )
     add_view_options(parser)
-    parser.set_defaults(function=_view)
 
 
 def _view(arguments: argparse.Namespace) -> int:
@@ -49,7 +48,7 @@ def _view(arguments: argparse.Namespace) -> int:
     sink = sink_class(arguments.sink)(shown, source, Remote(None), options)
     try:
         for line in notes:
-            print(f"unicon view: {line}", file=sys.stderr)
+            note(f"unicon view: {line}")
         seconds = source.span[1]
         ticks = f"{len(record.ticks):,} ticks, {seconds:.2f} s"
         print(f"{shown.workflow} on {shown.robot.name} ({shown.platform}): {ticks}")

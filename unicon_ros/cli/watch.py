@@ -14,6 +14,7 @@ from unicon_core.errors import StateError, alternatives
 from unicon_core.signals import SIGNALS
 from unicon_core.states import Layout, States
 from unicon_core.states.backends.shm import Segment, ShmWatcher, segment_path
+from unicon_ros.cli.console import note
 
 SILENCE = 1.0
 """Time in [s] without a new value after which a living writer is said to be silent."""
@@ -48,7 +49,7 @@ def watch(
             # Asked before its last value is taken, so that this one is not lost.
             alive = [each.watcher.alive() for each in watched.values()]
             if writer != (writer := _writer(watched)):
-                _say(f"{name}: process {writer} has taken over")
+                note(f"unicon: {name}: process {writer} has taken over")
             if sum(each.watcher.take() for each in watched.values()):  # all of them take
                 form.values()
                 sys.stdout.flush()
@@ -56,10 +57,10 @@ def watch(
             if not all(alive):
                 died = os.path.lexists(segment_path(name))
                 how = "has died; unicon states --clean removes the rest" if died else "has ended"
-                _say(f"{name}: process {writer} {how}")
+                note(f"unicon: {name}: process {writer} {how}")
                 break
             if now - heard > SILENCE and not told:
-                _say(f"{name}: no new value for {SILENCE:g} s; process {writer} lives")
+                note(f"unicon: {name}: no new value for {SILENCE:g} s; process {writer} lives")
                 told = True
     for each in watched.values():
         each.watcher.close()
@@ -104,10 +105,6 @@ def _looks(rate: float, end: float | None) -> Iterator[float]:
             continue
         yield now
         due = max(due + period, now)  # who was stopped does not make up for it
-
-
-def _say(text: str) -> None:
-    print(f"unicon: {text}", file=sys.stderr)
 
 
 class _Form(Protocol):
