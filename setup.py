@@ -160,7 +160,7 @@ setup(
         "console_scripts": [
             "unicon = unicon_ros.cli.main:main",
             "unicon_node = unicon_ros.node_main:main",
-            "latency_bench = unicon_ros.bench.latency_main:main",
+            "latency_bench = unicon_ros.bench.latency:main",
         ],
         "unicon.blocks": [
             "camera = unicon_ros.bridge.camera:camera",

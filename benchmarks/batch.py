@@ -57,8 +57,7 @@ def run(rounds: int | None = None) -> Bench:
     Args:
         rounds: interleaved rounds, 5 unless told.
     """
-    rounds = rounds or 5
-    bench = Bench("batch", seed=0, rounds=rounds)
+    bench = Bench("batch", rounds or 5)
     kinds: list[tuple[str, tuple[int, ...], int, dict[str, Any]]] = [
         ("per robot", SIZES, TICKS, {}),
         ("with physics, per robot", PHYSICS_SIZES, PHYSICS_TICKS, _PHYSICS),
@@ -83,13 +82,12 @@ def run(rounds: int | None = None) -> Bench:
                 program = load_workflow(path, changed | {"num_robots": size})
                 runner = Runner(program, RunOptions(speed="max"))
                 runners[f"{kind}, N = {size}"] = runner, size, ticks
-        for _ in range(rounds):
+        for _ in range(bench.rounds):
             for name, (runner, size, ticks) in runners.items():
                 times.add(name, _ticks(runner, ticks) / size)
         for runner, _, _ in runners.values():
             runner.close()
-    for name in runners:
-        bench.case(name, times.of(name))
+    times.add_to(bench)
     for name, kind, bar in ratios:
         bench.ratio(name, times.ratio(f"{kind}, N = 64", f"{kind}, N = 1"), bar)
     bench.facts["threads"] = len(shares(64))

@@ -4,7 +4,7 @@ Send: states to a published message, by our compiled layouts and by a new rclpy 
 Receive: a message that has arrived to states, raw and typed. Warm, variants in turns. Nobody
 listens to what is sent, so that the transport, which is the same for both, is left out; what is
 received was published in this process and waits in the readers' queues, ten messages of ten topics
-in a row. The cost with a reader in this process is told beside it, as a fact.
+in a row.
 """
 
 from __future__ import annotations
@@ -37,8 +37,7 @@ def run(rounds: int | None = None) -> Bench:
     """
     stay_on_loopback()
     rclpy = compat.import_rclpy("unicon bench bridge")
-    rounds = rounds or 9
-    bench = Bench("bridge", seed=0, rounds=rounds)
+    bench = Bench("bridge", rounds or 9)
     context = rclpy.context.Context()
     rclpy.init(context=context, signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
     node = rclpy.node.Node("bench_bridge", context=context)
@@ -50,7 +49,7 @@ def run(rounds: int | None = None) -> Bench:
     other.create_subscription(message, "bench/silent", lambda m: None, 1)
     desk = Desk(node, executor)
     try:
-        _measure(bench, desk, rounds)
+        _measure(bench, desk)
     finally:
         desk.close()
         executor.shutdown()
@@ -60,7 +59,7 @@ def run(rounds: int | None = None) -> Bench:
     return bench
 
 
-def _measure(bench: Bench, desk: Desk, rounds: int) -> None:
+def _measure(bench: Bench, desk: Desk) -> None:
     sends = {
         f"send {name}: {who}": step
         for name, topic in (("JointState", "joint_states"), ("Imu", "imu/data"), ("Odom", "odom"))
@@ -70,15 +69,12 @@ def _measure(bench: Bench, desk: Desk, rounds: int) -> None:
         sends[f"send JointState, {joints} joints"] = desk.senders("joint_states", joints)["ours"]
     looks = {"empty poll: ours": desk.poller(), "empty poll: spin_once(0)": desk.spin}
     receive = desk.receivers(JOINTS)
-    heard = desk.heard_senders(JOINTS)
     times = Samples()
-    for each in (Samples(), *[times] * rounds):  # the first warms up
+    for each in (Samples(), *[times] * bench.rounds):  # the first warms up
         each.take(sends, SAMPLES, SENDS)
         each.take(looks, SAMPLES, POLLS)
-        _take_received(each, receive, RECEIVED)
-        _take_received(each, heard, 1)
-    for name in (*sends, *looks, *receive):
-        bench.case(name, times.of(name))
+        _take_received(each, receive)
+    times.add_to(bench)
     ratio = times.ratio
     bench.ratio("send", ratio("send JointState: ours", "send JointState: new message"), 0.3)
     bench.ratio("receive", ratio("receive JointState: ours", "receive JointState: typed"), 0.3)
@@ -87,17 +83,11 @@ def _measure(bench: Bench, desk: Desk, rounds: int) -> None:
     few, many = (f"send JointState, {joints} joints" for joints in (FEW, MANY))
     bench.ratio("send_growth", ratio(many, few), 1.15)
     bench.ratio("empty_poll", ratio("empty poll: ours", "empty poll: spin_once(0)"), 0.1)
-    ours, plain = (float(np.median(times.of(name))) for name in heard)
-    bench.facts["send JointState to a reader in this process"] = (
-        f"ours {ours:.1f} µs, new message {plain:.1f} µs, ratio {ratio(*heard):.2f}"
-    )
-    slower = ratio("receive JointState: ours", "receive JointState: typed, drained")
-    bench.facts["receive / typed take, drained as ours is"] = f"{slower:.2f}"
     bench.facts["joints"] = JOINTS
 
 
-def _take_received(times: Samples, cases: dict[str, Received], messages: int) -> None:
-    """Time one round of steps that take so many messages, each after they arrived, in turns."""
+def _take_received(times: Samples, cases: dict[str, Received]) -> None:
+    """Time one round of steps that take messages, each after they arrived, in turns."""
     now = time.perf_counter_ns
     taken = {name: np.zeros(SAMPLES) for name in cases}
     for i in range(SAMPLES):
@@ -105,6 +95,6 @@ def _take_received(times: Samples, cases: dict[str, Received], messages: int) ->
             case.arrive()
             begin = now()
             case.step()
-            taken[name][i] = (now() - begin) * 1e-3 / messages
+            taken[name][i] = (now() - begin) * 1e-3 / RECEIVED
     for name, values in taken.items():
         times.add(name, values)

@@ -71,8 +71,7 @@ class Desk:
             "receive JointState: ours": lambda topic: self._in(
                 replace(spec, topic=topic, timeout=None), states, joints
             ),
-            "receive JointState: typed": partial(self._typed, states=states, drain=False),
-            "receive JointState: typed, drained": partial(self._typed, states=states, drain=True),
+            "receive JointState: typed": partial(self._typed, states=states),
         }
         cases = {}
         for name, way in ways.items():
@@ -84,24 +83,6 @@ class Desk:
                 _all([single.arrive for single in singles]),
                 _all([single.step for single in singles]),
             )
-        return cases
-
-    def heard_senders(self, joints: int) -> dict[str, Received]:
-        """Return our and the plain way to send to a reader of this process, emptied each time."""
-        states = bench_states(joints)
-        spec = _published("joint_states")
-        ways: dict[str, Callable[[str], Step]] = {
-            "to a reader: ours": lambda topic: self._out(
-                replace(spec, topic=topic), states, joints
-            ),
-            "to a reader: new message": lambda topic: self._plain(spec.type, topic, states, joints),
-        }
-        cases = {}
-        for name, way in ways.items():
-            topic = self._name()
-            take = self._raw_reader(topic, compat.message_class(spec.type))
-            cases[name] = case = Received(_emptying(take), way(topic))
-            _until(partial(_passes, case, take))
         return cases
 
     def poller(self) -> Step:
@@ -144,7 +125,7 @@ class Desk:
 
         return arrive
 
-    def _typed(self, topic: str, states: States, drain: bool) -> Step:
+    def _typed(self, topic: str, states: States) -> Step:
         message = compat.message_class(JOINT_STATE)
         subscription = self._node.create_subscription(
             message, topic, lambda m: None, 1, callback_group=self._group
@@ -157,11 +138,6 @@ class Desk:
         def receive() -> None:
             with handle:
                 taken = handle.take_message(message, False)
-            newer = taken
-            while drain and newer is not None:
-                with handle:
-                    newer = handle.take_message(message, False)
-                taken = newer or taken
             if taken is not None:
                 found = taken[0]
                 time_ = found.header.stamp
@@ -171,16 +147,6 @@ class Desk:
                 arrays[2][:] = found.effort
 
         return receive
-
-    def _raw_reader(self, topic: str, message: Any) -> Callable[[], bytes | None]:
-        subscription = self._node.create_subscription(
-            message, topic, lambda m: None, 10, raw=True, callback_group=self._group
-        )
-        take, release = compat.raw_take(subscription)
-        assert take is not None
-        self._opened.callback(self._node.destroy_subscription, subscription)
-        self._opened.callback(release)
-        return take
 
 
 def _published(topic: str) -> PublishSpec:
@@ -212,12 +178,6 @@ def _arrives(case: Received, states: States, source: States) -> bool:
     return bool(states["joint_pos"][0] == source["joint_pos"][0])
 
 
-def _passes(case: Received, take: Callable[[], bytes | None]) -> bool:
-    case.step()
-    time.sleep(0.01)
-    return take() is not None
-
-
 def bench_states(joints: int) -> States:
     """Return the states that the messages carry, filled."""
     specs = {name: StateSpec((joints,)) for name in ("joint_pos", "joint_vel", "joint_effort")}
@@ -247,14 +207,6 @@ def variables_of(joints: int) -> dict[str, object]:
     """Return the `$variables` of the maps."""
     frames = {"base_frame": "base_link", "odom_frame": "odom", "imu_frame": "imu_link"}
     return {"joint_names": [f"joint_{i}" for i in range(joints)], "robot": "bench", **frames}
-
-
-def _emptying(take: Callable[[], bytes | None]) -> Step:
-    def empty() -> None:
-        while take() is not None:
-            pass
-
-    return empty
 
 
 def plain_sender(kind: str, states: States, joints: int) -> Callable[[], Any]:

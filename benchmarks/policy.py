@@ -27,6 +27,7 @@ RATE = 50.0  # Hz
 SECONDS = 3.0  # of each loop in each round
 WARM_CALLS = 2000  # of each observation in each round, 20 in a sample
 HISTORY = 6
+USUAL, OURS = "policy tick, usual", "policy tick, unicon"
 
 
 def run(rounds: int | None = None) -> Bench:
@@ -35,15 +36,14 @@ def run(rounds: int | None = None) -> Bench:
     Args:
         rounds: interleaved rounds, 5 unless told.
     """
-    rounds = rounds or 5
-    bench = Bench("policy", seed=0, rounds=rounds)
+    bench = Bench("policy", rounds or 5)
     robot = load_robot("go2")
     with tempfile.TemporaryDirectory() as folder:
         contract = random_policy(Path(folder) / "one", robot)
         longer = random_policy(Path(folder) / "history", robot, history=HISTORY)
-        _observations(bench, rounds, robot, contract, longer)
-        _ticks(bench, rounds, robot, contract)
-        _memory(bench, rounds, robot, contract, Path(folder) / "recurrent")
+        _observations(bench, robot, contract, longer)
+        _ticks(bench, robot, contract)
+        _memory(bench, robot, contract, Path(folder) / "recurrent")
     return bench
 
 
@@ -83,7 +83,7 @@ def _concatenation(states: States, contract: PolicyContract) -> Callable[[], NDA
 
 
 def _observations(
-    bench: Bench, rounds: int, robot: Robot, contract: PolicyContract, longer: PolicyContract
+    bench: Bench, robot: Robot, contract: PolicyContract, longer: PolicyContract
 ) -> None:
     states, states6 = _states(contract, robot), _states(longer, robot)
     one = Observation(contract, states, robot.joint_names)
@@ -103,11 +103,10 @@ def _observations(
         "observation, history 6: concatenate": plain6,
     }
     times = Samples()
-    for _ in range(rounds):
+    for _ in range(bench.rounds):
         for name, call in calls.items():  # each by itself, so that it is warm
             times.take({name: call}, WARM_CALLS // 20, 20)
-    for name in calls:
-        bench.case(name, times.of(name))
+    times.add_to(bench)
     for ratio, case in (
         ("observation", "observation"),
         ("observation_history6", "observation, history 6"),
@@ -115,24 +114,18 @@ def _observations(
         bench.ratio(ratio, times.ratio(f"{case}: fused", f"{case}: concatenate"), 0.35)
 
 
-def _ticks(bench: Bench, rounds: int, robot: Robot, contract: PolicyContract) -> None:
-    loops = {"usual": _usual_loop(robot, contract), "unicon": _unicon_loop(robot, contract)}
-    times, shares = Samples(), Samples()
-    for _ in range(rounds):
+def _ticks(bench: Bench, robot: Robot, contract: PolicyContract) -> None:
+    loops = {USUAL: _usual_loop(robot, contract), OURS: _unicon_loop(robot, contract)}
+    times = Samples()
+    for _ in range(bench.rounds):
         for name, loop in loops.items():
-            measured = loop(round(RATE * SECONDS))
-            times.add(name, measured.took)
-            shares.add(name, measured.share)
-    for name in loops:
-        bench.case(f"policy tick, {name}", times.of(name))
-        bench.case(f"policy tick, {name}: share of a core [%]", shares.of(name))
-    bench.ratio("policy_tick_p50", times.ratio("unicon", "usual"), 0.1)
-    bench.ratio("policy_tick_p99", times.ratio("unicon", "usual", percent=99), 0.2)
+            times.add(name, loop(round(RATE * SECONDS)).took)
+    times.add_to(bench)
+    bench.ratio("policy_tick_p50", times.ratio(OURS, USUAL), 0.1)
+    bench.ratio("policy_tick_p99", times.ratio(OURS, USUAL, percent=99), 0.2)
 
 
-def _memory(
-    bench: Bench, rounds: int, robot: Robot, contract: PolicyContract, folder: Path
-) -> None:
+def _memory(bench: Bench, robot: Robot, contract: PolicyContract, folder: Path) -> None:
     """A recurrent policy beside the same network without its memory, in turns and warm."""
     recurrent = random_policy(folder, robot, recurrent=True)
     calls: dict[str, Step] = {
@@ -140,10 +133,9 @@ def _memory(
         "policy call, recurrent": Policy(recurrent, _states(recurrent, robot), robot),
     }
     times = Samples()
-    for _ in range(rounds):
+    for _ in range(bench.rounds):
         times.take(calls, WARM_CALLS // 20, 20)
-    for name in calls:
-        bench.case(name, times.of(name))
+    times.add_to(bench)
     bench.ratio("policy_recurrent", times.ratio("policy call, recurrent", "policy call"), 1.3)
 
 

@@ -94,8 +94,7 @@ def run(rounds: int | None = None) -> Bench:
     Args:
         rounds: interleaved rounds, 5 unless told.
     """
-    rounds = rounds or 5
-    bench = Bench("reach", seed=0, rounds=rounds)
+    bench = Bench("reach", rounds or 5)
     robot = load_robot(ROBOT)
     path, moved = pick_model(robot), robot.group(MOVES)
     bare, kept = (load_apart(path, robot, HANDS, moved, apart) for apart in (0.0, APART))
@@ -113,12 +112,11 @@ def run(rounds: int | None = None) -> Bench:
 
             for name, pairs in (("mink", ()), ("mink, apart", kept.pairs)):
                 ways[name] = MinkArms(path, robot, HANDS, moved, rate, PERIOD, pairs, APART)
-        for _ in range(rounds):
+        for _ in range(bench.rounds):
             for motion in ("circles", "jumps") if rate == RATES[-1] else ():
                 _compare(ways, watch, motion, "", times, errors, nearest)
             _compare(ways, watch, "crossing", f", {rate:g} rad/s", times, errors, nearest)
-    for name in times.names:
-        bench.case(name, times.of(name))
+    times.add_to(bench)
     for name in errors.names:
         of_all = 1e3 * errors.of(name)
         middle, most = np.percentile(of_all, 50), of_all.max()

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.samples import Samples
+from benchmarks.samples import TICK, WHOLE, Samples, tick_times, unsaid
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program, load_workflow
@@ -29,7 +29,6 @@ SECONDS = 10.0  # of each run
 SETTLED = 1.0
 """Of its beginning in [s] that are not counted: the posture's, and cold memory."""
 WITH, WITHOUT = "recorded", "not recorded"
-TICK, WHOLE = "recv to send", "whole tick"
 
 
 def run(rounds: int | None = None, seconds: float = SECONDS) -> Bench:
@@ -44,12 +43,11 @@ def run(rounds: int | None = None, seconds: float = SECONDS) -> Bench:
     """
     stay_on_loopback()
     compat.import_rclpy("unicon bench record")
-    rounds = rounds or 6
-    bench = Bench("record", seed=0, rounds=rounds)
+    bench = Bench("record", rounds or 6)
     times = Samples()
     written: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder:
-        for number in range(rounds):
+        for number in range(bench.rounds):
             turns = [WITHOUT, WITH] if number % 2 else [WITH, WITHOUT]
             for name in turns:
                 file = Path(folder) / f"{number}.mcap" if name == WITH else None
@@ -59,9 +57,7 @@ def run(rounds: int | None = None, seconds: float = SECONDS) -> Bench:
                 written |= counts
                 if file is not None:
                     file.unlink()
-    for part in (TICK, WHOLE):
-        for name in (WITHOUT, WITH):
-            bench.case(f"{part}, {name}", times.of(f"{part}, {name}"))
+    times.add_to(bench)
     bench.facts = {
         "rate": f"{RATE:g} Hz, {seconds:g} s a run",
         "written": f"{written['bytes'] / seconds * 1e-6:.2f} MB/s, {written['messages']} messages",
@@ -79,13 +75,13 @@ def _run(
     """Return the times of a run's ticks in [µs], and what was recorded."""
     from unicon_ros.bridge import RosSession
 
-    session = RosSession(node_name="bench_record", warn=_unsaid)
+    session = RosSession(node_name="bench_record", warn=unsaid)
     try:
-        recording = None if file is None else Recording(file, None, session, _unsaid)
-        record = FaultRecord(None, _unsaid, recording)
+        recording = None if file is None else Recording(file, None, session, unsaid)
+        record = FaultRecord(None, unsaid, recording)
         hooks = [session.hook, walk, *([recording.hook] if recording else []), record.hook]
         program = load_workflow("go2_teleop", {"rate": RATE}, hooks=hooks)
-        runner = Runner(program, RunOptions(duration=seconds, warn=_unsaid))
+        runner = Runner(program, RunOptions(duration=seconds, warn=unsaid))
         session.attach(runner)
         record.attach(runner)
         report = runner.run()
@@ -94,10 +90,7 @@ def _run(
     if report.faults:
         raise RuntimeError(f"bench record: {report.faults[0]}")
     counts = {} if recording is None else recording.counts()
-    statistics, first = runner.statistics, round(SETTLED * RATE)
-    rows = statistics.kept()[first:]
-    whole = np.asarray((rows[:, 1] - rows[:, 2]) * 1e-3, np.float64)
-    return {TICK: statistics.durations_us()[first:], WHOLE: whole}, counts
+    return tick_times(runner.statistics, round(SETTLED * RATE)), counts
 
 
 def walk(program: Program) -> dict[Stage, list[Block]]:
@@ -108,7 +101,3 @@ def walk(program: Program) -> dict[Stage, list[Block]]:
         command[:] = (0.3, 0.0, 0.0)
 
     return {Stage.INPUT: [Block("walk", walk, amends=("velocity_command",), endless=True)]}
-
-
-def _unsaid(line: str) -> None:
-    """Take what a run would tell."""

@@ -43,8 +43,7 @@ def run(rounds: int | None = None) -> Bench:
     Args:
         rounds: interleaved rounds, 5 unless told.
     """
-    rounds = rounds or 5
-    bench = Bench("retarget", seed=0, rounds=rounds)
+    bench = Bench("retarget", rounds or 5)
     robot = load_robot(ROBOT)
     model = HandModel(robot)
     sides: dict[str, Side] = {"unicon": _ours(robot)}
@@ -52,7 +51,7 @@ def run(rounds: int | None = None) -> Bench:
         sides[OTHER] = _other(robot)
     times, errors = Samples(), Samples()
     now = time.perf_counter_ns
-    for number in range(rounds):
+    for number in range(bench.rounds):
         motion = smooth_motion(model, TICKS, RATE, seed=number)
         took, wrong = np.zeros((2, len(sides), TICKS))
         for tick, q in enumerate(motion):

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.networks import random_policy
-from benchmarks.samples import Samples
+from benchmarks.samples import Samples, unsaid
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions, WallClock, WarmUp, prepare_process
 from unicon_core.workflow import load_workflow
@@ -45,26 +45,24 @@ def run(rounds: int | None = None) -> Bench:
     Args:
         rounds: interleaved rounds, 10 unless told.
     """
-    rounds = rounds or 10
-    bench = Bench("safety", seed=0, rounds=rounds)
+    bench = Bench("safety", rounds or 10)
     times = Samples()
     with tempfile.TemporaryDirectory() as folder:
         random_policy(Path(folder) / "policy", load_robot(ROBOT))
         path = Path(folder) / "safety.yaml"
         path.write_text(_WORKFLOW, encoding="utf-8")
         programs = {WITH: load_workflow(path), WITHOUT: load_workflow(path, {"safety": "none"})}
-        runners = {name: Runner(each, RunOptions(warn=_unsaid)) for name, each in programs.items()}
-        restore = prepare_process(programs[WITH].pacing, _unsaid)
+        runners = {name: Runner(each, RunOptions(warn=unsaid)) for name, each in programs.items()}
+        restore = prepare_process(programs[WITH].pacing, unsaid)
         try:
-            for _ in range(rounds):
+            for _ in range(bench.rounds):
                 for name, samples in _turn(runners).items():
                     times.add(name, samples)
         finally:
             restore()
             for runner in runners.values():
                 runner.close()
-    for name in runners:
-        bench.case(name, times.of(name))
+    times.add_to(bench)
     added = float(np.median(np.subtract(times.of(WITH), times.of(WITHOUT))))  # 10 ms apart
     bench.facts = {
         "blocks": ", ".join(programs[WITH].safety),
@@ -92,7 +90,3 @@ def _turn(runners: dict[str, Runner]) -> dict[str, Any]:
             runner.graph.deferred()
             due = max(due + APART_NS, now())
     return {name: values[10:] for name, values in times.items()}  # warm-ups learn their lead
-
-
-def _unsaid(line: str) -> None:
-    """Take what a run would tell."""

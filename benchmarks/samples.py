@@ -10,7 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from unicon_core.runtime import TickStatistics
+from unicon_ros.bench.report import Bench
+
 Step = Callable[[], object]
+TICK, WHOLE = "recv to send", "whole tick"
 
 
 class Samples:
@@ -35,6 +39,11 @@ class Samples:
                 times[name][i] = (now() - begin) * 1e-3 / calls
         for name, values in times.items():
             self.add(name, values)
+
+    def add_to(self, bench: Bench) -> None:
+        """Add all cases to a benchmark."""
+        for name in self.names:
+            bench.case(name, self.of(name))
 
     @property
     def names(self) -> list[str]:
@@ -98,6 +107,22 @@ def paced(
         due += period
     share = (time.process_time_ns() - cpu) / (now() - begin)
     return Paced(late * 1e-3, took * 1e-3, share * 100.0)
+
+
+def tick_times(statistics: TickStatistics, first: int) -> dict[str, NDArray[np.float64]]:
+    """Return from recv to the end of send, and all of each tick that a run has kept, in [µs].
+
+    Args:
+        statistics: of the run.
+        first: ticks at the beginning that are left out.
+    """
+    rows = statistics.kept()[first:]
+    whole = np.asarray((rows[:, 1] - rows[:, 2]) * 1e-3, np.float64)
+    return {TICK: statistics.durations_us()[first:], WHOLE: whole}
+
+
+def unsaid(line: str) -> None:
+    """Take what a run would tell."""
 
 
 def sleep_until(due: int) -> None:

@@ -35,7 +35,7 @@ def run(rounds: int | None = None) -> Bench:
     Args:
         rounds: interleaved rounds, 10 unless told.
     """
-    bench = Bench("simulators", seed=0, rounds=rounds or 10)
+    bench = Bench("simulators", rounds or 10)
     times = Samples()
     platforms: dict[str, SteppedSimulator] = {}
     for name in BUILTIN:
@@ -63,8 +63,7 @@ def run(rounds: int | None = None) -> Bench:
             times.add(f"{name}: tick", engine + beyond)
     for one in platforms.values():
         one.close()
-    for name in times.names:
-        bench.case(name, times.of(name))
+    times.add_to(bench)
     for name in platforms:
         if name in _BARS:
             bench.ratio(name, times.ratio(f"{name}: tick", f"{name}: engine"), _BARS[name])

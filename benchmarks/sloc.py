@@ -106,7 +106,7 @@ def run(rounds: int | None = None) -> Bench:
     Args:
         rounds: taken for the command line's sake.
     """
-    bench = Bench("sloc", seed=0, rounds=1)
+    bench = Bench("sloc", 1)
     root = Path(unicon_core.__file__).resolve().parent.parent
     for name, place in COMPONENTS:
         path = root / place

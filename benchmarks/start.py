@@ -51,21 +51,19 @@ def run(rounds: int | None = None) -> Bench:
         MissingDependencyError: MuJoCo or ONNX Runtime is not installed.
         RuntimeError: a run fails.
     """
-    rounds = rounds or ROUNDS
-    bench, times = Bench("start", seed=0, rounds=rounds), Samples()
+    bench, times = Bench("start", rounds or ROUNDS), Samples()
     cases = [BASE, RUN, LIST]
     with suppress(MissingDependencyError):
         compat.import_rclpy("unicon bench start")
         cases.insert(2, ROS)
     with tempfile.TemporaryDirectory() as folder:
         environment = _environment(Path(folder))
-        for number in range(-1, rounds):  # the first one writes bytecode and warms files up
+        for number in range(-1, bench.rounds):  # the first one writes bytecode and warms files up
             for case in cases:
                 seconds = _seconds(case, Path(folder), environment)
                 if number >= 0:
                     times.add(f"{case} [ms]", seconds * 1e3)
-    for case in cases:
-        bench.case(f"{case} [ms]", times.of(f"{case} [ms]"))
+    times.add_to(bench)
     for case, (name, bar) in BARS.items():
         if case in cases:
             bench.ratio(name, times.ratio(f"{case} [ms]", f"{BASE} [ms]"), bar)

@@ -41,17 +41,17 @@ class RosSender(_RosNode):
         from unicon_ros.bench.pipelines.plain_nodes import qos
 
         super().__init__("writer")
-        self._publish = self.node.create_publisher(UInt8MultiArray, "group", qos(False)).publish
+        self._send = self.node.create_publisher(UInt8MultiArray, "group", qos(False)).publish
         self._data, self._raw, self._message = states.buffer.data, raw, UInt8MultiArray()
         self._head = _CDR + len(self._data).to_bytes(4, "little")
 
-    def __call__(self) -> None:
+    def publish(self) -> None:
         """Send the states as they are."""
         if self._raw:
-            self._publish(self._head + self._data)
+            self._send(self._head + self._data)
         else:
             self._message.data = array("B", self._data)
-            self._publish(self._message)
+            self._send(self._message)
 
 
 class RosReceiver(_RosNode):
@@ -124,7 +124,7 @@ class IceoryxSender(_Iceoryx):
         self._notifier = self.events.notifier_builder().create()
         self.ports = self._publisher, self._notifier
 
-    def __call__(self) -> None:
+    def publish(self) -> None:
         """Send the states as they are."""
         sample = self._publisher.loan_uninit()
         ctypes.memmove(sample.payload_ptr, self.address, self.size)

@@ -28,10 +28,10 @@ def main() -> None:
         _read(way.receiver(place, states), states, options.out, stop)
 
 
-def _write(send: Sender, states: object, period: float, out: Path, stop: Stop) -> None:
+def _write(sender: Sender, states: object, period: float, out: Path, stop: Stop) -> None:
     log = Log(out, "begin", "end")
     data, number, stamp = (getattr(states, name) for name in ("data", "number", "stamp_ns"))
-    now = time.time_ns
+    now, publish = time.time_ns, sender.publish
     due = time.monotonic() + period
     while not stop:
         time.sleep(max(0.0, due - time.monotonic()))
@@ -40,10 +40,10 @@ def _write(send: Sender, states: object, period: float, out: Path, stop: Stop) -
         data[:] = int(number) % LARGEST
         begin = now()
         stamp[...] = begin
-        send()
+        publish()
         log.add(begin, now())
     log.save()
-    send.close()
+    sender.close()
 
 
 def _read(receiver: Receiver, states: object, out: Path, stop: Stop) -> None:

@@ -1,6 +1,6 @@
 """Ways on which `unicon bench stores` carries a group to another process: ours, and a bare socket.
 
-Each is two ends. A `Sender` is called to send the states as they are; a `Receiver` waits and puts
+Each is two ends. A `Sender` publishes the states as they are; a `Receiver` waits and puts
 what has come into its states. They meet at a place: a path that nobody else uses.
 """
 
@@ -12,9 +12,11 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Protocol, TypeVar
 
+from benchmarks.store_baselines import IceoryxReceiver, IceoryxSender, RosReceiver, RosSender
 from unicon_core.errors import StateError
 from unicon_core.states import States, StateSpec
 from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter
@@ -41,7 +43,7 @@ def segment_name(place: Path) -> str:
 class Sender(Protocol):
     """Sends the states as they are."""
 
-    def __call__(self) -> None: ...
+    def publish(self) -> object: ...
 
     def close(self) -> None: ...
 
@@ -63,14 +65,17 @@ class Receiver(Protocol):
     def close(self) -> None: ...
 
 
-class _ShmSender:
-    def __init__(self, place: Path, states: States) -> None:
-        segment = Segment.create(segment_name(place), {GROUP: states.layout})
-        writer = ShmWriter(segment, GROUP, states)
-        self._publish, self.close = writer.publish, writer.close
+def _shm_sender(place: Path, states: States) -> Sender:
+    segment = Segment.create(segment_name(place), {GROUP: states.layout})
+    return ShmWriter(segment, GROUP, states)
 
-    def __call__(self) -> None:
-        self._publish()
+
+def _zmq_sender(place: Path, states: States, address: str) -> Sender:
+    writer = ZmqWriter(address.format(place=place), GROUP, states.layout, states)
+    told = place.with_suffix(".told")
+    told.write_text(writer.address, encoding="utf-8")
+    os.replace(told, place.with_suffix(".address"))
+    return writer
 
 
 class _ShmReceiver:
@@ -96,18 +101,6 @@ class _ShmPoller(_ShmReceiver):
         return True
 
 
-class _ZmqSender:
-    def __init__(self, place: Path, states: States, address: str) -> None:
-        writer = ZmqWriter(address.format(place=place), GROUP, states.layout, states)
-        self._publish, self.close = writer.publish, writer.close
-        told = place.with_suffix(".told")
-        told.write_text(writer.address, encoding="utf-8")
-        os.replace(told, place.with_suffix(".address"))
-
-    def __call__(self) -> None:
-        self._publish()
-
-
 class _ZmqReceiver:
     starved = 0
 
@@ -127,7 +120,7 @@ class _DatagramSender:
         self._place, self._data = str(place), states.buffer.data
         self.close = self._socket.close
 
-    def __call__(self) -> None:
+    def publish(self) -> None:
         # Nobody looks, or nobody is there.
         with suppress(BlockingIOError, ConnectionRefusedError, FileNotFoundError):
             self._socket.sendto(self._data, self._place)
@@ -175,42 +168,14 @@ class Way:
     needs: tuple[str, ...] = ()
 
 
-def _ros_sender(place: Path, states: States, raw: bool) -> Sender:
-    from benchmarks.store_baselines import RosSender
-
-    return RosSender(place, states, raw)
-
-
-def _ros_receiver(place: Path, states: States, raw: bool) -> Receiver:
-    from benchmarks.store_baselines import RosReceiver
-
-    return RosReceiver(place, states, raw)
-
-
-def _iceoryx_sender(place: Path, states: States) -> Sender:
-    from benchmarks.store_baselines import IceoryxSender
-
-    return IceoryxSender(place, states)
-
-
-def _iceoryx_receiver(place: Path, states: States) -> Receiver:
-    from benchmarks.store_baselines import IceoryxReceiver
-
-    return IceoryxReceiver(place, states)
-
-
 WAYS: Mapping[str, Way] = {
-    "shm, sleeping": Way(_ShmSender, _ShmReceiver),
-    "shm, polling": Way(_ShmSender, _ShmPoller),
-    "zmq ipc": Way(lambda p, s: _ZmqSender(p, s, "ipc://{place}"), _ZmqReceiver, ("zmq",)),
-    "zmq tcp": Way(lambda p, s: _ZmqSender(p, s, "tcp://127.0.0.1:*"), _ZmqReceiver, ("zmq",)),
+    "shm, sleeping": Way(_shm_sender, _ShmReceiver),
+    "shm, polling": Way(_shm_sender, _ShmPoller),
+    "zmq ipc": Way(partial(_zmq_sender, address="ipc://{place}"), _ZmqReceiver, ("zmq",)),
+    "zmq tcp": Way(partial(_zmq_sender, address="tcp://127.0.0.1:*"), _ZmqReceiver, ("zmq",)),
     "unix datagram": Way(_DatagramSender, _DatagramReceiver),
-    "rclpy, raw": Way(
-        lambda p, s: _ros_sender(p, s, True), lambda p, s: _ros_receiver(p, s, True), ("rclpy",)
-    ),
-    "rclpy": Way(
-        lambda p, s: _ros_sender(p, s, False), lambda p, s: _ros_receiver(p, s, False), ("rclpy",)
-    ),
-    "iceoryx2": Way(_iceoryx_sender, _iceoryx_receiver, ("iceoryx2",)),
+    "rclpy, raw": Way(partial(RosSender, raw=True), partial(RosReceiver, raw=True), ("rclpy",)),
+    "rclpy": Way(partial(RosSender, raw=False), partial(RosReceiver, raw=False), ("rclpy",)),
+    "iceoryx2": Way(IceoryxSender, IceoryxReceiver, ("iceoryx2",)),
 }
 """Name of each way to its ends."""

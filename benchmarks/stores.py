@@ -39,7 +39,7 @@ from unicon_core.states.backends.shm import Segment, ShmWriter, remove_dead
 from unicon_ros.bench.domains import loopback_environment
 from unicon_ros.bench.loops import Loop, Slice
 from unicon_ros.bench.report import Bench
-from unicon_ros.bench.turns import take_turns
+from unicon_ros.bench.rounds import Rows, take_turns
 
 RATE = 500.0  # Hz
 SECONDS = 0.5
@@ -63,8 +63,6 @@ INSTALL = {
 }
 
 TIMES = ("one way", "send", "reader's CPU [% of a core]")
-
-Rows = dict[str, NDArray[np.float64]]
 
 
 def run(rounds: int | None = None, *, only: Callable[[str], bool] | None = None) -> Bench:
@@ -95,7 +93,7 @@ def run(rounds: int | None = None, *, only: Callable[[str], bool] | None = None)
                 remove_dead(segment_name(place))
         if whole and not SIGNALS.asked:
             _publish(f"{Path(folder).name}-publish", whole, samples)
-    bench = Bench("stores", seed=0, rounds=whole)
+    bench = Bench("stores", whole)
     bench.facts |= {"rate_hz": RATE, "group": "512 bytes", **skipped}
     for name, result in results.items():
         bench.facts[name] = _counts(result)
@@ -104,8 +102,7 @@ def run(rounds: int | None = None, *, only: Callable[[str], bool] | None = None)
             for name, rows in zip(results, round_):
                 for row in TIMES:
                     samples.add(f"{name}: {row}", rows[row])
-    for name in samples.names:
-        bench.case(name, samples.of(name))
+    samples.add_to(bench)
     for name, ours, theirs, bar in RATIOS:
         if {ours, theirs} <= set(samples.names):
             bench.ratio(name, samples.ratio(ours, theirs), bar)

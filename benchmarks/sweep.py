@@ -73,7 +73,7 @@ def run(rounds: int | None = None, rollouts: int = ROLLOUTS) -> Bench:
     from unicon_ros.sweep.sweep_file import read_sweep
 
     require_pyarrow()
-    bench = Bench("sweep", seed=0, rounds=rounds or ROUNDS)
+    bench = Bench("sweep", rounds or ROUNDS)
     cores = min(len(os.sched_getaffinity(0)), MOST_CORES)
     each = max(rollouts // bench.rounds // cores, 1) * cores
     times, ways = Samples(), []
@@ -124,17 +124,17 @@ def run(rounds: int | None = None, rollouts: int = ROLLOUTS) -> Bench:
             for _, out, made in sides:
                 made.close()
                 out.close()
-        fell = sum(bool(value) for value in results.column("fell"))
-        bench.facts["rollouts of each side"] = each * bench.rounds
-        bench.facts["processes"] = cores
-        bench.facts["fell"] = fell
-        bench.facts["no result"] = results.failed
-        bench.facts["the same rows"] = results.sha256 == others.sha256
         distances = [value for value in results.column("distance_m") if value is not None]
-        bench.facts["way, sweep [m]"] = f"{sum(distances) / len(distances):.2f}"
-        bench.facts["way, bare [m]"] = f"{ways[-1]:.2f}"
-    for name in times.names:
-        bench.case(name, times.of(name))
+        bench.facts = {
+            "rollouts of each side": each * bench.rounds,
+            "processes": cores,
+            "fell": sum(bool(value) for value in results.column("fell")),
+            "no result": results.failed,
+            "the same rows": results.sha256 == others.sha256,
+            "way, sweep [m]": f"{sum(distances) / len(distances):.2f}",
+            "way, bare [m]": f"{ways[-1]:.2f}",
+        }
+    times.add_to(bench)
     bench.ratio("cost", times.ratio("sweep", "bare"), BAR)
     bench.ratio("cost_cpu", times.ratio("sweep, CPU", "bare, CPU"), BAR)
     bench.ratio("batch_cpu", times.ratio("batch, CPU", "sweep, CPU"), BATCH_BAR)

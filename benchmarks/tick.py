@@ -4,8 +4,8 @@ Dispatch: 10, 32 and 100 blocks that do nothing, in one zip and in zips of five,
 the time stamps of `unicon run`, beside closures as the paper of UniCon describes them: a zip is a
 function that calls its children in turn and ends with the first that says that it is done (our own
 code, by its section on control blocks). The same with a stamp for each block is `traced`. Fused
-copies: sixteen neighbouring copies of 20 floats, fused beside the same graph without fusion, and
-as closures. All variants take turns in one run.
+copies: sixteen neighbouring copies of 20 floats, fused beside the same graph without fusion. All
+variants take turns in one run.
 """
 
 from __future__ import annotations
@@ -37,8 +37,7 @@ def run(rounds: int | None = None) -> Bench:
     Args:
         rounds: interleaved rounds, 15 unless told.
     """
-    rounds = rounds or 15
-    bench = Bench("tick", seed=0, rounds=rounds)
+    bench = Bench("tick", rounds or 15)
     cases: dict[str, Step] = {}
     for count in BLOCKS:
         empty = [_nothing(i) for i in range(count)]
@@ -56,13 +55,12 @@ def run(rounds: int | None = None) -> Bench:
     separate = [_copy(each) for each in maps]
     fused = fuse(Zip(*separate), states)
     cases |= {
-        "copies: closures": loop(closure_zip(*[block.tick for block in separate])),
         "copies: compiled, separate": _flat(Zip(*separate)),
         "copies: compiled, fused": _flat(fused),
     }
     times = Samples()
     Samples().take(cases, 1, REPEATS)  # warms up
-    for _ in range(rounds):
+    for _ in range(bench.rounds):
         times.take(cases, SAMPLES, REPEATS)
     for name in cases:
         bench.case(f"{name}, one tick", times.of(name) / EVERY)

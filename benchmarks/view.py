@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.record import RATE, SETTLED, walk
-from benchmarks.samples import Samples
+from benchmarks.samples import TICK, Samples, tick_times, unsaid
 from unicon_core.resources import same_modules
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow
@@ -27,7 +27,6 @@ from unicon_ros.view.view import View
 
 SECONDS = 10.0  # of each run
 NONE, ALONE, LOOKED_AT = "no viewer", "viewer", "viewer, 3 clients"
-TICK, WHOLE = "recv to send", "whole tick"
 COPY, EARS = "the copy", "what hears it"
 OURS = {COPY: ("view",), EARS: ("viewer", "viewer e-stop", "viewer is heard")}
 CLIENTS = ("reads", "reads", "stalled")
@@ -44,7 +43,7 @@ def run(rounds: int | None = None, seconds: float = SECONDS, sink: str = "page")
     Raises:
         MissingDependencyError: the sink's package or MuJoCo is not installed.
     """
-    bench = Bench("view", seed=0, rounds=rounds or 5)
+    bench = Bench("view", rounds or 5)
     times = Samples()
     received: list[int] = []
     for number in range(bench.rounds):
@@ -54,8 +53,7 @@ def run(rounds: int | None = None, seconds: float = SECONDS, sink: str = "page")
             received += counts
             for part, values in samples.items():
                 times.add(f"{part}, {name}", values)
-    for name in times.names:
-        bench.case(name, times.of(name))
+    times.add_to(bench)
     bench.facts = {
         "rate": f"{RATE:g} Hz, {seconds:g} s a run, sink {sink}",
         "messages a client got": f"{min(received):,} to {max(received):,}" if received else "none",
@@ -72,10 +70,10 @@ def run(rounds: int | None = None, seconds: float = SECONDS, sink: str = "page")
 def _run(name: str, seconds: float, sink: str) -> tuple[dict[str, NDArray[np.float64]], list[int]]:
     """Return the times of a run's ticks in [µs], and how many messages each client has read."""
     options = {"sink": sink, "host": "127.0.0.1", "port": PORT, "token": "", "fps": 30.0}
-    view = None if name == NONE else View(options, warn=_unsaid)
+    view = None if name == NONE else View(options, warn=unsaid)
     hooks = [walk, *([view.hook] if view else [])]
     program = load_workflow("go2_teleop", {"rate": RATE, "ros": False}, hooks=hooks)
-    runner = Runner(program, RunOptions(duration=seconds, warn=_unsaid, detail=True))
+    runner = Runner(program, RunOptions(duration=seconds, warn=unsaid, detail=True))
     counts: list[int] = []
     try:
         if view is not None:
@@ -89,9 +87,7 @@ def _run(name: str, seconds: float, sink: str) -> tuple[dict[str, NDArray[np.flo
     if report.faults:
         raise RuntimeError(f"bench view: {report.faults[0]}")
     statistics, first = runner.statistics, round(SETTLED * RATE)
-    rows = statistics.kept()[first:]
-    whole = np.asarray((rows[:, 1] - rows[:, 2]) * 1e-3, np.float64)
-    found = {TICK: statistics.durations_us()[first:], WHOLE: whole}
+    found = tick_times(statistics, first)
     for part, blocks in OURS.items() if view is not None else ():
         found[part] = np.sum([statistics.spans_us(block)[first:] for block in blocks], axis=0)
     return found, counts
@@ -120,7 +116,3 @@ def _clients(address: str, sink: str, counts: list[int]) -> Iterator[None]:
         for process in started:
             told, _ = process.communicate()  # the end of its input asks it to end
             counts += [int(word) for word in told.split()]
-
-
-def _unsaid(line: str) -> None:
-    """Take what a run would tell."""

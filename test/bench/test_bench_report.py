@@ -115,7 +115,7 @@ def test_a_picture_shows_dots_and_ranges_as_a_logarithmic_axis_has_no_zero(
 
     from unicon_ros.bench.plot import plot
 
-    bench = Bench("loops", 0, 20)
+    bench = Bench("loops", 20)
     bench.case("plain", np.linspace(1000.0, 2000.0, 101))
     bench.case("unicon", np.linspace(100.0, 300.0, 101))
     drawn: list[Figure] = []

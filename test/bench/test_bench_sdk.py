@@ -60,17 +60,18 @@ def test_a_state_from_before_the_pause_does_not_count_the_pause() -> None:
 
 def test_rows_and_ratios_are_those_of_the_rounds_that_have_both() -> None:
     def rows(cost: float, end: float) -> Rows:
-        return {"recv_and_send": np.full(3, cost), "end_to_end": np.full(3, end)}
+        times = {"recv_and_send": np.full(3, cost), "end_to_end": np.full(3, end)}
+        return times | {"cpu": np.full(3, 1.0)}
 
     both = {sdk.SYNC: rows(100, 1000), sdk.ON_STATE: rows(10, 250), sdk.ASYNC: rows(1, 500)}
     both |= {sdk.SYNC_500: rows(200, 1), sdk.OURS_500: rows(20, 1)}
     bench = Bench("made", seed=0, rounds=2)
-    sdk.add(bench, [both, {sdk.SYNC_500: rows(1, 1)}], {"end_to_end": " [of made units]"})
+    sdk.add(bench, [both, {sdk.SYNC_500: rows(1, 1)}])
     assert bench.ratios["unitree_recv_and_send"]["value"] == pytest.approx(0.1)
     assert bench.ratios["unitree_recv_and_send"]["holds"]
     assert bench.facts["unitree, end to end, of SDK (sync)"].startswith("0.25 (")
     assert bench.facts["unitree, end to end, of SDK (async)"].startswith("0.5 (")
-    assert f"{sdk.SYNC}: end_to_end [of made units]" in bench.cases
+    assert f"{sdk.SYNC}: cpu [% of a core]" in bench.cases
     assert [name for name in bench.cases if "500" in name] == [
         f"{sdk.SYNC_500}: recv_and_send",
         f"{sdk.OURS_500}: recv_and_send",
@@ -79,7 +80,7 @@ def test_rows_and_ratios_are_those_of_the_rounds_that_have_both() -> None:
 
 def test_without_results_nothing_is_told() -> None:
     bench = Bench("made", seed=0, rounds=0)
-    sdk.add(bench, [], {})
+    sdk.add(bench, [])
     assert not bench.cases
     assert not bench.ratios
     assert not bench.facts
@@ -116,7 +117,7 @@ def test_the_sdk_and_ours_close_the_loop_with_one_robot(tmp_path: Path) -> None:
     with SIGNALS.guard():
         results = sdk.measure(2, 0.6, 49.6, 500.0, tmp_path)
     bench = Bench("made", seed=0, rounds=2)
-    sdk.add(bench, results, {})
+    sdk.add(bench, results)
     for variant in sdk.VARIANTS[:4]:
         cases = {row: bench.cases[f"{variant.name}: {row}"] for row in ("recv", "end_to_end")}
         assert all(case["samples"] >= 20 for case in cases.values())

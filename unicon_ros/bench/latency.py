@@ -16,8 +16,6 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-
 from unicon_core.errors import UniconError
 from unicon_core.signals import SIGNALS
 from unicon_ros import compat
@@ -27,8 +25,7 @@ from unicon_ros.bench.floor import c_level_floor
 from unicon_ros.bench.loops import LEASE, SETTLE, Loop
 from unicon_ros.bench.paper import beside_paper
 from unicon_ros.bench.report import Bench
-from unicon_ros.bench.rounds import SEED, Rows, interval, ratios, rounds_of
-from unicon_ros.bench.turns import take_turns
+from unicon_ros.bench.rounds import Rows, add_cases, add_ratio, ratios, rounds_of, take_turns
 
 PIPELINES = "unicon_ros.bench.pipelines"
 SWEEPS = 2  # of all phases in one turn: 0.9 % of the rate
@@ -148,7 +145,7 @@ def run(
                 rates = options.swept_rate, state_rate
                 official = sdk.measure(rounds, seconds, *rates, options.folder)
     bench = _bench(results, options)
-    sdk.add(bench, official, UNITS)
+    sdk.add(bench, official)
     if lacking:
         bench.facts["left out: SDK (sync), SDK (async)"] = lacking
     floor = None
@@ -180,11 +177,8 @@ def _loop(variant: Variant, number: int, options: _Options) -> Loop:
     )
 
 
-UNITS = {"cpu": " [% of a core]", "lost": " [%]", "stale": " [%]"}
-
-
 def _bench(results: list[dict[str, Rows]], options: _Options) -> Bench:
-    bench = Bench("latency", seed=SEED, rounds=len(results))
+    bench = Bench("latency", len(results))
     bench.facts.update(
         rate_hz=options.swept_rate,
         state_rate_hz=options.state_rate,
@@ -201,18 +195,15 @@ def _bench(results: list[dict[str, Rows]], options: _Options) -> Bench:
     if not results:
         return bench
     for variant in VARIANTS:
-        rows = dict.fromkeys(row for r in results for row in r.get(variant.name, {}))
-        for row in rows:
-            parts = [r[variant.name][row] for r in results if row in r.get(variant.name, {})]
-            bench.case(f"{variant.name}: {row}{UNITS.get(row, '')}", np.concatenate(parts))
+        add_cases(bench, results, variant.name)
     beside_paper(bench, [variant.name for variant in VARIANTS])
     for name, row, ours, base_row, base, bar in RATIOS:
-        found = ratios(results, row, ours, base_row, base)
-        if not found.size:
-            continue
-        if bar is None:
-            bench.facts[name] = f"{np.median(found):.3g} ({interval(found)})"
-        else:
-            bench.ratio(name, float(np.median(found)), bar)
-            bench.facts[f"{name}, 95 % interval"] = interval(found)
+        add_ratio(bench, name, ratios(results, row, ours, base_row, base), bar)
     return bench
+
+
+def main() -> int:
+    """Run it with the process's arguments, as `ros2 run unicon_ros latency_bench` does."""
+    from unicon_ros.cli.main import main as unicon
+
+    return unicon(["bench", "latency", *sys.argv[1:]])

@@ -26,8 +26,8 @@ class Bench:
 
     Args:
         name: the benchmark's name on the command line.
-        seed: seed of everything random in it.
         rounds: how many times the cases were run in turns.
+        seed: seed of everything random in it.
 
     Attributes:
         cases: case to its statistics.
@@ -36,8 +36,8 @@ class Bench:
     """
 
     name: str
-    seed: int
     rounds: int
+    seed: int = 0
     cases: dict[str, dict[str, float]] = field(default_factory=dict)
     ratios: dict[str, dict[str, float | bool | str]] = field(default_factory=dict)
     facts: dict[str, Any] = field(default_factory=dict)

@@ -1,18 +1,85 @@
-"""Rounds of a benchmark whose variants take turns: ratios within a round, intervals over rounds."""
+"""Rounds of a benchmark whose variants live at once and take turns: what they gave, and ratios.
+
+Ratios are of one round each, with intervals over the rounds.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_ros.bench.loops import Loop
+from unicon_core.signals import SIGNALS, Interrupted
+from unicon_ros.bench.loops import Loop, breathe
+from unicon_ros.bench.report import Bench
+from unicon_ros.cli.console import CLEAR, is_terminal
 
 SEED = 0
 
 Rows = dict[str, NDArray[np.float64]]
 """What one variant gave in one round: row to samples."""
+
+UNITS = {"cpu": " [% of a core]", "lost": " [%]", "stale": " [%]"}
+"""Units of rows that are not in µs."""
+
+
+def take_turns(
+    makers: Mapping[str, Callable[[], Loop]], rounds: int, seconds: float
+) -> tuple[int, dict[str, Loop]]:
+    """Let loops take their turns; Ctrl-C ends it with the rounds that are whole.
+
+    Call it within `SIGNALS.guard()`.
+
+    Args:
+        makers: name of each loop to what makes it.
+        rounds: how many turns each has.
+        seconds: measured time of one turn.
+
+    Returns:
+        How many rounds are whole, and the loops, which have ended.
+
+    Raises:
+        UniconError: a loop does not start, or a process of it has ended.
+    """
+    loops: dict[str, Loop] = {}
+    whole = 0
+    try:
+        for i, (name, make) in enumerate(makers.items()):
+            SIGNALS.check()
+            _say(f"start: {i + 1} of {len(makers)}, {name}")
+            held = list(loops.values())
+            loops[name] = loop = make()
+            loop.start(meanwhile=partial(breathe, held))
+            breathe(held)
+        for number in range(rounds):
+            label = f"round {number + 1} of {rounds}"
+            if not is_terminal():
+                _say(label)
+            for i, (name, loop) in enumerate(loops.items()):
+                SIGNALS.check()
+                if is_terminal():
+                    _say(f"{label}: {i + 1} of {len(makers)}, {name}")
+                loop.run(seconds)
+            whole += 1
+    except Interrupted:
+        _say(f"stopped; {whole} whole rounds are kept")
+    finally:
+        for loop in loops.values():
+            loop.end()
+        for loop in loops.values():
+            loop.close()
+        if is_terminal():
+            _say("")
+    return whole, loops
+
+
+def _say(text: str) -> None:
+    """Tell how far it is: in one line of a terminal, else a line each."""
+    begin, end = (CLEAR, "") if is_terminal() else ("", "\n")
+    print(f"{begin}{text}", end=end, file=sys.stderr, flush=True)
 
 
 def rounds_of(whole: int, loops: Mapping[str, Loop]) -> list[dict[str, Rows]]:
@@ -41,3 +108,33 @@ def interval(ratios: NDArray[np.float64]) -> str:
     draws = np.random.default_rng(SEED).choice(ratios, (1000, len(ratios)))
     low, high = np.percentile(np.median(draws, axis=1), [2.5, 97.5])
     return f"{low:.3g} to {high:.3g}"
+
+
+def add_cases(
+    bench: Bench, results: list[dict[str, Rows]], name: str, rows: Iterable[str] = ()
+) -> None:
+    """Add the rows of a variant to a benchmark; those that are named, or all.
+
+    Args:
+        bench: is added to.
+        results: of each whole round, variant to row to samples.
+        name: of the variant.
+        rows: that are told; all if empty.
+    """
+    found = [result[name] for result in results if name in result]
+    for row in dict.fromkeys(row for each in found for row in each):
+        if not rows or row in rows:
+            parts = [each[row] for each in found if row in each]
+            bench.case(f"{name}: {row}{UNITS.get(row, '')}", np.concatenate(parts))
+
+
+def add_ratio(bench: Bench, name: str, found: NDArray[np.float64], bar: float | None) -> None:
+    """Add the median of what `ratios` returned, with its interval; a fact where it has no bar."""
+    if not found.size:
+        return
+    value, between = float(np.median(found)), interval(found)
+    if bar is None:
+        bench.facts[name] = f"{value:.3g} ({between})"
+    else:
+        bench.ratio(name, value, bar)
+        bench.facts[f"{name}, 95 % interval"] = between

@@ -17,13 +17,10 @@ from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
-import numpy as np
-
 from unicon_ros.bench.domains import loopback_environment
 from unicon_ros.bench.loops import Loop
 from unicon_ros.bench.report import Bench
-from unicon_ros.bench.rounds import Rows, interval, ratios, rounds_of
-from unicon_ros.bench.turns import take_turns
+from unicon_ros.bench.rounds import Rows, add_cases, add_ratio, ratios, rounds_of, take_turns
 
 PIPELINES = "unicon_ros.bench.pipelines"
 CONTROLLER = Path(__file__).parent / "pipelines" / "unitree_sdk.py"
@@ -150,26 +147,9 @@ def _loop(variant: SdkVariant, swept_rate: float, state_rate: float, log: Path) 
     return Loop(variant.name, [*robot, *common], [*start, *common], environment, log)
 
 
-def add(bench: Bench, results: list[dict[str, Rows]], units: dict[str, str]) -> None:
-    """Add rows and ratios to a bench.
-
-    Args:
-        results: of each whole round, variant to row to samples.
-        units: of rows that are not in µs.
-    """
+def add(bench: Bench, results: list[dict[str, Rows]]) -> None:
+    """Add rows and ratios to a bench; `results` as `measure` returns them."""
     for variant in VARIANTS:
-        rows = dict.fromkeys(row for r in results for row in r.get(variant.name, {}))
-        for row in rows:
-            if variant.rows and row not in variant.rows:
-                continue
-            parts = [r[variant.name][row] for r in results if row in r.get(variant.name, {})]
-            bench.case(f"{variant.name}: {row}{units.get(row, '')}", np.concatenate(parts))
+        add_cases(bench, results, variant.name, variant.rows)
     for name, row, ours, base, bar in RATIOS:
-        found = ratios(results, row, ours, row, base)
-        if not found.size:
-            continue
-        if bar is None:
-            bench.facts[name] = f"{np.median(found):.3g} ({interval(found)})"
-        else:
-            bench.ratio(name, float(np.median(found)), bar)
-            bench.facts[f"{name}, 95 % interval"] = interval(found)
+        add_ratio(bench, name, ratios(results, row, ours, row, base), bar)
