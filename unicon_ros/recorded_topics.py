@@ -19,7 +19,7 @@ from unicon_msgs_map import Encoder, MapStateError, MessageMap, load_map
 from unicon_ros.bridge.bindings import arrays_of, checked_prefix, names_of, variables_of
 from unicon_ros.bridge.neighbours import CLOCK
 from unicon_ros.bridge.qos import LATCHED
-from unicon_ros.bridge.robot_messages import RobotMessages
+from unicon_ros.bridge.robot_frames import RobotMessages
 from unicon_ros.bridge.ros_platform import RosPlatform
 from unicon_ros.bridge.transforms import TF_MESSAGE
 
@@ -86,7 +86,7 @@ class RecordedTopics:
         for topic in incoming:
             if topic.topic not in taken:  # both may hear one: each message once
                 taken.add(topic.topic)
-                topic.tap = self._tap(topic.topic, topic.decoder.spec)
+                topic.tap = self._tap(topic.topic, topic.spec)
         for out in [] if behind is None else behind.outgoing:
             taken.add(out.topic)
             out.tap = self._tap(out.topic, out.spec)

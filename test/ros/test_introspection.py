@@ -25,7 +25,7 @@ from unicon_core.states import Layout
 from unicon_core.workflow import load_workflow
 from unicon_ros.bridge import RosSession
 from unicon_ros.bridge.bindings import arrays_of
-from unicon_ros.bridge.debug_topic import debug_encoder
+from unicon_ros.bridge.introspection import debug_encoder
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
 

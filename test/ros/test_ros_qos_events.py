@@ -22,7 +22,7 @@ from rclpy.qos import LivelinessPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from ros_helpers import Run
 
-from unicon_ros.bridge import qos_events
+from unicon_ros.bridge import qos
 from unicon_ros.bridge.diagnostics import WARN, Diagnostics
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(90)]
@@ -34,7 +34,7 @@ JOINTS = "{topic: joints, type: sensor_msgs/msg/JointState, fields: {position: j
 @pytest.fixture(autouse=True)
 def calm(monkeypatch: pytest.MonkeyPatch) -> None:
     """Episodes end sooner, but later than any pause between two events of one here."""
-    monkeypatch.setattr(qos_events, "CALM", 2.0)
+    monkeypatch.setattr(qos, "CALM", 2.0)
 
 
 class Twists:

@@ -28,8 +28,7 @@ from unicon_msgs_map.spec import Qos
 from unicon_ros import compat
 from unicon_ros.bridge.images import INFO, STAMP
 from unicon_ros.bridge.own_node import OwnNode
-from unicon_ros.bridge.qos import LATCHED, qos_profile
-from unicon_ros.bridge.qos_events import QosEvents
+from unicon_ros.bridge.qos import LATCHED, QosEvents, qos_profile
 from unicon_ros.bridge.transforms import TF_MESSAGE, static_transforms
 from unicon_ros.transport import PROFILES
 

@@ -86,7 +86,7 @@ class Neighbours:
 
     def _types(self, topic: TopicIn) -> None:
         if self._changed(topic.topic):
-            kind = topic.decoder.spec.type
+            kind = topic.spec.type
             self._tell(topic.topic, other_types(self._node, topic.topic, kind))
 
     def _changed(self, topic: str) -> bool:

@@ -49,9 +49,8 @@ from unicon_ros.bridge.map_fit import (
     message_class,
     robot_codecs,
 )
-from unicon_ros.bridge.middleware_threads import calm_middleware_threads
 from unicon_ros.bridge.neighbours import other_types
-from unicon_ros.bridge.own_node import OwnNode
+from unicon_ros.bridge.own_node import OwnNode, calm_middleware_threads
 from unicon_ros.bridge.qos import LATEST
 from unicon_ros.bridge.topics_in import TopicIn
 from unicon_ros.bridge.topics_out import TopicOut
@@ -202,13 +201,13 @@ class RosPlatform:
             if not silent:  # without a publisher nothing can be sent
                 self._out.append(TopicOut(own.node, encoder, message, every, 0, group, warn))
         self._commands = [own.node.resolve_topic_name(spec.topic) for spec in said]
-        self._needed = [topic for topic in self._in if not topic.decoder.spec.optional]
+        self._needed = [topic for topic in self._in if not topic.spec.optional]
         self._torques = any(EFFORT in spec.states for spec in said)
         self._exchange = Exchange(path, states, [topic.decoder for topic in self._in], said)
         if not all(topic.polled for topic in self._in):
             raise PlatformError("this rclpy cannot be polled; use one of Humble, Jazzy or Kilted")
         self.topics = (*(topic.topic for topic in self._in), *self._commands)
-        self._stamped = any("stamp_ns" in topic.decoder.spec.states for topic in self._in)
+        self._stamped = any("stamp_ns" in topic.spec.states for topic in self._in)
         self._gravity: Callable[[], None] | None = None
         if self._exchange.turned:
             self._gravity = projected_gravity(states[ORIENTATION], states["projected_gravity"])
@@ -237,7 +236,7 @@ class RosPlatform:
             if time.monotonic() > end:
                 node, silent = self._own.node, [topic for topic in self._in if not topic.heard]
                 errors = [topic.decoder.last_error for topic in self._needed]
-                errors += [other_types(node, t.topic, t.decoder.spec.type) for t in silent]
+                errors += [other_types(node, t.topic, t.spec.type) for t in silent]
                 said = "; ".join(each for each in dict.fromkeys([*self._warnings, *errors]) if each)
                 raise PlatformError(
                     f"platform {self.facts.name!r}: no message {missing} within "
@@ -269,7 +268,7 @@ class RosPlatform:
             PlatformError: the map writes some elements of a state only, or messages do.
         """
         for name in self._exchange.wanted(states):
-            sources = [topic for topic in self._in if name in topic.decoder.spec.states]
+            sources = [topic for topic in self._in if name in topic.spec.states]
             for topic in sources:
                 if name == ORIENTATION:
                     topic.decoder.need_orientation(name)

@@ -37,9 +37,8 @@ from unicon_ros.bridge.bindings import (
 from unicon_ros.bridge.diagnostics import Diagnostics
 from unicon_ros.bridge.estop import STOP_SERVICES, EmergencyStop
 from unicon_ros.bridge.introspection import Introspection
-from unicon_ros.bridge.middleware_threads import calm_middleware_threads
 from unicon_ros.bridge.neighbours import CLOCK, Neighbours
-from unicon_ros.bridge.own_node import OwnNode
+from unicon_ros.bridge.own_node import OwnNode, calm_middleware_threads
 from unicon_ros.bridge.robot_frames import RobotFrames
 from unicon_ros.bridge.ros_platform import RosPlatform
 from unicon_ros.bridge.services import SERVICES, add_services, skill_handlers
@@ -173,7 +172,7 @@ class RosSession:
             if topic is not None:
                 self.incoming.append(topic)
                 self.slack.always |= not topic.polled
-        states = {state for topic in self.incoming for state in topic.decoder.spec.states}
+        states = {state for topic in self.incoming for state in topic.spec.states}
         return Block(
             "ros inputs",
             _poll_all(self.incoming),

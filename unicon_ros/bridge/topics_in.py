@@ -18,8 +18,7 @@ from typing import Any
 from unicon_core.errors import one_line
 from unicon_msgs_map import Decoder
 from unicon_ros import compat
-from unicon_ros.bridge.qos import qos_profile
-from unicon_ros.bridge.qos_events import QosEvents
+from unicon_ros.bridge.qos import QosEvents, qos_profile
 
 DRAIN = 64
 """Messages taken at most in one tick, however fast the peer writes; each take costs about 20 µs."""
@@ -47,6 +46,7 @@ class TopicIn:
         warn: takes warnings.
 
     Attributes:
+        spec: what the map says of it.
         decoder: tells too what was refused, and why.
         topic: full name, after namespace and remaps.
         events: what its QoS events told.
@@ -67,7 +67,7 @@ class TopicIn:
         group: Any,
         warn: Callable[[str], None],
     ) -> None:
-        spec = decoder.spec
+        spec = self.spec = decoder.spec
         self._node, self._warn, self.decoder = node, warn, decoder
         self._decode = decoder.decode
         self._contested = contested
@@ -109,11 +109,11 @@ class TopicIn:
     @property
     def silence(self) -> str:
         """What its time-out means, as a message."""
-        what = {"hold": "held"}.get(self.decoder.spec.on_timeout, self.decoder.spec.on_timeout)
+        what = {"hold": "held"}.get(self.spec.on_timeout, self.spec.on_timeout)
         why = f" (the last: {self._why})" if self._why else ""
         return (
             f"topic {self.topic}: no {'accepted ' if self._why else ''}message for "
-            f"{self._timeout_ns * 1e-9:g} s, {', '.join(self.decoder.spec.states)} {what}{why}"
+            f"{self._timeout_ns * 1e-9:g} s, {', '.join(self.spec.states)} {what}{why}"
         )
 
     def prefetch(self) -> bool:

@@ -10,8 +10,7 @@ from unicon_core.errors import one_line
 from unicon_core.flow import Block
 from unicon_msgs_map import Encoder
 from unicon_ros import compat
-from unicon_ros.bridge.qos import qos_profile
-from unicon_ros.bridge.qos_events import QosEvents
+from unicon_ros.bridge.qos import QosEvents, qos_profile
 
 GIVE_UP = 100
 """Failures in a row after which a topic is given up: it must not cost every tick."""
