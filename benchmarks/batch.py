@@ -14,10 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.networks import random_policy
-from benchmarks.samples import Samples
+from benchmarks.samples import Samples, timed
 from unicon_core.platforms.sim.mujoco.batch import shares
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
@@ -84,7 +83,8 @@ def run(rounds: int | None = None) -> Bench:
                 runners[f"{kind}, N = {size}"] = runner, size, ticks
         for _ in range(bench.rounds):
             for name, (runner, size, ticks) in runners.items():
-                times.add(name, _ticks(runner, ticks) / size)
+                took = [timed(runner.tick, time.perf_counter_ns()) for _ in range(ticks)]
+                times.add(name, np.array(took) / size)
         for runner, _, _ in runners.values():
             runner.close()
     times.add_to(bench)
@@ -92,14 +92,3 @@ def run(rounds: int | None = None) -> Bench:
         bench.ratio(name, times.ratio(f"{kind}, N = 64", f"{kind}, N = 1"), bar)
     bench.facts["threads"] = len(shares(64))
     return bench
-
-
-def _ticks(runner: Runner, ticks: int) -> NDArray[np.float64]:
-    """Return the time of each tick in [µs]."""
-    now = time.perf_counter_ns
-    times = np.zeros(ticks)
-    for i in range(ticks):
-        begin = now()
-        runner.tick(begin)
-        times[i] = (now() - begin) * 1e-3
-    return times

@@ -9,12 +9,10 @@ in a row.
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 
 from benchmarks.bridge_topics import RECEIVED, Desk, Received
-from benchmarks.samples import Samples
+from benchmarks.samples import Samples, timed
 from unicon_ros import compat
 from unicon_ros.bench.domains import stay_on_loopback
 from unicon_ros.bench.report import Bench
@@ -88,13 +86,10 @@ def _measure(bench: Bench, desk: Desk) -> None:
 
 def _take_received(times: Samples, cases: dict[str, Received]) -> None:
     """Time one round of steps that take messages, each after they arrived, in turns."""
-    now = time.perf_counter_ns
     taken = {name: np.zeros(SAMPLES) for name in cases}
     for i in range(SAMPLES):
         for name, case in cases.items():
             case.arrive()
-            begin = now()
-            case.step()
-            taken[name][i] = (now() - begin) * 1e-3 / RECEIVED
+            taken[name][i] = timed(case.step) / RECEIVED
     for name, values in taken.items():
         times.add(name, values)

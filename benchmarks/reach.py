@@ -1,14 +1,13 @@
 """`unicon bench reach`: a step of both hands of a G1, ours beside mink's, in interleaved rounds.
 
-Hands go round in circles, jump between places, and are pushed through each other at 2 and at
-6 rad/s, with the distance of the robot's capsules kept and without. Both sides have the same model,
+Hands go round in circles, and are pushed through each other at 2 and at 6 rad/s, with the distance
+of the robot's capsules kept and without. Both sides have the same model,
 joints, weights, limits and solver. Without mink ours are measured alone.
 """
 
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Sequence
 from importlib.util import find_spec
 from typing import Any, Protocol
@@ -16,7 +15,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.samples import Samples
+from benchmarks.samples import Samples, timed
 from unicon_core.ik import Chain, DifferentialIk, Settings, Weights
 from unicon_core.ik.apart import Apart
 from unicon_core.ik.pairs import Reaching, load_apart
@@ -113,8 +112,8 @@ def run(rounds: int | None = None) -> Bench:
             for name, pairs in (("mink", ()), ("mink, apart", kept.pairs)):
                 ways[name] = MinkArms(path, robot, HANDS, moved, rate, PERIOD, pairs, APART)
         for _ in range(bench.rounds):
-            for motion in ("circles", "jumps") if rate == RATES[-1] else ():
-                _compare(ways, watch, motion, "", times, errors, nearest)
+            if rate == RATES[-1]:
+                _compare(ways, watch, "circles", "", times, errors, nearest)
             _compare(ways, watch, "crossing", f", {rate:g} rad/s", times, errors, nearest)
     times.add_to(bench)
     for name in errors.names:
@@ -144,16 +143,13 @@ def _compare(
     nearest: Samples,
 ) -> None:
     """Let all ways make a motion in turns, and keep what steps took and led to."""
-    now = time.perf_counter_ns
     wanted = [_targets(motion, i, watch.homes) for i in range(TICKS)]
     for name, way in ways.items():
         case = f"{motion}{what}: {name}"
-        took, poses = np.zeros(TICKS), []
+        took, poses = [], []
         way.begin(watch.start)
-        for i, targets in enumerate(wanted):
-            begin = now()
-            way(targets)
-            took[i] = (now() - begin) * 1e-3
+        for targets in wanted:
+            took.append(timed(way, targets))
             poses.append(way.pos.copy())
         times.add(case, took)
         if motion == "circles":
@@ -167,12 +163,10 @@ def _targets(motion: str, tick: int, homes: Sequence[Any]) -> list[Pose]:
     """Return where the hands shall be in a tick."""
     angle = 2.0 * math.pi * 0.4 * tick * PERIOD
     found: list[Pose] = []
-    for side, ((x, y, z), quat) in zip((1.0, -1.0), homes):
+    for (x, y, z), quat in homes:
         if motion == "circles":
             place = (x, y + 0.08 * math.sin(angle), z + 0.1 + 0.08 * math.cos(angle))
-        elif motion == "jumps":
-            place = (x + 0.1 * (tick // 25 % 3), y + 0.1 * side * (tick // 50 % 2), z + 0.1)
         else:
-            place = (x, y * math.cos(2.0 * math.pi * 0.4 * tick * PERIOD), z)
+            place = (x, y * math.cos(angle), z)
         found.append((place, quat))
     return found

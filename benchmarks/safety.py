@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.networks import random_policy
-from benchmarks.samples import Samples, unsaid
+from benchmarks.samples import Samples, timed, unsaid
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions, WallClock, WarmUp, prepare_process
 from unicon_core.workflow import load_workflow
@@ -84,9 +84,7 @@ def _turn(runners: dict[str, Runner]) -> dict[str, Any]:
     for i in range(TICKS):
         for name, runner in runners.items():
             waits[name].until(due)
-            begin = now()
-            runner.graph.step()
-            times[name][i] = (now() - begin) * 1e-3
+            times[name][i] = timed(runner.graph.step)
             runner.graph.deferred()
             due = max(due + APART_NS, now())
     return {name: values[10:] for name, values in times.items()}  # warm-ups learn their lead

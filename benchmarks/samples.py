@@ -17,6 +17,13 @@ Step = Callable[[], object]
 TICK, WHOLE = "recv to send", "whole tick"
 
 
+def timed(step: Callable[..., object], *arguments: object) -> float:
+    """Return the time of a call in [µs]."""
+    begin = time.perf_counter_ns()
+    step(*arguments)
+    return (time.perf_counter_ns() - begin) * 1e-3
+
+
 class Samples:
     """Samples of each case, by rounds."""
 

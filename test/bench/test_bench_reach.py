@@ -19,7 +19,7 @@ def test_cases_ratios_and_facts(assets: Path, monkeypatch: pytest.MonkeyPatch, t
     monkeypatch.setattr(reach, "find_spec", lambda _: there or None)
     bench = reach.run(rounds=1)
     ways = ["ours", "ours, apart", *(["mink", "mink, apart"] if there else [])]
-    motions = ["crossing, 2 rad/s", "circles", "jumps", "crossing, 6 rad/s"]
+    motions = ["crossing, 2 rad/s", "circles", "crossing, 6 rad/s"]
     assert list(bench.cases) == [f"{motion}: {way}" for motion in motions for way in ways]
     assert set(bench.ratios) == {"crossing_mm", *(("ik", "ik_apart") if there else ())}
     assert bench.ratios["crossing_mm"]["holds"]

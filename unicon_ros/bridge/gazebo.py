@@ -4,19 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-from unicon_core.errors import PlatformError
-from unicon_core.platforms.kit.damping import DAMPING_TIME
 from unicon_core.platforms.platform import Binding, Facts
-from unicon_core.resources import find_config
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_ros.bridge.map_fit import examine_platform
-from unicon_ros.bridge.own_node import OwnNode
-from unicon_ros.bridge.ros_platform import RosPlatform, opened
+from unicon_ros.bridge.ros_platform import RosPlatform, maker
 
 
 def examine(
@@ -69,37 +64,4 @@ class GazeboPlatform(RosPlatform):
         return {**told, "notes": [*told["notes"], *self.facts.notes]}
 
 
-def make(
-    states: States,
-    robot: Robot,
-    period: float,
-    *,
-    map: str = "gazebo",
-    node_name: str = "unicon_platform",
-    namespace: str | None = None,
-    ros_args: Sequence[str] = (),
-    connect: float = 20.0,
-    damping: float = DAMPING_TIME,
-    relative_to: Path | None = None,
-    silent: bool = False,
-) -> GazeboPlatform:
-    """Build the platform and wait for Gazebo: platform `ros` with Gazebo's maps.
-
-    Args:
-        period: of a tick in [s].
-        map: `gazebo` for targets to controllers in gz, `gazebo_effort` for torques, or a path.
-        node_name: of the node of its own that the platform makes.
-        namespace: of that node.
-        ros_args: ROS arguments of that node, such as remaps.
-        connect: how long to wait for the first message of each topic in [s].
-        damping: how long the last command is repeated at the end in [s], at most 0.8.
-        relative_to: folder of the workflow, for a relative map path.
-        silent: receive only: nothing is published, at the end either.
-
-    Raises:
-        MissingDependencyError: rclpy is not installed.
-        PlatformError: the map does not fit, or no message came in time.
-    """
-    path = find_config("maps", map, error=PlatformError, relative_to=relative_to)
-    node = partial(OwnNode, node_name, namespace, ros_args)
-    return opened(GazeboPlatform, states, robot, period, path, node, connect, damping, silent)
+make = maker(GazeboPlatform, "gazebo", 20.0)

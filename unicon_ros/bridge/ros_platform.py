@@ -22,7 +22,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -55,8 +55,6 @@ from unicon_ros.bridge.qos import LATEST
 from unicon_ros.bridge.topics_in import TopicIn
 from unicon_ros.bridge.topics_out import TopicOut
 
-Made = TypeVar("Made", bound="RosPlatform")
-
 TIMEOUT = 0.5
 """Silence that is a fault where the map gives no `timeout`, [s]."""
 
@@ -72,80 +70,6 @@ def _reached(options: Mapping[str, Any]) -> str:
     domain = os.environ.get("ROS_DOMAIN_ID") or "0"
     names = str(options.get("namespace") or "").strip("/").split("/")
     return "/".join(["ros", f"domain{domain}", *filter(None, names)])
-
-
-def make(
-    states: States,
-    robot: Robot,
-    period: float,
-    *,
-    map: str = "ros_robot",
-    node_name: str = "unicon_platform",
-    namespace: str | None = None,
-    ros_args: Sequence[str] = (),
-    connect: float = 5.0,
-    damping: float = DAMPING_TIME,
-    relative_to: Path | None = None,
-    silent: bool = False,
-) -> RosPlatform:
-    """Build the platform and wait for the robot.
-
-    Args:
-        period: of a tick in [s].
-        map: name in `config/maps/` or path; its subscriptions write the robot's states, its
-            publications read the commands.
-        node_name: of the node of its own that the platform makes.
-        namespace: of that node.
-        ros_args: ROS arguments of that node, such as remaps.
-        connect: how long to wait for the first message of each topic in [s].
-        damping: how long the last command is repeated at the end in [s], at most 0.8.
-        relative_to: folder of the workflow, for a relative map path.
-        silent: receive only: nothing is published, at the end either.
-
-    Raises:
-        MissingDependencyError: rclpy is not installed.
-        PlatformError: the map does not fit, or no message came in time.
-    """
-    path = find_config("maps", map, error=PlatformError, relative_to=relative_to)
-    node = partial(OwnNode, node_name, namespace, ros_args)
-    return opened(RosPlatform, states, robot, period, path, node, connect, damping, silent)
-
-
-setattr(make, "reached", _reached)  # noqa: B010  a function has none to mypy
-
-
-def opened(
-    kind: type[Made],
-    states: States,
-    robot: Robot,
-    period: float,
-    path: Path,
-    node: Callable[[], OwnNode],
-    connect: float,
-    damping: float,
-    silent: bool,
-) -> Made:
-    """Build a platform of this kind and wait for the robot; see `make`."""
-    name = f"platform {kind.facts.name!r}"
-    if not 0.0 < connect < float("inf"):
-        raise PlatformError(f"{name}: connect is {connect} s; give a time above 0")
-    if not 0.0 <= damping <= LONGEST_DAMPING:
-        raise PlatformError(f"{name}: damping is {damping} s; give 0 to {LONGEST_DAMPING}")
-    own = node()
-    try:
-        platform = kind(states, robot, period, path, own, connect, damping, silent)
-    except MissingDependencyError:
-        own.close()
-        raise
-    except UniconError as error:
-        own.close()
-        raise PlatformError(f"{name}: {error}") from error
-    try:
-        platform.connect()
-    except BaseException:
-        platform.close()
-        raise
-    return platform
 
 
 class RosPlatform:
@@ -396,3 +320,74 @@ class RosPlatform:
             "published": {out.topic: out.published for out in self._out},
             "notes": list(self._warnings),
         }
+
+
+def maker(kind: type[RosPlatform], own_map: str, patience: float) -> Callable[..., RosPlatform]:
+    """Return the factory of such a platform.
+
+    Args:
+        kind: of the platform.
+        own_map: its map where none is named.
+        patience: how long it waits for the robot where nothing is said, in [s].
+    """
+    name = f"platform {kind.facts.name!r}"
+
+    def make(
+        states: States,
+        robot: Robot,
+        period: float,
+        *,
+        map: str = own_map,
+        node_name: str = "unicon_platform",
+        namespace: str | None = None,
+        ros_args: Sequence[str] = (),
+        connect: float = patience,
+        damping: float = DAMPING_TIME,
+        relative_to: Path | None = None,
+        silent: bool = False,
+    ) -> RosPlatform:
+        """Build the platform and wait for the robot.
+
+        Args:
+            period: of a tick in [s].
+            map: name in `config/maps/` or path; its subscriptions write the robot's states, its
+                publications read the commands. For Gazebo `gazebo` sends targets to controllers in
+                gz, and `gazebo_effort` torques.
+            node_name: of the node of its own that the platform makes.
+            namespace: of that node.
+            ros_args: ROS arguments of that node, such as remaps.
+            connect: how long to wait for the first message of each topic in [s].
+            damping: how long the last command is repeated at the end in [s], at most 0.8.
+            relative_to: folder of the workflow, for a relative map path.
+            silent: receive only: nothing is published, at the end either.
+
+        Raises:
+            MissingDependencyError: rclpy is not installed.
+            PlatformError: the map does not fit, or no message came in time.
+        """
+        path = find_config("maps", map, error=PlatformError, relative_to=relative_to)
+        if not 0.0 < connect < float("inf"):
+            raise PlatformError(f"{name}: connect is {connect} s; give a time above 0")
+        if not 0.0 <= damping <= LONGEST_DAMPING:
+            raise PlatformError(f"{name}: damping is {damping} s; give 0 to {LONGEST_DAMPING}")
+        own = OwnNode(node_name, namespace, ros_args)
+        try:
+            platform = kind(states, robot, period, path, own, connect, damping, silent)
+        except MissingDependencyError:
+            own.close()
+            raise
+        except UniconError as error:
+            own.close()
+            raise PlatformError(f"{name}: {error}") from error
+        try:
+            platform.connect()
+        except BaseException:
+            platform.close()
+            raise
+        return platform
+
+    return make
+
+
+make = maker(RosPlatform, "ros_robot", 5.0)
+setattr(make, "reached", _reached)  # noqa: B010  a function has none to mypy
