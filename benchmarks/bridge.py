@@ -9,19 +9,40 @@ in a row.
 
 from __future__ import annotations
 
-import numpy as np
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
-from benchmarks.bridge_topics import RECEIVED, Desk, Received
-from benchmarks.samples import Samples, timed
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.samples import Samples, Step, timed
+from unicon_core.errors import UniconError
+from unicon_core.resources import find_config
+from unicon_core.states import States, StateSpec
+from unicon_msgs_map import Decoder, Encoder, PublishSpec, SubscribeSpec, load_map
 from unicon_ros import compat
 from unicon_ros.bench.domains import stay_on_loopback
 from unicon_ros.bench.report import Bench
+from unicon_ros.bridge.topics_in import TopicIn
+from unicon_ros.bridge.topics_out import TopicOut
 
 JOINTS = 20
 FEW, MANY = 12, 64  # joints that `send_growth` compares
 SAMPLES = 200  # of each case in each round
 SENDS = 20  # messages in one sample of a send: a clock reading costs 1 % of one then
 POLLS = 20  # empty looks in one sample
+
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+POLLED_JOINTS = 20
+WAIT = 5.0  # s for a reader and a writer of one process to find each other
+
+RECEIVED = 10
+"""Topics that are received from in a row: the first evicts what publishing left in the caches."""
 
 
 def run(rounds: int | None = None) -> Bench:
@@ -93,3 +114,240 @@ def _take_received(times: Samples, cases: dict[str, Received]) -> None:
             taken[name][i] = timed(case.step) / RECEIVED
     for name, values in taken.items():
         times.add(name, values)
+
+
+@dataclass
+class Received:
+    """One way to receive: what makes a message arrive, and what is timed."""
+
+    arrive: Step
+    step: Step
+
+
+class Desk:
+    """Makes the topics that are compared, and takes them down."""
+
+    def __init__(self, node: Any, executor: Any) -> None:
+        self._node, self._executor = node, executor
+        self._group = compat.polled_group()
+        self._opened = ExitStack()
+        self._number = 0
+
+    def close(self) -> None:
+        """Take all topics down."""
+        self._opened.close()
+
+    def spin(self) -> None:
+        """Look for work as plain nodes do."""
+        self._executor.spin_once(0.0)
+
+    def senders(self, topic: str, joints: int) -> dict[str, Step]:
+        """Return `ours` and `new message` of a topic of the default map."""
+        states = bench_states(joints)
+        spec = _published(topic)
+        return {
+            "ours": self._out(replace(spec, topic=self._name()), states, joints),
+            "new message": self._plain(spec.type, self._name(), states, joints),
+        }
+
+    def receivers(self, joints: int) -> dict[str, Received]:
+        """Return our and the typed way to receive joint states, from `RECEIVED` topics each."""
+        states, source = bench_states(joints), bench_states(joints)
+        spec = load_map(find_config("maps", "joint_state_in")).subscribe[0]
+        ways: dict[str, Callable[[str], Step]] = {
+            "receive JointState: ours": lambda topic: self._in(
+                replace(spec, topic=topic, timeout=None), states, joints
+            ),
+            "receive JointState: typed": partial(self._typed, states=states),
+        }
+        cases = {}
+        for name, way in ways.items():
+            topics = [self._name() for _ in range(RECEIVED)]
+            singles = [Received(self._feed(topic, source), way(topic)) for topic in topics]
+            for single in singles:
+                _until(partial(_arrives, single, states, source))
+            cases[name] = Received(
+                _all([single.arrive for single in singles]),
+                _all([single.step for single in singles]),
+            )
+        return cases
+
+    def poller(self) -> Step:
+        """Return our look at a topic on which nothing comes."""
+        spec = load_map(find_config("maps", "joint_state_in")).subscribe[0]
+        states = bench_states(POLLED_JOINTS)
+        return self._in(replace(spec, topic=self._name()), states, POLLED_JOINTS)
+
+    def _name(self) -> str:
+        self._number += 1
+        return f"bench/topic_{self._number}"
+
+    def _out(self, spec: PublishSpec, states: States, joints: int) -> Step:
+        encoder = Encoder.build(spec, arrays_of(states), None, variables_of(joints))
+        message = compat.message_class(spec.type)
+        out = TopicOut(self._node, encoder, message, 1, 0, self._group, print)
+        self._opened.callback(out.close)
+        return out.tick
+
+    def _plain(self, kind: str, topic: str, states: States, joints: int, depth: int = 10) -> Step:
+        make = plain_sender(kind, states, joints)
+        publisher = self._node.create_publisher(compat.message_class(kind), topic, depth)
+        self._opened.callback(self._node.destroy_publisher, publisher)
+        return lambda: publisher.publish(make())
+
+    def _in(self, spec: SubscribeSpec, states: States, joints: int) -> Step:
+        decoder = Decoder.build(spec, arrays_of(states), None, variables_of(joints))
+        message = compat.message_class(spec.type)
+        topic = TopicIn(self._node, decoder, message, False, self._group, print)
+        self._opened.callback(topic.close)
+        return topic.poll
+
+    def _feed(self, topic: str, source: States) -> Step:
+        position = source["joint_pos"]
+        publish = self._plain(JOINT_STATE, topic, source, len(position), depth=1)
+
+        def arrive() -> None:
+            position[0] += 1.0
+            publish()
+
+        return arrive
+
+    def _typed(self, topic: str, states: States) -> Step:
+        message = compat.message_class(JOINT_STATE)
+        subscription = self._node.create_subscription(
+            message, topic, lambda m: None, 1, callback_group=self._group
+        )
+        self._opened.callback(self._node.destroy_subscription, subscription)
+        handle = subscription.handle
+        arrays = states["joint_pos"], states["joint_vel"], states["joint_effort"]
+        stamp = states["stamp_ns"]
+
+        def receive() -> None:
+            with handle:
+                taken = handle.take_message(message, False)
+            if taken is not None:
+                found = taken[0]
+                time_ = found.header.stamp
+                stamp[...] = time_.sec * 1_000_000_000 + time_.nanosec
+                arrays[0][:] = found.position
+                arrays[1][:] = found.velocity
+                arrays[2][:] = found.effort
+
+        return receive
+
+
+def _published(topic: str) -> PublishSpec:
+    """Return the entry of a topic in the default map."""
+    (spec,) = [s for s in load_map(find_config("maps", "default")).publish if s.topic == topic]
+    return spec
+
+
+def _all(steps: list[Step]) -> Step:
+    def run() -> None:
+        for step in steps:
+            step()
+
+    return run
+
+
+def _until(passes: Callable[[], bool]) -> None:
+    """Try until a message gets through: reader and writer have found each other then."""
+    end = time.monotonic() + WAIT
+    while not passes():
+        if time.monotonic() > end:
+            raise UniconError(f"no message came within {WAIT:g} s in this process; try again")
+
+
+def _arrives(case: Received, states: States, source: States) -> bool:
+    case.arrive()
+    time.sleep(0.01)
+    case.step()
+    return bool(states["joint_pos"][0] == source["joint_pos"][0])
+
+
+def bench_states(joints: int) -> States:
+    """Return the states that the messages carry, filled."""
+    specs = {name: StateSpec((joints,)) for name in ("joint_pos", "joint_vel", "joint_effort")}
+    specs |= {
+        "stamp_ns": StateSpec((), "int64"),
+        "base_quat": StateSpec((4,)),
+        "base_ang_vel": StateSpec((3,)),
+        "base_lin_acc": StateSpec((3,)),
+        "base_pos_w": StateSpec((3,)),
+        "base_lin_vel": StateSpec((3,)),
+    }
+    states = States(specs)
+    generator = np.random.default_rng(0)
+    for name in specs:
+        if name != "stamp_ns":
+            states[name][...] = generator.uniform(-1.0, 1.0, states[name].shape)
+    states["stamp_ns"][...] = 1_234_567_890
+    return states
+
+
+def arrays_of(states: States) -> dict[str, NDArray[Any]]:
+    """Return the states as the message map wants them."""
+    return {name: states[name] for name in states}
+
+
+def variables_of(joints: int) -> dict[str, object]:
+    """Return the `$variables` of the maps."""
+    frames = {"base_frame": "base_link", "odom_frame": "odom", "imu_frame": "imu_link"}
+    return {"joint_names": [f"joint_{i}" for i in range(joints)], "robot": "bench", **frames}
+
+
+def plain_sender(kind: str, states: States, joints: int) -> Callable[[], Any]:
+    """Return what makes a new message of the states, as plain nodes do in each tick."""
+    make = compat.message_class(kind)
+    stamp_ns = states["stamp_ns"]
+    names = [f"joint_{i}" for i in range(joints)]
+    quat, turn = states["base_quat"], states["base_ang_vel"]
+    # The default map's, made once.
+    of_orientation, of_turn, of_acceleration = (
+        np.diag(variances).ravel() for variances in ([1e-4, 1e-4, 1e-2], [4e-4] * 3, [9e-2] * 3)
+    )
+    of_truth = np.diag([1e-6] * 6).ravel()
+
+    def stamped() -> Any:
+        message = make()
+        stamp = message.header.stamp
+        stamp.sec, stamp.nanosec = divmod(int(stamp_ns), 1_000_000_000)
+        return message
+
+    def joint_state() -> Any:
+        message = stamped()
+        message.name = names
+        message.position = states["joint_pos"].tolist()
+        message.velocity = states["joint_vel"].tolist()
+        message.effort = states["joint_effort"].tolist()
+        return message
+
+    def imu() -> Any:
+        message = stamped()
+        message.header.frame_id = "imu_link"
+        _fill(message.orientation, "wxyz", quat)
+        _fill(message.angular_velocity, "xyz", turn)
+        _fill(message.linear_acceleration, "xyz", states["base_lin_acc"])
+        message.orientation_covariance = of_orientation
+        message.angular_velocity_covariance = of_turn
+        message.linear_acceleration_covariance = of_acceleration
+        return message
+
+    def odometry() -> Any:
+        message = stamped()
+        message.header.frame_id = "odom"
+        message.child_frame_id = "base_link"
+        _fill(message.pose.pose.position, "xyz", states["base_pos_w"])
+        _fill(message.pose.pose.orientation, "wxyz", quat)
+        _fill(message.twist.twist.linear, "xyz", states["base_lin_vel"])
+        _fill(message.twist.twist.angular, "xyz", turn)
+        message.pose.covariance = message.twist.covariance = of_truth
+        return message
+
+    short = kind.rpartition("/")[2]
+    return {"JointState": joint_state, "Imu": imu, "Odometry": odometry}[short]
+
+
+def _fill(owner: Any, axes: str, values: NDArray[np.float32]) -> None:
+    for axis, value in zip(axes, values.tolist()):
+        setattr(owner, axis, value)

@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 from benchmarks import bridge
-from benchmarks.bridge_topics import arrays_of, bench_states, plain_sender, variables_of
+from benchmarks.bridge import arrays_of, bench_states, plain_sender, variables_of
 from unicon_ros import compat
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from benchmarks import sloc, transfers
-from benchmarks.ad_hoc import AD_HOC, PAPER
+from benchmarks.sloc import AD_HOC, PAPER
 from benchmarks.transfers import Transfer, difference, edited, lines_of, transferred
 from unicon_core.errors import UniconError
 
@@ -123,7 +123,7 @@ def test_every_move_of_the_paper_has_its_ad_hoc_code() -> None:
 def test_public_code_has_the_lines_that_are_told(move: str) -> None:
     clones = os.environ.get("UNICON_CLONES")
     if not clones:
-        pytest.skip("set UNICON_CLONES to a folder with git clones, as OWNER/NAME, of ad_hoc.py's")
+        pytest.skip("set UNICON_CLONES to a folder with git clones, as OWNER/NAME, of sloc.py's")
 
     def code(repository: str, path: str) -> list[str]:
         name, _, commit = repository.partition("@")

@@ -14,16 +14,17 @@ from unicon_ros.compat.loading import (
 from unicon_ros.compat.made_types import bytes_class
 from unicon_ros.compat.parameters import convert_parameters, parameter_given, parameters_given
 from unicon_ros.compat.raw import (
+    ReusedWaitSet,
     polled_group,
     raw_publish,
     raw_take,
     request_take,
     requests_take,
+    steady_timer,
     wait_for_readers,
 )
 from unicon_ros.compat.services import Responses, Transitions
 from unicon_ros.compat.serving import Piece, Serving
-from unicon_ros.compat.waiting import ReusedWaitSet, steady_timer
 
 __all__ = [
     "Piece",

@@ -13,8 +13,12 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from unicon_ros.bench.pipelines.log import Log, Stop, arguments, beside
-from unicon_ros.bench.pipelines.plain_mirror import PlainMirror, PlainObserver
-from unicon_ros.bench.pipelines.plain_nodes import PlainController, PlainRobot
+from unicon_ros.bench.pipelines.plain_nodes import (
+    PlainController,
+    PlainMirror,
+    PlainObserver,
+    PlainRobot,
+)
 
 
 def main() -> None:

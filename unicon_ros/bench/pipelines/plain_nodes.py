@@ -1,7 +1,8 @@
 """Plain rclpy nodes, written as a good ROS 2 engineer would: reused messages, no logging, lean QoS.
 
 The robot publishes 500 states a second and notes when commands come; the controller sends the
-latest measured positions back as targets, 50 times a second (identity control q_d = q).
+latest measured positions back as targets, 50 times a second (identity control q_d = q). Of a mirror
+one publishes a driver's joint states, and one watches.
 """
 
 from __future__ import annotations
@@ -10,11 +11,12 @@ import time
 from array import array
 from typing import Any
 
+import numpy as np
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu, JointState
 
-from unicon_ros.bench.pipelines.log import COMMAND, IMU, STATE, Log, nanoseconds, set_stamp
+from unicon_ros.bench.pipelines.log import COMMAND, IMU, MIRROR, STATE, Log, nanoseconds, set_stamp
 
 
 def qos(best_effort: bool, depth: int = 1) -> QoSProfile:
@@ -108,3 +110,46 @@ class PlainController(Controller):
         self.states += 1
         if self.every and self.states % self.every == 0:
             self.send()
+
+
+class PlainMirror(Node):
+    """Copies the driver's arrays and publishes them, by a timer.
+
+    What our mirror is beside, publisher against publisher: the same arrays and message, no control,
+    no second topic, a message that is filled anew.
+    """
+
+    def __init__(self, joints: int, state_rate: float, best_effort: bool, log: Log) -> None:
+        super().__init__("controller")
+        self.log = log
+        self.out = self.create_publisher(JointState, MIRROR, qos(best_effort))
+        self.message = JointState(name=[f"joint_{i}" for i in range(joints)])
+        self.driver = np.zeros((3, joints), np.float32)
+        self.states = np.zeros_like(self.driver)
+        self.create_timer(1.0 / state_rate, self.on_timer)
+
+    def on_timer(self) -> None:
+        now = time.time_ns()
+        self.states[:] = self.driver
+        message = self.message
+        set_stamp(message.header.stamp, now)
+        message.position, message.velocity, message.effort = self.states.tolist()
+        begin = time.time_ns()
+        self.out.publish(message)
+        self.log.add(begin, time.time_ns())
+
+
+class PlainObserver(Node):
+    """Notes in a callback when each message of the mirrored topic has come.
+
+    Its executor alone takes longer than the message's way to it.
+    """
+
+    def __init__(self, best_effort: bool, log: Log) -> None:
+        super().__init__("observer")
+        self.log = log
+        self.create_subscription(JointState, MIRROR, self.on_message, qos(best_effort))
+
+    def on_message(self, message: Any) -> None:
+        received = time.time_ns()
+        self.log.add(nanoseconds(message.header.stamp), received)
