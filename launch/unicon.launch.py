@@ -59,16 +59,12 @@ def typed(text: str, argument: str, default: Any) -> Any:
     """Return what an argument says, of the type of a parameter's default, or raise a ValueError."""
     if isinstance(default, bool):
         return truth(text, argument)
-    if isinstance(default, float):
+    if isinstance(default, int | float):
         try:
-            return float(text)
+            return type(default)(text)
         except ValueError:
-            raise ValueError(f"argument {argument}:={text}: write a number") from None
-    if isinstance(default, int):
-        try:
-            return int(text)
-        except ValueError:
-            raise ValueError(f"argument {argument}:={text}: write a whole number") from None
+            what = "a number" if isinstance(default, float) else "a whole number"
+            raise ValueError(f"argument {argument}:={text}: write {what}") from None
     if isinstance(default, list):
         try:
             value = yaml.safe_load(text)

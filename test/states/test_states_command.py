@@ -416,7 +416,11 @@ def test_clean_removes_what_the_dead_left_and_nothing_else(folder, walk, capsys)
             "states: --clean removes whatever writers that died have left, and takes no name: "
             "unicon states --clean",
         ),
-        (("--json", "/nowhere/x.json"), "cannot write /nowhere/x.json: No such file or directory"),
+        (
+            ("--json", "/nowhere/x.json"),
+            "cannot write /nowhere/x.json: No such file or directory; give a path in a writable "
+            "folder with room",
+        ),
     ],
 )
 def test_wrong_use_is_one_line(arguments, told, walk, capsys):
