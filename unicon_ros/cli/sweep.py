@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -201,7 +202,7 @@ def _rows(plan: Plan, folder: Folder, wish: Wish, console: Console) -> None:
     if folder.done:
         console.say(f"{len(folder.done)} of {len(plan)} rollouts are done; going on")
     engine = engine_of(plan, wish, left, folder.path)
-    progress = _Progress(console, len(plan), len(folder.done))
+    progress = _progress(console, len(plan), len(folder.done))
     try:
         for result in engine.run(todo):
             folder.know(result.facts)
@@ -211,34 +212,37 @@ def _rows(plan: Plan, folder: Folder, wish: Wish, console: Console) -> None:
         engine.close()
 
 
-class _Progress:
-    """The status line."""
+def _progress(
+    console: Console, whole: int, before: int
+) -> Callable[[Mapping[str, Any], str], None]:
+    """Return what shows the status line; it takes the figures of a row, and why it was built anew.
 
-    def __init__(self, console: Console, whole: int, done: int) -> None:
-        self._console, self._whole, self._before = console, whole, done
-        self._done = self._fell = 0
-        self._began = self._next = time.monotonic()
-        self._told = ""
+    Args:
+        console: that shows it.
+        whole: rows of the sweep.
+        before: that were done by earlier runs.
+    """
+    done = fell = 0
+    began = following = time.monotonic()
+    told = ""
 
-    def __call__(self, figures: dict[str, Any], why_not: str) -> None:
-        self._done += 1
-        self._fell += bool(figures.get("fell"))
-        if why_not and why_not != self._told:
-            self._told = why_not
-            self._console.say(f"each rollout is built anew, some 60 ms: {why_not}")
+    def show(figures: Mapping[str, Any], why_not: str) -> None:
+        nonlocal done, fell, following, told
+        done += 1
+        fell += bool(figures.get("fell"))
+        if why_not and why_not != told:
+            told = why_not
+            console.say(f"each rollout is built anew, some 60 ms: {why_not}")
         now = time.monotonic()
-        if not self._console.terminal or now < self._next:
+        if not console.terminal or now < following:
             return
-        self._next = now + EVERY
-        rate = self._done / max(now - self._began, 1e-9)
-        done = self._before + self._done
-        self._console.status(
-            {
-                f"{done}/{self._whole}": f"{rate:.1f}/s",
-                "fell": self._fell,
-                "left": f"{(self._whole - done) / rate:.0f} s",
-            }
-        )
+        following = now + EVERY
+        rate = done / max(now - began, 1e-9)
+        there = before + done
+        left = f"{(whole - there) / rate:.0f} s"
+        console.status({f"{there}/{whole}": f"{rate:.1f}/s", "fell": fell, "left": left})
+
+    return show
 
 
 def _ended(results: Results, gates: list[Gate]) -> int:

@@ -6,6 +6,7 @@ import argparse
 import json
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -142,8 +143,10 @@ def _run(plan: Plan, folder: Path, out: Path | None) -> int:
     return 0 if any(each["runs_done"] for each in result["platforms"]) else 1
 
 
-class Bar:
-    """The progress bar of one run, on a terminal alone.
+def _bar(console: Console, plan: Plan, done: int, name: str) -> Callable[[float], None]:
+    """Return what shows the progress of one run, on a terminal alone.
+
+    It takes how many seconds are simulated by now; 0 as long as the engine is made ready.
 
     Args:
         console: that shows it.
@@ -151,29 +154,21 @@ class Bar:
         done: runs before it.
         name: of the run.
     """
+    whole = len(plan.seeds) * len(plan.platforms)
+    began = following = time.monotonic()
 
-    def __init__(self, console: Console, plan: Plan, done: int, name: str) -> None:
-        self._console, self._done, self._name = console, done, name
-        self._whole = len(plan.seeds) * len(plan.platforms)
-        self._longest = plan.longest
-        self._began = self._next = time.monotonic()
-
-    def __call__(self, seconds: float) -> None:
-        """Show how far it is.
-
-        Args:
-            seconds: that are simulated by now; 0 as long as the engine is made ready.
-        """
+    def show(seconds: float) -> None:
+        nonlocal following
         now = time.monotonic()
-        if not self._console.terminal or now < self._next:
+        if not console.terminal or now < following:
             return
-        self._next = now + EVERY
-        share = (self._done + min(seconds / self._longest, 1.0)) / self._whole
-        full = round(BAR * share)
-        wall = now - self._began
+        following = now + EVERY
+        full = round(BAR * (done + min(seconds / plan.longest, 1.0)) / whole)
         doing = f"{seconds:.1f} s simulated" if seconds else "starting"
-        what = f"[{'#' * full}{'.' * (BAR - full)}] {self._done}/{self._whole}"
-        self._console.status({what: f" {self._name}: {doing}, {wall:.0f} s"})
+        what = f"[{'#' * full}{'.' * (BAR - full)}] {done}/{whole}"
+        console.status({what: f" {name}: {doing}, {now - began:.0f} s"})
+
+    return show
 
 
 def _all_runs(results: Results, console: Console, out: Path | None) -> None:
@@ -186,7 +181,7 @@ def _all_runs(results: Results, console: Console, out: Path | None) -> None:
         platform, seed = row.values
         if results.hopeless(platform):
             continue
-        bar = Bar(console, plan, row.index, f"{platform}, seed {seed}")
+        bar = _bar(console, plan, row.index, f"{platform}, seed {seed}")
         run = run_one(plan, row, results.folder / "runs", bar)
         results.add(platform, run)
         if run["outcome"] == "interrupted":

@@ -6,8 +6,8 @@ import csv
 import os
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Protocol
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
 
 from unicon_core.aligned import number_text
 from unicon_core.errors import StateError, alternatives
@@ -36,12 +36,14 @@ def watch(
         StateError: no such segment or state, or a new writer has other states.
     """
     layouts = _layouts(name, chosen)
-    watched = {
-        group: _Watched(name, group, layout, [state for state in chosen if state in layout.specs])
-        for group, layout in layouts.items()
+    watched = {group: _Watched(name, group, layout) for group, layout in layouts.items()}
+    owner = {
+        state: each
+        for state in chosen
+        for each in watched.values()
+        if state in each.states.layout.specs
     }
-    form: _Form = _Csv(watched, chosen) if as_csv else _Text(watched, chosen)
-    form.head()
+    print_values = _csv(watched, owner) if as_csv else _text(owner)
     end = None if duration is None else time.monotonic() + duration
     heard, told, writer = time.monotonic(), False, _writer(watched)
     with SIGNALS.guard():
@@ -51,7 +53,7 @@ def watch(
             if writer != (writer := _writer(watched)):
                 note(f"unicon: {name}: process {writer} has taken over")
             if sum(each.watcher.take() for each in watched.values()):  # all of them take
-                form.values()
+                print_values()
                 sys.stdout.flush()
                 heard, told = now, False
             if not all(alive):
@@ -82,10 +84,10 @@ def _layouts(name: str, chosen: Sequence[str]) -> dict[str, Layout]:
 
 
 class _Watched:
-    """A group, and those of its states that are watched."""
+    """A group of which states are watched."""
 
-    def __init__(self, name: str, group: str, layout: Layout, chosen: Sequence[str]) -> None:
-        self.chosen, self.states = chosen, States(layout)
+    def __init__(self, name: str, group: str, layout: Layout) -> None:
+        self.states = States(layout)
         self.watcher = ShmWatcher(name, group, self.states, layout)
 
 
@@ -107,56 +109,44 @@ def _looks(rate: float, end: float | None) -> Iterator[float]:
         due = max(due + period, now)  # who was stopped does not make up for it
 
 
-class _Form(Protocol):
-    """How values are printed."""
+def _csv(watched: Mapping[str, _Watched], owner: Mapping[str, _Watched]) -> Callable[[], None]:
+    """Print the head of CSV; return what prints a line of values, in full precision.
 
-    def head(self) -> None: ...
+    They are when each group was published in [ns], then every element.
+    """
+    write = csv.writer(sys.stdout, lineterminator="\n").writerow
+    columns = [f"{group}.stamp_ns" for group in watched]
+    for state, each in owner.items():
+        columns += each.states.layout.elements(state)
+    write(columns)
+    views = [each.states[state] for state, each in owner.items()]
 
-    def values(self) -> None: ...
-
-
-class _Csv:
-    """Lines of CSV: when each group was published in [ns], then every element; full precision."""
-
-    def __init__(self, watched: Mapping[str, _Watched], chosen: Sequence[str]) -> None:
-        self._watched = watched
-        owner = {state: each for each in watched.values() for state in each.chosen}
-        self._views = [owner[state].states[state] for state in chosen]
-        self._columns = [f"{group}.stamp_ns" for group in watched]
-        for state in chosen:
-            self._columns += owner[state].states.layout.elements(state)
-        self._write = csv.writer(sys.stdout, lineterminator="\n").writerow
-
-    def head(self) -> None:
-        self._write(self._columns)
-
-    def values(self) -> None:
-        row: list[Any] = [each.watcher.stamp_ns for each in self._watched.values()]
-        for view in self._views:
+    def values() -> None:
+        row: list[Any] = [each.watcher.stamp_ns for each in watched.values()]
+        for view in views:
             row += (view.view("uint8") if view.dtype == bool else view).reshape(-1).tolist()
-        self._write(row)
+        write(row)
+
+    return values
 
 
-class _Text:
-    """A line for each state, behind the time in [s] since the first."""
+def _text(owner: Mapping[str, _Watched]) -> Callable[[], None]:
+    """Print what the states are; return what prints a line for each, behind the time in [s]."""
+    for state, each in owner.items():
+        spec = each.states.spec(state)
+        unit = f" [{spec.unit}]" if spec.unit else ""
+        print(f"{state}{unit}: {', '.join(spec.names) or spec.description or 'no names'}")
+    first_ns, width = 0, max(map(len, owner))
 
-    def __init__(self, watched: Mapping[str, _Watched], chosen: Sequence[str]) -> None:
-        self._owner = {state: each for each in watched.values() for state in each.chosen}
-        self._chosen, self._first_ns = chosen, 0
-        self._width = max(map(len, chosen))
-
-    def head(self) -> None:
-        for state in self._chosen:
-            spec = self._owner[state].states.spec(state)
-            unit = f" [{spec.unit}]" if spec.unit else ""
-            print(f"{state}{unit}: {', '.join(spec.names) or spec.description or 'no names'}")
-
-    def values(self) -> None:
-        newest = max(each.watcher.stamp_ns for each in self._owner.values())
-        self._first_ns = self._first_ns or newest
-        time_text = f"{(newest - self._first_ns) * 1e-9:9.3f}"
-        for state in self._chosen:
-            flat = self._owner[state].states[state].reshape(-1).tolist()
+    def values() -> None:
+        nonlocal first_ns
+        newest = max(each.watcher.stamp_ns for each in owner.values())
+        first_ns = first_ns or newest
+        time_text = f"{(newest - first_ns) * 1e-9:9.3f}"
+        for state, each in owner.items():
+            flat = each.states[state].reshape(-1).tolist()
             numbers = " ".join(f"{number_text(x):>9}" for x in flat)
-            print(f"{time_text}  {state:<{self._width}}  {numbers}")
+            print(f"{time_text}  {state:<{width}}  {numbers}")
             time_text = " " * len(time_text)
+
+    return values
