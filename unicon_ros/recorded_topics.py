@@ -21,6 +21,7 @@ from unicon_ros.bridge.neighbours import CLOCK
 from unicon_ros.bridge.qos import LATCHED
 from unicon_ros.bridge.robot_frames import RobotMessages
 from unicon_ros.bridge.ros_platform import RosPlatform
+from unicon_ros.bridge.topics_out import prepared
 from unicon_ros.bridge.transforms import TF_MESSAGE
 
 if TYPE_CHECKING:
@@ -156,7 +157,7 @@ class RecordedTopics:
     ) -> None:
         spec, encode = encoder.spec, encoder.encode
         if prepare is not None:
-            encode = partial(_prepared, prepare, encode)
+            encode = prepared(prepare, encode)
         every = encoder.spec.every(self._program.period)
         self._due.append((every, encode, self._channel(topic, encoder.spec)))
         self._reads.update(state for state in spec.states if state in self._program.states)
@@ -190,11 +191,6 @@ class RecordedTopics:
 
 def _stamped(write: Any, now: Callable[[], int], raw: bytes) -> None:
     write(now(), raw)
-
-
-def _prepared(prepare: Callable[[], None], encode: Callable[[], bytes]) -> bytes:
-    prepare()
-    return encode()
 
 
 def string_message(text: str) -> bytes:

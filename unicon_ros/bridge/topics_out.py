@@ -67,7 +67,7 @@ class TopicOut:
         self.published = 0
         self.failed = self.failing = 0
         self.last_error = ""
-        self._encode = encoder.encode if prepare is None else _after(prepare, encoder.encode)
+        self._encode = encoder.encode if prepare is None else prepared(prepare, encoder.encode)
         self._prepared = prepare is not None  # costs more than it would save
         self._publish, self._release = compat.raw_publish(self.publisher)
         self._every, self._wait = every, phase % every
@@ -122,9 +122,11 @@ class TopicOut:
         self._node.destroy_publisher(self.publisher)
 
 
-def _after(prepare: Callable[[], None], encode: Callable[[], bytes]) -> Callable[[], bytes]:
-    def prepared() -> bytes:
+def prepared(prepare: Callable[[], None], encode: Callable[[], bytes]) -> Callable[[], bytes]:
+    """Return what encodes after arrays that are not states were brought up to date."""
+
+    def encoded() -> bytes:
         prepare()
         return encode()
 
-    return prepared
+    return encoded

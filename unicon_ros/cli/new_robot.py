@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import xml.etree.ElementTree as ET
 from contextlib import suppress
@@ -77,7 +78,7 @@ def new_robot(model: str, out: str | None, kind: str | None = None) -> str:
     file = Path(out) if out else Path(f"{_name(bare)}.yaml")
     if file.suffix != ".yaml":
         raise RobotError(f"robots new: {file} is not a .yaml file; give --out NAME.yaml")
-    if file.exists():
+    if os.path.lexists(file):  # a link that points nowhere too
         raise RobotError(f"robots new: {file} exists; move it away, or give another --out FILE")
     if kind is not None and kind not in KINDS:
         raise RobotError(

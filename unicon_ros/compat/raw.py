@@ -61,7 +61,7 @@ def raw_take(subscription: Any) -> tuple[Callable[[], bytes | None] | None, Call
     and the caller lets an executor call it back.
     """
     take, leave = _entered(subscription, "take_message")
-    message = subscription.msg_type
+    message = take and subscription.msg_type
 
     def poll() -> bytes | None:
         taken = take(message, True)
@@ -78,7 +78,7 @@ def request_take(service: Any) -> tuple[Callable[[], Any] | None, Callable[[], N
     nothing came it takes 1 to 2 µs warm, 55 after caches were swept.
     """
     take, leave = _entered(service, "service_take_request")
-    request = service.srv_type.Request
+    request = take and service.srv_type.Request
     return take and (lambda: take(request)[1]), leave
 
 
@@ -88,7 +88,7 @@ def requests_take(service: Any) -> tuple[Callable[[], Any] | None, Callable[[], 
     As `request_take`, for requests that say something.
     """
     take, leave = _entered(service, "service_take_request")
-    request = service.srv_type.Request
+    request = take and service.srv_type.Request
 
     def poll() -> Any:
         taken = take(request)
