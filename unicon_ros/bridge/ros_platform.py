@@ -386,6 +386,7 @@ def maker(kind: type[RosPlatform], own_map: str, patience: float) -> Callable[..
             raise
         return platform
 
+    make.__annotations__["return"] = kind  # by which its facts are known
     return make
 
 
