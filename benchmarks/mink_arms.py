@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.ik.model import CAPSULE, FRAME, Pair, add_reaching
+from unicon_core.ik.chain import CAPSULE, FRAME, Pair, add_reaching
 from unicon_core.ik.tasks import Pose
 from unicon_core.models.absent import delete
 from unicon_core.models.loaded import import_mujoco

@@ -11,7 +11,7 @@ import pytest
 from unicon_core.errors import Fault, PlatformError
 from unicon_core.platforms.platform import Facts, Prepares
 from unicon_core.robots import Robot, load_robot
-from unicon_core.runtime.waiting import Waiting
+from unicon_core.runtime.beforehand import Waiting
 from unicon_core.states import States, standard_states
 from unicon_ros.hardware.udp import Udp
 from unicon_ros.hardware.wire import Counts

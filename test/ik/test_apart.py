@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from reference_capsules import between, placed
 from welder import write_arm
 
-from unicon_core.ik.apart import Apart
+from unicon_core.ik.differential import Apart
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.robots import Robot, load_robot
 

@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from unicon_core.errors import RobotError, WorkflowError
-from unicon_core.ik.turns import turn_between, turned_by
 from unicon_core.models.find import pick_model
 from unicon_core.models.frames import Frames
 from unicon_core.models.load import load_model
+from unicon_core.models.plain_turns import turn_between, turned_by
 from unicon_core.robots import Robot, load_robot
 
 Build = Callable[..., Any]

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from unicon_core.errors import MissingDependencyError
-from unicon_core.ik.quadratic import Quadratic
+from unicon_core.ik.differential import Quadratic
 
 pytest.importorskip("daqp", reason="daqp is not installed: pip install 'unicon_ros[ik]'")
 

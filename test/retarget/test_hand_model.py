@@ -15,8 +15,7 @@ from unicon_core.models.load import load_model
 from unicon_core.models.posed import PosedModel
 from unicon_core.retarget.hand_model import HandModel
 from unicon_core.robots import Robot, compose, load_robot
-from unicon_core.robots.hand import Hand
-from unicon_core.robots.places import Place
+from unicon_core.robots.places import Hand, Place
 
 Build = Callable[[str], HandModel]
 

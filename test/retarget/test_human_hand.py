@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from unicon_core.retarget.human_hand import ABSENT, CHAINS, HumanHand
-from unicon_core.robots.hand import FINGERS
+from unicon_core.robots.places import FINGERS
 from unicon_ros.peripherals.webxr.frames import JOINTS
 
 NEUTRAL = np.tile(np.array((0, 0, 0, 1, 0, 0, 0), np.float32), (25, 1))

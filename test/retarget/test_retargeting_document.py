@@ -13,7 +13,7 @@ from benchmarks.retarget import run
 from unicon_core.blocks.retarget import retarget
 from unicon_core.errors import RobotError
 from unicon_core.robots import load_robot
-from unicon_core.robots.hand import Hand
+from unicon_core.robots.places import Hand
 from unicon_core.schema.read import read_value
 from unicon_ros.cli.main import main
 

@@ -15,8 +15,7 @@ from unicon_core.pacing import Pacing
 from unicon_core.platforms.fake import FakeRobot
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.runtime import Report, Runner, RunOptions
-from unicon_core.runtime.advice import FEWEST, LATE, Starvation, advice_of
-from unicon_core.runtime.statistics import TickStatistics
+from unicon_core.runtime.statistics import FEWEST, LATE, Starvation, TickStatistics, advice_of
 from unicon_core.workflow import load_workflow
 
 PERIOD = 20_000_000  # ns
@@ -110,11 +109,11 @@ def test_a_run_that_is_woken_late_tells_it_once_at_its_end(
         assert made.to_dict()["advice"] == made.advice
         return made
 
-    monkeypatch.setattr("unicon_core.runtime.advice.LATE", -1.0)  # whatever is late is too late
+    monkeypatch.setattr("unicon_core.runtime.statistics.LATE", -1.0)  # whatever is late is too late
     told = report("real")
     assert "pacing.priority=80" in told.advice
     assert told.summary().count("\nadvice        one tick in 100 began ") == 1
-    monkeypatch.setattr("unicon_core.runtime.advice.LATE", 1e9)
+    monkeypatch.setattr("unicon_core.runtime.statistics.LATE", 1e9)
     assert report("real").advice == ""
     quick = report("max")
     assert quick.advice == ""

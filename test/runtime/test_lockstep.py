@@ -9,8 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from unicon_core.runtime.lockstep import Lockstep
-from unicon_core.runtime.rollouts import Look, Rollout, Rollouts
+from unicon_core.runtime.rollouts import Lockstep, Look, Rollout, Rollouts
 from unicon_core.states import States
 from unicon_core.workflow import Program, load_document
 from unicon_core.workflow.document import WorkflowDocument

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from unicon_core.runtime.spare_files import SPARE, SpareFiles
+from unicon_core.runtime.report import SPARE, SpareFiles
 
 LEAK = """
 import os

@@ -16,7 +16,7 @@ from unicon_core.errors import Fault
 from unicon_core.flow import Amends, Reads, as_block
 from unicon_core.runtime import Runner, RunOptions, WallClock, WarmUp
 from unicon_core.workflow import load_workflow
-from unicon_core.workflow.warm_ups import LARGEST
+from unicon_core.workflow.build import LARGEST
 
 TICKS = 75
 

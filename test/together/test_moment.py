@@ -10,10 +10,10 @@ import pytest
 from unicon_core.errors import Fault, UniconError, WorkflowError
 from unicon_core.located_yaml import Located
 from unicon_core.together import moment as module
-from unicon_core.together.moment import WallClock, moment_of
+from unicon_core.together.rendezvous import WallClock, moment_of
 from unicon_core.workflow.document import WorkflowDocument
+from unicon_core.workflow.settings import StartSettings
 from unicon_core.workflow.settings import start_of as start_of_document
-from unicon_core.workflow.start import StartSettings
 
 S = 1_000_000_000
 NOON = int(datetime(2026, 11, 22, 12, tzinfo=timezone.utc).timestamp()) * S

@@ -13,7 +13,7 @@ from unicon_core.errors import UniconError, WorkflowError
 from unicon_core.models.find import pick_model
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import import_mujoco
-from unicon_core.models.weight import Weight
+from unicon_core.models.posed import Weight
 from unicon_core.robots import Robot, compose, load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.testing import Bench

@@ -6,8 +6,15 @@
 """
 
 from unicon_core.assets.fetching import Got, fetch
-from unicon_core.assets.manifest import Asset, AssetFile, Source, load_assets, named
-from unicon_core.assets.state import asset_folder, wrong_files
+from unicon_core.assets.manifest import (
+    Asset,
+    AssetFile,
+    Source,
+    asset_folder,
+    load_assets,
+    named,
+    wrong_files,
+)
 
 __all__ = [
     "Asset",

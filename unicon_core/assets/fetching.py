@@ -22,8 +22,7 @@ from pathlib import Path
 from typing import Protocol
 from urllib.parse import quote, urlsplit
 
-from unicon_core.assets.manifest import Asset, AssetFile
-from unicon_core.assets.state import wrong_files
+from unicon_core.assets.manifest import Asset, AssetFile, wrong_files
 from unicon_core.errors import UniconError
 from unicon_core.resources import CHUNK, assets_cache, sha256_of
 

@@ -7,10 +7,9 @@ class TestMySimulator(Conformance):
     platform = "my_package.simulator:make"
 """
 
-from unicon_core.conformance.case import Case
 from unicon_core.conformance.contract import Contract
 from unicon_core.conformance.mechanics import Mechanics
-from unicon_core.conformance.rig import Rig
+from unicon_core.conformance.rig import Case, Rig
 
 __all__ = ["Case", "Conformance", "Contract", "Mechanics", "Rig"]
 

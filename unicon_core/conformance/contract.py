@@ -7,8 +7,7 @@ from contextlib import suppress
 import numpy as np
 import pytest
 
-from unicon_core.conformance.case import Build, Case
-from unicon_core.conformance.rig import TIMESTEP, Rig
+from unicon_core.conformance.rig import TIMESTEP, Build, Case, Rig
 from unicon_core.errors import Fault, PlatformError
 from unicon_core.platforms.platform import SIMULATED, Pushable, Resettable
 

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from unicon_core.conformance.case import Build, Case
 from unicon_core.conformance.rig import (
     EFFORT_LIMIT,
     FRICTION,
@@ -15,6 +14,8 @@ from unicon_core.conformance.rig import (
     JOINTS,
     TIMESTEP,
     Array,
+    Build,
+    Case,
 )
 from unicon_core.platforms.kit.base import rotation
 

@@ -7,11 +7,12 @@ measured = rig.run(10)          # rows of ticks by state
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from unicon_core.errors import PlatformError
@@ -217,3 +218,36 @@ class Rig:
     def bytes(self) -> bytes:
         """Return all that is measured now."""
         return b"".join(self.states[name].tobytes() for name in self.platform.facts.writes)
+
+
+# Before they are imported: else pytest says of an assertion of theirs only that it failed.
+pytest.register_assert_rewrite(*(f"{__package__}.{part}" for part in ("contract", "mechanics")))
+
+Build = Callable[..., Rig]
+"""As `Rig`, without platform and folder; `options` are over those of the case."""
+
+
+class Case:
+    """A platform under test; a subclass names it."""
+
+    platform: ClassVar[str]
+    options: ClassVar[Mapping[str, Any]] = {}
+    near: ClassVar[float] = 1e-4
+    """Relative difference that is taken for rounding: of engines in float32 more."""
+
+    @pytest.fixture
+    def rig(self, tmp_path: Path) -> Iterator[Build]:
+        """Build robots on the platform; all are closed in the end."""
+        built: list[Rig] = []
+
+        def build(**how: Any) -> Rig:
+            folder = tmp_path / f"rig{len(built)}"
+            folder.mkdir()
+            options = {**self.options, **how.pop("options", {})}
+            one = Rig(self.platform, folder, options, **how)
+            built.append(one)
+            return one
+
+        yield build
+        for one in built:
+            one.close()

@@ -2,6 +2,6 @@
 
 from unicon_core.ik.chain import Chain
 from unicon_core.ik.differential import DifferentialIk
-from unicon_core.ik.settings import Settings, Weights
+from unicon_core.ik.tasks import Settings, Weights
 
 __all__ = ["Chain", "DifferentialIk", "Settings", "Weights"]

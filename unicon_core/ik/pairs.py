@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.ik.chain import Chain
-from unicon_core.ik.model import CAPSULE, Pair, load_reaching
+from unicon_core.ik.chain import CAPSULE, Chain, Pair, load_reaching
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.robots import Robot
 

@@ -9,7 +9,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from unicon_core.ik.tasks import Pose
-from unicon_core.ik.turns import turned_by
+from unicon_core.models.plain_turns import turned_by
 
 LONGEST = 0.3
 """In [s], over which a target's velocity is believed: a hand turns round in as much."""

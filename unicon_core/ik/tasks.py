@@ -1,17 +1,21 @@
-"""Tasks: what end effectors lack to their targets, as the cost of a quadratic program."""
+"""Tasks: what end effectors lack to their targets, as the cost of a quadratic program.
+
+With what whoever builds it says: weights, distances and tolerances.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TypeAlias
+from dataclasses import dataclass
+from typing import Annotated, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.ik.chain import Chain
-from unicon_core.ik.settings import Weights
-from unicon_core.ik.turns import turn_between
+from unicon_core.models.plain_turns import turn_between
+from unicon_core.schema.marks import Within
 
 Float = NDArray[np.float64]
 Pose: TypeAlias = tuple[Sequence[float], Sequence[float]]
@@ -144,3 +148,32 @@ class Tasks:
             row[:] = self._determinants(chain.jacobian * self._columns)
         usual = np.sqrt(np.maximum(np.median(found, axis=0), 0.0))
         return [max(_POOR * each, 1e-12) for each in usual.tolist()]
+
+
+APART = 0.02
+"""Between capsules in [m]: targets of arms that a walking robot swings are off by 4 to 12 mm."""
+
+
+Weight = Annotated[float, Within(0.0, 100.0)]
+
+
+@dataclass(frozen=True)
+class Weights:
+    """How much an end effector's errors count against those of others."""
+
+    position: Weight = 1.0
+    """Of 1 m; 0 leaves it free."""
+    orientation: Weight = 0.3
+    """Of 1 rad: a hand that is 0.3 m wide moves its edge as far. 0 leaves it free."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What is the same in every tick."""
+
+    posture: float = 0.02
+    """Weight of 1 rad to the default pose, against an end effector's 1 m."""
+    apart: float = APART
+    """Distance in [m] that capsules keep; 0 lets them touch."""
+    tolerance: tuple[float, float] = (0.005, 0.05)
+    """Error in [m] and [rad] within which a target is reached."""

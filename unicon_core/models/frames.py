@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from unicon_core.errors import ModelError, alternatives
 from unicon_core.models.loaded import LoadedModel, import_mujoco
+from unicon_core.models.plain_turns import multiply
 from unicon_core.models.posed import PosedModel
 from unicon_core.robots import Robot
 from unicon_core.robots.places import Place
@@ -92,11 +93,11 @@ class Frames:
             x, y, z = at.tolist()
             u, v, w = _turned(q, a)
             x, y, z = x + u, y + v, z + w
-            q = _product(q, r)
+            q = multiply(q, r)
             if there is not None:
                 (u, v, w), back = there
                 x, y, z = _turned(back, (x - u, y - v, z - w))
-                q = _product(back, q)
+                q = multiply(back, q)
             s, i, j, k = q
             _, _, _, os, oi, oj, ok = out.tolist()
             along = s * os + i * oi + j * oj + k * ok
@@ -119,15 +120,4 @@ def _turned(q: Sequence[float], a: Sequence[float]) -> tuple[float, float, float
         a0 + 2.0 * (w * c0 + y * c2 - z * c1),
         a1 + 2.0 * (w * c1 + z * c0 - x * c2),
         a2 + 2.0 * (w * c2 + x * c1 - y * c0),
-    )
-
-
-def _product(q: Sequence[float], r: Sequence[float]) -> tuple[float, float, float, float]:
-    """Return the product of two quaternions wxyz; numbers are 10 times quicker than arrays."""
-    (a, b, c, d), (w, x, y, z) = q, r
-    return (
-        a * w - b * x - c * y - d * z,
-        a * x + b * w + c * z - d * y,
-        a * y - b * z + c * w + d * x,
-        a * z + b * y - c * x + d * w,
     )

@@ -1,8 +1,14 @@
-"""Loads a model file (MJCF or URDF) whatever it lacks: meshes, a floor, a floating base, motors."""
+"""Loads a model file (MJCF or URDF) whatever it lacks: meshes, a floor, a floating base, motors.
+
+What ROS reads over in public URDF files and MuJoCo refuses is repaired, a walking robot gets a
+floor, which gets the name by which `<pair>` elements call it, and joints that no policy moves may
+be absent.
+"""
 
 from __future__ import annotations
 
 import logging
+import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,18 +16,15 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.errors import ModelError
+from unicon_core.errors import ModelError, RobotError
 from unicon_core.models.absent import drop_absent_meshes, drop_absent_textures
 from unicon_core.models.actuators import mend_actuators
 from unicon_core.models.attach import attach_members
 from unicon_core.models.bounded import refuse_endless, refuse_not_finite
 from unicon_core.models.find import pick_model
-from unicon_core.models.ground import mend_floor
-from unicon_core.models.joints import find_joints
+from unicon_core.models.joints import find_joints, is_simple
 from unicon_core.models.loaded import LoadedModel, import_mujoco
-from unicon_core.models.urdf_repair import repaired_urdf
-from unicon_core.models.welded import weld_absent
-from unicon_core.robots import Robot
+from unicon_core.robots import Robot, joint_index
 
 _log = logging.getLogger(__name__)
 
@@ -142,3 +145,201 @@ def _add_free_joint(mujoco: Any, spec: Any, notes: list[str]) -> None:
         root.add_freejoint(name="floating_base")
         root.pos = [0.0, 0.0, 1.0]
         notes.append(f"a URDF has no floating base: body {root.name!r} got a free joint")
+
+
+FLOOR = "floor"
+
+
+def mend_floor(mujoco: Any, spec: Any, notes: list[str]) -> None:
+    """Add a floor where a model has no surroundings, and let pairs that name another one name it.
+
+    A robot's file that its author includes into scenes may name the scene's floor, whatever that is
+    called; without the scene MuJoCo would refuse the pair.
+
+    Args:
+        mujoco: the module.
+        spec: the `MjSpec`.
+        notes: what was changed is added.
+    """
+    kinds = mujoco.mjtGeom
+    # MuJoCo lets bodies that stand still alone have planes and height fields.
+    planes = [geom for geom in spec.geoms if geom.type == kinds.mjGEOM_PLANE]
+    fields = [geom for geom in spec.geoms if geom.type == kinds.mjGEOM_HFIELD]
+    names = {geom.name for geom in spec.geoms}
+    ends = [(pair, key) for pair in spec.pairs for key in ("geomname1", "geomname2")]
+    lost = [(pair, key) for pair, key in ends if getattr(pair, key) not in names]
+    called = list(dict.fromkeys(getattr(pair, key) for pair, key in lost))
+    if not (list(spec.worldbody.geoms) or planes or fields):
+        name = called[0] if called else FLOOR
+        while name in names:
+            name += "_"
+        floor = spec.worldbody.add_geom(name=name, type=kinds.mjGEOM_PLANE, size=[0.0, 0.0, 0.05])
+        spec.worldbody.add_light(pos=[0.0, 0.0, 4.0])
+        planes.append(floor)
+        notes.append("the model has no surroundings: a floor was added")
+    grounds = planes or fields
+    # Two names that are not there in one pair are not a robot's foot on a floor: MuJoCo tells.
+    alone = [
+        (pair, key)
+        for pair, key in lost
+        if not {pair.geomname1, pair.geomname2} <= {*called} and len(grounds) == 1
+    ]
+    if not alone:
+        return
+    if not grounds[0].name:
+        grounds[0].name = called[0]
+    for pair, key in alone:
+        setattr(pair, key, grounds[0].name)
+    said = ", ".join(called)
+    notes.append(f"{len(alone)} pairs name {said}, which is not in the model: taken as its floor")
+
+
+_MASS, _INERTIA = 1e-6, 1e-9  # [kg], [kg·m²]: nothing that the robot feels
+_ARMATURE, _DAMPING = 1e4, 1e6  # [kg·m²], [N·m·s/rad]: 100 N·m turn it by 1e-4 rad/s
+
+
+def weld_absent(
+    mujoco: Any, spec: Any, model: Any, robot: Robot, notes: list[str]
+) -> tuple[str, ...]:
+    """Add a joint that stands still for each weldable joint that a model lacks; return those.
+
+    Each carries a body of 1 mg at the robot's base, which collides with nothing. A model that has
+    none of the robot's joints, or lacks one that a policy moves, is left as it is.
+
+    Args:
+        mujoco: the module.
+        spec: the `MjSpec`, changed.
+        model: compiled of it.
+        robot: whose joints are looked for, `weldable` among them.
+        notes: is added to.
+    """
+    ids = [i for i in range(model.njnt) if is_simple(mujoco, model, i) and model.joint(i).name]
+    names = [model.joint(i).name for i in ids]
+    there, absent = [], []
+    for name in robot.joint_names:
+        try:
+            there.append(ids[joint_index([name], names, loose=True)[0]])
+        except RobotError:
+            absent.append(name)
+    if not absent or not there or not robot.weldable.issuperset(absent):
+        return ()
+    root = int(model.body_rootid[model.jnt_bodyid[there[0]]])
+    base = spec.body(model.body(root).name)
+    last = int(model.body_rootid[model.jnt_bodyid[model.njnt - 1]]) == root
+    for name in absent:
+        body = base.add_body(name=f"unicon_{name}")
+        body.explicitinertial = True
+        body.mass, body.inertia = _MASS, [_INERTIA] * 3
+        body.add_joint(
+            name=name, type=mujoco.mjtJoint.mjJNT_HINGE, armature=_ARMATURE, damping=_DAMPING
+        )
+    for key in list(spec.keys):
+        if last and len(key.qpos) == model.nq:  # the new joints come behind all others
+            key.qpos = [*key.qpos, *[0.0] * len(absent)]
+            key.qvel = []
+        else:
+            spec.delete(key)
+    notes.append(f"the model lacks {', '.join(absent)}: taken as welded")
+    return tuple(absent)
+
+
+_ONCE = ("origin", "geometry", "material", "inertial", "mass", "inertia")
+_TERMS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+
+
+def repaired_urdf(path: Path, notes: list[str]) -> str | None:
+    """Return the text of a URDF with its mistakes mended, None where there are none.
+
+    Mended are elements that stand twice (two materials in the visuals of Unitree's Go2), inertias
+    that no body can have (Robotera's XHand repeats one figure six times; of a camera of ANYbotics'
+    ANYmal C two principal moments sum to less than the third), and shapes without an extent.
+
+    Args:
+        path: the file.
+        notes: gets one line for each kind of mistake.
+
+    Raises:
+        ModelError: the file is not XML, or declares entities: no robot needs any, and they may grow
+            without end or name other files.
+    """
+    try:
+        raw = path.read_bytes()
+        if b"\0" in raw:  # else entities could hide in another encoding, which MuJoCo cannot read
+            raise ModelError(f"model {path}: it is not UTF-8; save it as that")
+        text = raw.decode("utf-8-sig", "replace")
+        if "<!ENTITY" in text or "<!DOCTYPE" in text:
+            raise ModelError(f"model {path}: it has a DOCTYPE or entities; take them out")
+        root = ET.fromstring(text)  # whatever encoding it declares: MuJoCo reads UTF-8
+    except (ET.ParseError, OSError, ValueError, LookupError) as error:
+        raise ModelError(f"model {path}: {error}; correct the file") from error
+    twice = _drop_repeated(root)
+    bodies = _mend_inertias(root)
+    flat = _drop_flat(root)
+    if twice:
+        notes.append(f"{len(twice)} elements stand twice in the URDF (first: {twice[0]})")
+    if bodies:
+        notes.append(
+            f"the inertia of {', '.join(bodies)} is none that a body can have: "
+            "its largest figure stands for all axes"
+        )
+    if flat:
+        notes.append(f"shapes without an extent are left out: {', '.join(flat)}")
+    try:
+        return ET.tostring(root, encoding="unicode") if twice or bodies or flat else None
+    except RecursionError as error:
+        raise ModelError(f"model {path}: its elements are nested too deep") from error
+
+
+def _drop_repeated(root: ET.Element) -> list[str]:
+    dropped = []
+    for parent in root.iter():
+        if parent.tag not in ("visual", "collision", "inertial", "link"):
+            continue
+        seen: set[str] = set()
+        for child in list(parent):
+            if child.tag in _ONCE and child.tag in seen:
+                parent.remove(child)
+                dropped.append(f"{child.tag} of a {parent.tag}")
+            seen.add(child.tag)
+    return dropped
+
+
+def _mend_inertias(root: ET.Element) -> list[str]:
+    mended = []
+    for link in root.findall("link"):
+        inertia = link.find("inertial/inertia")
+        if inertia is None:
+            continue
+        try:
+            xx, yy, zz, xy, xz, yz = (float(inertia.get(term, "0")) for term in _TERMS)
+        except ValueError:
+            continue  # MuJoCo names the line
+        matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        if not np.isfinite(matrix).all():
+            continue  # MuJoCo refuses it
+        if not matrix.any():
+            continue  # MuJoCo takes it from mass and shapes, or says so
+        small, middle, large = np.linalg.eigvalsh(matrix)
+        if small > 1e-9 * abs(matrix).max() and small + middle >= large:
+            continue
+        for term in _TERMS:
+            inertia.set(term, repr(float(abs(matrix).max())) if term[1] == term[2] else "0")
+        mended.append(str(link.get("name")))
+    return mended
+
+
+def _drop_flat(root: ET.Element) -> list[str]:
+    """Take shapes with a radius, length or edge of 0 out; return what was dropped."""
+    dropped = []
+    for link in root.findall("link"):
+        for element in (*link.findall("visual"), *link.findall("collision")):
+            shape = element.find("geometry/*")
+            sizes = () if shape is None else map(shape.get, ("radius", "length", "size"))
+            try:
+                flat = any(0.0 in map(float, size.split()) for size in sizes if size)
+            except ValueError:
+                continue  # MuJoCo names the line
+            if shape is not None and flat:
+                link.remove(element)
+                dropped.append(f"{shape.tag} in a {element.tag} of {link.get('name')}")
+    return dropped

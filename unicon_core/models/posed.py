@@ -1,15 +1,21 @@
-"""A model put where states say, without physics: heights above the floor, and feet, for checks."""
+"""A model put where states say: heights above the floor, feet, footprint and weight.
+
+For checks, odometry and the block `gravity`; there is no physics.
+"""
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import Any
 
-from numpy.typing import ArrayLike
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.rows import index_of
-from unicon_core.models.touching import floors, may_touch, on_floor
+from unicon_core.models.touching import floors, may_touch, on_floor, solid
+from unicon_core.robots import Robot
 
 _FAR = 100.0  # [m]
 _ENDINGS = ("_foot", "_link", "_sphere", "_toe")
@@ -163,3 +169,139 @@ def _geoms_of(model: Any, name: str) -> list[int]:
         return [geom]
     body = _body_of(model, name)
     return [g for g in range(model.ngeom) if model.geom_bodyid[g] == body]
+
+
+class Weight:
+    """What the joints of a model have to give so that it stays where it is, with nothing in touch.
+
+    The torques of M(q) q̈ + h(q, q̇) = τ at rest, τ = h(q, 0), by one pass of the recursive
+    Newton-Euler algorithm (Featherstone, Rigid Body Dynamics Algorithms, 2008, 5.3): of each joint
+    it is the weight of all that it carries.
+
+    Args:
+        loaded: the model.
+
+    Attributes:
+        floats: the base moves, and is turned as it is said to be; a fixed one is turned as the
+            model says.
+    """
+
+    def __init__(self, loaded: LoadedModel) -> None:
+        self._model, self._posed = loaded.model, PosedModel(loaded)
+        self._mujoco, self.floats = import_mujoco(), loaded.base is not None
+        model = loaded.model
+        self._dofs = index_of([int(model.jnt_dofadr[joint]) for joint in loaded.joints])
+        self._asked, self._base = np.zeros(model.nv), np.array((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
+
+    def __call__(
+        self, joint_pos: ArrayLike, out: NDArray[np.float64], quat: ArrayLike | None = None
+    ) -> None:
+        """Write the torques in [N·m], or forces in [N], in the robot's order, shape (n,).
+
+        Args:
+            joint_pos: in [rad] or [m], shape (n,).
+            out: shape (n,).
+            quat: base to world, wxyz, shape (4,); None leaves it as it is.
+        """
+        if quat is not None:
+            self._base[3:] = quat
+        data = self._posed.put(joint_pos, self._base)
+        self._mujoco.mj_rne(self._model, data, 0, self._asked)  # its velocities are 0 for ever
+        out[:] = self._asked[self._dofs]
+
+
+def bearing_joints(loaded: LoadedModel, robot: Robot) -> NDArray[np.bool_]:
+    """Return which joints stand between the base and a foot, in the robot's order, shape (n,).
+
+    Those of a robot that does not walk, such as the fingertips of a hand, bear nothing.
+    """
+    model = loaded.model
+    bodies: set[int] = set()
+    for foot in foot_bodies(model, robot.feet if robot.walks else ()).values():
+        body = foot
+        while body:
+            bodies.add(body)
+            body = int(model.body_parentid[body])
+    return np.array([int(model.jnt_bodyid[joint]) in bodies for joint in loaded.joints], np.bool_)
+
+
+ORIGIN = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+
+
+class Footprint:
+    """The frame `base_footprint` in the base's frame; build it with `of`.
+
+    The floor is where the lowest foot is, the origin the mean of the feet projected on it; x points
+    where the base points, z up. That needs joint positions and the base's orientation only.
+
+    Args:
+        loaded: a model with a free base.
+        feet: geoms of each foot.
+        joint_pos: in the robot's order in [rad] or [m], shape (n,), read in place.
+        base_quat: base to world, wxyz, shape (4,), read in place.
+
+    Attributes:
+        position: in the base's frame in [m], shape (3,).
+        quat: footprint to base, wxyz, shape (4,).
+    """
+
+    def __init__(
+        self,
+        loaded: LoadedModel,
+        feet: dict[str, list[int]],
+        joint_pos: NDArray[Any],
+        base_quat: NDArray[Any],
+    ) -> None:
+        mujoco, model = import_mujoco(), loaded.model
+        self._posed = PosedModel(loaded)
+        self._joint_pos, self._base_quat = joint_pos, base_quat
+        groups = [[g for g in group if solid(model, g)] or group for group in feet.values()]
+        geoms = self._geoms = np.array([geom for group in groups for geom in group], np.intp)
+        # Of the mean of the feet each foot is one part, however many geoms it has.
+        self._weights = np.array([1.0 / len(g) / len(groups) for g in groups for _ in g])
+        # What reaches beyond the middle of a geom: half edges of its box, or a radius.
+        kinds, round_ = model.geom_type[geoms], np.zeros(len(geoms))
+        self._middle = np.array(model.geom_aabb[geoms, :3])
+        self._half = np.array(model.geom_aabb[geoms, 3:])
+        sphere = kinds == int(mujoco.mjtGeom.mjGEOM_SPHERE)
+        capsule = kinds == int(mujoco.mjtGeom.mjGEOM_CAPSULE)
+        round_[sphere | capsule] = model.geom_size[geoms[sphere | capsule], 0]
+        self._half[sphere] = 0.0
+        self._half[capsule] = 0.0
+        self._half[capsule, 2] = model.geom_size[geoms[capsule], 1]
+        self._radius = round_
+        self.position, self.quat = np.zeros(3), np.array((1.0, 0.0, 0.0, 0.0))
+
+    @classmethod
+    def of(
+        cls, loaded: LoadedModel, robot: Robot, joint_pos: NDArray[Any], base_quat: NDArray[Any]
+    ) -> Footprint | None:
+        """Return that of a robot; None where it has no feet in its model, or a fixed base."""
+        feet = foot_geoms(loaded.model, robot.feet)
+        if robot.kind == "hand" or not feet or loaded.base is None:
+            return None
+        return cls(loaded, feet, joint_pos, base_quat)
+
+    def update(self) -> None:
+        """Bring `position` and `quat` up to date; keeps them where `base_quat` is not one."""
+        w, x, y, z = map(float, self._base_quat)
+        norm = math.sqrt(w * w + x * x + y * y + z * z)
+        if not 0.5 < norm < 2.0:
+            return
+        w, x, y, z = w / norm, x / norm, y / norm, z / norm
+        # The world's z in the base's frame.
+        up = np.array((2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)))
+        data = self._posed.put(self._joint_pos, ORIGIN)
+        turns = data.geom_xmat[self._geoms].reshape(-1, 3, 3)
+        places = data.geom_xpos[self._geoms] + np.einsum("gij,gj->gi", turns, self._middle)
+        reach = (np.abs(np.einsum("gij,i->gj", turns, up)) * self._half).sum(axis=1) + self._radius
+        floor = float((places @ up - reach).min())
+        mean = self._weights @ places
+        position = mean + (floor - float(mean @ up)) * up
+        if not np.isfinite(position).all():
+            return
+        self.position[:] = position
+        # Base to world is yaw · rest, so footprint to base is (yaw⁻¹ · base)⁻¹.
+        half = 0.5 * math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        c, s = math.cos(half), math.sin(half)
+        self.quat[:] = (c * w + s * z, -(c * x + s * y), -(c * y - s * x), -(c * z - s * w))

@@ -11,7 +11,6 @@ from pathlib import PurePath
 from typing import Annotated, Any, Literal, get_args
 
 from unicon_core.bounds import DAMPING, EFFORT, POSITION, STIFFNESS, VELOCITY
-from unicon_core.robots.capsules import Capsules
 from unicon_core.robots.file_rules import (
     joints_of,
     note_contacts,
@@ -20,8 +19,7 @@ from unicon_core.robots.file_rules import (
     note_sources,
     note_unknown,
 )
-from unicon_core.robots.hand import Hand
-from unicon_core.robots.places import Places
+from unicon_core.robots.places import Capsules, Hand, Places
 from unicon_core.robots.robot import JOINT_ORDER
 from unicon_core.schema.marks import (
     Checked,

@@ -1,8 +1,17 @@
-"""Finds and reads robot files, for the workflow compiler, the commands and the tests."""
+"""Finds and reads robot files, for the workflow compiler, the commands and the tests.
+
+A robot may be made of robots, a body and its hands as one, where a workflow names several:
+
+    robot: {body: g1_29dof, left_hand: inspire_rh56_left, right_hand: inspire_rh56_right}
+
+The first member has the base: its IMU, feet, frames and command ranges are those of the whole. The
+joints stand in the members' order, one member behind the other.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -16,6 +25,7 @@ from unicon_core.file_kinds import other_kind
 from unicon_core.located_yaml import Located, read_yaml
 from unicon_core.resources import find_config, list_config
 from unicon_core.robots.file import ImuFacts, Overlay, RobotFile
+from unicon_core.robots.places import Place
 from unicon_core.robots.poses import joints_like
 from unicon_core.robots.robot import JOINT_FIELDS, Imu, Robot
 from unicon_core.schema.read import read, refuse
@@ -133,3 +143,106 @@ def _array(values: Sequence[float | None]) -> NDArray[np.float32]:
     array = np.array([np.nan if value is None else value for value in values], dtype=np.float32)
     array.setflags(write=False)
     return array
+
+
+_OF_A_MEMBER = ("motors", "command")
+"""Keys of `transport` that are about the joints of one member."""
+
+
+def compose(members: Mapping[str, Robot], mounts: Mapping[str, Place] | None = None) -> Robot:
+    """Return the whole robot.
+
+    A joint name that several members have is told apart by `MEMBER_` in front of it; the first
+    member's joints keep their names, for which policies are made. Members whose vendor closes the
+    position loop have no gains: 1 stands for "on", as everywhere.
+
+    Args:
+        members: name to robot, at least one.
+        mounts: name of a member, or of its robot, to its place, over what the base's file says.
+
+    Raises:
+        RobotError: two joints would have the same name, or two members the same place.
+    """
+    base_name = next(iter(members))
+    base = members[base_name]
+    counted = Counter(name for robot in members.values() for name in robot.joint_names)
+    names = tuple(
+        f"{member}_{name}" if counted[name] > 1 and member != base_name else name
+        for member, robot in members.items()
+        for name in robot.joint_names
+    )
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise RobotError(
+            f"robot of {', '.join(members)}: two joints are called {twice!r}; name a member "
+            "otherwise, or one of the joints in its file"
+        )
+    arrays: dict[str, Any] = {
+        field: _joined([_gains(robot, field) for robot in members.values()])
+        for field in JOINT_FIELDS.values()
+    }
+    simulated: dict[str, Mapping[str, float]] = {}
+    at = 0
+    for robot in members.values():
+        for joint, figures in robot.simulated_joints().items():
+            simulated[names[at + robot.joint_names.index(joint)]] = figures
+        at += robot.num_joints
+    others = [robot.name for member, robot in members.items() if member != base_name]
+    return replace(
+        base,
+        name="_with_".join([base.name, *(["_and_".join(others)] if others else [])]),
+        description="; ".join(robot.description for robot in members.values()),
+        models={},
+        joint_names=names,
+        **arrays,
+        transport={k: v for k, v in base.transport.items() if k not in _OF_A_MEMBER},
+        unknown=tuple(f"{m}: {fact}" for m, robot in members.items() for fact in robot.unknown),
+        simulated=simulated,
+        mounts=_mounted(members, {**base.mounts, **(mounts or {})}),
+        hand=None,
+        overlay=None,
+        members=dict(members),
+        groups={group: joints for group, joints in base.groups.items() if group not in members},
+    )
+
+
+def _mounted(members: Mapping[str, Robot], said: Mapping[str, Place]) -> dict[str, Place]:
+    """Return the place of each member that has one; its name goes before that of its robot."""
+    found: dict[str, Place] = {}
+    for member, robot in list(members.items())[1:]:
+        mount = said.get(member) or said.get(robot.name)
+        if mount is None:
+            continue
+        for other, its in found.items():
+            if (its.body, its.position) == (mount.body, mount.position):
+                raise RobotError(
+                    f"robot of {', '.join(members)}: {other} and {member} are both mounted on "
+                    f"{mount.body} at {list(mount.position)}; give one another place: "
+                    f"scene: {{mounts: {{{member}: {{body: …, position: …}}}}}}"
+                )
+        found[member] = mount
+    return found
+
+
+def robot_files(robot: Robot) -> dict[str, Path]:
+    """Return the files that a robot was read from: member to file, "" for one without members."""
+    return {member: each.path for member, each in (robot.members or {"": robot}).items()}
+
+
+def load_files(files: Mapping[str, str | Path], mounts: Mapping[str, Place] | None = None) -> Robot:
+    """Return the robot of these files, as `robot_files` names them, with mounts as of `compose`."""
+    robots = {member: load_robot(path) for member, path in files.items()}
+    return compose(robots, mounts) if "" not in robots else robots[""]
+
+
+def _gains(robot: Robot, field: str) -> NDArray[np.float32]:
+    values: NDArray[np.float32] = getattr(robot, field)
+    if robot.position_controlled and field in ("joint_stiffness", "joint_damping"):
+        return np.where(np.isnan(values), np.float32(1.0), values)
+    return values
+
+
+def _joined(arrays: list[NDArray[np.float32]]) -> NDArray[np.float32]:
+    whole = np.concatenate(arrays)
+    whole.setflags(write=False)
+    return whole

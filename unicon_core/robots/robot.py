@@ -12,9 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import RobotError, alternatives
-from unicon_core.robots.capsules import Capsule
-from unicon_core.robots.hand import Hand
-from unicon_core.robots.places import Place
+from unicon_core.robots.places import Capsule, Hand, Place
 
 MODEL_FORMATS = ("mjcf", "urdf")
 

@@ -10,9 +10,8 @@ from unicon_core.aligned import aligned
 from unicon_core.errors import RobotError, one_line
 from unicon_core.evidence import evidence_of, load_evidence
 from unicon_core.figures import figure, span
-from unicon_core.robots.hand import Hand
 from unicon_core.robots.load import load_robot, robot_names
-from unicon_core.robots.places import Place
+from unicon_core.robots.places import Hand, Place
 from unicon_core.robots.robot import JOINT_FIELDS, Robot
 
 _UNITS = {

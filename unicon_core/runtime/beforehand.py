@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 from unicon_core.blocks.approach import Approach
 from unicon_core.errors import Fault
 from unicon_core.flow import Deferred, Node, Zip, as_block
 from unicon_core.gates.beginning import beginning
+from unicon_core.gates.gate import StartGate
 from unicon_core.gates.standing import Alone
 from unicon_core.platforms.joined import members_of
 from unicon_core.platforms.platform import Prepares, SeesCommanders
 from unicon_core.runtime.options import RunOptions
 from unicon_core.runtime.phases import Phase
-from unicon_core.runtime.waiting import Waiting
-from unicon_core.together.rendezvous import Rendezvous, rendezvous_of
+from unicon_core.together.meeting import Meeting
+from unicon_core.together.rendezvous import Rendezvous, WallClock
 from unicon_core.workflow import Program
 from unicon_core.workflow.gate import NEVER_NS
 
@@ -128,6 +130,34 @@ class Beforehand:
             self._rendezvous.close()
 
 
+def rendezvous_of(program: Program, speed: str, warn: Callable[[str], None]) -> Rendezvous | None:
+    """Return what a run asks before its flow, None where its workflow names no moment.
+
+    Args:
+        program: that is to run.
+        speed: of the run: at full speed nobody is waited for, which is told.
+        warn: takes one line each.
+
+    Raises:
+        UniconError: the moment has passed or is too far ahead, or nobody can be met.
+    """
+    start = program.start
+    key = "at" if start.at is not None else "together"
+    if (start.at is None and start.together is None) or not program.has_platform:
+        return None
+    if speed == "max":
+        warn(f"start: {key} is not waited for with --speed max")
+        return None
+    if start.at is not None:
+        start.at.refuse(time.time_ns())
+        return Rendezvous(WallClock(start.at, start.alone), program.period, warn)
+    assert start.together is not None
+    if program.silent:  # others would begin because of it
+        warn("start: together is not waited for by a run that sends nothing")
+        return None
+    return Rendezvous(Meeting(start.together, start.alone, program.period), program.period, warn)
+
+
 def waiting_tree(program: Program, *waiting: Node) -> Node:
     """Return the tree of a tick in which nothing is sent: recv, estimate, input, observers."""
     return Zip(*program.hearing, *waiting, *map(Deferred, program.looking))
@@ -166,3 +196,75 @@ def approach_tree(program: Program, then: Callable[[bool], bool] | None = None) 
         program.states, beginning(program), program.period, start.approach, start.fade_in, then
     )
     return program.with_flow(as_block(approach))
+
+
+PATIENCE = 30.0
+"""How long gates may take to hold where no operator looks on, [s]."""
+
+REPEAT = 5.0
+"""How often what is waited for is told again, [s]."""
+
+GRACE = 1.0
+"""What is waited for in the first moments is not told, [s]: gates take half a second to measure."""
+
+GO = "go"
+
+
+class Waiting:
+    """The block of the waiting phase: asks the gates, then the operator.
+
+    Args:
+        gates: asked in every tick.
+        operator: somebody has to say go.
+        warn: takes what is waited for, one line each.
+        prepare: brings the robot to where it takes commands, behind the go; "" once it does.
+
+    Attributes:
+        reason: what is waited for, "" once nothing is.
+    """
+
+    def __init__(
+        self,
+        gates: Sequence[StartGate],
+        operator: bool,
+        warn: Callable[[str], None],
+        prepare: Callable[[], str] | None = None,
+    ) -> None:
+        self._gates, self._operator, self._warn = gates, operator, warn
+        self._prepare = prepare
+        self._go = not operator
+        self._began = self._told = 0.0
+        self._what = ""
+        self.reason = "the first data"
+
+    def go(self) -> bool:
+        """Say go; it counts where nothing else is waited for."""
+        ready = self._what == GO
+        self._go |= ready
+        return ready
+
+    def __call__(self) -> bool:
+        now = time.monotonic()
+        self._began = self._began or now
+        what, reason = self._missing()
+        self.reason = reason
+        if not reason:
+            return True
+        if not self._operator and now - self._began > PATIENCE:
+            raise Fault(f"not started, waited {PATIENCE:g} s for {reason}")
+        heard = what == GO or now - self._began >= GRACE
+        if heard and (what != self._what or now - self._told > REPEAT):
+            self._what, self._told = what, now
+            self._warn(f"waiting for {reason}")
+        return False
+
+    def _missing(self) -> tuple[str, str]:
+        """Return the name of the first gate that does not hold, or else what comes after them."""
+        for gate in self._gates:
+            if reason := gate():
+                name = getattr(gate, "name", "gate")  # it may be a plain function
+                return name, f"{name}: {reason}"
+        if self._go:
+            reason = self._prepare() if self._prepare is not None else ""
+            return ("robot", f"robot: {reason}") if reason else ("", "")
+        return GO, "the operator's go: press Enter, call ~/start, or run with --yes"

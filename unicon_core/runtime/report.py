@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
+import resource
 import traceback
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,7 +13,6 @@ from typing import Any
 
 from unicon_core.errors import Fault
 from unicon_core.page import write_file
-from unicon_core.runtime.spare_files import out_of_files
 from unicon_core.runtime.statistics import TickStatistics
 from unicon_core.workflow.program_data import ProgramData
 
@@ -181,3 +183,38 @@ def reason_of(error: BaseException) -> str:
     frames = traceback.extract_tb(error.__traceback__)
     place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
     return f"{type(error).__name__}{': ' if text else ''}{text}{place}{out_of_files(error)}"
+
+
+SPARE = 16
+"""Damping, the report, the fault record and lazy imports have at most a few open at once."""
+
+
+class SpareFiles:
+    """Holds descriptors; `release` gives them back, any number of times.
+
+    A process that has none to spare holds as many as it gets.
+    """
+
+    def __init__(self) -> None:
+        self._held: list[int] = []
+        try:
+            for _ in range(SPARE):
+                self._held.append(os.open(os.devnull, os.O_RDONLY))
+        except OSError:  # what it wants to open itself tells
+            self.release()
+
+    def release(self) -> None:
+        """Close them."""
+        while self._held:
+            os.close(self._held.pop())
+
+
+def out_of_files(error: BaseException) -> str:
+    """Return the limit and the remedy where a process ran out of file descriptors, else ""."""
+    if not isinstance(error, OSError) or error.errno != errno.EMFILE:
+        return ""
+    limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    return (
+        f"; this process may have {limit} files open: close what is opened again and again, or "
+        f"raise the limit: ulimit -n {max(4096, 4 * limit)}"
+    )

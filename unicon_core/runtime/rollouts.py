@@ -4,6 +4,11 @@ rollouts = Rollouts(program, look)
 for document in documents:                      # of the same workflow, with other scenes
     rollouts.begin(document)
     rollout = rollouts.run(500)
+
+Rollouts of several programs may run in one thread, each tick by tick: first all robots read, think
+and command, then the physics of all are simulated. No program knows of another, so that each does
+to the bit what it would do alone; but code and network are still in the cache when the next robot
+needs them, where the physics of a whole tick would have driven them out.
 """
 
 from __future__ import annotations
@@ -12,6 +17,7 @@ import re
 import traceback
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -197,3 +203,44 @@ class Rollouts:
                 tick = frame.f_locals.get(name)
                 found = next((b.name for b in self._graph.blocks if b.tick == tick), found)
         return found
+
+
+T = TypeVar("T")
+
+
+class Lockstep(Generic[T]):
+    """Rollouts that run side by side.
+
+    They need not begin together, nor be of one workflow.
+    """
+
+    def __init__(self) -> None:
+        self._running: list[tuple[T, Generator[None, None, Rollout]]] = []
+
+    def __len__(self) -> int:
+        return len(self._running)
+
+    def add(self, mark: T, rollouts: Rollouts, limit: int) -> None:
+        """Have a rollout run from the next tick on.
+
+        Args:
+            mark: that `tick` tells it by.
+            rollouts: at their beginning, made with `beside=True`; without it, or where the platform
+                cannot wait, the next tick runs all of it.
+            limit: most ticks.
+        """
+        self._running.append((mark, rollouts.halves(limit)))
+
+    def tick(self) -> list[tuple[T, Rollout]]:
+        """Run a tick of each rollout; return those that have ended with their marks."""
+        ended: list[tuple[T, Rollout]] = []
+        for _ in ("commands", "physics"):
+            running, self._running = self._running, []
+            for one in running:
+                try:
+                    next(one[1])
+                except StopIteration as end:
+                    ended.append((one[0], end.value))
+                else:
+                    self._running.append(one)
+        return ended

@@ -13,13 +13,12 @@ from unicon_core.flow import Node
 from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.pacing import prepare_process, process_age_s
 from unicon_core.platforms.platform import Resettable
-from unicon_core.runtime.advice import Starvation, advice_of
 from unicon_core.runtime.beforehand import Beforehand
 from unicon_core.runtime.damp import Damp
 from unicon_core.runtime.options import RunOptions, refuse_pace
 from unicon_core.runtime.phases import WIND_DOWN, Phase
-from unicon_core.runtime.report import Report, reason_of
-from unicon_core.runtime.spare_files import SpareFiles
+from unicon_core.runtime.report import Report, SpareFiles, reason_of
+from unicon_core.runtime.statistics import Starvation, advice_of
 from unicon_core.runtime.ticker import Ticker
 from unicon_core.signals import SIGNALS, Interrupted, signal_name
 from unicon_core.workflow import Program

@@ -213,7 +213,7 @@ class _Other:
 
 
 class Meeting:
-    """Asked in each tick: the moment once all have agreed on it; see `rendezvous.Source`.
+    """Asked in each tick: the moment once all have agreed on it; see `Rendezvous`.
 
     Args:
         party: who means one another.

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
+from dataclasses import replace
 from typing import Any
 
 from unicon_core.blocks.safety.stops import Finite
 from unicon_core.errors import UniconError, WorkflowError, alternatives
 from unicon_core.flow import Blender, Block, Every, Node, Switch, blocks_of, children_of
+from unicon_core.flow.block import Tick
 from unicon_core.flow.nodes import chooser_of, with_children
 from unicon_core.flow.stage import Stage
 from unicon_core.policies.action_map import lacking_joints
 from unicon_core.policies.controller import controller_contract
 from unicon_core.robots import Robot
 from unicon_core.signals import SIGNALS
-from unicon_core.states import StateSpec, standard_states
+from unicon_core.states import States, StateSpec, standard_states
 from unicon_core.states.spec import check_name
+from unicon_core.states.stacked import spans
 from unicon_core.states.standard import COMMAND_STATES, control_states, hardware_states
 from unicon_core.workflow.autowire import (
     BuildContext,
@@ -42,7 +45,6 @@ from unicon_core.workflow.program_data import ProgramData
 from unicon_core.workflow.registry import Factory, find_factory
 from unicon_core.workflow.settings import safety_of
 from unicon_core.workflow.uses import EXPRESSION, Use
-from unicon_core.workflow.warm_ups import WarmUps
 
 Sections = dict[Stage, list[Node]]
 """What a workflow says for each stage."""
@@ -288,3 +290,77 @@ def _options(factory: Factory, use: Use) -> dict[str, Any]:
             )
         options[names[0]] = use.first
     return options
+
+
+_OURS = "unicon_core.blocks."  # all of them are pure
+
+LARGEST = 65_536
+"""Bytes of states beyond which a block is not warmed up: they alone would take 5 µs and more to
+copy, and it spends its time on them and not on its code."""
+
+
+class WarmUps:
+    """The copy of the states and the second blocks on it.
+
+    Args:
+        context: what the blocks of the workflow are built with.
+    """
+
+    def __init__(self, context: BuildContext) -> None:
+        self._states = context.states
+        self._context = context
+        self._copy: States | None = None
+        self._read: set[str] = set()
+
+    def add(self, block: Block, factory: Factory, build: Callable[[BuildContext], Block]) -> None:
+        """Give a block a warm-up, where its factory is pure and it has none.
+
+        Args:
+            block: the block.
+            factory: what it was built with.
+            build: builds it once more in another context.
+        """
+        pure = getattr(factory, "pure", getattr(factory, "__module__", "").startswith(_OURS))
+        if not pure or block.warm_up is not None:
+            return
+        slots = self._states.layout.slots
+        used = {*block.reads, *block.amends, *block.writes}
+        if sum(slots[name].nbytes for name in used if name in slots) > LARGEST:
+            return
+        self._read |= used
+        if self._copy is None:
+            self._copy = States(self._states.layout)
+            self._context = replace(self._context, states=self._copy)
+        block.warm_up = _quiet(build(self._context).tick)
+
+    def refresh(self, platform: Tick | None) -> Tick | None:
+        """Return what brings the present values into the copy, or None where nothing is warmed up.
+
+        Args:
+            platform: what warms the platform's own way to the motors, called with it; or None.
+        """
+        warm_up = None if platform is None else _quiet(platform)
+        if self._copy is None:
+            return warm_up
+        into, out_of = memoryview(self._copy.buffer.data), memoryview(self._states.buffer.data)
+        parts = [(into[part], out_of[part]) for part in spans(self._states.layout, self._read)]
+
+        def refresh() -> None:
+            for there, here in parts:
+                there[:] = here
+            if warm_up is not None:
+                warm_up()
+
+        return refresh
+
+
+def _quiet(tick: Tick) -> Tick:
+    """Return its tick: a fault that it finds is told by the block itself, in its turn."""
+
+    def warm_up() -> None:
+        try:
+            tick()
+        except Exception:
+            return
+
+    return warm_up

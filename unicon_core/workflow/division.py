@@ -88,6 +88,20 @@ def check_places(
                 )
 
 
+def refuse_parts(parts: Parts | None, document: WorkflowDocument) -> None:
+    """Refuse a divided workflow, whose parts command each other.
+
+    Raises:
+        WorkflowError: it is one.
+    """
+    if parts is not None:
+        raise document.error(
+            "parts: a divided workflow cannot be run silently (--dry, preflight): what one part "
+            "publishes moves another; run it undivided",
+            "parts",
+        )
+
+
 def _divided(node: Node, parts: Parts, part: str) -> Node | None:
     """Return what of a tree belongs to a part, None for nothing.
 

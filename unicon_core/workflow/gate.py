@@ -1,12 +1,20 @@
-"""Gate: the last look before `send`; a closed workflow and a tick that hung send nothing."""
+"""Gate: the last look before `send`; a closed workflow and a tick that hung send nothing.
+
+A silent run, for `unicon run --dry` and preflight, computes all and sends nothing.
+"""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
 
+import numpy as np
+
 from unicon_core.errors import Fault, Hung
 from unicon_core.platforms.kit.damping import LastSent
+from unicon_core.platforms.platform import Platform
+from unicon_core.states import States
+from unicon_core.states.standard import COMMAND_STATES
 
 NEVER_NS = 1 << 62
 CLOSED = "the workflow is closed and sends nothing any more; build it anew"
@@ -55,3 +63,36 @@ class Gate:
     def close(self) -> None:
         """Let nothing pass any more."""
         self.closed = True
+
+
+def withheld(platform: Platform, states: States) -> Callable[[], bool | None]:
+    """Return what a silent run does in place of `send`.
+
+    A robot gets nothing. A simulator gets limp joints, since its time goes on with `send` alone;
+    the command states hold again afterwards what would have been sent.
+
+    Args:
+        platform: of the program.
+        states: of the program.
+    """
+    if not platform.facts.simulated:
+        return _nothing
+    views = [(states[name], np.zeros_like(states[name])) for name in COMMAND_STATES]
+    target, measured = states["joint_pos_target"], states["joint_pos"]
+
+    def limp() -> bool | None:
+        for view, kept in views:
+            kept[...] = view
+            view[...] = 0.0
+        target[...] = measured
+        try:
+            return platform.send()
+        finally:
+            for view, kept in views:
+                view[...] = kept
+
+    return limp
+
+
+def _nothing() -> None:
+    """Send nothing."""

@@ -27,18 +27,24 @@ from unicon_core.states import Layout, States
 from unicon_core.states.groups import groups_of
 from unicon_core.states.links import Incoming
 from unicon_core.workflow.autowire import BuildContext
-from unicon_core.workflow.bounded_flow import bound_commands
 from unicon_core.workflow.build import (
     Builder,
     Sections,
+    WarmUps,
     finite_first,
     period_of,
     sections_of,
     specs_of,
 )
-from unicon_core.workflow.division import check_places, is_divided, of_part, publishers
+from unicon_core.workflow.division import (
+    check_places,
+    is_divided,
+    of_part,
+    publishers,
+    refuse_parts,
+)
 from unicon_core.workflow.document import WorkflowDocument
-from unicon_core.workflow.gate import Gate
+from unicon_core.workflow.gate import Gate, withheld
 from unicon_core.workflow.live_twin import build_twin, twin_of
 from unicon_core.workflow.load import document_of, load_document
 from unicon_core.workflow.members import load_robot_of
@@ -48,10 +54,8 @@ from unicon_core.workflow.policies import load_policies, with_weldable
 from unicon_core.workflow.program_data import ProgramData
 from unicon_core.workflow.safety_set import completed, left_out
 from unicon_core.workflow.settings import pacing_of, safety_of, start_of
-from unicon_core.workflow.silent import refuse_parts, withheld
-from unicon_core.workflow.tick_tree import tick_tree, with_flow
+from unicon_core.workflow.tick_tree import bound_commands, tick_tree, with_flow
 from unicon_core.workflow.uses import EXPRESSION, Use
-from unicon_core.workflow.warm_ups import WarmUps
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack

@@ -21,7 +21,7 @@ from unicon_core.workflow.command_bounds import CommandBound
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.gate import Gate
 from unicon_core.workflow.parts import Parts
-from unicon_core.workflow.start import StartSettings
+from unicon_core.workflow.settings import StartSettings
 
 
 class ProgramData:

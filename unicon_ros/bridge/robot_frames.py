@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from unicon_core.errors import UniconError
 from unicon_core.flow import Block
 from unicon_core.models.find import model_of
-from unicon_core.models.footprint import Footprint
 from unicon_core.models.looks import dressed
+from unicon_core.models.posed import Footprint
 from unicon_core.models.urdf_write import urdf
 from unicon_core.workflow import Program
 from unicon_msgs_map import Encoder

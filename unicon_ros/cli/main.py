@@ -129,7 +129,7 @@ def _run(argv: Sequence[str] | None) -> int:
         if error.filename is None and error.errno == errno.ENOSPC:
             return _refuse(f"cannot write: {error.strerror}; make room where the output goes")
         if error.errno == errno.EMFILE:
-            from unicon_core.runtime.spare_files import out_of_files
+            from unicon_core.runtime.report import out_of_files
 
             return _refuse(f"{error.strerror}{out_of_files(error)}")
         return _unforeseen(error)

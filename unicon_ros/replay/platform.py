@@ -15,7 +15,7 @@ from unicon_core.robots.joint_physics import JOINT_PHYSICS
 from unicon_core.states import States
 from unicon_core.states.standard import HARDWARE_STATES
 from unicon_core.workflow import WorkflowDocument
-from unicon_core.workflow.start import MOMENTS
+from unicon_core.workflow.settings import MOMENTS
 from unicon_ros.recording import Record
 from unicon_ros.replay.series import Series, opened
 

@@ -20,8 +20,7 @@ from typing import Any
 from unicon_core.errors import MissingDependencyError, UniconError, WorkflowError
 from unicon_core.located_yaml import read_yaml
 from unicon_core.policies.networks.onnx import share_sessions
-from unicon_core.runtime.lockstep import Lockstep
-from unicon_core.runtime.rollouts import Look, Rollout
+from unicon_core.runtime.rollouts import Lockstep, Look, Rollout
 from unicon_core.states import States
 from unicon_core.workflow import Program
 from unicon_ros.sweep.figures import FallLook, Reference, empty_row

@@ -25,8 +25,8 @@ from unicon_core.flow.block import Block, Reads, Writes
 from unicon_core.ik.chain import Chain
 from unicon_core.ik.differential import DifferentialIk
 from unicon_core.ik.pairs import Reaching, load_apart
-from unicon_core.ik.settings import APART, Settings, Weights
 from unicon_core.ik.targets import LONGEST, Target
+from unicon_core.ik.tasks import APART, Settings, Weights
 from unicon_core.models.find import model_of
 from unicon_core.robots import Robot
 from unicon_core.schema.marks import Unit, Within, Write
