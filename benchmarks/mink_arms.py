@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from unicon_core.ik.chain import CAPSULE, FRAME, Pair, add_reaching
 from unicon_core.ik.tasks import Pose
-from unicon_core.models.absent import delete
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.robots import Robot
 
@@ -110,14 +109,14 @@ def _arms_of(path: Path, robot: Robot, effectors: Sequence[str], names: Sequence
     root = spec.worldbody.first_body()
     root.pos, root.quat = [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]
     for each in (*spec.actuators, *spec.sensors, *spec.keys):
-        delete(spec, each)
+        spec.delete(each)
     default = dict(zip(robot.joint_names, robot.default_joint_pos.tolist()))
     for joint in list(spec.joints):
         if joint.name in names:
             continue
         if joint.name in default:
             _turn(mujoco, joint.parent, joint.axis, default[joint.name])
-        delete(spec, joint)
+        spec.delete(joint)
     return spec.compile()
 
 

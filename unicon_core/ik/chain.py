@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import RobotError, WorkflowError, alternatives
-from unicon_core.models.absent import delete
+from unicon_core.models.joints import dofs_above
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.rows import index_of
@@ -77,12 +77,7 @@ class Chain:
 
     def moved_by(self, body: int) -> NDArray[np.bool_]:
         """Return which of the moved joints move a body of the model, shape (k,)."""
-        model = self._model
-        above: set[int] = set()
-        while body:
-            first = int(model.body_dofadr[body])
-            above.update(range(first, first + int(model.body_dofnum[body])))
-            body = int(model.body_parentid[body])
+        above = dofs_above(self._model, body)
         return np.array([dof in above for dof in self.dofs])
 
     def put(self, joint_pos: NDArray[Any], own: Float) -> None:
@@ -197,7 +192,7 @@ def add_reaching(spec: Any, robot: Robot, effectors: Sequence[str], path: Path) 
         body.add_body(name=FRAME + effector, pos=place.position, quat=place.quat)
     kinds = import_mujoco().mjtGeom
     for pair in list(spec.pairs):
-        delete(spec, pair)
+        spec.delete(pair)
     for geom in spec.geoms:
         geom.contype = geom.conaffinity = 0
     for name, capsule in robot.capsules.items():

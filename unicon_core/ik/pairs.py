@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.ik.chain import CAPSULE, Chain, Pair, load_reaching
+from unicon_core.models.joints import bodies_above
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.robots import Robot
 
@@ -100,15 +101,13 @@ def _meet(chain: Chain, one: int, other: int) -> bool:
         for g in range(model.ngeom)
         if model.geom(g).name.startswith(CAPSULE)
     }
-    return _above(model, carriers, a) != b and _above(model, carriers, b) != a
+    return _next_above(model, carriers, a) != b and _next_above(model, carriers, b) != a
 
 
-def _above(model: Any, carriers: set[int], body: int) -> int:
+def _next_above(model: Any, carriers: set[int], body: int) -> int:
     """Return the next body above another that carries a capsule."""
-    body = int(model.body_parentid[body])
-    while body and body not in carriers:
-        body = int(model.body_parentid[body])
-    return body
+    above = bodies_above(model, int(model.body_parentid[body]))
+    return next((each for each in above if each in carriers), 0)
 
 
 def _name(model: Any, geom: int) -> str:

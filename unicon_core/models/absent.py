@@ -58,7 +58,7 @@ def drop_absent_meshes(
         if not mesh.file or mesh.file in spec.assets:
             continue
         readable = Path(mesh.file).suffix.lower() in _MESHES
-        folder = mesh.compiler.meshdir or spec.compiler.meshdir or spec.meshdir or ""
+        folder = mesh.compiler.meshdir or spec.meshdir
         looked = (mesh_places(path, each / folder, mesh.file) for each in folders)
         there = [place for places in looked for place in places if isfile(place)]
         found = next((p for p in there if readable and not is_lfs_pointer(p)), None)
@@ -81,12 +81,12 @@ def drop_absent_meshes(
                 colliding += 1
                 shapes.setdefault(geom.parent.name, []).append(absent[geom.meshname].file)
             gone.add(geom.name)
-            delete(spec, geom)
+            spec.delete(geom)
     for pair in list(spec.pairs):
         if {pair.geomname1, pair.geomname2} & gone - {""}:
-            delete(spec, pair)
+            spec.delete(pair)
     for mesh in absent.values():
-        delete(spec, mesh)
+        spec.delete(mesh)
     note = (
         f"{len(absent)} mesh files are absent (first: {next(iter(absent.values())).file}): "
         f"{dropped} geoms left out, {colliding} of them may collide"
@@ -100,7 +100,7 @@ def drop_absent_meshes(
 
 def drop_absent_textures(spec: Any, path: Path) -> list[str]:
     """Take the textures without a file out; return a line that says so, if any."""
-    folder = path.parent / (spec.compiler.texturedir or spec.texturedir or "")
+    folder = path.parent / spec.texturedir
     pointers: set[Path] = set()
 
     def lacks(texture: Any) -> bool:
@@ -116,7 +116,7 @@ def drop_absent_textures(spec: Any, path: Path) -> list[str]:
     for material in spec.materials:
         material.textures = ["" if name in names else name for name in material.textures]
     for texture in absent:
-        delete(spec, texture)
+        spec.delete(texture)
     note = f"{len(names)} textures are absent ({', '.join(sorted(names))}): left out"
     return [note + _pull(len(pointers))]
 
@@ -124,11 +124,3 @@ def drop_absent_textures(spec: Any, path: Path) -> list[str]:
 def _pull(pointers: int) -> str:
     are = f"{pointers} of the files {'is a' if pointers == 1 else 'are'} Git LFS pointer"
     return f"; {are}{'s' * (pointers > 1)}: run 'git lfs pull'" if pointers else ""
-
-
-def delete(spec: Any, element: Any) -> None:
-    """Take an element out of a spec, in any version of MuJoCo."""
-    if hasattr(spec, "delete"):
-        spec.delete(element)
-    else:  # mujoco < 3.3.3
-        element.delete()

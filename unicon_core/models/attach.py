@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from unicon_core.errors import ModelError, alternatives
-from unicon_core.models.absent import delete
 from unicon_core.robots import Robot
 from unicon_core.robots.joint_index import plain_name
 
@@ -91,9 +90,9 @@ def _attach_one(
 ) -> None:
     mount = robot.mounts[member]
     for actuator in list(child.actuators):
-        delete(child, actuator)
+        child.delete(actuator)
     for key in list(child.keys):
-        delete(child, key)
+        child.delete(key)
     plain = not list(child.tendons)  # a tendon names its joints in words that cannot be changed
     own = robot.members[member].joint_names
     whole = robot.joint_names[robot.joints_of(member)]
@@ -180,7 +179,7 @@ def _taken_keys(spec: Any) -> list[_Key]:
         for i in range(model.nkey)
     ]
     for key in list(spec.keys):
-        delete(spec, key)
+        spec.delete(key)
     return keys
 
 

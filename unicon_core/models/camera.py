@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import ModelError, UniconError, alternatives, one_line
+from unicon_core.models.joints import body_in
 from unicon_core.models.kinematic_tree import frame_of
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.models.posed import PosedModel
@@ -95,7 +96,7 @@ class ModelCamera:
             vis.offwidth, vis.offheight = max(size[0], vis.offwidth), max(size[1], vis.offheight)
             if body is not None:
                 # MuJoCo's cameras look along -z with y up; this one along the body's x, z up.
-                _body(spec, body, path).add_camera(
+                body_in(spec, body, "camera", path).add_camera(
                     name=name, pos=position, quat=[0.5, 0.5, -0.5, -0.5], fovy=fovy
                 )
             elif name not in (known := [each.name for each in spec.cameras]):
@@ -130,14 +131,6 @@ class ModelCamera:
         return picture
 
 
-def _body(spec: Any, name: str, path: Path) -> Any:
-    body = spec.body(name)
-    if body is None:
-        known = [each.name for each in spec.bodies if each.name]
-        raise ModelError(f"camera: no body {name!r} in {path}; {alternatives(name, known)}")
-    return body
-
-
 def _no_gl(error: Exception) -> UniconError:
     if isinstance(error, UniconError):
         return error
@@ -153,9 +146,7 @@ def intrinsics(model: Any, camera: int, width: int, height: int) -> Intrinsics:
         width: of the picture, [pixels].
         height: of the picture, [pixels].
     """
-    # Older MuJoCos have cam_orthographic in its place; 0 is perspective in both.
-    field = "cam_projection" if hasattr(model, "cam_projection") else "cam_orthographic"
-    if getattr(model, field)[camera]:
+    if model.cam_projection[camera]:  # 0 is perspective
         return Intrinsics(0.0, 0.0, 0.0, 0.0)
     middle = 0.5 * (width - 1), 0.5 * (height - 1)
     across, down = (float(size) for size in model.cam_sensorsize[camera])

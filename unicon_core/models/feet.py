@@ -14,6 +14,7 @@ from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
 from unicon_core.errors import ModelError
+from unicon_core.models.joints import dofs_above
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.posed import foot_bodies, foot_geoms
 from unicon_core.models.rows import index_of, rows_of
@@ -194,17 +195,7 @@ def _dofs(model: Any, bodies: NDArray[np.intp], first: int) -> NDArray[np.intp]:
     Args:
         first: the base's own, six of them.
     """
-    legs: list[list[int]] = []
-    for body in bodies:
-        leg = []
-        dof = int(model.body_dofadr[body] + model.body_dofnum[body] - 1)
-        while body and not model.body_dofnum[body]:
-            body = model.body_parentid[body]
-            dof = int(model.body_dofadr[body] + model.body_dofnum[body] - 1)
-        while dof >= first + 6:
-            leg.append(dof)
-            dof = int(model.dof_parentid[dof])
-        legs.append(leg)
+    legs = [[dof for dof in dofs_above(model, int(b)) if dof >= first + 6] for b in bodies]
     most = max(map(len, legs))
     return np.array([leg[::-1] + [-1] * (most - len(leg)) for leg in legs], np.intp)
 

@@ -93,7 +93,9 @@ class _Reader:
             self._dress(base, self._root, none)
         for body in range(1, model.nbody):
             parent = int(model.body_parentid[body])
-            if body != self._root and parent in self.of_body and self._belongs(body):
+            # A fixed robot's bodies stand beside other things in the world: take those with joints.
+            ours = parent or self._root or body in self._roots
+            if ours and body != self._root and parent in self.of_body:
                 self._add_body(body, parent)
         if base.mass:  # tools refuse inertia at the root: a link of its own carries it
             self.links.append(replace(base, name=f"{base.name}_inertia", parent=0, geoms=[]))
@@ -105,11 +107,6 @@ class _Reader:
             if np.isfinite(imu.quat).all():
                 link.quat = imu.quat.astype(float)
             self.links.append(link)
-
-    def _belongs(self, body: int) -> bool:
-        """A fixed robot's bodies stand beside other things in the world: take those with joints."""
-        beside = not self._root and not self._model.body_parentid[body]
-        return not beside or body in self._roots
 
     def _add_body(self, body: int, parent_body: int) -> None:
         model = self._model

@@ -22,7 +22,7 @@ from unicon_core.models.actuators import mend_actuators
 from unicon_core.models.attach import attach_members
 from unicon_core.models.bounded import refuse_endless, refuse_not_finite
 from unicon_core.models.find import pick_model
-from unicon_core.models.joints import find_joints, is_simple
+from unicon_core.models.joints import find_joints, simple_joints
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.robots import Robot, joint_index
 
@@ -213,12 +213,12 @@ def weld_absent(
         robot: whose joints are looked for, `weldable` among them.
         notes: is added to.
     """
-    ids = [i for i in range(model.njnt) if is_simple(mujoco, model, i) and model.joint(i).name]
-    names = [model.joint(i).name for i in ids]
+    ids = simple_joints(mujoco, model)
+    names = list(ids)
     there, absent = [], []
     for name in robot.joint_names:
         try:
-            there.append(ids[joint_index([name], names, loose=True)[0]])
+            there.append(ids[names[joint_index([name], names, loose=True)[0]]])
         except RobotError:
             absent.append(name)
     if not absent or not there or not robot.weldable.issuperset(absent):

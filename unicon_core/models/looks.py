@@ -53,7 +53,7 @@ def dressed(path: Path, robot: Robot) -> tuple[LoadedModel, list[Link], str]:
 
     def note(spec: Any) -> None:
         for mesh in spec.meshes:
-            folder = mesh.compiler.meshdir or spec.compiler.meshdir or spec.meshdir or ""
+            folder = mesh.compiler.meshdir or spec.meshdir
             name = mesh.name or Path(mesh.file).stem
             references[name] = np.array(mesh.refpos), np.array(mesh.refquat), folder
 

@@ -6,12 +6,12 @@ For checks, odometry and the block `gravity`; there is no physics.
 from __future__ import annotations
 
 import math
-from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from unicon_core.models.joints import bodies_above
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.rows import index_of
 from unicon_core.models.touching import floors, may_touch, on_floor, solid
@@ -132,7 +132,8 @@ def foot_bodies(model: Any, feet: tuple[str, ...]) -> dict[str, int]:
         if foot in geoms:
             found[foot] = int(model.geom_bodyid[geoms[foot][0]])
             continue
-        body = next((b for b in map(partial(_body_of, model), _names_of(foot)) if b >= 0), None)
+        bodies = (_part_of(model, name)[1] for name in _names_of(foot))
+        body = next((each for each in bodies if each >= 0), None)
         if body is not None:
             found[foot] = body
     return found
@@ -145,30 +146,24 @@ def _names_of(foot: str) -> tuple[str, str]:
     return foot, stem
 
 
-def _ids_of(model: Any, name: str) -> tuple[int, int, int]:
-    """Return the geom, body and site of a name, -1 where there is none."""
+def _part_of(model: Any, name: str) -> tuple[int, int]:
+    """Return the geom of a name, and the body that has it or is called so; -1 for none."""
     mujoco = import_mujoco()
     kinds = mujoco.mjtObj
     geom, body, site = (
-        int(mujoco.mj_name2id(model, kind, name))
+        mujoco.mj_name2id(model, kind, name)
         for kind in (kinds.mjOBJ_GEOM, kinds.mjOBJ_BODY, kinds.mjOBJ_SITE)
     )
-    return geom, body, site
-
-
-def _body_of(model: Any, name: str) -> int:
-    geom, body, site = _ids_of(model, name)
     if geom >= 0:
-        return int(model.geom_bodyid[geom])
-    return int(model.site_bodyid[site]) if body < 0 <= site else body
+        body = int(model.geom_bodyid[geom])
+    elif body < 0 <= site:
+        body = int(model.site_bodyid[site])
+    return geom, body
 
 
 def _geoms_of(model: Any, name: str) -> list[int]:
-    geom, body, _ = _ids_of(model, name)
-    if geom >= 0:
-        return [geom]
-    body = _body_of(model, name)
-    return [g for g in range(model.ngeom) if model.geom_bodyid[g] == body]
+    geom, body = _part_of(model, name)
+    return [geom] if geom >= 0 else [g for g in range(model.ngeom) if model.geom_bodyid[g] == body]
 
 
 class Weight:
@@ -216,12 +211,8 @@ def bearing_joints(loaded: LoadedModel, robot: Robot) -> NDArray[np.bool_]:
     Those of a robot that does not walk, such as the fingertips of a hand, bear nothing.
     """
     model = loaded.model
-    bodies: set[int] = set()
-    for foot in foot_bodies(model, robot.feet if robot.walks else ()).values():
-        body = foot
-        while body:
-            bodies.add(body)
-            body = int(model.body_parentid[body])
+    feet = foot_bodies(model, robot.feet if robot.walks else ()).values()
+    bodies = {body for foot in feet for body in bodies_above(model, foot)}
     return np.array([int(model.jnt_bodyid[joint]) in bodies for joint in loaded.joints], np.bool_)
 
 

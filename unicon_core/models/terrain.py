@@ -87,7 +87,8 @@ def laying(loaded: LoadedModel, ground: Ground) -> Callable[[Any], None]:
     rank = int(loaded.model.geom_priority.max()) + 1
 
     def lay(spec: Any) -> None:
-        plane = _plane_of(spec)
+        kind = import_mujoco().mjtGeom.mjGEOM_PLANE
+        plane = next(geom for geom in spec.geoms if geom.type == kind)
         pairs = [p for p in spec.pairs if plane.name in (p.geomname1, p.geomname2) and plane.name]
         if len(pairs) * len(ground.boxes) > PAIRS:
             raise ModelError(
@@ -128,11 +129,6 @@ def _floor_of(loaded: LoadedModel) -> tuple[int, float]:
             "leave terrain out, or name another model (scene: {model: PATH})"
         )
     return planes[0], float(data.geom_xpos[planes[0], 2])
-
-
-def _plane_of(spec: Any) -> Any:
-    plane = import_mujoco().mjtGeom.mjGEOM_PLANE
-    return next(geom for geom in spec.geoms if geom.type == plane)
 
 
 def _geoms(spec: Any, plane: Any, ground: Ground, height: float) -> list[tuple[Any, float]]:

@@ -73,27 +73,20 @@ def floors(model: Any) -> list[int]:
 
 def around(loaded: LoadedModel) -> list[int]:
     """Return what a robot may touch around it and is no floor: solid geoms that stand still."""
-    model = loaded.model
-    root = model.body_rootid[model.jnt_bodyid[loaded.joints[0]]]
-    planes = floors(model)
-    return [
-        geom
-        for geom in still(model)
-        if geom not in planes
-        and solid(model, geom)
-        and model.body_rootid[model.geom_bodyid[geom]] != root
-    ]
+    model, ours, planes = loaded.model, _ours(loaded), floors(loaded.model)
+    others = (geom for geom in still(model) if geom not in planes and not ours[geom])
+    return [geom for geom in others if solid(model, geom)]
 
 
 def on_floor(loaded: LoadedModel) -> list[int]:
     """Return the robot's geoms that may touch a floor."""
+    model, planes = loaded.model, floors(loaded.model)
+    own = (geom for geom in np.flatnonzero(_ours(loaded)).tolist() if geom not in planes)
+    return [geom for geom in own if any(may_touch(model, floor, geom) for floor in planes)]
+
+
+def _ours(loaded: LoadedModel) -> NDArray[np.bool_]:
+    """Return which geoms are the robot's, shape (ngeom,)."""
     model = loaded.model
     root = model.body_rootid[model.jnt_bodyid[loaded.joints[0]]]
-    planes = floors(model)
-    return [
-        geom
-        for geom in range(model.ngeom)
-        if model.body_rootid[model.geom_bodyid[geom]] == root
-        and geom not in planes
-        and any(may_touch(model, floor, geom) for floor in planes)
-    ]
+    return np.equal(model.body_rootid[model.geom_bodyid], root)

@@ -12,8 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.errors import ModelError, RobotError, alternatives
+from unicon_core.errors import ModelError, RobotError
 from unicon_core.models.find import pick_model
+from unicon_core.models.frames import body_of
+from unicon_core.models.joints import body_in, dofs_above
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.posed import followers
@@ -70,13 +72,13 @@ class HandModel:
         hand = told_hand(robot).of(side)
         path = pick_model(robot, model, relative_to)
         loaded = load_model(path, robot, quiet=True, prepare=lambda spec: _mark(spec, path, hand))
-        self._mujoco, self._model = import_mujoco(), loaded.model
+        self._mujoco, self._loaded, self._model = import_mujoco(), loaded, loaded.model
         self._data = self._mujoco.MjData(loaded.model)
         self.fingers = tuple(hand.fingers)
         sites = [int(loaded.model.site(_SITE + finger).id) for finger in self.fingers]
         self._sites = np.array(sites, np.intp)
         self._pulled = Pulled(loaded)
-        above = [self._above(int(loaded.model.site_bodyid[site])) for site in sites]
+        above = [dofs_above(loaded.model, int(loaded.model.site_bodyid[site])) for site in sites]
         each = np.array([(self._pulled.slopes[dofs] != 0.0).any(axis=0) for dofs in above])
         for finger, joints in zip(self.fingers, each):
             if not joints.any():
@@ -129,25 +131,14 @@ class HandModel:
         self._mujoco.mj_kinematics(self._model, self._data)
         self._data.site_xpos.take(self._sites, axis=0, out=self.tips, mode="clip")
 
-    def _above(self, body: int) -> list[int]:
-        """Return the degrees of freedom between the world and a body, the nearest to it first."""
-        found = []
-        while body:
-            begin, count = int(self._model.body_dofadr[body]), int(self._model.body_dofnum[body])
-            found += [begin + i for i in reversed(range(count))]
-            body = int(self._model.body_parentid[body])
-        return found
-
     def _moving(self, dofs: list[int]) -> list[int]:
         """Return the joints among these that the robot moves."""
         slopes = self._pulled.slopes
         return [int(self._model.dof_jntid[dof]) for dof in dofs if slopes[dof].any()]
 
     def _palm(self, path: Path, hand: Hand) -> Float:
-        found = self._mujoco.mj_name2id(self._model, self._mujoco.mjtObj.mjOBJ_BODY, hand.palm.body)
-        if found < 0:
-            raise _no_body(path, "palm", hand.palm.body, _bodies(self._model))
-        if (self._pulled.slopes[self._above(int(found))] != 0.0).any():
+        found = body_of(self._loaded, hand.palm, "hand.palm")
+        if (self._slopes[dofs_above(self._model, found)] != 0.0).any():
             raise ModelError(
                 f"model {path}: joints of the hand move its palm {hand.palm.body!r}; name the body "
                 "that carries the fingers: hand: {palm: {body: …}}"
@@ -196,20 +187,8 @@ def told_hand(robot: Robot) -> Hand:
 def _mark(spec: Any, path: Path, hand: Hand) -> None:
     """Add a site at the tip of each finger."""
     for finger, place in hand.fingers.items():
-        body = spec.body(place.body)
-        if body is None:
-            raise _no_body(path, f"tip of the {finger}", place.body, [b.name for b in spec.bodies])
+        body = body_in(spec, place.body, f"hand.fingers.{finger}", path)
         body.add_site(name=_SITE + finger, pos=place.position)
-
-
-def _bodies(model: Any) -> list[str]:
-    return [model.body(i).name for i in range(model.nbody)]
-
-
-def _no_body(path: Path, what: str, body: str, known: list[str]) -> ModelError:
-    return ModelError(
-        f"model {path}: no body {body!r} for the {what}; {alternatives(body, filter(None, known))}"
-    )
 
 
 class Pulled:
