@@ -36,7 +36,8 @@ from seeds import (
 )
 
 from unicon_core.errors import Fault
-from unicon_core.models.kinematic_tree import tree_of
+from unicon_core.models.kinematic_tree import read_tree
+from unicon_core.models.load import load_model
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.sim.mujoco import make as mujoco_platform
@@ -286,7 +287,7 @@ def model(dice: random.Random, folder: Path) -> Reader:
     go2 = load_robot("go2")
 
     def read() -> object:
-        tree_of(go2, path)
+        read_tree(load_model(path, go2, quiet=True).model, go2)
         states = States(Layout(standard_states(go2.joint_names)))
         platform = mujoco_platform(states, go2, 0.02, scene=Scene(model=path))
         try:

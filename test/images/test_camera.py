@@ -20,7 +20,8 @@ pytest.importorskip("mujoco")
 from unicon_core.errors import UniconError
 from unicon_core.flow import Block, Stage
 from unicon_core.models.find import pick_model
-from unicon_core.models.kinematic_tree import tree_of
+from unicon_core.models.kinematic_tree import read_tree
+from unicon_core.models.load import load_model
 from unicon_core.models.urdf_write import urdf
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Report, Runner, RunOptions
@@ -285,7 +286,7 @@ def test_the_camera_is_in_the_model_that_the_platform_simulates(
 @pytest.mark.usefixtures("gl")
 def test_a_urdf_without_its_meshes_is_drawn_too(write: Callable[..., Path], tmp_path: Path) -> None:
     robot = load_robot("go2")
-    text = urdf(tree_of(robot, pick_model(robot)), robot)
+    text = urdf(read_tree(load_model(pick_model(robot), robot).model, robot), robot)
     mesh = '<visual><geometry><mesh filename="lost.stl"/></geometry></visual>'
     (tmp_path / "go2.urdf").write_text(
         text.replace('<link name="base_link">', f'<link name="base_link">{mesh}'), "utf-8"

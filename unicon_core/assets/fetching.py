@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import fcntl
 import http.client
+import io
 import os
 import shutil
 import ssl
@@ -19,7 +20,6 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 from urllib.parse import quote, urlsplit
 
 from unicon_core.assets.manifest import Asset, AssetFile, wrong_files
@@ -93,15 +93,11 @@ def fetch(
                 place.parent.mkdir(parents=True, exist_ok=True)
                 place.unlink(missing_ok=True)
                 if file.name in wrong:
-                    came += _file(asset, file, place, get, progress or _nothing, silence)
+                    came += _file(asset, file, place, get, progress, silence)
                 else:
                     shutil.copyfile(folder / file.name, place)
         _put(staging, folder, {file.name for file in asset.files})
     return Got(asset, folder, came)
-
-
-def _nothing(name: str, done: int, size: int) -> None:
-    """Tell nobody."""
 
 
 def _put(staging: Path, folder: Path, names: set[str]) -> None:
@@ -159,20 +155,17 @@ def _alone(staging: Path, waits: Callable[[], None] | None) -> Iterator[None]:
 # -- one file -----------------------------------------------------------------------------------
 
 
-class _Readable(Protocol):
-    def read1(self, size: int, /) -> bytes:
-        """Return what is there, at most so many bytes; none at the end."""
-
-    def close(self) -> None:
-        """Close it."""
-
-
-_Opener = Callable[[Asset, AssetFile, int], tuple[_Readable, int]]
+_Opener = Callable[[Asset, AssetFile, int], tuple[io.BufferedIOBase, int]]
 """Opens a file behind so many bytes; returns it and where it really begins."""
 
 
 def _file(
-    asset: Asset, file: AssetFile, place: Path, get: _Opener, progress: Progress, silence: float
+    asset: Asset,
+    file: AssetFile,
+    place: Path,
+    get: _Opener,
+    progress: Progress | None,
+    silence: float,
 ) -> int:
     """Fetch a file to its place; return how many bytes came."""
     part = place.with_name(f"{place.name}.part")
@@ -203,7 +196,12 @@ class _Broken(Exception):
 
 
 def _rest(
-    asset: Asset, file: AssetFile, part: Path, get: _Opener, progress: Progress, silence: float
+    asset: Asset,
+    file: AssetFile,
+    part: Path,
+    get: _Opener,
+    progress: Progress | None,
+    silence: float,
 ) -> None:
     """Let a file have all its bytes.
 
@@ -236,7 +234,8 @@ def _rest(
             if done > file.size:
                 break
             out.write(chunk)
-            progress(file.name, done, file.size)
+            if progress is not None:
+                progress(file.name, done, file.size)
     if done != file.size:
         much = "more" if done > file.size else f"{done}"
         raise _Broken(f"{file.name}: {much} bytes came, not {file.size}", again=done < file.size)
@@ -250,7 +249,7 @@ def _opener(mirror: str | Path | None, silence: float) -> _Opener:
     if not folder.is_dir():
         raise UniconError(f"--from {text}: no such folder; give one, or an http(s) address")
 
-    def open_file(asset: Asset, file: AssetFile, begin: int) -> tuple[_Readable, int]:
+    def open_file(asset: Asset, file: AssetFile, begin: int) -> tuple[io.BufferedIOBase, int]:
         path = folder / asset.name / file.mirrored
         try:
             found = path.open("rb")
@@ -269,7 +268,7 @@ class _Web:
         self._mirror, self._silence = mirror, silence
         self._context = ssl.create_default_context()  # the system's certificates
 
-    def __call__(self, asset: Asset, file: AssetFile, begin: int) -> tuple[_Readable, int]:
+    def __call__(self, asset: Asset, file: AssetFile, begin: int) -> tuple[io.BufferedIOBase, int]:
         """Open a file; one that the server only sends whole begins at 0."""
         url = file.source.url(file.path)
         if self._mirror:

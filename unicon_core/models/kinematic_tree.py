@@ -7,14 +7,12 @@ A link's frame is where URDF has it: at its joint's anchor, turned as the body i
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from unicon_core.models.joints import find_joints, free_joint, is_simple
 from unicon_core.models.links import Geom, Link
-from unicon_core.models.load import load_model
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.models.quaternions import Float, about, multiply, rotate
 from unicon_core.models.touching import solid
@@ -23,19 +21,6 @@ from unicon_core.robots import Robot
 BASE = "base_link"
 """In every tree (REP-105): its root, or where the robot calls its base otherwise fixed to that. The
 root is what odometry and /tf call the base, since a frame has one parent."""
-
-
-def tree_of(robot: Robot, path: Path) -> list[Link]:
-    """Return the links of a robot in a model file, root first.
-
-    Args:
-        robot: as for `read_tree`.
-        path: MJCF or URDF, as `find_model` found it.
-
-    Raises:
-        UniconError: the file is wrong, lacks a joint, or MuJoCo is not installed to read it.
-    """
-    return read_tree(load_model(path, robot, quiet=True).model, robot)
 
 
 def read_tree(model: Any, robot: Robot, *, colliding: bool = False) -> list[Link]:

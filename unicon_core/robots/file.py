@@ -40,7 +40,6 @@ from unicon_core.states.standard import BUTTONS, Button
 SCHEMA = "unicon.robot/1"
 Kind = Literal["quadruped", "humanoid", "wheeled", "hand", "arm"]
 KINDS: tuple[str, ...] = get_args(Kind)
-COMMAND_AXES = ("vx", "vy", "wz")
 
 Angle = Annotated[float, Unit("rad"), Within(-POSITION, POSITION)]
 Limit = Annotated[float, Unit("rad"), Within(-POSITION, POSITION, endless=True)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 from unicon_core.blocks.approach import Approach
 from unicon_core.errors import Fault
@@ -21,13 +21,10 @@ from unicon_core.together.rendezvous import Rendezvous, WallClock
 from unicon_core.workflow import Program
 from unicon_core.workflow.gate import NEVER_NS
 
+Ticked = Callable[[Phase, Node, int | None], bool]
+"""Ticks a tree until it is done, as a phase of the run; False where the run is to end.
 
-class Ticked(Protocol):
-    """Ticks a tree until it is done, as a phase of the run; False where the run is to end."""
-
-    def __call__(self, phase: Phase, tree: Node, hang_ns: int | None = None) -> bool:
-        """Tick; `hang_ns` is how late ticks may be, where that is not as in the run."""
-        ...
+The last argument is how late ticks may be in [ns], None where that is as in the run."""
 
 
 class Beforehand:
@@ -96,7 +93,7 @@ class Beforehand:
         if not self._program.start.fade_in:
             return self._met()
         tree = approach_tree(self._program, self._rendezvous)
-        return self._ticked(Phase.APPROACH, tree) and self._due()
+        return self._ticked(Phase.APPROACH, tree, None) and self._due()
 
     def _met(self) -> bool:
         """Wait for others where nothing is sent: in a simulator, or without approach."""

@@ -336,7 +336,7 @@ class Runner:
         report.traceback = self.traceback
         return report
 
-    def _ticked(self, phase: Phase, tree: Node, hang_ns: int | None = None) -> bool:
+    def _ticked(self, phase: Phase, tree: Node, hang_ns: int | None) -> bool:
         """Tick another tree before the run until it is done; False where the run is to end.
 
         Args:

@@ -49,10 +49,6 @@ GROUP = Layout({STATE: StateSpec((len(FIELDS),), "int64", names=FIELDS)})
 _NAME = r"[A-Za-z0-9_-]{1,40}"
 
 
-def _is_name(value: Any) -> bool:
-    return isinstance(value, str) and re.fullmatch(_NAME, value) is not None
-
-
 def _robots(value: Any) -> dict[str, str]:
     """Return each robot's name and address.
 
@@ -70,7 +66,7 @@ def _robots(value: Any) -> dict[str, str]:
     if not isinstance(value, dict) or len(value) < 2:
         raise WorkflowError(f"is {value!r:.60}; name two or more, as [left, right]")
     for name, address in value.items():
-        if not _is_name(name):
+        if not (isinstance(name, str) and re.fullmatch(_NAME, name)):
             raise WorkflowError(f"has {name!r:.60}; use up to 40 letters, digits, '_' and '-'")
         if not (isinstance(address, str) and re.fullmatch(wanted[0], address)):
             raise WorkflowError(
