@@ -9,7 +9,7 @@ import pytest
 
 from unicon_core.errors import Fault, UniconError, WorkflowError
 from unicon_core.located_yaml import Located
-from unicon_core.together import moment as module
+from unicon_core.together import rendezvous as module
 from unicon_core.together.rendezvous import WallClock, moment_of
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.settings import StartSettings
