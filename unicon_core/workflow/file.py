@@ -30,7 +30,19 @@ from unicon_core.states.standard import Button
 _BLOCK = Write("a block, or {chain: [...]}")
 FlowType = Annotated[Any, Later("unicon_core.workflow.flow_schema:FLOW"), _BLOCK]
 Blocks = Annotated[list[FlowType], Write("a list of blocks")]
-Named = Annotated[str | Mapping[str, Any], Write("NAME, or {MEMBER: NAME}")]
+MOST_ROBOTS = 4096
+"""Of a batch: each takes half a megabyte and 1.5 ms to begin in MuJoCo."""
+
+_ROBOT = Annotated[str, Write("a robot's name")]
+_NAMES = Write("NAME, or {MEMBER: NAME}")
+Member = Annotated[
+    str,
+    Matches(
+        r"(?!child$)[a-z][a-z0-9_]{0,30}",
+        "a member's name of small letters, digits and _, such as left_hand",
+    ),
+]
+"""Name of a member; `child` means a platform in a process of its own."""
 
 
 def _no_map(name: str) -> str:
@@ -168,8 +180,8 @@ class Workflow:
         check: settings of `unicon check`.
     """
 
-    robot: Named
-    platform: Annotated[Named, Later("unicon_core.workflow.flow_schema:PLATFORM_NAME")]
+    robot: Annotated[str | Annotated[Mapping[Member, _ROBOT], NotEmpty], _NAMES]
+    platform: Annotated[Any, Later("unicon_core.workflow.flow_schema:PLATFORM_NAME"), _NAMES]
     flow: FlowType
     schema: Literal["unicon.workflow/1"] | None = None
     name: str | None = None
@@ -185,9 +197,9 @@ class Workflow:
     parts: Annotated[Any, Later("unicon_core.workflow.parts:PartFiles")] | None = None
     scene: Annotated[Any, Later("unicon_core.platforms.kit.scene:Scene")] | None = None
     platforms: Annotated[Any, Later("unicon_core.workflow.flow_schema:PLATFORMS")] | None = None
-    rate: Annotated[float | None, Unit("Hz"), Within(0.0, above=True)] = None
+    rate: Annotated[float | None, Unit("Hz"), Within(0.001, 10_000.0)] = None
     duration: Annotated[float | None, Unit("s"), Within(0.0, DURATION, above=True)] = None
-    num_robots: Annotated[int | None, Within(1)] = None
+    num_robots: Annotated[int | None, Within(1, MOST_ROBOTS)] = None
     map: Annotated[str | None, Checked(_no_map)] = None
     ros: bool | None = None
     states: Mapping[str, Any] | None = None

@@ -11,7 +11,6 @@ platform: {body: unitree, hands: {child: dex3}}     # one for each member; hands
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, TypedDict, cast
@@ -21,8 +20,6 @@ from unicon_core.workflow.document import WorkflowDocument
 
 HANDS, HAND = "hands", "_hand"
 """Under `platform:` this word stands for all members whose names end so."""
-
-_MEMBER = re.compile(r"[a-z][a-z0-9_]{0,30}\Z")
 
 
 class ChildTimes(TypedDict, total=False):
@@ -49,35 +46,9 @@ class PlatformUse:
 
 
 def read_members(document: WorkflowDocument) -> dict[str, str]:
-    """Return the members of the robot, name to robot file; nothing of a robot that has none.
-
-    Raises:
-        WorkflowError: another form, or a name that cannot be one.
-    """
+    """Return the members of the robot, name to robot file; nothing of a robot that has none."""
     value = document.values["robot"]
-    if isinstance(value, str):
-        return {}
-    if not isinstance(value, dict) or not value:
-        raise document.error(
-            f"robot: {value!r} is not a robot's name; write robot: go2, or robot: {{body: NAME, "
-            "left_hand: NAME}",
-            "robot",
-        )
-    for member, robot in value.items():
-        if not isinstance(member, str) or not _MEMBER.match(member) or member == "child":
-            raise document.error(
-                f"robot: {member!r} cannot be the name of a member; use small letters, digits and "
-                "'_', such as left_hand",
-                "robot",
-                str(member),
-            )
-        if not isinstance(robot, str):
-            raise document.error(
-                f"robot.{member}: {robot!r} is not a robot's name; write {member}: NAME",
-                "robot",
-                member,
-            )
-    return dict(value)
+    return {} if isinstance(value, str) else dict(value)
 
 
 def read_platforms(document: WorkflowDocument) -> dict[str, PlatformUse]:

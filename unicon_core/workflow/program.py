@@ -66,9 +66,6 @@ Hook = Callable[["Program"], Mapping[Stage, Sequence[Block]]]
 """Gives a program further blocks, each for its stage, once states and platform exist: a bridge, a
 recorder, a viewer. They stand behind the program's own blocks of that stage."""
 
-MOST_ROBOTS = 4096
-"""Of a batch: each takes half a megabyte and 1.5 ms to begin in MuJoCo."""
-
 
 class Program(ProgramData):
     """Robot, platform, states and the graph of a tick.
@@ -118,11 +115,6 @@ class Program(ProgramData):
         uses = [b for b in mentioned if isinstance(b, Use) and b.word != EXPRESSION]
         specs = specs_of(document, self.robot, self.policies, uses)
         self.states = States(Layout(specs, document.get("num_robots")))
-        robots = self.states.num_robots
-        if robots is not None and robots > MOST_ROBOTS:
-            raise document.error(
-                f"num_robots is {robots}; give at most {MOST_ROBOTS}", "num_robots"
-            )
         self.part, self.parts, self.store = part, read_parts(document), read_store(document)
         if self.parts is not None:
             self.parts.check(self.states.layout, document)
