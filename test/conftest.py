@@ -130,7 +130,7 @@ def time_passes(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def short_damping(monkeypatch: pytest.MonkeyPatch) -> None:
     """Robots of this process are damped for 0.1 s at their end, which others test, not for 0.5."""
-    monkeypatch.setattr("unicon_core.runtime.damp.DAMPING_TIME", 0.1)
+    monkeypatch.setattr("unicon_core.runtime.phases.DAMPING_TIME", 0.1)
 
 
 @pytest.fixture

@@ -19,11 +19,11 @@ import numpy as np
 from unicon_core.errors import Fault
 from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.robots import Robot
-from unicon_core.runtime import damp
+from unicon_core.runtime import phases
 from unicon_core.states import States
 
 # Each run waits for it at its end, in whose length no attack is interested.
-damp.DAMPING_TIME = 0.1
+phases.DAMPING_TIME = 0.1
 
 
 class RecordingRobot:

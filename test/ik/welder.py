@@ -10,8 +10,7 @@ import numpy as np
 from reference_capsules import nearest
 
 from unicon_core.ik import DifferentialIk, Settings, Weights
-from unicon_core.ik.chain import Chain
-from unicon_core.ik.pairs import load_apart
+from unicon_core.ik.chain import Chain, load_apart
 from unicon_core.models.find import pick_model
 from unicon_core.robots import Robot
 

@@ -20,8 +20,8 @@ from unicon_core.platforms.kit.damping import BLEND, DAMPING_TIME, Damping, Last
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.runtime.beforehand import PATIENCE, REPEAT, Waiting
-from unicon_core.runtime.damp import Damp as DampPhase
 from unicon_core.runtime.phases import WIND_DOWN
+from unicon_core.runtime.phases import Damp as DampPhase
 from unicon_core.states import States, standard_states
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow.gate import Gate

@@ -18,11 +18,11 @@ import numpy as np
 from unicon_core.errors import UniconError
 from unicon_core.flow import Block, Tick
 from unicon_core.flow.stage import Stage
-from unicon_core.runtime import Runner, RunOptions, damp
+from unicon_core.runtime import Runner, RunOptions, phases
 from unicon_core.workflow import Program, load_workflow
 
 BEGAN: list[int] = []
-damp.DAMPING_TIME = 0.1  # how each begins is looked at, not how it ends
+phases.DAMPING_TIME = 0.1  # how each begins is looked at, not how it ends
 
 
 def note() -> Tick:

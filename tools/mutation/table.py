@@ -461,7 +461,7 @@ ROWS = [
         ("Entry.reset", REMOVED),
     ),
     *_rows(
-        "runtime/waiting.py",
+        "runtime/beforehand.py",
         PHASES,
         ("Waiting.__call__", "True"),
         ("Waiting._missing", "if reason := gate():", "if (reason := gate()) and False:"),
@@ -512,7 +512,7 @@ ROWS = [
         ("Runner.run", "if SIGNALS.asked:  #", "if False:  #"),
     ),
     *_rows(
-        "runtime/damp.py",
+        "runtime/phases.py",
         PHASES,
         ("Damp.run", REMOVED),
         ("Damp.run", "damping()", "pass"),
@@ -656,13 +656,13 @@ ROWS = [
         ("DifferentialIk._hold_back", REMOVED),
     ),
     *_rows(
-        "ik/quadratic.py",
+        "ik/differential.py",
         REACHED,
         ("Quadratic.solve", "total - total == 0.0", "True"),
         ("Quadratic.solve", "self.solution[:] = 0.0", "pass"),
     ),
     *_rows(
-        "ik/targets.py",
+        "ik/tasks.py",
         REACHED,
         ("Target.__call__", "abs(length - 1.0) <= _UNIT", "True"),
         ("Target.__call__", "not all(map(math.isfinite, velocity))", "False"),

@@ -1,12 +1,13 @@
 """Chain: what of a robot moves when some of its joints do, with frames and Jacobians, for IK.
 
 Everything is told in the robot's base frame. The model that is moved has end effectors as bodies,
-and capsules as its only shapes.
+and capsules as its only shapes. Kept apart are those that moved joints move against each other.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import RobotError, WorkflowError, alternatives
-from unicon_core.models.joints import dofs_above
+from unicon_core.models.joints import bodies_above, dofs_above
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.rows import index_of
@@ -54,10 +55,10 @@ class Chain:
         self.loaded, self.moved = loaded, moved
         self.data = mujoco.MjData(model)
         ids = [int(loaded.joints[i]) for i in moved]
-        self.dofs = np.array([int(model.jnt_dofadr[i]) for i in ids], np.intp)
+        self.dofs = np.array(model.jnt_dofadr[ids], np.intp)
         self._qpos = self.data.qpos
         self._all = index_of(loaded.addresses.tolist())
-        self._own = index_of([int(model.jnt_qposadr[i]) for i in ids])
+        self._own = index_of(model.jnt_qposadr[ids].tolist())
         self._columns = index_of(self.dofs.tolist())
         bodies = [model.body(FRAME + each).id for each in effectors]
         self._bodies = bodies
@@ -77,8 +78,7 @@ class Chain:
 
     def moved_by(self, body: int) -> NDArray[np.bool_]:
         """Return which of the moved joints move a body of the model, shape (k,)."""
-        above = dofs_above(self._model, body)
-        return np.array([dof in above for dof in self.dofs])
+        return np.isin(self.dofs, dofs_above(self._model, body))
 
     def put(self, joint_pos: NDArray[Any], own: Float) -> None:
         """Put the joints somewhere.
@@ -222,3 +222,102 @@ def _body(spec: Any, name: str, what: str, robot: Robot, path: Path) -> Any:
             f"{alternatives(name, known)}; correct {robot.path}"
         )
     return body
+
+
+_FAR = 1e2
+"""Margin in [m] within which all of a robot is."""
+_BY_SHAPE = 1e-3
+"""In [m]: pairs this much nearer than wanted at the default pose are so by their shape."""
+
+
+@dataclass(frozen=True)
+class Reaching:
+    """A model whose pairs of capsules are those that are kept apart.
+
+    Attributes:
+        loaded: by `load_reaching`.
+        pairs: of capsules, in the order of the model's.
+        left_out: pairs that are nearer than wanted at the default pose, and how near in [m].
+    """
+
+    loaded: LoadedModel
+    pairs: tuple[Pair, ...] = ()
+    left_out: tuple[tuple[str, str, float], ...] = field(default=())
+
+
+def load_apart(
+    path: Path, robot: Robot, effectors: Sequence[str], moved: NDArray[np.intp], apart: float
+) -> Reaching:
+    """Load a robot's model with the pairs of capsules that its moved joints may bring together.
+
+    Left out are capsules of one body, of a body and the next one above it that has capsules, those
+    that no moved joint moves against each other, and those that are nearer than wanted at the
+    robot's default pose.
+
+    Args:
+        path: MJCF or URDF file.
+        robot: whose joints are in it.
+        effectors: names of its `end_effectors`.
+        moved: places of the moved joints in the robot's order, shape (k,).
+        apart: distance that is wanted in [m]; 0 for no pairs.
+
+    Raises:
+        RobotError: the model lacks a body that the robot file names.
+        ModelError: the file is wrong, or lacks a joint.
+        WorkflowError: no moved joint carries an end effector.
+    """
+    if not apart or not robot.capsules:
+        bare = replace(robot, capsules={})
+        return Reaching(load_reaching(path, bare, effectors))
+    loaded = load_reaching(path, robot, effectors)
+    chain = Chain(loaded, robot, effectors, moved)
+    pairs: list[Pair] = []
+    left_out = []
+    for one, other, distance in _distances(chain, robot):
+        if not _meet(chain, one, other):
+            continue
+        names = _name(loaded.model, one), _name(loaded.model, other)
+        if distance < apart - _BY_SHAPE:
+            left_out.append((*names, distance))
+        else:
+            pairs.append(names)
+    kept = load_reaching(path, robot, effectors, pairs)
+    return Reaching(kept, tuple(pairs), tuple(left_out))
+
+
+def _distances(chain: Chain, robot: Robot) -> list[tuple[int, int, float]]:
+    """Return the geoms of each pair and their distance at the default pose in [m]."""
+    model, data = chain.loaded.model, chain.data
+    model.pair_margin[:], model.pair_gap[:] = _FAR, 0.0
+    pose = robot.default_joint_pos.astype(np.float64)
+    chain.put(pose, pose[chain.moved])
+    import_mujoco().mj_collision(model, data)
+    found = {(int(one), int(other)): _FAR for one, other in zip(model.pair_geom1, model.pair_geom2)}
+    for (one, other), distance in zip(data.contact.geom.tolist(), data.contact.dist.tolist()):
+        pair = (one, other) if (one, other) in found else (other, one)
+        found[pair] = min(found[pair], distance)
+    return [(one, other, distance) for (one, other), distance in found.items()]
+
+
+def _meet(chain: Chain, one: int, other: int) -> bool:
+    """Whether moved joints move two geoms against each other, and they are not neighbours."""
+    model = chain.loaded.model
+    a, b = int(model.geom_bodyid[one]), int(model.geom_bodyid[other])
+    if (chain.moved_by(a) == chain.moved_by(b)).all():
+        return False
+    carriers = {
+        int(model.geom_bodyid[g])
+        for g in range(model.ngeom)
+        if model.geom(g).name.startswith(CAPSULE)
+    }
+    return _next_above(model, carriers, a) != b and _next_above(model, carriers, b) != a
+
+
+def _next_above(model: Any, carriers: set[int], body: int) -> int:
+    """Return the next body above another that carries a capsule."""
+    above = bodies_above(model, int(model.body_parentid[body]))
+    return next((each for each in above if each in carriers), 0)
+
+
+def _name(model: Any, geom: int) -> str:
+    return str(model.geom(geom).name).removeprefix(CAPSULE)

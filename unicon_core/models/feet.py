@@ -78,7 +78,7 @@ class Feet:
         self._quat, self._turning = data.qpos[start + 3 : start + 7], data.qvel[first + 3 :][:3]
         self._qpos, self._qvel = data.qpos, data.qvel
         self._positions = index_of(loaded.addresses.tolist())
-        self._velocities = index_of([int(model.jnt_dofadr[j]) for j in loaded.joints])
+        self._velocities = index_of(model.jnt_dofadr[loaded.joints].tolist())
         trunk = int(model.jnt_bodyid[base])
         self.weight = float(model.body_subtreemass[trunk]) * GRAVITY
         self._centre = data.subtree_com[int(model.body_rootid[trunk])]

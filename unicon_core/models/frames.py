@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from unicon_core.errors import ModelError, alternatives
 from unicon_core.models.loaded import LoadedModel, import_mujoco
-from unicon_core.models.plain_turns import multiply
+from unicon_core.models.plain_turns import Quat, conjugate, multiply
 from unicon_core.models.posed import PosedModel
 from unicon_core.robots import Robot
 from unicon_core.robots.places import Place
@@ -67,13 +67,13 @@ class Frames:
             body = body_of(loaded, place, f"end effector {name!r}")
             self._bodies.append((data.xpos[body], data.xquat[body], place.position, place.quat))
         posed.put(robot.default_joint_pos, _HERE)
-        self._base: tuple[Sequence[float], Sequence[float]] | None = None
+        self._base: tuple[Sequence[float], Quat] | None = None
         if not self._floats:
             mujoco = import_mujoco()
             root = mujoco.mj_name2id(loaded.model, mujoco.mjtObj.mjOBJ_BODY, robot.base_frame)
             place_of, turn = data.xpos[max(root, 0)].tolist(), data.xquat[max(root, 0)].tolist()
             if [*place_of, *turn] != list(_HERE):
-                self._base = place_of, [turn[0], *(-each for each in turn[1:])]
+                self._base = place_of, conjugate(turn)
 
     def __call__(
         self, joint_pos: ArrayLike, outs: Sequence[NDArray[Any]], base: ArrayLike | None = None

@@ -185,7 +185,7 @@ class Weight:
         self._model, self._posed = loaded.model, PosedModel(loaded)
         self._mujoco, self.floats = import_mujoco(), loaded.base is not None
         model = loaded.model
-        self._dofs = index_of([int(model.jnt_dofadr[joint]) for joint in loaded.joints])
+        self._dofs = index_of(model.jnt_dofadr[loaded.joints].tolist())
         self._asked, self._base = np.zeros(model.nv), np.array((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
 
     def __call__(
@@ -213,7 +213,7 @@ def bearing_joints(loaded: LoadedModel, robot: Robot) -> NDArray[np.bool_]:
     model = loaded.model
     feet = foot_bodies(model, robot.feet if robot.walks else ()).values()
     bodies = {body for foot in feet for body in bodies_above(model, foot)}
-    return np.array([int(model.jnt_bodyid[joint]) in bodies for joint in loaded.joints], np.bool_)
+    return np.isin(model.jnt_bodyid[loaded.joints], [*bodies])
 
 
 ORIGIN = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)

@@ -48,7 +48,7 @@ def contact_of(model: Any, one: int, other: int) -> Contact:
     https://mujoco.readthedocs.io/en/stable/modeling.html#contact-parameters
     """
     for pair in range(model.npair):
-        if {int(model.pair_geom1[pair]), int(model.pair_geom2[pair])} == {one, other}:
+        if {model.pair_geom1[pair], model.pair_geom2[pair]} == {one, other}:
             sliding, _, turning, rolling, _ = model.pair_friction[pair]
             return Contact(int(model.pair_dim[pair]), np.array((sliding, turning, rolling)))
     both = [one, other]
@@ -89,4 +89,5 @@ def _ours(loaded: LoadedModel) -> NDArray[np.bool_]:
     """Return which geoms are the robot's, shape (ngeom,)."""
     model = loaded.model
     root = model.body_rootid[model.jnt_bodyid[loaded.joints[0]]]
-    return np.equal(model.body_rootid[model.geom_bodyid], root)
+    ours: NDArray[np.bool_] = model.body_rootid[model.geom_bodyid] == root
+    return ours

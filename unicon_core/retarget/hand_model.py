@@ -205,7 +205,7 @@ class Pulled:
     def __init__(self, loaded: LoadedModel) -> None:
         model = loaded.model
         self._driven = loaded.addresses
-        dof = {int(model.jnt_qposadr[j]): int(model.jnt_dofadr[j]) for j in range(model.njnt)}
+        dof = dict(zip(model.jnt_qposadr.tolist(), model.jnt_dofadr.tolist()))
         self.slopes = np.zeros((model.nv, len(self._driven)))
         self.slopes[[dof[int(place)] for place in self._driven], range(len(self._driven))] = 1.0
         self._followers = [

@@ -11,7 +11,7 @@ joints stand in the members' order, one member behind the other.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -24,7 +24,7 @@ from unicon_core.errors import RobotError, WorkflowError
 from unicon_core.file_kinds import other_kind
 from unicon_core.located_yaml import Located, read_yaml
 from unicon_core.resources import find_config, list_config
-from unicon_core.robots.file import ImuFacts, Overlay, RobotFile
+from unicon_core.robots.file import Overlay, RobotFile
 from unicon_core.robots.places import Place
 from unicon_core.robots.poses import joints_like
 from unicon_core.robots.robot import JOINT_FIELDS, Imu, Robot
@@ -94,7 +94,9 @@ def _robot(located: Located) -> Robot:
         base_frame=said.base_frame,
         joint_names=names,
         **arrays,
-        imu=None if imu is None else _imu(imu),
+        imu=None
+        if imu is None
+        else Imu(imu.frame, _array(imu.position or [None] * 3), _array(imu.quat or [None] * 4)),
         feet=tuple(said.feet or said.fingertips),
         transport=said.transport or {"protocol": None},
         sources=said.sources,
@@ -135,11 +137,7 @@ def _extended(located: Located) -> Robot:
     return replace(robot, simulated=both, overlay=located.path)
 
 
-def _imu(said: ImuFacts) -> Imu:
-    return Imu(said.frame, _array(said.position or [None] * 3), _array(said.quat or [None] * 4))
-
-
-def _array(values: Sequence[float | None]) -> NDArray[np.float32]:
+def _array(values: Iterable[float | None]) -> NDArray[np.float32]:
     array = np.array([np.nan if value is None else value for value in values], dtype=np.float32)
     array.setflags(write=False)
     return array
@@ -178,7 +176,7 @@ def compose(members: Mapping[str, Robot], mounts: Mapping[str, Place] | None = N
             "otherwise, or one of the joints in its file"
         )
     arrays: dict[str, Any] = {
-        field: _joined([_gains(robot, field) for robot in members.values()])
+        field: _array(np.concatenate([_gains(robot, field) for robot in members.values()]))
         for field in JOINT_FIELDS.values()
     }
     simulated: dict[str, Mapping[str, float]] = {}
@@ -240,9 +238,3 @@ def _gains(robot: Robot, field: str) -> NDArray[np.float32]:
     if robot.position_controlled and field in ("joint_stiffness", "joint_damping"):
         return np.where(np.isnan(values), np.float32(1.0), values)
     return values
-
-
-def _joined(arrays: list[NDArray[np.float32]]) -> NDArray[np.float32]:
-    whole = np.concatenate(arrays)
-    whole.setflags(write=False)
-    return whole

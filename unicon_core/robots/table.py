@@ -105,7 +105,9 @@ def robot_table(robot: Robot) -> str:
         head.append(("capsules", ", ".join(robot.capsules)))
     if robot.overlay is not None:
         head.append(("overlay", str(robot.overlay)))
-    parts = [_wrapped(head), _joints(robot)]
+    right = (0, *range(2, 2 + len(JOINT_FIELDS)))
+    joints = aligned(joint_limits(robot), right=right, underlined=False)
+    parts = [_wrapped(head), "\n".join(joints)]
     if robot.simulated:
         parts.append("simulated\n" + _wrapped(_flat(robot.simulated), indent="  "))
     parts.append("transport\n" + _wrapped(_flat(robot.transport), indent="  "))
@@ -122,12 +124,6 @@ def joint_limits(robot: Robot) -> list[tuple[str, ...]]:
     for i, name in enumerate(robot.joint_names):
         rows.append((str(i), name, *(figure(column[i], ".4g") for column in columns)))
     return rows
-
-
-def _joints(robot: Robot) -> str:
-    rows = joint_limits(robot)
-    right = (0, *range(2, 2 + len(JOINT_FIELDS)))
-    return "\n".join(aligned(rows, right=right, underlined=False))
 
 
 def _imu(robot: Robot) -> str:

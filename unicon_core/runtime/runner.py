@@ -14,9 +14,8 @@ from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.pacing import prepare_process, process_age_s
 from unicon_core.platforms.platform import Resettable
 from unicon_core.runtime.beforehand import Beforehand
-from unicon_core.runtime.damp import Damp
 from unicon_core.runtime.options import RunOptions, refuse_pace
-from unicon_core.runtime.phases import WIND_DOWN, Phase
+from unicon_core.runtime.phases import WIND_DOWN, Damp, Phase
 from unicon_core.runtime.report import Report, SpareFiles, reason_of
 from unicon_core.runtime.statistics import Starvation, advice_of
 from unicon_core.runtime.ticker import Ticker

@@ -76,12 +76,14 @@ class Builder:
 
     Args:
         program: whose states they get; takes the built blocks.
-        warm_ups: gives them warm-ups.
+
+    Attributes:
+        warm_ups: of the blocks.
     """
 
-    def __init__(self, program: ProgramData, warm_ups: WarmUps) -> None:
-        self._program, self._warm_ups = program, warm_ups
-        self._context = program.context
+    def __init__(self, program: ProgramData) -> None:
+        self._program, self._context = program, program.context
+        self.warm_ups = WarmUps(program.context)
 
     def built(self, node: Node) -> Node:
         """Return a tree in which every use is a block.
@@ -141,7 +143,7 @@ class Builder:
             return made
 
         block = build(self._context)
-        self._warm_ups.add(block, factory, build)
+        self.warm_ups.add(block, factory, build)
         self._program.blocks.append(block)
         return self._at_its_period(block, member_robot(self._context.robot, use.of))
 

@@ -49,7 +49,8 @@ class WorkflowDocument:
     def error(self, message: str, *path: str | int) -> WorkflowError:
         """Return the error for a value, or for what was set below it and the message names."""
         below = ".".join(map(str, (*path, "")))
-        named = (x for x in self.overridden if x.startswith(below) and _last(x) in message)
+        set_below = (x for x in self.overridden if x.startswith(below))
+        named = (x for x in set_below if repr(x.rpartition(".")[2]) in message)
         found = next(named, "") if path else ""
         return WorkflowError(message, f"--set {found}" if found else self.where(*path))
 
@@ -69,8 +70,3 @@ def read_part(document: WorkflowDocument, kind: Any, value: Any, *path: str | in
     found = type_of(kind).read(value, path, mistakes)
     refuse(mistakes, lambda where, text: document.error(text, *where), f"workflow {document.name}")
     return found
-
-
-def _last(dotted: str) -> str:
-    """Return the last key of a path as messages quote it."""
-    return repr(dotted.rpartition(".")[2])

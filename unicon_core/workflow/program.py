@@ -30,7 +30,6 @@ from unicon_core.workflow.autowire import BuildContext
 from unicon_core.workflow.build import (
     Builder,
     Sections,
-    WarmUps,
     finite_first,
     period_of,
     sections_of,
@@ -180,8 +179,7 @@ class Program(ProgramData):
 
     def _assemble(self, sections: Sections, ending: Node | None, hooks: Iterable[Hook]) -> None:
         stages, platform = self.stages, self.platform
-        warm_ups = WarmUps(self.context)
-        builder = Builder(self, warm_ups)
+        builder = Builder(self)
         for stage, nodes in sections.items():
             for node in nodes if stage is not Stage.SAFETY else ():
                 built = builder.built(node)
@@ -205,7 +203,7 @@ class Program(ProgramData):
         self.command_bounds = bound_commands(self)
         recv = Block("recv", platform.recv, writes=platform.facts.writes)
         warm_up = platform.warm_up if isinstance(platform, WarmsUp) else None
-        recv.warm_up = warm_ups.refresh(warm_up)
+        recv.warm_up = builder.warm_ups.refresh(warm_up)
         sending = self.sending = withheld(platform, self.states) if self.silent else platform.send
         send = Block("send", self.gate.before(sending), reads=platform.facts.reads)
         stages[Stage.RECV].insert(0, recv)

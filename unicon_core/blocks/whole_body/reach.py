@@ -22,11 +22,9 @@ from unicon_core.blocks.whole_body.reaching import COMMANDED, HELD, Reach, told_
 from unicon_core.bounds import MaxRate
 from unicon_core.errors import MissingDependencyError, WorkflowError
 from unicon_core.flow.block import Block, Reads, Writes
-from unicon_core.ik.chain import Chain
+from unicon_core.ik.chain import Chain, Reaching, load_apart
 from unicon_core.ik.differential import DifferentialIk
-from unicon_core.ik.pairs import Reaching, load_apart
-from unicon_core.ik.targets import LONGEST, Target
-from unicon_core.ik.tasks import APART, Settings, Weights
+from unicon_core.ik.tasks import APART, LONGEST, Settings, Target, Weights
 from unicon_core.models.find import model_of
 from unicon_core.robots import Robot
 from unicon_core.schema.marks import Unit, Within, Write

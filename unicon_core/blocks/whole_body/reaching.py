@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from unicon_core.ik.chain import Chain
 from unicon_core.ik.differential import DifferentialIk
-from unicon_core.ik.targets import Target
+from unicon_core.ik.tasks import Target
 from unicon_core.states import StateSpec
 
 View = NDArray[Any]
