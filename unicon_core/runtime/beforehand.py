@@ -87,9 +87,12 @@ class Beforehand:
             return False
         if waiting.reason:
             raise self._gone(f"it was waited for {waiting.reason}")
-        if not program.start.fade_in:
+        return self._approached()
+
+    def _approached(self) -> bool:
+        if not self._program.start.fade_in:
             return self._met()
-        tree = approach_tree(program, self._rendezvous)
+        tree = approach_tree(self._program, self._rendezvous)
         return self._ticked(Phase.APPROACH, tree, None) and self._due()
 
     def _met(self) -> bool:
