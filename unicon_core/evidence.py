@@ -11,7 +11,7 @@ from typing import Any
 
 from unicon_core.errors import UniconError
 from unicon_core.located_yaml import read_yaml
-from unicon_core.resources import config_roots
+from unicon_core.resources import config_files
 
 LEVELS = {
     "never": "never run",
@@ -59,9 +59,8 @@ def load_evidence() -> dict[tuple[str, str], Evidence]:
         UniconError: a ledger is malformed.
     """
     found: dict[tuple[str, str], Evidence] = {}
-    for root in config_roots():
-        if (root / "evidence.yaml").is_file():
-            found = {**_read(root / "evidence.yaml"), **found}
+    for path in config_files("evidence.yaml"):
+        found = {**_read(path), **found}
     return found
 
 

@@ -54,6 +54,11 @@ def config_roots() -> Iterator[Path]:
             yield folder
 
 
+def config_files(name: str) -> Iterator[Path]:
+    """Yield the files of a name below the configuration folders, the first one wins."""
+    return (path for root in config_roots() if os.path.isfile(path := root / name))
+
+
 def looked_in(kind: str) -> str:
     """Return where a kind of configuration was looked for, for messages."""
     roots = ", ".join(map(str, dict.fromkeys(config_roots())))
@@ -114,10 +119,8 @@ def find_config(
         raise error(
             f"no file {text}; give an existing path, or a name: {names}{_below(given, relative_to)}"
         )
-    for root in config_roots():
-        path = root / kind / f"{text}{suffix}"
-        if os.path.isfile(path):
-            return path
+    for path in config_files(f"{kind}/{text}{suffix}"):
+        return path
     known = alternatives(text, list_config(kind, suffix))
     raise error(
         f"unknown {kind.rstrip('s')} {text!r}; {lying_here(text, suffix, relative_to)}{known}; "
@@ -246,19 +249,14 @@ def _asset(text: str, what: str, error: type[UniconError]) -> Path:
         if os.path.exists(root / below):
             return root / below
     name = below.split("/")[1] if below.count("/") else ""
-    listed = any(f"\n{name}:\n" in f"\n{text}" for text in _asset_lists())
+    lists = (path.read_text("utf-8", "replace") for path in config_files("assets.yaml"))
+    listed = any(f"\n{name}:\n" in f"\n{text}" for text in lists)
     looked = f"no file {below} in {', '.join(map(str, roots))} (UNICON_ASSETS)"
     if not roots:
         looked = "the assets folder is not at hand"
     if not (name and listed):
         raise error(f"{what} {text!r}: {looked}; set UNICON_ASSETS to the folder that has it")
     raise error(f"{what} {text!r}: {looked}; get it: unicon assets fetch {name}")
-
-
-def _asset_lists() -> Iterator[str]:
-    for root in config_roots():
-        if os.path.isfile(root / "assets.yaml"):
-            yield (root / "assets.yaml").read_text(encoding="utf-8", errors="replace")
 
 
 def file_beside(file: Path, reference: str | Path, what: str, *, error: type[UniconError]) -> Path:

@@ -6,6 +6,7 @@ With which of them are at hand, and whether their files are what the list says.
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -14,7 +15,7 @@ from urllib.parse import quote
 
 from unicon_core.errors import UniconError, alternatives
 from unicon_core.located_yaml import Located, read_yaml
-from unicon_core.resources import assets_roots, config_roots, sha256_of
+from unicon_core.resources import assets_roots, config_files, sha256_of
 
 FOLDERS = {"model": "models", "policy": "policies"}
 """Kinds of assets, and the folder of each below the assets folder."""
@@ -105,10 +106,8 @@ def load_assets() -> dict[str, tuple[Asset, ...]]:
         UniconError: a list is malformed, or a file's name leads out of its folder.
     """
     found: dict[str, tuple[Asset, ...]] = {}
-    for root in config_roots():
-        path = root / "assets.yaml"
-        if path.is_file():
-            found = {**_read(path), **found}
+    for path in config_files("assets.yaml"):
+        found = {**_read(path), **found}
     return dict(sorted(found.items()))
 
 
@@ -167,7 +166,7 @@ def _file(
     sha: Any,
     mirrored: str = "",
 ) -> AssetFile:
-    digits = isinstance(sha, str) and len(sha) == 64 and not set(sha) - set("0123456789abcdef")
+    digits = isinstance(sha, str) and re.fullmatch("[0-9a-f]{64}", sha)
     plain = all(map(_plain, (name, path, mirrored or name)))
     if not (plain and digits and 0 <= size <= LARGEST and source >= 0):
         raise ValueError
