@@ -11,22 +11,33 @@ platform: {body: unitree, hands: {child: dex3}}     # one for each member; hands
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, TypedDict, cast
+from typing import Annotated, Any
 
 from unicon_core.errors import alternatives
-from unicon_core.workflow.document import WorkflowDocument
+from unicon_core.schema.marks import Unit, Within, Write
+from unicon_core.workflow.document import WorkflowDocument, read_part
 
 HANDS, HAND = "hands", "_hand"
 """Under `platform:` this word stands for all members whose names end so."""
 
 
-class ChildTimes(TypedDict, total=False):
-    """What may be said of a child beside its platform, in [s]; see `ChildPlatform`."""
+Time = Annotated[float | None, Unit("s"), Within(0.0, 60.0, above=True)]
 
-    silence: float
-    watchdog: float
+
+@dataclass(frozen=True)
+class Child:
+    """A platform in a process of its own.
+
+    Attributes:
+        child: its name.
+        silence: as of `ChildPlatform`.
+        watchdog: likewise.
+    """
+
+    child: Annotated[str, Write("a platform's name, such as mujoco")]
+    silence: Time = None
+    watchdog: Time = None
 
 
 @dataclass(frozen=True)
@@ -36,13 +47,12 @@ class PlatformUse:
     Attributes:
         name: of the platform.
         path: where the workflow says it.
-        child: it runs in a process of its own; `silence` and `watchdog` of `ChildPlatform` as far
-            as they are said. None: it runs in this one.
+        child: it runs in a process of its own. None: it runs in this one.
     """
 
     name: str
     path: tuple[str, ...] = ("platform",)
-    child: ChildTimes | None = None
+    child: Child | None = None
 
 
 def read_members(document: WorkflowDocument) -> dict[str, str]:
@@ -114,25 +124,5 @@ def _use(document: WorkflowDocument, value: Any, path: tuple[str, ...]) -> Platf
         raise document.error(
             f"{what}: {value!r} is not a platform's name; write {path[-1]}: mujoco", *path
         )
-    times = {}
-    for key, said in value.items():
-        if key == "child":
-            if not isinstance(said, str):
-                raise document.error(
-                    f"{what}.child: {said!r} is not a platform's name; write child: mujoco",
-                    *path,
-                    key,
-                )
-        elif key not in ChildTimes.__annotations__:
-            known = alternatives(str(key), ("child", *ChildTimes.__annotations__))
-            raise document.error(f"{what}: child has no {key!r}; {known}", *path, str(key))
-        elif isinstance(said, bool) or not isinstance(said, (int, float)) or not 0 < said <= 60:
-            raise document.error(
-                f"{what}.{key} is {said!r}; give seconds, more than 0 and at most 60",
-                *path,
-                key,
-            )
-        else:
-            times[key] = float(said)
-    child: Mapping[str, Any] = times
-    return PlatformUse(value["child"], path, cast(ChildTimes, child))
+    said: Child = read_part(document, Child, value, *path)
+    return PlatformUse(said.child, path, said)

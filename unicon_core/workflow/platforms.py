@@ -167,7 +167,16 @@ def _build(
             built = factory(context.states, context.robot, context.period, **arguments)
         else:
             robot, period = context.robot, context.period
-            built = ChildPlatform(factory, facts, context.states, robot, period, arguments, **child)
+            built = ChildPlatform(
+                factory,
+                facts,
+                context.states,
+                robot,
+                period,
+                arguments,
+                silence=child.silence,
+                watchdog=child.watchdog,
+            )
     except (TypeError, ValueError) as error:
         raise document.error(
             f"platform {name!r}: {error}; correct platforms.{name}", "platforms", name
