@@ -19,7 +19,7 @@ from unicon_core.flow import Block, Node, Zip, compile_graph
 from unicon_core.flow.fuse import fuse
 from unicon_core.flow.linear import LinearMap
 from unicon_core.runtime import TickStatistics
-from unicon_core.runtime.ticker import EVERY, LEARN, Detail
+from unicon_core.runtime.statistics import EVERY, LEARN, Detail
 from unicon_core.states import States, StateSpec
 from unicon_ros.bench.report import Bench
 

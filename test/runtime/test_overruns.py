@@ -12,7 +12,7 @@ import pytest
 
 from unicon_core.flow import Block, Stage, Zip
 from unicon_core.runtime import Report, Runner, RunOptions, TickStatistics, percentiles
-from unicon_core.runtime.ticker import EVERY, LEARN
+from unicon_core.runtime.statistics import EVERY, LEARN
 from unicon_core.workflow import Program, load_workflow
 
 pytestmark = pytest.mark.usefixtures("time_passes")

@@ -1,6 +1,7 @@
 """Statistics: tick and block times, always on and cheap, for tables, reports and traces.
 
-With what would help a run whose ticks began late, told once at its end.
+Reading the clock takes as long as two blocks that do nothing: in a tick of 100 µs with 15 blocks
+that is 1 %, and each tick has the detail of all blocks; in one of 5 µs with 60 few ticks have it.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.flow import CompiledGraph
 from unicon_core.pacing import REAL_TIME, Pacing
 
 
@@ -271,7 +273,6 @@ LATE = 0.1
 FEWEST = 100
 """Ticks, below which one in a hundred is only the worst."""
 
-
 WAITING = 30.0
 """Per cent of the last 10 s in which a program waited for a core; an idle machine has 0 to 10."""
 STOLEN = 5.0
@@ -354,3 +355,46 @@ def _real_time() -> bool:
         return os.sched_getscheduler(0) in (os.SCHED_FIFO, os.SCHED_RR)
     except (OSError, AttributeError):
         return True  # there is none to be had
+
+
+LEARN = 256
+"""Ticks with all stamps, of which it learns how long a tick takes."""
+SHARE = 0.1
+"""The largest part of a tick that its stamps may take."""
+EVERY = 64
+"""Where they would take more, one in so many ticks has them all."""
+
+
+class Detail:
+    """Switches the time stamps of a graph, between ticks.
+
+    Args:
+        graph: compiled with `trace`.
+        statistics: of its ticks.
+
+    Attributes:
+        at: the number of ticks at which to call it again.
+    """
+
+    def __init__(self, graph: CompiledGraph, statistics: TickStatistics) -> None:
+        self._graph, self._statistics = graph, statistics
+        self.at = LEARN
+
+    def __call__(self) -> None:
+        """Decide how the next tick is stamped, and the ones behind it."""
+        graph, count = self._graph, self._statistics.count
+        if not graph.detailed:
+            graph.watch(True)
+            self.at = count + 1
+        elif count > LEARN or self._dear():
+            graph.watch(False)
+            self.at = count + EVERY - 1
+        else:
+            self.at = -1
+
+    def _dear(self) -> bool:
+        times = memoryview(np.zeros(LEARN, np.int64).data)
+        for i in range(LEARN):
+            times[i] = time.perf_counter_ns()
+        price = float(np.median(np.diff(times))) * 1e-3 * len(self._graph.blocks)
+        return price > SHARE * float(np.median(self._statistics.durations_us()))
