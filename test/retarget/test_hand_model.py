@@ -111,7 +111,7 @@ def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match=r"robot xhand1_left names no model \(mjcf or urdf\)"):
         HandModel(robot)
     with pytest.raises(
-        ModelError, match=r"no body 'left_hand_index_tip' for the tip of the index;"
+        ModelError, match=r"hand\.fingers\.index: no body 'left_hand_index_tip' in .*\.urdf;"
     ):
         HandModel(_hand(robot, index=Place("left_hand_index_tip")), "", path)
     with pytest.raises(
