@@ -17,7 +17,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from unicon_core.errors import StateError, WorkflowError, alternatives
 from unicon_core.schema.marks import Checked, Matches, Size, Write
