@@ -32,6 +32,7 @@ class Row:
     def word(self) -> str:
         """`pass`, `FAIL` or `note`."""
         return "note" if self.ok is None else "pass" if self.ok else "FAIL"
+
     @property
     def line(self) -> str:
         """What was seen, with the code of a broken rule."""
