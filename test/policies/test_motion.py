@@ -294,7 +294,7 @@ def test_a_contract_with_a_motion_is_written_and_read_back(folder: Path, tmp_pat
 
 
 BAD: list[tuple[dict[str, Any], str]] = [
-    ({"file": "walk.npz"}, r"motion\.anchor_body is None; name a body"),
+    ({"file": "walk.npz"}, r"motion: missing key 'anchor_body'; add anchor_body: a body"),
     ({"anchor_body": "torso", "file": "absent.npz"}, "no such file .*absent.npz"),
     ({"anchor_body": "torso", "file": "walk.pkl"}, "not a .npz or .csv file"),
     ({"anchor_body": "torso", "file": "walk.npz", "align": "pitch"}, "known: none, yaw"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import asdict, fields
 from typing import Any
 
 import numpy as np
@@ -12,11 +12,12 @@ from unicon_core.errors import PolicyError
 from unicon_core.located_yaml import Where
 from unicon_core.policies.contract import (
     ActionSpec,
+    FilterSpec,
     NetworkPart,
     PolicyContract,
     PolicyFacts,
 )
-from unicon_core.policies.facts import Facts, dig, dotted, is_open, missing_facts
+from unicon_core.policies.facts import Facts, dig, is_open, missing_facts
 from unicon_core.policies.file import ActionFile, PolicyFile
 from unicon_core.policies.file_rules import is_single, kinds_of
 from unicon_core.policies.hints import Floats
@@ -42,15 +43,10 @@ class IncompletePolicyError(PolicyError):
 
 
 class _Mistakes(Mistakes):
-    """The mistakes of facts; those that are missing are asked for elsewhere."""
-
-    def __init__(self, facts: Facts, asked: Mapping[str, str]) -> None:
-        super().__init__(facts.values)
-        self.asked = asked
+    """The mistakes of facts, but for facts that are missing, which `missing_facts` asks for."""
 
     def missing(self, where: Where, key: str, wanted: str) -> None:
-        name = dotted((*where, key))
-        if key == "state" or any(fact.startswith(name) for fact in self.asked):
+        if not where or key in ("scale", "state"):
             self.found.append((where, ""))
         else:
             super().missing(where, key, wanted)
@@ -66,7 +62,7 @@ def read_facts(facts: Facts, missing: Mapping[str, str]) -> PolicyFile:
     Raises:
         PolicyError: facts are wrong: file, line and remedy of each mistake.
     """
-    mistakes = _Mistakes(facts, missing)
+    mistakes = _Mistakes(facts.values)
     said: PolicyFile = record_of(PolicyFile).read(facts.values, (), mistakes)
     mistakes.found = [
         (where, text)
@@ -137,7 +133,7 @@ def _action(said: ActionFile, joints: tuple[str, ...], default: Floats) -> Actio
         None if said.clip is None else np.array(np.broadcast_to(said.clip, (2, count))),
         said.feedback,
         () if set(kinds) == {"position"} else tuple(kinds),
-        said.filter,
+        None if said.filter is None else FilterSpec(**asdict(said.filter)),
     )
 
 

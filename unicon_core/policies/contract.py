@@ -91,13 +91,6 @@ class FilterSpec:
         return f"low pass, alpha {self.alpha:g}"
 
 
-@dataclass(frozen=True)
-class ActionFilterSpec(FilterSpec):
-    """A filter of the action, which begins with zeros unless it says otherwise."""
-
-    start: Literal["first", "zeros"] = "zeros"
-
-
 @dataclass(frozen=True, eq=False)
 class ObservationTerm:
     """A part of the network's input: `scale · clip(filter(state[index]) − subtract)`.

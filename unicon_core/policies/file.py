@@ -7,11 +7,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
 from unicon_core.bounds import EFFORT
-from unicon_core.policies.contract import (
-    ActionFilterSpec,
-    ActionKind,
-    PolicyFacts,
-)
+from unicon_core.policies.contract import ActionKind, FilterSpec, PolicyFacts
 from unicon_core.policies.feeds import Feeds
 from unicon_core.policies.file_rules import (
     note_filters,
@@ -27,6 +23,13 @@ _KIND = Write(
     "position, velocity or torque, a list with one for each joint, or {'*_wheel_joint': velocity}"
 )
 _Figure = Annotated[float, Within(-EFFORT, EFFORT)]
+
+
+@dataclass(frozen=True)
+class ActionFilter(FilterSpec):
+    """A filter of the action, which begins with zeros unless it says otherwise."""
+
+    start: Literal["first", "zeros"] = "zeros"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -48,7 +51,7 @@ class ActionFile:
     kind: Annotated[ActionKind | list[ActionKind] | Mapping[str, ActionKind], _KIND] = "position"
     clip: Clip | None = None
     joints: Names | None = None
-    filter: ActionFilterSpec | None = None
+    filter: ActionFilter | None = None
     feedback: Literal["raw", "clipped", "filtered"] = "raw"
 
 

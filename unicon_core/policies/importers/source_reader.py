@@ -15,7 +15,9 @@ from unicon_core.policies.given import given_joints
 from unicon_core.policies.hints import Side, listed
 from unicon_core.robots import Robot
 from unicon_core.schema.marks import Checked, Within, twice
-from unicon_core.schema.read import read_value
+from unicon_core.schema.read import refuse
+from unicon_core.schema.records import type_of
+from unicon_core.schema.types import Mistakes
 
 _SUFFIXES = {".onnx": "onnx", ".pt": "torchscript", ".pth": "torchscript", ".jit": "torchscript"}
 
@@ -128,7 +130,11 @@ class SourceReader:
             PolicyError: it is something else.
         """
         name = ".".join(map(str, where))
-        return read_value(hint, value, lambda below, text: self.wrong((*where, *below), text), name)
+        mistakes = Mistakes(value, name)
+        found = type_of(hint).read(value, (), mistakes)
+        what = f"{self.facts.path}: {name}"
+        refuse(mistakes, lambda below, text: self.wrong((*where, *below), text), what)
+        return found
 
     def floats(self, where: Where, value: Any) -> list[float]:
         """Return a number or a list of numbers as a list.
