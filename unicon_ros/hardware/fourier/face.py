@@ -28,12 +28,9 @@ from unicon_ros.hardware.fourier.codec import (
     Actuators,
 )
 from unicon_ros.hardware.fourier.fsa1_codec import Servos
-from unicon_ros.hardware.fourier.fsa1_face import Fsa1Face
-from unicon_ros.hardware.udp import Udp
+from unicon_ros.hardware.fourier.fsa1_face import WARM, ActuatorFace, Fsa1Face
 from unicon_ros.hardware.wire import known
 
-WARM = 40.0
-"""What actuators tell where the simulator has no temperature, [°C]."""
 ACKNOWLEDGED = {
     ACKNOWLEDGED_GAINS: ">ff",
     ARM_DEAD_MAN: ">IIIII",
@@ -74,27 +71,15 @@ class Actuator:
             self.enabled = True
 
 
-class FourierFace:
+class FourierFace(ActuatorFace):
     """See `Face`; `face` builds it."""
 
-    platform = "fourier"
-
     def __init__(self, states: States, actuators: Actuators) -> None:
-        self._states, self._facts = states, actuators
-        self.rate = 500.0
-        self.where = (
-            f"{actuators.addresses[0]}:{actuators.port} and {len(actuators.names) - 1} more"
-        )
-        self.reach = {"address": actuators.addresses[0]}
+        super().__init__(states, actuators.addresses[0])
+        self._facts, n = actuators, len(actuators.names)
+        self.where = f"{actuators.addresses[0]}:{actuators.port} and {n - 1} more"
         self._actuators = [Actuator() for _ in actuators.names]
-        self._sockets: list[Udp] = []
-        try:
-            for address in actuators.addresses:
-                local = (address, actuators.port)
-                self._sockets.append(Udp(local, ("", 0), "emulated fourier"))
-        except BaseException:
-            self.close()
-            raise
+        self._listening(actuators.addresses, actuators.port)
 
     @property
     def obeys(self) -> bool:
@@ -172,11 +157,6 @@ class FourierFace:
                 answer["errors"][0, TIMED_OUT[0]] = TIMED_OUT[1] * actuator.timed_out
                 socket.send(answer.tobytes())
             actuator.asked.clear()
-
-    def close(self) -> None:
-        """See `Face`."""
-        for socket in self._sockets:
-            socket.close()
 
 
 def face(states: States, robot: Robot, *, address: str = "127.0.0.1") -> FourierFace | Fsa1Face:

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from unicon_core.states import States
-from unicon_core.states.standard import HARDWARE_STATES
 from unicon_ros.hardware.fourier.codec import DISABLE
 from unicon_ros.hardware.fourier.fsa1_codec import (
     ENABLE,
@@ -34,7 +33,38 @@ MODES = {0x04: POSITION_MODE, 0x05: 3, 0x06: 6, 0x07: 4}
 GAINS = ("control_position_kp_imm", "control_velocity_kp_imm")
 
 
-class Fsa1Face:
+class ActuatorFace:
+    """Sockets of actuators, for the faces of both versions.
+
+    Args:
+        states: of the emulator.
+        where: first address of the actuators.
+    """
+
+    platform, rate = "fourier", 500.0
+
+    def __init__(self, states: States, where: str) -> None:
+        self._states, self.reach = states, {"address": where}
+        self._sockets: list[Udp] = []
+
+    def _listening(self, addresses: tuple[str, ...], port: int) -> list[Udp]:
+        """Open a socket at each address; where one fails, all are closed."""
+        first = len(self._sockets)
+        try:
+            for address in addresses:
+                self._sockets.append(Udp((address, port), ("", 0), "emulated fourier"))
+        except BaseException:
+            self.close()
+            raise
+        return self._sockets[first:]
+
+    def close(self) -> None:
+        """See `Face`."""
+        for socket in self._sockets:
+            socket.close()
+
+
+class Fsa1Face(ActuatorFace):
     """See `Face`; `face` of `fourier.face` builds it.
 
     An actuator counts from where its joint is when this is built, as if it were switched on then.
@@ -47,31 +77,19 @@ class Fsa1Face:
         PlatformError: an address is taken.
     """
 
-    platform = "fourier"
+    dead_man = math.inf
 
     def __init__(self, states: States, servos: Servos) -> None:
-        self._states, self._servos, n = states, servos, len(servos.names)
-        self.rate, self.dead_man = 500.0, math.inf
-        self.reach = {"address": servos.addresses[0]}
+        super().__init__(states, servos.addresses[0])
+        self._servos, n = servos, len(servos.names)
         self.enabled, self.mode = np.zeros(n, bool), np.zeros(n, int)
         self.gains = np.zeros((2, n))
         self._begun = states["joint_pos"] * servos.degrees
         self._begun[len(servos.encoders) :] = 0.0
         self._asked: list[tuple[Udp, int, int]] = []
-        self._sockets: list[Udp] = []
-        try:
-            self._fast = self._listening(servos.addresses, servos.port)
-            self._controls = self._listening(servos.addresses, servos.control_port)
-            self._encoders = self._listening(servos.encoders, servos.control_port)
-        except BaseException:
-            self.close()
-            raise
-
-    def _listening(self, addresses: tuple[str, ...], port: int) -> list[Udp]:
-        first = len(self._sockets)
-        for address in addresses:
-            self._sockets.append(Udp((address, port), ("", 0), "emulated fourier"))
-        return self._sockets[first:]
+        self._fast = self._listening(servos.addresses, servos.port)
+        self._controls = self._listening(servos.addresses, servos.control_port)
+        self._encoders = self._listening(servos.encoders, servos.control_port)
 
     @property
     def obeys(self) -> bool:
@@ -122,8 +140,7 @@ class Fsa1Face:
         reply(json.dumps({"status": status, **told}).encode())
 
     def _hardware(self, name: str, joint: int, unless: float) -> float:
-        known = name in HARDWARE_STATES and name in self._states
-        return float(self._states[name][joint]) if known else unless
+        return float(self._states[name][joint]) if name in self._states else unless
 
     def _angle(self, encoder: int) -> bytes:
         servos, pos = self._servos, float(self._states["joint_pos"][encoder])
@@ -167,8 +184,3 @@ class Fsa1Face:
             vel = states["joint_vel"][joint] * degrees
             socket.send(struct.pack(">Bfff", code, pos, vel, current))
         self._asked.clear()
-
-    def close(self) -> None:
-        """See `Face`."""
-        for socket in self._sockets:
-            socket.close()
