@@ -224,7 +224,7 @@ def test_position_is_estimated_where_nobody_measures_it_or_where_asked() -> None
     ("changes", "message"),
     [
         ({"num_robots": 2}, "it is for one robot; leave num_robots out"),
-        ({"estimate": [{"leg_odometry": {"joint_noise": 0.0}}]}, "joint_noise is 0.0; give a"),
+        ({"estimate": [{"leg_odometry": {"joint_noise": 0.0}}]}, "joint_noise is 0.0; write"),
         ({"estimate": [{"leg_odometry": {"acceleration_noise": ".nan"}}]}, "acceleration_noise"),
         ({"estimate": ["leg_odometry", "leg_odometry"]}, "writes 'base_lin_vel_variance' in the"),
     ],
