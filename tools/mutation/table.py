@@ -294,7 +294,7 @@ ROWS = [
         ("JointSensorStop.__call__", "self._same >= self.FROZEN", "self._same >= 9.0"),
         ("JointSensorStop._look", "beyond[k] > step", "False"),
         ("JointSensorStop._look", "sum_of > self._drift + ", "sum_of > 100 * self._drift + "),
-        ("JointSensorStop._look", "total[...] = 0.0", "pass"),
+        ("JointSensorStop._look", "total[...] = self._excused[...] = 0.0", "pass"),
         ("JointSensorStop.__call__", "dt <= self._longest", "dt"),
         ("JointSensorStop.__call__", "off *= self.looked_at", "pass"),
     ),
