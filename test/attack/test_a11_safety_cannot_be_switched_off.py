@@ -161,11 +161,11 @@ def test_implausible_figures_of_a_robot_are_refused(
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"stiffness": 1e9}, "stiffness[0] is 1e+09; it must be at most 2000"),
-        ({"damping": 1e9}, "it must be at most 200"),
-        ({"action.scale": 1e3}, "it must be at most 12.5664"),
-        ({"default_joint_pos": 80.0}, "it must be at most 12.5664"),
-        ({"observation.terms.0.scale": 1e9}, "it must be at most 1e+06"),
+        ({"stiffness": 1e9}, "stiffness is 1000000000.0; write a number from 0 to 2000 [N·m/rad]"),
+        ({"damping": 1e9}, "write a number from 0 to 200 [N·m·s/rad]"),
+        ({"action.scale": 1e3}, "a position has at most 12.5664 rad"),
+        ({"default_joint_pos": 80.0}, "to 12.5664 [rad] (are these degrees?)"),
+        ({"observation.terms.0.scale": 1e9}, "write a number from -1e+06 to 1e+06"),
     ],
 )
 def test_implausible_figures_of_a_contract_are_refused(

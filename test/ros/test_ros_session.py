@@ -291,7 +291,7 @@ def test_an_emergency_stop_gets_through_a_flood_of_other_services(
 BAD_MAPS = {
     "publish: [{topic: x, type: no_msgs/msg/None, fields: {a: joint_pos}}]": "no_msgs/msg/None",
     "publish: [{topic: x, type: std_msgs/msg/Float32, fields: {data: nonsense}}]": "'nonsense'",
-    "publish: [{topic: 'a//b', type: std_msgs/msg/Int64, fields: {data: tick}}]": "not a ROS name",
+    "publish: [{topic: 'a//b', type: std_msgs/msg/Int64, fields: {data: tick}}]": "a ROS name",
     "publish: [{topic: x, type: std_msgs/msg/Int64, qos: {history: keep_all}, "
     "fields: {data: tick}}]": "a reader that hangs would stop the tick; say history: keep_last",
     "subscribe: [{topic: x, type: sensor_msgs/msg/JointState, "

@@ -159,9 +159,13 @@ def test_a_killed_desk_changes_nothing_and_another_may_come(tmp_path, robot, por
     assert not [line for line in robot.told if "fault" in line]
 
 
-def test_a_platform_that_fails_leaves_the_addresses_free(tmp_path, port):
+def test_a_platform_that_fails_leaves_the_addresses_free(tmp_path, port, monkeypatch):
+    def fails(*_, **__):
+        raise PlatformError("no such robot")
+
     path = write(tmp_path, port)
-    wrong = ["platforms={fake: {time_constant: -1}}"]
-    with pytest.raises(PlatformError, match="time_constant") as _held:  # with its frames
-        Program(load_document(path, wrong), part="robot")
+    with monkeypatch.context() as patched:
+        patched.setattr("unicon_core.platforms.fake.FakePlatform.__init__", fails)
+        with pytest.raises(PlatformError, match="no such robot") as _held:  # with its frames
+            Program(load_document(path), part="robot")
     Program(load_document(path), part="robot").close()

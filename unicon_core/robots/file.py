@@ -11,6 +11,7 @@ from pathlib import PurePath
 from typing import Annotated, Any, Literal, get_args
 
 from unicon_core.bounds import DAMPING, EFFORT, POSITION, STIFFNESS, VELOCITY
+from unicon_core.buttons import BUTTONS, Button
 from unicon_core.robots.file_rules import (
     joints_of,
     note_contacts,
@@ -35,7 +36,6 @@ from unicon_core.schema.marks import (
 )
 from unicon_core.schema.records import largest, record_of
 from unicon_core.schema.types import Here
-from unicon_core.states.standard import BUTTONS, Button
 
 SCHEMA = "unicon.robot/1"
 Kind = Literal["quadruped", "humanoid", "wheeled", "hand", "arm"]

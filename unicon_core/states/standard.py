@@ -6,8 +6,8 @@ Names, units and frames are those of REP-103, REP-105 and REP-145; quaternions a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal, get_args
 
+from unicon_core.buttons import BUTTONS
 from unicon_core.states.spec import StateSpec
 
 JOINT_STATES = ("joint_pos", "joint_vel", "joint_effort")
@@ -62,27 +62,6 @@ FORWARDED_STATES = ("joint_pos_command", "joint_vel_command", "joint_effort_comm
 
 CONTROL_STATES = ("sticks", "buttons", "controls_alive")
 """What an operator holds in his hands: states of workflows whose platform or block writes them."""
-
-Button = Literal[
-    "R1",
-    "L1",
-    "start",
-    "select",
-    "R2",
-    "L2",
-    "F1",
-    "F2",
-    "A",
-    "B",
-    "X",
-    "Y",
-    "up",
-    "right",
-    "down",
-    "left",
-]
-BUTTONS: tuple[Button, ...] = get_args(Button)
-"""The elements of `buttons`, in the order of Unitree's remote."""
 
 
 def control_states() -> dict[str, StateSpec]:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 from unicon_core.bounds import DURATION, Seconds
+from unicon_core.buttons import Button
 from unicon_core.errors import UniconError, alternatives
 from unicon_core.pacing import Pacing
 from unicon_core.resources import find_config
@@ -25,7 +26,6 @@ from unicon_core.schema.marks import (
 )
 from unicon_core.schema.records import meant
 from unicon_core.schema.types import Here
-from unicon_core.states.standard import Button
 
 _BLOCK = Write("a block, or {chain: [...]}")
 FlowType = Annotated[Any, Later("unicon_core.workflow.flow_schema:FLOW"), _BLOCK]

@@ -57,7 +57,7 @@ from unicon_core.workflow.tick_tree import bound_commands, tick_tree, with_flow
 from unicon_core.workflow.uses import EXPRESSION, Use
 
 if TYPE_CHECKING:
-    from typing_extensions import Unpack
+    from typing import Unpack
 
     from unicon_core.workflow.described import Described
 

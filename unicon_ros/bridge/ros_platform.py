@@ -367,9 +367,9 @@ def maker(kind: type[RosPlatform], own_map: str, patience: float) -> Callable[..
         """
         path = find_config("maps", map, error=PlatformError, relative_to=relative_to)
         if not 0.0 < connect < float("inf"):
-            raise PlatformError(f"{name}: connect is {connect} s; give a time above 0")
+            raise PlatformError(f"{name}: connect is {connect:g} s; give a time above 0")
         if not 0.0 <= damping <= LONGEST_DAMPING:
-            raise PlatformError(f"{name}: damping is {damping} s; give 0 to {LONGEST_DAMPING}")
+            raise PlatformError(f"{name}: damping is {damping:g} s; give 0 to {LONGEST_DAMPING}")
         own = OwnNode(node_name, namespace, ros_args)
         try:
             platform = kind(states, robot, period, path, own, connect, damping, silent)

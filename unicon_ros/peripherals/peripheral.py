@@ -86,7 +86,7 @@ def check_positive(name: str, **options: float) -> None:
     """
     for label, value in options.items():
         if not value > 0:
-            raise UniconError(f"{name}: {label} is {value}; give more than 0")
+            raise UniconError(f"{name}: {label} is {value:g}; give more than 0")
 
 
 def check_stale(name: str, stale: float) -> None:
@@ -96,7 +96,7 @@ def check_stale(name: str, stale: float) -> None:
         UniconError: it is.
     """
     if not 0.0 < stale <= 10.0:
-        raise UniconError(f"{name}: stale is {stale}; give more than 0 and at most 10 s")
+        raise UniconError(f"{name}: stale is {stale:g}; give more than 0 and at most 10 s")
 
 
 def peripheral_block(

@@ -6,9 +6,9 @@ from typing import Annotated
 
 from unicon_core.blocks.controls.device import declares_controls
 from unicon_core.blocks.joint_command import single
+from unicon_core.buttons import BUTTONS, Button
 from unicon_core.flow.block import Reads, Writes
 from unicon_core.schema.marks import Within, Write
-from unicon_core.states.standard import BUTTONS, Button
 
 Fast = Annotated[float, Within(0.0)]
 FASTEST = (0.5, 0.3, 0.8)

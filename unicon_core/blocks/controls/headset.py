@@ -12,10 +12,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from unicon_core.blocks.controls.device import declares_controls
+from unicon_core.buttons import BUTTONS
 from unicon_core.errors import WorkflowError
 from unicon_core.flow.block import Writes
 from unicon_core.states import States
-from unicon_core.states.standard import BUTTONS
 
 PRESSED = 0.5
 """How far a button is pressed that counts, 0 to 1."""

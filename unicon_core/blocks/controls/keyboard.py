@@ -15,9 +15,9 @@ from typing import Annotated, Any
 
 from unicon_core.blocks.controls.device import Controls, declares_controls, device_block
 from unicon_core.blocks.joint_command import ticks_of
+from unicon_core.buttons import BUTTONS
 from unicon_core.flow import Block
 from unicon_core.schema.marks import Unit, Within
-from unicon_core.states.standard import BUTTONS
 from unicon_core.workflow.autowire import BuildContext
 
 STICK_KEYS = {

@@ -21,7 +21,7 @@ from collections.abc import Callable
 from typing import Any
 
 from unicon_core.blocks.controls.device import Controls
-from unicon_core.states.standard import BUTTONS
+from unicon_core.buttons import BUTTONS
 
 _UNITREE = struct.Struct("<2xH3f4xf16x")
 _DOBOT = struct.Struct("<2xBB4f20x")

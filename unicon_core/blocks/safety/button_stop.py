@@ -12,11 +12,11 @@ from typing import Annotated
 from unicon_core.blocks.controls.device import declares_controls
 from unicon_core.blocks.joint_command import end_of
 from unicon_core.bounds import Seconds
+from unicon_core.buttons import BUTTONS, Button
 from unicon_core.errors import EmergencyStopPressed, Fault, WorkflowError
 from unicon_core.flow.block import Reads
 from unicon_core.robots import Robot
 from unicon_core.schema.marks import NotEmpty, Write
-from unicon_core.states.standard import BUTTONS, Button
 
 Buttons = Annotated[Sequence[Button], NotEmpty, Write("a list of buttons, such as [select]")]
 STEADY = 2
