@@ -9,7 +9,7 @@ from typing import Any
 
 from unicon_core.aligned import aligned
 from unicon_core.check.rules import live_code
-from unicon_core.errors import UniconError
+from unicon_core.page import write_file
 
 
 @dataclass(frozen=True)
@@ -97,9 +97,4 @@ class PreflightResult:
         Raises:
             UniconError: it cannot be written.
         """
-        try:
-            Path(path).write_text(json.dumps(values, indent=2) + "\n", encoding="utf-8")
-        except OSError as error:
-            raise UniconError(
-                f"cannot write {path}: {error.strerror}; give a path in a writable folder"
-            ) from error
+        write_file(Path(path), (json.dumps(values, indent=2) + "\n").encode())
