@@ -77,8 +77,8 @@ class Watch:
 
     def ours(self, path: Any) -> bool:
         try:
-            # A recording is recovered beside itself, by names in its folder.
-            return os.fspath(path).startswith((self.folder, "fuzzed."))
+            # A recording is recovered beside itself, by names in its folder; `write_file` hides halves.
+            return os.fspath(path).startswith((self.folder, "fuzzed.", ".fuzzed."))
         except TypeError:
             return isinstance(path, int)
 
