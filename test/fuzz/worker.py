@@ -77,7 +77,7 @@ class Watch:
 
     def ours(self, path: Any) -> bool:
         try:
-            # A recording is recovered beside itself, by names in its folder; `write_file` hides halves.
+            # A recording is recovered beside itself, by names in its folder; a half file hides.
             return os.fspath(path).startswith((self.folder, "fuzzed.", ".fuzzed."))
         except TypeError:
             return isinstance(path, int)

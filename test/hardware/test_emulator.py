@@ -226,7 +226,7 @@ def test_a_gantry_lets_go_some_time_after_the_first_command() -> None:
 
 @pytest.mark.parametrize("busy", [0.0, 0.5])
 def test_a_second_in_which_its_time_stood_still_is_told(busy: float) -> None:
-    """A stall as of a busy machine; a driver sees joints that do not follow their velocities."""
+    """A stall as of a busy machine; a driver sees a pause."""
     stage = Stage()
     hear, stalls = stage.face.hear, [busy]
 
@@ -240,6 +240,29 @@ def test_a_second_in_which_its_time_stood_still_is_told(busy: float) -> None:
     assert all(line["of"] == 500 for line in stage.of("late"))
     assert stage.of("ended")[0]["missed"] >= sum(told)
     assert max(told, default=0) >= 500 * busy - 5
+
+
+def test_it_makes_up_for_short_stalls_and_its_time_goes_with_its_physics() -> None:
+    stage = Stage()
+    face, times = stage.face, []
+    face.now = 0.0  # type: ignore[attr-defined]
+    stage.emulator._timed = face  # type: ignore[assignment]
+    tell = face.tell
+
+    def late() -> None:
+        times.append(face.now)  # type: ignore[attr-defined]
+        time.sleep(0.02 if len(times) % 50 == 0 else 0.0)
+        tell()
+
+    face.tell = late  # type: ignore[method-assign]
+    began = time.monotonic()
+    stage.emulator.run(1.0)
+    missed = stage.of("ended")[0]["missed"]
+    assert stage.emulator.ticks + missed == 500
+    assert times[-1] - times[0] == pytest.approx(499 * PERIOD, abs=1e-6)
+    if not missed:  # this machine did not stall by itself
+        assert np.diff(times) == pytest.approx(PERIOD, abs=1e-6)
+        assert abs(times[0] - began) < 0.1
 
 
 def test_torques_are_limited_by_the_servo() -> None:

@@ -39,6 +39,8 @@ SILENCE = 0.5
 """After so long without a command, or its dead man's time, the next one is a first one, [s]."""
 LATE = 0.1
 """Share of a second's frames that a busy machine may miss untold."""
+CATCH_UP = 0.05
+"""A busy machine may be late by so much and the robot makes up for it, [s]: bodies never stop."""
 FASTEST = 5000.0
 """Of faces in [Hz]: a tick of Python takes 0.1 ms."""
 ROOM_TEMPERATURE = 25.0
@@ -212,9 +214,10 @@ class Emulator:
     def run(self, duration: float = float("inf")) -> None:
         """Tick in real time until stopped, at most so many seconds.
 
-        Ticks that the machine is too late for are left out and counted: meanwhile the robot's time
-        stands still, and a driver sees joints that do not follow their velocities. A second with
-        more than `LATE` of them left out is told.
+        A tick that is late counts as one of the moment when it was due, and those behind it follow
+        at once. Where the machine is late by more than `CATCH_UP`, ticks are left out and counted:
+        meanwhile the robot's time stands still, and a driver sees a pause. A second with more than
+        `LATE` of them left out is told.
 
         Raises:
             Fault: the physics blew up.
@@ -222,6 +225,7 @@ class Emulator:
         period, wait, now = round(1e9 / self._face.rate), WallClock(0).until, time.perf_counter_ns
         restore = prepare_process(Pacing(), lambda _: None)
         due = begun = now()
+        zero = time.monotonic() - begun * 1e-9
         second, before = begun + 1_000_000_000, 0
         try:
             while not self._stop and due - begun < duration * 1e9:
@@ -230,13 +234,13 @@ class Emulator:
                     if missed > LATE * self._face.rate:
                         self._say("late", missed=missed, of=round(self._face.rate))
                     second, before = due + 1_000_000_000, self.missed
-                self.tick(time.monotonic())
+                self.tick(zero + due * 1e-9)
                 due += period
                 late = now() - due
-                if late > 0:
+                if late > CATCH_UP * 1e9:
                     self.missed += late // period
                     due += late // period * period
-                else:
+                elif late < 0:
                     wait(due)
         finally:
             restore()
