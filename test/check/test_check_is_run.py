@@ -56,8 +56,8 @@ def unreachable(monkeypatch: pytest.MonkeyPatch) -> None:
     """Replace what opens a robot."""
     from unicon_ros.hardware.arx import platform as arx
     from unicon_ros.hardware.dds.participant import Participant
-    from unicon_ros.hardware.modbus import reached
-    from unicon_ros.hardware.xhand.wire import XhandWire
+    from unicon_ros.hardware.modbus import link as reached
+    from unicon_ros.hardware.xhand.platform import XhandWire
 
     monkeypatch.setattr(latches, "ipv4_of", str)  # it asks the kernel through a socket
     monkeypatch.setattr(socket, "socket", _reached)

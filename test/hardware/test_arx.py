@@ -239,7 +239,7 @@ class Pair:
     """Our wire and the emulated motors, on a bus of this process."""
 
     def __init__(self, robot: Robot, channel: str) -> None:
-        from unicon_ros.hardware.arx.wire import ArxWire, open_bus
+        from unicon_ros.hardware.arx.platform import ArxWire, open_bus
 
         self.emulated = Emulated(robot, FACE, channel=channel)
         self.states = states_of(robot)

@@ -23,8 +23,7 @@ from unicon_core.runtime.runner import Runner, RunOptions
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow import load_workflow
 from unicon_ros.hardware.azureloong.codec import command_type, state_type
-from unicon_ros.hardware.azureloong.platform import make
-from unicon_ros.hardware.azureloong.wire import AzureWire
+from unicon_ros.hardware.azureloong.platform import AzureWire, make
 
 EVIDENCE = "vendor"
 """What these tests run against, the most that config/evidence.yaml may say by them."""

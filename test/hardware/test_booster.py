@@ -26,9 +26,8 @@ from unicon_msgs_map.layout.messages import shared_messages
 from unicon_ros.hardware.booster import takeover
 from unicon_ros.hardware.booster.codec import REMOTE, BoosterFacts
 from unicon_ros.hardware.booster.face import BoosterFace, face
-from unicon_ros.hardware.booster.platform import make
-from unicon_ros.hardware.booster.service import number
-from unicon_ros.hardware.booster.wire import BoosterWire
+from unicon_ros.hardware.booster.platform import BoosterWire, make
+from unicon_ros.hardware.booster.takeover import number
 from unicon_ros.hardware.dds.maps import arrays_of, command_arrays
 from unicon_ros.hardware.wire import Counts
 

@@ -29,7 +29,7 @@ from unicon_core.states.standard import BUTTONS
 from unicon_ros.bench.domains import free_domain
 from unicon_ros.hardware.booster.codec import BoosterFacts
 from unicon_ros.hardware.booster.face import face
-from unicon_ros.hardware.booster.wire import BoosterWire
+from unicon_ros.hardware.booster.platform import BoosterWire
 from unicon_ros.hardware.dds.maps import command_arrays
 
 EVIDENCE = "vendor"

@@ -13,7 +13,7 @@ from unitree_helpers import until
 
 from unicon_core.errors import PlatformError
 from unicon_core.interfaces import ipv4_of
-from unicon_ros.hardware.dds.announcer import FOREIGN, Announcer, without
+from unicon_ros.hardware.dds.domains import FOREIGN, Announcer, without
 
 PREFIX = bytes(range(12))
 SENTINEL = struct.pack("<HH", 1, 0)

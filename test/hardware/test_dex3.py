@@ -22,10 +22,8 @@ from unicon_core.robots import load_robot
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow.hardware import declared_facts, refuse_incomplete
 from unicon_ros.hardware.dds import maps
-from unicon_ros.hardware.unitree_dex3.codec import Dex3Facts, own_arrays
 from unicon_ros.hardware.unitree_dex3.face import face
-from unicon_ros.hardware.unitree_dex3.platform import Dex3, make
-from unicon_ros.hardware.unitree_dex3.wire import Dex3Wire
+from unicon_ros.hardware.unitree_dex3.platform import Dex3, Dex3Facts, Dex3Wire, make, own_arrays
 from unicon_ros.hardware.wire import Counts
 
 EVIDENCE = "frames"

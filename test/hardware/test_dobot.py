@@ -22,11 +22,10 @@ from unicon_core.robots import Robot, load_robot
 from unicon_core.states import States, standard_states
 from unicon_core.states.standard import BUTTONS, COMMAND_STATES, control_states, hardware_states
 from unicon_core.workflow.hardware import refuse_incomplete
-from unicon_ros.hardware.dobot import takeover
+from unicon_ros.hardware.dobot import platform as takeover
 from unicon_ros.hardware.dobot.codec import DobotFacts, own_arrays
 from unicon_ros.hardware.dobot.face import face
-from unicon_ros.hardware.dobot.platform import make
-from unicon_ros.hardware.dobot.wire import DobotWire
+from unicon_ros.hardware.dobot.platform import DobotWire, make
 from unicon_ros.hardware.wire import Counts
 
 EVIDENCE = "stand_in"

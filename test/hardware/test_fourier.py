@@ -17,10 +17,9 @@ from unicon_core.errors import Fault, PlatformError, RobotError, WorkflowError
 from unicon_core.robots import Robot, load_robot
 from unicon_core.runtime.runner import Runner, RunOptions
 from unicon_core.workflow import load_workflow
+from unicon_ros.hardware.fourier.actuator_wire import TRIES
 from unicon_ros.hardware.fourier.codec import Actuators
-from unicon_ros.hardware.fourier.enabling import TRIES
-from unicon_ros.hardware.fourier.platform import Fourier, make
-from unicon_ros.hardware.fourier.wire import FourierWire
+from unicon_ros.hardware.fourier.platform import Fourier, FourierWire, make
 from unicon_ros.hardware.udp import Udp
 
 EVIDENCE = "vendor"

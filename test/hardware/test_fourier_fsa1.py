@@ -24,9 +24,8 @@ from unicon_core.workflow import load_workflow
 from unicon_ros.hardware.fourier import fsa1_codec as codec
 from unicon_ros.hardware.fourier.fsa1_codec import Servos
 from unicon_ros.hardware.fourier.fsa1_face import Fsa1Face
-from unicon_ros.hardware.fourier.fsa1_wire import Fsa1Wire
+from unicon_ros.hardware.fourier.fsa1_wire import SAMPLES, Fsa1Wire, Zero
 from unicon_ros.hardware.fourier.platform import Fourier, make
-from unicon_ros.hardware.fourier.zero import SAMPLES, Zero
 from unicon_ros.hardware.udp import Udp
 
 EVIDENCE = "vendor"

@@ -24,8 +24,8 @@ from unicon_ros.hardware.inspire.platform import make as inspire
 from unicon_ros.hardware.modbus.frames import Rtu
 from unicon_ros.hardware.modbus.hand import HandWire
 from unicon_ros.hardware.modbus.link import Link
-from unicon_ros.hardware.rohand.codec import check_protocol, registers_of
 from unicon_ros.hardware.rohand.face import face as rohand_face
+from unicon_ros.hardware.rohand.platform import check_protocol, registers_of
 
 EVIDENCE = "stand_in"
 """What these tests run against, the most that config/evidence.yaml may say by them."""

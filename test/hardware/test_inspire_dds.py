@@ -20,10 +20,8 @@ from dds_ends import DOMAIN, LOOPBACK, Ends, golden_frame, states_of, until
 
 from unicon_core.errors import Fault, MissingDependencyError, PlatformError, RobotError
 from unicon_core.robots import load_robot
-from unicon_ros.hardware.inspire.dds.both import Both
-from unicon_ros.hardware.inspire.dds.codec import HandFacts
 from unicon_ros.hardware.inspire.dds.face import face
-from unicon_ros.hardware.inspire.dds.wire import InspireDdsWire
+from unicon_ros.hardware.inspire.dds.wire import Both, HandFacts, InspireDdsWire
 from unicon_ros.hardware.inspire.platform import Inspire, make
 from unicon_ros.hardware.wire import Counts
 

@@ -20,7 +20,7 @@ from unicon_ros.hardware.udp import Udp
 from unicon_ros.hardware.unitree_legged.codec import LAYOUTS, CommandFrame, Frame
 from unicon_ros.hardware.unitree_legged.face import face
 from unicon_ros.hardware.unitree_legged.link import link_of
-from unicon_ros.hardware.unitree_legged.reader import StateReader
+from unicon_ros.hardware.unitree_legged.wire import StateReader
 from unicon_ros.hardware.wire import Counts
 
 FLOAT = st.floats(width=32)

@@ -22,10 +22,8 @@ from unicon_core.robots import Robot, load_robot
 from unicon_core.states import States, standard_states
 from unicon_core.states.standard import BUTTONS, COMMAND_STATES, control_states, hardware_states
 from unicon_ros.hardware.dds import maps, participant
-from unicon_ros.hardware.pnd.codec import REMOTE, LowStates, PndFacts
 from unicon_ros.hardware.pnd.face import face
-from unicon_ros.hardware.pnd.platform import Pnd, make
-from unicon_ros.hardware.pnd.wire import PndWire
+from unicon_ros.hardware.pnd.platform import REMOTE, LowStates, Pnd, PndFacts, PndWire, make
 from unicon_ros.hardware.wire import Counts
 
 EVIDENCE = "frames"

@@ -16,10 +16,15 @@ from unicon_core.errors import RobotError
 from unicon_core.robots import Robot, load_robot
 from unicon_msgs_map import Encoder
 from unicon_msgs_map.layout.messages import shared_messages
-from unicon_ros.hardware.dds.frames import Frames
+from unicon_ros.hardware.dds.maps import Frames
 from unicon_ros.hardware.torso import turned
-from unicon_ros.hardware.unitree.facts import UnitreeFacts
-from unicon_ros.hardware.unitree.maps import command_in, command_out, state_in, state_out
+from unicon_ros.hardware.unitree.facts import (
+    UnitreeFacts,
+    command_in,
+    command_out,
+    state_in,
+    state_out,
+)
 from unicon_ros.hardware.wire import Counts
 
 ROBOTS = ("go2", "h1", "g1_29dof", "g1_23dof", "h1_2")

@@ -46,7 +46,8 @@ from unicon_ros.bench.domains import free_domain
 from unicon_ros.hardware.dds import participant as dds
 from unicon_ros.hardware.dds.participant import Participant
 from unicon_ros.hardware.dds.types import OCTETS, dds_type
-from unicon_ros.hardware.unitree import release, wire
+from unicon_ros.hardware.unitree import platform as wire
+from unicon_ros.hardware.unitree import release
 from unicon_ros.hardware.unitree.face import face
 from unicon_ros.hardware.unitree.platform import Unitree, make
 

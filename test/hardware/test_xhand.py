@@ -18,7 +18,7 @@ from unicon_core.errors import Fault, MissingDependencyError, PlatformError, Rob
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program
-from unicon_ros.hardware.xhand import wire
+from unicon_ros.hardware.xhand import platform as wire
 from unicon_ros.hardware.xhand.platform import make
 
 EVIDENCE = "stand_in"

@@ -16,7 +16,7 @@ from unicon_ros.hardware.dds.end import DdsEnd
 from unicon_ros.hardware.dds.participant import Reader, Writer
 from unicon_ros.hardware.unitree.face import UnitreeFace, face
 from unicon_ros.hardware.unitree.facts import UnitreeFacts
-from unicon_ros.hardware.unitree.wire import UnitreeWire
+from unicon_ros.hardware.unitree.platform import UnitreeWire
 
 DOMAIN = free_domain()
 """Of DDS: runs of the tests at the same time do not hear each other."""

@@ -10,7 +10,7 @@ from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_ros.hardware.arx.codec import DM, ENABLE, ENABLED, Motors, Reply, answer, command_of
-from unicon_ros.hardware.arx.wire import MOST, import_can, open_bus
+from unicon_ros.hardware.arx.platform import MOST, import_can, open_bus
 from unicon_ros.hardware.modes import EmulatedModes
 from unicon_ros.hardware.wire import known
 

@@ -16,8 +16,15 @@ from numpy.typing import NDArray
 from unicon_core.errors import RobotError
 from unicon_core.robots import Robot
 from unicon_core.schema.marks import Key, Text
-from unicon_ros.hardware.dds.frames import Frames
-from unicon_ros.hardware.dds.maps import COMMANDS, MEASURED, Arrays, DdsFacts, Message, motors
+from unicon_ros.hardware.dds.maps import (
+    COMMANDS,
+    MEASURED,
+    Arrays,
+    DdsFacts,
+    Frames,
+    Message,
+    motors,
+)
 from unicon_ros.hardware.facts import fact, facts_of, named, one_of, slots, wrong_fact
 from unicon_ros.hardware.wire import Counts
 

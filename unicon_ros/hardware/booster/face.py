@@ -16,8 +16,8 @@ from unicon_core.platforms.kit.base import rpy_of_quat
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_ros.hardware.booster.codec import BoosterFacts
-from unicon_ros.hardware.booster.service import SUCCESS, Server, number
-from unicon_ros.hardware.booster.wire import EXTRA
+from unicon_ros.hardware.booster.platform import EXTRA
+from unicon_ros.hardware.booster.takeover import SUCCESS, Server, number
 from unicon_ros.hardware.dds.end import DdsFace
 from unicon_ros.hardware.dds.maps import arrays_of
 

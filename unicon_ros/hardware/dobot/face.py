@@ -16,7 +16,7 @@ from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_ros.hardware.dds.end import DdsFace
 from unicon_ros.hardware.dobot.codec import DobotFacts, own_arrays
-from unicon_ros.hardware.dobot.wire import EXTRA
+from unicon_ros.hardware.dobot.platform import EXTRA
 from unicon_ros.hardware.modes import EmulatedModes
 from unicon_ros.hardware.torso import IMU_STATES, turned
 from unicon_ros.hardware.wire import Counts

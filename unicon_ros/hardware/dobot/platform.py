@@ -6,20 +6,216 @@
 
 What the vendor's sources contradict each other in, or do not say, must be said: `layout` of
 UpperState, and `fsm_id`, in which joint commands act. It needs the extra `hw-dobot`.
+
+Joint commands act in some states of the robot's own state machine only, whose numbers are not
+public, and the arms must be switched over besides (Dobot-Arm/dobot_atom_ros2 "DDS接口整理.md").
 """
 
 from __future__ import annotations
 
-from typing import Literal
+import time
+from collections.abc import Callable, Generator
+from typing import Any, Literal
 
-from unicon_core.errors import PlatformError
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.blocks.controls.device import Controls
+from unicon_core.blocks.controls.remotes import dobot
+from unicon_core.errors import Fault, PlatformError
 from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import CONTROL_STATES, JOINT_STATES
-from unicon_ros.hardware.dobot.wire import DobotWire
-from unicon_ros.hardware.torso import IMU_STATES
+from unicon_ros.hardware.dds.end import DdsEnd
+from unicon_ros.hardware.dds.maps import Message
+from unicon_ros.hardware.dds.participant import Participant
+from unicon_ros.hardware.dobot.codec import DobotFacts, own_arrays
+from unicon_ros.hardware.modes import UNDOCUMENTED, ModeGuard
+from unicon_ros.hardware.torso import IMU_STATES, turned
 from unicon_ros.hardware.wired_robot import SILENCE, WiredRobot, opened
+
+TIMEOUT, AGAIN = 5.0, 0.2
+"""For a state to be reached, and between two requests, in [s]."""
+
+
+class Takeover:
+    """Called once a tick until it returns "", behind the operator's go.
+
+    Args:
+        participant: of the robot's domain.
+        facts: of the robot file.
+        told: `fsm_id` and `upper_control`, as the robot told them last.
+        wanted: number of the state in which joint commands act.
+        what: in front of messages.
+
+    Attributes:
+        done: the robot is ours.
+    """
+
+    def __init__(
+        self,
+        participant: Participant,
+        facts: DobotFacts,
+        told: tuple[NDArray[Any], NDArray[Any]],
+        wanted: int,
+        what: str,
+    ) -> None:
+        self.done = False
+        self._fsm, self._arms = told
+        self._wanted, self._what = wanted, what
+        self._ask_fsm = _asking(participant, facts.fsm, wanted)
+        self._ask_arms = _asking(participant, facts.switch, 1)
+        self._steps = self._procedure()
+
+    def __call__(self) -> str:
+        """Go on without waiting; return what is waited for, "" at the end.
+
+        Raises:
+            Fault: the robot does not do it in time.
+        """
+        if not self.done:
+            missing = next(self._steps, "")
+            self.done = not missing
+            return missing
+        return ""
+
+    def check(self) -> None:
+        """Look whether the robot is still ours, once it was.
+
+        Raises:
+            Fault: it is not.
+        """
+        if not self.done:
+            return
+        if int(self._fsm) != self._wanted:
+            raise Fault(
+                f"{self._what}: the robot's own state machine is in {int(self._fsm)}, and no "
+                f"longer in {self._wanted}: the remote or another program has taken the robot"
+            )
+        if not self._arms:
+            raise Fault(f"{self._what}: the arms were switched back to the robot's own controller")
+
+    def _procedure(self) -> Generator[str, None, None]:
+        doing = f"its own state machine to go to {self._wanted}"
+        yield from self._until(lambda: int(self._fsm) == self._wanted, self._ask_fsm, doing)
+        yield from self._until(lambda: bool(self._arms), self._ask_arms, "the arms to be ours")
+
+    def _until(
+        self, reached: Callable[[], bool], ask: Callable[[], None], doing: str
+    ) -> Generator[str, None, None]:
+        end, due = time.monotonic() + TIMEOUT, 0.0
+        while not reached():
+            now = time.monotonic()
+            if now > end:
+                raise Fault(
+                    f"{self._what}: waited {TIMEOUT:g} s for {doing}; it is in "
+                    f"{int(self._fsm)}: use the remote, and check the option fsm_id"
+                )
+            if now >= due:
+                ask()
+                due = now + AGAIN
+            yield doing
+
+
+def _asking(participant: Participant, message: Message, value: int) -> Callable[[], None]:
+    writer = participant.writer(message.topic, message.struct)
+    wanted = np.array(value, np.uint16)
+    raw = message.encoder(dict.fromkeys(message.fields, wanted)).encode()
+    raw += bytes(-len(raw) % 4)
+    return lambda: writer.write(raw)
+
+
+EXTRA = "hw-dobot"
+
+
+class DobotWire(DdsEnd):
+    """The connection to a robot; a frame is one of its legs with one of what is above them.
+
+    Neither state has a number: a robot that repeats itself is not told from one that does not move.
+
+    Args:
+        states: what is measured goes into these, commands come from these.
+        robot: its file.
+        domain: of DDS; None for the robot file's.
+        address: of this machine's network interface, or its name; None for the default.
+        layout: of UpperState, `sdk` or `ros2`.
+        fsm_id: state of the robot's own state machine in which joint commands act.
+        silent: nothing is sent.
+
+    Attributes:
+        modes: of the motors; no public source says which values they report ("DDS接口整理.md" of
+            Dobot-Arm/dobot_atom_ros2 names the field only).
+
+    Raises:
+        UniconError: it cannot be opened.
+    """
+
+    label, extra = "platform 'dobot'", EXTRA
+
+    def __init__(
+        self,
+        states: States,
+        robot: Robot,
+        domain: int | None,
+        address: str | None,
+        *,
+        layout: str,
+        fsm_id: int,
+        silent: bool = False,
+    ) -> None:
+        facts, own = DobotFacts.of(robot, layout), own_arrays()
+        self._imu = {name: np.array(states[name]) for name in IMU_STATES}
+        arrays = {name: states[name] for name in states} | own | self._imu
+        self._states, self._waist, self._remote = states, facts.waist, own["remote"]
+        self._controls = Controls(states) if "sticks" in states else None
+        self.modes = ModeGuard(self.label, robot.joint_names, facts.mode, settles=UNDOCUMENTED)
+        self.modes.reported = own["modes"]
+        self._fresh = [0, 0]
+        self._pairs = 0
+        self._takeover: Takeover | None = None
+        halves = (facts.lower, facts.upper)
+        topics = " and ".join(half.state_topic for half in halves)
+        super().__init__(topics, facts.domain, domain, address)
+        with self.closing():
+            for half in halves:
+                self.listen(half.state, arrays)
+                self.watch(half.command_topic)
+            if not silent:
+                for half in halves:
+                    self.speak(half.command, arrays)
+                told = own["fsm_id"], own["upper_control"]
+                self._takeover = Takeover(self.participant, facts, told, fsm_id, self.label)
+
+    def take(self) -> int:
+        """Bring the newest good frames into the states; return how many pairs have come.
+
+        Raises:
+            Fault: the robot's own state machine has taken it back.
+        """
+        for half, inlet in enumerate(self._inlets):
+            self._fresh[half] += inlet.take()
+        number = min(self._fresh)
+        if number:
+            self._fresh = [0, 0]
+            self._pairs += number
+            self._measured()
+        self.counts.good = self._pairs
+        return number
+
+    def _measured(self) -> None:
+        states, waist = self._states, self._waist
+        angle, rate = (float(states[name][waist]) for name in ("joint_pos", "joint_vel"))
+        turned(self._imu, {name: states[name] for name in IMU_STATES}, angle, rate)
+        if self._controls is not None:
+            dobot(self._remote, self._controls)
+        if self._takeover is not None:
+            self._takeover.check()
+
+    def prepare(self) -> str:
+        """Let the robot's own state machine go; return what is waited for, "" at the end."""
+        return "" if self._takeover is None else self._takeover()
+
 
 LARGEST = 65535
 

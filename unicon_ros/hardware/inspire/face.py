@@ -5,7 +5,7 @@ from __future__ import annotations
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_ros.hardware.facts import Port, fact
-from unicon_ros.hardware.inspire.codec import registers_of
+from unicon_ros.hardware.inspire.platform import registers_of
 from unicon_ros.hardware.modbus.served import HandFace, PtyServer, TcpServer
 
 

@@ -15,8 +15,7 @@ from unicon_core.states import States
 from unicon_ros.hardware.dds.end import DdsFace
 from unicon_ros.hardware.dds.maps import arrays_of
 from unicon_ros.hardware.modes import EmulatedModes
-from unicon_ros.hardware.pnd.codec import REMOTE, PndFacts
-from unicon_ros.hardware.pnd.wire import EXTRA
+from unicon_ros.hardware.pnd.platform import EXTRA, REMOTE, PndFacts
 
 
 class PndFace(DdsFace):

@@ -6,7 +6,7 @@ from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_ros.hardware.facts import Word, fact
 from unicon_ros.hardware.modbus.served import HandFace, PtyServer
-from unicon_ros.hardware.rohand.codec import registers_of
+from unicon_ros.hardware.rohand.platform import registers_of
 
 
 def face(states: States, robot: Robot, *, version: int = 0x0100) -> HandFace:

@@ -22,16 +22,13 @@ from unicon_core.schema.marks import Within
 from unicon_core.states import States
 from unicon_ros.emulate.remote import Remote
 from unicon_ros.hardware.dds.end import DdsFace
-from unicon_ros.hardware.dds.frames import Frames
-from unicon_ros.hardware.dds.maps import arrays_of
+from unicon_ros.hardware.dds.maps import Frames, arrays_of
 from unicon_ros.hardware.modes import EmulatedModes
 from unicon_ros.hardware.robot_clock import Milliseconds
 from unicon_ros.hardware.torso import IMU_STATES, turned
-from unicon_ros.hardware.unitree.facts import UnitreeFacts
-from unicon_ros.hardware.unitree.maps import command, command_in, state
-from unicon_ros.hardware.unitree.release import CHECK_MODE, RELEASE_MODE, SWITCHER
-from unicon_ros.hardware.unitree.service import Server
-from unicon_ros.hardware.unitree.wire import REMOTE, own_arrays
+from unicon_ros.hardware.unitree.facts import UnitreeFacts, command, command_in, state
+from unicon_ros.hardware.unitree.platform import REMOTE, own_arrays
+from unicon_ros.hardware.unitree.release import CHECK_MODE, RELEASE_MODE, SWITCHER, Server
 from unicon_ros.hardware.wire import Counts
 
 MODE = "normal"

@@ -15,7 +15,7 @@ from unicon_core.states import States
 from unicon_ros.hardware.dds.end import DdsFace
 from unicon_ros.hardware.dds.maps import arrays_of
 from unicon_ros.hardware.modes import EmulatedModes
-from unicon_ros.hardware.unitree_dex3.codec import TIMEOUT, Dex3Facts, own_arrays
+from unicon_ros.hardware.unitree_dex3.platform import TIMEOUT, Dex3Facts, own_arrays
 
 TEMPERATURE = 35.0
 """What it tells where its simulator knows none, in [°C]."""

@@ -17,8 +17,7 @@ from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import CONTROL_STATES
 from unicon_ros.hardware.unitree_legged.link import NAME, Link, link_of
-from unicon_ros.hardware.unitree_legged.reader import FOOT_FORCE
-from unicon_ros.hardware.unitree_legged.wire import LeggedWire
+from unicon_ros.hardware.unitree_legged.wire import FOOT_FORCE, LeggedWire
 from unicon_ros.hardware.wired_robot import SILENCE, WiredRobot, opened
 
 WATCHDOG = 0.25

@@ -13,8 +13,7 @@ import numpy as np
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_ros.hardware.dds.end import DdsEnd
-from unicon_ros.hardware.inspire.dds.codec import ANGLES, HandFacts
-from unicon_ros.hardware.inspire.dds.wire import EXTRA
+from unicon_ros.hardware.inspire.dds.wire import ANGLES, EXTRA, HandFacts
 from unicon_ros.hardware.wire import Counts
 
 AS_IT_IS = -1

@@ -1,16 +1,193 @@
-"""InspireDdsWire: angles of a hand in, targets out, over DDS."""
+"""InspireDdsWire: a hand behind one of the two DDS interfaces of an RH56; what both carry.
+
+FTP (protocol `inspire_ftp`): a message for each hand, six angles of 0 (closed) to 1000 (open), and
+`mode`, whose bit 0 says that angles count (NaCl-1374/inspire_hand_ws inspire_hand_sdk/hand_idl,
+inspire_sdkpy/inspire_sdk.py). DFX (`inspire_dfx`): Unitree's MotorCmds and MotorStates with both
+hands, `q` of 0 (closed) to 1 (open) (unitreerobotics/xr_teleoperate
+teleop/robot_control/robot_hand_inspire.py).
+"""
 
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from unicon_core.robots import Robot
+from unicon_core.schema.marks import Key, Within
 from unicon_core.states import States
 from unicon_ros.hardware.dds.end import DdsEnd
-from unicon_ros.hardware.inspire.dds.both import Both
-from unicon_ros.hardware.inspire.dds.codec import HandFacts
+from unicon_ros.hardware.dds.maps import Arrays, DdsFacts, Frames, Message
+from unicon_ros.hardware.facts import fact, facts_of, one_of, slots
 from unicon_ros.hardware.speed import Speed
 from unicon_ros.hardware.wire import Counts
+
+ANGLES = 1
+"""Bit of `mode` of the FTP: `angle_set` counts."""
+FTP, DFX = "inspire_ftp", "inspire_dfx"
+COUNTS = {FTP: 6, DFX: 12}
+"""Protocol to angles in a message."""
+Raw = Annotated[float, Within(-32767.0, 32767.0)]
+
+
+@dataclass(frozen=True)
+class HandFacts(DdsFacts):
+    """`transport` of a robot file.
+
+    Attributes:
+        protocol: `inspire_ftp` or `inspire_dfx`.
+        open: what stands for each joint's lower limit.
+        closed: what stands for each joint's upper limit.
+        slots: place of each joint in the message, shape (6,).
+        lower: limit in [rad], shape (6,).
+        upper: limit in [rad], shape (6,).
+    """
+
+    protocol: Annotated[str, one_of(FTP, DFX)]
+    open: Annotated[Raw, Key("raw_lower")]
+    closed: Annotated[Raw, Key("raw_upper")]
+    slots: NDArray[np.intp]
+    lower: NDArray[np.float64]
+    upper: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, robot: Robot) -> HandFacts:
+        """Read them.
+
+        Raises:
+            RobotError: one lacks, or is not what it must be.
+        """
+        both = robot.transport["protocol"] == DFX
+        places = fact(robot, "motors", Annotated[list[int], slots(COUNTS[DFX])]) if both else None
+        return facts_of(
+            cls,
+            robot,
+            slots=np.array(places or range(COUNTS[FTP]), np.intp),
+            lower=robot.lower.astype(np.float64),
+            upper=robot.upper.astype(np.float64),
+        )
+
+    @property
+    def both(self) -> bool:
+        """Whether it is the DFX, whose messages have both hands."""
+        return self.protocol == DFX
+
+    @property
+    def per_rad(self) -> NDArray[np.float64]:
+        """Change of what is sent with the angle, shape (6,)."""
+        return (self.closed - self.open) / (self.upper - self.lower)
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Smallest and largest number that may be sent."""
+        return min(self.open, self.closed), max(self.open, self.closed)
+
+    def zeros(self) -> NDArray[Any]:
+        """Return an array of the angles in a message, as they are sent."""
+        return np.zeros(COUNTS[self.protocol], np.float32 if self.both else np.int16)
+
+    def to_wire(self, angles: NDArray[Any]) -> tuple[NDArray[np.float64], bool]:
+        """Return what is sent for angles in [rad], and whether one was beyond the ends."""
+        exact = self.open + (angles - self.lower) * self.per_rad
+        sent = np.clip(exact, *self.ends)
+        span = self.ends[1] - self.ends[0]
+        beyond = bool(np.abs(exact - sent).max() > 1e-4 * span)  # a limit in float32 is not
+        return (sent if self.both else np.rint(sent)), beyond
+
+    def to_angles(self, told: NDArray[Any]) -> NDArray[np.float64]:
+        """Return the angles in [rad] of what was told."""
+        angles: NDArray[np.float64] = self.lower + (told - self.open) / self.per_rad
+        return angles
+
+    @property
+    def state(self) -> Message:
+        """The state; `told` has its angles."""
+        if self.both:
+            count = COUNTS[DFX]
+            fields = {f"states[0:{count}].q": "told"}
+            kind = "unitree_go/msg/MotorStates"
+            return Message(self.state_topic, kind, fields, lengths={"states": count})
+        return Message(
+            self.state_topic,
+            "inspire/msg/HandState",
+            {
+                "angle_act[0:6]": "told",
+                "err[0:6]": "motor_error",
+                "temperature[0:6]": "motor_temperature",
+            },
+            sent={f"{name}[5]": 0 for name in ("pos_act", "force_act", "current", "status")},
+            name="inspire.inspire_hand_state",
+            lengths={"pos_act": 6},
+        )
+
+    @property
+    def command(self) -> Message:
+        """The command, of `targets`."""
+        if self.both:
+            count = COUNTS[DFX]
+            fields = {f"cmds[0:{count}].q": "targets"}
+            kind = "unitree_go/msg/MotorCmds"
+            return Message(self.command_topic, kind, fields, lengths={"cmds": count})
+        unused = {f"{name}[5]": 0 for name in ("pos_set", "force_set", "speed_set")}
+        return Message(
+            self.command_topic,
+            "inspire/msg/HandCtrl",
+            {"angle_set[0:6]": "targets"},
+            sent=unused | {"mode": ANGLES},
+            taken={"mode": "mode"},
+            name="inspire.inspire_hand_ctrl",
+            lengths={"pos_set": 6},
+        )
+
+    def state_in(self, arrays: Arrays, counts: Counts) -> Frames:
+        """Return what reads the state into those arrays that are there."""
+        told = {"told": self.zeros()}
+        own = told | {name: np.zeros(6, np.int32) for name in ("motor_error", "motor_temperature")}
+        return self.state.frames(arrays, counts, size=self.state.encoder(own).size)
+
+    def command_in(self, arrays: Arrays, counts: Counts) -> Frames:
+        """Return what reads the command, as the hand does."""
+        size = self.command.encoder({"targets": self.zeros()}).size
+        return self.command.frames(arrays, counts, size=size)
+
+
+_open: dict[tuple[int, str], Both] = {}
+
+
+class Both:
+    """Targets of both hands on one topic; get it with `Both.of`.
+
+    Attributes:
+        targets: as they are sent, shape (count,).
+        users: wires that send them.
+    """
+
+    def __init__(self, count: int) -> None:
+        self.targets = np.zeros(count, np.float32)
+        self.users = 0
+        self._known = np.zeros(count, bool)
+
+    @classmethod
+    def of(cls, domain: int, topic: str, count: int) -> Both:
+        """Return that of a topic, and use it until `leave`."""
+        made = _open.setdefault((domain, topic), cls(count))
+        made.users += 1
+        return made
+
+    def found(self, told: NDArray[np.float32]) -> None:
+        """Note where the hands are: who is not commanded stays there."""
+        np.copyto(self.targets, told, where=~self._known)
+        self._known[...] = True
+
+    def leave(self, domain: int, topic: str) -> None:
+        """Use it no longer."""
+        self.users -= 1
+        if not self.users:
+            _open.pop((domain, topic), None)
+
 
 EXTRA = "hw-inspire"
 OVER = 0.05
