@@ -128,7 +128,7 @@ class Emulated:
         hung: float = 0.0,
         **options: Any,
     ) -> None:
-        self.robot, self.port, self.states = robot, port, States(standard_states(robot.joint_names))
+        self.robot, self.port, self.states = robot, port, states_of(robot)
         scene, period = scene or Scene(), 1.0 / RATE
         self.physics = (
             make_fake(self.states, robot, period, scene=scene, time_constant=0.05)

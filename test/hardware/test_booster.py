@@ -238,7 +238,7 @@ def test_a_refusal_and_silence_of_the_service_are_faults(
     monkeypatch.setattr(BoosterFace, "_changed", lambda *_: 502)
     with pytest.raises(Fault, match=r"refuses request 2000 with status 502: its state machine"):
         until(lambda: not pair.wire.prepare(), pair.face.hear)
-    monkeypatch.setattr(takeover, "TIMEOUT", 0.1)
+    monkeypatch.setattr(takeover.Takeover, "timeout", 0.1)
     again = BoosterWire(pair.ours, T1, DOMAIN, LOOPBACK)
     try:
         with pytest.raises(Fault, match=r"rt/LocoApiTopic does not answer request 2017"):
@@ -251,7 +251,7 @@ def test_who_says_done_without_doing_it_is_found_out(
     pair: Ends, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(BoosterFace, "_changed", lambda *_: 0)
-    monkeypatch.setattr(takeover, "TIMEOUT", 0.3)
+    monkeypatch.setattr(takeover.Takeover, "timeout", 0.3)
     with pytest.raises(Fault, match=r"not in custom mode 0.3 s after it was asked"):
         until(lambda: not pair.wire.prepare(), pair.face.hear)
 

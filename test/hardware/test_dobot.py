@@ -195,7 +195,7 @@ def test_nothing_acts_before_the_takeover_and_its_loss_is_a_fault() -> None:
 
 
 def test_a_state_machine_that_does_not_follow_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(takeover, "TIMEOUT", 0.1)
+    monkeypatch.setattr(takeover.Takeover, "timeout", 0.1)
     pair = ends()
     try:
         with pytest.raises(Fault, match=r"waited 0.1 s for its own state machine to go to 2; it"):

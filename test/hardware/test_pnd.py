@@ -65,7 +65,7 @@ def adam(request: pytest.FixtureRequest) -> Iterator[Ends]:
 def test_the_golden_state_is_read(assets: Path) -> None:
     raw = bytearray(golden_frame(assets, "adam_lowstate"))
     arrays, counts = arrays_of(), Counts()
-    frames = LowStates(FACTS, arrays, counts, battery=True)
+    frames = LowStates(replace(FACTS, battery=True), arrays, counts)
     assert frames.good(bytes(raw))
     assert not frames.read(bytes(raw))  # its quaternion has not norm 1
     assert "norm" in counts.last or "orientation" in counts.last
@@ -81,7 +81,7 @@ def test_the_golden_state_is_read(assets: Path) -> None:
     remote = struct.unpack_from("<19f", raw, FIRST_STATE + MOTORS * STATE.size)
     assert arrays["remote"].tolist() == list(remote)
     assert arrays["tick"] == struct.unpack_from("<I", raw, TICK_AT)[0]
-    plain = LowStates(FACTS, arrays, counts, battery=False)
+    plain = LowStates(FACTS, arrays, counts)
     assert not plain.good(bytes(raw))
     assert counts.refused["long"] == 1
     cut = bytes(raw[: PLAIN_SIZE - 4]) + b"\7\0\0\0"  # what the C++ programs construct
@@ -120,8 +120,8 @@ def test_garbage_never_raises_and_never_writes_what_is_not_finite(
     battery: bool, noise: bytes, at: int, value: bytes
 ) -> None:
     arrays = arrays_of()
-    frames = LowStates(FACTS, arrays, Counts(), battery=battery)
-    good = FACTS.state_out(arrays, battery=battery)()
+    facts = replace(FACTS, battery=battery)
+    frames, good = LowStates(facts, arrays, Counts()), facts.state_out(arrays)()
     for raw in (noise, good[:at], good[:at] + value[:4] + good[at + 4 :], good + noise):
         frames.forget()
         if frames.good(raw):

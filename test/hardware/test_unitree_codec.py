@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,17 +15,9 @@ from hypothesis import strategies as st
 
 from unicon_core.errors import RobotError
 from unicon_core.robots import Robot, load_robot
-from unicon_msgs_map import Encoder
 from unicon_msgs_map.layout.messages import shared_messages
-from unicon_ros.hardware.dds.maps import Frames
 from unicon_ros.hardware.torso import turned
-from unicon_ros.hardware.unitree.facts import (
-    UnitreeFacts,
-    command_in,
-    command_out,
-    state_in,
-    state_out,
-)
+from unicon_ros.hardware.unitree.facts import UnitreeFacts
 from unicon_ros.hardware.wire import Counts
 
 ROBOTS = ("go2", "h1", "g1_29dof", "g1_23dof", "h1_2")
@@ -119,10 +112,10 @@ def arrays_of(robot: Robot) -> dict[str, np.ndarray]:
 def test_golden_frames_are_good_and_each_wrong_byte_is_not(assets: Path, name: str) -> None:
     raw, described = golden(assets, name)
     facts = UnitreeFacts.of(load_robot("go2" if "go" in name else "g1_29dof"))
-    make = command_in if name.endswith("cmd") else state_in
     arrays = arrays_of(load_robot("go2" if "go" in name else "g1_29dof"))
     counts = Counts()
-    frames = Frames(make(facts, *(() if "cmd" in name else (arrays,))), arrays, counts)
+    message = facts.command if name.endswith("cmd") else facts.state
+    frames = message.frames(arrays, counts)
     assert frames.good(raw)
     assert frames.good(raw + b"\0" * 3)
     assert len(raw) == frames.size
@@ -175,7 +168,7 @@ def image(kind: str, raw: bytes) -> bytes:
 def test_commands_stand_in_their_slots(name: str) -> None:
     robot = load_robot(name)
     facts, arrays = UnitreeFacts.of(robot), arrays_of(robot)
-    raw = Encoder.build(command_out(facts), arrays).encode()
+    raw = facts.command_out(arrays)()
     kind = f"{facts.protocol}/msg/LowCmd"
     numbers, modes = frames_of(kind, raw)
     motors = robot.transport.get("motors") or list(range(robot.num_joints))
@@ -205,11 +198,11 @@ def test_commands_stand_in_their_slots(name: str) -> None:
 def test_what_one_end_says_the_other_end_reads(name: str) -> None:
     robot = load_robot(name)
     facts, ours = UnitreeFacts.of(robot), arrays_of(robot)
-    raw = Encoder.build(state_out(facts, ours), ours).encode()
+    raw = facts.state_out(ours)()
     kind = f"{facts.protocol}/msg/LowState"
     assert int.from_bytes(raw[-4:], "little") == slow_crc(image(kind, raw))
     theirs = {key: np.zeros_like(value) for key, value in ours.items()}
-    frames = Frames(state_in(facts, theirs), theirs, Counts(), orientation="base_quat")
+    frames = facts.state_in(theirs, Counts())
     assert frames.good(raw)
     assert frames.read(raw)
     told = ["joint_pos", "joint_vel", "joint_effort", "base_quat", "base_ang_vel", "base_lin_acc"]
@@ -220,8 +213,8 @@ def test_what_one_end_says_the_other_end_reads(name: str) -> None:
     for key in told:
         np.testing.assert_array_equal(theirs[key], ours[key], err_msg=key)
     assert abs(float(theirs["battery_charge"]) - (0.57 if facts.battery else 0.0)) < 1e-6
-    command = Encoder.build(command_out(facts), ours).encode()
-    heard = Frames(command_in(facts), theirs, Counts())
+    command = facts.command_out(ours)()
+    heard = facts.command_in(theirs, Counts())
     assert heard.good(command)
     assert heard.read(command)
     for key in ("joint_pos_target", "joint_vel_target", "joint_effort_ff", "joint_stiffness"):
@@ -233,10 +226,8 @@ def test_what_one_end_says_the_other_end_reads(name: str) -> None:
 def test_garbage_is_refused_and_writes_nothing(data: st.DataObject) -> None:
     robot = load_robot("go2")
     facts, arrays = UnitreeFacts.of(robot), arrays_of(robot)
-    raw = bytearray(Encoder.build(state_out(facts, arrays), arrays).encode())
-    frames = Frames(
-        state_in(facts, arrays), arrays, Counts(), checked=False, orientation="base_quat"
-    )
+    raw = bytearray(facts.state_out(arrays)())
+    frames = replace(facts.state, checked=False).frames(arrays, Counts())
     at = data.draw(st.sampled_from([4 + 24, 4 + 28, 4 + 80, 4 + 84, 4 + 128]))  # quaternion, q, dq
     bad = data.draw(st.sampled_from([np.nan, np.inf, -np.inf]))
     struct.pack_into("<f", raw, at, bad)

@@ -313,7 +313,7 @@ def test_its_own_controller_is_asked_to_let_go(name: str, monkeypatch: pytest.Mo
 def test_a_controller_that_does_not_let_go_is_a_fault(
     answer: tuple[int, str] | None, told: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(release, "TIMEOUT", 0.2 if answer is None else 5.0)
+    monkeypatch.setattr(release.Release, "timeout", 0.2 if answer is None else 5.0)
     robot = load_robot("go2")
     robot.transport["release"]["wait"] = 0.0  # type: ignore[index]
     pair = Pair(robot, release=True)
@@ -359,7 +359,7 @@ def test_check_mode_is_asked_again_where_its_answer_was_lost(
 def test_a_robot_without_the_service_is_a_fault_with_the_remedy(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(release, "TIMEOUT", 0.1)
+    monkeypatch.setattr(release.Release, "timeout", 0.1)
     participant = Participant(free_domain(), LOOPBACK, "test")
     asking = release.Release(participant, None, 0.0, "test")
     try:

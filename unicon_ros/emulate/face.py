@@ -1,9 +1,10 @@
 """Face: what an emulated robot looks like on the wire, one for each vendor's protocol.
 
 A driver's `Wire` and a vendor's `Face` are two ends of one protocol; both take their facts from the
-robot file. The emulator behind a face holds the states of its own simulator: `tell` reads what a
-robot measures, and `hear` writes the command states. What all robots do alike is the emulator's
-(`emulator.py`): dead man, commands that are not finite, its own controller before `obeys`.
+robot file. The emulator behind a face holds the states of its own simulator, the standard ones and
+those of hardware: `tell` reads what a robot measures, and `hear` writes the command states. What
+all robots do alike is the emulator's (`emulator.py`): dead man, commands that are not finite, its
+own controller before `obeys`.
 
     def face(states: States, robot: Robot, *, address: str = "127.0.0.1", …) -> MyFace: ...
 

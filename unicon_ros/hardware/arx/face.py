@@ -12,7 +12,6 @@ from unicon_core.states.standard import COMMAND_STATES
 from unicon_ros.hardware.arx.codec import DM, ENABLE, ENABLED, Motors, Reply, answer, command_of
 from unicon_ros.hardware.arx.platform import MOST, import_can, open_bus
 from unicon_ros.hardware.modes import EmulatedModes
-from unicon_ros.hardware.wire import known
 
 EMPTY = 0.1
 """[N·m]: torques of 12 bits have no zero."""
@@ -89,15 +88,14 @@ class ArxFace:
     def tell(self) -> None:
         """See `Face`: the answers to what was asked."""
         states, motors = self._states, self._motors
-        hot, error = known(states, "motor_temperature"), known(states, "motor_error")
         for joint in self._asked:
             told = Reply(
                 motors.numbers[joint],
                 float(states["joint_pos"][joint]),
                 float(states["joint_vel"][joint]),
                 float(states["joint_effort"][joint] / motors.state[joint]),
-                None if hot is None else float(hot[joint]),
-                0 if error is None else int(error[joint]),
+                float(states["motor_temperature"][joint]),
+                int(states["motor_error"][joint]),
                 int(self.modes.reported[joint]),
             )
             number, data = answer(motors.numbers[joint], motors.layouts[joint], told)

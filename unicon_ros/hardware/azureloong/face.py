@@ -19,12 +19,9 @@ from unicon_core.states.standard import COMMAND_STATES
 from unicon_ros.hardware.azureloong.codec import KEYS, Link
 from unicon_ros.hardware.facts import Port, fact, ipv4
 from unicon_ros.hardware.udp import Udp
-from unicon_ros.hardware.wire import known
 
 KEY_FRAME, KEY_AT = 96, 84
 """Bytes of the remote's frame, and which of them is the key: tools/py_ui.py of the vendor."""
-WARM = 40
-"""What drives tell where the simulator has no temperature, [°C]."""
 FOLLOWS = {
     "enable": ("disable", "idle"),
     "reset": ("idle", "idle"),
@@ -119,8 +116,8 @@ class AzureFace:
         frame["gyro"], frame["acc"] = states["base_ang_vel"], states["base_lin_acc"]
         frame["pos"], frame["vel"] = states["joint_pos"], states["joint_vel"]
         frame["effort"] = states["joint_effort"]
-        frame["temperature"] = known(states, "motor_temperature", WARM)
-        frame["error"] = known(states, "motor_error", 0)
+        frame["temperature"] = states["motor_temperature"]
+        frame["error"] = states["motor_error"]
         frame["pos_target"] = states["joint_pos_target"]
         self._udp.send(frame.view(np.uint8).data)
 

@@ -19,10 +19,7 @@ from unicon_ros.hardware.booster.codec import BoosterFacts
 from unicon_ros.hardware.booster.platform import EXTRA
 from unicon_ros.hardware.booster.takeover import SUCCESS, Server, number
 from unicon_ros.hardware.dds.end import DdsFace
-from unicon_ros.hardware.dds.maps import arrays_of
 
-TEMPERATURE, VOLTAGE = 35.0, 48.0
-"""What it tells where its simulator knows none, in [°C] and [V]."""
 SELDOM = 50
 """Mode and battery are told with every so many a frame."""
 BAD_REQUEST, NOT_FROM_HERE = 400, 502
@@ -39,7 +36,6 @@ class BoosterFace(DdsFace):
         mode: in which it begins: `damping`, `prepare`, `walking` or `custom`.
 
     Attributes:
-        rate: of LowState in [Hz].
         dead_man: infinity, as what the robot does is not public; 0 in its damping mode.
         obeys: it is in custom mode.
         mode: number of its mode.
@@ -59,33 +55,22 @@ class BoosterFace(DdsFace):
         domain: int | None = None,
         mode: str = "prepare",
     ) -> None:
-        facts, n = BoosterFacts.of(robot), robot.num_joints
+        facts = BoosterFacts.of(robot)
         if mode not in facts.modes:
             raise PlatformError(
                 f"{self.label}: mode is {mode!r}; give one of {', '.join(sorted(facts.modes))}"
             )
-        self.rate, self._facts = facts.rate, facts
         self.mode = np.array(facts.modes[mode], np.int32)
         self._commanded, self._told = False, 0
         self._rpy = np.zeros(3, np.float32)
-        defaults = {
-            "motor_temperature": np.full(n, TEMPERATURE, np.float32),
-            "motor_error": np.zeros(n, np.uint32),
-            "battery_charge": np.ones((), np.float32),
-            "battery_voltage": np.array(VOLTAGE, np.float32),
-        }
-        arrays = defaults | arrays_of(states) | {"rpy": self._rpy, "mode": self.mode}
-        self._hears(states, robot, cmd_type=np.zeros((), np.uint32))
-        topic = facts.command_topic
-        super().__init__(topic, facts.domain, domain, address, announced=True)
+        own, heard = {"rpy": self._rpy, "mode": self.mode}, {"cmd_type": np.zeros((), np.uint32)}
+        super().__init__(states, robot, facts, domain, address, own, heard, announced=True)
         with self.closing():
-            self.speak(facts.state, arrays)
-            self.listen(facts.command, self._heard, anyone=True)
             self._server = Server(self.participant, facts.rpc_topic)
             self._seldom = [
                 (
                     self.participant.writer(message.topic, message.struct),
-                    message.encoder(arrays).encode,
+                    message.encoder(self._arrays).encode,
                 )
                 for message in (facts.mode, facts.battery)
             ]
@@ -103,7 +88,7 @@ class BoosterFace(DdsFace):
     def tell(self) -> None:
         """Send what the robot measures."""
         self._rpy[...] = rpy_of_quat(self._states["base_quat"])
-        self.put()
+        super().tell()
         if self._told % SELDOM == 0:
             for writer, encode in self._seldom:
                 writer.write(encode())
@@ -122,7 +107,7 @@ class BoosterFace(DdsFace):
 
     def _answer(self) -> None:
         requests = self._facts.requests
-        for asked in self._server.asked():
+        for asked in self._server.heard():
             request = number(asked.header, "api_id")
             if request == requests["get_mode"]:
                 self._server.reply(asked, SUCCESS, mode=int(self.mode))

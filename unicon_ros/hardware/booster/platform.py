@@ -167,17 +167,17 @@ class BoosterWire(DdsEnd):
     def close(self) -> None:
         """Leave the robot in its own damping mode, where it was taken, and the domain."""
         try:
-            if self._takeover is not None and self._takeover.held and self._client is not None:
-                self._let_go(self._client)
+            if self._held is not None and self._client is not None:
+                self._let_go(self._client, self._held)
         finally:
-            self._takeover = None
+            self._held = None
             super().close()
 
-    def _let_go(self, client: Client) -> None:
-        if not self._put and self._held is not None:  # else the damping command has been sent
-            self._held["joint_stiffness"][...] = 0.0
+    def _let_go(self, client: Client, held: dict[str, NDArray[Any]]) -> None:
+        if not self._put:  # else the damping command has been sent
+            held["joint_stiffness"][...] = 0.0
             for _ in range(LAST):
-                self._send(self._held)
+                self._send(held)
                 time.sleep(0.002)
         client.ask(self._facts.requests["change_mode"], mode=self._facts.modes["damping"])
         time.sleep(0.002 * LAST)  # for it to leave this machine

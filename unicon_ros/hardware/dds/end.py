@@ -14,8 +14,10 @@ It has `take`, `wait`, `put`, `warm_up`, `commanders` and `close` of a `Wire`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from types import MappingProxyType
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -24,14 +26,15 @@ from numpy.typing import ArrayLike, NDArray
 from unicon_core.errors import Fault
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_core.states.standard import COMMAND_STATES
-from unicon_ros.hardware.dds.maps import Arrays, Message, command_arrays
+from unicon_core.states.standard import COMMAND_STATES, hardware_states
+from unicon_ros.hardware.dds.maps import Arrays, Message, arrays_of, command_arrays
 from unicon_ros.hardware.dds.participant import Participant, Reader, Writer
 from unicon_ros.hardware.modes import EmulatedModes
 from unicon_ros.hardware.wire import Counts
 from unicon_ros.hardware.wired_robot import SILENCE, WiredRobot, opened
 
 R = TypeVar("R", bound=WiredRobot)
+_NOTHING: Arrays = MappingProxyType({})
 
 
 class Inlet:
@@ -256,25 +259,81 @@ class DdsEnd:
 
 
 class DdsFace(DdsEnd):
-    """The robot's end, which takes commands.
+    """The robot's end: it tells `facts.state`, and hears `facts.command`.
+
+    Args:
+        states: of the emulator; where those of hardware lack, what they begin with is told.
+        robot: its file.
+        facts: of its transport.
+        domain: of DDS, instead of the robot file's.
+        address: of this machine's network interface, or its name.
+        own: what it tells besides states, by name; `modes` are those of its motors.
+        heard: what commands say besides command states, by name.
+        announced: see `Participant`.
 
     Attributes:
-        modes: of the motors, where commands say theirs.
+        rate: of its state in [Hz].
+        modes: of the motors, where commands say theirs: those of the last one.
     """
 
     modes: EmulatedModes
 
-    def _hears(self, states: States, robot: Robot, **more: NDArray[Any]) -> None:
-        """Make arrays of a command; more of them, such as `modes`, by name."""
-        self._states = states
-        self._heard = command_arrays(robot.num_joints) | more
+    def __init__(
+        self,
+        states: States,
+        robot: Robot,
+        facts: Any,
+        domain: int | None,
+        address: str | None,
+        own: Arrays = _NOTHING,
+        heard: Arrays = _NOTHING,
+        *,
+        announced: bool = False,
+    ) -> None:
+        self.rate, self._facts, self._states = facts.rate, facts, states
+        self._heard = command_arrays(robot.num_joints) | dict(heard)
+        if "modes" in own:
+            self.modes = EmulatedModes(own["modes"])
+        unless = States(hardware_states(robot.joint_names))
+        self._arrays = arrays_of(unless) | arrays_of(states) | dict(own)
+        super().__init__(facts.command_topic, facts.domain, domain, address, announced=announced)
+        with self.closing():
+            self._open()
+
+    @property
+    def dead_man(self) -> float:
+        """Infinity: what the robot does without commands is not public."""
+        return math.inf
+
+    @property
+    def obeys(self) -> bool:
+        """Whether commands act: always, where no program of its own must let go first."""
+        return True
+
+    def _open(self) -> None:
+        """Begin to speak and to listen."""
+        self.speak(self._facts.state, self._arrays)
+        self._frames = self._facts.command_in(self._heard, self.counts)
+        self.listen(self._facts.command, self, anyone=True)
+
+    def tell(self) -> None:
+        """Send what the robot measures."""
+        self.put()
 
     def hear(self) -> bool:
-        """Bring the newest good command into the command states; True where one came."""
-        if not self.take() or not self._acts():
-            return False
-        self._act()
-        return True
+        """Bring the newest command that acts into the command states; True where one came."""
+        return bool(self.take())
+
+    def good(self, raw: bytes) -> bool:
+        """Tell whether a command acts; count what does not."""
+        return self._frames.good(raw) and self._frames.read(raw) and self._acts()
+
+    def read(self, raw: bytes) -> bool:
+        """Bring a command that acts into the command states."""
+        read = self._frames.read(raw)
+        if read:
+            self._act()
+        return read
 
     def _acts(self) -> bool:
         """Return whether a command acts; it is counted where it does not."""

@@ -168,34 +168,6 @@ def motors(
     return made
 
 
-def subscribe(topic: str, message: str, fields: Mapping[str, Any]) -> SubscribeSpec:
-    """Return how a message is read.
-
-    Args:
-        topic: for error messages.
-        message: its type, such as `unitree_go/msg/LowState`.
-        fields: path in it to what it is written to, as in `subscribe` of a map.
-
-    Raises:
-        MapFileError: a field is wrong.
-    """
-    return _parsed("subscribe", topic, message, fields).subscribe[0]
-
-
-def publish(topic: str, message: str, fields: Mapping[str, Any]) -> PublishSpec:
-    """Return how a message is made; see `subscribe`.
-
-    Raises:
-        MapFileError: a field is wrong.
-    """
-    return _parsed("publish", topic, message, fields).publish[0]
-
-
-def _parsed(way: str, topic: str, message: str, fields: Mapping[str, Any]) -> MessageMap:
-    entry = {"topic": topic, "type": message, "fields": dict(fields)}
-    return parse_map(json.dumps({way: [entry]}), shared_messages(), name=topic)
-
-
 @dataclass(frozen=True)
 class Message:
     """A message on a topic: the table of its fields, of which both ends are made.
@@ -206,10 +178,11 @@ class Message:
         fields: path in it to an array, or to what a map says of one, as whoever reads it has it;
             left out where the array is not there.
         sent: path to what who makes it writes besides.
-        taken: path to an array that only who reads it has.
+        taken: path to an array that only who reads it has, or to the number that must stand there.
         name: of the type in DDS, where it does not follow from `type`.
         lengths: of sequences in front of which nothing varies; others are refused.
         orientation: state of a quaternion, which must have norm 1; "" for none.
+        checked: it has Unitree's checksum, which must be right.
     """
 
     topic: str
@@ -220,6 +193,7 @@ class Message:
     name: str = ""
     lengths: Mapping[str, int] = field(default_factory=dict)
     orientation: str = ""
+    checked: bool = False
 
     @property
     def struct(self) -> Struct:
@@ -228,12 +202,16 @@ class Message:
 
     def subscribe(self, known: Container[str]) -> SubscribeSpec:
         """Return how it is read into those arrays that are there."""
-        return subscribe(self.topic, self.type, _known({**self.fields, **self.taken}, known))
+        return self._parsed("subscribe", _known({**self.fields, **self.taken}, known)).subscribe[0]
 
     def publish(self, known: Container[str]) -> PublishSpec:
         """Return how it is made of those arrays that are there."""
         fields = {path: _sent(said) for path, said in _known(self.fields, known).items()}
-        return publish(self.topic, self.type, {**self.sent, **fields})
+        return self._parsed("publish", {**self.sent, **fields}).publish[0]
+
+    def _parsed(self, way: str, fields: Mapping[str, Any]) -> MessageMap:
+        entry = {"topic": self.topic, "type": self.type, "fields": fields}
+        return parse_map(json.dumps({way: [entry]}), shared_messages(), name=self.topic)
 
     def encoder(self, arrays: Arrays) -> Encoder:
         """Return what makes it of those arrays that are there."""
@@ -245,7 +223,7 @@ class Message:
             self.subscribe(arrays),
             arrays,
             counts,
-            checked=False,
+            checked=self.checked,
             orientation=self.orientation,
             lengths=self.lengths,
             size=size,
@@ -253,12 +231,13 @@ class Message:
 
 
 def _known(fields: Mapping[str, Any], arrays: Container[str]) -> dict[str, Any]:
-    """Return the fields whose array is there."""
-    return {path: said for path, said in fields.items() if _array(said) in arrays}
-
-
-def _array(said: Any) -> str:
-    return str(said["state"] if isinstance(said, dict) else said).split("[")[0]
+    """Return the fields whose array is there, and those that must be a number."""
+    return {
+        path: said
+        for path, said in fields.items()
+        if isinstance(said, int)
+        or str(said["state"] if isinstance(said, dict) else said).split("[")[0] in arrays
+    }
 
 
 def _sent(said: Any) -> Any:

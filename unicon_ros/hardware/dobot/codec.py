@@ -135,6 +135,11 @@ class DobotFacts:
         return facts
 
     @property
+    def command_topic(self) -> str:
+        """Of the legs, which stands for both in messages."""
+        return self.lower_command_topic
+
+    @property
     def lower(self) -> Half:
         """The legs."""
         topics = self.lower_state_topic, self.lower_command_topic

@@ -6,7 +6,6 @@ commands stop.
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -17,12 +16,8 @@ from unicon_core.states import States
 from unicon_ros.hardware.dds.end import DdsFace
 from unicon_ros.hardware.dobot.codec import DobotFacts, own_arrays
 from unicon_ros.hardware.dobot.platform import EXTRA
-from unicon_ros.hardware.modes import EmulatedModes
 from unicon_ros.hardware.torso import IMU_STATES, turned
 from unicon_ros.hardware.wire import Counts
-
-TEMPERATURE = 35.0
-"""What it tells where its simulator knows none, in [°C]."""
 
 
 class DobotFace(DdsFace):
@@ -37,18 +32,14 @@ class DobotFace(DdsFace):
         acts_in: state of its state machine in which joint commands act; it begins in 0.
 
     Attributes:
-        rate: of its states in [Hz].
-        dead_man: infinity: what the robot does is not public.
         obeys: its state machine is where joint commands act, and the arms are switched over.
         own: what it tells besides states: `fsm_id`, `upper_control` and `remote`.
-        modes: of the motors, those of the last command that acted; 0 before.
 
     Raises:
         UniconError: the robot file lacks a fact, or the network cannot be used.
     """
 
     label, extra, platform = "emulated dobot", EXTRA, "dobot"
-    dead_man = math.inf
 
     def __init__(
         self,
@@ -60,33 +51,29 @@ class DobotFace(DdsFace):
         layout: str = "sdk",
         acts_in: int = 2,
     ) -> None:
-        facts, n = DobotFacts.of(robot, layout), robot.num_joints
-        self.rate, self.own, self._acts_in = facts.rate, own_arrays(), acts_in
-        self.modes = EmulatedModes(self.own["modes"])
-        self._layout, self._waist, self._mode = layout, facts.waist, facts.mode
+        facts = DobotFacts.of(robot, layout)
+        self.own, self._acts_in = own_arrays(), acts_in
         self._imu = {name: np.array(states[name]) for name in IMU_STATES}
-        heat = np.full(n, TEMPERATURE, np.float32)
-        defaults = {"motor_temperature": heat, "battery_charge": np.ones((), np.float32)}
-        arrays = defaults | {name: states[name] for name in states} | self.own | self._imu
-        self._hears(states, robot, modes=np.zeros(n, np.uint8))
         self._asked: dict[str, NDArray[Any]] = {
             "id": np.zeros((), np.uint16),
             "flag": np.zeros((), np.uint8),
         }
         self._came = (False, False)
-        super().__init__(facts.lower.command_topic, facts.domain, domain, address)
-        with self.closing():
-            for half in (facts.lower, facts.upper):
-                self.speak(half.state, arrays)
-                self.listen(half.command, self._heard, anyone=True)
-            for message in (facts.fsm, facts.switch):
-                frames = message.frames(self._asked, Counts())
-                self.listen(message, frames, anyone=True)
+        heard = {"modes": np.zeros(robot.num_joints, np.uint8)}
+        super().__init__(states, robot, facts, domain, address, self.own | self._imu, heard)
+
+    def _open(self) -> None:
+        facts = self._facts
+        for half in (facts.lower, facts.upper):
+            self.speak(half.state, self._arrays)
+            self.listen(half.command, self._heard, anyone=True)
+        for message in (facts.fsm, facts.switch):
+            self.listen(message, message.frames(self._asked, Counts()), anyone=True)
 
     @property
     def reach(self) -> dict[str, object]:
         """See `Face`."""
-        return {**super().reach, "layout": self._layout, "fsm_id": self._acts_in}
+        return {**super().reach, "layout": self._facts.layout, "fsm_id": self._acts_in}
 
     @property
     def obeys(self) -> bool:
@@ -95,10 +82,10 @@ class DobotFace(DdsFace):
 
     def tell(self) -> None:
         """Send what the robot measures."""
-        states, waist = self._states, self._waist
+        states, waist = self._states, self._facts.waist
         angle, rate = (-float(states[name][waist]) for name in ("joint_pos", "joint_vel"))
         turned({name: states[name] for name in IMU_STATES}, self._imu, angle, rate)
-        self.put()
+        super().tell()
 
     def hear(self) -> bool:
         """Answer requests, and bring the newest good commands into the command states."""
@@ -118,7 +105,7 @@ class DobotFace(DdsFace):
         if not self.obeys:
             self.counts.refuse("its own controller commands", f"state {int(self.own['fsm_id'])}")
             return False
-        return self._right("motor mode", self._heard["modes"], self._mode)
+        return self._right("motor mode", self._heard["modes"], self._facts.mode)
 
 
 face = DobotFace

@@ -13,7 +13,6 @@ public, and the arms must be switched over besides (Dobot-Arm/dobot_atom_ros2 "D
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Generator
 from typing import Any, Literal
 
@@ -30,17 +29,18 @@ from unicon_core.states.standard import CONTROL_STATES, JOINT_STATES
 from unicon_ros.hardware.dds.end import DdsEnd
 from unicon_ros.hardware.dds.maps import Message
 from unicon_ros.hardware.dds.participant import Participant
+from unicon_ros.hardware.dds.service import Procedure
 from unicon_ros.hardware.dobot.codec import DobotFacts, own_arrays
 from unicon_ros.hardware.modes import UNDOCUMENTED, ModeGuard
 from unicon_ros.hardware.torso import IMU_STATES, turned
 from unicon_ros.hardware.wired_robot import SILENCE, WiredRobot, opened
 
-TIMEOUT, AGAIN = 5.0, 0.2
-"""For a state to be reached, and between two requests, in [s]."""
+AGAIN = 0.2
+"""Between two requests, in [s]."""
 
 
-class Takeover:
-    """Called once a tick until it returns "", behind the operator's go.
+class Takeover(Procedure):
+    """Lets joint commands act, behind the operator's go.
 
     Args:
         participant: of the robot's domain.
@@ -48,9 +48,6 @@ class Takeover:
         told: `fsm_id` and `upper_control`, as the robot told them last.
         wanted: number of the state in which joint commands act.
         what: in front of messages.
-
-    Attributes:
-        done: the robot is ours.
     """
 
     def __init__(
@@ -61,24 +58,11 @@ class Takeover:
         wanted: int,
         what: str,
     ) -> None:
-        self.done = False
+        super().__init__(what)
         self._fsm, self._arms = told
-        self._wanted, self._what = wanted, what
+        self._wanted = wanted
         self._ask_fsm = _asking(participant, facts.fsm, wanted)
         self._ask_arms = _asking(participant, facts.switch, 1)
-        self._steps = self._procedure()
-
-    def __call__(self) -> str:
-        """Go on without waiting; return what is waited for, "" at the end.
-
-        Raises:
-            Fault: the robot does not do it in time.
-        """
-        if not self.done:
-            missing = next(self._steps, "")
-            self.done = not missing
-            return missing
-        return ""
 
     def check(self) -> None:
         """Look whether the robot is still ours, once it was.
@@ -98,24 +82,19 @@ class Takeover:
 
     def _procedure(self) -> Generator[str, None, None]:
         doing = f"its own state machine to go to {self._wanted}"
-        yield from self._until(lambda: int(self._fsm) == self._wanted, self._ask_fsm, doing)
-        yield from self._until(lambda: bool(self._arms), self._ask_arms, "the arms to be ours")
+        yield from self._told(lambda: int(self._fsm) == self._wanted, self._ask_fsm, doing)
+        yield from self._told(lambda: bool(self._arms), self._ask_arms, "the arms to be ours")
 
-    def _until(
+    def _told(
         self, reached: Callable[[], bool], ask: Callable[[], None], doing: str
-    ) -> Generator[str, None, None]:
-        end, due = time.monotonic() + TIMEOUT, 0.0
-        while not reached():
-            now = time.monotonic()
-            if now > end:
-                raise Fault(
-                    f"{self._what}: waited {TIMEOUT:g} s for {doing}; it is in "
-                    f"{int(self._fsm)}: use the remote, and check the option fsm_id"
-                )
-            if now >= due:
-                ask()
-                due = now + AGAIN
-            yield doing
+    ) -> Generator[str, None, bool]:
+        def otherwise() -> str:
+            return (
+                f"waited {self.timeout:g} s for {doing}; it is in {int(self._fsm)}: use the "
+                "remote, and check the option fsm_id"
+            )
+
+        return self._until(reached, doing, otherwise, ask, AGAIN)
 
 
 def _asking(participant: Participant, message: Message, value: int) -> Callable[[], None]:

@@ -11,9 +11,12 @@ import select
 import time
 from collections.abc import Callable, Iterable, Sequence
 
+import numpy as np
+
 from unicon_core.errors import Fault
 from unicon_core.states import States
-from unicon_ros.hardware.fourier.codec import DISABLE, Addressed
+from unicon_ros.hardware.facts import Numbers
+from unicon_ros.hardware.fourier.codec import COMMAND_TYPE, DISABLE, Addressed
 from unicon_ros.hardware.udp import Udp
 from unicon_ros.hardware.wire import Answers, Counts, known
 
@@ -122,14 +125,18 @@ class ActuatorWire:
     Args:
         states: of the workflow.
         actuators: of the robot.
+        command: code of a command.
     """
 
-    def __init__(self, states: States, actuators: Addressed) -> None:
+    def __init__(self, states: States, actuators: Addressed, command: int) -> None:
         self._states, self._rate = states, actuators.rate
         self.counts = Counts()
         self._labels = tuple(map("{} ({})".format, actuators.names, actuators.addresses))
         self._answered = Answers(self._labels)
         self._asked, self._turn, self._strangers = 0.0, 0, 0
+        self._sent_gains = np.full((2, len(self._labels)), np.nan)
+        self._commands = np.zeros(len(self._labels), COMMAND_TYPE)
+        self._commands["code"] = command
         self._hot, self._error = known(states, "motor_temperature"), known(states, "motor_error")
         self._opened: list[Udp] = []
         self._sockets = self._open(self._labels, actuators.addresses, actuators.port)
@@ -152,7 +159,7 @@ class ActuatorWire:
         """The actuators that have not answered since all did last."""
         return str(self._answered)
 
-    def _tell(self, joint: int, data: bytes | memoryview) -> None:
+    def _tell(self, joint: int, data: bytes) -> None:
         self._sockets[joint].send(data)
 
     def take(self) -> int:
@@ -201,7 +208,7 @@ class ActuatorWire:
         """See `Wire`."""
         return bool(select.select(self._sockets, [], [], timeout)[0])
 
-    def _tell_all(self, datagrams: Iterable[tuple[Udp, bytes | memoryview]]) -> None:
+    def _tell_all(self, datagrams: Iterable[tuple[Udp, bytes]]) -> None:
         """Send datagrams, each with its socket.
 
         Raises:
@@ -216,6 +223,33 @@ class ActuatorWire:
                 fault = fault or one
         if fault is not None:
             raise fault
+
+    def _held(self, *wanted: Numbers, least: float = -LARGEST) -> Numbers:
+        """Return figures of each joint within `least` and `LARGEST`, counted where they were not.
+
+        Args:
+            wanted: figures, each of shape (n,).
+            least: in place of -`LARGEST`.
+        """
+        asked = np.array(wanted)
+        sent = np.clip(asked, least, LARGEST)
+        self.counts.clamped += not np.array_equal(asked, sent)
+        return sent
+
+    def _datagrams(self) -> list[tuple[Udp, bytes]]:
+        """Return the commands, each with its socket."""
+        return [(socket, row.tobytes()) for socket, row in zip(self._sockets, self._commands)]
+
+    def _due(self, gains: Numbers) -> list[int]:
+        """Return the joints whose gains are to be sent: those that have changed, and one in turn.
+
+        Datagrams get lost, and these are not repeated each tick.
+        """
+        changed = (gains != self._sent_gains).any(axis=0)
+        changed[self._turn] = True
+        self._sent_gains = gains
+        due: list[int] = np.flatnonzero(changed).tolist()
+        return due
 
     def _close(self, enabled: bool, times: int = 1) -> None:
         """Let go; switch all actuators off before, so many times, if we have enabled them."""

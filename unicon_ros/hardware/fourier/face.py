@@ -28,8 +28,7 @@ from unicon_ros.hardware.fourier.codec import (
     Actuators,
 )
 from unicon_ros.hardware.fourier.fsa1_codec import Servos
-from unicon_ros.hardware.fourier.fsa1_face import WARM, ActuatorFace, Fsa1Face
-from unicon_ros.hardware.wire import known
+from unicon_ros.hardware.fourier.fsa1_face import ActuatorFace, Fsa1Face
 
 ACKNOWLEDGED = {
     ACKNOWLEDGED_GAINS: ">ff",
@@ -94,14 +93,12 @@ class FourierFace(ActuatorFace):
     def hear(self) -> bool:
         """See `Face`."""
         heard = False
-        for joint, socket in enumerate(self._sockets):
-            actuator = self._actuators[joint]
-            for data, sender in socket.datagrams():
-                socket.peer = sender
-                heard |= self._heard(joint, data, socket.send)
+        for joint, data, socket in self._said(self._sockets):
+            heard |= self._heard(joint, data, socket.send)
+        states, facts = self._states, self._facts
+        for joint, actuator in enumerate(self._actuators):
             if time.monotonic() - actuator.commanded > actuator.timeout:
                 actuator.timed_out = actuator.timed_out or actuator.enabled
-            states, facts = self._states, self._facts
             on = actuator.obeys
             states["joint_stiffness"][joint] = on * actuator.kp / facts.kp[joint]
             if on:
@@ -136,12 +133,11 @@ class FourierFace(ActuatorFace):
         """See `Face`: the answers to what was asked."""
         states, facts, answer = self._states, self._facts, np.zeros(1, STATE_TYPE)
         answer["code"] = STATE
-        hot, error = known(states, "motor_temperature"), known(states, "motor_error")
         for joint, (actuator, socket) in enumerate(zip(self._actuators, self._sockets)):
             scale = facts.degrees[joint]
             for code in actuator.asked:
                 if code == TEMPERATURE:
-                    celsius = float(hot[joint]) if hot is not None else WARM
+                    celsius = float(states["motor_temperature"][joint])
                     socket.send(struct.pack(">Bff", code, celsius, celsius))
                     continue
                 answer["measured"] = (
@@ -152,8 +148,7 @@ class FourierFace(ActuatorFace):
                 )
                 answer["errors"] = 0
                 answer["errors"][0, 1] = 1  # the kind of its encoder, which is not an error
-                if error is not None:
-                    answer["errors"][0, 0] = int(error[joint]) & 0xFFFFFFFF
+                answer["errors"][0, 0] = int(states["motor_error"][joint]) & 0xFFFFFFFF
                 answer["errors"][0, TIMED_OUT[0]] = TIMED_OUT[1] * actuator.timed_out
                 socket.send(answer.tobytes())
             actuator.asked.clear()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -26,8 +26,6 @@ from unicon_ros.hardware.fourier.fsa1_codec import (
 )
 from unicon_ros.hardware.udp import Udp
 
-WARM = 40.0
-"""What actuators tell where the simulator has no temperature, [°C]."""
 MODES = {0x04: POSITION_MODE, 0x05: 3, 0x06: 6, 0x07: 4}
 """Code to mode of operation."""
 GAINS = ("control_position_kp_imm", "control_velocity_kp_imm")
@@ -57,6 +55,14 @@ class ActuatorFace:
             self.close()
             raise
         return self._sockets[first:]
+
+    @staticmethod
+    def _said(sockets: list[Udp]) -> Iterator[tuple[int, bytes, Udp]]:
+        """Give what has come: number of the socket, datagram, and the socket to answer with."""
+        for joint, socket in enumerate(sockets):
+            for data, sender in socket.datagrams():
+                socket.peer = sender
+                yield joint, data, socket
 
     def close(self) -> None:
         """See `Face`."""
@@ -99,19 +105,14 @@ class Fsa1Face(ActuatorFace):
     def hear(self) -> bool:
         """See `Face`."""
         heard, states = False, self._states
-        for joint, socket in enumerate(self._controls):
-            for data, sender in socket.datagrams():
-                socket.peer = sender
-                self._set(joint, understood(data) or {}, socket.send)
-        for encoder, socket in enumerate(self._encoders):
-            for data, sender in socket.datagrams():
-                socket.peer = sender
-                if (understood(data) or {}).get("reqTarget") == "/measured":
-                    socket.send(self._angle(encoder))
-        for joint, socket in enumerate(self._fast):
-            for data, sender in socket.datagrams():
-                socket.peer = sender
-                heard |= self._heard(joint, data, socket)
+        for joint, data, socket in self._said(self._controls):
+            self._set(joint, understood(data) or {}, socket.send)
+        for encoder, data, socket in self._said(self._encoders):
+            if (understood(data) or {}).get("reqTarget") == "/measured":
+                socket.send(self._angle(encoder))
+        for joint, data, socket in self._said(self._fast):
+            heard |= self._heard(joint, data, socket)
+        for joint in range(len(self._fast)):
             on = self.enabled[joint] and self.mode[joint] == POSITION_MODE
             stiffness, damping = self._servos.joint_gains(joint, *self.gains[:, joint].tolist())
             states["joint_stiffness"][joint] = on * stiffness
@@ -123,7 +124,7 @@ class Fsa1Face(ActuatorFace):
         """Carry out a setting, or answer a question, of JSON."""
         target, status, told = asked.get("reqTarget"), "OK", {}
         if asked.get("method") == "GET" and target == "/get_ntc_temperature":
-            hot = self._hardware("motor_temperature", joint, WARM)
+            hot = float(self._states["motor_temperature"][joint])
             told = {"mos_temperature": hot, "armature_temperature": hot}
         elif asked.get("method") != "SET":
             status = "ERROR"
@@ -138,9 +139,6 @@ class Fsa1Face(ActuatorFace):
         else:
             status = "ERROR"
         reply(json.dumps({"status": status, **told}).encode())
-
-    def _hardware(self, name: str, joint: int, unless: float) -> float:
-        return float(self._states[name][joint]) if name in self._states else unless
 
     def _angle(self, encoder: int) -> bytes:
         servos, pos = self._servos, float(self._states["joint_pos"][encoder])
@@ -175,8 +173,7 @@ class Fsa1Face(ActuatorFace):
         states, servos = self._states, self._servos
         for socket, joint, code in self._asked:
             if code == ERROR:
-                error = int(self._hardware("motor_error", joint, 0))
-                socket.send(struct.pack(">Bi", code, error))
+                socket.send(struct.pack(">Bi", code, int(states["motor_error"][joint])))
                 continue
             degrees = servos.degrees[joint]
             pos = states["joint_pos"][joint] * degrees - self._begun[joint]

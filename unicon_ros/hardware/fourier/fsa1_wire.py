@@ -13,7 +13,6 @@ import numpy as np
 from unicon_core.errors import Fault
 from unicon_core.states import States
 from unicon_ros.hardware.fourier.actuator_wire import LARGEST, ActuatorWire, Enabling
-from unicon_ros.hardware.fourier.codec import COMMAND_TYPE
 from unicon_ros.hardware.fourier.fsa1_codec import (
     ERROR,
     ERROR_TYPE,
@@ -32,7 +31,6 @@ from unicon_ros.hardware.fourier.fsa1_codec import (
     number,
     understood,
 )
-from unicon_ros.hardware.udp import Udp
 
 SAMPLES = 10
 """Of each encoder, whose mean counts."""
@@ -114,7 +112,7 @@ class Fsa1Wire(ActuatorWire):
     """
 
     def __init__(self, states: States, servos: Servos) -> None:
-        super().__init__(states, servos)
+        super().__init__(states, servos, POSITION)
         self._servos, n = servos, len(servos.names)
         self._controls = self._open(self._labels, servos.addresses, servos.control_port)
         labels = tuple(f"{address} (encoder)" for address in servos.encoders)
@@ -123,9 +121,6 @@ class Fsa1Wire(ActuatorWire):
         self._enabling = Enabling(self._labels, steps(), self._set)
         self._measurements = np.zeros((n, 3))
         self._errors = np.zeros(n, np.uint32)
-        self._commands = np.zeros(n, COMMAND_TYPE)
-        self._commands["code"] = POSITION
-        self._sent_gains = np.full((2, n), np.nan)
 
     @property
     def where(self) -> str:
@@ -220,10 +215,6 @@ class Fsa1Wire(ActuatorWire):
             self._tell_all(self._datagrams())
         return told
 
-    def _datagrams(self) -> list[tuple[Udp, bytes | memoryview]]:
-        size, data = COMMAND_TYPE.itemsize, self._commands.view(np.uint8).data
-        return [(one, data[i * size : (i + 1) * size]) for i, one in enumerate(self._sockets)]
-
     def put(self) -> None:
         """See `Wire`; target speeds are not sent, since the unit of their field is not known.
 
@@ -245,29 +236,15 @@ class Fsa1Wire(ActuatorWire):
                 f"fourier: {servos.names[turned[0]]} shall turn at a velocity without stiffness, "
                 "which the position loop of FSA v1 cannot; command it a position"
             )
-        position, speed = servos.gains(stiffness, damping)
-        wanted = {
-            "pos": states["joint_pos_target"] * servos.degrees - self._zero.offset,
-            "current": states["joint_effort_ff"] / servos.torque,
-            "position": position,
-            "speed": speed,
-        }
-        sent = {name: np.clip(values, -LARGEST, LARGEST) for name, values in wanted.items()}
-        beyond = any(not np.array_equal(wanted[name], sent[name]) for name in wanted)
-        self.counts.clamped += beyond or bool(states["joint_vel_target"].any())
-        self._commands["pos"], self._commands["current"] = sent["pos"], sent["current"]
-        gains = np.array((sent["position"], sent["speed"]))
-        changed = (gains != self._sent_gains).any(axis=0)
-        # Datagrams get lost and these are not repeated each tick: one joint's are, in turn.
-        changed[self._turn] = True
-        self._sent_gains = gains
-        self._tell_all(
-            self._datagrams()
-            + [
-                (self._controls[joint], loop_gains(*gains[:, joint].tolist()))
-                for joint in np.flatnonzero(changed).tolist()
-            ]
+        commands = self._commands
+        commands["pos"], commands["current"] = self._held(
+            states["joint_pos_target"] * servos.degrees - self._zero.offset,
+            states["joint_effort_ff"] / servos.torque,
         )
+        self.counts.clamped += bool(states["joint_vel_target"].any())
+        gains = self._held(*servos.gains(stiffness, damping))
+        due = [(self._controls[i], loop_gains(*gains[:, i].tolist())) for i in self._due(gains)]
+        self._tell_all(self._datagrams() + due)
 
     def close(self) -> None:
         """See `Wire`: what we have enabled is off behind the damping."""

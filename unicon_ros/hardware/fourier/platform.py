@@ -18,14 +18,13 @@ from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_ros.hardware.facts import ipv4
-from unicon_ros.hardware.fourier.actuator_wire import LARGEST, ActuatorWire, Enabling
+from unicon_ros.hardware.fourier.actuator_wire import ActuatorWire, Enabling
 from unicon_ros.hardware.fourier.codec import (
     ACKNOWLEDGED,
     ACKNOWLEDGED_GAINS,
     ARM_DEAD_MAN,
     CLEAR_DEAD_MAN,
     COMMAND,
-    COMMAND_TYPE,
     ENABLE,
     GAINS,
     GAINS_TYPE,
@@ -83,25 +82,20 @@ class FourierWire(ActuatorWire):
     """
 
     def __init__(self, states: States, actuators: Actuators, dead_man: float) -> None:
-        super().__init__(states, actuators)
+        super().__init__(states, actuators, COMMAND)
         self._actuators, n = actuators, len(actuators.names)
         wanted = steps(dead_man, actuators.timeout_mode)
         self._enabling = Enabling(self._labels, wanted, self._tell)
-        self._answers = bytearray(n * STATE_TYPE.itemsize)
-        self._frames = np.frombuffer(self._answers, STATE_TYPE)
+        self._frames = np.zeros(n, STATE_TYPE)
         self._new = np.zeros(n, bool)
         self._errors = np.zeros((n, 8), np.uint32)
-        self._commands = np.zeros(n, COMMAND_TYPE)
-        self._commands["code"] = COMMAND
         self._gains = np.zeros(n, GAINS_TYPE)
         self._gains["code"] = GAINS
-        self._sent_gains = np.full((2, n), np.nan, np.float32)
 
     def _sort(self, joint: int, data: bytes) -> None:
         code, size = data[0] if data else 0, len(data)
         if code == STATE and size == STATE_TYPE.itemsize:
-            start = joint * size
-            self._answers[start : start + size] = data
+            self._frames[joint : joint + 1] = np.frombuffer(data, STATE_TYPE)
             self._new[joint] = True
         elif code == TEMPERATURE and size == TEMPERATURE_TYPE.itemsize:
             celsius = np.frombuffer(data, TEMPERATURE_TYPE)["celsius"]
@@ -143,9 +137,8 @@ class FourierWire(ActuatorWire):
         self._answered.heard |= good
 
     def _ask(self) -> None:
-        query = bytes([STATE])
         for socket in self._sockets:
-            socket.send(query)
+            socket.send(bytes([STATE]))
         self._sockets[self._turn].send(bytes([TEMPERATURE]))
 
     def prepare(self) -> str:
@@ -161,41 +154,28 @@ class FourierWire(ActuatorWire):
             Fault: a feed-forward torque is asked for, and nobody knows the current for it; or the
                 network does not take it.
         """
-        states, actuators, commands = self._states, self._actuators, self._commands
-        beyond = False
-        for field, state in (("pos", "joint_pos_target"), ("vel", "joint_vel_target")):
-            wanted = states[state] * actuators.degrees
-            commands[field] = sent = np.clip(wanted, -LARGEST, LARGEST)
-            beyond |= not np.array_equal(wanted, sent)
-        torque = states["joint_effort_ff"]
-        if actuators.current is not None:
-            commands["current"] = np.clip(torque * actuators.current, -LARGEST, LARGEST)
-        elif torque.any():
+        states, actuators = self._states, self._actuators
+        torque, current = states["joint_effort_ff"], actuators.current
+        if current is None and torque.any():
             joint = int(np.flatnonzero(torque)[0])
             raise Fault(
                 f"fourier: {torque[joint]:.3g} N·m are to be fed forward at "
                 f"{actuators.names[joint]}, and the robot file does not say what current that is "
                 "(transport.current_scale)"
             )
-        gains = self._gains
-        for field, wanted in (
-            ("kp", states["joint_stiffness"] * actuators.kp),
-            ("kd", states["joint_damping"] * actuators.kd),
-        ):
-            gains[field] = sent = np.clip(wanted, 0.0, LARGEST)
-            beyond |= not np.array_equal(wanted, sent)
-        self.counts.clamped += beyond
-        both = np.array((gains["kp"], gains["kd"]), np.float32)
-        changed = (both != self._sent_gains).any(axis=0)
-        # Datagrams get lost and these are not repeated each tick: one joint's are, in turn.
-        changed[self._turn] = True
-        self._sent_gains = both
-        size, data = GAINS_TYPE.itemsize, gains.view(np.uint8).data
-        due, sockets = np.flatnonzero(changed).tolist(), self._sockets
-        datagrams = [(sockets[joint], data[joint * size : (joint + 1) * size]) for joint in due]
-        size, data = COMMAND_TYPE.itemsize, commands.view(np.uint8).data
-        datagrams += [(one, data[i * size : (i + 1) * size]) for i, one in enumerate(sockets)]
-        self._tell_all(datagrams)
+        commands, gains = self._commands, self._gains
+        commands["pos"], commands["vel"], commands["current"] = self._held(
+            states["joint_pos_target"] * actuators.degrees,
+            states["joint_vel_target"] * actuators.degrees,
+            torque * (0.0 if current is None else current),
+        )
+        gains["kp"], gains["kd"] = held = self._held(
+            states["joint_stiffness"] * actuators.kp,
+            states["joint_damping"] * actuators.kd,
+            least=0.0,
+        )
+        due = [(self._sockets[joint], gains[joint].tobytes()) for joint in self._due(held)]
+        self._tell_all(due + self._datagrams())
 
     def close(self) -> None:
         """See `Wire`: what we have enabled is off behind the damping."""

@@ -6,15 +6,13 @@ which stay zero.
 
 from __future__ import annotations
 
-import math
+from dataclasses import replace
 
 import numpy as np
 
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_ros.hardware.dds.end import DdsFace
-from unicon_ros.hardware.dds.maps import arrays_of
-from unicon_ros.hardware.modes import EmulatedModes
 from unicon_ros.hardware.pnd.platform import EXTRA, REMOTE, PndFacts
 
 
@@ -29,18 +27,13 @@ class PndFace(DdsFace):
         battery: LowState is the one with the battery.
 
     Attributes:
-        rate: of LowState in [Hz].
-        dead_man: infinity: what the robot does is not public.
-        obeys: always: no program of its own that must let go is known.
         remote: the 19 numbers of its remote, to be pressed.
-        modes: of the motors, those of the last command; 0 before.
 
     Raises:
         UniconError: the robot file lacks a fact, or the network cannot be used.
     """
 
     label, extra, platform = "emulated pnd", EXTRA, "pnd"
-    dead_man, obeys = math.inf, True
 
     def __init__(
         self,
@@ -51,24 +44,17 @@ class PndFace(DdsFace):
         domain: int | None = None,
         battery: bool = True,
     ) -> None:
-        facts, n = PndFacts.of(robot), robot.num_joints
-        self.rate, self._facts = facts.rate, facts
-        self.remote = np.zeros(REMOTE, np.float32)
-        self._tick = np.zeros((), np.uint32)
-        self.modes = EmulatedModes(np.zeros(n, np.uint8))
-        own = {"remote": self.remote, "tick": self._tick, "modes": self.modes.reported}
-        arrays = {"motor_error": np.zeros(n, np.uint32)} | arrays_of(states) | own
-        modes = np.zeros(n, np.uint8)
-        self._hears(states, robot, modes=modes, mode_pr=np.zeros((), np.uint8))
-        super().__init__(facts.command_topic, facts.domain, domain, address)
-        with self.closing():
-            self.speak(facts.told(battery=battery), arrays)
-            self.listen(facts.command, self._heard, anyone=True)
+        facts = replace(PndFacts.of(robot), battery=battery)
+        self.remote, self._tick = np.zeros(REMOTE, np.float32), np.zeros((), np.uint32)
+        modes, heard = np.zeros((2, robot.num_joints), np.uint8)
+        own = {"remote": self.remote, "tick": self._tick, "modes": modes}
+        more = {"modes": heard, "mode_pr": np.zeros((), np.uint8)}
+        super().__init__(states, robot, facts, domain, address, own, more)
 
     def tell(self) -> None:
         """Send what the robot measures."""
         self._tick += 1
-        self.put()
+        super().tell()
 
     def _acts(self) -> bool:
         facts, heard = self._facts, self._heard

@@ -14,8 +14,7 @@ checksum.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -39,7 +38,6 @@ from unicon_ros.hardware.dds.maps import (
     Message,
     arrays_of,
     motors,
-    subscribe,
 )
 from unicon_ros.hardware.facts import Octet, slots
 from unicon_ros.hardware.modes import UNDOCUMENTED, ModeGuard
@@ -62,24 +60,27 @@ class PndFacts(DdsFacts):
         slots: motor of each joint; there are as many motors as joints.
         mode: byte `mode` of every motor's command.
         mode_pr: 0 for ankles by pitch and roll, 1 by their two motors.
+        battery: LowState is the kind that has it.
     """
 
     slots: Annotated[list[int], Key("motors"), slots()]
     mode: Annotated[Octet, Key("motor_mode")]
     mode_pr: Annotated[int, Within(0, 1)]
+    battery: bool = False
 
-    def told(self, *, battery: bool) -> Message:
-        """Return LowState, with the battery or without."""
+    @property
+    def state(self) -> Message:
+        """LowState, with the battery or without."""
         motor = MEASURED | {"state": "motor_error", "mode": "modes"}
         imu = {f"imu_state.{key}": name for key, name in IMU.items()}
         sent = {"battery_data.voltage": VOLTAGE, "battery_data.status": STATUS}
         return Message(
             self.state_topic,
-            STATES[battery],
+            STATES[self.battery],
             imu
             | motors("motor_state", self.slots, motor)
             | {"tick": "tick", "wireless_remote": "remote"},
-            sent=sent if battery else {},
+            sent=sent if self.battery else {},
             name="pnd_adam.msg.dds_.LowState_",
             lengths={"motor_state": len(self.slots)},
             orientation="base_quat",
@@ -98,10 +99,6 @@ class PndFacts(DdsFacts):
             lengths={"motor_cmd": len(self.slots)},
         )
 
-    def state_out(self, arrays: Arrays, *, battery: bool = False) -> Callable[[], bytes]:
-        """Return what makes LowState."""
-        return self.told(battery=battery).encoder(arrays).encode
-
 
 class LowStates:
     """Checks and reads LowState of one of the two kinds; a `Checked` of `DdsEnd`.
@@ -110,22 +107,21 @@ class LowStates:
         facts: of the robot.
         arrays: what it is read into.
         counts: gets what is refused.
-        battery: the kind.
 
     Attributes:
         good_ones: how many were good.
     """
 
-    def __init__(self, facts: PndFacts, arrays: Arrays, counts: Counts, *, battery: bool) -> None:
+    def __init__(self, facts: PndFacts, arrays: Arrays, counts: Counts) -> None:
         self.good_ones = 0
         self._counts, self._last = counts, -1
-        message = facts.told(battery=battery)
-        size = 0 if battery else message.encoder(arrays).size
+        message = facts.state
+        size = 0 if facts.battery else message.encoder(arrays).size
         self._frames = message.frames(arrays, counts, size=size)
         self.read = self._frames.read
         self._tick = np.zeros((), np.uint32)
-        spec = subscribe(message.topic, message.type, {"tick": "tick"})
-        self._number = Decoder.build(spec, {"tick": self._tick})
+        number = {"tick": self._tick}
+        self._number = Decoder.build(message.subscribe(number), number)
 
     def good(self, raw: bytes) -> bool:
         """Tell whether a message is whole and newer than the last."""
@@ -185,13 +181,12 @@ class PndWire(DdsEnd):
         arrays = arrays_of(states) | own | {"modes": self.modes.reported}
         self._controls = Controls(states) if "sticks" in states else None
         self._mounting, self._imu = Mounting.of(robot), {name: states[name] for name in IMU_STATES}
-        self._kinds = {
-            battery: LowStates(facts, arrays, counts, battery=battery) for battery in STATES
-        }
+        kinds = [replace(facts, battery=battery) for battery in STATES]
+        self._kinds = [LowStates(kind, arrays, counts) for kind in kinds]
         super().__init__(facts.state_topic, facts.domain, domain, address, counts=counts)
         with self.closing():
-            for battery, frames in self._kinds.items():
-                self.listen(facts.told(battery=battery), frames, forget=frames.forget)
+            for kind, frames in zip(kinds, self._kinds):
+                self.listen(kind.state, frames, forget=frames.forget)
             self.watch(facts.command_topic)
             if not silent:
                 self.speak(facts.command, arrays)
@@ -207,7 +202,7 @@ class PndWire(DdsEnd):
     def _choose(self) -> None:
         """Listen only to that kind of LowState that the robot tells."""
         if len(self._inlets) > 1:
-            kept = next(k for k, frames in enumerate(self._kinds.values()) if frames.good_ones)
+            kept = next(k for k, frames in enumerate(self._kinds) if frames.good_ones)
             self._inlets = [self._inlets[kept]]
 
     def _measured(self) -> None:

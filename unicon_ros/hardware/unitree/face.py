@@ -13,7 +13,6 @@ import math
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_core.blocks.controls.remotes import unitree_pressed
 from unicon_core.bounds import within
@@ -22,14 +21,12 @@ from unicon_core.schema.marks import Within
 from unicon_core.states import States
 from unicon_ros.emulate.remote import Remote
 from unicon_ros.hardware.dds.end import DdsFace
-from unicon_ros.hardware.dds.maps import Frames, arrays_of
-from unicon_ros.hardware.modes import EmulatedModes
 from unicon_ros.hardware.robot_clock import Milliseconds
 from unicon_ros.hardware.torso import IMU_STATES, turned
-from unicon_ros.hardware.unitree.facts import UnitreeFacts, command, command_in, state
+from unicon_ros.hardware.unitree.facts import UnitreeFacts
 from unicon_ros.hardware.unitree.platform import REMOTE, own_arrays
 from unicon_ros.hardware.unitree.release import CHECK_MODE, RELEASE_MODE, SWITCHER, Server
-from unicon_ros.hardware.wire import Counts
+from unicon_ros.hardware.wire import known
 
 MODE = "normal"
 """Of its own controller, until it lets go."""
@@ -37,8 +34,6 @@ TICK_MS = 2
 NOT_IMPLEMENTED = 3203
 LONGEST = 10.0
 """Of `dead_man` in [s]."""
-TEMPERATURE, VOLTAGE = 35.0, 29.0
-"""What it tells where its simulator knows none, in [°C] and [V]."""
 
 
 class UnitreeFace(DdsFace):
@@ -57,9 +52,6 @@ class UnitreeFace(DdsFace):
             pipe, or auto; see block `gamepad`.
 
     Attributes:
-        rate: of LowState in [Hz].
-        dead_man: infinity unless given: what the robots do is not public.
-        obeys: its own controller has let go.
         where: topic and domain.
         mode: of that controller, "" where it has let go.
         counts: of commands.
@@ -87,46 +79,37 @@ class UnitreeFace(DdsFace):
         dead_man: float | None = None,
         remote: str | None = None,
     ) -> None:
-        facts, counts, n = UnitreeFacts.of(robot), Counts(), robot.num_joints
+        facts, own = UnitreeFacts.of(robot), own_arrays(robot)
         if dead_man is not None:
             label = f"{self.label}: dead_man"
             dead_man = within(dead_man, label, "s", LONGEST, 1.0 / facts.rate)
-        self.rate, self.mode = facts.rate, mode
-        self.dead_man = math.inf if dead_man is None else dead_man
+        self.mode = mode
+        self._dead_man = math.inf if dead_man is None else dead_man
         self.remote = bytearray(REMOTE)
         self.held: Remote | None = None
         self.asked: dict[str, list[int]] = {}
-        self._facts = facts
-        defaults: dict[str, NDArray[Any]] = {
-            "motor_temperature": np.full(n, TEMPERATURE, np.float32),
-            "motor_error": np.zeros(n, np.uint32),
-            "battery_charge": np.ones((), np.float32),
-            "battery_voltage": np.full((), VOLTAGE, np.float32),
-            "foot_force": np.zeros(4, np.float32),
-        }
-        own = own_arrays(robot) | {"remote": np.frombuffer(self.remote, np.uint8)}
-        arrays = defaults | arrays_of(states) | own
+        own["remote"] = np.frombuffer(self.remote, np.uint8)
+        own["foot_force"] = known(states, "foot_force", np.zeros(4, np.float32))
         self._imu = {name: np.array(states[name]) for name in IMU_STATES}
         if facts.waist is not None:
-            arrays |= self._imu
+            own |= self._imu
         self.now, self.clock = math.nan, Milliseconds(TICK_MS)
         self._tick, self._pairs = own["tick"], own["temperatures"].reshape(-1, 2)
-        self._heat = arrays["motor_temperature"]
-        own["mode_machine"][...] = (facts.mode_machine or 0) if variant is None else variant
-        self._hears(states, robot, **own_arrays(robot))
         self._variant = own["mode_machine"]
+        self._variant[...] = (facts.mode_machine or 0) if variant is None else variant
         self._modes = np.array(facts.modes, np.uint8)
         own["modes"][...] = self._modes if mode else 0
-        self.modes = EmulatedModes(own["modes"])
-        self._frames = Frames(command_in(facts), self._heard, counts)
-        super().__init__(facts.command_topic, facts.domain, domain, address, counts=counts)
+        super().__init__(states, robot, facts, domain, address, own, own_arrays(robot))
         with self.closing():
-            self.speak(state(facts), arrays)
-            self.listen(command(facts), self, anyone=True)
             services = [SWITCHER, *([facts.release[0][0]] if facts.release[0] else [])]
             self._servers = {name: Server(self.participant, name) for name in services}
             if remote is not None:
                 self.held = Remote(remote, robot, self.remote, unitree_pressed)
+
+    @property
+    def dead_man(self) -> float:
+        """Infinity unless given: what the robots do is not public."""
+        return self._dead_man
 
     @property
     def obeys(self) -> bool:
@@ -142,26 +125,15 @@ class UnitreeFace(DdsFace):
         if waist is not None:
             angle, rate = (-float(states[name][waist]) for name in ("joint_pos", "joint_vel"))
             turned({name: states[name] for name in IMU_STATES}, self._imu, angle, rate)
-        self._pairs[...] = self._heat[:, None]
-        self.put()
+        self._pairs[...] = self._arrays["motor_temperature"][:, None]
+        super().tell()
 
     def hear(self) -> bool:
         """Answer requests, and bring the newest good command into the command states."""
         for service, server in self._servers.items():
-            for asked in server.asked():
+            for asked in server.heard():
                 self._answer(service, server, asked)
-        return bool(self.take())
-
-    def good(self, raw: bytes) -> bool:
-        """Tell whether a command acts; count what does not."""
-        return self._frames.good(raw) and self._frames.read(raw) and self._acts()
-
-    def read(self, raw: bytes) -> bool:
-        """Bring a command that acts into the command states."""
-        read = self._frames.read(raw)
-        if read:
-            self._act()
-        return read
+        return super().hear()
 
     def _acts(self) -> bool:
         heard = self._heard

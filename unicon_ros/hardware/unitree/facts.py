@@ -7,13 +7,12 @@ motor) and `remote` (40 bytes).
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
 
 from unicon_core.robots import Robot
 from unicon_core.schema.marks import Key, Size, Within, Write
-from unicon_msgs_map import PublishSpec, SubscribeSpec
 from unicon_msgs_map.layout.messages import Array, Struct, shared_messages
 from unicon_ros.hardware.dds.maps import (
     COMMANDS,
@@ -22,8 +21,6 @@ from unicon_ros.hardware.dds.maps import (
     DdsFacts,
     Message,
     motors,
-    publish,
-    subscribe,
 )
 from unicon_ros.hardware.facts import (
     Octet,
@@ -80,6 +77,41 @@ class UnitreeFacts(DdsFacts):
     def message(self, name: str) -> Struct:
         """Return a message of the protocol, such as `LowCmd`."""
         return shared_messages().struct(f"{self.protocol}/msg/{name}")
+
+    @property
+    def state(self) -> Message:
+        """LowState."""
+        fields: dict[str, Any] = {f"imu_state.{key}": name for key, name in IMU.items()}
+        fields |= {"tick": "tick", "wireless_remote": "remote"}
+        told = MEASURED | {"mode": "modes"}
+        if self.go:
+            told["temperature"] = "motor_temperature"
+            fields["foot_force"] = "foot_force"
+            if self.battery:
+                fields["bms_state.soc"] = {"state": "battery_charge", "scale": 0.01}
+                fields["power_v"] = "battery_voltage"
+        else:
+            told["motorstate"] = "motor_error"
+            fields["mode_machine"] = "mode_machine"
+            fields |= motors("motor_state", self.slots, {"temperature": "temperatures"}, size=2)
+        fields |= motors("motor_state", self.slots, told)
+        return self._message(self.state_topic, "LowState", fields, orientation="base_quat")
+
+    @property
+    def command(self) -> Message:
+        """LowCmd; who reads it refuses a command for its modes."""
+        fields = motors("motor_cmd", self.slots, COMMANDS)
+        taken: dict[str, Any] = motors("motor_cmd", self.slots, {"mode": "modes"})
+        if self.go:
+            taken["level_flag"] = self.constants["level_flag"]  # required
+        else:
+            fields["mode_machine"] = "mode_machine"
+            taken["mode_pr"] = "mode_pr"
+        return self._message(self.command_topic, "LowCmd", fields, sent=self.constants, taken=taken)
+
+    def _message(self, topic: str, kind: str, fields: Mapping[str, Any], **more: Any) -> Message:
+        more["sent"] = {**more.get("sent", {}), "crc": {"checksum": "unitree"}}
+        return Message(topic, f"{self.protocol}/msg/{kind}", fields, checked=True, **more)
 
     @classmethod
     def of(cls, robot: Robot) -> UnitreeFacts:
@@ -150,66 +182,3 @@ def _release(robot: Robot) -> tuple[tuple[str, int] | None, float]:
         wanted = "before: [service, number], such as [sport, 1005]"
         raise wrong_fact(robot, "release", wanted)
     return (before[0], before[1]), float(said["wait"])
-
-
-_CHECKSUM = {"crc": {"checksum": "unitree"}}
-
-
-def state(facts: UnitreeFacts) -> Message:
-    """Return LowState."""
-    fields: dict[str, Any] = {f"imu_state.{key}": name for key, name in IMU.items()}
-    fields |= {"tick": "tick", "wireless_remote": "remote"}
-    told, slots = MEASURED | {"mode": "modes"}, facts.slots
-    if facts.go:
-        told["temperature"] = "motor_temperature"
-        fields["foot_force"] = "foot_force"
-        if facts.battery:
-            fields["bms_state.soc"] = {"state": "battery_charge", "scale": 0.01}
-            fields["power_v"] = "battery_voltage"
-    else:
-        told["motorstate"] = "motor_error"
-        fields["mode_machine"] = "mode_machine"
-        fields |= motors("motor_state", slots, {"temperature": "temperatures"}, size=2)
-    fields |= motors("motor_state", slots, told)
-    name = facts.message("LowState").name
-    return Message(facts.state_topic, name, fields, sent=_CHECKSUM, orientation="base_quat")
-
-
-def command(facts: UnitreeFacts) -> Message:
-    """Return LowCmd; who reads it refuses a command for its modes."""
-    fields, taken = motors("motor_cmd", facts.slots, COMMANDS), {"mode": "modes"}
-    read: dict[str, Any] = motors("motor_cmd", facts.slots, taken)
-    if facts.go:
-        read["level_flag"] = facts.constants["level_flag"]  # required
-    else:
-        fields["mode_machine"] = "mode_machine"
-        read["mode_pr"] = "mode_pr"
-    name, sent = facts.message("LowCmd").name, {**facts.constants, **_CHECKSUM}
-    return Message(facts.command_topic, name, fields, sent=sent, taken=read)
-
-
-def state_in(facts: UnitreeFacts, known: Container[str]) -> SubscribeSpec:
-    """Return how LowState is read into those arrays that are there."""
-    return state(facts).subscribe(known)
-
-
-def state_out(facts: UnitreeFacts, known: Container[str]) -> PublishSpec:
-    """Return how LowState is made."""
-    return state(facts).publish(known)
-
-
-def head_in(facts: UnitreeFacts) -> SubscribeSpec:
-    """Return what of LowState is looked at before anything is written: its number and variant."""
-    return state(facts).subscribe(("tick", "mode_machine"))
-
-
-def command_in(facts: UnitreeFacts) -> SubscribeSpec:
-    """Return how a robot reads LowCmd, with what it refuses a command for."""
-    message = command(facts)
-    return subscribe(message.topic, message.type, {**message.fields, **message.taken})
-
-
-def command_out(facts: UnitreeFacts) -> PublishSpec:
-    """Return how LowCmd is made."""
-    message = command(facts)
-    return publish(message.topic, message.type, {**message.sent, **message.fields})

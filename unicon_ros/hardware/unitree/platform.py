@@ -25,21 +25,13 @@ from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.stacked import spans
 from unicon_core.states.standard import CONTROL_STATES, HARDWARE_STATES, JOINT_STATES
-from unicon_msgs_map import Decoder, Encoder
+from unicon_msgs_map import Decoder
 from unicon_ros.hardware.dds.end import DdsEnd
-from unicon_ros.hardware.dds.maps import Frames, arrays_of, offset_of
+from unicon_ros.hardware.dds.maps import arrays_of, offset_of
 from unicon_ros.hardware.modes import ModeGuard
 from unicon_ros.hardware.robot_clock import Repeats
 from unicon_ros.hardware.torso import IMU_STATES, turned
-from unicon_ros.hardware.unitree.facts import (
-    PROTOCOLS,
-    UnitreeFacts,
-    command,
-    command_out,
-    head_in,
-    state,
-    state_in,
-)
+from unicon_ros.hardware.unitree.facts import PROTOCOLS, UnitreeFacts
 from unicon_ros.hardware.unitree.release import Release
 from unicon_ros.hardware.wire import Counts, newer
 from unicon_ros.hardware.wired_robot import SILENCE, WiredRobot, opened
@@ -119,10 +111,11 @@ class UnitreeWire(DdsEnd):
         self._mounting = Mounting.of(robot)
         self._pairs = own["temperatures"][0::2], own["temperatures"][1::2]
         # Number and variant are the head's.
-        read = state_in(facts, arrays.keys() - {"tick", "mode_machine"})
-        self._frames = Frames(read, arrays, counts, checked=checked, orientation="base_quat")
-        self._head = Decoder.build(head_in(facts), arrays)
-        message = facts.message("LowState")
+        head = {"tick", "mode_machine"}
+        read = {name: array for name, array in arrays.items() if name not in head}
+        self._frames = replace(facts.state, checked=checked).frames(read, counts)
+        self._head = Decoder.build(facts.state.subscribe(head), arrays)
+        message = facts.state.struct
         ends = ("head", "tick") if facts.go else ("imu_state", "wireless_remote")
         measured = slice(*(offset_of(message, name) for name in ends))
         self._repeats = Repeats(self.label, measured)
@@ -133,11 +126,10 @@ class UnitreeWire(DdsEnd):
             facts.state_topic, facts.domain, domain, address, counts=counts, ahead=True
         )
         with self.closing():
-            self.listen(state(facts), self, forget=self._forget)
+            self.listen(facts.state, self, forget=self._forget)
             self.watch(facts.command_topic)
             if not silent:
-                encode = Encoder.build(command_out(facts), arrays_of(states) | own).encode
-                self.speak(command(facts), encode)
+                self.speak(facts.command, arrays_of(states) | own)
                 if release:
                     self._release = Release(self.participant, *facts.release, self.label)
 

@@ -13,77 +13,53 @@ client_stub.py). None of this is for the tick's hot path: messages go through ro
 from __future__ import annotations
 
 import json
+import math
 import time
-from collections.abc import Generator, Iterator
+from collections.abc import Generator
 from typing import Any
 
 import numpy as np
 
 from unicon_core.errors import Fault
 from unicon_ros.hardware.dds.participant import Participant
-from unicon_ros.hardware.dds.service import ServiceEnd
-
-REQUEST, RESPONSE = "unitree_api/msg/Request", "unitree_api/msg/Response"
+from unicon_ros.hardware.dds.service import Procedure, ServiceEnd
 
 
 class _End(ServiceEnd):
-    def __init__(self, participant: Participant, service: str, writes: str, reads: str) -> None:
-        ways = {REQUEST: "request", RESPONSE: "response"}
-        topics = {kind: f"rt/api/{service}/{way}" for kind, way in ways.items()}
-        super().__init__(participant, topics, writes, reads)
-        self.service = service
+    request = "unitree_api/msg/Request", "rt/api/{}/request"
+    response = "unitree_api/msg/Response", "rt/api/{}/response"
 
     def _part(self, name: str, *values: Any) -> Any:
         return self._types[f"unitree_api/msg/{name}"](*values)
 
 
 class Client(_End):
-    """Asks a robot's service, one request at a time, without waiting.
+    """Asks a robot's service, one request at a time, without waiting; as `ServiceEnd`."""
 
-    Args:
-        participant: of the robot's domain.
-        service: its name.
-    """
-
-    def __init__(self, participant: Participant, service: str) -> None:
-        super().__init__(participant, service, REQUEST, RESPONSE)
-        self._asked: Any = None
-
-    def ask(self, number: int, parameter: str = "{}") -> None:
-        """Send a request that wants a response, which is told by `answer`."""
+    def prepare(self, number: int, parameter: str = "{}") -> None:
+        """Make a request that wants a response, which is told by `answer`."""
         part = self._part
         identity = part("RequestIdentity", time.monotonic_ns(), number)
         policy = part("RequestPolicy", 0, False)
         header = part("RequestHeader", identity, part("RequestLease", 0), policy)
         self._asked = part("Request", header, parameter, np.zeros(0, np.uint8))
-        self.repeat()
 
-    def repeat(self) -> None:
-        """Send the last request once more; the first answer to either counts."""
+    def ask(self) -> None:
+        """Send the request, or send it once more; the first answer to either counts."""
         self._say(self._asked)
 
     def answer(self) -> tuple[int, str] | None:
         """Return code and data of the answer, None as long as there is none."""
-        for said in self._heard():
+        for said in self.heard():
             if said.header.identity == self._asked.header.identity:
                 return said.header.status.code, said.data
         return None
 
 
 class Server(_End):
-    """Serves requests, for an emulated robot.
+    """Serves requests, for an emulated robot; as `ServiceEnd`."""
 
-    Args:
-        participant: of its domain.
-        service: its name.
-    """
-
-    def __init__(self, participant: Participant, service: str) -> None:
-        super().__init__(participant, service, RESPONSE, REQUEST)
-
-    def asked(self) -> Iterator[Any]:
-        """Give the requests that have come."""
-        return self._heard()
+    serves = True
 
     def reply(self, asked: Any, code: int, data: str = "") -> None:
         """Answer a request."""
@@ -94,8 +70,6 @@ class Server(_End):
 
 SWITCHER = "motion_switcher"
 CHECK_MODE, RELEASE_MODE = 1001, 1003
-TIMEOUT = 5.0
-"""For an answer, and for a service to be found, in [s]; as in the vendor's examples."""
 AGAIN = 2.0
 """CheckMode, the first request of all, is repeated after so long, in [s]: a service that has found
 the writer of requests, and not the reader of responses, answers nobody."""
@@ -112,8 +86,8 @@ CODES = {
 """What the vendor's services answer, with remedy (unitree_sdk2py/rpc/internal.py)."""
 
 
-class Release:
-    """Called once a tick until it returns "", behind the operator's go.
+class Release(Procedure):
+    """Lets the robot's own controller let go, behind the operator's go.
 
     Args:
         participant: of the robot's domain.
@@ -125,21 +99,10 @@ class Release:
     def __init__(
         self, participant: Participant, before: tuple[str, int] | None, wait: float, what: str
     ) -> None:
-        self._what, self._wait = what, wait
+        super().__init__(what)
+        self._wait = wait
         self._switcher = Client(participant, SWITCHER)
         self._before = (Client(participant, before[0]), before[1]) if before else None
-        self._steps = self._procedure()
-        self._missing = "its own controller lets go of the motors"
-
-    def __call__(self) -> str:
-        """Go on as far as possible without waiting; return what is waited for, "" at the end.
-
-        Raises:
-            Fault: the robot refuses, does not answer, or takes the motors again and again.
-        """
-        if self._missing:
-            self._missing = next(self._steps, "")
-        return self._missing
 
     def _procedure(self) -> Generator[str, None, None]:
         yield from self._found(self._switcher)
@@ -151,11 +114,9 @@ class Release:
             if self._before is not None:
                 client, number = self._before
                 yield from self._found(client)
-                yield from self._asked(client, number, f"{doing} ({client.service} {number})")
-            yield from self._asked(self._switcher, RELEASE_MODE, f"{doing} (ReleaseMode)")
-            end = time.monotonic() + self._wait
-            while time.monotonic() < end:
-                yield doing
+                yield from self._answer(client, number, f"{doing} ({client.service} {number})")
+            yield from self._answer(self._switcher, RELEASE_MODE, f"{doing} (ReleaseMode)")
+            yield from self._pause(doing, self._wait)
         mode = yield from self._mode()
         if mode:
             raise Fault(
@@ -163,20 +124,20 @@ class Release:
                 f"ReleaseMode, {TRIES} times; switch it off with the remote or the app"
             )
 
-    def _found(self, client: Client) -> Generator[str, None, None]:
-        end = time.monotonic() + TIMEOUT
-        while not client.there:
-            if time.monotonic() > end:
-                raise Fault(
-                    f"{self._what}: nobody serves {client.service!r} within {TIMEOUT:g} s, so that "
-                    "its own controller cannot be asked to let go of the motors; start the robot "
-                    "anew, or for a simulator without it say peer: unitree_mujoco"
-                )
-            yield f"its service {client.service!r}"
+    def _found(self, client: Client) -> Generator[str, None, bool]:
+        return self._until(
+            lambda: client.there,
+            f"its service {client.service!r}",
+            lambda: (
+                f"nobody serves {client.service!r} within {self.timeout:g} s, so that its own "
+                "controller cannot be asked to let go of the motors; start the robot anew, or for "
+                "a simulator without it say peer: unitree_mujoco"
+            ),
+        )
 
     def _mode(self) -> Generator[str, None, str]:
         """Return the mode of its own controller, "" for none."""
-        data = yield from self._asked(self._switcher, CHECK_MODE, "which controller runs")
+        data = yield from self._answer(self._switcher, CHECK_MODE, "which controller runs")
         try:
             name = json.loads(data)["name"]
         except (ValueError, LookupError, TypeError):
@@ -188,22 +149,19 @@ class Release:
             )
         return name
 
-    def _asked(self, client: Client, number: int, doing: str) -> Generator[str, None, str]:
+    def _answer(self, client: Client, number: int, doing: str) -> Generator[str, None, str]:
         """Ask a service and return what it answers."""
-        client.ask(number)
-        begun = repeated = time.monotonic()
-        while (answer := client.answer()) is None:
-            now = time.monotonic()
-            if number == CHECK_MODE and now - repeated > AGAIN:  # it does nothing: not as others
-                client.repeat()
-                repeated = now
-            if now - begun > TIMEOUT:
-                raise Fault(
-                    f"{self._what}: service {client.service!r} does not answer request {number} "
-                    f"within {TIMEOUT:g} s; start the robot anew"
-                )
-            yield doing
-        code, data = answer
+        client.prepare(number)
+        code, data = yield from self._until(
+            client.answer,
+            doing,
+            lambda: (
+                f"service {client.service!r} does not answer request {number} within "
+                f"{self.timeout:g} s; start the robot anew"
+            ),
+            client.ask,
+            AGAIN if number == CHECK_MODE else math.inf,  # it does nothing: not as others
+        )
         if code:
             why = CODES.get(code, "switch the robot's own controller off with the remote or app")
             raise Fault(

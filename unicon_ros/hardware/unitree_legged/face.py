@@ -26,12 +26,8 @@ from unicon_ros.hardware.unitree_legged.link import link_of
 
 BRAKE = 2.0
 """Damping of an emulated motor in mode 0x00 in [N·m·s/rad]; a real one's is not public."""
-FULL = 0.8
-"""Charge of the emulated battery, where the states have none."""
 CELLS = 8
 """Of the emulated battery, of ten places."""
-REST = 30
-"""Temperature of emulated motors in [°C], where the states have none."""
 
 
 class LeggedFace:
@@ -93,10 +89,6 @@ class LeggedFace:
         self._out["quat"][...] = (1.0, 0.0, 0.0, 0.0)
         self.modes = EmulatedModes(self._motors["mode"])
         self.modes.reported[...] = link.damping
-        self._motors["temperature"] = REST
-        if "bms" in self._out:
-            self._out["bms"]["soc"] = round(100 * FULL)
-            self._out["bms"]["cells"][:CELLS] = 120
         self._udp = Udp((link.address, link.port), (link.address, 9), f"robot {robot.name}")
         self._owed: dict[tuple[str, int], None] = {}
 
@@ -156,15 +148,12 @@ class LeggedFace:
         motors["tau"] = np.clip(effort * TORQUE, -32768, 32767)
         frame["quat"][...], frame["gyro"][...] = states["base_quat"], states["base_ang_vel"]
         frame["acc"][...] = states["base_lin_acc"]
-        if "motor_temperature" in states:
-            motors["temperature"] = np.clip(states["motor_temperature"], -128, 127)
+        motors["temperature"] = np.clip(states["motor_temperature"], -128, 127)
         if "bms" in frame:
             bms = frame["bms"]
-            if "battery_charge" in states:
-                bms["soc"] = round(100 * float(states["battery_charge"]))
-            if "battery_voltage" in states:
-                each = float(states["battery_voltage"]) / CELLS / CELL_VOLT
-                bms["cells"][:CELLS] = np.clip(round(each), 0, 255)
+            bms["soc"] = round(100 * float(states["battery_charge"]))
+            each = float(states["battery_voltage"]) / CELLS / CELL_VOLT
+            bms["cells"][:CELLS] = np.clip(round(each), 0, 255)
         frame["remote"][...] = np.frombuffer(self.remote, np.uint8)
         frame["tick"][...] = count
         frame.seal(self._encrypted)
