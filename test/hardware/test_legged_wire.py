@@ -132,7 +132,7 @@ def test_states_arrive_with_battery_temperatures_errors_and_remote(
     assert list(states["foot_force"]) == [11.0, 12.0, 13.0, 14.0]
     assert list(states["base_ang_vel"]) == pytest.approx([0.1, 0.2, 0.3])
     assert states["projected_gravity"][2] == -1.0
-    assert bytes(platform.wire.remote) == bytes(range(40))  # 0x0302 are its buttons
+    assert bytes(platform._wire.remote) == bytes(range(40))  # 0x0302 are its buttons
     pressed = [name for name, value in zip(BUTTONS, states["buttons"]) if value]
     assert (pressed, int(states["controls_alive"])) == (["L1", "A", "B"], 1)
     assert {"battery_charge", "foot_force"} <= set(platform.facts.writes)
@@ -219,17 +219,17 @@ def test_bad_datagrams_are_counted_and_silence_is_a_fault(peers: Callable[..., P
         ("not finite", peer.frame(tick + 2, motors=[*bad_motor[:5], (10, nan, 0.0, 0, 30)])),
     ]
     counted: dict[str, int] = {}
-    refused = platform.wire.counts.refused
+    refused = platform._wire.counts.refused
     refused.clear()
     for reason, data in cases:
         peer.udp.send(data)
         assert platform.wait(1.0)
-        assert platform.wire.take() == 0
+        assert platform._wire.take() == 0
         counted[reason] = counted.get(reason, 0) + 1
         assert dict(refused) == counted
     for name, value in before.items():
         np.testing.assert_array_equal(platform._states[name], value, err_msg=name)
-    assert "position of FL_calf_joint is nan" in platform.wire.counts.last
+    assert "position of FL_calf_joint is nan" in platform._wire.counts.last
     with pytest.raises(Fault, match=r"nothing from 127\.0\.0\.1:\d+ for .* s \(refused: 6 wr"):
         listened(platform, 5.0)
 
@@ -251,7 +251,7 @@ def test_a_good_datagram_between_bad_ones_counts(peers: Callable[..., Peer]) -> 
     while peer.states["joint_pos"][0] != np.float32(0.7):
         platform.recv()
         assert time.monotonic() < deadline
-    assert platform.wire.take() == 0
+    assert platform._wire.take() == 0
     assert peer.states["joint_pos"][0] == np.float32(0.7)
 
 
@@ -261,7 +261,7 @@ def test_the_tick_may_wrap(peers: Callable[..., Peer]) -> None:
     for tick in (2**30, 2**31, 2**32 - 1, 1, 2):
         peer.udp.send(peer.frame(tick))
         assert platform.wait(1.0)
-        assert platform.wire.take() == 1, tick
+        assert platform._wire.take() == 1, tick
 
 
 def test_another_generation_is_named(peers: Callable[..., Peer]) -> None:
@@ -282,7 +282,7 @@ def test_strangers_are_counted_and_a_flood_holds_nothing_up(peers: Callable[...,
     for _ in range(60):
         platform.recv()
     assert platform.arrivals() == arrived
-    assert platform.wire.strangers > 0
+    assert platform._wire.strangers > 0
     for _ in range(300):
         peer.udp.send(b"garbage")
     for _ in range(10):
@@ -435,7 +435,7 @@ def test_motors_that_hold_while_nothing_is_asked_of_them_obey_somebody_else(
         platform.recv()
     assert all(where.startswith("127.0.0.1:") for where in platform.commanders())
     platform.send()  # from now on they may obey us
-    platform.wire._held = -math.inf  # long ago
+    platform._wire._held = -math.inf  # long ago
     peer.udp.send(peer.frame(peer.later(), motors=motors))
     platform.wait(0.5)
     platform.recv()

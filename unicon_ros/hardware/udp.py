@@ -6,6 +6,7 @@ import select
 import socket
 
 from unicon_core.errors import Fault, PlatformError
+from unicon_ros.hardware.wire import Counts
 
 LARGEST = 65536
 """Bytes of a datagram."""
@@ -22,13 +23,20 @@ class Udp:
         local: address and port to bind; port 0 for any.
         peer: address and port of the robot.
         what: in front of messages.
+        counts: count those of others, too.
 
     Raises:
         PlatformError: it cannot be bound.
     """
 
-    def __init__(self, local: tuple[str, int], peer: tuple[str, int], what: str) -> None:
-        self._what, self.peer = what, peer
+    def __init__(
+        self,
+        local: tuple[str, int],
+        peer: tuple[str, int],
+        what: str,
+        counts: Counts | None = None,
+    ) -> None:
+        self._what, self.peer, self._counts = what, peer, counts
         self.strangers = 0
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
@@ -76,6 +84,8 @@ class Udp:
                 found.append(datagram)
             else:
                 self.strangers += 1
+                if self._counts is not None:
+                    self._counts.refused["of a stranger"] += 1
         return found
 
     def datagrams(self) -> list[tuple[bytes, tuple[str, int]]]:

@@ -7,6 +7,7 @@ bits is the integer part of (x - lower) (2^b - 1) / (upper - lower).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Any, NamedTuple
@@ -82,6 +83,14 @@ def _bounds(layout: Layout) -> tuple[tuple[float, ...], tuple[float, ...], tuple
     upper = (POSITION, layout.velocity, layout.torque, KP, KD)
     lower = (-POSITION, -layout.velocity, -layout.torque, 0.0, 0.0)
     return lower, upper, (16, 12, 12, 12, layout.kd_bits)
+
+
+def _figures(layout: Layout, raw: Sequence[int]) -> tuple[float, ...]:
+    """Return the first figures, as of `COMMAND_STATES`, of whole numbers on the bus."""
+    return tuple(
+        lower + number * (upper - lower) / (2**bits - 1)
+        for number, lower, upper, bits in zip(raw, *_bounds(layout))
+    )
 
 
 @dataclass(frozen=True)
@@ -184,29 +193,16 @@ def reply_of(number: int, data: bytes) -> Reply | None:
         temperature = 0.5 * (data[6] - 50)
     else:
         return None
-    pos = data[1] << 8 | data[2]
-    vel = data[3] << 4 | data[4] >> 4
-    torque = (data[4] & 0x0F) << 8 | data[5]
-    return Reply(
-        motor,
-        pos * 2.0 * POSITION / 65535.0 - POSITION,
-        vel * 2.0 * layout.velocity / 4095.0 - layout.velocity,
-        torque * 2.0 * layout.torque / 4095.0 - layout.torque,
-        temperature,
-        error,
-        mode,
-    )
+    raw = data[1] << 8 | data[2], data[3] << 4 | data[4] >> 4, (data[4] & 0x0F) << 8 | data[5]
+    return Reply(motor, *_figures(layout, raw), temperature, error, mode)
 
 
 def answer(motor: int, layout: Layout, told: Reply) -> tuple[int, bytes]:
     """Return number and data of the frame that a motor answers with; for its emulation."""
+    figures = zip((told.pos, told.vel, told.torque), *_bounds(layout))
     pos, vel, torque = (
-        int((min(max(value, -most), most) + most) * (2**bits - 1) / (2.0 * most))
-        for value, most, bits in (
-            (told.pos, POSITION, 16),
-            (told.vel, layout.velocity, 12),
-            (told.torque, layout.torque, 12),
-        )
+        int((min(max(value, lower), upper) - lower) * (2**bits - 1) / (upper - lower))
+        for value, lower, upper, bits in figures
     )
     head = told.mode << 4 | motor if layout is DM else REPLY << 5 | told.error & 0x1F
     warm = 0 if told.temperature is None else min(max(int(2 * told.temperature + 50), 0), 255)
@@ -216,10 +212,8 @@ def answer(motor: int, layout: Layout, told: Reply) -> tuple[int, bytes]:
 
 def command_of(layout: Layout, data: bytes) -> tuple[float, ...]:
     """Return the figures of a command, as of `COMMAND_STATES`; for emulated motors."""
-    lower, upper, bits = _bounds(layout)
-    word, figures = int.from_bytes(data, "big"), [0.0] * 5
+    word, raw, bits = int.from_bytes(data, "big"), [0] * 5, _bounds(layout)[2]
     for figure in reversed(layout.order):
-        most = 2 ** bits[figure] - 1
-        figures[figure] = lower[figure] + (word & most) * (upper[figure] - lower[figure]) / most
+        raw[figure] = word & (1 << bits[figure]) - 1
         word >>= bits[figure]
-    return tuple(figures)
+    return _figures(layout, raw)

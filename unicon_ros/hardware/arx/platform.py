@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 
 from unicon_core.errors import Fault, MissingDependencyError, PlatformError
+from unicon_core.platforms.kit.command import Command
 from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_core.states.standard import COMMAND_STATES
+from unicon_core.states.standard import COMMAND_STATES, JOINT_STATES
 from unicon_ros.hardware.arx.codec import DM, EC, ENABLE, ENABLED, Motors, Packing, reply_of
 from unicon_ros.hardware.modes import UNDOCUMENTED, ModeGuard
 from unicon_ros.hardware.wire import Answers, Counts, known
@@ -89,10 +90,8 @@ class ArxWire:
         self._packing = Packing(motors)
         enabled = [ENABLED if layout is DM else 0 for layout in motors.layouts]
         self.modes = ModeGuard("arx", motors.names, enabled, settles=UNDOCUMENTED)
-        n = len(motors.numbers)
-        self._rows = np.zeros((len(COMMAND_STATES), n), np.float32)
-        self._sources = list(zip(self._rows, (states[name] for name in COMMAND_STATES)))
-        self._packing(self._rows)
+        self._command = Command(states, motors.names, dtype=np.float32)
+        self._packing(self._command.rows)
         empty = [frame.tobytes() for frame in self._packing.frames]
         self._asking = [ENABLE if lay is DM else e for lay, e in zip(motors.layouts, empty)]
         self._error = known(states, "motor_error")
@@ -152,11 +151,9 @@ class ArxWire:
 
     def put(self) -> None:
         """See `Wire`."""
-        for row, source in self._sources:
-            row[...] = source
-        self._rows[TORQUE] *= self._motors.command
-        if not self._packing(self._rows):
-            self.counts.clamped += 1
+        self._command.take()
+        self._command.rows[TORQUE] *= self._motors.command
+        self.counts.clamped += not self._packing(self._command.rows)
         self._commanding = True
         self._send([frame.tobytes() for frame in self._packing.frames])
 
@@ -202,13 +199,7 @@ class Arx(WiredRobot):
     # No temperature: DM motors, half of an arm, do not tell theirs.
     facts = Facts(
         "arx",
-        writes=(
-            "joint_pos",
-            "joint_vel",
-            "joint_effort",
-            "motor_error",
-            "stamp_ns",
-        ),
+        writes=(*JOINT_STATES, "motor_error", "stamp_ns"),
         protocols=("arx",),
     )
 

@@ -19,6 +19,14 @@ from unicon_ros.hardware.facts import AskingRate, Numbers, Port, Transport, each
 
 KEYS = ("enable", "reset", "idle", "walk", "damp", "disable", "commands")
 """Of `transport.keys`: what the remote is told, and what the robot then does."""
+COPIED = {
+    "joint_pos": "pos",
+    "joint_vel": "vel",
+    "joint_effort": "effort",
+    "motor_temperature": "temperature",
+    "motor_error": "error",
+}
+"""State to the field of a state's frame that it is."""
 
 _HEAD = ("checker", "<i2"), ("size", "<i2"), ("state", "<i4")
 

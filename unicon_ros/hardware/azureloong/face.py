@@ -16,7 +16,7 @@ from unicon_core.platforms.kit.base import rpy_of_quat
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
-from unicon_ros.hardware.azureloong.codec import KEYS, Link
+from unicon_ros.hardware.azureloong.codec import COPIED, KEYS, Link
 from unicon_ros.hardware.facts import Port, fact, ipv4
 from unicon_ros.hardware.udp import Udp
 
@@ -114,10 +114,8 @@ class AzureFace:
         frame["plan"] = self._plan.encode()
         frame["rpy"] = rpy_of_quat(states["base_quat"])
         frame["gyro"], frame["acc"] = states["base_ang_vel"], states["base_lin_acc"]
-        frame["pos"], frame["vel"] = states["joint_pos"], states["joint_vel"]
-        frame["effort"] = states["joint_effort"]
-        frame["temperature"] = states["motor_temperature"]
-        frame["error"] = states["motor_error"]
+        for state, field in COPIED.items():
+            frame[field] = states[state]
         frame["pos_target"] = states["joint_pos_target"]
         self._udp.send(frame.view(np.uint8).data)
 

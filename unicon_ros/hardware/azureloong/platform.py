@@ -16,25 +16,18 @@ import numpy as np
 from unicon_core.bounds import within
 from unicon_core.errors import Fault, PlatformError
 from unicon_core.platforms.kit.base import IMU_STATES, Mounting, quat_of_rpy
+from unicon_core.platforms.kit.command import Command
 from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
 from unicon_core.schema.marks import Within
 from unicon_core.states import States
-from unicon_core.states.standard import COMMAND_STATES
-from unicon_ros.hardware.azureloong.codec import Link, part
+from unicon_core.states.standard import JOINT_STATES
+from unicon_ros.hardware.azureloong.codec import COPIED, Link, part
 from unicon_ros.hardware.facts import fact, ipv4
 from unicon_ros.hardware.udp import Udp
 from unicon_ros.hardware.wire import Counts
 from unicon_ros.hardware.wired_robot import WiredRobot, opened
 
-COPIED = {
-    "joint_pos": "pos",
-    "joint_vel": "vel",
-    "joint_effort": "effort",
-    "motor_temperature": "temperature",
-    "motor_error": "error",
-}
-"""State to the field of a frame that it is."""
 STAMP = struct.Struct("<d")
 
 
@@ -65,16 +58,15 @@ class AzureWire:
         self._lower, self._upper = link.limits
         self.counts, self.where = Counts(), f"{address}:{link.port}"
         self._mounting = Mounting.of(robot)
-        self._rows = np.zeros_like(self._lower)
-        self._sources = list(zip(self._rows, (states[name] for name in COMMAND_STATES)))
+        self._command = Command(states, robot.joint_names, dtype=np.float32)
         frame = self._frame = np.zeros(1, link.command)
         frame["checker"], frame["size"] = link.checker, frame.nbytes
         frame["torque_limit_rate"], frame["filter_rate"] = torque_limit_rate, filter_rate
         self._bytes = self._frame.view(np.uint8).data
         block = frame.view(np.uint8)[part(link.command, "joint_pos_target", "finger_left")]
-        self._block = block.view("<f4").reshape(self._rows.shape)
+        self._block = block.view("<f4").reshape(self._lower.shape)
         self._stamp, self._plan = -math.inf, 0
-        self._asked, self._commanding, self._strangers = -math.inf, False, 0
+        self._asked, self._commanding = -math.inf, False
         kind = link.state
         self._floats, self._size = part(kind, "rpy", "temperature"), kind.itemsize
         self._heard = bytearray(self._size)
@@ -92,7 +84,9 @@ class AzureWire:
         ]
         self._stamp_at = part(kind, "timestamp", "key").start
         self._name_at = part(kind, "plan", "state")
-        self._udp = Udp(("0.0.0.0", 0), (address, link.port), f"azureloong at {address}")
+        self._udp = Udp(
+            ("0.0.0.0", 0), (address, link.port), f"azureloong at {address}", self.counts
+        )
 
     def take(self) -> int:
         """See `Wire`.
@@ -106,9 +100,6 @@ class AzureWire:
         for data in self._udp.received():
             if self._accepted(data):
                 good, newest = good + 1, data
-        if self._udp.strangers > self._strangers:
-            self.counts.refused["of a stranger"] += self._udp.strangers - self._strangers
-            self._strangers = self._udp.strangers
         if newest is not None:
             self._tell(newest)
         self.counts.good += good
@@ -171,11 +162,10 @@ class AzureWire:
 
     def put(self) -> None:
         """See `Wire`."""
-        for row, source in self._sources:
-            row[...] = source
-        np.clip(self._rows, self._lower, self._upper, out=self._block)
-        if not np.array_equal(self._rows, self._block):
-            self.counts.clamped += 1
+        self._command.take()
+        rows = self._command.rows
+        np.clip(rows, self._lower, self._upper, out=self._block)
+        self.counts.clamped += not np.array_equal(rows, self._block)
         self._frame["state"] = self._link.commanding
         self._commanding = True
         self._udp.send(self._bytes)
@@ -200,12 +190,8 @@ class AzureLoong(WiredRobot):
     facts = Facts(
         "azureloong",
         writes=(
-            "joint_pos",
-            "joint_vel",
-            "joint_effort",
-            "base_quat",
-            "base_ang_vel",
-            "base_lin_acc",
+            *JOINT_STATES,
+            *IMU_STATES,
             "projected_gravity",
             "motor_temperature",
             "motor_error",

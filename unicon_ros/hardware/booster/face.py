@@ -18,7 +18,7 @@ from unicon_core.states import States
 from unicon_ros.hardware.booster.codec import BoosterFacts
 from unicon_ros.hardware.booster.platform import EXTRA
 from unicon_ros.hardware.booster.takeover import SUCCESS, Server, number
-from unicon_ros.hardware.dds.end import DdsFace
+from unicon_ros.hardware.dds.face import DdsFace
 
 SELDOM = 50
 """Mode and battery are told with every so many a frame."""

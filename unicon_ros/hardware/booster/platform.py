@@ -65,7 +65,7 @@ class BoosterWire(DdsEnd):
         *,
         silent: bool = False,
     ) -> None:
-        facts, counts = BoosterFacts.of(robot), Counts()
+        facts = BoosterFacts.of(robot)
         self._states, self._robot, self._facts = states, robot, facts
         self._rpy = np.zeros(3, np.float32)
         self._mounting = Mounting.of(robot)
@@ -76,12 +76,10 @@ class BoosterWire(DdsEnd):
         self._client: Client | None = None
         self._takeover: Takeover | None = None
         self._put = False
-        super().__init__(
-            facts.state_topic, facts.domain, domain, address, counts=counts, announced=True
-        )
+        super().__init__(facts.state_topic, facts.domain, domain, address, announced=True)
         with self.closing():
             arrays = arrays_of(states)
-            self.listen(facts.state, facts.state_in(arrays | {"rpy": self._rpy}, counts))
+            self.listen(facts.state, facts.state_in(arrays | {"rpy": self._rpy}, self.counts))
             controls = Controls(states) if "sticks" in states else None
             self._side = Side(self.participant, facts, arrays, controls)
             self.watch(facts.command_topic)
@@ -99,8 +97,6 @@ class BoosterWire(DdsEnd):
             Fault: the robot has left custom mode.
         """
         number = super().take()
-        if number:
-            self._measured()
         mode = self._side.take()
         if self._takeover is not None and self._takeover.done and mode == "another":
             raise Fault(

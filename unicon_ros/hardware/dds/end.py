@@ -14,27 +14,19 @@ It has `take`, `wait`, `put`, `warm_up`, `commanders` and `close` of a `Wire`.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from types import MappingProxyType
-from typing import Any, Protocol, TypeVar
-
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from typing import Protocol, TypeVar
 
 from unicon_core.errors import Fault
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_core.states.standard import COMMAND_STATES, hardware_states
-from unicon_ros.hardware.dds.maps import Arrays, Message, arrays_of, command_arrays
+from unicon_ros.hardware.dds.maps import Arrays, Message
 from unicon_ros.hardware.dds.participant import Participant, Reader, Writer
-from unicon_ros.hardware.modes import EmulatedModes
 from unicon_ros.hardware.wire import Counts
 from unicon_ros.hardware.wired_robot import SILENCE, WiredRobot, opened
 
 R = TypeVar("R", bound=WiredRobot)
-_NOTHING: Arrays = MappingProxyType({})
 
 
 class Inlet:
@@ -137,7 +129,6 @@ class DdsEnd:
         own: domain of DDS that the robot file says.
         domain: instead of it; None for that.
         address: of this machine's network interface, or its name; None for the default.
-        counts: of what comes in; another one where frames were made with it before.
         ahead: `warm_up` reads what is there already, so that what is read into must be arrays of
             the wire's own until `take` is called.
         announced: see `Participant`.
@@ -162,13 +153,12 @@ class DdsEnd:
         domain: int | None,
         address: str | None,
         *,
-        counts: Counts | None = None,
         ahead: bool = False,
         announced: bool = False,
     ) -> None:
         domain = own if domain is None else domain
         self.where = f"{topic} of DDS domain {domain}"
-        self.counts = Counts() if counts is None else counts
+        self.counts = Counts()
         self._ahead = ahead
         self.participant = Participant(domain, address, self.label, self.extra, announced=announced)
         self._inlets: list[Inlet] = []
@@ -212,8 +202,18 @@ class DdsEnd:
         self._commands += topics
 
     def take(self) -> int:
-        """Bring the newest good message of each topic into the arrays; return how many came."""
-        return sum(inlet.take() for inlet in self._inlets)
+        """Bring the newest good message of each topic into the arrays; return how many came.
+
+        Raises:
+            Fault: as a vendor's wire says.
+        """
+        number = sum(inlet.take() for inlet in self._inlets)
+        if number:
+            self._measured()
+        return number
+
+    def _measured(self) -> None:
+        """Make what the states shall be of the arrays that were read."""
 
     def wait(self, timeout: float) -> bool:
         """Return True once something is there on the first topic, False after `timeout` in [s]."""
@@ -256,102 +256,6 @@ class DdsEnd:
     def close(self) -> None:
         """Leave the domain."""
         self.participant.close()
-
-
-class DdsFace(DdsEnd):
-    """The robot's end: it tells `facts.state`, and hears `facts.command`.
-
-    Args:
-        states: of the emulator; where those of hardware lack, what they begin with is told.
-        robot: its file.
-        facts: of its transport.
-        domain: of DDS, instead of the robot file's.
-        address: of this machine's network interface, or its name.
-        own: what it tells besides states, by name; `modes` are those of its motors.
-        heard: what commands say besides command states, by name.
-        announced: see `Participant`.
-
-    Attributes:
-        rate: of its state in [Hz].
-        modes: of the motors, where commands say theirs: those of the last one.
-    """
-
-    modes: EmulatedModes
-
-    def __init__(
-        self,
-        states: States,
-        robot: Robot,
-        facts: Any,
-        domain: int | None,
-        address: str | None,
-        own: Arrays = _NOTHING,
-        heard: Arrays = _NOTHING,
-        *,
-        announced: bool = False,
-    ) -> None:
-        self.rate, self._facts, self._states = facts.rate, facts, states
-        self._heard = command_arrays(robot.num_joints) | dict(heard)
-        if "modes" in own:
-            self.modes = EmulatedModes(own["modes"])
-        unless = States(hardware_states(robot.joint_names))
-        self._arrays = arrays_of(unless) | arrays_of(states) | dict(own)
-        super().__init__(facts.command_topic, facts.domain, domain, address, announced=announced)
-        with self.closing():
-            self._open()
-
-    @property
-    def dead_man(self) -> float:
-        """Infinity: what the robot does without commands is not public."""
-        return math.inf
-
-    @property
-    def obeys(self) -> bool:
-        """Whether commands act: always, where no program of its own must let go first."""
-        return True
-
-    def _open(self) -> None:
-        """Begin to speak and to listen."""
-        self.speak(self._facts.state, self._arrays)
-        self._frames = self._facts.command_in(self._heard, self.counts)
-        self.listen(self._facts.command, self, anyone=True)
-
-    def tell(self) -> None:
-        """Send what the robot measures."""
-        self.put()
-
-    def hear(self) -> bool:
-        """Bring the newest command that acts into the command states; True where one came."""
-        return bool(self.take())
-
-    def good(self, raw: bytes) -> bool:
-        """Tell whether a command acts; count what does not."""
-        return self._frames.good(raw) and self._frames.read(raw) and self._acts()
-
-    def read(self, raw: bytes) -> bool:
-        """Bring a command that acts into the command states."""
-        read = self._frames.read(raw)
-        if read:
-            self._act()
-        return read
-
-    def _acts(self) -> bool:
-        """Return whether a command acts; it is counted where it does not."""
-        raise NotImplementedError
-
-    def _act(self) -> None:
-        """Bring the command that came into the command states."""
-        for name in COMMAND_STATES:
-            self._states[name][...] = self._heard[name]
-        if "modes" in self._heard:
-            self.modes.command(self._heard["modes"], self._states)
-
-    def _right(self, reason: str, said: NDArray[Any], wanted: ArrayLike) -> bool:
-        """Return whether a command says what is wanted; it is counted where it does not."""
-        right = bool((said == wanted).all())
-        if not right:
-            self.counts.refuse(reason, f"{said.tolist()}, not {np.unique(wanted).tolist()}")
-        return right
 
 
 def factory_of(

@@ -6,6 +6,12 @@
     participant.close()
 
 The calls that pass bytes are private ones of the package, so that it is asked for by its version.
+
+Types are made of the message definitions that `unicon_msgs_map` has. The names on the wire are
+those of ROS 2, which Unitree, PND and Dobot keep to in their IDL: `unitree_go/msg/LowCmd` is
+`unitree_go.msg.dds_.LowCmd_`, final, with sequential member ids (unitree_sdk2py/idl of
+unitreerobotics/unitree_sdk2_python). All octets are `byte`: declared as `uint8`, cyclonedds 11
+describes them by a type that 0.10.2, which is on the robots, does not know, so that it crashes.
 """
 
 from __future__ import annotations
@@ -17,9 +23,50 @@ from importlib import metadata
 from typing import Any
 
 from unicon_core.errors import Fault, MissingDependencyError, PlatformError
-from unicon_msgs_map.layout.messages import Struct
+from unicon_msgs_map.layout.messages import Array, Primitive, String, Struct, TypeRef
 from unicon_ros.hardware.dds.domains import enter, leave
-from unicon_ros.hardware.dds.types import dds_type
+
+OCTETS = ("uint8", "int8", "byte")
+"""What Unitree's IDL has as octet; their .msg files call temperatures of octets signed."""
+
+
+def dds_type(message: Struct, name: str = "") -> Any:
+    """Return the class that CycloneDDS wants of a topic, an `IdlStruct`.
+
+    Args:
+        message: its layout.
+        name: in DDS, where it does not follow from the message's.
+
+    Only its description is used: what is sent and received are raw bytes.
+    """
+    from cyclonedds.idl import annotations, make_idl_struct
+
+    fields = {key: _member(kind) for key, kind in message.fields.items()}
+    if not name:
+        package, _, own = message.name.split("/")
+        name = f"{package}.msg.dds_.{own}_"
+    made = make_idl_struct(name.split(".")[-1], name, fields)
+    annotations.final(made)
+    annotations.autoid("sequential")(made)
+    return made
+
+
+def _member(kind: TypeRef) -> Any:
+    from cyclonedds.idl import types
+
+    if isinstance(kind, Primitive):
+        if kind.name == "bool":
+            return bool
+        return getattr(types, "byte" if kind.name in OCTETS else kind.name)
+    if isinstance(kind, String):
+        return str
+    if isinstance(kind, Array):
+        item = _member(kind.item)
+        if kind.length is None:
+            return types.sequence[item, kind.bound] if kind.bound else types.sequence[item]
+        return types.array[item, kind.length]
+    return dds_type(kind)
+
 
 VERSION = "11.0.1"
 """Of cyclonedds: another one may pass bytes otherwise, or none."""

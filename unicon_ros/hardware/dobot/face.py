@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_ros.hardware.dds.end import DdsFace
+from unicon_ros.hardware.dds.face import DdsFace
 from unicon_ros.hardware.dobot.codec import DobotFacts, own_arrays
 from unicon_ros.hardware.dobot.platform import EXTRA
 from unicon_ros.hardware.torso import IMU_STATES, turned

@@ -133,7 +133,7 @@ class ActuatorWire:
         self.counts = Counts()
         self._labels = tuple(map("{} ({})".format, actuators.names, actuators.addresses))
         self._answered = Answers(self._labels)
-        self._asked, self._turn, self._strangers = 0.0, 0, 0
+        self._asked, self._turn = 0.0, 0
         self._sent_gains = np.full((2, len(self._labels)), np.nan)
         self._commands = np.zeros(len(self._labels), COMMAND_TYPE)
         self._commands["code"] = command
@@ -147,7 +147,7 @@ class ActuatorWire:
             sockets = []
             for label, address in zip(labels, addresses):
                 what = f"fourier: actuator {label}"
-                sockets.append(Udp(("0.0.0.0", 0), (address, port), what))
+                sockets.append(Udp(("0.0.0.0", 0), (address, port), what, self.counts))
                 self._opened.append(sockets[-1])
             return sockets
         except BaseException:
@@ -167,9 +167,6 @@ class ActuatorWire:
         for joint, socket in enumerate(self._sockets):
             for data in socket.received():
                 self._sort(joint, data)
-        strangers = sum(socket.strangers for socket in self._opened)
-        self.counts.refused["of a stranger"] += strangers - self._strangers
-        self._strangers = strangers
         self._measured()
         now = time.monotonic()
         if now - self._asked >= 0.9 / self._rate:

@@ -17,6 +17,7 @@ from unicon_core.errors import Fault, PlatformError
 from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
+from unicon_core.states.standard import JOINT_STATES
 from unicon_ros.hardware.facts import ipv4
 from unicon_ros.hardware.fourier.actuator_wire import ActuatorWire, Enabling
 from unicon_ros.hardware.fourier.codec import (
@@ -194,9 +195,7 @@ class Fourier(WiredRobot):
     facts = Facts(
         "fourier",
         writes=(
-            "joint_pos",
-            "joint_vel",
-            "joint_effort",
+            *JOINT_STATES,
             "motor_temperature",
             "motor_error",
             "stamp_ns",

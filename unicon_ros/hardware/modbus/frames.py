@@ -7,7 +7,7 @@ TCP/IP Implementation Guide V1.0b (the MBAP header) and Modbus over Serial Line 
 from __future__ import annotations
 
 import struct
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,30 +87,6 @@ def _check(pdu: bytes, function: int) -> None:
         raise Refused("wrong function", f"{pdu[0] if pdu else 'none'}, asked was {function}")
 
 
-class Framing(Protocol):
-    """What stands around function and data."""
-
-    def pack(self, frame: Frame) -> bytes:
-        """Return the bytes of a frame."""
-        ...
-
-    def size(self, data: bytes | bytearray, *, answer: bool) -> int:
-        """Return how many bytes the first frame has, 0 where that is not told yet.
-
-        Raises:
-            Refused: this is not the beginning of a frame.
-        """
-        ...
-
-    def unpack(self, data: bytes) -> Frame:
-        """Return a whole frame taken apart.
-
-        Raises:
-            Refused: its bytes are damaged.
-        """
-        ...
-
-
 class Tcp:
     """The MBAP header: number, protocol 0, length, unit; all big endian."""
 
@@ -119,7 +95,11 @@ class Tcp:
         return _HEAD.pack(frame.number, 0, 1 + len(frame.pdu), frame.unit) + frame.pdu
 
     def size(self, data: bytes | bytearray, *, answer: bool) -> int:
-        """Return how many bytes the first frame has, 0 where that is not told yet."""
+        """Return how many bytes the first frame has, 0 where that is not told yet.
+
+        Raises:
+            Refused: this is not the beginning of a frame.
+        """
         if len(data) < _HEAD.size:
             return 0
         _, protocol, length, _ = _HEAD.unpack_from(data)
@@ -142,7 +122,11 @@ class Rtu:
         return data + struct.pack("<H", crc16(data))
 
     def size(self, data: bytes | bytearray, *, answer: bool) -> int:
-        """Return how many bytes the first frame has, 0 where that is not told yet."""
+        """Return how many bytes the first frame has, 0 where that is not told yet.
+
+        Raises:
+            Refused: this is not the beginning of a frame.
+        """
         if len(data) < 3:
             return 0
         function = data[1]
@@ -157,11 +141,19 @@ class Rtu:
         raise Refused("not a Modbus frame", bytes(data[:8]).hex())
 
     def unpack(self, data: bytes) -> Frame:
-        """Return a whole frame taken apart."""
+        """Return a whole frame taken apart.
+
+        Raises:
+            Refused: its bytes are damaged.
+        """
         told = int.from_bytes(data[-2:], "little")
         if crc16(data[:-2]) != told:
             raise Refused("wrong CRC", f"0x{told:04x}, computed is 0x{crc16(data[:-2]):04x}")
         return Frame(0, data[0], bytes(data[1:-2]))
+
+
+Framing: TypeAlias = Tcp | Rtu
+"""What stands around function and data."""
 
 
 def crc16(data: bytes | bytearray) -> int:

@@ -22,7 +22,52 @@ ANSWER = 0.05
 """How long an answer may take, [s]: over RTU at 115200 baud one of 6 registers takes 3 ms."""
 
 
-class Link:
+class Line:
+    """The bytes of one connection, taken apart into frames.
+
+    Args:
+        file: its descriptor.
+        framing: of its bytes.
+        answers: the other side answers; else it asks.
+    """
+
+    def __init__(self, file: int, framing: Framing, *, answers: bool) -> None:
+        self._file, self._framing, self._answers = file, framing, answers
+        os.set_blocking(file, False)
+        self._data = bytearray()
+
+    def _readable(self, timeout: float) -> bool:
+        return bool(select.select([self._file], [], [], timeout)[0])
+
+    def _receive(self) -> None:
+        """Take what has come.
+
+        Raises:
+            OSError: the connection is gone.
+        """
+        try:
+            data = os.read(self._file, 4096)
+        except BlockingIOError:
+            return
+        if not data:
+            raise ConnectionResetError("closed by the other side")
+        self._data += data
+
+    def _next(self) -> Frame | None:
+        """Return the first frame, None where there is no whole one.
+
+        Raises:
+            Refused: what has come is none.
+        """
+        size = self._framing.size(self._data, answer=self._answers)
+        if not size or len(self._data) < size:
+            return None
+        frame = bytes(self._data[:size])
+        del self._data[:size]
+        return self._framing.unpack(frame)
+
+
+class Link(Line):
     """An open connection.
 
     Args:
@@ -32,10 +77,8 @@ class Link:
     """
 
     def __init__(self, file: int, framing: Framing, close: Callable[[], object]) -> None:
-        self._file, self._framing, self._close = file, framing, close
-        os.set_blocking(file, False)
-        self._number = 0
-        self._data = bytearray()
+        super().__init__(file, framing, answers=True)
+        self._close, self._number = close, 0
 
     def exchange(self, unit: int, pdu: bytes, timeout: float = ANSWER) -> bytes:
         """Send a request; return function and data of its answer.
@@ -78,18 +121,6 @@ class Link:
                 # Half a request may have left: only a new connection begins at one.
                 raise TimeoutError("the other side takes nothing")
 
-    def _readable(self, timeout: float) -> bool:
-        return bool(select.select([self._file], [], [], timeout)[0])
-
-    def _receive(self) -> None:
-        try:
-            data = os.read(self._file, 4096)
-        except BlockingIOError:
-            return
-        if not data:
-            raise ConnectionResetError("closed by the other side")
-        self._data += data
-
     def _drain(self) -> None:
         """Forget what came too late, or unasked."""
         for _ in range(16):
@@ -98,14 +129,6 @@ class Link:
                 return
             self._receive()
         self._data.clear()
-
-    def _next(self) -> Frame | None:
-        size = self._framing.size(self._data, answer=True)
-        if not size or len(self._data) < size:
-            return None
-        frame = bytes(self._data[:size])
-        del self._data[:size]
-        return self._framing.unpack(frame)
 
 
 def open_tcp(address: str, port: int, timeout: float = 1.0) -> Link:

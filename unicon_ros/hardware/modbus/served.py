@@ -6,7 +6,6 @@ It never waits: `hear` answers what has come since, over TCP to several at once 
 from __future__ import annotations
 
 import os
-import select
 import socket
 import tty
 from collections.abc import Callable
@@ -27,6 +26,7 @@ from unicon_ros.hardware.modbus.frames import (
     Tcp,
     refusal,
 )
+from unicon_ros.hardware.modbus.link import Line
 from unicon_ros.hardware.modbus.registers import HandRegisters
 
 MOST = 4
@@ -35,36 +35,25 @@ MOST = 4
 Answer = Callable[[Frame], bytes | None]
 
 
-class _Served:
-    """The bytes of one client."""
+class _Served(Line):
+    """One client; over a pty it may come and go."""
 
     def __init__(self, file: int, framing: Framing) -> None:
-        self.file, self._framing, self._data = file, framing, bytearray()
-        os.set_blocking(file, False)
+        super().__init__(file, framing, answers=False)
 
     def serve(self, answer: Answer) -> bool:
         """Answer what has come; False once the client has gone."""
         try:
-            if not select.select([self.file], [], [], 0.0)[0]:
+            if not self._readable(0.0):
                 return True
-            data = os.read(self.file, 4096)
-        except OSError:  # of a pty: nobody has opened the other side
-            return isinstance(self._framing, Rtu)
-        if not data:
-            return False
-        self._data += data
-        try:
-            while size := self._framing.size(self._data, answer=False):
-                if len(self._data) < size:
-                    break
-                frame = self._framing.unpack(bytes(self._data[:size]))
-                del self._data[:size]
+            self._receive()
+            while (frame := self._next()) is not None:
                 told = answer(frame)
                 if told is not None:
                     self._tell(self._framing.pack(frame._replace(pdu=told)))
         except Refused:  # as the vendor's: no answer
             self._data.clear()
-        except OSError:
+        except OSError:  # of a pty: nobody has opened the other side
             return isinstance(self._framing, Rtu)
         return True
 
@@ -74,7 +63,7 @@ class _Served:
         Raises:
             OSError: the client takes nothing any more; nobody waits for it.
         """
-        if os.write(self.file, data) < len(data):
+        if os.write(self._file, data) < len(data):
             raise BlockingIOError
 
 

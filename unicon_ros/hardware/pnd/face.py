@@ -12,7 +12,7 @@ import numpy as np
 
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_ros.hardware.dds.end import DdsFace
+from unicon_ros.hardware.dds.face import DdsFace
 from unicon_ros.hardware.pnd.platform import EXTRA, REMOTE, PndFacts
 
 

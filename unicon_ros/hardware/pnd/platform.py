@@ -174,30 +174,22 @@ class PndWire(DdsEnd):
         *,
         silent: bool = False,
     ) -> None:
-        facts, counts = PndFacts.of(robot), Counts()
+        facts = PndFacts.of(robot)
         self._remote = np.zeros(REMOTE, np.float32)
         self.modes = ModeGuard(self.label, robot.joint_names, facts.mode, settles=UNDOCUMENTED)
         own = {"remote": self._remote, "tick": np.zeros((), np.uint32)}
         arrays = arrays_of(states) | own | {"modes": self.modes.reported}
         self._controls = Controls(states) if "sticks" in states else None
         self._mounting, self._imu = Mounting.of(robot), {name: states[name] for name in IMU_STATES}
-        kinds = [replace(facts, battery=battery) for battery in STATES]
-        self._kinds = [LowStates(kind, arrays, counts) for kind in kinds]
-        super().__init__(facts.state_topic, facts.domain, domain, address, counts=counts)
+        super().__init__(facts.state_topic, facts.domain, domain, address)
         with self.closing():
+            kinds = [replace(facts, battery=battery) for battery in STATES]
+            self._kinds = [LowStates(kind, arrays, self.counts) for kind in kinds]
             for kind, frames in zip(kinds, self._kinds):
                 self.listen(kind.state, frames, forget=frames.forget)
             self.watch(facts.command_topic)
             if not silent:
                 self.speak(facts.command, arrays)
-
-    def take(self) -> int:
-        """Bring the newest good frame into the states; return how many good ones have come."""
-        number = super().take()
-        if number:
-            self._choose()
-            self._measured()
-        return number
 
     def _choose(self) -> None:
         """Listen only to that kind of LowState that the robot tells."""
@@ -206,6 +198,7 @@ class PndWire(DdsEnd):
             self._inlets = [self._inlets[kept]]
 
     def _measured(self) -> None:
+        self._choose()
         if self._mounting.turned:
             self._mounting.turn(self._imu, self._imu)
         if self._controls is not None:
@@ -219,9 +212,7 @@ class Pnd(WiredRobot):
         "pnd",
         writes=(
             *JOINT_STATES,
-            "base_quat",
-            "base_ang_vel",
-            "base_lin_acc",
+            *IMU_STATES,
             "projected_gravity",
             "stamp_ns",
             "motor_error",

@@ -10,17 +10,21 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from typing import Annotated, Any
 
 import numpy as np
 
+from unicon_core.blocks.controls.device import Controls
+from unicon_core.blocks.controls.gamepad import gamepad
 from unicon_core.blocks.controls.remotes import unitree_pressed
 from unicon_core.bounds import within
 from unicon_core.robots import Robot
 from unicon_core.schema.marks import Within
 from unicon_core.states import States
-from unicon_ros.emulate.remote import Remote
-from unicon_ros.hardware.dds.end import DdsFace
+from unicon_core.states.standard import control_states
+from unicon_core.workflow.autowire import BuildContext
+from unicon_ros.hardware.dds.face import DdsFace
 from unicon_ros.hardware.robot_clock import Milliseconds
 from unicon_ros.hardware.torso import IMU_STATES, turned
 from unicon_ros.hardware.unitree.facts import UnitreeFacts
@@ -34,6 +38,39 @@ TICK_MS = 2
 NOT_IMPLEMENTED = 3203
 LONGEST = 10.0
 """Of `dead_man` in [s]."""
+
+
+class Remote:
+    """Brings what is held into the bytes that the robot tells.
+
+    Args:
+        device: as of block `gamepad`.
+        robot: whose remote it is.
+        raw: those bytes.
+
+    Raises:
+        WorkflowError: the device is a file that is neither device nor pipe.
+    """
+
+    def __init__(self, device: str, robot: Robot, raw: bytearray) -> None:
+        states = States(control_states())
+        context = BuildContext(states, robot, 1.0, tell=_say)
+        self._pad = gamepad(context=context, device=device)
+        self._controls, self._raw = Controls(states), raw
+
+    def __call__(self) -> None:
+        """Look at what is held now; it never waits."""
+        self._pad()
+        unitree_pressed(self._controls, self._raw)
+
+    def close(self) -> None:
+        """Let go of the device."""
+        if self._pad.close is not None:
+            self._pad.close()
+
+
+def _say(line: str) -> None:
+    print(f"unicon: {line}", file=sys.stderr)  # standard output has the robot's own lines
 
 
 class UnitreeFace(DdsFace):
@@ -104,7 +141,7 @@ class UnitreeFace(DdsFace):
             services = [SWITCHER, *([facts.release[0][0]] if facts.release[0] else [])]
             self._servers = {name: Server(self.participant, name) for name in services}
             if remote is not None:
-                self.held = Remote(remote, robot, self.remote, unitree_pressed)
+                self.held = Remote(remote, robot, self.remote)
 
     @property
     def dead_man(self) -> float:

@@ -33,7 +33,7 @@ from unicon_ros.hardware.robot_clock import Repeats
 from unicon_ros.hardware.torso import IMU_STATES, turned
 from unicon_ros.hardware.unitree.facts import PROTOCOLS, UnitreeFacts
 from unicon_ros.hardware.unitree.release import Release
-from unicon_ros.hardware.wire import Counts, newer
+from unicon_ros.hardware.wire import newer
 from unicon_ros.hardware.wired_robot import SILENCE, WiredRobot, opened
 
 TOLD, FOOT_FORCE = (*JOINT_STATES, *IMU_STATES, *HARDWARE_STATES), "foot_force"
@@ -90,7 +90,6 @@ class UnitreeWire(DdsEnd):
         release: bool = True,
         silent: bool = False,
     ) -> None:
-        counts = Counts()
         self.remote = bytearray(REMOTE)
         self.variant: Mapping[str, Any] = {}
         self._facts, self._checked, self._last = facts, checked, -1
@@ -113,7 +112,6 @@ class UnitreeWire(DdsEnd):
         # Number and variant are the head's.
         head = {"tick", "mode_machine"}
         read = {name: array for name, array in arrays.items() if name not in head}
-        self._frames = replace(facts.state, checked=checked).frames(read, counts)
         self._head = Decoder.build(facts.state.subscribe(head), arrays)
         message = facts.state.struct
         ends = ("head", "tick") if facts.go else ("imu_state", "wireless_remote")
@@ -122,10 +120,9 @@ class UnitreeWire(DdsEnd):
         if "wireless_remote" in states:
             self._tell.append((memoryview(states["wireless_remote"].data), memoryview(self.remote)))
         self._release: Release | None = None
-        super().__init__(
-            facts.state_topic, facts.domain, domain, address, counts=counts, ahead=True
-        )
+        super().__init__(facts.state_topic, facts.domain, domain, address, ahead=True)
         with self.closing():
+            self._frames = replace(facts.state, checked=checked).frames(read, self.counts)
             self.listen(facts.state, self, forget=self._forget)
             self.watch(facts.command_topic)
             if not silent:
@@ -133,17 +130,9 @@ class UnitreeWire(DdsEnd):
                 if release:
                     self._release = Release(self.participant, *facts.release, self.label)
 
-    def take(self) -> int:
-        """Bring the newest good frame into the states; return how many good ones have come.
-
-        Raises:
-            Fault: the robot's variant is another one than it was.
-        """
-        number = super().take()
-        if number:
-            for view, value in self._tell:
-                view[:] = value
-        return number
+    def _measured(self) -> None:
+        for view, value in self._tell:
+            view[:] = value
 
     def _forget(self) -> None:
         self._last = -1
@@ -175,17 +164,16 @@ class UnitreeWire(DdsEnd):
                 self.counts.refuse("old tick", f"{number} behind {self._last}")
                 return False
             self._last = number
-        if not self._facts.go:
-            told = {"protocol": self._facts.protocol, "mode_machine": int(self._mode)}
-            if self.variant and told != self.variant:
-                raise Fault(
-                    f"{self.label}: the robot's mode_machine is {told['mode_machine']}, and was "
-                    f"{self.variant['mode_machine']}: it is another robot, or was configured anew; "
-                    "choose its robot file"
-                )
-            self.variant = told
-        else:
-            self.variant = {"protocol": self._facts.protocol}
+        told: dict[str, Any] = {"protocol": self._facts.protocol}
+        if self._checked and not self._facts.go:
+            told["mode_machine"] = int(self._mode)
+        if self.variant and told != self.variant:
+            raise Fault(
+                f"{self.label}: the robot's mode_machine is {told['mode_machine']}, and was "
+                f"{self.variant['mode_machine']}: it is another robot, or was configured anew; "
+                "choose its robot file"
+            )
+        self.variant = told
         return True
 
     def read(self, raw: bytes) -> bool:
@@ -240,37 +228,14 @@ class Unitree(WiredRobot):
         protocols=PROTOCOLS,
         examine=_examined,
     )
-
-    def __init__(
-        self,
-        states: States,
-        robot: Robot,
-        period: float,
-        wire: UnitreeWire,
-        *,
-        peer: str,
-        silence: float,
-        silent: bool,
-    ) -> None:
-        self.facts = _facts(robot, states, peer)
-        super().__init__(states, robot, period, wire, silence=silence, silent=silent)
-        self._unitree = wire
-        self._simulated = peer == SIMULATOR
+    _wire: UnitreeWire
 
     def variant(self) -> Mapping[str, Any]:
         """Return what the robot tells of itself: its protocol, and G1 and H1-2 `mode_machine`.
 
         unitree_mujoco leaves the latter at 0, whatever it simulates.
         """
-        told = self._unitree.variant
-        if self._simulated:
-            return {name: value for name, value in told.items() if name != "mode_machine"}
-        return told
-
-    @property
-    def remote(self) -> bytearray:
-        """The wireless remote's 40 bytes, as they came last."""
-        return self._unitree.remote
+        return self._wire.variant
 
 
 def make(
@@ -309,5 +274,6 @@ def make(
     wire = UnitreeWire(
         states, robot, facts, domain, address, checked=real, release=real, silent=silent
     )
-    built = Unitree(states, robot, period, wire, peer=peer, silence=silence, silent=silent)
+    told = _facts(robot, states, peer)
+    built = Unitree(states, robot, period, wire, silence=silence, silent=silent, facts=told)
     return opened(built, connect)

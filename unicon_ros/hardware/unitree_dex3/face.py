@@ -10,7 +10,7 @@ import numpy as np
 
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_ros.hardware.dds.end import DdsFace
+from unicon_ros.hardware.dds.face import DdsFace
 from unicon_ros.hardware.unitree_dex3.platform import TIMEOUT, Dex3Facts, own_arrays
 
 

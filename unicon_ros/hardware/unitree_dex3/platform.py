@@ -143,12 +143,9 @@ class Dex3Wire(DdsEnd):
             if not silent:
                 self.speak(facts.command, arrays)
 
-    def take(self) -> int:
-        """Bring the newest good frame into the states; return how many good ones have come."""
-        number = super().take()
-        if number and self._hottest is not None:
+    def _measured(self) -> None:
+        if self._hottest is not None:
             np.maximum(*self._pairs, out=self._hottest)
-        return number
 
     def put(self) -> None:
         """Send the command states.

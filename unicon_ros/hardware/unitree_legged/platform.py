@@ -12,10 +12,11 @@ from dataclasses import replace
 from typing import Any
 
 from unicon_core.errors import PlatformError
+from unicon_core.platforms.kit.base import IMU_STATES
 from unicon_core.platforms.platform import Binding, Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_core.states.standard import CONTROL_STATES
+from unicon_core.states.standard import CONTROL_STATES, JOINT_STATES
 from unicon_ros.hardware.unitree_legged.link import NAME, Link, link_of
 from unicon_ros.hardware.unitree_legged.wire import FOOT_FORCE, LeggedWire
 from unicon_ros.hardware.wired_robot import SILENCE, WiredRobot, opened
@@ -23,14 +24,12 @@ from unicon_ros.hardware.wired_robot import SILENCE, WiredRobot, opened
 WATCHDOG = 0.25
 """A tick that is later damps the robot, [s]; three ticks where those are longer. So late a tick may
 be before the runner calls it hung (`pacing.hang`)."""
+OPTIONS = ("generation", "address", "port", "local_port")
+"""Of the link."""
 _BATTERY = ("battery_charge", "battery_voltage")
 _WRITES = (
-    "joint_pos",
-    "joint_vel",
-    "joint_effort",
-    "base_quat",
-    "base_ang_vel",
-    "base_lin_acc",
+    *JOINT_STATES,
+    *IMU_STATES,
     "projected_gravity",
     "motor_temperature",
     "motor_error",
@@ -51,12 +50,7 @@ def _examined(
     states: States,
     robot: Robot,
     period: float,
-    *,
-    generation: str | None = None,
-    address: str | None = None,
-    port: int | None = None,
-    local_port: int | None = None,
-    **_: Any,
+    **options: Any,
 ) -> Binding:
     """Tell `unicon check` what would be told, without opening anything.
 
@@ -64,40 +58,22 @@ def _examined(
         PlatformError: an option is wrong.
         RobotError: the robot file lacks a fact.
     """
-    link = link_of(robot, generation=generation, address=address, port=port, local_port=local_port)
+    link = link_of(robot, **{name: options.get(name) for name in OPTIONS})
     return Binding(replace(UnitreeLegged.facts, writes=_told(states, link)))
 
 
 class UnitreeLegged(WiredRobot):
-    """The robot; build it with `make`.
-
-    Attributes:
-        wire: to the robot; `wire.remote` has the bytes of its wireless remote.
-    """
+    """The robot; build it with `make`."""
 
     facts = Facts(NAME, writes=_WRITES, protocols=(NAME,), examine=_examined)
-
-    def __init__(
-        self,
-        states: States,
-        robot: Robot,
-        period: float,
-        wire: LeggedWire,
-        link: Link,
-        *,
-        silence: float,
-        silent: bool,
-    ) -> None:
-        super().__init__(states, robot, period, wire, silence=silence, silent=silent)
-        self.wire, self._generation = wire, link.generation
-        self.facts = replace(self.facts, writes=_told(states, link))
+    _wire: LeggedWire
 
     def info(self) -> Mapping[str, Any]:
         """Return the generation too, and how many came from others."""
         return {
             **super().info(),
-            "generation": self._generation,
-            "strangers": self.wire.strangers,
+            "generation": self._wire.link.generation,
+            "strangers": self._wire.strangers,
         }
 
 
@@ -159,5 +135,6 @@ def make(
             f"stiffness, damping and torque: platforms: {{{NAME}: {{poll: true}}}}"
         )
     wire = LeggedWire(states, robot, link, watchdog, encrypted=encrypted, check_mode=check_mode)
-    built = UnitreeLegged(states, robot, period, wire, link, silence=silence, silent=silent)
+    told = replace(UnitreeLegged.facts, writes=_told(states, link))
+    built = UnitreeLegged(states, robot, period, wire, silence=silence, silent=silent, facts=told)
     return opened(built, connect)

@@ -173,6 +173,7 @@ class LeggedWire:
             fault.
 
     Attributes:
+        link: as given.
         counts: of what came in.
         where: the robot's address and port, and from where they are reached.
         remote: the 40 bytes of the wireless remote, as they came last.
@@ -198,7 +199,7 @@ class LeggedWire:
         self._controls = Controls(states) if "sticks" in states else None
         self._reader = StateReader(states, robot, link, self.counts, encrypted)
         self._repeats = Repeats(f"platform {NAME!r}", self._reader.measured)
-        self._link = link
+        self.link = link
         self.modes: ModeGuard | None = None
         if check_mode:
             names, called = robot.joint_names, "servo mode"
@@ -282,7 +283,7 @@ class LeggedWire:
     def prepare(self) -> str:
         """Return what a person has to do so that the motors take commands, "" once they do."""
         wrong = "" if self.modes is None else self.modes.other()
-        return f"{wrong}; {self._link.preparation}" if wrong else ""
+        return f"{wrong}; {self.link.preparation}" if wrong else ""
 
     def commanders(self) -> dict[str, int]:
         """Return where the robot takes commands, and 1 where somebody else seems to command it.

@@ -10,7 +10,7 @@ import numpy as np
 
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_ros.hardware.dds.end import DdsFace
+from unicon_ros.hardware.dds.face import DdsFace
 from unicon_ros.hardware.inspire.dds.wire import ANGLES, EXTRA, HandFacts
 
 AS_IT_IS = -1

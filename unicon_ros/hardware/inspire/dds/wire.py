@@ -222,17 +222,16 @@ class InspireDdsWire(DdsEnd):
         *,
         silent: bool = False,
     ) -> None:
-        facts, counts = HandFacts.of(robot), Counts()
+        facts = HandFacts.of(robot)
         self._facts, self._told, self._targets = facts, facts.zeros(), facts.zeros()
         self._both: Both | None = None
         self._states = states
         self._speed = Speed(OVER)
         arrays = {name: states[name] for name in states} | {"told": self._told}
-        frames = facts.state_in(arrays, counts)
-        super().__init__(facts.state_topic, facts.domain, domain, address, counts=counts)
+        super().__init__(facts.state_topic, facts.domain, domain, address)
         self._key = self.participant.domain, facts.command_topic
         with self.closing():
-            self.listen(facts.state, frames)
+            self.listen(facts.state, facts.state_in(arrays, self.counts))
             self.watch(facts.command_topic)
             if not silent:
                 if facts.both:
@@ -240,16 +239,12 @@ class InspireDdsWire(DdsEnd):
                     self._targets = self._both.targets
                 self.speak(facts.command, {"targets": self._targets})
 
-    def take(self) -> int:
-        """Bring the newest good frame into the states; return how many good ones have come."""
-        number = super().take()
-        if number:
-            angles = self._facts.to_angles(self._told[self._facts.slots])
-            self._states["joint_vel"][...] = self._speed(time.monotonic_ns(), angles)
-            self._states["joint_pos"][...] = angles
-            if self._both is not None:
-                self._both.found(self._told)
-        return number
+    def _measured(self) -> None:
+        angles = self._facts.to_angles(self._told[self._facts.slots])
+        self._states["joint_vel"][...] = self._speed(time.monotonic_ns(), angles)
+        self._states["joint_pos"][...] = angles
+        if self._both is not None:
+            self._both.found(self._told)
 
     def put(self) -> None:
         """Send the target positions; what is beyond open or closed is clamped.
