@@ -44,8 +44,7 @@ from unicon_msgs_map.layout.paths import Reference, parse_path
 from unicon_msgs_map.spec import FieldSpec
 from unicon_ros.bench.domains import free_domain
 from unicon_ros.hardware.dds import participant as dds
-from unicon_ros.hardware.dds.participant import Participant
-from unicon_ros.hardware.dds.participant import OCTETS, dds_type
+from unicon_ros.hardware.dds.participant import OCTETS, Participant, dds_type
 from unicon_ros.hardware.unitree import platform as wire
 from unicon_ros.hardware.unitree import release
 from unicon_ros.hardware.unitree.face import face

@@ -194,7 +194,8 @@ def reply_of(number: int, data: bytes) -> Reply | None:
     else:
         return None
     raw = data[1] << 8 | data[2], data[3] << 4 | data[4] >> 4, (data[4] & 0x0F) << 8 | data[5]
-    return Reply(motor, *_figures(layout, raw), temperature, error, mode)
+    pos, vel, torque = _figures(layout, raw)
+    return Reply(motor, pos, vel, torque, temperature, error, mode)
 
 
 def answer(motor: int, layout: Layout, told: Reply) -> tuple[int, bytes]:

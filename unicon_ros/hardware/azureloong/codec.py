@@ -12,10 +12,9 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.robots import Robot
 from unicon_core.schema.marks import Key, Within
 from unicon_core.states.standard import COMMAND_STATES
-from unicon_ros.hardware.facts import AskingRate, Numbers, Port, Transport, each, facts_of, named
+from unicon_ros.hardware.facts import AskingRate, Numbers, Port, Transport, each, named
 
 KEYS = ("enable", "reset", "idle", "walk", "damp", "disable", "commands")
 """Of `transport.keys`: what the remote is told, and what the robot then does."""
@@ -82,7 +81,6 @@ class Link(Transport):
     """What both ends of the protocol know of it, from the robot file.
 
     Attributes:
-        joints: how many.
         port: where the robot takes commands, UDP.
         rate: of frames at most, [Hz].
         checker: in front of each command.
@@ -94,7 +92,6 @@ class Link(Transport):
         torque, stiffness, damping: limits to which the robot's driver clamps, shape (n,).
     """
 
-    joints: int
     port: Port
     rate: AskingRate
     checker: Annotated[int, Within(-32768, 32767)]
@@ -107,14 +104,10 @@ class Link(Transport):
     stiffness: Annotated[Numbers, Key("stiffness_limit"), each(0.0, 2000.0)]
     damping: Annotated[Numbers, Key("damping_limit"), each(0.0, 2000.0)]
 
-    @classmethod
-    def of(cls, robot: Robot) -> Link:
-        """Return that of a robot file.
-
-        Raises:
-            RobotError: a fact is missing or wrong.
-        """
-        return facts_of(cls, robot, joints=robot.num_joints)
+    @property
+    def joints(self) -> int:
+        """How many there are."""
+        return len(self.torque)
 
     @property
     def lost(self) -> float:

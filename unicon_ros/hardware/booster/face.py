@@ -45,6 +45,7 @@ class BoosterFace(DdsFace):
     """
 
     label, extra, platform = "emulated booster", EXTRA, "booster"
+    _facts: BoosterFacts
 
     def __init__(
         self,

@@ -13,6 +13,7 @@ import numpy as np
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_ros.hardware.dds.face import DdsFace
+from unicon_ros.hardware.dds.maps import Arrays
 from unicon_ros.hardware.pnd.platform import EXTRA, REMOTE, PndFacts
 
 
@@ -47,7 +48,7 @@ class PndFace(DdsFace):
         facts = replace(PndFacts.of(robot), battery=battery)
         self.remote, self._tick = np.zeros(REMOTE, np.float32), np.zeros((), np.uint32)
         modes, heard = np.zeros((2, robot.num_joints), np.uint8)
-        own = {"remote": self.remote, "tick": self._tick, "modes": modes}
+        own: Arrays = {"remote": self.remote, "tick": self._tick, "modes": modes}
         more = {"modes": heard, "mode_pr": np.zeros((), np.uint8)}
         super().__init__(states, robot, facts, domain, address, own, more)
 
