@@ -65,27 +65,24 @@ class WiredRobot:
         silent: bool = False,
         facts: Facts | None = None,
     ) -> None:
-        self.facts = facts or self.facts
+        facts = facts or self.facts
+        self.facts = replace(facts, writes=tuple(name for name in facts.writes if name in states))
         self._states, self._robot, self._period, self._wire = states, robot, period, wire
         self._silence, self._silent = silence, silent
         try:
-            self._build()
+            self._build(states, robot, wire)
         except BaseException:
             wire.close()
             raise
 
-    def _build(self) -> None:
-        silence, states, robot, wire = self._silence, self._states, self._robot, self._wire
-        if not 0.0 < silence <= 10.0:
+    def _build(self, states: States, robot: Robot, wire: Wire) -> None:
+        if not 0.0 < self._silence <= 10.0:
             raise PlatformError(
-                f"platform {self.facts.name!r}: silence is {silence} s; give more than 0, at most "
-                "10 s"
+                f"{self._label}: silence is {self._silence} s; give more than 0, at most 10 s"
             )
-        writes = tuple(name for name in self.facts.writes if name in states)
-        self.facts = replace(self.facts, writes=writes)
         self._gravity: Callable[[], None] | None = None
         self._scratch: Callable[[], object] = int  # does nothing
-        if {"base_quat", "projected_gravity"} <= set(writes):
+        if {"base_quat", "projected_gravity"} <= {*self.facts.writes}:
             self._gravity = projected_gravity(states["base_quat"], states["projected_gravity"])
             level = (1.0, 0.0, 0.0, 0.0)
             self._scratch = projected_gravity(np.array(level), np.zeros(3))
