@@ -89,7 +89,7 @@ class BoosterFace(DdsFace):
     def tell(self) -> None:
         """Send what the robot measures."""
         self._rpy[...] = rpy_of_quat(self._states["base_quat"])
-        super().tell()
+        self.put()
         if self._told % SELDOM == 0:
             for writer, encode in self._seldom:
                 writer.write(encode())

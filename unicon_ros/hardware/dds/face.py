@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -15,8 +14,6 @@ from unicon_core.states.standard import COMMAND_STATES, hardware_states
 from unicon_ros.hardware.dds.end import Checked, DdsEnd
 from unicon_ros.hardware.dds.maps import Arrays, arrays_of, command_arrays
 from unicon_ros.hardware.modes import EmulatedModes
-
-_NOTHING: Arrays = MappingProxyType({})
 
 
 class DdsFace(DdsEnd):
@@ -46,17 +43,17 @@ class DdsFace(DdsEnd):
         facts: Any,
         domain: int | None,
         address: str | None,
-        own: Arrays = _NOTHING,
-        heard: Arrays = _NOTHING,
+        own: Arrays,
+        heard: Arrays,
         *,
         announced: bool = False,
     ) -> None:
         self.rate, self._facts, self._states = facts.rate, facts, states
-        self._heard = command_arrays(robot.num_joints) | dict(heard)
+        self._heard = {**command_arrays(robot.num_joints), **heard}
         if "modes" in own:
             self.modes = EmulatedModes(own["modes"])
         unless = States(hardware_states(robot.joint_names))
-        self._arrays = arrays_of(unless) | arrays_of(states) | dict(own)
+        self._arrays = {**arrays_of(unless), **arrays_of(states), **own}
         super().__init__(facts.command_topic, facts.domain, domain, address, announced=announced)
         with self.closing():
             self._open()
@@ -76,10 +73,6 @@ class DdsFace(DdsEnd):
         self.speak(self._facts.state, self._arrays)
         self._frames: Checked = self._facts.command_in(self._heard, self.counts)
         self.listen(self._facts.command, self, anyone=True)
-
-    def tell(self) -> None:
-        """Send what the robot measures."""
-        self.put()
 
     def hear(self) -> bool:
         """Bring the newest command that acts into the command states; True where one came."""

@@ -85,7 +85,7 @@ class DobotFace(DdsFace):
         states, waist = self._states, self._facts.waist
         angle, rate = (-float(states[name][waist]) for name in ("joint_pos", "joint_vel"))
         turned({name: states[name] for name in IMU_STATES}, self._imu, angle, rate)
-        super().tell()
+        self.put()
 
     def hear(self) -> bool:
         """Answer requests, and bring the newest good commands into the command states."""

@@ -163,7 +163,7 @@ class UnitreeFace(DdsFace):
             angle, rate = (-float(states[name][waist]) for name in ("joint_pos", "joint_vel"))
             turned({name: states[name] for name in IMU_STATES}, self._imu, angle, rate)
         self._pairs[...] = self._arrays["motor_temperature"][:, None]
-        super().tell()
+        self.put()
 
     def hear(self) -> bool:
         """Answer requests, and bring the newest good command into the command states."""

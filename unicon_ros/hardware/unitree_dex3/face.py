@@ -52,7 +52,7 @@ class Dex3Face(DdsFace):
     def tell(self) -> None:
         """Send what the hand measures."""
         self._pairs[...] = self._arrays["motor_temperature"][:, None]
-        super().tell()
+        self.put()
 
     def _acts(self) -> bool:
         modes = self._heard["modes"]

@@ -55,7 +55,7 @@ class InspireDdsFace(DdsFace):
         """Send what the hand measures."""
         facts = self._facts
         self.told[facts.slots] = facts.to_wire(self._states["joint_pos"])[0]
-        super().tell()
+        self.put()
 
     def _acts(self) -> bool:
         acts = bool(int(self._mode) & ANGLES)
