@@ -221,16 +221,19 @@ class ActuatorWire:
         if fault is not None:
             raise fault
 
-    def _held(self, *wanted: Numbers, least: float = -LARGEST) -> Numbers:
-        """Return figures of each joint within `least` and `LARGEST`, counted where they were not.
+    def _held(
+        self, *wanted: Numbers, least: float | Numbers = -LARGEST, beyond: bool = False
+    ) -> Numbers:
+        """Return figures of a command within `least` and `LARGEST`, counted where they were not.
 
         Args:
             wanted: figures, each of shape (n,).
-            least: in place of -`LARGEST`.
+            least: in place of -`LARGEST`; one for all, or of shape (len(wanted), 1).
+            beyond: it is to be counted whatever they are.
         """
         asked = np.array(wanted)
         sent = np.clip(asked, least, LARGEST)
-        self.counts.clamped += not np.array_equal(asked, sent)
+        self.counts.clamped += beyond or not np.array_equal(asked, sent)
         return sent
 
     def _datagrams(self) -> list[tuple[Udp, bytes]]:

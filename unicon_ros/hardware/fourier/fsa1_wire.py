@@ -237,12 +237,14 @@ class Fsa1Wire(ActuatorWire):
                 "which the position loop of FSA v1 cannot; command it a position"
             )
         commands = self._commands
-        commands["pos"], commands["current"] = self._held(
+        held = self._held(
             states["joint_pos_target"] * servos.degrees - self._zero.offset,
             states["joint_effort_ff"] / servos.torque,
+            *servos.gains(stiffness, damping),
+            beyond=bool(states["joint_vel_target"].any()),
         )
-        self.counts.clamped += bool(states["joint_vel_target"].any())
-        gains = self._held(*servos.gains(stiffness, damping))
+        commands["pos"], commands["current"] = held[:2]
+        gains = held[2:]
         due = [(self._controls[i], loop_gains(*gains[:, i].tolist())) for i in self._due(gains)]
         self._tell_all(self._datagrams() + due)
 

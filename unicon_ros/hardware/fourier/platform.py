@@ -19,7 +19,7 @@ from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import JOINT_STATES
 from unicon_ros.hardware.facts import ipv4
-from unicon_ros.hardware.fourier.actuator_wire import ActuatorWire, Enabling
+from unicon_ros.hardware.fourier.actuator_wire import LARGEST, ActuatorWire, Enabling
 from unicon_ros.hardware.fourier.codec import (
     ACKNOWLEDGED,
     ACKNOWLEDGED_GAINS,
@@ -41,6 +41,8 @@ from unicon_ros.hardware.fourier.fsa1_codec import Servos
 from unicon_ros.hardware.fourier.fsa1_wire import Fsa1Wire
 from unicon_ros.hardware.wired_robot import WiredRobot, opened
 
+LEAST = np.array(3 * [-LARGEST] + 2 * [0.0])[:, None]
+"""Of targets, in [deg], [deg/s] and [A], and of gains."""
 KIND_OF_ENCODER = 1, 0x03
 """Of `errors`: a word whose lowest two bits are not an error."""
 
@@ -165,17 +167,16 @@ class FourierWire(ActuatorWire):
                 "(transport.current_scale)"
             )
         commands, gains = self._commands, self._gains
-        commands["pos"], commands["vel"], commands["current"] = self._held(
+        held = self._held(
             states["joint_pos_target"] * actuators.degrees,
             states["joint_vel_target"] * actuators.degrees,
             torque * (0.0 if current is None else current),
-        )
-        gains["kp"], gains["kd"] = held = self._held(
             states["joint_stiffness"] * actuators.kp,
             states["joint_damping"] * actuators.kd,
-            least=0.0,
+            least=LEAST,
         )
-        due = [(self._sockets[joint], gains[joint].tobytes()) for joint in self._due(held)]
+        commands["pos"], commands["vel"], commands["current"], gains["kp"], gains["kd"] = held
+        due = [(self._sockets[joint], gains[joint].tobytes()) for joint in self._due(held[3:])]
         self._tell_all(due + self._datagrams())
 
     def close(self) -> None:
