@@ -41,86 +41,91 @@ _MAY_LACK = ("current_scale", "mode_machine", "motors", "rate_hz", "stop_buttons
 
 @dataclass(frozen=True, eq=False)
 class Imu:
-    """The inertial sensor and its pose in the robot's base frame."""
+    """The inertial sensor and its pose in the robot's base frame.
+
+    Attributes:
+        frame: name of the sensor's frame.
+        position: in the base frame in [m], shape (3,), NaN where unknown.
+        quat: rotation sensor to base, unit quaternion wxyz, shape (4,), NaN where unknown.
+    """
 
     frame: str
-    """Name of the sensor's frame."""
     position: NDArray[np.float32]
-    """Position in the base frame in [m], shape (3,), NaN where unknown."""
     quat: NDArray[np.float32]
-    """Rotation sensor to base, unit quaternion wxyz, shape (4,), NaN where unknown."""
 
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """A robot file, read and checked. Arrays are float32, shape (n,), read-only, NaN = unknown."""
+    """A robot file, read and checked. Arrays are float32, shape (n,), read-only, NaN = unknown.
+
+    Attributes:
+        kind: quadruped, humanoid, wheeled, hand or arm.
+        path: the file that it was read from.
+        models: format (`mjcf`, `urdf`) to model: relative to a configuration root, or
+            `assets:PATH`.
+        base_frame: frame of the base, in which the IMU's pose is given.
+        joint_names: the joints in the vendor's motor order; every array here is in this order.
+        lower: smallest allowed position in [rad] ([m] for sliding joints); -inf of a wheel.
+        upper: largest allowed position in [rad]; inf of a wheel.
+        velocity_limit: largest allowed speed in [rad/s].
+        effort_limit: largest allowed torque in [N·m].
+        default_joint_pos: standing pose in [rad].
+        rest_joint_pos: lying or powered-off pose in [rad].
+        joint_stiffness: default proportional gain in [N·m/rad].
+        joint_damping: default derivative gain in [N·m·s/rad].
+        feet: bodies, sites or geoms of the model that touch the ground; the fingertips of a hand.
+        transport: `protocol` names the platform adapter; the rest are its facts.
+        sources: where each group of facts was taken from.
+        unknown: dotted facts that were not found, such as `joints.velocity`.
+        command_ranges: `vx`, `vy` in [m/s] and `wz` in [rad/s] to the lowest and highest allowed
+            command.
+        simulated: what simulators alone are told: joint or pattern to figures, see `joint_physics`.
+        overlay: the file that `extends` it, where it was read through one.
+        members: name to robot, of a robot made of robots, in the order of the joints; see
+            `compose`.
+        groups: name to joints in the robot's order, such as `legs`; groups may overlap.
+        mounts: where its model carries others: name of a member, or of the robot there, to the
+            place; of a robot made of members, each one's.
+        end_effectors: name to the frame that is brought to a target, such as `left_hand`; of a
+            robot made of members, those of its first one.
+        capsules: name to the capsule that stands for a link, or a part of one, where links are kept
+            apart.
+        hand: of a hand: its side, its palm and its fingers; of a robot made of members each says
+            its.
+        weldable: joints that no policy of the workflow moves: a simulated model may lack them.
+    """
 
     name: str
     description: str
     manufacturer: str
     kind: str
-    """quadruped, humanoid, wheeled, hand or arm."""
     path: Path
-    """The file that it was read from."""
     models: Mapping[str, str]
-    """Format (`mjcf`, `urdf`) to model: relative to a configuration root, or `assets:PATH`."""
     base_frame: str
-    """Frame of the base, in which the IMU's pose is given."""
     joint_names: tuple[str, ...]
-    """The joints in the vendor's motor order; every array below is in this order."""
     lower: NDArray[np.float32]
-    """Smallest allowed position in [rad] ([m] for sliding joints); -inf of a wheel."""
     upper: NDArray[np.float32]
-    """Largest allowed position in [rad]; inf of a wheel."""
     velocity_limit: NDArray[np.float32]
-    """Largest allowed speed in [rad/s]."""
     effort_limit: NDArray[np.float32]
-    """Largest allowed torque in [N·m]."""
     default_joint_pos: NDArray[np.float32]
-    """Standing pose in [rad]."""
     rest_joint_pos: NDArray[np.float32]
-    """Lying or powered-off pose in [rad]."""
     joint_stiffness: NDArray[np.float32]
-    """Default proportional gain in [N·m/rad]."""
     joint_damping: NDArray[np.float32]
-    """Default derivative gain in [N·m·s/rad]."""
     imu: Imu | None
     feet: tuple[str, ...]
-    """Bodies, sites or geoms of the model that touch the ground; the fingertips of a hand."""
     transport: Mapping[str, Any]
-    """`protocol` names the platform adapter; the rest are its facts."""
     sources: Mapping[str, str]
-    """Where each group of facts was taken from."""
     unknown: tuple[str, ...]
-    """Dotted facts that were not found, such as `joints.velocity`."""
     command_ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """`vx`, `vy` in [m/s] and `wz` in [rad/s] to the lowest and highest allowed command."""
     simulated: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    """What simulators alone are told: joint or pattern to figures, see `joint_physics`."""
     overlay: Path | None = None
-    """The file that `extends` it, where it was read through one."""
     members: Mapping[str, Robot] = field(default_factory=dict)
-    """Name to robot, of a robot made of robots, in the order of the joints; see `compose`."""
-
     groups: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """Name to joints in the robot's order, such as `legs`; groups may overlap."""
-
     mounts: Mapping[str, Place] = field(default_factory=dict)
-    """Where its model carries others: name of a member, or of the robot there, to the place; of a
-    robot made of members, each one's."""
-
     end_effectors: Mapping[str, Place] = field(default_factory=dict)
-    """Name to the frame that is brought to a target, such as `left_hand`; of a robot made of
-    members, those of its first one."""
-
     capsules: Mapping[str, Capsule] = field(default_factory=dict)
-    """Name to the capsule that stands for a link, or a part of one, where links are kept apart."""
-
     hand: Hand | None = None
-    """Of a hand: its side, its palm and its fingers; of a robot made of members each says its."""
-
     weldable: frozenset[str] = frozenset()
-    """Joints that no policy of the workflow moves: a simulated model may lack them."""
 
     @property
     def num_joints(self) -> int:
