@@ -20,13 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.bounds import DAMPING, SCALE, STIFFNESS
-from unicon_core.policies.feeds import Feeds
 from unicon_core.policies.hints import (
     LONGEST_FILTER,
     MOST_FRAMES,
     Alpha,
     Angle,
     Clip,
+    Feeds,
     Floats,
     Offsets,
     Period,

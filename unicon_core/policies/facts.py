@@ -102,6 +102,25 @@ class Facts:
     by_pattern: bool = False
     offer: str = ""
 
+    def say(self, fact: str, value: Any, word: str = "", line: int | None = None) -> None:
+        """Note what the source says.
+
+        Args:
+            fact: dotted name, such as `action.scale`.
+            value: of it.
+            word: the source's own word for it.
+            line: of it in `path`.
+        """
+        where = tuple(fact.split("."))
+        place = self.values
+        for key in where[:-1]:
+            place = place.setdefault(key, {})
+        place[where[-1]] = value
+        if word:
+            self.keys[where] = word
+        if line is not None:
+            self.lines[where] = line
+
     def beside(self, named: str) -> Path:
         """Return the file that a workflow names, which may be any: relative ones beside the source.
 

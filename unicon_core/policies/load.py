@@ -11,19 +11,18 @@ from typing import Any
 
 from unicon_core.errors import PolicyError, alternatives
 from unicon_core.located_yaml import Where, read_yaml
-from unicon_core.policies.agree import check_agreement
 from unicon_core.policies.build import build_contract
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.facts import Facts, missing_facts
 from unicon_core.policies.from_model import FromModel
-from unicon_core.policies.given import merge_given, nested
-from unicon_core.policies.importers.configurations import (
-    configuration_facts,
+from unicon_core.policies.given import check_agreement, merge_given, nested
+from unicon_core.policies.importers.env_yaml import env_yaml_facts, suggest_joints
+from unicon_core.policies.importers.formats import (
+    configuration_reader,
     counts_motors,
-    is_configuration,
+    metadata_reader,
+    settled,
 )
-from unicon_core.policies.importers.env_yaml import is_env_yaml, suggest_joints
-from unicon_core.policies.importers.metadata import has_metadata, metadata_facts, settled
 from unicon_core.policies.importers.source_reader import Source
 from unicon_core.policies.motion.spec import given_clip
 from unicon_core.policies.networks.onnx_file import OnnxFile, read_onnx
@@ -202,7 +201,7 @@ def _main_file(folder: Path) -> Path | None:
         if os.path.isfile(folder / name):
             return folder / name
     models = sorted(folder.glob("*.onnx"))
-    if len(models) == 1 and has_metadata(read_onnx(models[0])):
+    if len(models) == 1 and metadata_reader(read_onnx(models[0])):
         return models[0]
     for name in ("env.yaml", "params/env.yaml"):
         if os.path.isfile(folder / name):
@@ -219,7 +218,7 @@ def _configurations(folder: Path) -> list[Path]:
     found = []
     for path in sorted(folder.glob("*.yaml")):
         try:
-            if is_configuration(read_yaml(path, PolicyError, foreign=True).value):
+            if configuration_reader(read_yaml(path, PolicyError, foreign=True).value):
                 found.append(path)
         except PolicyError:  # whatever it is, nobody named it
             continue
@@ -259,12 +258,12 @@ def _read(
             )
         _name_tensors(facts, onnx)
         suggest_joints(facts, [tensor.width for tensor in onnx.outputs])
-        if facts.path != onnx.path and has_metadata(onnx):
+        if facts.path != onnx.path and metadata_reader(onnx):
             whole = facts.source == "policy.yaml"
             once, notes = settled(onnx, facts.values, facts.path.name, whole=whole)
             facts.notes += notes
-            if has_metadata(once):
-                check_agreement(facts, metadata_facts(once), given)
+            if (reader := metadata_reader(once)) is not None:
+                check_agreement(facts, reader(once), given)
     elif "torchscript" in facts.values:  # its tensors have no names: one goes in, one comes out
         facts.values.setdefault("inputs", {"observation": "observation"})
         facts.values.setdefault("outputs", {"action": "action"})
@@ -277,7 +276,8 @@ def _is_isaac(path: Path) -> bool:
     """Whether a source comes from Isaac's simulators, which count joints breadth first."""
     if path.suffix not in (".yaml", ".yml"):
         return False
-    return is_env_yaml(read_yaml(path, PolicyError, foreign=True).value)
+    values = read_yaml(path, PolicyError, foreign=True).value
+    return configuration_reader(values) is env_yaml_facts
 
 
 def _facts_of(path: Path, robot: Robot | None, given: Mapping[str, Any]) -> Facts:
@@ -289,9 +289,9 @@ def _facts_of(path: Path, robot: Robot | None, given: Mapping[str, Any]) -> Fact
                 facts = _facts_of(other.resolve(), robot, given)
                 if "onnx" in facts.values and facts.model().resolve() == path.resolve():
                     return facts
-        if has_metadata(onnx):
+        if (reader := metadata_reader(onnx)) is not None:
             once, notes = settled(onnx, given, "given")
-            facts = metadata_facts(once)
+            facts = reader(once)
             facts.notes += notes
             return facts
         return Facts(path, "ONNX file (no metadata)", {"onnx": path.name})
@@ -301,12 +301,13 @@ def _facts_of(path: Path, robot: Robot | None, given: Mapping[str, Any]) -> Fact
     made_for = given.get("robot")
     if isinstance(made_for, str) and counts_motors(located.value):
         robot = load_robot(made_for)  # whichever robot runs the policy
-    read = configuration_facts(Source(located, given, robot))
-    if read is None:
+    configured = configuration_reader(located.value)
+    if configured is None:
         return policy_yaml_facts(located)
-    if read.network is None and "onnx" not in read.asks:
-        _add_model(read)
-    return read
+    facts = configured(Source(located, given, robot))
+    if facts.network is None and "onnx" not in facts.asks:
+        _add_model(facts)
+    return facts
 
 
 def _add_model(facts: Facts) -> None:

@@ -20,25 +20,15 @@ from unicon_core.policies.importers.source_reader import Source
 from unicon_core.policies.importers.training import (
     chosen_ids,
     chosen_joints,
-    command_ranges,
     matching,
     say_period,
+    say_ranges,
     stated_order,
     values_by_pattern,
 )
 
 _GROUPS = ("policy", "actor")
 _OF_JOINTS = ("joint_pos", "joint_vel")
-
-
-def is_env_yaml(values: Any) -> bool:
-    """Whether a YAML document is an Isaac Lab environment."""
-    return (
-        isinstance(values, Mapping)
-        and isinstance(values.get("sim"), Mapping)
-        and "decimation" in values
-        and "observations" in values
-    )
 
 
 def env_yaml_facts(source: Source) -> Facts:
@@ -52,15 +42,13 @@ def env_yaml_facts(source: Source) -> Facts:
     name, action = _action_term(located)
     where, terms = _terms(located)
     joints = source.joints or _stated_joints(facts, action, terms)
-    say_period(facts, document["sim"].get("dt"), document["decimation"], "sim.dt · decimation")
+    say_period(facts, document, "sim.dt", "decimation")
     if joints is not None:
         facts.values["joints"] = joints
         _robot(facts, document, joints)
     _action(facts, located, name, action, joints)
     _observation(facts, located, where, terms, joints)
-    ranges = command_ranges(dig(document, "commands", "base_velocity", "ranges"))
-    if ranges:
-        facts.values["command_ranges"] = ranges
+    say_ranges(facts, document, "commands.base_velocity.ranges")
     return facts
 
 

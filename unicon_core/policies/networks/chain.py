@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import PolicyError, alternatives
 from unicon_core.policies.contract import PolicyContract
-from unicon_core.policies.feeds import Feed
+from unicon_core.policies.hints import Feed
 from unicon_core.policies.networks.network import Tensor
 from unicon_core.policies.networks.onnx import OnnxNetwork, threads_of
 from unicon_core.policies.networks.onnx_file import read_onnx

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -11,7 +12,6 @@ from numpy.typing import NDArray
 from unicon_core.errors import MissingDependencyError, PolicyError
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.networks.network import Tensor
-from unicon_core.policies.networks.torch_memory import TorchMemory
 
 
 class TorchNetwork:
@@ -122,3 +122,128 @@ class _Remembering:
 
     def __call__(self) -> None:
         self._run()
+
+
+class TorchMemory:
+    """The attributes of a module that a call changes, and what they hold between two ticks.
+
+    Several may share a module: each recalls its own before a call.
+
+    Args:
+        torch: the package.
+        module: a scripted or traced module, as loaded.
+
+    Attributes:
+        names: of the attributes, behind those of their submodules.
+    """
+
+    def __init__(self, torch: Any, module: Any) -> None:
+        self._torch = torch
+        self._in_place: list[tuple[Any, Any, Any]] = []  # of the module, kept, at the beginning
+        self._set: list[tuple[Any, str, Any]] = []  # owner, name, at the beginning
+        self.names: list[str] = []
+        weights = {parameter.data_ptr() for parameter in module.parameters()}
+        with torch.inference_mode():
+            for path, is_set in sorted(_written(module).items()):
+                owner = module
+                for part in path[:-1]:
+                    owner = getattr(owner, part)
+                value = getattr(owner, path[-1])
+                tensors = [value] if isinstance(value, torch.Tensor) else value
+                if isinstance(tensors, list) and tensors and _all_of(weights, tensors):
+                    continue  # what only looks as if it were written: the graph cannot tell
+                self.names.append(".".join(path))
+                if is_set or not isinstance(value, torch.Tensor):
+                    self._set.append((owner, path[-1], copy.deepcopy(value)))
+                else:
+                    self._in_place.append((value, value.clone(), value.clone()))
+            self._kept = [copy.deepcopy(value) for _, _, value in self._set]
+
+    def share(self) -> TorchMemory:
+        """Return another memory of the same module, at its beginning."""
+        other = copy.copy(self)
+        other._in_place = [(live, first.clone(), first) for live, _, first in self._in_place]
+        other.reset()
+        return other
+
+    def recall(self) -> None:
+        """Give the module what is kept; call it in inference mode."""
+        for live, kept, _ in self._in_place:
+            live.copy_(kept)
+        for (owner, name, _), value in zip(self._set, self._kept):
+            setattr(owner, name, copy.deepcopy(value))
+
+    def commit(self) -> None:
+        """Keep what the last call left."""
+        with self._torch.inference_mode():
+            for live, kept, _ in self._in_place:
+                kept.copy_(live)
+            self._kept = [copy.deepcopy(getattr(owner, name)) for owner, name, _ in self._set]
+
+    def reset(self) -> None:
+        """Keep what was there at the beginning."""
+        with self._torch.inference_mode():
+            for _, kept, initial in self._in_place:
+                kept.copy_(initial)
+            self._kept = [copy.deepcopy(value) for _, _, value in self._set]
+
+    def save(self) -> Any:
+        """Return what is kept, as arrays; `load` takes it back."""
+        fixed = [kept.detach().cpu().numpy().copy() for _, kept, _ in self._in_place]
+        return [fixed, [_plain(self._torch, value) for value in self._kept]]
+
+    def load(self, saved: Any) -> None:
+        """Keep what another one did."""
+        fixed, kept = saved
+        with self._torch.inference_mode():
+            for (_, tensor, _), values in zip(self._in_place, fixed):
+                tensor.copy_(self._torch.from_numpy(values))
+        self._kept = [_tensors(self._torch, value) for value in kept]
+
+
+def _plain(torch: Any, value: Any) -> Any:
+    if isinstance(value, torch.Tensor):
+        return value.detach().cpu().numpy().copy()
+    if isinstance(value, (list, tuple)):
+        return type(value)(_plain(torch, each) for each in value)
+    if isinstance(value, dict):
+        return {key: _plain(torch, each) for key, each in value.items()}
+    return value
+
+
+def _tensors(torch: Any, value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return torch.from_numpy(value.copy())
+    if isinstance(value, (list, tuple)):
+        return type(value)(_tensors(torch, each) for each in value)
+    if isinstance(value, dict):
+        return {key: _tensors(torch, each) for key, each in value.items()}
+    return value
+
+
+def _written(module: Any) -> dict[tuple[str, ...], bool]:
+    """Return the attributes that a call writes, as paths, and whether it sets them."""
+    graph = module.inlined_graph
+    aliases = graph.alias_db()
+    found: dict[tuple[str, ...], bool] = {}
+    for node in graph.findAllNodes("prim::GetAttr"):
+        value = node.output()
+        if value.type().kind() != "ClassType" and aliases.has_writers(value):
+            found[_path(node)] = False
+    for node in graph.findAllNodes("prim::SetAttr"):
+        found[_path(node)] = True
+    return found
+
+
+def _all_of(known: set[int], values: list[Any]) -> bool:
+    return all(hasattr(value, "data_ptr") and value.data_ptr() in known for value in values)
+
+
+def _path(node: Any) -> tuple[str, ...]:
+    """Return the names that lead to the attribute that a node gets or sets."""
+    names = [node.s("name")]
+    owner = node.inputsAt(0).node()
+    while owner.kind() == "prim::GetAttr":
+        names.append(owner.s("name"))
+        owner = owner.inputsAt(0).node()
+    return tuple(reversed(names))
