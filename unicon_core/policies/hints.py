@@ -25,8 +25,6 @@ LARGEST_SLEW = 1000.0
 """Of a command in [1/s] of its unit: what is more jumps within a tick."""
 MOST_FRAMES = 10_000
 """Of a history."""
-LONGEST_MOTION = 86_400.0
-"""In [s]."""
 LONGEST_PERIOD = 1000.0
 """Of a policy and of a gait in [s]."""
 
@@ -115,7 +113,6 @@ Place = Annotated[int, Within(0)]
 Places = Annotated[tuple[int, ...], Made(listed, Place | list[Place])]
 Offsets = Annotated[tuple[float, ...], Made(rounded, float | list[float])]
 Period = Annotated[float, Unit("s"), Within(0.0, LONGEST_PERIOD, above=True)]
-Seconds = Annotated[float, Unit("s"), Within(0.0, LONGEST_MOTION)]
 Stand = Annotated[float, Made(rounded_one, float), Write("a phase in [rad]")]
 Threshold = Annotated[
     float,

@@ -62,48 +62,39 @@ def _motion_states(contract: PolicyContract) -> dict[str, StateSpec]:
             states[name] = StateSpec((size,), names=names, description=f"output {output}")
     if contract.motion is None and {"motion_joint_pos", "motion_joint_vel"} <= set(states):
         size = states["motion_joint_pos"].size + states["motion_joint_vel"].size
-        states["motion_command"] = StateSpec(
-            (size,), description="reference joint positions [rad], then velocities [rad/s]"
-        )
+        states["motion_command"] = _reference_command(size)
     return states
 
 
 def _followed(contract: PolicyContract) -> dict[str, StateSpec]:
     """States of the motion and of the robot beside it; see docs/motion.md."""
-    names, size = contract.joints, (len(contract.joints),)
-    quat, xyz = ("w", "x", "y", "z"), ("x", "y", "z")
+    joints, xyz = contract.joints, ("x", "y", "z")
     columns = tuple(f"{axis}{side}" for axis in xyz for side in "xy")
-    upright = (1.0, 0.0, 0.0, 0.0)
+    quat, upright = ("w", "x", "y", "z"), (1.0, 0.0, 0.0, 0.0)
 
-    def spec(n: int, unit: str, frame: str, names: tuple[str, ...], text: str) -> StateSpec:
-        return StateSpec((n,), "float32", unit, frame, names, text)
+    def spec(unit: str, frame: str, names: tuple[str, ...], *more: Any) -> StateSpec:
+        return StateSpec((len(names),), "float32", unit, frame, names, *more)
 
     return {
-        "motion_joint_pos": StateSpec(
-            size, "float32", "rad", "", names, "reference joint positions, policy order"
+        "motion_joint_pos": spec("rad", "", joints, "reference joint positions, policy order"),
+        "motion_joint_vel": spec("rad/s", "", joints, "reference joint velocities, policy order"),
+        "motion_command": _reference_command(2 * len(joints)),
+        "motion_anchor_pos": spec("m", "world", xyz, "where the reference's anchor is"),
+        "motion_anchor_quat": spec(
+            "", "anchor to world", quat, "of the reference, aligned", upright
         ),
-        "motion_joint_vel": StateSpec(
-            size, "float32", "rad/s", "", names, "reference joint velocities, policy order"
-        ),
-        "motion_command": StateSpec(
-            (2 * len(names),),
-            description="reference joint positions [rad], then velocities [rad/s]",
-        ),
-        "motion_anchor_pos": spec(3, "m", "world", xyz, "where the reference's anchor is"),
-        "motion_anchor_quat": StateSpec(
-            (4,), "float32", "", "anchor to world", quat, "of the reference, aligned", upright
-        ),
-        "motion_anchor_pos_b": spec(
-            3, "m", "anchor", xyz, "reference seen from the robot's anchor"
-        ),
+        "motion_anchor_pos_b": spec("m", "anchor", xyz, "reference seen from the robot's anchor"),
         "motion_anchor_ori_b": spec(
-            6, "", "anchor", columns, "reference's rotation there: two columns, row by row"
+            "", "anchor", columns, "reference's rotation there: two columns, row by row"
         ),
-        "motion_error": StateSpec(
-            (2,), "float32", "rad", "", ("joints", "anchor"), "from the reference: rms, angle"
-        ),
+        "motion_error": spec("rad", "", ("joints", "anchor"), "from the reference: rms, angle"),
         "motion_time": StateSpec((), "float32", "s", "", (), "since the motion's first frame"),
     }
+
+
+def _reference_command(size: int) -> StateSpec:
+    text = "reference joint positions [rad], then velocities [rad/s]"
+    return StateSpec((size,), description=text)
 
 
 def _own_states(contract: PolicyContract) -> dict[str, StateSpec]:

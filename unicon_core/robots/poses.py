@@ -15,13 +15,11 @@ from numpy.typing import NDArray
 from unicon_core.bounds import POSITION, within
 from unicon_core.errors import RobotError, WorkflowError, alternatives
 from unicon_core.robots.file import Figures
-from unicon_core.robots.robot import Robot
+from unicon_core.robots.robot import Floats, Robot
 from unicon_core.schema.records import record_of
 
-Float = NDArray[np.float32]
 
-
-def robot_poses(robot: Robot) -> dict[str, Float]:
+def robot_poses(robot: Robot) -> dict[str, Floats]:
     """Return word to pose of a robot file in [rad], shape (n,), NaN where it does not say it."""
     standing, lying = robot.default_joint_pos, robot.rest_joint_pos
     return {"default": standing, "stand": standing, "rest": lying, "lie": lying}
@@ -47,7 +45,7 @@ def joints_like(pattern: str, robot: Robot, remedy: str = "") -> list[int]:
     return found
 
 
-def named_pose(to: str | Mapping[str, float], robot: Robot, what: str) -> tuple[Float, Float]:
+def named_pose(to: str | Mapping[str, float], robot: Robot, what: str) -> tuple[Floats, Floats]:
     """Return a pose [rad] and which joints it says (1 or 0), each shape (n,).
 
     Args:

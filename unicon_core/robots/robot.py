@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from unicon_core.errors import RobotError, alternatives
 from unicon_core.robots.places import Capsule, Hand, Place
 
+Floats = NDArray[np.float32]
 MODEL_FORMATS = ("mjcf", "urdf")
 
 
@@ -50,8 +51,8 @@ class Imu:
     """
 
     frame: str
-    position: NDArray[np.float32]
-    quat: NDArray[np.float32]
+    position: Floats
+    quat: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,14 +104,14 @@ class Robot:
     models: Mapping[str, str]
     base_frame: str
     joint_names: tuple[str, ...]
-    lower: NDArray[np.float32]
-    upper: NDArray[np.float32]
-    velocity_limit: NDArray[np.float32]
-    effort_limit: NDArray[np.float32]
-    default_joint_pos: NDArray[np.float32]
-    rest_joint_pos: NDArray[np.float32]
-    joint_stiffness: NDArray[np.float32]
-    joint_damping: NDArray[np.float32]
+    lower: Floats
+    upper: Floats
+    velocity_limit: Floats
+    effort_limit: Floats
+    default_joint_pos: Floats
+    rest_joint_pos: Floats
+    joint_stiffness: Floats
+    joint_damping: Floats
     imu: Imu | None
     feet: tuple[str, ...]
     transport: Mapping[str, Any]
@@ -213,14 +214,14 @@ class Robot:
                     said.setdefault(name, {}).update(figures)
         return dict(said)
 
-    def joint_fact(self, field: str) -> NDArray[np.float32]:
+    def joint_fact(self, field: str) -> Floats:
         """Return the array behind a key of a joint in the robot file, shape (n,).
 
         Args:
             field: `lower`, `upper`, `velocity`, `effort`, `default`, `rest`, `stiffness` or
                 `damping`.
         """
-        array: NDArray[np.float32] = getattr(self, JOINT_FIELDS[field])
+        array: Floats = getattr(self, JOINT_FIELDS[field])
         return array
 
     def missing_facts(self) -> list[str]:

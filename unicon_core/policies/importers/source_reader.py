@@ -10,6 +10,7 @@ from typing import Annotated, Any, TypeAlias
 
 from unicon_core.errors import PolicyError, UniconError, alternatives
 from unicon_core.located_yaml import Located, Where
+from unicon_core.policies.contract import TORCHSCRIPT
 from unicon_core.policies.facts import Facts
 from unicon_core.policies.given import given_joints
 from unicon_core.policies.hints import Side, listed
@@ -19,7 +20,7 @@ from unicon_core.schema.read import refuse
 from unicon_core.schema.records import type_of
 from unicon_core.schema.types import Mistakes
 
-_SUFFIXES = {".onnx": "onnx", ".pt": "torchscript", ".pth": "torchscript", ".jit": "torchscript"}
+_SUFFIXES = {".onnx": "onnx", **dict.fromkeys(TORCHSCRIPT, "torchscript")}
 
 
 @dataclass(frozen=True)

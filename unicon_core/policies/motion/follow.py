@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -9,13 +11,222 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import PolicyError
+from unicon_core.models.plain_turns import (
+    Quat,
+    Vector,
+    conjugate,
+    multiply,
+    rotate,
+    turned,
+    yaw_of,
+)
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.lane import Lane
 from unicon_core.policies.motion.anchor import Chain, chain_in_model, chain_of_axes
-from unicon_core.policies.motion.clip import read_clip
-from unicon_core.policies.motion.tracker import MotionTracker
+from unicon_core.policies.motion.clip import Clip, read_clip
 from unicon_core.policies.prefixed import PackedStates
-from unicon_core.robots import Robot
+from unicon_core.robots import Robot, joint_index
+
+Array = NDArray[np.float32]
+_ORIGIN: Vector = (0.0, 0.0, 0.0)
+_UP: Vector = (0.0, 0.0, 1.0)
+
+
+class MotionTracker:
+    """Writes the `motion_*` states of a policy, once in each of its ticks.
+
+    Args:
+        contract: with a motion.
+        states: that hold its states, and the robot's.
+        robot_joints: the robot's joint order.
+        clip: the motion of a file; None where outputs of the network are the reference.
+        chain: from the base to the anchor, or None where no state of the anchor is wanted.
+        length: number of frames from the start, or None for a motion without an end.
+
+    Attributes:
+        ticks: after which it is done, or None.
+        done: the last frame was shown.
+        reads: states of the robot that are read.
+        writes: states that are written.
+
+    Raises:
+        PolicyError: what a term reads cannot be told.
+    """
+
+    memory = ("done", "_tick", "_begun", "_turn", "_shift")
+
+    def __init__(
+        self,
+        contract: PolicyContract,
+        states: PackedStates,
+        robot_joints: tuple[str, ...],
+        clip: Clip | None,
+        chain: Chain | None,
+        length: int | None,
+    ) -> None:
+        spec = contract.motion
+        assert spec is not None
+        self._period, self._start, self._align = contract.period, spec.start, spec.align == "yaw"
+        self._clip, self._chain = clip, chain
+        self._hold = hold = round(spec.hold / contract.period)
+        self.ticks = None if length is None else length + hold
+        self.done, self._tick = False, 0
+        rows = self._rows = states.num_robots or 1
+
+        def view(name: str) -> Array:
+            return states[name].reshape(rows, -1)
+
+        self._joint_pos, self._base_quat = view("joint_pos"), view("base_quat")
+        self._base_pos = view("base_pos_w")
+        self._own = joint_index(contract.joints, robot_joints)
+        self._reference = (view("motion_joint_pos"), view("motion_joint_vel"))
+        self._command = view("motion_command")
+        self._time, self._error = states["motion_time"], view("motion_error")
+        self._off = np.zeros((rows, len(contract.joints)), np.float32)
+        self._quats, self._places = _anchor_source(contract, states, clip, rows)
+        self._placed = chain is not None and chain.placed and self._places is not None
+        self.reads: tuple[str, ...] = ("joint_pos",)
+        self.writes: tuple[str, ...] = ("motion_command", "motion_time", "motion_error")
+        self.writes += ("motion_joint_pos", "motion_joint_vel") if clip is not None else ()
+        self._anchor = [view(n) for n in ("motion_anchor_quat", "motion_anchor_ori_b")]
+        self._position = [view(n) for n in ("motion_anchor_pos", "motion_anchor_pos_b")]
+        if chain is not None:
+            if self._quats is None:
+                raise PolicyError(
+                    f"policy {contract.name}: nothing tells the orientation of the reference's "
+                    "anchor; name an output motion_ref_quat_xyzw, or motion_body_quat_w with "
+                    "motion.bodies, under 'outputs'"
+                )
+            self.reads += ("base_quat",)
+            self.writes += ("motion_anchor_quat", "motion_anchor_ori_b")
+        wanted = {term.state for term in contract.terms} | set(contract.inputs)
+        places = {"motion_anchor_pos", "motion_anchor_pos_b"} & wanted
+        self._placed = self._placed and bool(places)
+        if places and not self._placed:
+            raise PolicyError(
+                f"policy {contract.name}: {min(places)} needs positions of the reference's anchor "
+                "(a file, or an output motion_ref_pos_xyz or motion_body_pos_w) and a model of the "
+                "robot in place of motion.chain"
+            )
+        if self._placed:
+            self.reads += ("base_pos_w",)
+            self.writes += ("motion_anchor_pos", "motion_anchor_pos_b")
+        self._turn: list[Quat] = [(1.0, 0.0, 0.0, 0.0)] * rows
+        self._shift: list[tuple[Vector, Vector]] = [(_ORIGIN, _ORIGIN)] * rows
+        self._begun = False
+
+    def __call__(self) -> None:
+        """Write the reference of this tick, and how the robot stands to it."""
+        tick, clip = max(self._tick - self._hold, 0), self._clip
+        pos, vel = self._reference
+        if clip is not None:
+            frame = min(tick, len(clip.joint_pos) - 1)
+            pos[...], vel[...] = clip.joint_pos[frame], clip.joint_vel[frame]
+        n = pos.shape[1]
+        self._command[:, :n], self._command[:, n:] = pos, vel
+        self._time[...] = self._start + tick * self._period
+        np.take(self._joint_pos, self._own, axis=1, out=self._off)
+        self._off -= pos
+        self._error[:, 0] = np.sqrt(np.einsum("ij,ij->i", self._off, self._off) / n)
+        if self._chain is not None:
+            for row in range(self._rows):
+                self._compare(row, self._chain, *self._pose(row, tick))
+            self._begun = True
+        self._tick += 1
+        self.done = self.ticks is not None and self._tick >= self.ticks
+
+    def _pose(self, row: int, tick: int) -> tuple[Vector, Quat]:
+        """Return the reference's anchor in the motion's world."""
+        assert self._quats is not None
+        w, x, y, z = self._quats(row, tick)
+        a, b, c = _ORIGIN if self._places is None else self._places(row, tick)
+        return (a, b, c), (w, x, y, z)
+
+    def _compare(self, row: int, chain: Chain, place: Vector, quat: Quat) -> None:
+        w, x, y, z = self._base_quat[row].tolist()
+        base = _ORIGIN
+        if self._placed:
+            a, b, c = self._base_pos[row].tolist()
+            base = (a, b, c)
+        own_place, own = chain(base, (w, x, y, z), self._joint_pos[row].tolist())
+        if not self._begun and self._align:
+            self._turn[row] = turned(_UP, yaw_of(own) - yaw_of(quat))
+            there = (own_place[0], own_place[1], 0.0)
+            self._shift[row] = ((place[0], place[1], 0.0), there)
+        turn = self._turn[row]
+        quat = multiply(turn, quat)
+        w, x, y, z = relative = multiply(conjugate(own), quat)
+        anchor, rotation = self._anchor
+        anchor[row] = quat
+        rotation[row] = (
+            1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z),
+            2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z),
+            2.0 * (x * z - w * y), 2.0 * (y * z + w * x),
+        )  # fmt: skip
+        sine = math.sqrt(relative[1] ** 2 + relative[2] ** 2 + relative[3] ** 2)
+        self._error[row, 1] = 2.0 * math.atan2(sine, abs(w))
+        if self._placed:
+            begin, there = self._shift[row]
+            way = (place[0] - begin[0], place[1] - begin[1], place[2] - begin[2])
+            a, b, c = rotate(turn, way)
+            goal = (a + there[0], b + there[1], c + there[2])
+            self._position[0][row] = goal
+            offset = (goal[0] - own_place[0], goal[1] - own_place[1], goal[2] - own_place[2])
+            self._position[1][row] = rotate(conjugate(own), offset)
+
+    def reset(self) -> None:
+        """Begin the motion anew, wherever the robot is in the next tick."""
+        self._tick, self._begun, self.done = 0, False, False
+
+
+Told = Callable[[int, int], Any]
+
+
+def _anchor_source(
+    contract: PolicyContract, states: PackedStates, clip: Clip | None, rows: int
+) -> tuple[Told | None, Told | None]:
+    """Return what tells the reference's orientation (wxyz) and position by row and tick."""
+    spec = contract.motion
+    assert spec is not None
+    if clip is not None:
+        quats = clip.anchor_quat.tolist()
+        places = None if clip.anchor_pos is None else clip.anchor_pos.tolist()
+        last = len(quats) - 1
+        return (
+            lambda row, tick: quats[min(tick, last)],
+            None if places is None else lambda row, tick: places[min(tick, last)],
+        )
+    if spec.anchor_body in spec.bodies:
+        body = spec.bodies.index(spec.anchor_body)
+        quat = _rows_of(contract, states, "motion_body_quat_w", rows, len(spec.bodies), 4)
+        pos = _rows_of(contract, states, "motion_body_pos_w", rows, len(spec.bodies), 3)
+        return (
+            None if quat is None else lambda row, tick: quat[row, body].tolist(),
+            None if pos is None else lambda row, tick: pos[row, body].tolist(),
+        )
+    xyzw = _rows_of(contract, states, "motion_ref_quat_xyzw", rows, 1, 4)
+    xyz = _rows_of(contract, states, "motion_ref_pos_xyz", rows, 1, 3)
+    return (
+        None if xyzw is None else lambda row, tick: xyzw[row, 0, [3, 0, 1, 2]].tolist(),
+        None if xyz is None else lambda row, tick: xyz[row, 0].tolist(),
+    )
+
+
+def _rows_of(
+    contract: PolicyContract, states: PackedStates, name: str, rows: int, bodies: int, size: int
+) -> Array | None:
+    """Return an output as rows of bodies; None where it is not one."""
+    if name not in contract.outputs or name not in states:
+        return None
+    if states[name].size != rows * bodies * size:
+        raise PolicyError(
+            f"policy {contract.name}: output {contract.outputs[name]!r} has "
+            f"{states[name].size // rows} values, not {size} for each of {bodies} bodies; correct "
+            "motion.bodies or 'outputs'"
+        )
+    view: Array = states[name].reshape(rows, bodies, size)
+    return view
+
 
 FAR = 1 << 20
 """A step that no motion has, 5 hours at 50 Hz: networks hold their last frame from its end on."""

@@ -7,11 +7,8 @@ so that an answer to a question that nobody asks any more is dropped without a t
 
 from __future__ import annotations
 
-import copyreg
 import os
 import time
-from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Any
 
 from numpy.typing import NDArray
@@ -19,7 +16,7 @@ from numpy.typing import NDArray
 from unicon_core.errors import Fault, PolicyError
 from unicon_core.platforms.child.pipe import Pipe
 from unicon_core.policies.contract import PolicyContract
-from unicon_core.policies.networks.network import Tensor
+from unicon_core.policies.networks.network import Arrays, Tensor
 from unicon_core.signals import SIGNALS
 from unicon_core.states import Layout, States, StateSpec
 from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter, remove_dead
@@ -40,14 +37,6 @@ _LOOK = 0.005
 """How often a child that is waited for is looked at, in [s]."""
 
 _MODULE = "unicon_core.policies.networks.child_process"
-
-
-def _read_only(values: dict[Any, Any]) -> MappingProxyType[Any, Any]:
-    return MappingProxyType(values)
-
-
-# Contracts go there with their mappings, which cannot be pickled by themselves.
-copyreg.pickle(MappingProxyType, lambda proxy: (_read_only, (dict(proxy),)))
 
 
 class ChildNetwork:
@@ -81,9 +70,7 @@ class ChildNetwork:
         self.outputs: tuple[Tensor, ...] = told["outputs"]
         self.warnings: list[str] = told["warnings"]
 
-    def bind(
-        self, inputs: Mapping[str, NDArray[Any]], outputs: Mapping[str, NDArray[Any]]
-    ) -> Question:
+    def bind(self, inputs: Arrays, outputs: Arrays) -> Question:
         """Return what asks the child about these arrays, and brings its answers into them.
 
         Raises:
@@ -104,7 +91,7 @@ class ChildNetwork:
             self._channel.close()
 
 
-def _specs(arrays: Mapping[str, NDArray[Any]], prefix: str) -> dict[str, StateSpec]:
+def _specs(arrays: Arrays, prefix: str) -> dict[str, StateSpec]:
     return {
         f"{prefix}{i}": StateSpec(array.shape, array.dtype.name)
         for i, array in enumerate(arrays.values())
@@ -117,8 +104,8 @@ class _Channel:
     def __init__(
         self,
         network: ChildNetwork,
-        inputs: Mapping[str, NDArray[Any]],
-        outputs: Mapping[str, NDArray[Any]],
+        inputs: Arrays,
+        outputs: Arrays,
     ) -> None:
         self.network = network
         self._names = (tuple(inputs), tuple(outputs))
@@ -149,9 +136,7 @@ class _Channel:
         assert self._reader is not None
         return self._reader
 
-    def question(
-        self, inputs: Mapping[str, NDArray[Any]], outputs: Mapping[str, NDArray[Any]]
-    ) -> Question:
+    def question(self, inputs: Arrays, outputs: Arrays) -> Question:
         """Return what asks about some arrays."""
         asked = self.questions.layout, self.answers.layout
         same = (tuple(inputs), tuple(outputs)) == self._names

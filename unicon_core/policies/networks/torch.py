@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from unicon_core.errors import MissingDependencyError, PolicyError
+from unicon_core.errors import PolicyError, imported, one_line
 from unicon_core.policies.contract import PolicyContract
-from unicon_core.policies.networks.network import Tensor
+from unicon_core.policies.networks.network import Arrays, Tensor
 
 
 class TorchNetwork:
@@ -32,14 +31,7 @@ class TorchNetwork:
     """
 
     def __init__(self, contract: PolicyContract) -> None:
-        try:
-            import torch
-        except ImportError as error:
-            raise MissingDependencyError(
-                f"policy {contract.name} (TorchScript)",
-                "torch",
-                "pip install 'unicon_ros[torch]'",
-            ) from error
+        torch = imported("torch", f"policy {contract.name} (TorchScript)", "torch", "torch")
         if contract.recurrent:
             raise PolicyError(
                 f"policy {contract.name}: recurrent tensors cannot be named in TorchScript; "
@@ -50,17 +42,18 @@ class TorchNetwork:
         try:
             self._module = torch.jit.load(str(contract.model), map_location="cpu").eval()
         except (RuntimeError, ValueError) as error:
-            reason = " ".join(str(error).split())[:200]
-            raise PolicyError(f"{contract.model}: torch cannot load it: {reason}") from error
+            raise PolicyError(
+                f"{contract.model}: torch cannot load it: {one_line(error)[:200]}"
+            ) from error
         self._label = f"policy {contract.name}"
         if hasattr(self._module, "reset_memory"):  # exporters of recurrent policies have it
             try:
                 with torch.inference_mode():
                     self._module.reset_memory()
             except RuntimeError as error:
-                reason = " ".join(str(error).split())[:200]
                 raise PolicyError(
-                    f"{contract.model}: its reset_memory does not run without arguments: {reason}"
+                    f"{contract.model}: its reset_memory does not run without arguments: "
+                    f"{one_line(error)[:200]}"
                 ) from error
         self._memory = TorchMemory(torch, self._module)
         self.inputs = tuple(Tensor(name, "float32", ("", "")) for name in contract.inputs.values())
@@ -68,9 +61,7 @@ class TorchNetwork:
             Tensor(name, "float32", ("", "")) for name in contract.outputs.values()
         )
 
-    def bind(
-        self, inputs: Mapping[str, NDArray[Any]], outputs: Mapping[str, NDArray[Any]]
-    ) -> Callable[[], None]:
+    def bind(self, inputs: Arrays, outputs: Arrays) -> Callable[[], None]:
         """Return a function that runs the module on these arrays; it is tried once.
 
         Raises:
@@ -102,10 +93,9 @@ class TorchNetwork:
             run()
         except RuntimeError as error:
             sizes = ", ".join(str(tuple(array.shape)) for array in inputs.values())
-            reason = " ".join(str(error).split())[-160:]
             raise PolicyError(
                 f"{self._label}: the TorchScript network does not run with input {sizes} "
-                f"(observation.terms) and {len(before[0][0])} joints: {reason}"
+                f"(observation.terms) and {len(before[0][0])} joints: {one_line(error)[-160:]}"
             ) from error
         for array, value in zip(outputs.values(), before):
             array[...] = value
