@@ -1,4 +1,8 @@
-"""What a `policy.yaml` says, as classes; what a contract has in the same shape has one class."""
+"""What a `policy.yaml` says, as classes; what a contract has in the same shape has one class.
+
+Rules say what lies between its facts: what fits no joint, no network or no period. Each takes
+`found`, the facts that are right by themselves, and notes what is wrong `here`.
+"""
 
 from __future__ import annotations
 

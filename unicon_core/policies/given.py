@@ -1,4 +1,8 @@
-"""What a user gives beside a source, merged into its facts: for importers and `load_policy`."""
+"""What a user gives beside a source, merged into its facts: for importers and `load_policy`.
+
+Two sources of one policy, its file and the network's metadata, have to say the same: policy and
+configuration must not drift apart.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +16,7 @@ from unicon_core.errors import PolicyError, alternatives
 from unicon_core.figures import figure
 from unicon_core.located_yaml import Where
 from unicon_core.policies.facts import TO_GIVE, Facts, dig, dotted, is_open, says, shown
-from unicon_core.robots.joint_index import plain_name
+from unicon_core.robots.robot import plain_name
 from unicon_core.schema.marks import Names, Write
 from unicon_core.schema.read import read_value
 
@@ -245,9 +249,7 @@ def check_agreement(facts: Facts, other: Facts, given: Mapping[str, Any]) -> Non
             continue
         for joint in joints:
             a, b = mine.get(joint), theirs.get(joint)
-            if a is None or b is None:
-                continue
-            if np.isclose(a, b, rtol=relative, atol=absolute):
+            if a is None or b is None or np.isclose(a, b, rtol=relative, atol=absolute):
                 continue
             differs = (
                 f"{key} of {joint} is {figure(a)} here and {figure(b)} in the metadata of "

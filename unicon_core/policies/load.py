@@ -195,7 +195,11 @@ def _locate(reference: str | Path) -> Path:
 
 
 def _registered(name: str) -> Path:
-    """Return the folder or file of a policy that another package registers."""
+    """Return the folder or file of a policy that a package registers, group `unicon.policies`.
+
+    The entry point's value is a module attribute: a path (text or `Path`), or a function without
+    parameters that returns one. It is imported when the policy is asked for.
+    """
     entry = registered("policies")[name]
     path = path_of(entry, f"policy {name!r}", PolicyError)
     if path is None:

@@ -82,7 +82,8 @@ def _nulls(document: Mapping[str, Any]) -> dict[str, Where]:
                 found.setdefault(f"joints.{key}", ("joints", i, key))
     if "imu" in document and imu is None and document.get("kind") in ("quadruped", "humanoid"):
         found["imu"] = ("imu",)
-    for key in ("frame", "position", "quat") if isinstance(imu, dict) else ():
+    imu = imu if isinstance(imu, dict) else {}
+    for key in ("frame", "position", "quat"):
         if imu.get(key, 0) is None:
             found[f"imu.{key}"] = ("imu", key)
     found |= {key: (key,) for key in ("feet", "fingertips") if document.get(key) == []}
@@ -119,6 +120,10 @@ def _given(document: Mapping[str, Any], fact: str) -> bool:
     return any(isinstance(value, dict) and value.get(key) is not None for value in values)
 
 
+_SOURCED = ("imu", "feet", "fingertips", "command_ranges", "mounts", "end_effectors", "capsules",
+            "hand")  # fmt: skip
+
+
 def note_sources(document: Mapping[str, Any], here: Here) -> None:
     """Every group of figures that the file gives says where it was taken from."""
     for key in ("transport", "sources"):
@@ -128,17 +133,12 @@ def note_sources(document: Mapping[str, Any], here: Here) -> None:
     if not isinstance(sources, dict):
         return
     joints = joints_of(document)
-    given = {
-        "joints": True,
-        "gains": any(j.get(key) is not None for j in joints for key in ("stiffness", "damping")),
-        "default": any(j.get("default") is not None for j in joints),
-        "rest": any(j.get("rest") is not None for j in joints),
-        "transport": True,
-    }
-    groups = ("imu", "feet", "fingertips", "command_ranges", "mounts", "end_effectors")
-    given |= {key: bool(document.get(key)) for key in (*groups, "capsules", "hand")}
-    for group, needed in given.items():
-        if needed and group not in sources:
+    of_joints = {"gains": ("stiffness", "damping"), "default": ("default",), "rest": ("rest",)}
+    given = ["joints"]
+    for group, keys in of_joints.items():
+        given += [group] if any(j.get(key) is not None for j in joints for key in keys) else []
+    for group in (*given, "transport", *filter(document.get, _SOURCED)):
+        if group not in sources:
             here.note(
                 f"sources does not say where {group!r} was taken from; add `{group}: …`", "sources"
             )

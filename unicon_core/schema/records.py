@@ -320,11 +320,10 @@ def _fields(kind: Any) -> dict[str, Field]:
         marks = get_args(hints[each.name]) if get_origin(hints[each.name]) is Annotated else ()
         if any(isinstance(mark, NotAKey) for mark in marks):
             continue
-        required = each.default is dataclasses.MISSING
-        required = required and each.default_factory is dataclasses.MISSING
-        default = None if required else each.default
-        if each.default_factory is not dataclasses.MISSING:
-            default = each.default_factory()
+        factory = each.default_factory
+        default = each.default if factory is dataclasses.MISSING else factory()
+        required = default is dataclasses.MISSING
+        default = None if required else default
         said = next((mark for mark in marks if isinstance(mark, str)), texts.get(each.name, ""))
         key = _one(list(marks), Key, Key(each.name)).name
         fields[each.name] = Field(key, hints[each.name], required, default, said)

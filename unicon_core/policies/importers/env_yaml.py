@@ -82,7 +82,7 @@ def _robot(facts: Facts, document: Mapping[str, Any], joints: list[str]) -> None
     for key in GAINS:
         found: dict[str, float] = {}
         moved: list[str] = []
-        for actuator in (actuators or {}).values() if isinstance(actuators, Mapping) else ():
+        for actuator in actuators.values() if isinstance(actuators, Mapping) else ():
             patterns = dig(actuator, "joint_names_expr") or []
             own = matching(patterns if isinstance(patterns, list) else [patterns], joints)
             moved += own

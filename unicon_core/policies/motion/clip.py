@@ -132,7 +132,7 @@ def _agree(
     """Refuse a file none of whose bodies is where its joints put the anchor: a wrong order."""
     assert frames.bodies is not None
     places = np.linspace(0, len(frames.joint_pos) - 1, min(len(frames.joint_pos), 50)).astype(int)
-    shown = (each[places] for each in (frames.base_pos, frames.base_quat, frames.joint_pos))
+    shown = (frames.base_pos[places], frames.base_quat[places], frames.joint_pos[places])
     pos, quat = _anchors(chain, *shown, robot_from_file)
     body_pos, body_quat = (part[places] for part in frames.bodies)
     cosine = np.clip(np.abs(np.einsum("kbi,ki->kb", body_quat, quat)), 0.0, 1.0)

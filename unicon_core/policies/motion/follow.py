@@ -1,4 +1,18 @@
-"""What follows the motion of a contract, put together once when its policy is built."""
+"""The motion that a policy follows, tick by tick: its reference, and the robot compared with it.
+
+In tick k, counted from the end of `hold`, the observation holds the reference of frame k, as in
+training: BeyondMimic's and mjlab's command managers advance before they observe. Where the network
+itself gives the reference, that is what its run of the tick before told
+(HybridRobotics/motion_tracking_controller `src/MotionPolicy.cpp`), and step 0 is run once to begin.
+
+The anchor is compared as in HybridRobotics/whole_body_tracking `mdp/observations.py`: the
+reference's pose in the frame of the robot's anchor, its rotation as the first two columns of the
+matrix, row by row. At the start the motion is turned about the vertical so that both face the same
+way (unitreerobotics/unitree_rl_mjlab `State_Mimic.cpp`, amazon-far/holosoma `policies/wbt.py`), and
+shifted so that it begins where the robot stands.
+
+`tracker_of` puts it together once, when the policy is built.
+"""
 
 from __future__ import annotations
 
@@ -28,6 +42,9 @@ from unicon_core.policies.prefixed import PackedStates
 from unicon_core.robots import Robot, joint_index
 
 Array = NDArray[np.float32]
+_REFERENCE = ("motion_joint_pos", "motion_joint_vel")
+_TURNS = ("motion_anchor_quat", "motion_anchor_ori_b")
+_PLACES = ("motion_anchor_pos", "motion_anchor_pos_b")
 _ORIGIN: Vector = (0.0, 0.0, 0.0)
 _UP: Vector = (0.0, 0.0, 1.0)
 
@@ -79,17 +96,15 @@ class MotionTracker:
         self._joint_pos, self._base_quat = view("joint_pos"), view("base_quat")
         self._base_pos = view("base_pos_w")
         self._own = joint_index(contract.joints, robot_joints)
-        self._reference = (view("motion_joint_pos"), view("motion_joint_vel"))
+        self._reference = tuple(map(view, _REFERENCE))
         self._command = view("motion_command")
         self._time, self._error = states["motion_time"], view("motion_error")
         self._off = np.zeros((rows, len(contract.joints)), np.float32)
         self._quats, self._places = _anchor_source(contract, states, clip, rows)
-        self._placed = chain is not None and chain.placed and self._places is not None
         self.reads: tuple[str, ...] = ("joint_pos",)
         self.writes: tuple[str, ...] = ("motion_command", "motion_time", "motion_error")
-        self.writes += ("motion_joint_pos", "motion_joint_vel") if clip is not None else ()
-        self._anchor = [view(n) for n in ("motion_anchor_quat", "motion_anchor_ori_b")]
-        self._position = [view(n) for n in ("motion_anchor_pos", "motion_anchor_pos_b")]
+        self.writes += _REFERENCE if clip is not None else ()
+        self._anchor, self._position = (tuple(map(view, names)) for names in (_TURNS, _PLACES))
         if chain is not None:
             if self._quats is None:
                 raise PolicyError(
@@ -98,11 +113,11 @@ class MotionTracker:
                     "motion.bodies, under 'outputs'"
                 )
             self.reads += ("base_quat",)
-            self.writes += ("motion_anchor_quat", "motion_anchor_ori_b")
+            self.writes += _TURNS
         wanted = {term.state for term in contract.terms} | set(contract.inputs)
-        places = {"motion_anchor_pos", "motion_anchor_pos_b"} & wanted
-        self._placed = self._placed and bool(places)
-        if places and not self._placed:
+        places = {*_PLACES} & wanted
+        self._placed = bool(places)
+        if places and (chain is None or not chain.placed or self._places is None):
             raise PolicyError(
                 f"policy {contract.name}: {min(places)} needs positions of the reference's anchor "
                 "(a file, or an output motion_ref_pos_xyz or motion_body_pos_w) and a model of the "
@@ -110,7 +125,7 @@ class MotionTracker:
             )
         if self._placed:
             self.reads += ("base_pos_w",)
-            self.writes += ("motion_anchor_pos", "motion_anchor_pos_b")
+            self.writes += _PLACES
         self._turn: list[Quat] = [(1.0, 0.0, 0.0, 0.0)] * rows
         self._shift: list[tuple[Vector, Vector]] = [(_ORIGIN, _ORIGIN)] * rows
         self._begun = False
@@ -231,13 +246,6 @@ def _rows_of(
 FAR = 1 << 20
 """A step that no motion has, 5 hours at 50 Hz: networks hold their last frame from its end on."""
 
-_ANCHORED = (
-    "motion_anchor_quat",
-    "motion_anchor_ori_b",
-    "motion_anchor_pos",
-    "motion_anchor_pos_b",
-)
-
 
 def tracker_of(
     contract: PolicyContract,
@@ -267,13 +275,13 @@ def tracker_of(
         chain = _chain(contract, robot, model)
         clip = read_clip(spec, contract, joints, chain)
         return MotionTracker(contract, states, joints, clip, chain, len(clip.joint_pos))
-    for name in ("motion_joint_pos", "motion_joint_vel"):
+    for name in _REFERENCE:
         if name not in contract.outputs:
             raise PolicyError(
                 f"policy {contract.name}: nothing tells {name}; give motion.file, or name the "
                 "network's output for it under 'outputs'"
             )
-    found = _chain(contract, robot, model) if wanted.intersection(_ANCHORED) else None
+    found = _chain(contract, robot, model) if wanted.intersection(_TURNS + _PLACES) else None
     lane.first_step = float(round(spec.start / contract.period))
     lane.held = float(round(spec.hold / contract.period))
     lane.reset()
@@ -305,11 +313,10 @@ def _length(lane: Lane, states: PackedStates, contract: PolicyContract) -> int |
     From its end on a network holds the last frame (HybridRobotics/whole_body_tracking
     `utils/exporter.py` clamps the step), so that the first one like it is the last.
     """
-    names = ("motion_joint_pos", "motion_joint_vel")
     shown: list[NDArray[np.float32]] = [
         values
         for view, values in lane.published
-        if any(np.shares_memory(view, states[name]) for name in names)
+        if any(np.shares_memory(view, states[name]) for name in _REFERENCE)
     ]
 
     def reference(step: int) -> bytes:
@@ -344,6 +351,6 @@ def own_reference(contract: PolicyContract, states: PackedStates) -> tuple[tuple
     if from_file or "motion_command" not in states:
         return ()
     command = states["motion_command"]
-    position, velocity = states["motion_joint_pos"], states["motion_joint_vel"]
+    position, velocity = (states[name] for name in _REFERENCE)
     n = position.shape[-1]
     return ((command[..., :n], position), (command[..., n:], velocity))

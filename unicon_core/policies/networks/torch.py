@@ -99,23 +99,18 @@ class TorchNetwork:
             ) from error
         for array, value in zip(outputs.values(), before):
             array[...] = value
-        return run if memory is None else _Remembering(run, memory)
-
-
-class _Remembering:
-    """A bound module and what it remembers."""
-
-    def __init__(self, run: Callable[[], None], memory: TorchMemory) -> None:
-        self._run = run
-        self.commit, self.reset = memory.commit, memory.reset
-        self.save, self.load = memory.save, memory.load
-
-    def __call__(self) -> None:
-        self._run()
+        if memory is None:
+            return run
+        memory.run = run
+        return memory
 
 
 class TorchMemory:
     """The attributes of a module that a call changes, and what they hold between two ticks.
+
+    For networks that are tried and warmed up: exporters of recurrent policies keep the hidden state
+    in the module, as buffers that `forward` writes. What it writes stands in its graph: attributes
+    that it sets, and tensors that an operation changes in place.
 
     Several may share a module: each recalls its own before a call.
 
@@ -125,7 +120,10 @@ class TorchMemory:
 
     Attributes:
         names: of the attributes, behind those of their submodules.
+        run: calls the module, bound to arrays.
     """
+
+    run: Callable[[], None]
 
     def __init__(self, torch: Any, module: Any) -> None:
         self._torch = torch
@@ -148,6 +146,9 @@ class TorchMemory:
                 else:
                     self._in_place.append((value, value.clone(), value.clone()))
             self._kept = [copy.deepcopy(value) for _, _, value in self._set]
+
+    def __call__(self) -> None:
+        self.run()
 
     def share(self) -> TorchMemory:
         """Return another memory of the same module, at its beginning."""
@@ -179,36 +180,33 @@ class TorchMemory:
 
     def save(self) -> Any:
         """Return what is kept, as arrays; `load` takes it back."""
-        fixed = [kept.detach().cpu().numpy().copy() for _, kept, _ in self._in_place]
-        return [fixed, [_plain(self._torch, value) for value in self._kept]]
+        tensor = self._torch.Tensor
+
+        def plain(value: Any) -> Any:
+            return value.detach().cpu().numpy().copy() if isinstance(value, tensor) else value
+
+        return _each([[kept for _, kept, _ in self._in_place], self._kept], plain)
 
     def load(self, saved: Any) -> None:
         """Keep what another one did."""
-        fixed, kept = saved
-        with self._torch.inference_mode():
-            for (_, tensor, _), values in zip(self._in_place, fixed):
-                tensor.copy_(self._torch.from_numpy(values))
-        self._kept = [_tensors(self._torch, value) for value in kept]
+        torch = self._torch
+
+        def tensor(value: Any) -> Any:
+            return torch.from_numpy(value.copy()) if isinstance(value, np.ndarray) else value
+
+        fixed, self._kept = _each(saved, tensor)
+        with torch.inference_mode():
+            for (_, kept, _), value in zip(self._in_place, fixed):
+                kept.copy_(value)
 
 
-def _plain(torch: Any, value: Any) -> Any:
-    if isinstance(value, torch.Tensor):
-        return value.detach().cpu().numpy().copy()
+def _each(value: Any, change: Callable[[Any], Any]) -> Any:
+    """Return lists, tuples and mappings with what a function makes of each value in them."""
     if isinstance(value, (list, tuple)):
-        return type(value)(_plain(torch, each) for each in value)
+        return type(value)(_each(inside, change) for inside in value)
     if isinstance(value, dict):
-        return {key: _plain(torch, each) for key, each in value.items()}
-    return value
-
-
-def _tensors(torch: Any, value: Any) -> Any:
-    if isinstance(value, np.ndarray):
-        return torch.from_numpy(value.copy())
-    if isinstance(value, (list, tuple)):
-        return type(value)(_tensors(torch, each) for each in value)
-    if isinstance(value, dict):
-        return {key: _tensors(torch, each) for key, each in value.items()}
-    return value
+        return {key: _each(inside, change) for key, inside in value.items()}
+    return change(value)
 
 
 def _written(module: Any) -> dict[tuple[str, ...], bool]:
