@@ -16,6 +16,7 @@ from unicon_core.errors import PolicyError, alternatives
 from unicon_core.figures import figure
 from unicon_core.located_yaml import Where
 from unicon_core.policies.facts import TO_GIVE, Facts, dig, dotted, is_open, says, shown
+from unicon_core.policies.importers.training import values_by_pattern
 from unicon_core.robots.robot import plain_name
 from unicon_core.schema.marks import Names, Write
 from unicon_core.schema.read import read_value
@@ -268,11 +269,5 @@ def _by_joint(values: Mapping[str, Any], key: str, joints: list[str]) -> dict[st
     value, moved = dig(values, *key.split(".")), dig(values, "action", "joints")
     if key == "action.scale" and isinstance(moved, list):
         joints = moved
-    if isinstance(value, (int, float)) and not isinstance(value, bool):
-        return dict.fromkeys(joints, float(value))
-    if isinstance(value, (list, tuple)) and len(value) == len(joints):
-        try:
-            return {joint: float(v) for joint, v in zip(joints, value)}
-        except (TypeError, ValueError):
-            return None
-    return None
+    found = values_by_pattern(value, joints)
+    return None if found is None else dict(zip(joints, found))

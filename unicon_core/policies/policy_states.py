@@ -5,17 +5,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import prod
-from typing import Any, Protocol
+from typing import Any
 
 from numpy.typing import NDArray
 
 from unicon_core.policies.contract import PolicyContract
+from unicon_core.policies.motion.follow import MotionTracker
 from unicon_core.policies.networks.chain import chained_outputs
 from unicon_core.policies.observation import Observation
-from unicon_core.policies.phase import COMMAND, SLEWED, CommandSlew
+from unicon_core.policies.phase import COMMAND, SLEWED, CommandSlew, GaitPhase
 from unicon_core.policies.prefixed import PackedStates, PrefixedStates
 from unicon_core.states import States, StateSpec, standard_states
 
@@ -124,16 +125,6 @@ def _own_states(contract: PolicyContract) -> dict[str, StateSpec]:
     return {**states, **_motion_states(contract)}
 
 
-class Part(Protocol):
-    """What runs before the network: the slew of the command, the gait clock, the motion."""
-
-    @property
-    def reads(self) -> Sequence[str]: ...
-    @property
-    def writes(self) -> Sequence[str]: ...
-    def __call__(self) -> object: ...
-
-
 def own_states(
     contract: PolicyContract, states: PackedStates, prefix: str
 ) -> tuple[PackedStates, CommandSlew | None]:
@@ -150,19 +141,6 @@ def own_states(
     return PrefixedStates(states, prefix, {COMMAND: SLEWED}), slew
 
 
-def in_order(*parts: Part | None) -> Callable[[], object] | None:
-    """Return what calls those that are there one after the other; None where none is."""
-    there = [part for part in parts if part is not None]
-    if len(there) < 2:
-        return there[0] if there else None
-
-    def all_of_them() -> None:
-        for part in there:
-            part()
-
-    return all_of_them
-
-
 def fed_back(contract: PolicyContract, states: PackedStates) -> list[NDArray[Any]]:
     """Return the outputs that a policy sees in its next tick: its action, and states it reads."""
     read = {*contract.inputs, *(term.state for term in contract.terms)}
@@ -173,7 +151,8 @@ def fed_back(contract: PolicyContract, states: PackedStates) -> list[NDArray[Any
 def reads_writes(
     contract: PolicyContract,
     states: PackedStates,
-    parts: Sequence[Part | None],
+    before: Sequence[CommandSlew | GaitPhase],
+    tracker: MotionTracker | None,
     targets: Sequence[str],
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return names as they are declared: what the policy takes from others, and what it writes.
@@ -181,17 +160,17 @@ def reads_writes(
     Args:
         contract: the policy.
         states: as the policy sees them.
-        parts: what runs before the network; last what follows a motion, or None.
+        before: what runs before the network.
+        tracker: what follows a motion, or None.
         targets: command states that are written.
     """
-    there = [part for part in parts if part is not None]
-    *before, follows = parts
-    own = [name for name in ("observation", "action") if name in states]
-    own += [name for part in before if part is not None for name in part.writes]
-    own += [name for name in contract.outputs if name in states and name != "action"]
-    own += ["motion_command"] if "motion_command" in states else []
-    own += follows.writes if follows is not None else ()
-    read = [name for part in there for name in part.reads if not isinstance(part, CommandSlew)]
+    own = ["observation", "action"]
+    own += [name for part in before for name in part.writes]
+    own += [*contract.outputs, "motion_command"]
+    read = [name for part in before for name in part.reads]
+    if tracker is not None:
+        own += tracker.writes
+        read += tracker.reads
     read += [term.state for term in contract.terms if "observation" in contract.inputs]
     read += [name for name in contract.inputs if name != "observation" and name in states]
     read += ["joint_pos"] if contract.action.kinds else []
@@ -199,6 +178,7 @@ def reads_writes(
     def actual(name: str) -> str:
         return states.actual(name) if isinstance(states, PrefixedStates) else name
 
-    writes = tuple(dict.fromkeys([*map(actual, own), *targets]))
+    own = [actual(name) for name in own if name in states]
+    writes = tuple(dict.fromkeys([*own, *targets]))
     reads = [*map(actual, read), *([COMMAND] if contract.command is not None else [])]
     return tuple(name for name in dict.fromkeys(reads) if name not in writes), writes

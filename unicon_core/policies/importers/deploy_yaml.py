@@ -90,9 +90,7 @@ class _Deploy(SourceReader):
             size, joints = len(ids), self.facts.values.get("joints")
             if joints is not None and ids != list(range(self.count)):
                 self.say("action.joints", [joints[i] for i in ids], f"{where}.joint_ids")
-        scale, offset = (
-            self.vector(f"{where}.{key}", size, f"{size} joints") for key in ("scale", "offset")
-        )
+        scale, offset = (self.spread(f"{where}.{key}", size) for key in ("scale", "offset"))
         self.say("action.scale", scale, f"{where}.scale")
         self.say("action.offset", offset, f"{where}.offset")
         if action.get("clip") is not None:
@@ -107,6 +105,15 @@ class _Deploy(SourceReader):
             ]
             self.say("action.clip", [list(side) for side in zip(*bounds)], clip)
         self.say("action.feedback", "raw", where)
+
+    def spread(self, key: str, size: int) -> list[float]:
+        values = self.floats(key)
+        if len(values) not in (1, size):
+            word = key.rpartition(".")[2]
+            raise self.wrong(
+                key, f"{word} has {len(values)} values for {size} joints; give one for each"
+            )
+        return values * (size // len(values))
 
     def observation(self) -> None:
         where: Where = ("observations",)

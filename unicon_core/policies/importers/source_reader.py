@@ -165,7 +165,7 @@ class SourceReader:
             PolicyError: they are missing, no numbers, or of another count.
         """
         values = self.floats(key)
-        if len(values) == 1:
+        if not isinstance(self.need(key), list):
             return values * count
         if len(values) != count:
             raise self.wrong(key, f"{key} has {len(values)} values for {of}; give {count}")

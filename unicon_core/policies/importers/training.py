@@ -152,7 +152,7 @@ def values_by_pattern(
     """
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         return [float(value)] * len(joints)
-    if isinstance(value, list) and len(value) == len(joints):
+    if isinstance(value, (list, tuple)) and len(value) == len(joints):
         numbers = [float(v) for v in value if isinstance(v, (int, float))]
         return numbers if len(numbers) == len(joints) else None
     if not isinstance(value, Mapping):

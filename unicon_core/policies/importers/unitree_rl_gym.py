@@ -11,15 +11,24 @@ first counts the joints as its model has them (`qpos[7:]`); the second names mot
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
-from unicon_core.policies.facts import Facts
+from unicon_core.policies.facts import Facts, term_state
 from unicon_core.policies.importers.source_reader import Source, SourceReader
 
 _PERIOD = 0.8  # of the clock in [s]; it stands in both programs
 _ROOT = "{LEGGED_GYM_ROOT_DIR}/"
 _LEGS, _REST = "leg_joint2motor_idx", "arm_waist_joint2motor_idx"
 _GAINS = {"stiffness": "kps", "damping": "kds", "default_joint_pos": "default_angles"}
+_SCALES = {
+    "ang_vel": "ang_vel_scale",
+    "gravity": "",
+    "command": "cmd_scale",
+    "joint_pos": "dof_pos_scale",
+    "joint_vel": "dof_vel_scale",
+    "last_action": "",
+    "phase": "",
+}
+"""Term to the key of its scale, in the order of the programs."""
 _HELD = {"kps": "arm_waist_kps", "kds": "arm_waist_kds", "default_angles": "arm_waist_target"}
 
 
@@ -108,23 +117,15 @@ def _common(reader: SourceReader, count: int) -> None:
     if not reader.is_laid_out("num_obs", 11 + 3 * count, count, programs):
         return
     own = {"index": list(range(count))} if "joints" in facts.values["action"] else {}
-    terms: list[dict[str, Any]] = [
-        {"name": "ang_vel", "state": "base_ang_vel", "scale": "ang_vel_scale"},
-        {"name": "gravity", "state": "projected_gravity"},
-        {"name": "command", "state": "velocity_command", "scale": "cmd_scale"},
-        {"name": "joint_pos", "state": "joint_pos", "subtract": "default_joint_pos",
-         "scale": "dof_pos_scale", **own},
-        {"name": "joint_vel", "state": "joint_vel", "scale": "dof_vel_scale", **own},
-        {"name": "last_action", "state": "action"},
-        {"name": "phase", "state": "gait_phase"},
-    ]  # fmt: skip
-    for i, term in enumerate(terms):
-        key = term.get("scale")
+    terms = []
+    for i, (name, key) in enumerate(_SCALES.items()):
+        term = {"name": name, **(term_state(name) or {"state": "gait_phase"})}
         if key == "cmd_scale":
             term["scale"] = reader.vector(key, 3, "vx, vy and wz")
         else:
-            term["scale"] = 1.0 if key is None else reader.number(key)
-        line = reader.line(str(key))
+            term["scale"] = reader.number(key) if key else 1.0
+        terms.append(term | own if name.startswith("joint_") else term)
+        line = reader.line(key)
         if line is not None:
             facts.lines[("observation", "terms", i)] = line
     facts.say("observation.terms", terms, "its deploy program")

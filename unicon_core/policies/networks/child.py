@@ -91,11 +91,17 @@ class ChildNetwork:
             self._channel.close()
 
 
-def _specs(arrays: Arrays, prefix: str) -> dict[str, StateSpec]:
-    return {
-        f"{prefix}{i}": StateSpec(array.shape, array.dtype.name)
-        for i, array in enumerate(arrays.values())
-    }
+def _layouts(inputs: Arrays, outputs: Arrays) -> tuple[Layout, Layout]:
+    """Return the layouts of a question and of its answer."""
+    questions, answers = (
+        {"number": StateSpec((), "int64")}
+        | {
+            f"{prefix}{i}": StateSpec(array.shape, array.dtype.name)
+            for i, array in enumerate(arrays.values())
+        }
+        for prefix, arrays in (("x", inputs), ("y", outputs))
+    )
+    return Layout(questions | {"fresh": StateSpec((), "int32")}, None), Layout(answers, None)
 
 
 class _Channel:
@@ -109,18 +115,15 @@ class _Channel:
     ) -> None:
         self.network = network
         self._names = (tuple(inputs), tuple(outputs))
-        number, fresh = StateSpec((), "int64"), StateSpec((), "int32")
-        self.questions = States(
-            Layout({"number": number, "fresh": fresh, **_specs(inputs, "x")}, None)
-        )
-        self.answers = States(Layout({"number": number, **_specs(outputs, "y")}, None))
+        self._layouts = _layouts(inputs, outputs)
+        self.questions, self.answers = map(States, self._layouts)
         name = f"policy-{os.getpid()}-{id(self) & 0xFFFF:x}"
         self._child_segment = f"{name}-child"
         self._segment = Segment.create(name, {QUESTION: self.questions.layout})
         self._reader: ShmReader | None = None
         try:
             self.writer = ShmWriter(self._segment, QUESTION, self.questions)
-            layouts = self.questions.layout.to_json(), self.answers.layout.to_json()
+            layouts = (layout.to_json() for layout in self._layouts)
             network.pipe.tell("bind", name, self._child_segment, *map(list, self._names), *layouts)
             network.pipe.answer(START, SIGNALS.check)
             self._reader = ShmReader(self._child_segment, ANSWER, self.answers)
@@ -138,13 +141,8 @@ class _Channel:
 
     def question(self, inputs: Arrays, outputs: Arrays) -> Question:
         """Return what asks about some arrays."""
-        asked = self.questions.layout, self.answers.layout
         same = (tuple(inputs), tuple(outputs)) == self._names
-        if not same or any(
-            layout.specs[name] != spec
-            for layout, arrays, prefix in zip(asked, (inputs, outputs), "xy")
-            for name, spec in _specs(arrays, prefix).items()
-        ):
+        if not same or _layouts(inputs, outputs) != self._layouts:
             raise PolicyError(
                 f"{self.network.what}: its network in a child is bound to other sizes already; "
                 "leave out child"

@@ -56,9 +56,9 @@ class TorchNetwork:
                     f"{one_line(error)[:200]}"
                 ) from error
         self._memory = TorchMemory(torch, self._module)
-        self.inputs = tuple(Tensor(name, "float32", ("", "")) for name in contract.inputs.values())
-        self.outputs = tuple(
-            Tensor(name, "float32", ("", "")) for name in contract.outputs.values()
+        self.inputs, self.outputs = (
+            tuple(Tensor(name, "float32", ("", "")) for name in names.values())
+            for names in (contract.inputs, contract.outputs)
         )
 
     def bind(self, inputs: Arrays, outputs: Arrays) -> Callable[[], None]:
