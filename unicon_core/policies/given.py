@@ -15,7 +15,7 @@ import numpy as np
 from unicon_core.errors import PolicyError, alternatives
 from unicon_core.figures import figure
 from unicon_core.located_yaml import Where
-from unicon_core.policies.facts import TO_GIVE, Facts, dig, dotted, is_open, says, shown
+from unicon_core.policies.facts import TO_GIVE, Facts, dig, dotted, is_open, says, shown, value_of
 from unicon_core.policies.importers.training import values_by_pattern
 from unicon_core.robots.robot import plain_name
 from unicon_core.schema.marks import Names, Write
@@ -97,8 +97,8 @@ def merge_given(facts: Facts, given: Mapping[str, Any]) -> None:
 
 
 def _answered(name: str, given: Mapping[str, Any], values: Mapping[str, Any]) -> bool:
-    said = [dig(tree, *name.split(".")) for tree in (given, values)]
-    if any(value is not None and not is_open(value) for value in said):
+    both = (value_of(given, name), value_of(values, name))
+    if any(value is not None and not is_open(value) for value in both):
         return True
     listed = dig(values, "observation", "terms")
     terms = listed if isinstance(listed, list) else []
@@ -266,7 +266,7 @@ def check_agreement(facts: Facts, other: Facts, given: Mapping[str, Any]) -> Non
 
 
 def _by_joint(values: Mapping[str, Any], key: str, joints: list[str]) -> dict[str, float] | None:
-    value, moved = dig(values, *key.split(".")), dig(values, "action", "joints")
+    value, moved = value_of(values, key), value_of(values, "action.joints")
     if key == "action.scale" and isinstance(moved, list):
         joints = moved
     found = values_by_pattern(value, joints)

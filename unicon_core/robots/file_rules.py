@@ -23,13 +23,11 @@ def note_joints_once(document: Mapping[str, Any], here: Here) -> None:
     seen: dict[str, int] = {}
     for i, joint in enumerate(joints if isinstance(joints, list) else ()):
         name = joint.get("name") if isinstance(joint, dict) else None
-        if isinstance(name, str) and name in seen:
+        if isinstance(name, str) and seen.setdefault(name, i) != i:
             here.note(
                 f"joint {name!r} stands twice, as number {seen[name]} and {i}; name each once",
                 *("joints", i, "name"),
             )
-        if isinstance(name, str):
-            seen.setdefault(name, i)
 
 
 def note_contacts(kind: str, document: Mapping[str, Any], here: Here) -> None:

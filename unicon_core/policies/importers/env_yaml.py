@@ -215,7 +215,7 @@ def _observation(
     said: Mapping[str, Mapping[str, Any]],
     joints: list[str] | None,
 ) -> None:
-    shared = dig(located.value, *map(str, where), "history_length")
+    shared = dig(located.value, *where, "history_length")
     terms: list[dict[str, Any]] = []
     for key, value in said.items():
         function = _function(value)

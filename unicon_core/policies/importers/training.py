@@ -14,7 +14,7 @@ from typing import Any
 
 from unicon_core.errors import alternatives
 from unicon_core.located_yaml import Tagged
-from unicon_core.policies.facts import Facts, dig
+from unicon_core.policies.facts import Facts, value_of
 
 # A command's name in legged_gym and holosoma -> its name in a contract.
 RENAMED_RANGES = {"ang_vel_yaw": "ang_vel_z"}
@@ -30,14 +30,14 @@ def say_period(facts: Facts, document: Any, step: str, decimation: str) -> None:
         step: where the time of a step in [s] stands.
         decimation: where the steps for one action stand.
     """
-    dt, steps = (dig(document, *key.split(".")) for key in (step, decimation))
+    dt, steps = value_of(document, step), value_of(document, decimation)
     if isinstance(dt, (int, float)) and isinstance(steps, int):
         facts.say("period", dt * steps, f"{step} · {decimation}")
 
 
 def say_ranges(facts: Facts, document: Any, key: str) -> None:
     """Note the command's ranges that stand under a key, if any do."""
-    ranges = command_ranges(dig(document, *key.split(".")))
+    ranges = command_ranges(value_of(document, key))
     if ranges:
         facts.say("command_ranges", ranges)
 
