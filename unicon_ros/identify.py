@@ -17,7 +17,7 @@ from unicon_core.identify import Fit, Motion, fit, overlay_text
 from unicon_core.platforms.kit.beside import PLACE
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.robots import Robot, load_robot, robot_names
-from unicon_core.robots.joint_physics import JOINT_PHYSICS
+from unicon_core.robots.poses import JOINT_PHYSICS
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_ros.recording import Record
 from unicon_ros.replay.workflow import recorded_workflow, robot_of

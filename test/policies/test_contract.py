@@ -222,7 +222,7 @@ ANGLE = "a number from -12.5664 to 12.5664 [rad] (are these degrees?)"
         (
             "onnx: policy.onnx",
             "onnx: policy.onnx\nsha256: abc",
-            ":4: sha256 is 'abc'; write the 64 digits of 'sha256sum'",
+            ":4: sha256 is 'abc'; write the 64 digits of 'sha256sum', or null",
         ),
         (
             "damping: 1.0",

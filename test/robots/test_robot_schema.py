@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from unicon_core.robots.file import SCHEMA, Overlay, RobotFile
-from unicon_core.schema.json_schema import json_schema
+from unicon_core.schema.read import json_schema
 
 HERE = Path(__file__).parent
 ROBOTS = HERE.parents[1] / "config" / "robots"

@@ -12,9 +12,8 @@ import pytest
 
 from unicon_core.errors import UniconError
 from unicon_core.located_yaml import parse_yaml
-from unicon_core.schema.json_schema import json_schema
 from unicon_core.schema.marks import Key, Like, NotAKey, Point, Quat, Size, Text, Unit, Within
-from unicon_core.schema.read import check_made, read, read_value
+from unicon_core.schema.read import check_made, json_schema, read, read_value
 from unicon_core.schema.records import option_type
 from unicon_core.schema.types import Here
 

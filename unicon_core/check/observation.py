@@ -13,7 +13,7 @@ from unicon_core.check.subject import Subject
 from unicon_core.figures import figure, span
 from unicon_core.platforms.platform import info_of
 from unicon_core.policies import PolicyContract, TermSlice, term_slices
-from unicon_core.policies.feeds import Feed
+from unicon_core.policies.hints import Feed
 from unicon_core.policies.networks.onnx_file import read_onnx
 from unicon_core.policies.table import input_places
 from unicon_core.states.standard import ESTIMATORS

@@ -22,8 +22,7 @@ from unicon_core.identify.replays import Joints, Replays
 from unicon_core.models.load import load_model
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.robots import Robot
-from unicon_core.robots.joint_physics import JOINT_PHYSICS, joint_physics
-from unicon_core.robots.poses import joints_like
+from unicon_core.robots.poses import JOINT_PHYSICS, joint_physics, joints_like
 
 Float = NDArray[np.float64]
 

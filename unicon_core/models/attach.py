@@ -9,7 +9,7 @@ import numpy as np
 
 from unicon_core.errors import ModelError, alternatives
 from unicon_core.robots import Robot
-from unicon_core.robots.joint_index import plain_name
+from unicon_core.robots.robot import plain_name
 
 _ROTOR = 0.01
 """[kg·m²]; 0.01 s of the servo's 1 N·m·s/rad: it does not show in how a hand moves."""

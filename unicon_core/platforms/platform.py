@@ -47,7 +47,7 @@ class Facts:
         batch: takes states of several robots.
         reads: states that `send` reads.
         writes: states that `recv` writes; what is not named here is not there for policies.
-        physics: what it can be told of joints, of `robots/joint_physics.py`, of bodies, of
+        physics: what it can be told of joints, of `robots/poses.py`, of bodies, of
             `kit/bodies.py`, and `terrain`.
         protocols: of robot files (`transport.protocol`), those that it speaks; empty for any.
         notes: what could not be looked at, one line each.

@@ -6,15 +6,13 @@ from collections.abc import Callable
 from contextlib import suppress
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_core.errors import PolicyError, RobotError, alternatives
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.controller import ControllerContract
 from unicon_core.policies.filters import Filter, make_filter
+from unicon_core.policies.hints import Floats
 from unicon_core.robots import Robot, joint_index
-
-Floats = NDArray[np.float32]
 
 
 def lacking_joints(contract: ControllerContract, robot: Robot) -> str:

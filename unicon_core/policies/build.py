@@ -18,8 +18,7 @@ from unicon_core.policies.contract import (
     PolicyFacts,
 )
 from unicon_core.policies.facts import Facts, dig, is_open, missing_facts
-from unicon_core.policies.file import ActionFile, PolicyFile
-from unicon_core.policies.file_rules import is_single, kinds_of
+from unicon_core.policies.file import ActionFile, PolicyFile, is_single, kinds_of
 from unicon_core.policies.hints import Floats
 from unicon_core.policies.motion.spec import with_clip
 from unicon_core.resources import file_beside

@@ -167,8 +167,8 @@ class ChildPolicy(Policy):
     def _observe(self) -> bool:
         """Look at the robot, and hand that over where the network is free."""
         lane = self.lane
-        if self._before is not None:
-            self._before()
+        for part in self._before:
+            part()
         if self.tracker is not None:
             self.tracker()
         lane.assemble()

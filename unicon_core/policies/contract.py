@@ -13,20 +13,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.bounds import DAMPING, SCALE, STIFFNESS
-from unicon_core.policies.feeds import Feeds
+from unicon_core.bounds import SCALE, Damping, Stiffness
 from unicon_core.policies.hints import (
     LONGEST_FILTER,
     MOST_FRAMES,
     Alpha,
     Angle,
     Clip,
+    Feeds,
     Floats,
     Offsets,
     Period,
@@ -55,6 +54,7 @@ from unicon_core.schema.marks import (
 from unicon_core.schema.types import Here
 
 ActionKind: TypeAlias = Literal["position", "velocity", "torque"]
+TORCHSCRIPT = (".pt", ".pth", ".jit")
 _TWO_LEGS = rounded([0.0, np.pi])
 _STILL = rounded_one(0.01)
 
@@ -300,20 +300,20 @@ class PolicyFacts:
     joints: Annotated[Names, Write("a list of joint names")]
     default_joint_pos: Annotated[Floats, each(Angle)]
     action: Any
-    stiffness: Annotated[Floats, each(Annotated[float, Unit("N·m/rad"), Within(0.0, STIFFNESS)])]
-    damping: Annotated[Floats, each(Annotated[float, Unit("N·m·s/rad"), Within(0.0, DAMPING)])]
+    stiffness: Annotated[Floats, each(Stiffness)]
+    damping: Annotated[Floats, each(Damping)]
     observation: ObservationSpec = field(default_factory=ObservationSpec)
-    inputs: Mapping[str, Tensor] = field(default_factory=lambda: MappingProxyType({}))
-    outputs: Mapping[str, Tensor] = field(default_factory=lambda: MappingProxyType({}))
+    inputs: Mapping[str, Tensor] = field(default_factory=dict)
+    outputs: Mapping[str, Tensor] = field(default_factory=dict)
     recurrent: Annotated[tuple[Recurrent, ...], Made(listed, Recurrent | list[Recurrent])] = ()
-    command_ranges: Ranges = field(default_factory=lambda: MappingProxyType({}))
+    command_ranges: Ranges = field(default_factory=dict)
     phase: PhaseSpec | None = None
     command: CommandSpec | None = None
     motion: MotionSpec | None = None
     robot: str | None = None
     sha256: Sha256 | None = None
     provider: Literal["cpu", "cuda", "tensorrt"] = "cpu"
-    feeds: Feeds = field(default_factory=lambda: MappingProxyType({}))
+    feeds: Feeds = field(default_factory=dict)
 
     @property
     def terms(self) -> tuple[ObservationTerm, ...]:
@@ -347,4 +347,4 @@ class PolicyContract(PolicyFacts):
     @property
     def is_torchscript(self) -> bool:
         """Whether the network is a TorchScript file."""
-        return self.model.suffix in (".pt", ".pth", ".jit")
+        return self.model.suffix in TORCHSCRIPT

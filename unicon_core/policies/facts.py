@@ -102,6 +102,25 @@ class Facts:
     by_pattern: bool = False
     offer: str = ""
 
+    def say(self, fact: str, value: Any, word: str = "", line: int | None = None) -> None:
+        """Note what the source says.
+
+        Args:
+            fact: dotted name, such as `action.scale`.
+            value: of it.
+            word: the source's own word for it.
+            line: of it in `path`.
+        """
+        where = tuple(fact.split("."))
+        place = self.values
+        for key in where[:-1]:
+            place = place.setdefault(key, {})
+        place[where[-1]] = value
+        if word:
+            self.keys[where] = word
+        if line is not None:
+            self.lines[where] = line
+
     def beside(self, named: str) -> Path:
         """Return the file that a workflow names, which may be any: relative ones beside the source.
 
@@ -163,13 +182,13 @@ def dotted(where: Where) -> str:
 def missing_facts(facts: Facts) -> dict[str, str]:
     """Return the facts that are needed and not known: dotted name -> what it is."""
     values, place = facts.values, "observation.terms"
-    missing = {name: what for name, what in _NEEDED.items() if _said(values, name) is None}
+    missing = {name: what for name, what in _NEEDED.items() if value_of(values, name) is None}
     for name in _BY_JOINTS:
         if left := open_joints(facts, name):
             missing[name] = f"{_NEEDED[name]}; {TO_GIVE} stands for {', '.join(left)}"
     if facts.by_pattern and "joints" in missing:  # by which the source says these
         missing = {name: what for name, what in missing.items() if name not in _BY_JOINTS}
-    terms, inputs = _said(values, place), values.get("inputs")
+    terms, inputs = value_of(values, place), values.get("inputs")
     if terms == []:
         missing[place] = _NEEDED[place]
     if isinstance(inputs, Mapping) and "observation" not in inputs:
@@ -185,7 +204,7 @@ def missing_facts(facts: Facts) -> dict[str, str]:
 
 def open_joints(facts: Facts, name: str) -> list[str]:
     """Return the joints for which a list of the facts has `?`."""
-    values, joints = _said(facts.values, name), facts.values.get("joints")
+    values, joints = value_of(facts.values, name), facts.values.get("joints")
     if not isinstance(values, list) or not isinstance(joints, list) or len(values) != len(joints):
         return []
     return [str(joint) for joint, value in zip(joints, values) if is_open(value)]
@@ -225,10 +244,11 @@ def says(given: Mapping[str, Any], fact: str) -> bool:
             isinstance(term, Mapping) and word in term
             for term in (listed if isinstance(listed, (list, tuple)) else [None])
         )
-    return _said(given, fact) is not None
+    return value_of(given, fact) is not None
 
 
-def _said(values: Any, name: str) -> Any:
+def value_of(values: Any, name: str) -> Any:
+    """Return what stands under a dotted name, None where nothing does."""
     return dig(values, *name.split("."))
 
 

@@ -15,20 +15,22 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, TypeAlias
 from urllib.parse import unquote, urlsplit
 
 import yaml
 
-from unicon_core.errors import MissingDependencyError, PolicyError, alternatives
+from unicon_core.errors import MissingDependencyError, PolicyError, alternatives, one_line
 from unicon_core.located_yaml import read_yaml
+from unicon_core.policies.contract import TORCHSCRIPT
 from unicon_core.policies.load import ImportReport, import_policy, refuse_to_replace
 from unicon_core.resources import sha256_of
 from unicon_core.robots import Robot
 
-NETWORKS = (".onnx", ".pt", ".pth", ".jit")
+NETWORKS = (".onnx", *TORCHSCRIPT)
 KINDS = (*NETWORKS, ".data", ".yaml", ".yml", ".npz", ".csv")
 """Endings of files that a policy is made of; no others are fetched."""
 
@@ -52,12 +54,8 @@ class FetchReport:
         return "\n".join([f"fetched {self.source}", *digests, str(self.report)])
 
 
-@dataclass(frozen=True)
-class _Fetched:
-    """Where a policy lies by now, and what exactly it is."""
-
-    path: Path
-    source: str
+_Fetched: TypeAlias = tuple[Path, str]
+"""Where a policy lies by now, and what exactly it is."""
 
 
 def fetch_policy(
@@ -96,13 +94,13 @@ def fetch_policy(
     except OSError as error:
         raise PolicyError(f"{out}: cannot write there: {error.strerror}") from error
     with folder as name:
-        fetched = get(Path(name) / "fetched")
+        path, source = get(Path(name) / "fetched")
         new = Path(name) / "new"
-        report = import_policy(fetched.path, new, robot=robot, given=given)
+        report = import_policy(path, new, robot=robot, given=given)
         digests = _digests(new, url, sha256)
-        _note(new / "policy.yaml", fetched.source)
+        _note(new / "policy.yaml", source)
         _put(new, out, Path(name) / "old")
-    return FetchReport(fetched.source, digests, replace(report, path=out / report.path.name))
+    return FetchReport(source, digests, replace(report, path=out / report.path.name))
 
 
 def _digests(folder: Path, url: str, wanted: str | None) -> dict[str, str]:
@@ -180,16 +178,20 @@ def _file(url: str) -> _Fetched:
     path = Path(unquote(split.path))
     if not path.exists():
         raise PolicyError(f"policies fetch {url!r}: no such file or folder {path}")
-    return _Fetched(path, path.resolve().as_uri())
+    return path, path.resolve().as_uri()
+
+
+def _library(name: str, url: str) -> Any:
+    try:
+        return import_module(name)
+    except ImportError as error:
+        raise MissingDependencyError(
+            f"policies fetch {url}", name, f"pip install {name}"
+        ) from error
 
 
 def _hugging_face(url: str, into: Path, repo: str, revision: str | None, path: str) -> _Fetched:
-    try:
-        import huggingface_hub
-    except ImportError as error:
-        raise MissingDependencyError(
-            f"policies fetch {url}", "huggingface_hub", "pip install huggingface_hub"
-        ) from error
+    huggingface_hub = _library("huggingface_hub", url)
     with _told(url, "huggingface_hub"):
         info = huggingface_hub.HfApi().model_info(repo, revision=revision)
         there = [str(file.rfilename) for file in info.siblings or ()]
@@ -202,20 +204,15 @@ def _hugging_face(url: str, into: Path, repo: str, revision: str | None, path: s
             local_dir=folder,
             allow_patterns=[glob.escape(name) for name in names],
         )
-    return _Fetched(folder / path, f"hf://{repo}@{info.sha}{path and f'/{path}'}")
+    return folder / path, f"hf://{repo}@{info.sha}{path and f'/{path}'}"
 
 
 def _wandb(url: str, into: Path, place: str, path: str) -> _Fetched:
-    try:
-        import wandb
-    except ImportError as error:
-        raise MissingDependencyError(
-            f"policies fetch {url}", "wandb", "pip install wandb"
-        ) from error
+    wandb = _library("wandb", url)
     last = place.rpartition("/")[2]
     folder = into / last.partition(":")[0]
     with _told(url, "wandb"):
-        api: Any = wandb.Api()
+        api = wandb.Api()
         if ":" in last:
             artifact = api.artifact(place)
             files = {str(file.name): file for file in artifact.files()}
@@ -225,7 +222,7 @@ def _wandb(url: str, into: Path, place: str, path: str) -> _Fetched:
     for name in _wanted(url, files, path):
         with _told(url, "wandb"):
             files[name].download(root=str(folder), replace=True)
-    return _Fetched(folder / path, f"wandb://{place}{path and f'/{path}'}")
+    return folder / path, f"wandb://{place}{path and f'/{path}'}"
 
 
 def _wanted(url: str, there: Iterable[str], path: str) -> list[str]:
@@ -264,5 +261,5 @@ def _told(url: str, library: str) -> Iterator[None]:
     try:
         yield
     except Exception as error:
-        text = " ".join(str(error).split())[:300] or type(error).__name__
+        text = one_line(error)[:300]
         raise PolicyError(f"{url}: {library} cannot get it: {text}") from error

@@ -3,37 +3,20 @@
     y = α · x + (1 − α) · y_before            α = 1 − exp(−2π · f · T) for a cut-off f, period T
     y = (x + x_before + …) / n                summed from the oldest to the newest sample
 
-Each has two halves: calling it filters a sample, as often as one likes (a warm-up does); `advance`
-goes on to the next tick. All is float32.
+Each has two halves: calling it filters a sample in place, as often as one likes (a warm-up does);
+`advance` keeps the sample of the last call and goes on to the next tick; `reset` forgets all
+samples. All is float32.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Protocol
+from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_core.policies.contract import FilterSpec
-
-Floats = NDArray[np.float32]
-
-
-class Filter(Protocol):
-    """A filter of samples of one shape."""
-
-    def __call__(self, sample: Floats) -> None:
-        """Filter a sample in place."""
-        ...
-
-    def advance(self) -> None:
-        """Keep the sample of the last call: the next one is of the next tick."""
-        ...
-
-    def reset(self) -> None:
-        """Forget all samples."""
-        ...
+from unicon_core.policies.hints import Floats
 
 
 def make_filter(spec: FilterSpec, shape: tuple[int, ...], period: float) -> Filter:
@@ -109,3 +92,7 @@ class _Mean:
 
     def reset(self) -> None:
         self._fresh = True
+
+
+Filter: TypeAlias = _LowPass | _Mean
+"""A filter of samples of one shape."""

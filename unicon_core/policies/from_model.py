@@ -98,7 +98,6 @@ class FromModel:
     Attributes:
         given: what is given, without `{from: model}` once `joints` and `others` were called.
         notes: what was taken from where.
-        taken: fact to where it was taken from.
     """
 
     def __init__(
@@ -111,7 +110,6 @@ class FromModel:
         self._source, self._robot, self._find = source, robot, find
         self.given = dict(given)
         self.notes: list[str] = []
-        self.taken: dict[str, str] = {}
         self._asked: dict[str, Any] = {}
         for key, value in given.items():
             if isinstance(value, Mapping) and "from" in value:
@@ -189,7 +187,6 @@ class FromModel:
 
     def _take(self, key: str, value: list[Any], where: str) -> None:
         self.given[key] = value
-        self.taken[key] = where
         shown = value if key == "joints" else list(map(figure, value))
         self.notes.append(f"{key} is taken from the {where}: {', '.join(shown)}")
 

@@ -1,4 +1,8 @@
-"""What a user gives beside a source, merged into its facts: for importers and `load_policy`."""
+"""What a user gives beside a source, merged into its facts: for importers and `load_policy`.
+
+Two sources of one policy, its file and the network's metadata, have to say the same: policy and
+configuration must not drift apart.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +13,11 @@ from typing import Annotated, Any
 import numpy as np
 
 from unicon_core.errors import PolicyError, alternatives
+from unicon_core.figures import figure
 from unicon_core.located_yaml import Where
-from unicon_core.policies.facts import TO_GIVE, Facts, dig, dotted, is_open, shown
+from unicon_core.policies.facts import TO_GIVE, Facts, dig, dotted, is_open, says, shown, value_of
+from unicon_core.policies.importers.training import values_by_pattern
+from unicon_core.robots.robot import plain_name
 from unicon_core.schema.marks import Names, Write
 from unicon_core.schema.read import read_value
 
@@ -90,8 +97,8 @@ def merge_given(facts: Facts, given: Mapping[str, Any]) -> None:
 
 
 def _answered(name: str, given: Mapping[str, Any], values: Mapping[str, Any]) -> bool:
-    said = [dig(tree, *name.split(".")) for tree in (given, values)]
-    if any(value is not None and not is_open(value) for value in said):
+    both = (value_of(given, name), value_of(values, name))
+    if any(value is not None and not is_open(value) for value in both):
         return True
     listed = dig(values, "observation", "terms")
     terms = listed if isinstance(listed, list) else []
@@ -208,3 +215,59 @@ def _same(known: Any, value: Any, tolerance: tuple[float, float]) -> bool:
     if a.shape != b.shape and 1 not in (a.size, b.size):
         return False
     return bool(np.allclose(a, b, rtol=tolerance[0], atol=tolerance[1]))
+
+
+_VECTORS = ("default_joint_pos", "stiffness", "damping", "action.scale")
+
+
+def check_agreement(facts: Facts, other: Facts, given: Mapping[str, Any]) -> None:
+    """Compare what a file says with the metadata of the network that it names, joint by joint.
+
+    Args:
+        facts: what is going to be used.
+        other: what the network's metadata say.
+        given: what the user says settles it; a note tells the difference.
+
+    Raises:
+        PolicyError: a joint's number differs by more than the rounding of both sources.
+    """
+    joints, names = facts.values.get("joints"), other.values.get("joints")
+    if not isinstance(joints, list) or not isinstance(names, list):
+        return
+    mine_of = {plain_name(str(name)): name for name in joints}  # a robot's names, with _joint
+    names = [mine_of.get(plain_name(str(name)), name) for name in names]
+    unknown = [name for name in joints if name not in names]
+    if unknown:
+        raise facts.error(
+            ("joints",),
+            f"joint {unknown[0]!r} is not in the metadata of {other.path.name}, which has "
+            f"{', '.join(map(str, names))}; contract and network do not belong together",
+        )
+    relative, absolute = map(max, facts.tolerance, other.tolerance)
+    for key in _VECTORS:
+        mine, theirs = _by_joint(facts.values, key, joints), _by_joint(other.values, key, names)
+        if mine is None or theirs is None:
+            continue
+        for joint in joints:
+            a, b = mine.get(joint), theirs.get(joint)
+            if a is None or b is None or np.isclose(a, b, rtol=relative, atol=absolute):
+                continue
+            differs = (
+                f"{key} of {joint} is {figure(a)} here and {figure(b)} in the metadata of "
+                f"{other.path.name}"
+            )
+            if not says(given, key):
+                raise facts.error(
+                    tuple(key.split(".")),
+                    f"{differs}; correct one of them, or export both again",
+                )
+            facts.notes.append(f"{facts.path.name}: {differs}; what is given counts")
+            break
+
+
+def _by_joint(values: Mapping[str, Any], key: str, joints: list[str]) -> dict[str, float] | None:
+    value, moved = value_of(values, key), value_of(values, "action.joints")
+    if key == "action.scale" and isinstance(moved, list):
+        joints = moved
+    found = values_by_pattern(value, joints)
+    return None if found is None else dict(zip(joints, found))

@@ -5,8 +5,10 @@ Numbers become float32 arrays, or what float32 makes of them, as the networks ta
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
-from typing import Annotated, Any
+from dataclasses import dataclass
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +25,6 @@ LARGEST_SLEW = 1000.0
 """Of a command in [1/s] of its unit: what is more jumps within a tick."""
 MOST_FRAMES = 10_000
 """Of a history."""
-LONGEST_MOTION = 86_400.0
-"""In [s]."""
 LONGEST_PERIOD = 1000.0
 """Of a policy and of a gait in [s]."""
 
@@ -113,7 +113,6 @@ Place = Annotated[int, Within(0)]
 Places = Annotated[tuple[int, ...], Made(listed, Place | list[Place])]
 Offsets = Annotated[tuple[float, ...], Made(rounded, float | list[float])]
 Period = Annotated[float, Unit("s"), Within(0.0, LONGEST_PERIOD, above=True)]
-Seconds = Annotated[float, Unit("s"), Within(0.0, LONGEST_MOTION)]
 Stand = Annotated[float, Made(rounded_one, float), Write("a phase in [rad]")]
 Threshold = Annotated[
     float,
@@ -129,4 +128,48 @@ Threshold = Annotated[
 Tensor = Annotated[str, Made(str, str | int), Write("the name of a tensor")]
 Sha256 = Annotated[
     str, Made(str.lower, Annotated[str, Matches("[0-9a-fA-F]{64}", "the 64 digits of 'sha256sum'")])
+]
+
+
+@dataclass(frozen=True)
+class Feed:
+    """What fills a part of a network's input: `source[start:stop]`.
+
+    Attributes:
+        source: `observation`, or `NAME.output` of an earlier network.
+        start, stop: elements; `stop` is None for all.
+    """
+
+    source: str
+    start: int = 0
+    stop: int | None = None
+
+    @classmethod
+    def of(cls, text: str) -> Feed:
+        """Return what a text such as `observation[0:45]` means.
+
+        Raises:
+            PolicyError: it means nothing.
+        """
+        match = re.fullmatch(r"([^\[\]]+)(?:\[(\d{1,6}):(\d{1,6})\])?", text)
+        if match is None:
+            raise PolicyError(f"has {text!r}; write observation, observation[0:45] or NAME.output")
+        source, start, stop = match.groups()
+        if start is None:
+            return cls(source)
+        if int(start) >= int(stop):
+            raise PolicyError(f"has {text!r}, which is empty; the first comes first")
+        return cls(source, int(start), int(stop))
+
+    def __str__(self) -> str:
+        return self.source if self.stop is None else f"{self.source}[{self.start}:{self.stop}]"
+
+
+def _feeds(texts: Any) -> tuple[Feed, ...]:
+    return tuple(map(Feed.of, listed(texts)))
+
+
+_FeedText = Annotated[str, Write("observation, observation[0:45] or NAME.output")]
+Feeds: TypeAlias = Mapping[
+    str, Annotated[tuple[Feed, ...], Made(_feeds, _FeedText | Annotated[list[_FeedText], NotEmpty])]
 ]

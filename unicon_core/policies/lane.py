@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.policies.filters import Filter
+from unicon_core.policies.hints import Floats
 from unicon_core.policies.networks import Remembering
 from unicon_core.policies.observation import Observation, nothing
 
-Published: TypeAlias = tuple[NDArray[np.float32], NDArray[np.float32]]
+Published: TypeAlias = tuple[Floats, Floats]
 
 
 @dataclass
@@ -29,7 +30,7 @@ class Input:
     memory = ("gather",)
 
     gather: Observation | None
-    values: NDArray[np.float32]
+    values: Floats
     cast: NDArray[Any] | None
 
     def __post_init__(self) -> None:
@@ -62,8 +63,8 @@ class Lane:
     memory = ("observation", "action", "inputs", "recurrent", "_remembering", "_smooth", "_steps")
 
     observation: Observation | None
-    obs: NDArray[np.float32]
-    action: NDArray[np.float32]
+    obs: Floats
+    action: Floats
     inputs: list[Input]
     recurrent: list[tuple[NDArray[Any], NDArray[Any]]]
     runs: list[Callable[[], None]]
@@ -164,7 +165,7 @@ def _keep(warm_up: bool = False) -> None:
     """There is nothing to go on with."""
 
 
-def finite_check(array: NDArray[np.float32]) -> Callable[[], bool]:
+def finite_check(array: Floats) -> Callable[[], bool]:
     """Return a function that tells whether a contiguous array holds neither NaN nor infinity."""
     flat = array.reshape(-1)
     dot = flat.dot

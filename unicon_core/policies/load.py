@@ -11,19 +11,18 @@ from typing import Any
 
 from unicon_core.errors import PolicyError, alternatives
 from unicon_core.located_yaml import Where, read_yaml
-from unicon_core.policies.agree import check_agreement
 from unicon_core.policies.build import build_contract
-from unicon_core.policies.contract import PolicyContract
+from unicon_core.policies.contract import TORCHSCRIPT, PolicyContract
 from unicon_core.policies.facts import Facts, missing_facts
 from unicon_core.policies.from_model import FromModel
-from unicon_core.policies.given import merge_given, nested
-from unicon_core.policies.importers.configurations import (
-    configuration_facts,
+from unicon_core.policies.given import check_agreement, merge_given, nested
+from unicon_core.policies.importers.env_yaml import env_yaml_facts, suggest_joints
+from unicon_core.policies.importers.formats import (
+    configuration_reader,
     counts_motors,
-    is_configuration,
+    metadata_reader,
+    settled,
 )
-from unicon_core.policies.importers.env_yaml import is_env_yaml, suggest_joints
-from unicon_core.policies.importers.metadata import has_metadata, metadata_facts, settled
 from unicon_core.policies.importers.source_reader import Source
 from unicon_core.policies.motion.spec import given_clip
 from unicon_core.policies.networks.onnx_file import OnnxFile, read_onnx
@@ -32,8 +31,7 @@ from unicon_core.policies.policy_yaml import (
     write_partial_yaml,
     write_policy_yaml,
 )
-from unicon_core.policies.registered import registered_policy
-from unicon_core.registered import registered
+from unicon_core.registered import path_of, registered
 from unicon_core.resources import (
     config_roots,
     find_resource,
@@ -44,7 +42,6 @@ from unicon_core.resources import (
 )
 from unicon_core.robots import Robot, load_robot
 
-_TORCHSCRIPT = (".pt", ".pth", ".jit")
 # Files that carry no name of their own: the policy is called after the folder.
 _PLAIN_STEMS = ("policy", "deploy", "env", "model", "config")
 _PLAIN_FOLDERS = re.compile(r"params|exported|config|[\d_.T:-]{8,}")  # or a date
@@ -169,8 +166,8 @@ def _locate(reference: str | Path) -> Path:
     elif "/" not in text and (named := _config_policy(text)) is not None:
         path = named
     elif text in registered("policies"):
-        path = registered_policy(text)
-    elif "/" in text or Path(text).suffix in (".yaml", ".onnx", *_TORCHSCRIPT):
+        path = _registered(text)
+    elif "/" in text or Path(text).suffix in (".yaml", ".onnx", *TORCHSCRIPT):
         path = find_resource(text, "policy", error=PolicyError)
     else:
         known = alternatives(text, policy_names())
@@ -197,21 +194,36 @@ def _locate(reference: str | Path) -> Path:
     return main
 
 
+def _registered(name: str) -> Path:
+    """Return the folder or file of a policy that a package registers, group `unicon.policies`.
+
+    The entry point's value is a module attribute: a path (text or `Path`), or a function without
+    parameters that returns one. It is imported when the policy is asked for.
+    """
+    entry = registered("policies")[name]
+    path = path_of(entry, f"policy {name!r}", PolicyError)
+    if path is None:
+        raise PolicyError(f"policy {name!r} (entry point {entry.value}) returned no path")
+    return path
+
+
 def _main_file(folder: Path) -> Path | None:
-    for name in ("policy.yaml", "deploy.yaml", "params/deploy.yaml"):
-        if os.path.isfile(folder / name):
-            return folder / name
+    if found := _first(folder, "policy.yaml", "deploy.yaml", "params/deploy.yaml"):
+        return found
     models = sorted(folder.glob("*.onnx"))
-    if len(models) == 1 and has_metadata(read_onnx(models[0])):
+    if len(models) == 1 and metadata_reader(read_onnx(models[0])):
         return models[0]
-    for name in ("env.yaml", "params/env.yaml"):
-        if os.path.isfile(folder / name):
-            return folder / name
+    if found := _first(folder, "env.yaml", "params/env.yaml"):
+        return found
     configurations = _configurations(folder)
     if configurations:
         return configurations[0] if len(configurations) == 1 else None
-    models = models or sorted(p for p in folder.glob("*") if p.suffix in _TORCHSCRIPT)
+    models = models or sorted(p for p in folder.glob("*") if p.suffix in TORCHSCRIPT)
     return models[0] if len(models) == 1 else None
+
+
+def _first(folder: Path, *names: str) -> Path | None:
+    return next((folder / name for name in names if os.path.isfile(folder / name)), None)
 
 
 def _configurations(folder: Path) -> list[Path]:
@@ -219,7 +231,7 @@ def _configurations(folder: Path) -> list[Path]:
     found = []
     for path in sorted(folder.glob("*.yaml")):
         try:
-            if is_configuration(read_yaml(path, PolicyError, foreign=True).value):
+            if configuration_reader(read_yaml(path, PolicyError, foreign=True).value):
                 found.append(path)
         except PolicyError:  # whatever it is, nobody named it
             continue
@@ -250,21 +262,16 @@ def _read(
     facts.values.setdefault("name", _name_of(path))
     if "onnx" in facts.values and "torchscript" not in facts.values:
         onnx = read_onnx(facts.model())
-        lost = onnx.missing_external()
-        if lost:
-            raise facts.error(
-                ("onnx",),
-                f"the weights of {onnx.path.name} are in {lost[0].name}, which is not beside it; "
-                f"copy {lost[0].name} to {onnx.path.parent}",
-            )
+        if lost := onnx.lost_weights():
+            raise facts.error(("onnx",), f"the weights of {onnx.path.name} {lost}")
         _name_tensors(facts, onnx)
         suggest_joints(facts, [tensor.width for tensor in onnx.outputs])
-        if facts.path != onnx.path and has_metadata(onnx):
+        if facts.path != onnx.path and metadata_reader(onnx):
             whole = facts.source == "policy.yaml"
             once, notes = settled(onnx, facts.values, facts.path.name, whole=whole)
             facts.notes += notes
-            if has_metadata(once):
-                check_agreement(facts, metadata_facts(once), given)
+            if (reader := metadata_reader(once)) is not None:
+                check_agreement(facts, reader(once), given)
     elif "torchscript" in facts.values:  # its tensors have no names: one goes in, one comes out
         facts.values.setdefault("inputs", {"observation": "observation"})
         facts.values.setdefault("outputs", {"action": "action"})
@@ -277,7 +284,8 @@ def _is_isaac(path: Path) -> bool:
     """Whether a source comes from Isaac's simulators, which count joints breadth first."""
     if path.suffix not in (".yaml", ".yml"):
         return False
-    return is_env_yaml(read_yaml(path, PolicyError, foreign=True).value)
+    values = read_yaml(path, PolicyError, foreign=True).value
+    return configuration_reader(values) is env_yaml_facts
 
 
 def _facts_of(path: Path, robot: Robot | None, given: Mapping[str, Any]) -> Facts:
@@ -289,24 +297,25 @@ def _facts_of(path: Path, robot: Robot | None, given: Mapping[str, Any]) -> Fact
                 facts = _facts_of(other.resolve(), robot, given)
                 if "onnx" in facts.values and facts.model().resolve() == path.resolve():
                     return facts
-        if has_metadata(onnx):
+        if (reader := metadata_reader(onnx)) is not None:
             once, notes = settled(onnx, given, "given")
-            facts = metadata_facts(once)
+            facts = reader(once)
             facts.notes += notes
             return facts
         return Facts(path, "ONNX file (no metadata)", {"onnx": path.name})
-    if path.suffix in _TORCHSCRIPT:
+    if path.suffix in TORCHSCRIPT:
         return Facts(path, "TorchScript file", {"torchscript": path.name})
     located = read_yaml(path, PolicyError, foreign=True)
     made_for = given.get("robot")
     if isinstance(made_for, str) and counts_motors(located.value):
         robot = load_robot(made_for)  # whichever robot runs the policy
-    read = configuration_facts(Source(located, given, robot))
-    if read is None:
+    configured = configuration_reader(located.value)
+    if configured is None:
         return policy_yaml_facts(located)
-    if read.network is None and "onnx" not in read.asks:
-        _add_model(read)
-    return read
+    facts = configured(Source(located, given, robot))
+    if facts.network is None and "onnx" not in facts.asks:
+        _add_model(facts)
+    return facts
 
 
 def _add_model(facts: Facts) -> None:
@@ -368,9 +377,8 @@ def _contract(facts: Facts) -> PolicyContract:
         place = ("networks", part.name)
         if not os.path.isfile(part.model):
             raise facts.error(place, f"no such file {part.model}; put the network there")
-        lost = read_onnx(part.model).missing_external()
-        if lost:
-            raise facts.error(place, f"its weights are in {lost[0].name}; put it beside it")
+        if lost := read_onnx(part.model).lost_weights():
+            raise facts.error(place, f"its weights {lost}")
         _check_digest(facts, place, part.model, part.sha256)
     return contract
 

@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 
 from unicon_core.policies.contract import ObservationSpec, PolicyContract
 from unicon_core.policies.filters import make_filter
+from unicon_core.policies.hints import Floats
 from unicon_core.policies.prefixed import PackedStates
 from unicon_core.policies.terms import TermSlice, term_slices
-
-Floats = NDArray[np.float32]
 
 
 class Observation:

@@ -1,4 +1,6 @@
-"""The gait clock: phases of stepping as sine and cosine states, for policies that read them.
+"""What runs before a policy: the gait clock, and the slew of its velocity command.
+
+The gait clock writes phases of stepping as sine and cosine states, for policies that read them.
 
 `gait_phase_sin` and `gait_phase_cos` have one element for each phase; `gait_phase` has all sines,
 then all cosines. Sources that have another order take the first two, or an `index`.
@@ -19,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import PolicyError
-from unicon_core.policies.contract import PhaseSpec
+from unicon_core.policies.contract import CommandSpec, PhaseSpec
 from unicon_core.policies.prefixed import PackedStates
 
 
@@ -112,3 +114,40 @@ class GaitPhase:
         if still.any():
             phase[still] = before[still] if isinstance(self._stand, str) else self._stand
         self._standing[...] = still
+
+
+COMMAND = "velocity_command"
+SLEWED = "slewed_command"
+
+
+class CommandSlew:
+    """Writes `slewed_command` each tick, before the gait clock and the policy.
+
+    It begins at zero, and goes towards `velocity_command` by at most slew · period.
+
+    Args:
+        spec: of the contract.
+        states: with both.
+        period: of the policy in [s].
+    """
+
+    reads = (COMMAND,)
+    writes = (SLEWED,)
+
+    def __init__(self, spec: CommandSpec, states: PackedStates, period: float) -> None:
+        rows = states.num_robots or 1
+        self._command, self._seen = (states[n].reshape(rows, 3) for n in (COMMAND, SLEWED))
+        self._step = np.array(spec.slew, np.float32) * np.float32(period)
+        self._least, self._change = -self._step, np.zeros_like(self._seen)
+
+    def __call__(self) -> None:
+        """Follow the command for one control period."""
+        change = self._change
+        np.subtract(self._command, self._seen, out=change)
+        np.maximum(change, self._least, out=change)  # both pass NaN on
+        np.minimum(change, self._step, out=change)
+        self._seen += change
+
+    def reset(self) -> None:
+        """Begin at zero."""
+        self._seen[...] = 0.0

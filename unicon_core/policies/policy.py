@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from unicon_core.errors import Fault, PolicyError
-from unicon_core.policies.access import fed_back, in_order, own_states, reads_writes
 from unicon_core.policies.action_map import ActionMap
 from unicon_core.policies.bind import Binding
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.motion.follow import own_reference, tracker_of
 from unicon_core.policies.networks import Network, open_network
 from unicon_core.policies.phase import GaitPhase
+from unicon_core.policies.policy_states import fed_back, own_states, reads_writes
 from unicon_core.policies.prefixed import PackedStates
 from unicon_core.robots import Robot
 
@@ -121,13 +121,13 @@ class Policy:
         self.phase: GaitPhase | None = None
         if contract.phase is not None and "gait_phase" in states:
             self.phase = GaitPhase(contract.phase, states, contract.period)
-        self._before = in_order(self.slew, self.phase)
+        self._before = tuple(part for part in (self.slew, self.phase) if part is not None)
         self.tracker = tracker_of(contract, states, robot, self.lane, model)
         self.endless = self.tracker is None or self.tracker.ticks is None
         self._motion = own_reference(contract, states)
         self._begun = False
         self.reads, self.writes = reads_writes(
-            contract, states, (self.slew, self.phase, self.tracker), targets
+            contract, states, self._before, self.tracker, targets
         )
 
     def __call__(self, warm_up: bool = False) -> bool:
@@ -141,8 +141,8 @@ class Policy:
         """
         lane = self.lane
         if not warm_up:
-            if self._before is not None:
-                self._before()
+            for part in self._before:
+                part()
             if self._motion and not self._begun:
                 # The reference of step 0 is an output of the network: run it once to read it.
                 lane.step_zero()

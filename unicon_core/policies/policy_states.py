@@ -1,15 +1,23 @@
-"""The states that a policy adds to the standard ones, for whoever lays out the states."""
+"""The states that a policy adds to the standard ones, and those that it takes and writes.
+
+`policy_states` is for whoever lays out the states; the others are for the block of the policy.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import prod
+from typing import Any
 
-from unicon_core.policies.command_slew import COMMAND, SLEWED
+from numpy.typing import NDArray
+
 from unicon_core.policies.contract import PolicyContract
+from unicon_core.policies.motion.follow import MotionTracker
 from unicon_core.policies.networks.chain import chained_outputs
 from unicon_core.policies.observation import Observation
+from unicon_core.policies.phase import COMMAND, SLEWED, CommandSlew, GaitPhase
+from unicon_core.policies.prefixed import PackedStates, PrefixedStates
 from unicon_core.states import States, StateSpec, standard_states
 
 
@@ -55,48 +63,39 @@ def _motion_states(contract: PolicyContract) -> dict[str, StateSpec]:
             states[name] = StateSpec((size,), names=names, description=f"output {output}")
     if contract.motion is None and {"motion_joint_pos", "motion_joint_vel"} <= set(states):
         size = states["motion_joint_pos"].size + states["motion_joint_vel"].size
-        states["motion_command"] = StateSpec(
-            (size,), description="reference joint positions [rad], then velocities [rad/s]"
-        )
+        states["motion_command"] = _reference_command(size)
     return states
 
 
 def _followed(contract: PolicyContract) -> dict[str, StateSpec]:
     """States of the motion and of the robot beside it; see docs/motion.md."""
-    names, size = contract.joints, (len(contract.joints),)
-    quat, xyz = ("w", "x", "y", "z"), ("x", "y", "z")
+    joints, xyz = contract.joints, ("x", "y", "z")
     columns = tuple(f"{axis}{side}" for axis in xyz for side in "xy")
-    upright = (1.0, 0.0, 0.0, 0.0)
+    quat, upright = ("w", "x", "y", "z"), (1.0, 0.0, 0.0, 0.0)
 
-    def spec(n: int, unit: str, frame: str, names: tuple[str, ...], text: str) -> StateSpec:
-        return StateSpec((n,), "float32", unit, frame, names, text)
+    def spec(unit: str, frame: str, names: tuple[str, ...], *more: Any) -> StateSpec:
+        return StateSpec((len(names),), "float32", unit, frame, names, *more)
 
     return {
-        "motion_joint_pos": StateSpec(
-            size, "float32", "rad", "", names, "reference joint positions, policy order"
+        "motion_joint_pos": spec("rad", "", joints, "reference joint positions, policy order"),
+        "motion_joint_vel": spec("rad/s", "", joints, "reference joint velocities, policy order"),
+        "motion_command": _reference_command(2 * len(joints)),
+        "motion_anchor_pos": spec("m", "world", xyz, "where the reference's anchor is"),
+        "motion_anchor_quat": spec(
+            "", "anchor to world", quat, "of the reference, aligned", upright
         ),
-        "motion_joint_vel": StateSpec(
-            size, "float32", "rad/s", "", names, "reference joint velocities, policy order"
-        ),
-        "motion_command": StateSpec(
-            (2 * len(names),),
-            description="reference joint positions [rad], then velocities [rad/s]",
-        ),
-        "motion_anchor_pos": spec(3, "m", "world", xyz, "where the reference's anchor is"),
-        "motion_anchor_quat": StateSpec(
-            (4,), "float32", "", "anchor to world", quat, "of the reference, aligned", upright
-        ),
-        "motion_anchor_pos_b": spec(
-            3, "m", "anchor", xyz, "reference seen from the robot's anchor"
-        ),
+        "motion_anchor_pos_b": spec("m", "anchor", xyz, "reference seen from the robot's anchor"),
         "motion_anchor_ori_b": spec(
-            6, "", "anchor", columns, "reference's rotation there: two columns, row by row"
+            "", "anchor", columns, "reference's rotation there: two columns, row by row"
         ),
-        "motion_error": StateSpec(
-            (2,), "float32", "rad", "", ("joints", "anchor"), "from the reference: rms, angle"
-        ),
+        "motion_error": spec("rad", "", ("joints", "anchor"), "from the reference: rms, angle"),
         "motion_time": StateSpec((), "float32", "s", "", (), "since the motion's first frame"),
     }
+
+
+def _reference_command(size: int) -> StateSpec:
+    text = "reference joint positions [rad], then velocities [rad/s]"
+    return StateSpec((size,), description=text)
 
 
 def _own_states(contract: PolicyContract) -> dict[str, StateSpec]:
@@ -124,3 +123,62 @@ def _own_states(contract: PolicyContract) -> dict[str, StateSpec]:
         ):
             states[name] = StateSpec((len(parts),), names=parts, description=text)
     return {**states, **_motion_states(contract)}
+
+
+def own_states(
+    contract: PolicyContract, states: PackedStates, prefix: str
+) -> tuple[PackedStates, CommandSlew | None]:
+    """Return the states as the policy sees them, and what limits its command.
+
+    Args:
+        contract: the policy.
+        states: of the workflow.
+        prefix: of the policy's own states, or "".
+    """
+    if contract.command is None:
+        return (PrefixedStates(states, prefix) if prefix else states), None
+    slew = CommandSlew(contract.command, PrefixedStates(states, prefix), contract.period)
+    return PrefixedStates(states, prefix, {COMMAND: SLEWED}), slew
+
+
+def fed_back(contract: PolicyContract, states: PackedStates) -> list[NDArray[Any]]:
+    """Return the outputs that a policy sees in its next tick: its action, and states it reads."""
+    read = {*contract.inputs, *(term.state for term in contract.terms)}
+    names = ["action", *(name for name in contract.outputs if name in read and name != "action")]
+    return [states[name] for name in names if name in states]
+
+
+def reads_writes(
+    contract: PolicyContract,
+    states: PackedStates,
+    before: Sequence[CommandSlew | GaitPhase],
+    tracker: MotionTracker | None,
+    targets: Sequence[str],
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return names as they are declared: what the policy takes from others, and what it writes.
+
+    Args:
+        contract: the policy.
+        states: as the policy sees them.
+        before: what runs before the network.
+        tracker: what follows a motion, or None.
+        targets: command states that are written.
+    """
+    own = ["observation", "action"]
+    own += [name for part in before for name in part.writes]
+    own += [*contract.outputs, "motion_command"]
+    read = [name for part in before for name in part.reads]
+    if tracker is not None:
+        own += tracker.writes
+        read += tracker.reads
+    read += [term.state for term in contract.terms if "observation" in contract.inputs]
+    read += [name for name in contract.inputs if name != "observation" and name in states]
+    read += ["joint_pos"] if contract.action.kinds else []
+
+    def actual(name: str) -> str:
+        return states.actual(name) if isinstance(states, PrefixedStates) else name
+
+    own = [actual(name) for name in own if name in states]
+    writes = tuple(dict.fromkeys([*own, *targets]))
+    reads = [*map(actual, read), *([COMMAND] if contract.command is not None else [])]
+    return tuple(name for name in dict.fromkeys(reads) if name not in writes), writes

@@ -18,7 +18,7 @@ from unicon_core.located_yaml import Located, Tagged
 from unicon_core.policies.build import read_facts
 from unicon_core.policies.contract import ObservationTerm, PolicyContract, PolicyFacts
 from unicon_core.policies.facts import TO_GIVE, Facts
-from unicon_core.policies.feeds import Feed
+from unicon_core.policies.hints import Feed
 from unicon_core.policies.motion.spec import MotionSpec
 from unicon_core.policies.networks.onnx_file import read_onnx
 from unicon_core.resources import sha256_of

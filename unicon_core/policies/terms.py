@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import PolicyError, RobotError, alternatives
 from unicon_core.policies.contract import ObservationSpec, ObservationTerm, PolicyContract
+from unicon_core.policies.hints import Floats
 from unicon_core.policies.prefixed import PackedStates
 from unicon_core.robots import joint_index
-
-Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,7 @@
 """Robots as data: joints, limits, gains, poses, IMU and transport facts, for whoever drives one."""
 
-from unicon_core.robots.joint_index import joint_index
 from unicon_core.robots.load import compose, load_files, load_robot, robot_files, robot_names
-from unicon_core.robots.robot import Imu, Robot
+from unicon_core.robots.robot import Imu, Robot, joint_index
 from unicon_core.robots.table import robot_table, robots_rows, robots_table
 
 __all__ = [

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import PurePath
 from typing import Annotated, Any, Literal, get_args
 
-from unicon_core.bounds import DAMPING, EFFORT, POSITION, STIFFNESS, VELOCITY
+from unicon_core.bounds import EFFORT, POSITION, Damping, Speed, Stiffness
 from unicon_core.buttons import BUTTONS, Button
 from unicon_core.robots.file_rules import (
     joints_of,
@@ -64,11 +64,11 @@ class Joint:
     name: Name
     lower: Limit | None
     upper: Limit | None
-    velocity: Annotated[float | None, Unit("rad/s"), Within(0.0, VELOCITY, above=True)]
+    velocity: Speed | None
     effort: Annotated[float | None, Unit("N·m"), Within(0.0, EFFORT, above=True)]
     default: Angle | None
-    stiffness: Annotated[float | None, Unit("N·m/rad"), Within(0.0, STIFFNESS)]
-    damping: Annotated[float | None, Unit("N·m·s/rad"), Within(0.0, DAMPING)]
+    stiffness: Stiffness | None
+    damping: Damping | None
     rest: Angle | None = None
 
     @staticmethod

@@ -7,6 +7,7 @@ from fnmatch import fnmatchcase
 from typing import Any
 
 from unicon_core.errors import alternatives
+from unicon_core.located_yaml import Where
 from unicon_core.robots.robot import JOINT_FIELDS
 from unicon_core.schema.records import meant
 from unicon_core.schema.types import Here
@@ -22,13 +23,11 @@ def note_joints_once(document: Mapping[str, Any], here: Here) -> None:
     seen: dict[str, int] = {}
     for i, joint in enumerate(joints if isinstance(joints, list) else ()):
         name = joint.get("name") if isinstance(joint, dict) else None
-        if isinstance(name, str) and name in seen:
+        if isinstance(name, str) and seen.setdefault(name, i) != i:
             here.note(
                 f"joint {name!r} stands twice, as number {seen[name]} and {i}; name each once",
                 *("joints", i, "name"),
             )
-        if isinstance(name, str):
-            seen.setdefault(name, i)
 
 
 def note_contacts(kind: str, document: Mapping[str, Any], here: Here) -> None:
@@ -64,22 +63,30 @@ def note_groups(groups: Mapping[str, list[str]], document: Mapping[str, Any], he
                 here.note(f"groups: no joint is like {pattern!r}; {known}", "groups", group, i)
 
 
-def _nulls(document: Mapping[str, Any]) -> list[str]:
-    """Return the dotted facts that a file leaves open and that its `unknown` has to name."""
+def _nulls(document: Mapping[str, Any]) -> dict[str, Where]:
+    """Return the dotted facts that a file leaves open and that its `unknown` has to name.
+
+    Each has the place where it is left open first.
+    """
     transport = document.get("transport")
     transport = transport if isinstance(transport, dict) else {}
-    joints, imu = joints_of(document), document.get("imu")
-    fields = [key for key in JOINT_FIELDS if any(j.get(key, 0) is None for j in joints)]
-    if transport.get("command") == "position":
-        # The vendor closes the loop: there are no gains to be found.
-        fields = [key for key in fields if key not in ("stiffness", "damping")]
-    nulls = [f"joints.{key}" for key in fields]
-    if "imu" in document and imu is None:
-        nulls += ["imu"] if document.get("kind") in ("quadruped", "humanoid") else []
-    elif isinstance(imu, dict):
-        nulls += [f"imu.{key}" for key in ("frame", "position", "quat") if imu.get(key, 0) is None]
-    nulls += [key for key in ("feet", "fingertips") if document.get(key) == []]
-    return nulls + [f"transport.{key}" for key, value in transport.items() if value is None]
+    joints, imu = document.get("joints"), document.get("imu")
+    # Where the vendor closes the loop, there are no gains to be found.
+    closed = ("stiffness", "damping") if transport.get("command") == "position" else ()
+    found: dict[str, Where] = {}
+    for key in [key for key in JOINT_FIELDS if key not in closed]:
+        for i, joint in enumerate(joints if isinstance(joints, list) else ()):
+            if isinstance(joint, dict) and joint.get(key, 0) is None:
+                found.setdefault(f"joints.{key}", ("joints", i, key))
+    if "imu" in document and imu is None and document.get("kind") in ("quadruped", "humanoid"):
+        found["imu"] = ("imu",)
+    imu = imu if isinstance(imu, dict) else {}
+    for key in ("frame", "position", "quat"):
+        if imu.get(key, 0) is None:
+            found[f"imu.{key}"] = ("imu", key)
+    found |= {key: (key,) for key in ("feet", "fingertips") if document.get(key) == []}
+    nulls = (key for key, value in transport.items() if value is None)
+    return found | {f"transport.{key}": ("transport", key) for key in nulls}
 
 
 def note_unknown(document: Mapping[str, Any], here: Here) -> None:
@@ -95,31 +102,24 @@ def note_unknown(document: Mapping[str, Any], here: Here) -> None:
             here.note(f"unknown names {fact!r}, which {why}", "unknown", i)
         if fact in unknown[:i]:
             here.note(f"unknown names {fact!r} twice; remove one", "unknown", i)
-    for fact in nulls if document.get("manufacturer") is not None else ():
+    for fact, place in nulls.items() if document.get("manufacturer") is not None else ():
         if fact not in unknown:
             here.note(
                 f"{fact} is not given, and 'unknown' does not name it; add {fact!r} to unknown",
-                *_place(document, fact),
+                *place,
             )
 
 
 def _given(document: Mapping[str, Any], fact: str) -> bool:
     part, _, key = fact.partition(".")
-    if part == "joints":
-        return key in JOINT_FIELDS and any(j.get(key) is not None for j in joints_of(document))
+    values = joints_of(document) if part == "joints" else [document.get(part)]
     if not key:
-        return part in ("imu", "feet", "fingertips") and bool(document.get(part))
-    value = document.get(part) if part in ("imu", "transport") else None
-    return isinstance(value, dict) and value.get(key) is not None
+        return part in ("imu", "feet", "fingertips") and bool(values[0])
+    return any(isinstance(value, dict) and value.get(key) is not None for value in values)
 
 
-def _place(document: Mapping[str, Any], fact: str) -> tuple[str | int, ...]:
-    part, _, key = fact.partition(".")
-    if part == "joints":
-        all_joints = enumerate(document["joints"])
-        first = next(i for i, j in all_joints if isinstance(j, dict) and j.get(key, 0) is None)
-        return ("joints", first, key)
-    return (part, key) if key else (part,)
+_SOURCED = ("imu", "feet", "fingertips", "command_ranges", "mounts", "end_effectors", "capsules",
+            "hand")  # fmt: skip
 
 
 def note_sources(document: Mapping[str, Any], here: Here) -> None:
@@ -131,17 +131,12 @@ def note_sources(document: Mapping[str, Any], here: Here) -> None:
     if not isinstance(sources, dict):
         return
     joints = joints_of(document)
-    given = {
-        "joints": True,
-        "gains": any(j.get(key) is not None for j in joints for key in ("stiffness", "damping")),
-        "default": any(j.get("default") is not None for j in joints),
-        "rest": any(j.get("rest") is not None for j in joints),
-        "transport": True,
-    }
-    groups = ("imu", "feet", "fingertips", "command_ranges", "mounts", "end_effectors")
-    given |= {key: bool(document.get(key)) for key in (*groups, "capsules", "hand")}
-    for group, needed in given.items():
-        if needed and group not in sources:
+    of_joints = {"gains": ("stiffness", "damping"), "default": ("default",), "rest": ("rest",)}
+    given = ["joints"]
+    for group, keys in of_joints.items():
+        given += [group] if any(j.get(key) is not None for j in joints for key in keys) else []
+    for group in (*given, "transport", *filter(document.get, _SOURCED)):
+        if group not in sources:
             here.note(
                 f"sources does not say where {group!r} was taken from; add `{group}: …`", "sources"
             )

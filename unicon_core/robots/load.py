@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_core.errors import RobotError, WorkflowError
 from unicon_core.file_kinds import other_kind
@@ -27,7 +26,7 @@ from unicon_core.resources import find_config, list_config
 from unicon_core.robots.file import Overlay, RobotFile
 from unicon_core.robots.places import Place
 from unicon_core.robots.poses import joints_like
-from unicon_core.robots.robot import JOINT_FIELDS, Imu, Robot
+from unicon_core.robots.robot import JOINT_FIELDS, Floats, Imu, Robot
 from unicon_core.schema.read import read, refuse
 from unicon_core.schema.types import Mistakes
 
@@ -137,7 +136,7 @@ def _extended(located: Located) -> Robot:
     return replace(robot, simulated=both, overlay=located.path)
 
 
-def _array(values: Iterable[float | None]) -> NDArray[np.float32]:
+def _array(values: Iterable[float | None]) -> Floats:
     array = np.array([np.nan if value is None else value for value in values], dtype=np.float32)
     array.setflags(write=False)
     return array
@@ -233,8 +232,8 @@ def load_files(files: Mapping[str, str | Path], mounts: Mapping[str, Place] | No
     return compose(robots, mounts) if "" not in robots else robots[""]
 
 
-def _gains(robot: Robot, field: str) -> NDArray[np.float32]:
-    values: NDArray[np.float32] = getattr(robot, field)
+def _gains(robot: Robot, field: str) -> Floats:
+    values: Floats = getattr(robot, field)
     if robot.position_controlled and field in ("joint_stiffness", "joint_damping"):
         return np.where(np.isnan(values), np.float32(1.0), values)
     return values

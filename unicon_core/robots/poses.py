@@ -1,8 +1,12 @@
-"""Poses by name or by joint, for posture blocks and for the beginning of a simulation."""
+"""Poses by name or by joint, and what a simulator is told of joints.
+
+scene: {joints: {RL_calf_joint: {strength: 0.5, friction: 2.0}, "*": {delay: 0.004}}}
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
 import numpy as np
@@ -10,12 +14,12 @@ from numpy.typing import NDArray
 
 from unicon_core.bounds import POSITION, within
 from unicon_core.errors import RobotError, WorkflowError, alternatives
-from unicon_core.robots.robot import Robot
+from unicon_core.robots.file import Figures
+from unicon_core.robots.robot import Floats, Robot
+from unicon_core.schema.records import record_of
 
-Float = NDArray[np.float32]
 
-
-def robot_poses(robot: Robot) -> dict[str, Float]:
+def robot_poses(robot: Robot) -> dict[str, Floats]:
     """Return word to pose of a robot file in [rad], shape (n,), NaN where it does not say it."""
     standing, lying = robot.default_joint_pos, robot.rest_joint_pos
     return {"default": standing, "stand": standing, "rest": lying, "lie": lying}
@@ -41,7 +45,7 @@ def joints_like(pattern: str, robot: Robot, remedy: str = "") -> list[int]:
     return found
 
 
-def named_pose(to: str | Mapping[str, float], robot: Robot, what: str) -> tuple[Float, Float]:
+def named_pose(to: str | Mapping[str, float], robot: Robot, what: str) -> tuple[Floats, Floats]:
     """Return a pose [rad] and which joints it says (1 or 0), each shape (n,).
 
     Args:
@@ -80,3 +84,43 @@ def named_pose(to: str | Mapping[str, float], robot: Robot, what: str) -> tuple[
                 )
             pose[i], said[i] = position, 1.0
     return pose, said
+
+
+JOINT_PHYSICS = {name: field.type.unit for name, field in record_of(Figures).fields.items()}  # type: ignore[attr-defined]
+"""Word to unit."""
+
+Said = Mapping[str, Mapping[str, float]]
+
+
+@dataclass(frozen=True, eq=False)
+class JointPhysics:
+    """What is said of each joint: float64, shape (n,), NaN where the model's own value stays."""
+
+    strength: NDArray[np.float64]
+    friction: NDArray[np.float64]
+    armature: NDArray[np.float64]
+    delay: NDArray[np.float64]
+
+    @property
+    def words(self) -> list[str]:
+        """What is said of any joint, in the order of `JOINT_PHYSICS`."""
+        return [word for word in JOINT_PHYSICS if not np.isnan(getattr(self, word)).all()]
+
+
+def joint_physics(robot: Robot, said: Said) -> JointPhysics:
+    """Return what is said of a robot's joints: what the robot file says, then `said` over it.
+
+    Args:
+        robot: the robot.
+        said: joint names and patterns to word and figure; of two that meet the later one counts.
+
+    Raises:
+        WorkflowError: no such joint.
+    """
+    arrays = {word: np.full(robot.num_joints, np.nan) for word in JOINT_PHYSICS}
+    for each in (robot.simulated, said):
+        for pattern, figures in each.items():
+            joints = joints_like(pattern, robot)
+            for word, figure in figures.items():
+                arrays[word][joints] = figure
+    return JointPhysics(**arrays)

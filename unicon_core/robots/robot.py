@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from unicon_core.errors import RobotError, alternatives
 from unicon_core.robots.places import Capsule, Hand, Place
 
+Floats = NDArray[np.float32]
 MODEL_FORMATS = ("mjcf", "urdf")
 
 
@@ -41,86 +42,91 @@ _MAY_LACK = ("current_scale", "mode_machine", "motors", "rate_hz", "stop_buttons
 
 @dataclass(frozen=True, eq=False)
 class Imu:
-    """The inertial sensor and its pose in the robot's base frame."""
+    """The inertial sensor and its pose in the robot's base frame.
+
+    Attributes:
+        frame: name of the sensor's frame.
+        position: in the base frame in [m], shape (3,), NaN where unknown.
+        quat: rotation sensor to base, unit quaternion wxyz, shape (4,), NaN where unknown.
+    """
 
     frame: str
-    """Name of the sensor's frame."""
-    position: NDArray[np.float32]
-    """Position in the base frame in [m], shape (3,), NaN where unknown."""
-    quat: NDArray[np.float32]
-    """Rotation sensor to base, unit quaternion wxyz, shape (4,), NaN where unknown."""
+    position: Floats
+    quat: Floats
 
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """A robot file, read and checked. Arrays are float32, shape (n,), read-only, NaN = unknown."""
+    """A robot file, read and checked. Arrays are float32, shape (n,), read-only, NaN = unknown.
+
+    Attributes:
+        kind: quadruped, humanoid, wheeled, hand or arm.
+        path: the file that it was read from.
+        models: format (`mjcf`, `urdf`) to model: relative to a configuration root, or
+            `assets:PATH`.
+        base_frame: frame of the base, in which the IMU's pose is given.
+        joint_names: the joints in the vendor's motor order; every array here is in this order.
+        lower: smallest allowed position in [rad] ([m] for sliding joints); -inf of a wheel.
+        upper: largest allowed position in [rad]; inf of a wheel.
+        velocity_limit: largest allowed speed in [rad/s].
+        effort_limit: largest allowed torque in [N·m].
+        default_joint_pos: standing pose in [rad].
+        rest_joint_pos: lying or powered-off pose in [rad].
+        joint_stiffness: default proportional gain in [N·m/rad].
+        joint_damping: default derivative gain in [N·m·s/rad].
+        feet: bodies, sites or geoms of the model that touch the ground; the fingertips of a hand.
+        transport: `protocol` names the platform adapter; the rest are its facts.
+        sources: where each group of facts was taken from.
+        unknown: dotted facts that were not found, such as `joints.velocity`.
+        command_ranges: `vx`, `vy` in [m/s] and `wz` in [rad/s] to the lowest and highest allowed
+            command.
+        simulated: what simulators alone are told: joint or pattern to figures, see `joint_physics`.
+        overlay: the file that `extends` it, where it was read through one.
+        members: name to robot, of a robot made of robots, in the order of the joints; see
+            `compose`.
+        groups: name to joints in the robot's order, such as `legs`; groups may overlap.
+        mounts: where its model carries others: name of a member, or of the robot there, to the
+            place; of a robot made of members, each one's.
+        end_effectors: name to the frame that is brought to a target, such as `left_hand`; of a
+            robot made of members, those of its first one.
+        capsules: name to the capsule that stands for a link, or a part of one, where links are kept
+            apart.
+        hand: of a hand: its side, its palm and its fingers; of a robot made of members each says
+            its.
+        weldable: joints that no policy of the workflow moves: a simulated model may lack them.
+    """
 
     name: str
     description: str
     manufacturer: str
     kind: str
-    """quadruped, humanoid, wheeled, hand or arm."""
     path: Path
-    """The file that it was read from."""
     models: Mapping[str, str]
-    """Format (`mjcf`, `urdf`) to model: relative to a configuration root, or `assets:PATH`."""
     base_frame: str
-    """Frame of the base, in which the IMU's pose is given."""
     joint_names: tuple[str, ...]
-    """The joints in the vendor's motor order; every array below is in this order."""
-    lower: NDArray[np.float32]
-    """Smallest allowed position in [rad] ([m] for sliding joints); -inf of a wheel."""
-    upper: NDArray[np.float32]
-    """Largest allowed position in [rad]; inf of a wheel."""
-    velocity_limit: NDArray[np.float32]
-    """Largest allowed speed in [rad/s]."""
-    effort_limit: NDArray[np.float32]
-    """Largest allowed torque in [N·m]."""
-    default_joint_pos: NDArray[np.float32]
-    """Standing pose in [rad]."""
-    rest_joint_pos: NDArray[np.float32]
-    """Lying or powered-off pose in [rad]."""
-    joint_stiffness: NDArray[np.float32]
-    """Default proportional gain in [N·m/rad]."""
-    joint_damping: NDArray[np.float32]
-    """Default derivative gain in [N·m·s/rad]."""
+    lower: Floats
+    upper: Floats
+    velocity_limit: Floats
+    effort_limit: Floats
+    default_joint_pos: Floats
+    rest_joint_pos: Floats
+    joint_stiffness: Floats
+    joint_damping: Floats
     imu: Imu | None
     feet: tuple[str, ...]
-    """Bodies, sites or geoms of the model that touch the ground; the fingertips of a hand."""
     transport: Mapping[str, Any]
-    """`protocol` names the platform adapter; the rest are its facts."""
     sources: Mapping[str, str]
-    """Where each group of facts was taken from."""
     unknown: tuple[str, ...]
-    """Dotted facts that were not found, such as `joints.velocity`."""
     command_ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """`vx`, `vy` in [m/s] and `wz` in [rad/s] to the lowest and highest allowed command."""
     simulated: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    """What simulators alone are told: joint or pattern to figures, see `joint_physics`."""
     overlay: Path | None = None
-    """The file that `extends` it, where it was read through one."""
     members: Mapping[str, Robot] = field(default_factory=dict)
-    """Name to robot, of a robot made of robots, in the order of the joints; see `compose`."""
-
     groups: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """Name to joints in the robot's order, such as `legs`; groups may overlap."""
-
     mounts: Mapping[str, Place] = field(default_factory=dict)
-    """Where its model carries others: name of a member, or of the robot there, to the place; of a
-    robot made of members, each one's."""
-
     end_effectors: Mapping[str, Place] = field(default_factory=dict)
-    """Name to the frame that is brought to a target, such as `left_hand`; of a robot made of
-    members, those of its first one."""
-
     capsules: Mapping[str, Capsule] = field(default_factory=dict)
-    """Name to the capsule that stands for a link, or a part of one, where links are kept apart."""
-
     hand: Hand | None = None
-    """Of a hand: its side, its palm and its fingers; of a robot made of members each says its."""
-
     weldable: frozenset[str] = frozenset()
-    """Joints that no policy of the workflow moves: a simulated model may lack them."""
 
     @property
     def num_joints(self) -> int:
@@ -208,14 +214,14 @@ class Robot:
                     said.setdefault(name, {}).update(figures)
         return dict(said)
 
-    def joint_fact(self, field: str) -> NDArray[np.float32]:
+    def joint_fact(self, field: str) -> Floats:
         """Return the array behind a key of a joint in the robot file, shape (n,).
 
         Args:
             field: `lower`, `upper`, `velocity`, `effort`, `default`, `rest`, `stiffness` or
                 `damping`.
         """
-        array: NDArray[np.float32] = getattr(self, JOINT_FIELDS[field])
+        array: Floats = getattr(self, JOINT_FIELDS[field])
         return array
 
     def missing_facts(self) -> list[str]:
@@ -241,3 +247,52 @@ class Robot:
         transport = {"protocol": None, **self.transport}
         lacking = (key for key, value in transport.items() if value is None)
         return missing + [f"transport.{key}" for key in lacking if key not in _MAY_LACK]
+
+
+def joint_index(
+    to: Sequence[str], from_: Sequence[str], *, loose: bool = False
+) -> NDArray[np.intp]:
+    """Return the index that brings an array from one joint order into another.
+
+    `x_from[joint_index(to, from_)]` is in the order of `to`: the result is a `to_from_from_`,
+    such as `policy_from_robot = joint_index(policy.joint_names, robot.joint_names)`.
+
+    Args:
+        to: the joint names wanted, in their order; a subset of `from_`.
+        from_: the joint names at hand, in their order.
+        loose: where the exact name is not there, the one is meant that is equal but for a namespace
+            (`g1/…`) and the ending `_joint`: models of others.
+
+    Returns:
+        Indices into `from_`, shape (len(to),).
+
+    Raises:
+        RobotError: a joint of `to` is not in `from_`, or could be two of it; a list names a joint
+            twice.
+    """
+    for which, names in (("wanted", to), ("given", from_)):
+        twice = sorted({name for name in names if list(names).count(name) > 1})
+        if twice:
+            raise RobotError(
+                f"joint {twice[0]!r} stands twice in the {which} joint order; name each joint once"
+            )
+    position = {name: i for i, name in enumerate(from_)}
+    alike: dict[str, list[str]] = {}
+    for name in from_ if loose else ():
+        alike.setdefault(plain_name(name), []).append(name)
+    found: list[int] = []
+    for name in to:
+        fits = [name] if name in position else alike.get(plain_name(name), [])
+        if not fits:
+            raise RobotError(f"no joint {name!r}; {alternatives(name, from_)}")
+        if len(fits) > 1:
+            raise RobotError(f"joint {name!r} could be any of {', '.join(fits)}")
+        if position[fits[0]] in found:
+            raise RobotError(f"joint {name!r} and another one are both {fits[0]!r}")
+        found.append(position[fits[0]])
+    return np.array(found, dtype=np.intp)
+
+
+def plain_name(name: str) -> str:
+    """Return a joint name without namespace and without the ending `_joint`."""
+    return name.rsplit("/", 1)[-1].removesuffix("_joint")

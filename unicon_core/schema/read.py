@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -93,3 +94,19 @@ def refuse(mistakes: Mistakes, error: Callable[[Where, str], UniconError], what:
 def _line(problem: UniconError) -> int:
     last = (problem.where or "").rpartition(":")[2]
     return int(last) if last.isdecimal() else 0
+
+
+DRAFT = "https://json-schema.org/draft/2020-12/schema"
+
+
+def json_schema(*kinds: Any) -> dict[str, Any]:
+    """Return the schema of a document of one of these classes.
+
+    Args:
+        kinds: dataclasses of documents; a document is one of them.
+    """
+    definitions: dict[str, Any] = {}
+    references = [record_of(kind).json(definitions) for kind in kinds]
+    title = (inspect.getdoc(kinds[0]) or "").partition("\n")[0].rstrip(".")
+    whole = references[0] if len(references) == 1 else {"anyOf": references}
+    return {"$schema": DRAFT, "title": title, **whole, "$defs": definitions}

@@ -36,7 +36,6 @@ from unicon_core.schema.marks import (
 )
 from unicon_core.schema.types import (
     INVALID,
-    Flag,
     Here,
     ListOf,
     MapOf,
@@ -51,10 +50,11 @@ from unicon_core.schema.types import (
 )
 
 
+@dataclasses.dataclass(eq=False)
 class Field:
     """A key of a record: its type, whether it may be left out, and what it is.
 
-    Args:
+    Attributes:
         key: in the file.
         hint: of its type, which is made when it is asked for.
         required: whether it has to be there.
@@ -62,14 +62,16 @@ class Field:
         text: what it is.
     """
 
-    def __init__(self, key: str, hint: Any, required: bool, default: Any, text: str) -> None:
-        self.key, self._hint, self.required, self.default = key, hint, required, default
-        self.text = text
+    key: str
+    hint: Any
+    required: bool
+    default: Any
+    text: str
 
     @cached_property
     def type(self) -> Type:
         """The type."""
-        return type_of(self._hint)
+        return type_of(self.hint)
 
 
 class Record(Type):
@@ -100,11 +102,9 @@ class Record(Type):
         made = inspect.isclass(self.made) and isinstance(value, self.made)
         return made or isinstance(value, Mapping)
 
-    def read(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
-        if inspect.isclass(self.made) and isinstance(value, self.made):
-            return value  # of Python
+    def take(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
         if not isinstance(value, Mapping):
-            return self.refuse(value, where, mistakes)
+            return value  # of Python
         before = len(mistakes.found)
         self.check_keys(value, where, mistakes)
         found = {}
@@ -172,70 +172,58 @@ def largest(kind: Type) -> float:
     return kind.bounds.high if isinstance(kind, Number) else math.inf
 
 
-class MadeOf(Type):
-    """What a function makes of a value of another type."""
-
-    def __init__(self, function: Callable[[Any], Any], inner: Type, example: str) -> None:
-        self.function, self.inner, self.wanted = function, inner, example or inner.wanted
+class _Wrapped(Type):
+    inner: Type
 
     def accepts(self, value: Any) -> bool:
         return self.inner.accepts(value)
 
     def read(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
-        found = self.inner.read(value, where, mistakes)
-        if found is INVALID:
-            return INVALID
-        try:
-            return self.function(found)
-        except UniconError as error:
-            return mistakes.value(where, error.message)
+        return self.inner.read(value, where, mistakes)
 
     def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
         return self.inner.json(definitions)
 
 
-class LaterType(Type):
+class MadeOf(_Wrapped):
+    """What a function makes of a value of another type."""
+
+    def __init__(self, function: Callable[[Any], Any], inner: Type, example: str) -> None:
+        self.function, self.inner, self.wanted = function, inner, example or inner.wanted
+
+    def read(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
+        self.inner.nullable = self.nullable
+        found = super().read(value, where, mistakes)
+        try:
+            return found if found is INVALID else self.function(found)
+        except UniconError as error:
+            return mistakes.value(where, error.message)
+
+
+class LaterType(_Wrapped):
     """A type whose module is imported when it is needed."""
 
     def __init__(self, target: str, example: str) -> None:
         self.target, self.wanted = target, example or "a mapping"
 
     @property
-    def inner(self) -> Type:
+    def inner(self) -> Type:  # type: ignore[override]
         """The type."""
         module, _, name = self.target.partition(":")
         found = getattr(import_module(module), name)
         return found if isinstance(found, Type) else type_of(found)
 
-    def read(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
-        return self.inner.read(value, where, mistakes)
 
-    def accepts(self, value: Any) -> bool:
-        return self.inner.accepts(value)
+def _checked(rules: Sequence[Checked]) -> Callable[[Any], Any]:
+    """Return what refuses a value that is against a rule."""
 
-    def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
-        return self.inner.json(definitions)
+    def check(value: Any) -> Any:
+        wrong = next(filter(None, (rule.wrong(value) for rule in rules)), "")
+        if wrong:
+            raise UniconError(wrong)
+        return value
 
-
-class CheckedType(Type):
-    """A type with rules beside it."""
-
-    def __init__(self, inner: Type, rules: tuple[Checked, ...]) -> None:
-        self.inner, self.rules, self.wanted = inner, rules, inner.wanted
-
-    def accepts(self, value: Any) -> bool:
-        return self.inner.accepts(value)
-
-    def read(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
-        self.inner.nullable = self.nullable
-        found = self.inner.read(value, where, mistakes)
-        if found is INVALID:
-            return INVALID
-        wrong = next(filter(None, (rule.wrong(found) for rule in self.rules)), "")
-        return mistakes.value(where, wrong) if wrong else found
-
-    def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
-        return self.inner.json(definitions)
+    return check
 
 
 def type_of(hint: Any) -> Type:
@@ -251,8 +239,8 @@ def type_of(hint: Any) -> Type:
     if dataclasses.is_dataclass(hint) and not marks:
         return record_of(hint)
     made = _bare(hint, marks)
-    rules = tuple(mark for mark in marks if isinstance(mark, Checked))
-    return CheckedType(made, rules) if rules else made
+    rules = [mark for mark in marks if isinstance(mark, Checked)]
+    return MadeOf(_checked(rules), made, "") if rules else made
 
 
 def _one(marks: list[Any], kind: type, default: Any) -> Any:
@@ -278,7 +266,7 @@ def _bare(hint: Any, marks: list[Any]) -> Type:
     if hint in (None, type(None)):
         return Plain((None,), "null")
     if hint is bool:
-        return Flag((True, False), "true or false")
+        return Plain((True, False), "true or false")
     if hint in (int, float):
         unit = _one(marks, Unit, Unit("")).symbol
         number = Number(hint is int, _one(marks, Within, Within()), unit)
@@ -332,11 +320,10 @@ def _fields(kind: Any) -> dict[str, Field]:
         marks = get_args(hints[each.name]) if get_origin(hints[each.name]) is Annotated else ()
         if any(isinstance(mark, NotAKey) for mark in marks):
             continue
-        required = each.default is dataclasses.MISSING
-        required = required and each.default_factory is dataclasses.MISSING
-        default = None if required else each.default
-        if each.default_factory is not dataclasses.MISSING:
-            default = each.default_factory()
+        factory = each.default_factory
+        default = each.default if factory is dataclasses.MISSING else factory()
+        required = default is dataclasses.MISSING
+        default = None if required else default
         said = next((mark for mark in marks if isinstance(mark, str)), texts.get(each.name, ""))
         key = _one(list(marks), Key, Key(each.name)).name
         fields[each.name] = Field(key, hints[each.name], required, default, said)

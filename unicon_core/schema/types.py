@@ -107,8 +107,17 @@ class Type:
         """Return whether a value is of this kind at all, for unions."""
         return True
 
+    def fits(self, value: Any) -> bool:
+        """Return whether a value is right, but for what is inside it."""
+        return self.accepts(value)
+
     def read(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
         """Return the value as Python has it, or `INVALID` after noting what is wrong."""
+        read = self.take if self.fits(value) else self.refuse
+        return read(value, where, mistakes)
+
+    def take(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
+        """Return what fits as Python has it, or `INVALID` after noting what is wrong inside it."""
         return value
 
     def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
@@ -139,14 +148,9 @@ class Plain(Type):
         return self.refuse(value, where, mistakes)
 
     def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
-        return {"enum": list(self.values)} if len(self.values) > 1 else {"const": self.values[0]}
-
-
-class Flag(Plain):
-    """true or false."""
-
-    def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
-        return {"type": "boolean"}
+        if len(self.values) == 1:
+            return {"const": self.values[0]}
+        return {"type": "boolean"} if self.values[0] is True else {"enum": list(self.values)}
 
 
 class Number(Type):
@@ -169,15 +173,14 @@ class Number(Type):
         kinds = (int,) if self.whole else (int, float)
         return isinstance(value, kinds) and not isinstance(value, bool)
 
-    def read(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
+    def fits(self, value: Any) -> bool:
         bounds = self.bounds
-        if not self.accepts(value):
-            return self.refuse(value, where, mistakes)
+        if not self.accepts(value) or (bounds.above and value == bounds.low):
+            return False
         endless = bounds.endless and math.isinf(value) and (value > 0.0 or bounds.low < 0.0)
-        if not (endless or (math.isfinite(value) and bounds.low <= value <= bounds.high)):
-            return self.refuse(value, where, mistakes)
-        if bounds.above and value == bounds.low:
-            return self.refuse(value, where, mistakes)
+        return endless or (math.isfinite(value) and bounds.low <= value <= bounds.high)
+
+    def take(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
         return value if self.whole else float(value)
 
     def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
@@ -200,55 +203,52 @@ class Word(Type):
     def accepts(self, value: Any) -> bool:
         return isinstance(value, (str, Path))
 
-    def read(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
-        if not self.accepts(value):
-            return self.refuse(value, where, mistakes)
-        if self.matches is not None:
-            longest = self.matches.longest or math.inf
-            if len(str(value)) > longest or not re.fullmatch(self.matches.pattern, str(value)):
-                return self.refuse(value, where, mistakes)
-        return value
+    def fits(self, value: Any) -> bool:
+        if self.matches is None or not self.accepts(value):
+            return self.accepts(value)
+        short = len(str(value)) <= (self.matches.longest or math.inf)
+        return short and re.fullmatch(self.matches.pattern, str(value)) is not None
 
     def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
         if self.matches is None:
             return {"type": "string"}
         pattern = self.matches.pattern
         pattern = r"\S" if pattern.startswith("(?s)") else f"^({pattern})$"
-        schema: dict[str, Any] = {"type": "string", "pattern": pattern}
-        return schema | ({"maxLength": self.matches.longest} if self.matches.longest else {})
+        return _said(type="string", pattern=pattern, maxLength=self.matches.longest)
 
 
-def _is_list(value: Any) -> bool:
-    listed = isinstance(value, Sequence) or hasattr(value, "tolist")  # NumPy's
-    return listed and not isinstance(value, (str, bytes))
+def _said(**entries: Any) -> dict[str, Any]:
+    """Return the entries of a JSON Schema that say something."""
+    return {key: entry for key, entry in entries.items() if entry}
 
 
-class ListOf(Type):
+class _Listed(Type):
+    def accepts(self, value: Any) -> bool:
+        listed = isinstance(value, Sequence) or hasattr(value, "tolist")  # NumPy's
+        return listed and not isinstance(value, (str, bytes))
+
+
+class ListOf(_Listed):
     """A list of any length, each entry of one type, which is made a list or a tuple."""
 
     def __init__(self, entry: Type, size: Size, example: str, made: type = list) -> None:
         self.entry, self.size, self.made = entry, size, made
         self.wanted = example or f"a list, each {entry.wanted}"
 
-    def accepts(self, value: Any) -> bool:
-        return _is_list(value)
+    def fits(self, value: Any) -> bool:
+        least, most = self.size
+        return self.accepts(value) and least <= len(value) <= (math.inf if most is None else most)
 
-    def read(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
-        size = self.size
-        if not self.accepts(value):
-            return self.refuse(value, where, mistakes)
-        if not size.least <= len(value) <= (len(value) if size.most is None else size.most):
-            return self.refuse(value, where, mistakes)
+    def take(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
         found = [self.entry.read(each, (*where, i), mistakes) for i, each in enumerate(value)]
         return INVALID if any(each is INVALID for each in found) else self.made(found)
 
     def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
-        schema: dict[str, Any] = {"type": "array", "items": self.entry.json(definitions)}
-        schema |= {"minItems": self.size.least} if self.size.least else {}
-        return schema | ({} if self.size.most is None else {"maxItems": self.size.most})
+        schema = {"type": "array", "items": self.entry.json(definitions)}
+        return schema | _said(minItems=self.size.least, maxItems=self.size.most)
 
 
-class TupleOf(Type):
+class TupleOf(_Listed):
     """A list of a fixed length, such as a point."""
 
     def __init__(self, entries: tuple[Type, ...], example: str) -> None:
@@ -258,12 +258,10 @@ class TupleOf(Type):
         listed = f"a list of {len(entries)}" + (f", each a {of}" if alike else "")
         self.wanted = example or listed
 
-    def accepts(self, value: Any) -> bool:
-        return _is_list(value)
+    def fits(self, value: Any) -> bool:
+        return self.accepts(value) and len(value) == len(self.entries)
 
-    def read(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
-        if not self.accepts(value) or len(value) != len(self.entries):
-            return self.refuse(value, where, mistakes)
+    def take(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
         pairs = enumerate(zip(self.entries, value))
         found = tuple(entry.read(each, (*where, i), mistakes) for i, (entry, each) in pairs)
         return INVALID if any(each is INVALID for each in found) else found
@@ -285,9 +283,10 @@ class MapOf(Type):
     def accepts(self, value: Any) -> bool:
         return isinstance(value, Mapping)
 
-    def read(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
-        if not self.accepts(value) or len(value) < self.size.least:
-            return self.refuse(value, where, mistakes)
+    def fits(self, value: Any) -> bool:
+        return self.accepts(value) and len(value) >= self.size.least
+
+    def take(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
         found = {}
         for key, each in value.items():
             if self.key.read(key, where, Mistakes()) is INVALID:
@@ -300,10 +299,9 @@ class MapOf(Type):
         return INVALID if any(each is INVALID for each in found.values()) else found
 
     def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
-        schema: dict[str, Any] = {"type": "object"}
         keys = self.key.json(definitions)
-        schema |= {"propertyNames": keys} if keys != {"type": "string"} else {}
-        schema |= {"minProperties": self.size.least} if self.size.least else {}
+        names = keys if keys != {"type": "string"} else {}
+        schema = _said(type="object", propertyNames=names, minProperties=self.size.least)
         return schema | {"additionalProperties": self.entry.json(definitions)}
 
 
@@ -325,17 +323,14 @@ class OneOf(Type):
         if value is None and self.null:
             return None
         fitting = [each for each in self.members if each.accepts(value)]
-        if len(fitting) == 1 and not isinstance(fitting[0], Plain):
-            return fitting[0].read(value, where, mistakes)
-        if not fitting:
-            return self.refuse(value, where, mistakes)
+        tried = mistakes
         for member in fitting:
-            tried = Mistakes(mistakes.document, mistakes.root)
+            tried = type(mistakes)(mistakes.document, mistakes.root)
             found = member.read(value, where, tried)
             if found is not INVALID:
                 return found
-        others = [each for each in self.members if not isinstance(each, Plain)]
-        if others and all(isinstance(each, Plain) for each in fitting):
+        others = not all(isinstance(each, Plain) for each in self.members)
+        if not fitting or (others and all(isinstance(each, Plain) for each in fitting)):
             return self.refuse(value, where, mistakes)  # a word that is none, or a number
         mistakes.found += tried.found
         return INVALID

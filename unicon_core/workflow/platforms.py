@@ -22,7 +22,7 @@ from unicon_core.platforms.kit.disturbances import disturb
 from unicon_core.platforms.kit.scene import SCENE_KEYS, Scene
 from unicon_core.platforms.platform import SIMULATED, Binding, Facts, Platform
 from unicon_core.robots import Robot
-from unicon_core.robots.joint_physics import joint_physics
+from unicon_core.robots.poses import joint_physics
 from unicon_core.workflow.autowire import BuildContext, option_names, read_options
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.hardware import (

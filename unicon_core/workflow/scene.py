@@ -11,7 +11,7 @@ from unicon_core.errors import PlatformError, RobotError, WorkflowError, alterna
 from unicon_core.platforms.kit.scene import DISTURBANCES, Scene
 from unicon_core.platforms.platform import Facts
 from unicon_core.robots import joint_index
-from unicon_core.robots.joint_physics import JOINT_PHYSICS, joint_physics
+from unicon_core.robots.poses import JOINT_PHYSICS, joint_physics
 from unicon_core.workflow.autowire import BuildContext
 from unicon_core.workflow.document import WorkflowDocument, read_part
 

@@ -127,7 +127,7 @@ def _fit(arguments: argparse.Namespace, folder: Path) -> int:
         UniconError: REAL is not a record, or lacks what is needed.
     """
     from unicon_core.robots import load_robot
-    from unicon_core.robots.joint_physics import JOINT_PHYSICS
+    from unicon_core.robots.poses import JOINT_PHYSICS
     from unicon_ros.identify import fit_record
     from unicon_ros.recording import open_record
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.robots.joint_physics import JointPhysics
+from unicon_core.robots.poses import JointPhysics
 
 Array = NDArray[Any]
 

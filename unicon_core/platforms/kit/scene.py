@@ -75,7 +75,7 @@ class Scene:
         noise: state to standard deviation of white noise, in the state's unit.
         push: `every` in [s] and `velocity` in [m/s]: random horizontal pushes of the base.
         joints: joint names and patterns to `strength`, `friction`, `armature` and `delay` in place
-            of the model's, see `robots/joint_physics.py`; over those of the robot file.
+            of the model's, see `robots/poses.py`; over those of the robot file.
         payload: `mass` [kg] of a point that is fixed to a `body` of the model (the base's unless
             told) at `position` [m] in that body's frame (its centre of mass unless told).
         contact_friction: factor on the friction of all contacts, with floor and things alike.

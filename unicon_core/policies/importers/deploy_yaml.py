@@ -17,17 +17,12 @@ from typing import Any
 
 from unicon_core.errors import alternatives
 from unicon_core.located_yaml import Where
-from unicon_core.policies.facts import Facts, dig, term_state
+from unicon_core.policies.facts import GAINS, Facts, dig, term_state
 from unicon_core.policies.hints import Pair
 from unicon_core.policies.importers.source_reader import Source, SourceReader
 from unicon_core.policies.importers.training import chosen_ids, clip_before_scale, command_ranges
 
 _FLAGS = ("scale_first", "use_gym_history")
-
-
-def is_deploy_yaml(values: Any) -> bool:
-    """Whether a YAML document is a `deploy.yaml`."""
-    return isinstance(values, Mapping) and "joint_ids_map" in values and "step_dt" in values
 
 
 def deploy_yaml_facts(source: Source) -> Facts:
@@ -52,99 +47,99 @@ class _Deploy(SourceReader):
     def joints(self, source: Source) -> None:
         order = self.places("joint_ids_map")
         if not order:
-            raise self.fail(("joint_ids_map",), "joint_ids_map is empty; give motor numbers")
+            raise self.wrong("joint_ids_map", "joint_ids_map is empty; give motor numbers")
         self.count = len(order)
-        self.say(("period",), self.document["step_dt"], ("step_dt",))
+        self.say("period", self.document["step_dt"], "step_dt")
         if source.robot is not None:
-            self.say_motors("joint_ids_map", order, source.robot.name, source.motors)
+            self.say_motors("joint_ids_map", order, source.robot)
         else:
             self.facts.notes.append(
                 "deploy.yaml: joints are numbers of the robot's motors (joint_ids_map); "
                 "name the robot and they are known"
             )
-        for target in ("stiffness", "damping"):
-            values = self.floats((target,), self.need(target))
+        for fact in GAINS:
+            values = self.floats(fact)
             if max(order) >= len(values):
                 # Unitree's own G1 file with 23 joints does so, and its program gives value i to
                 # motor i whatever the map says.
-                self.facts.asks[target] = (
+                self.facts.asks[fact] = (
                     f"the file has {len(values)} values in motor order, but joint_ids_map names "
                     f"motor {max(order)}"
                 )
                 continue
-            self.say((target,), [values[i] for i in order], (target,))
+            self.say(fact, [values[i] for i in order], fact)
         of = f"{self.count} joints of joint_ids_map"
-        self.say_vector(("default_joint_pos",), "default_joint_pos", count=self.count, of=of)
+        self.say_vector("default_joint_pos", "default_joint_pos", self.count, of)
 
     def action(self) -> None:
         actions = self.need("actions")
         if not isinstance(actions, Mapping) or list(actions) != ["JointPositionAction"]:
             names = ", ".join(actions) if isinstance(actions, Mapping) else repr(actions)
-            raise self.fail(
-                ("actions",),
+            raise self.wrong(
+                "actions",
                 f"actions are {names}; only one JointPositionAction (joint position targets) can "
                 "be run",
             )
-        where = ("actions", "JointPositionAction")
+        where = "actions.JointPositionAction"
         action = actions["JointPositionAction"]
         if not isinstance(action, Mapping):
-            raise self.fail(where, f"JointPositionAction is {action!r}; give scale and offset")
+            raise self.wrong(where, f"JointPositionAction is {action!r}; give scale and offset")
         size = self.count
         if isinstance(action.get("joint_ids"), list):
-            ids = self.places(*where, "joint_ids", below=self.count)
+            ids = self.places(f"{where}.joint_ids", self.count)
             size, joints = len(ids), self.facts.values.get("joints")
             if joints is not None and ids != list(range(self.count)):
-                self.say(("action", "joints"), [joints[i] for i in ids], (*where, "joint_ids"))
-        scale = self.spread((*where, "scale"), action.get("scale"), size)
-        offset = self.spread((*where, "offset"), action.get("offset"), size)
-        self.say(("action", "scale"), scale, (*where, "scale"))
-        self.say(("action", "offset"), offset, (*where, "offset"))
-        clip = action.get("clip")
-        if clip is not None:
+                self.say("action.joints", [joints[i] for i in ids], f"{where}.joint_ids")
+        scale, offset = (self.spread(f"{where}.{key}", size) for key in ("scale", "offset"))
+        self.say("action.scale", scale, f"{where}.scale")
+        self.say("action.offset", offset, f"{where}.offset")
+        if action.get("clip") is not None:
             # Unitree clips the target, we clip the action: bring the bounds to the other side.
-            pairs = self.value(list[Pair], (*where, "clip"), clip)
+            clip = f"{where}.clip"
+            pairs = self.value(list[Pair], clip)
             if len(pairs) not in (size, 1) or not all(scale):
-                raise self.fail((*where, "clip"), f"clip is {clip!r}; give [lowest, highest] each")
+                raise self.wrong(clip, f"clip is {action['clip']!r}; give [lowest, highest] each")
             bounds = [
                 sorted((bound - zero) / factor for bound in pair)
                 for pair, zero, factor in zip(pairs * (size // len(pairs)), offset, scale)
             ]
-            self.say(("action", "clip"), [list(side) for side in zip(*bounds)], (*where, "clip"))
-        self.say(("action", "feedback"), "raw", where)
+            self.say("action.clip", [list(side) for side in zip(*bounds)], clip)
+        self.say("action.feedback", "raw", where)
 
-    def spread(self, where: Where, value: Any, size: int) -> list[float]:
-        values = self.floats(where, value)
+    def spread(self, key: str, size: int) -> list[float]:
+        values = self.floats(key)
         if len(values) not in (1, size):
-            raise self.fail(
-                where, f"{where[-1]} has {len(values)} values for {size} joints; give one for each"
+            word = key.rpartition(".")[2]
+            raise self.wrong(
+                key, f"{word} has {len(values)} values for {size} joints; give one for each"
             )
-        return values * size if len(values) == 1 and size > 1 else values
+        return values * (size // len(values))
 
     def observation(self) -> None:
         where: Where = ("observations",)
         group = self.need("observations")
         if not isinstance(group, Mapping) or not group:
-            raise self.fail(where, f"observations are {group!r}; give the terms")
+            raise self.wrong(where, f"observations are {group!r}; give the terms")
         entries = [key for key in group if key not in _FLAGS]
         if entries and not any(_is_term(group[key]) for key in entries):
             if len(entries) > 1:
-                raise self.fail(
+                raise self.wrong(
                     where,
                     f"observations has the groups {', '.join(entries)}; only one group can be "
                     "imported, write a policy.yaml with 'inputs' for the others",
                 )
-            self.say(("inputs", "observation"), entries[0], (*where, entries[0]))
+            self.say("inputs.observation", entries[0], (*where, entries[0]))
             where, group = (*where, entries[0]), group[entries[0]]
             if not isinstance(group, Mapping):
-                raise self.fail(where, f"observations.{where[-1]} is {group!r}; no term")
+                raise self.wrong(where, f"observations.{where[-1]} is {group!r}; no term")
         terms: list[dict[str, Any]] = []
         for name, value in group.items():
             if name in _FLAGS:
                 continue
             if not _is_term(value):
-                raise self.fail((*where, name), f"observations.{name} is {value!r}; no term")
+                raise self.wrong((*where, name), f"observations.{name} is {value!r}; no term")
             source: Where = (*where, name)
-            self.facts.lines[("observation", "terms", len(terms))] = self.lines[source]
+            self.facts.lines[("observation", "terms", len(terms))] = self.located.lines[source]
             terms.append(self.term(source, name, value, bool(group.get("scale_first"))))
         self.facts.values["observation"] = {
             "layout": "frame_major" if group.get("use_gym_history") else "term_major",
@@ -161,24 +156,24 @@ class _Deploy(SourceReader):
         try:
             places = chosen_ids(dig(params, "asset_cfg", "joint_ids"))
         except ValueError as error:
-            raise self.fail(where, f"{name}: {error}") from error
+            raise self.wrong(where, f"{name}: {error}") from error
         if places is not None:
             term["index"] = places
         if name == "gait_phase" and isinstance(params, Mapping) and "period" in params:
-            self.say(("phase",), {"period": params["period"], "offsets": [0.0]}, (*where, "params"))
+            self.say("phase", {"period": params["period"], "offsets": [0.0]}, (*where, "params"))
         scale = value.get("scale")
         if scale is not None:
-            term["scale"] = self.floats((*where, "scale"), scale)
-        clip = value.get("clip")
-        if clip is not None:
-            pair = self.value(Pair, (*where, "clip"), clip)
+            term["scale"] = self.floats((*where, "scale"))
+        if value.get("clip") is not None:
+            pair = self.value(Pair, (*where, "clip"))
             term["clip"] = list(pair)
             if scale_first and scale is not None:
                 if not all(term["scale"]):
-                    raise self.fail((*where, "scale"), f"{name}: scale 0 with scale_first and clip")
+                    raise self.wrong(
+                        (*where, "scale"), f"{name}: scale 0 with scale_first and clip"
+                    )
                 term["clip"] = clip_before_scale(pair, term["scale"])
-        history = value.get("history_length", 1)
-        term["history"] = history if history else 1
+        term["history"] = value.get("history_length") or 1
         if not term_state(name):
             known = alternatives(name, ("base_ang_vel", "projected_gravity", "velocity_commands",
                                         "joint_pos_rel", "joint_vel_rel", "last_action",
@@ -190,7 +185,7 @@ class _Deploy(SourceReader):
         where = ("commands", "base_velocity", "ranges")
         ranges = command_ranges(dig(self.document, *where))
         if ranges:
-            self.say(("command_ranges",), ranges, where)
+            self.say("command_ranges", ranges, where)
 
 
 def _is_term(value: Any) -> bool:

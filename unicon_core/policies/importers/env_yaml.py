@@ -20,25 +20,15 @@ from unicon_core.policies.importers.source_reader import Source
 from unicon_core.policies.importers.training import (
     chosen_ids,
     chosen_joints,
-    command_ranges,
     matching,
     say_period,
+    say_ranges,
     stated_order,
     values_by_pattern,
 )
 
 _GROUPS = ("policy", "actor")
 _OF_JOINTS = ("joint_pos", "joint_vel")
-
-
-def is_env_yaml(values: Any) -> bool:
-    """Whether a YAML document is an Isaac Lab environment."""
-    return (
-        isinstance(values, Mapping)
-        and isinstance(values.get("sim"), Mapping)
-        and "decimation" in values
-        and "observations" in values
-    )
 
 
 def env_yaml_facts(source: Source) -> Facts:
@@ -52,15 +42,13 @@ def env_yaml_facts(source: Source) -> Facts:
     name, action = _action_term(located)
     where, terms = _terms(located)
     joints = source.joints or _stated_joints(facts, action, terms)
-    say_period(facts, document["sim"].get("dt"), document["decimation"], "sim.dt · decimation")
+    say_period(facts, document, "sim.dt", "decimation")
     if joints is not None:
         facts.values["joints"] = joints
         _robot(facts, document, joints)
     _action(facts, located, name, action, joints)
     _observation(facts, located, where, terms, joints)
-    ranges = command_ranges(dig(document, "commands", "base_velocity", "ranges"))
-    if ranges:
-        facts.values["command_ranges"] = ranges
+    say_ranges(facts, document, "commands.base_velocity.ranges")
     return facts
 
 
@@ -94,7 +82,7 @@ def _robot(facts: Facts, document: Mapping[str, Any], joints: list[str]) -> None
     for key in GAINS:
         found: dict[str, float] = {}
         moved: list[str] = []
-        for actuator in (actuators or {}).values() if isinstance(actuators, Mapping) else ():
+        for actuator in actuators.values() if isinstance(actuators, Mapping) else ():
             patterns = dig(actuator, "joint_names_expr") or []
             own = matching(patterns if isinstance(patterns, list) else [patterns], joints)
             moved += own
@@ -227,7 +215,7 @@ def _observation(
     said: Mapping[str, Mapping[str, Any]],
     joints: list[str] | None,
 ) -> None:
-    shared = dig(located.value, *map(str, where), "history_length")
+    shared = dig(located.value, *where, "history_length")
     terms: list[dict[str, Any]] = []
     for key, value in said.items():
         function = _function(value)

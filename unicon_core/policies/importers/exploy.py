@@ -13,7 +13,7 @@ import re
 from typing import Any
 
 from unicon_core.errors import PolicyError
-from unicon_core.policies.facts import Facts
+from unicon_core.policies.facts import GAINS, Facts
 from unicon_core.policies.importers.holosoma import json_metadata
 from unicon_core.policies.networks.onnx_file import OnnxFile
 
@@ -38,8 +38,7 @@ def exploy_facts(onnx: OnnxFile) -> Facts:
     facts = Facts(onnx.path, "exploy metadata", {"onnx": onnx.path.name})
     rate = metadata.get("update_rate")
     if isinstance(rate, (int, float)) and rate > 0:
-        facts.values["period"] = 1.0 / rate
-        facts.keys[("period",)] = "update_rate"
+        facts.say("period", 1.0 / rate, "update_rate")
     moved = _outputs(facts, onnx, metadata)
     _inputs(facts, onnx, metadata, moved)
     return facts
@@ -68,10 +67,9 @@ def _outputs(facts: Facts, onnx: OnnxFile, metadata: dict[str, Any]) -> list[str
     facts.values["outputs"] = {"action": f"{group}.pos"}
     # The output is the target itself in [rad].
     facts.values["action"] = {"scale": 1.0, "offset": 0.0}
-    for key in ("stiffness", "damping"):
+    for key in GAINS:
         if key in about:
-            facts.values[key] = about[key]
-            facts.keys[(key,)] = f"{group}.{key}"
+            facts.say(key, about[key], f"{group}.{key}")
     if set(named[group]) & {"vel", "effort"}:
         facts.notes.append(f"{onnx.path.name}: velocity and effort targets of {group} are not used")
     return moved
@@ -124,7 +122,7 @@ def _take_order(facts: Facts, orders: dict[str, list[str]], moved: list[str]) ->
         return
     facts.values["joints"] = order
     facts.values["action"]["joints"] = moved
-    for key in ("stiffness", "damping"):
+    for key in GAINS:
         known = facts.values.pop(key, None)
         if isinstance(known, list) and set(order) == set(moved) and len(known) == len(moved):
             by_name = dict(zip(moved, known))

@@ -13,7 +13,7 @@ import json
 from typing import Any
 
 from unicon_core.errors import PolicyError
-from unicon_core.policies.facts import Facts, term_state
+from unicon_core.policies.facts import GAINS, Facts, term_state
 from unicon_core.policies.importers.training import RENAMED_RANGES
 from unicon_core.policies.networks.onnx_file import OnnxFile
 
@@ -55,9 +55,8 @@ def holosoma_facts(onnx: OnnxFile) -> Facts:
         raise PolicyError(
             f"{onnx.path}: metadata dof_names is {joints!r}, no list; export the policy again"
         )
-    facts.values["joints"] = joints
-    facts.keys[("joints",)] = "dof_names"
-    for target, key in (("stiffness", "kp"), ("damping", "kd")):
+    facts.say("joints", joints, "dof_names")
+    for fact, key in zip(GAINS, ("kp", "kd")):
         if key not in metadata:
             continue
         values = metadata[key]
@@ -67,8 +66,7 @@ def holosoma_facts(onnx: OnnxFile) -> Facts:
                 f"{onnx.path}: metadata {key} has {count} values for {len(joints)} dof_names; "
                 "export the policy again"
             )
-        facts.values[target] = values
-        facts.keys[(target,)] = key
+        facts.say(fact, values, key)
     ranges = metadata.get("command_ranges")
     if isinstance(ranges, dict):
         facts.values["command_ranges"] = {
@@ -91,7 +89,7 @@ def _tracking(facts: Facts, onnx: OnnxFile, count: int, metadata: dict[str, Any]
     facts.values["outputs"] = dict(_REFERENCE)
     facts.values["action"] = {"clip": [-100.0, 100.0], "feedback": "clipped"}
     if f'name="{_ANCHOR}"' in str(metadata.get("robot_urdf", "")):
-        facts.values["motion"] = {"anchor_body": _ANCHOR}
+        facts.say("motion.anchor_body", _ANCHOR)
     else:
         facts.asks["motion"] = f"the body that is compared; robot_urdf has no {_ANCHOR}"
     size, laid_out = inputs["obs"].shape[-1], 5 * count + 9
@@ -102,5 +100,4 @@ def _tracking(facts: Facts, onnx: OnnxFile, count: int, metadata: dict[str, Any]
         )
         return
     terms = [{"name": name, **term_state(name), "scale": 1.0} for name in _TERMS]
-    facts.values["observation"] = {"terms": terms}
-    facts.keys[("observation", "terms")] = "its program's layout wbt"
+    facts.say("observation.terms", terms, "its program's layout wbt")

@@ -17,6 +17,12 @@ from unicon_core.errors import PolicyError
 from unicon_core.policies.facts import Facts, term_state
 from unicon_core.policies.networks.onnx_file import OnnxFile
 
+_VECTORS = {
+    "default_joint_pos": "default_joint_pos",
+    "stiffness": "joint_stiffness",
+    "damping": "joint_damping",
+}
+_HISTORIES = ("observation_terms_history_length", "observation_history_lengths")
 _ROUNDED = re.compile(r"-?\d+\.\d{3}\Z")
 # Outputs of a BeyondMimic network beside the actions: its reference motion at `time_step`.
 _MOTION_OUTPUTS = (
@@ -36,29 +42,23 @@ def mjlab_facts(onnx: OnnxFile) -> Facts:
     facts = Facts(onnx.path, label, {"onnx": onnx.path.name})
     reader = _Metadata(facts, metadata)
     joints = reader.words("joint_names")
-    facts.values["joints"] = joints
-    for target, key in (
-        ("default_joint_pos", "default_joint_pos"),
-        ("stiffness", "joint_stiffness"),
-        ("damping", "joint_damping"),
-    ):
+    facts.say("joints", joints)
+    for fact, key in _VECTORS.items():
         if key in metadata:
-            facts.values[target] = reader.vector(key, len(joints), "joint_names")
-            facts.keys[(target,)] = key
+            facts.say(fact, reader.vector(key, len(joints), "joint_names"), key)
     if "action_scale" in metadata:
         scale = reader.numbers("action_scale")
         if len(scale) not in (1, len(joints)):
             raise reader.fail(
                 "action_scale", f"has {len(scale)} numbers for {len(joints)} joint_names"
             )
-        facts.values["action"] = {"scale": scale if len(scale) > 1 else scale[0]}
-        facts.keys[("action", "scale")] = "action_scale"
+        facts.say("action.scale", scale if len(scale) > 1 else scale[0], "action_scale")
     _observation(reader, motion)
     _tensors(facts, onnx, motion)
     if "anchor_body_name" in metadata and facts.values.get("outputs", {}).get("motion_joint_vel"):
-        facts.values["motion"] = {"anchor_body": metadata["anchor_body_name"].strip()}
+        facts.say("motion.anchor_body", metadata["anchor_body_name"].strip())
         if "body_names" in metadata:
-            facts.values["motion"]["bodies"] = reader.words("body_names")
+            facts.say("motion.bodies", reader.words("body_names"))
     _rounding(reader)
     return facts
 
@@ -76,23 +76,18 @@ def _observation(reader: _Metadata, motion: bool) -> None:
         if name == "command" and (motion or any("motion" in command for command in commands)):
             term = {"name": name, "state": "motion_command"}
         terms.append(term)
-    history_key = next(
-        (k for k in ("observation_terms_history_length", "observation_history_lengths")
-         if k in metadata),
-        None,
-    )  # fmt: skip
-    if history_key is not None:
-        lengths = reader.vector(history_key, count, "observation_names")
-        for term, length in zip(terms, lengths):
+    history = next((key for key in _HISTORIES if key in metadata), "")
+    if history:
+        for term, length in zip(terms, reader.vector(history, count, "observation_names")):
             if length != int(length) or length < 0:
-                raise reader.fail(history_key, f"has {length:g}; give whole numbers")
+                raise reader.fail(history, f"has {length:g}; give whole numbers")
             term["history"] = max(int(length), 1)
-    if "observation_terms_flatten_history_dim" in metadata:
-        flat = reader.vector("observation_terms_flatten_history_dim", count, "observation_names")
-        for term, value in zip(terms, flat):
+    flat = "observation_terms_flatten_history_dim"
+    if flat in metadata:
+        for term, value in zip(terms, reader.vector(flat, count, "observation_names")):
             if not value and term.get("history", 1) > 1:
                 raise reader.fail(
-                    "observation_terms_flatten_history_dim",
+                    flat,
                     f"is off for {term['name']!r} with history {term['history']}; only flattened "
                     "histories can be run",
                 )
@@ -128,7 +123,7 @@ def _rounding(reader: _Metadata) -> None:
     rounded = [
         key
         for key, text in reader.metadata.items()
-        if key in ("joint_stiffness", "joint_damping", "default_joint_pos", "action_scale")
+        if key in (*_VECTORS.values(), "action_scale")
         and all(_ROUNDED.match(word.strip()) for word in text.split(","))
     ]
     if rounded:

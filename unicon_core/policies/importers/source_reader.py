@@ -6,10 +6,11 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeAlias
 
-from unicon_core.errors import UniconError, alternatives
+from unicon_core.errors import PolicyError, UniconError, alternatives
 from unicon_core.located_yaml import Located, Where
+from unicon_core.policies.contract import TORCHSCRIPT
 from unicon_core.policies.facts import Facts
 from unicon_core.policies.given import given_joints
 from unicon_core.policies.hints import Side, listed
@@ -19,7 +20,7 @@ from unicon_core.schema.read import refuse
 from unicon_core.schema.records import type_of
 from unicon_core.schema.types import Mistakes
 
-_SUFFIXES = {".onnx": "onnx", ".pt": "torchscript", ".pth": "torchscript", ".jit": "torchscript"}
+_SUFFIXES = {".onnx": "onnx", **dict.fromkeys(TORCHSCRIPT, "torchscript")}
 
 
 @dataclass(frozen=True)
@@ -50,20 +51,27 @@ class Source:
         """
         return given_joints(self.path, self.given)
 
-    @property
-    def motors(self) -> dict[int, str]:
-        """Motor numbers of the vendor's SDK to joints: places unless the robot says more."""
-        if self.robot is None:
-            return {}
-        names = self.robot.joint_names
-        numbers = self.robot.transport.get("motors")
-        if not isinstance(numbers, (list, tuple)) or len(numbers) != len(names):
-            numbers = range(len(names))
-        return {int(number): name for number, name in zip(numbers, names)}
+
+def motors_of(robot: Robot) -> dict[int, str]:
+    """Return motor numbers of the vendor's SDK to joints: places unless the robot says more."""
+    names, numbers = robot.joint_names, robot.transport.get("motors")
+    if not isinstance(numbers, (list, tuple)) or len(numbers) != len(names):
+        numbers = range(len(names))
+    return {int(number): name for number, name in zip(numbers, names)}
+
+
+Place: TypeAlias = str | Where
+
+
+def keys_of(place: Place) -> Where:
+    """Return the keys of a place."""
+    return tuple(place.split(".")) if isinstance(place, str) else place
 
 
 class SourceReader:
     """Takes values out of a source's document into facts, each with its place for messages.
+
+    A place of a value is its keys, or these with dots between them.
 
     Args:
         facts: filled.
@@ -72,63 +80,64 @@ class SourceReader:
 
     Attributes:
         document: what stands under `inside`.
-        fail: makes the error of a place of the document.
     """
 
     def __init__(self, facts: Facts, located: Located, inside: Where = ()) -> None:
-        self.facts = facts
-        self.inside = inside
+        self.facts, self.located, self.inside = facts, located, inside
         document: Any = located.value
         for key in inside:
             document = document[key]
         self.document: Mapping[str, Any] = document
-        self.lines = located.lines
-        self.fail = located.error
 
-    def say(self, target: Where, value: Any, source: Where) -> None:
-        """Note a value and where it stood."""
-        place: Any = self.facts.values
-        for key in target[:-1]:
-            place = place.setdefault(key, {})
-        place[target[-1]] = value
-        self.facts.keys[target] = ".".join(map(str, source))
-        line = self.lines.get((*self.inside, *source))
-        if line is not None:
-            self.facts.lines[target] = line
+    def line(self, place: Place) -> int | None:
+        """Return the line of a place, None where it has none in the file that errors name."""
+        return self.located.lines.get((*self.inside, *keys_of(place)))
 
-    def need(self, *keys: str) -> Any:
-        """Return what stands under nested keys.
+    def say(self, fact: str, value: Any, place: Place, word: str = "") -> None:
+        """Note a value and where it stood.
+
+        Args:
+            fact: its dotted name.
+            value: of it.
+            place: where it stood.
+            word: the source's own word for it; the place unless given.
+        """
+        self.facts.say(fact, value, word or ".".join(map(str, keys_of(place))), self.line(place))
+
+    def need(self, place: Place) -> Any:
+        """Return what stands at a place.
 
         Raises:
             PolicyError: nothing does.
         """
         value: Any = self.document
+        keys = keys_of(place)
         for i, key in enumerate(keys):
             if not isinstance(value, Mapping) or value.get(key) is None:
                 known = map(str, value) if isinstance(value, Mapping) else ()
                 raise self.wrong(
                     keys[:i],
-                    f"the {self.facts.source} has no {'.'.join(keys)!r}; add it; "
-                    f"{alternatives(key, known)}",
+                    f"the {self.facts.source} has no {'.'.join(map(str, keys))!r}; add it; "
+                    f"{alternatives(str(key), known)}",
                 )
             value = value[key]
         return value
 
-    def wrong(self, where: Where, message: str) -> UniconError:
+    def wrong(self, place: Place, message: str) -> UniconError:
         """Return the error of a place below `inside`."""
-        return self.fail((*self.inside, *where), message)
+        return self.located.error((*self.inside, *keys_of(place)), message)
 
-    def value(self, hint: Any, where: Where, value: Any) -> Any:
+    def value(self, hint: Any, place: Place) -> Any:
         """Return a value as a hint has it.
 
         Args:
             hint: its type, with units and bounds.
-            where: its place below `inside`.
-            value: as it stands there.
+            place: where it stands.
 
         Raises:
-            PolicyError: it is something else.
+            PolicyError: it is missing, or something else.
         """
+        value, where = self.need(place), keys_of(place)
         name = ".".join(map(str, where))
         mistakes = Mistakes(value, name)
         found = type_of(hint).read(value, (), mistakes)
@@ -136,94 +145,136 @@ class SourceReader:
         refuse(mistakes, lambda below, text: self.wrong((*where, *below), text), what)
         return found
 
-    def floats(self, where: Where, value: Any) -> list[float]:
+    def floats(self, place: Place) -> list[float]:
         """Return a number or a list of numbers as a list.
 
         Raises:
-            PolicyError: it is something else.
+            PolicyError: it is missing, or something else.
         """
-        return list(listed(self.value(Side, where, value)))
+        return list(listed(self.value(Side, place)))
 
-    def vector(self, *keys: str, count: int, of: str) -> list[float]:
+    def vector(self, key: str, count: int, of: str) -> list[float]:
         """Return one number for each joint; a single number is that of all.
 
         Args:
-            keys: nested keys.
+            key: where they stand.
             count: how many there must be.
             of: what they are counted by, for the message: `num_actions 12`.
 
         Raises:
             PolicyError: they are missing, no numbers, or of another count.
         """
-        value = self.need(*keys)
-        values = self.floats(keys, value)
-        if not isinstance(value, list):
+        values = self.floats(key)
+        if not isinstance(self.need(key), list):
             return values * count
         if len(values) != count:
-            raise self.wrong(
-                keys, f"{'.'.join(keys)} has {len(values)} values for {of}; give {count}"
-            )
+            raise self.wrong(key, f"{key} has {len(values)} values for {of}; give {count}")
         return values
 
-    def number(self, *keys: str) -> float:
+    def number(self, key: str) -> float:
         """Return a number.
 
         Raises:
             PolicyError: it is missing, or none.
         """
-        number: float = self.value(float, keys, self.need(*keys))
+        number: float = self.value(float, key)
         return number
 
-    def whole(self, *keys: str, least: int = 1) -> int:
-        """Return a whole number of at least so much.
+    def whole(self, key: str) -> int:
+        """Return a whole number of at least 1.
 
         Raises:
             PolicyError: it is missing, or none.
         """
-        number: int = self.value(Annotated[int, Within(least)], keys, self.need(*keys))
+        number: int = self.value(Annotated[int, Within(1)], key)
         return number
 
-    def places(self, *keys: str, below: float = math.inf) -> list[int]:
+    def places(self, place: Place, below: float = math.inf) -> list[int]:
         """Return numbers of joints or motors, each once.
 
         Args:
-            keys: nested keys.
+            place: where they stand.
             below: there are so many; infinite for any.
 
         Raises:
             PolicyError: they are missing, no whole numbers, repeated, or too large.
         """
         hint = Annotated[list[Annotated[int, Within(0, below - 1)]], Checked(twice)]
-        places: list[int] = self.value(hint, keys, self.need(*keys))
+        places: list[int] = self.value(hint, place)
         return places
 
-    def say_vector(self, target: Where, *keys: str, count: int, of: str) -> None:
-        """Note a `vector`, which stands under nested keys."""
-        self.say(target, self.vector(*keys, count=count, of=of), keys)
+    def say_vector(self, fact: str, key: str, count: int, of: str) -> None:
+        """Note a `vector`."""
+        self.say(fact, self.vector(key, count, of), key)
 
-    def say_motors(self, key: str, order: list[int], robot: str, motors: dict[int, str]) -> None:
+    def say_period(self, dt: str, decimation: str) -> float:
+        """Note the control period, the time of a step times the steps for one action.
+
+        Returns:
+            The time of a step in [s].
+        """
+        step = self.number(dt)
+        self.say("period", step * self.whole(decimation), dt, f"{dt} · {decimation}")
+        return step
+
+    def is_laid_out(self, key: str, size: int, moved: int, program: str) -> bool:
+        """Return whether a program lays out the network's input; the terms are asked for if not.
+
+        Args:
+            key: of the size that the network's input has.
+            size: of what the program lays out.
+            moved: number of actions.
+            program: its file.
+        """
+        wanted = self.whole(key)
+        if wanted != size:
+            self.facts.asks["observation.terms"] = (
+                f"{key.rpartition('.')[2]} is {wanted}, and what {program} lays out for {moved} "
+                f"actions has {size}"
+            )
+        return wanted == size
+
+    def given_joints(self, source: Source, count: int, what: str) -> list[str] | None:
+        """Return the joints that the user gives in place of what the source only counts.
+
+        Args:
+            source: what is known beside the document.
+            count: how many there must be.
+            what: where they are counted, and which are meant, for the message.
+
+        Raises:
+            PolicyError: there are more or less.
+        """
+        joints = source.joints
+        if joints is not None and len(joints) != count:
+            raise PolicyError(
+                f"{self.facts.path}: given joints has {len(joints)} names, and {what}"
+            )
+        return joints
+
+    def say_motors(self, key: str, order: list[int], robot: Robot) -> None:
         """Note the joints of motors, and the robot that has them.
 
         Args:
             key: where the motors stand.
             order: their numbers in policy order.
-            robot: the robot's name.
-            motors: its motors to joints.
+            robot: the robot.
 
         Raises:
             PolicyError: the robot has no such motor.
         """
+        motors = motors_of(robot)
         for i in order:
             if i not in motors:
                 raise self.wrong(
-                    (key,),
-                    f"{key} names motor {i}, but robot {robot!r} has {len(motors)} motors up to "
-                    f"number {max(motors)}; choose the robot whose motors it counts",
+                    key,
+                    f"{key} names motor {i}, but robot {robot.name!r} has {len(motors)} motors up "
+                    f"to number {max(motors)}; choose the robot whose motors it counts",
                 )
-        self.say(("joints",), [motors[i] for i in order], (key,))
-        self.facts.values["robot"] = robot
+        self.say("joints", [motors[i] for i in order], key)
+        self.facts.values["robot"] = robot.name
 
-    def network(self, key: Where, named: Any, base: Path | None) -> None:
+    def network(self, key: str, named: Any, base: Path | None) -> None:
         """Find the network that the source names: where it says, else beside it by its name.
 
         Where only an `.onnx` of the same name is there, it is taken, and a note tells it.
@@ -237,10 +288,9 @@ class SourceReader:
             PolicyError: no file is named.
         """
         facts, path = self.facts, self.facts.path
-        word = ".".join(map(str, key))
         if not isinstance(named, str) or Path(named).suffix not in _SUFFIXES:
             known = ", ".join(_SUFFIXES)
-            raise self.wrong(key, f"{word} is {named!r}; name a network ({known})")
+            raise self.wrong(key, f"{key} is {named!r}; name a network ({known})")
         folder, name = path.parent, Path(named).name
         relative = Path(named)
         tries: list[Path] = []
@@ -253,13 +303,12 @@ class SourceReader:
                 continue
             if found.suffix != relative.suffix:
                 facts.notes.append(
-                    f"{path.name}: {word} names {name}, which is not there; {found.name} is taken"
+                    f"{path.name}: {key} names {name}, which is not there; {found.name} is taken"
                 )
-            kind = _SUFFIXES[found.suffix]
-            self.say((kind,), found.name, key)
+            self.say(_SUFFIXES[found.suffix], found.name, key)
             facts.network = found
             return
-        facts.asks["onnx"] = f"{word} names {name}, which is not beside {path.name}; put it there"
+        facts.asks["onnx"] = f"{key} names {name}, which is not beside {path.name}; put it there"
 
 
 def _within(found: Path, *folders: Path) -> bool:

@@ -14,25 +14,32 @@ from typing import Any
 
 from unicon_core.errors import alternatives
 from unicon_core.located_yaml import Tagged
-from unicon_core.policies.facts import Facts
+from unicon_core.policies.facts import Facts, value_of
 
 # A command's name in legged_gym and holosoma -> its name in a contract.
 RENAMED_RANGES = {"ang_vel_yaw": "ang_vel_z"}
 _ALL = "slice(None, None, None)"  # as Isaac Lab dumps it
 
 
-def say_period(facts: Facts, dt: Any, decimation: Any, word: str) -> None:
+def say_period(facts: Facts, document: Any, step: str, decimation: str) -> None:
     """Note the control period, the simulation's step times the decimation, where both are there.
 
     Args:
         facts: changed in place.
-        dt: time of a step in [s].
-        decimation: steps for one action.
-        word: the source's own word for it.
+        document: the source.
+        step: where the time of a step in [s] stands.
+        decimation: where the steps for one action stand.
     """
-    if isinstance(dt, (int, float)) and isinstance(decimation, int):
-        facts.values["period"] = dt * decimation
-        facts.keys[("period",)] = word
+    dt, steps = value_of(document, step), value_of(document, decimation)
+    if isinstance(dt, (int, float)) and isinstance(steps, int):
+        facts.say("period", dt * steps, f"{step} · {decimation}")
+
+
+def say_ranges(facts: Facts, document: Any, key: str) -> None:
+    """Note the command's ranges that stand under a key, if any do."""
+    ranges = command_ranges(value_of(document, key))
+    if ranges:
+        facts.say("command_ranges", ranges)
 
 
 def command_ranges(ranges: Any) -> dict[str, list[Any]]:
@@ -145,7 +152,7 @@ def values_by_pattern(
     """
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         return [float(value)] * len(joints)
-    if isinstance(value, list) and len(value) == len(joints):
+    if isinstance(value, (list, tuple)) and len(value) == len(joints):
         numbers = [float(v) for v in value if isinstance(v, (int, float))]
         return numbers if len(numbers) == len(joints) else None
     if not isinstance(value, Mapping):

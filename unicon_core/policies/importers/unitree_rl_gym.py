@@ -10,22 +10,26 @@ first counts the joints as its model has them (`qpos[7:]`); the second names mot
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
-from unicon_core.errors import PolicyError
-from unicon_core.policies.facts import Facts
+from unicon_core.policies.facts import Facts, term_state
 from unicon_core.policies.importers.source_reader import Source, SourceReader
 
 _PERIOD = 0.8  # of the clock in [s]; it stands in both programs
 _ROOT = "{LEGGED_GYM_ROOT_DIR}/"
 _LEGS, _REST = "leg_joint2motor_idx", "arm_waist_joint2motor_idx"
-
-
-def is_unitree_rl_gym(values: Any) -> bool:
-    """Whether a YAML document is a configuration of its deployment."""
-    return isinstance(values, Mapping) and {"kps", "kds", "default_angles"} <= set(values)
+_GAINS = {"stiffness": "kps", "damping": "kds", "default_joint_pos": "default_angles"}
+_SCALES = {
+    "ang_vel": "ang_vel_scale",
+    "gravity": "",
+    "command": "cmd_scale",
+    "joint_pos": "dof_pos_scale",
+    "joint_vel": "dof_vel_scale",
+    "last_action": "",
+    "phase": "",
+}
+"""Term to the key of its scale, in the order of the programs."""
+_HELD = {"kps": "arm_waist_kps", "kds": "arm_waist_kds", "default_angles": "arm_waist_target"}
 
 
 def unitree_rl_gym_facts(source: Source) -> Facts:
@@ -37,77 +41,67 @@ def unitree_rl_gym_facts(source: Source) -> Facts:
     facts = Facts(source.path, "unitree_rl_gym configuration")
     reader = SourceReader(facts, source.located)
     count = reader.whole("num_actions")
-    if _LEGS in reader.document:
-        _real(reader, count, source)
-    else:
-        _mujoco(reader, count, source.joints)
+    (_real if _LEGS in reader.document else _mujoco)(reader, count, source)
     _common(reader, count)
     folder = source.path.parent
     root = folder.parents[2] if len(folder.parents) > 2 and folder.name == "configs" else None
     named = reader.need("policy_path")
     inside = isinstance(named, str) and named.startswith(_ROOT)
     reader.network(
-        ("policy_path",), named[len(_ROOT) :] if inside else named, root if inside else None
+        "policy_path", named[len(_ROOT) :] if inside else named, root if inside else None
     )
     return facts
 
 
-def _mujoco(reader: SourceReader, count: int, joints: list[str] | None) -> None:
-    facts, counted = reader.facts, f"num_actions {count}"
-    dt, decimation = reader.number("simulation_dt"), reader.whole("control_decimation")
-    reader.say(("period",), dt * decimation, ("simulation_dt",))
-    facts.keys[("period",)] = "simulation_dt · control_decimation"
-    if joints is not None and len(joints) != count:
-        raise PolicyError(
-            f"{facts.path}: given joints has {len(joints)} names, and num_actions is {count}; name "
-            "the joints that it moves, in the order of its model"
-        )
-    for target, key in _GAINS:
-        reader.say_vector((target,), key, count=count, of=counted)
+def _mujoco(reader: SourceReader, count: int, source: Source) -> None:
+    facts = reader.facts
+    reader.say_period("simulation_dt", "control_decimation")
+    joints = reader.given_joints(
+        source,
+        count,
+        f"num_actions is {count}; name the joints that it moves, in the order of its model",
+    )
+    for fact, key in _GAINS.items():
+        reader.say_vector(fact, key, count, f"num_actions {count}")
     if joints is None:
         model = Path(str(reader.document.get("xml_path", "its model"))).name
         facts.asks["joints"] = f"the {count} of {model}, in its order"
 
 
-_GAINS = (("stiffness", "kps"), ("damping", "kds"), ("default_joint_pos", "default_angles"))
-_HELD = {"kps": "arm_waist_kps", "kds": "arm_waist_kds", "default_angles": "arm_waist_target"}
-
-
 def _real(reader: SourceReader, count: int, source: Source) -> None:
-    facts, joints, counted = reader.facts, source.joints, f"num_actions {count}"
-    reader.say(("period",), reader.number("control_dt"), ("control_dt",))
+    facts, counted = reader.facts, f"num_actions {count}"
+    reader.say("period", reader.number("control_dt"), "control_dt")
     legs = reader.places(_LEGS)
     rest = reader.places(_REST) if reader.document.get(_REST) else []
     twice = sorted(set(legs) & set(rest))
     if len(legs) != count or twice:
         what = f"motor {twice[0]} stands in both" if twice else f"{len(legs)} for {counted}"
-        raise reader.wrong((_LEGS,), f"{_LEGS} and {_REST}: {what}; name each motor once")
+        raise reader.wrong(_LEGS, f"{_LEGS} and {_REST}: {what}; name each motor once")
     order = legs + rest
     if source.robot is not None:
-        reader.say_motors(_LEGS, order, source.robot.name, source.motors)
-    elif joints is not None:
-        if len(joints) != len(order):
-            raise PolicyError(
-                f"{facts.path}: given joints has {len(joints)} names, and {_LEGS} and {_REST} have "
-                f"{len(order)} motors; name the joints of these motors, in this order"
-            )
-        facts.values["joints"] = joints
+        reader.say_motors(_LEGS, order, source.robot)
+    elif source.joints is not None:
+        facts.values["joints"] = reader.given_joints(
+            source,
+            len(order),
+            f"{_LEGS} and {_REST} have {len(order)} motors; name the joints of these motors, in "
+            "this order",
+        )
     else:
         facts.asks["joints"] = f"motors {', '.join(map(str, order))} of the robot: name the robot"
     known = facts.values.get("joints")
     if rest and known is not None:
-        reader.say(("action", "joints"), known[:count], (_LEGS,))
-    for target, key in _GAINS:
-        values = reader.vector(key, count=count, of=counted)
+        reader.say("action.joints", known[:count], _LEGS)
+    for fact, key in _GAINS.items():
+        values = reader.vector(key, count, counted)
         if rest:
-            of = f"the {len(rest)} motors of {_REST}"
-            values = values + reader.vector(_HELD[key], count=len(rest), of=of)
-        reader.say((target,), values, (key,))
+            values += reader.vector(_HELD[key], len(rest), f"the {len(rest)} motors of {_REST}")
+        reader.say(fact, values, key)
     if reader.document.get("max_cmd") is not None:
-        most = reader.vector("max_cmd", count=3, of="vx, vy and wz")
+        most = reader.vector("max_cmd", 3, "vx, vy and wz")
         names = ("lin_vel_x", "lin_vel_y", "ang_vel_z")
         ranges = {name: [-value, value] for name, value in zip(names, most)}
-        reader.say(("command_ranges",), ranges, ("max_cmd",))
+        reader.say("command_ranges", ranges, "max_cmd")
     if reader.document.get("imu_type") == "torso":
         facts.notes.append(
             f"{facts.path.name}: imu_type is torso: its program turns the IMU's readings by the "
@@ -117,37 +111,22 @@ def _real(reader: SourceReader, count: int, source: Source) -> None:
 
 def _common(reader: SourceReader, count: int) -> None:
     facts = reader.facts
-    reader.say_vector(("action", "scale"), "action_scale", count=count, of=f"num_actions {count}")
-    reader.say(("action", "feedback"), "raw", ("action_scale",))
-    inputs, laid_out = reader.whole("num_obs"), 11 + 3 * count
-    if inputs != laid_out:
-        facts.asks["observation.terms"] = (
-            f"num_obs is {inputs}, and what deploy_mujoco.py and deploy_real.py lay out for "
-            f"{count} actions has {laid_out}"
-        )
+    reader.say_vector("action.scale", "action_scale", count, f"num_actions {count}")
+    reader.say("action.feedback", "raw", "action_scale")
+    programs = "deploy_mujoco.py and deploy_real.py"
+    if not reader.is_laid_out("num_obs", 11 + 3 * count, count, programs):
         return
-    own = {"index": list(range(count))} if "joints" in facts.values.get("action", {}) else {}
-    terms: list[dict[str, Any]] = [
-        {"name": "ang_vel", "state": "base_ang_vel", "scale": "ang_vel_scale"},
-        {"name": "gravity", "state": "projected_gravity"},
-        {"name": "command", "state": "velocity_command", "scale": "cmd_scale"},
-        {"name": "joint_pos", "state": "joint_pos", "subtract": "default_joint_pos",
-         "scale": "dof_pos_scale", **own},
-        {"name": "joint_vel", "state": "joint_vel", "scale": "dof_vel_scale", **own},
-        {"name": "last_action", "state": "action"},
-        {"name": "phase", "state": "gait_phase"},
-    ]  # fmt: skip
-    for i, term in enumerate(terms):
-        key = term.get("scale")
+    own = {"index": list(range(count))} if "joints" in facts.values["action"] else {}
+    terms = []
+    for i, (name, key) in enumerate(_SCALES.items()):
+        term = {"name": name, **(term_state(name) or {"state": "gait_phase"})}
         if key == "cmd_scale":
-            term["scale"] = reader.vector(key, count=3, of="vx, vy and wz")
-        elif key is not None:
-            term["scale"] = reader.number(key)
+            term["scale"] = reader.vector(key, 3, "vx, vy and wz")
         else:
-            term["scale"] = 1.0
-        line = reader.lines.get((str(key),))
+            term["scale"] = reader.number(key) if key else 1.0
+        terms.append(term | own if name.startswith("joint_") else term)
+        line = reader.line(key)
         if line is not None:
             facts.lines[("observation", "terms", i)] = line
-    facts.values["observation"] = {"terms": terms}
-    facts.values["phase"] = {"period": _PERIOD, "offsets": [0.0]}
-    facts.keys[("phase",)] = facts.keys[("observation", "terms")] = "its deploy program"
+    facts.say("observation.terms", terms, "its deploy program")
+    facts.say("phase", {"period": _PERIOD, "offsets": [0.0]}, "its deploy program")

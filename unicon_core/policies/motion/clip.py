@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.errors import PolicyError, alternatives
+from unicon_core.errors import PolicyError, alternatives, one_line
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.motion.anchor import Chain
 from unicon_core.policies.motion.spec import MotionSpec
@@ -100,13 +100,11 @@ def read_clip(
     base_quat = _slerp(frames.base_quat[first], frames.base_quat[first + 1], share)
     if frames.joint_vel is not None:
         joint_vel = between(frames.joint_vel)
-    elif count > 1:
-        joint_vel = np.gradient(joint_pos, contract.period, axis=0)
     else:
-        joint_vel = np.zeros_like(joint_pos)
+        still = np.zeros_like(joint_pos)
+        joint_vel = np.gradient(joint_pos, contract.period, axis=0) if count > 1 else still
     robot_from_file = [order.index(name) if name in order else -1 for name in robot_joints]
-    padded = np.concatenate((joint_pos, np.zeros((count, 1))), axis=1)[:, robot_from_file]
-    anchor_pos, anchor_quat = _anchors(chain, base_pos, base_quat, padded)
+    anchor_pos, anchor_quat = _anchors(chain, base_pos, base_quat, joint_pos, robot_from_file)
     if frames.bodies is not None:
         _agree(path, spec, frames, chain, robot_from_file)
     policy_from_file = [order.index(name) for name in contract.joints]
@@ -118,7 +116,11 @@ def read_clip(
     )
 
 
-def _anchors(chain: Chain, base_pos: Float, base_quat: Float, joints: Float) -> tuple[Float, Float]:
+def _anchors(
+    chain: Chain, base_pos: Float, base_quat: Float, joint_pos: Float, robot_from_file: list[int]
+) -> tuple[Float, Float]:
+    """Return where the anchor is; a joint that the file lacks, -1, stands at 0."""
+    joints = np.pad(joint_pos, ((0, 0), (0, 1)))[:, robot_from_file]
     rows = zip(base_pos.tolist(), base_quat.tolist(), joints.tolist())
     poses = [chain(tuple(pos), tuple(quat), row) for pos, quat, row in rows]
     return np.array([pos for pos, _ in poses]), np.array([quat for _, quat in poses])
@@ -130,9 +132,8 @@ def _agree(
     """Refuse a file none of whose bodies is where its joints put the anchor: a wrong order."""
     assert frames.bodies is not None
     places = np.linspace(0, len(frames.joint_pos) - 1, min(len(frames.joint_pos), 50)).astype(int)
-    joints = np.concatenate((frames.joint_pos, np.zeros((len(frames.joint_pos), 1))), axis=1)
-    own = joints[places][:, robot_from_file]
-    pos, quat = _anchors(chain, frames.base_pos[places], frames.base_quat[places], own)
+    shown = (frames.base_pos[places], frames.base_quat[places], frames.joint_pos[places])
+    pos, quat = _anchors(chain, *shown, robot_from_file)
     body_pos, body_quat = (part[places] for part in frames.bodies)
     cosine = np.clip(np.abs(np.einsum("kbi,ki->kb", body_quat, quat)), 0.0, 1.0)
     angle = (2.0 * np.arccos(cosine)).max(axis=0)
@@ -193,8 +194,9 @@ def _read_npz(path: Path, fps: float | None) -> _Frames:
     except PolicyError:
         raise
     except Exception as error:  # whatever its reader finds: zip, header, objects
-        reason = " ".join(str(error).split())[:120]
-        raise PolicyError(f"{path}: not a motion in .npz: {reason}; export it again") from error
+        raise PolicyError(
+            f"{path}: not a motion in .npz: {one_line(error)[:120]}; export it again"
+        ) from error
     joint_pos, joint_vel = arrays["joint_pos"], arrays["joint_vel"]
     pos, quat = arrays["body_pos_w"], arrays["body_quat_w"]
     count, bodies = (joint_pos.shape[0] if joint_pos.ndim else 0), (*pos.shape, 0, 0)[1]
@@ -224,9 +226,8 @@ def _read_csv(path: Path, fps: float | None) -> _Frames:
             warnings.simplefilter("ignore")  # that it is empty: told below
             rows: Any = np.loadtxt(path, delimiter=",", ndmin=2, dtype=np.float64)
     except (OSError, ValueError) as error:
-        reason = " ".join(str(error).split())[:120]
         raise PolicyError(
-            f"{path}: not a motion in .csv: {reason}; give rows of numbers"
+            f"{path}: not a motion in .csv: {one_line(error)[:120]}; give rows of numbers"
         ) from error
     if rows.shape[1] < 8:
         raise PolicyError(

@@ -1,7 +1,23 @@
-"""What follows the motion of a contract, put together once when its policy is built."""
+"""The motion that a policy follows, tick by tick: its reference, and the robot compared with it.
+
+In tick k, counted from the end of `hold`, the observation holds the reference of frame k, as in
+training: BeyondMimic's and mjlab's command managers advance before they observe. Where the network
+itself gives the reference, that is what its run of the tick before told
+(HybridRobotics/motion_tracking_controller `src/MotionPolicy.cpp`), and step 0 is run once to begin.
+
+The anchor is compared as in HybridRobotics/whole_body_tracking `mdp/observations.py`: the
+reference's pose in the frame of the robot's anchor, its rotation as the first two columns of the
+matrix, row by row. At the start the motion is turned about the vertical so that both face the same
+way (unitreerobotics/unitree_rl_mjlab `State_Mimic.cpp`, amazon-far/holosoma `policies/wbt.py`), and
+shifted so that it begins where the robot stands.
+
+`tracker_of` puts it together once, when the policy is built.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -9,23 +25,226 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import PolicyError
+from unicon_core.models.plain_turns import (
+    Quat,
+    Vector,
+    conjugate,
+    multiply,
+    rotate,
+    turned,
+    yaw_of,
+)
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.lane import Lane
 from unicon_core.policies.motion.anchor import Chain, chain_in_model, chain_of_axes
-from unicon_core.policies.motion.clip import read_clip
-from unicon_core.policies.motion.tracker import MotionTracker
+from unicon_core.policies.motion.clip import Clip, read_clip
 from unicon_core.policies.prefixed import PackedStates
-from unicon_core.robots import Robot
+from unicon_core.robots import Robot, joint_index
+
+Array = NDArray[np.float32]
+_REFERENCE = ("motion_joint_pos", "motion_joint_vel")
+_TURNS = ("motion_anchor_quat", "motion_anchor_ori_b")
+_PLACES = ("motion_anchor_pos", "motion_anchor_pos_b")
+_ORIGIN: Vector = (0.0, 0.0, 0.0)
+_UP: Vector = (0.0, 0.0, 1.0)
+
+
+class MotionTracker:
+    """Writes the `motion_*` states of a policy, once in each of its ticks.
+
+    Args:
+        contract: with a motion.
+        states: that hold its states, and the robot's.
+        robot_joints: the robot's joint order.
+        clip: the motion of a file; None where outputs of the network are the reference.
+        chain: from the base to the anchor, or None where no state of the anchor is wanted.
+        length: number of frames from the start, or None for a motion without an end.
+
+    Attributes:
+        ticks: after which it is done, or None.
+        done: the last frame was shown.
+        reads: states of the robot that are read.
+        writes: states that are written.
+
+    Raises:
+        PolicyError: what a term reads cannot be told.
+    """
+
+    memory = ("done", "_tick", "_begun", "_turn", "_shift")
+
+    def __init__(
+        self,
+        contract: PolicyContract,
+        states: PackedStates,
+        robot_joints: tuple[str, ...],
+        clip: Clip | None,
+        chain: Chain | None,
+        length: int | None,
+    ) -> None:
+        spec = contract.motion
+        assert spec is not None
+        self._period, self._start, self._align = contract.period, spec.start, spec.align == "yaw"
+        self._clip, self._chain = clip, chain
+        self._hold = hold = round(spec.hold / contract.period)
+        self.ticks = None if length is None else length + hold
+        self.done, self._tick = False, 0
+        rows = self._rows = states.num_robots or 1
+
+        def view(name: str) -> Array:
+            return states[name].reshape(rows, -1)
+
+        self._joint_pos, self._base_quat = view("joint_pos"), view("base_quat")
+        self._base_pos = view("base_pos_w")
+        self._own = joint_index(contract.joints, robot_joints)
+        self._reference = tuple(map(view, _REFERENCE))
+        self._command = view("motion_command")
+        self._time, self._error = states["motion_time"], view("motion_error")
+        self._off = np.zeros((rows, len(contract.joints)), np.float32)
+        self._quats, self._places = _anchor_source(contract, states, clip, rows)
+        self.reads: tuple[str, ...] = ("joint_pos",)
+        self.writes: tuple[str, ...] = ("motion_command", "motion_time", "motion_error")
+        self.writes += _REFERENCE if clip is not None else ()
+        self._anchor, self._position = (tuple(map(view, names)) for names in (_TURNS, _PLACES))
+        if chain is not None:
+            if self._quats is None:
+                raise PolicyError(
+                    f"policy {contract.name}: nothing tells the orientation of the reference's "
+                    "anchor; name an output motion_ref_quat_xyzw, or motion_body_quat_w with "
+                    "motion.bodies, under 'outputs'"
+                )
+            self.reads += ("base_quat",)
+            self.writes += _TURNS
+        wanted = {term.state for term in contract.terms} | set(contract.inputs)
+        places = {*_PLACES} & wanted
+        self._placed = bool(places)
+        if places and (chain is None or not chain.placed or self._places is None):
+            raise PolicyError(
+                f"policy {contract.name}: {min(places)} needs positions of the reference's anchor "
+                "(a file, or an output motion_ref_pos_xyz or motion_body_pos_w) and a model of the "
+                "robot in place of motion.chain"
+            )
+        if self._placed:
+            self.reads += ("base_pos_w",)
+            self.writes += _PLACES
+        self._turn: list[Quat] = [(1.0, 0.0, 0.0, 0.0)] * rows
+        self._shift: list[tuple[Vector, Vector]] = [(_ORIGIN, _ORIGIN)] * rows
+        self._begun = False
+
+    def __call__(self) -> None:
+        """Write the reference of this tick, and how the robot stands to it."""
+        tick, clip = max(self._tick - self._hold, 0), self._clip
+        pos, vel = self._reference
+        if clip is not None:
+            frame = min(tick, len(clip.joint_pos) - 1)
+            pos[...], vel[...] = clip.joint_pos[frame], clip.joint_vel[frame]
+        n = pos.shape[1]
+        self._command[:, :n], self._command[:, n:] = pos, vel
+        self._time[...] = self._start + tick * self._period
+        np.take(self._joint_pos, self._own, axis=1, out=self._off)
+        self._off -= pos
+        self._error[:, 0] = np.sqrt(np.einsum("ij,ij->i", self._off, self._off) / n)
+        if self._chain is not None:
+            for row in range(self._rows):
+                self._compare(row, self._chain, *self._pose(row, tick))
+            self._begun = True
+        self._tick += 1
+        self.done = self.ticks is not None and self._tick >= self.ticks
+
+    def _pose(self, row: int, tick: int) -> tuple[Vector, Quat]:
+        """Return the reference's anchor in the motion's world."""
+        assert self._quats is not None
+        w, x, y, z = self._quats(row, tick)
+        a, b, c = _ORIGIN if self._places is None else self._places(row, tick)
+        return (a, b, c), (w, x, y, z)
+
+    def _compare(self, row: int, chain: Chain, place: Vector, quat: Quat) -> None:
+        w, x, y, z = self._base_quat[row].tolist()
+        base = _ORIGIN
+        if self._placed:
+            a, b, c = self._base_pos[row].tolist()
+            base = (a, b, c)
+        own_place, own = chain(base, (w, x, y, z), self._joint_pos[row].tolist())
+        if not self._begun and self._align:
+            self._turn[row] = turned(_UP, yaw_of(own) - yaw_of(quat))
+            there = (own_place[0], own_place[1], 0.0)
+            self._shift[row] = ((place[0], place[1], 0.0), there)
+        turn = self._turn[row]
+        quat = multiply(turn, quat)
+        w, x, y, z = relative = multiply(conjugate(own), quat)
+        anchor, rotation = self._anchor
+        anchor[row] = quat
+        rotation[row] = (
+            1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z),
+            2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z),
+            2.0 * (x * z - w * y), 2.0 * (y * z + w * x),
+        )  # fmt: skip
+        sine = math.sqrt(relative[1] ** 2 + relative[2] ** 2 + relative[3] ** 2)
+        self._error[row, 1] = 2.0 * math.atan2(sine, abs(w))
+        if self._placed:
+            begin, there = self._shift[row]
+            way = (place[0] - begin[0], place[1] - begin[1], place[2] - begin[2])
+            a, b, c = rotate(turn, way)
+            goal = (a + there[0], b + there[1], c + there[2])
+            self._position[0][row] = goal
+            offset = (goal[0] - own_place[0], goal[1] - own_place[1], goal[2] - own_place[2])
+            self._position[1][row] = rotate(conjugate(own), offset)
+
+    def reset(self) -> None:
+        """Begin the motion anew, wherever the robot is in the next tick."""
+        self._tick, self._begun, self.done = 0, False, False
+
+
+Told = Callable[[int, int], Any]
+
+
+def _anchor_source(
+    contract: PolicyContract, states: PackedStates, clip: Clip | None, rows: int
+) -> tuple[Told | None, Told | None]:
+    """Return what tells the reference's orientation (wxyz) and position by row and tick."""
+    spec = contract.motion
+    assert spec is not None
+    if clip is not None:
+        quats = clip.anchor_quat.tolist()
+        places = None if clip.anchor_pos is None else clip.anchor_pos.tolist()
+        last = len(quats) - 1
+        return (
+            lambda row, tick: quats[min(tick, last)],
+            None if places is None else lambda row, tick: places[min(tick, last)],
+        )
+    if spec.anchor_body in spec.bodies:
+        body = spec.bodies.index(spec.anchor_body)
+        quat = _rows_of(contract, states, "motion_body_quat_w", rows, len(spec.bodies), 4)
+        pos = _rows_of(contract, states, "motion_body_pos_w", rows, len(spec.bodies), 3)
+        return (
+            None if quat is None else lambda row, tick: quat[row, body].tolist(),
+            None if pos is None else lambda row, tick: pos[row, body].tolist(),
+        )
+    xyzw = _rows_of(contract, states, "motion_ref_quat_xyzw", rows, 1, 4)
+    xyz = _rows_of(contract, states, "motion_ref_pos_xyz", rows, 1, 3)
+    return (
+        None if xyzw is None else lambda row, tick: xyzw[row, 0, [3, 0, 1, 2]].tolist(),
+        None if xyz is None else lambda row, tick: xyz[row, 0].tolist(),
+    )
+
+
+def _rows_of(
+    contract: PolicyContract, states: PackedStates, name: str, rows: int, bodies: int, size: int
+) -> Array | None:
+    """Return an output as rows of bodies; None where it is not one."""
+    if name not in contract.outputs or name not in states:
+        return None
+    if states[name].size != rows * bodies * size:
+        raise PolicyError(
+            f"policy {contract.name}: output {contract.outputs[name]!r} has "
+            f"{states[name].size // rows} values, not {size} for each of {bodies} bodies; correct "
+            "motion.bodies or 'outputs'"
+        )
+    view: Array = states[name].reshape(rows, bodies, size)
+    return view
+
 
 FAR = 1 << 20
 """A step that no motion has, 5 hours at 50 Hz: networks hold their last frame from its end on."""
-
-_ANCHORED = (
-    "motion_anchor_quat",
-    "motion_anchor_ori_b",
-    "motion_anchor_pos",
-    "motion_anchor_pos_b",
-)
 
 
 def tracker_of(
@@ -56,13 +275,13 @@ def tracker_of(
         chain = _chain(contract, robot, model)
         clip = read_clip(spec, contract, joints, chain)
         return MotionTracker(contract, states, joints, clip, chain, len(clip.joint_pos))
-    for name in ("motion_joint_pos", "motion_joint_vel"):
+    for name in _REFERENCE:
         if name not in contract.outputs:
             raise PolicyError(
                 f"policy {contract.name}: nothing tells {name}; give motion.file, or name the "
                 "network's output for it under 'outputs'"
             )
-    found = _chain(contract, robot, model) if wanted.intersection(_ANCHORED) else None
+    found = _chain(contract, robot, model) if wanted.intersection(_TURNS + _PLACES) else None
     lane.first_step = float(round(spec.start / contract.period))
     lane.held = float(round(spec.hold / contract.period))
     lane.reset()
@@ -94,11 +313,10 @@ def _length(lane: Lane, states: PackedStates, contract: PolicyContract) -> int |
     From its end on a network holds the last frame (HybridRobotics/whole_body_tracking
     `utils/exporter.py` clamps the step), so that the first one like it is the last.
     """
-    names = ("motion_joint_pos", "motion_joint_vel")
     shown: list[NDArray[np.float32]] = [
         values
         for view, values in lane.published
-        if any(np.shares_memory(view, states[name]) for name in names)
+        if any(np.shares_memory(view, states[name]) for name in _REFERENCE)
     ]
 
     def reference(step: int) -> bytes:
@@ -133,6 +351,6 @@ def own_reference(contract: PolicyContract, states: PackedStates) -> tuple[tuple
     if from_file or "motion_command" not in states:
         return ()
     command = states["motion_command"]
-    position, velocity = states["motion_joint_pos"], states["motion_joint_vel"]
+    position, velocity = (states[name] for name in _REFERENCE)
     n = position.shape[-1]
     return ((command[..., :n], position), (command[..., n:], velocity))

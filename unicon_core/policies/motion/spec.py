@@ -6,12 +6,10 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
 from unicon_core.errors import PolicyError
 from unicon_core.policies.facts import Facts, dig
-from unicon_core.policies.hints import Seconds
 from unicon_core.resources import file_beside, find_resource
 from unicon_core.schema.marks import Checked, Names, Text, Unit, Within, Write, twice
 from unicon_core.schema.types import Here
@@ -21,6 +19,10 @@ AXES = {
     "-x": (-1.0, 0.0, 0.0), "-y": (0.0, -1.0, 0.0), "-z": (0.0, 0.0, -1.0),
 }  # fmt: skip
 """Word of `motion.chain` to the unit vector that it means."""
+
+
+MotionTime = Annotated[float, Unit("s"), Within(0.0, 86_400.0)]
+"""Within a motion, which is a day at most."""
 
 
 @dataclass(frozen=True)
@@ -47,14 +49,12 @@ class MotionSpec:
     file: Annotated[Path | None, Write("a .npz or .csv file")] = None
     bodies: Annotated[tuple[Text, ...], Checked(twice)] = ()
     align: Literal["yaw", "none"] = "yaw"
-    start: Seconds = 0.0
-    end: Seconds | None = None
-    hold: Seconds = 0.0
+    start: MotionTime = 0.0
+    end: MotionTime | None = None
+    hold: MotionTime = 0.0
     fps: Annotated[float | None, Unit("Hz"), Within(1.0, 10_000.0)] = None
     joints: Literal["policy", "robot"] | Names | None = None
-    chain: Mapping[str, Literal["x", "y", "z", "-x", "-y", "-z"]] = field(
-        default_factory=lambda: MappingProxyType({})
-    )
+    chain: Mapping[str, Literal["x", "y", "z", "-x", "-y", "-z"]] = field(default_factory=dict)
 
     @staticmethod
     def between(found: dict[str, Any], here: Here) -> None:

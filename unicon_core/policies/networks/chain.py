@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import PolicyError, alternatives
 from unicon_core.policies.contract import PolicyContract
-from unicon_core.policies.feeds import Feed
-from unicon_core.policies.networks.network import Tensor
+from unicon_core.policies.hints import Feed
+from unicon_core.policies.networks.network import Arrays, Tensor
 from unicon_core.policies.networks.onnx import OnnxNetwork, threads_of
 from unicon_core.policies.networks.onnx_file import read_onnx
 
@@ -117,9 +117,7 @@ class ChainedNetworks:
                 f"feeds: {listed} has {total} values and {tensor} takes {tensor.width}"
             )
 
-    def bind(
-        self, inputs: Mapping[str, NDArray[Any]], outputs: Mapping[str, NDArray[Any]]
-    ) -> Callable[[], None]:
+    def bind(self, inputs: Arrays, outputs: Arrays) -> Callable[[], None]:
         """Return a function that runs all networks on these arrays, in order.
 
         Args:

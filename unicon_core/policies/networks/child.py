@@ -7,11 +7,8 @@ so that an answer to a question that nobody asks any more is dropped without a t
 
 from __future__ import annotations
 
-import copyreg
 import os
 import time
-from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Any
 
 from numpy.typing import NDArray
@@ -19,7 +16,7 @@ from numpy.typing import NDArray
 from unicon_core.errors import Fault, PolicyError
 from unicon_core.platforms.child.pipe import Pipe
 from unicon_core.policies.contract import PolicyContract
-from unicon_core.policies.networks.network import Tensor
+from unicon_core.policies.networks.network import Arrays, Tensor
 from unicon_core.signals import SIGNALS
 from unicon_core.states import Layout, States, StateSpec
 from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter, remove_dead
@@ -40,14 +37,6 @@ _LOOK = 0.005
 """How often a child that is waited for is looked at, in [s]."""
 
 _MODULE = "unicon_core.policies.networks.child_process"
-
-
-def _read_only(values: dict[Any, Any]) -> MappingProxyType[Any, Any]:
-    return MappingProxyType(values)
-
-
-# Contracts go there with their mappings, which cannot be pickled by themselves.
-copyreg.pickle(MappingProxyType, lambda proxy: (_read_only, (dict(proxy),)))
 
 
 class ChildNetwork:
@@ -81,9 +70,7 @@ class ChildNetwork:
         self.outputs: tuple[Tensor, ...] = told["outputs"]
         self.warnings: list[str] = told["warnings"]
 
-    def bind(
-        self, inputs: Mapping[str, NDArray[Any]], outputs: Mapping[str, NDArray[Any]]
-    ) -> Question:
+    def bind(self, inputs: Arrays, outputs: Arrays) -> Question:
         """Return what asks the child about these arrays, and brings its answers into them.
 
         Raises:
@@ -104,11 +91,17 @@ class ChildNetwork:
             self._channel.close()
 
 
-def _specs(arrays: Mapping[str, NDArray[Any]], prefix: str) -> dict[str, StateSpec]:
-    return {
-        f"{prefix}{i}": StateSpec(array.shape, array.dtype.name)
-        for i, array in enumerate(arrays.values())
-    }
+def _layouts(inputs: Arrays, outputs: Arrays) -> tuple[Layout, Layout]:
+    """Return the layouts of a question and of its answer."""
+    questions, answers = (
+        {"number": StateSpec((), "int64")}
+        | {
+            f"{prefix}{i}": StateSpec(array.shape, array.dtype.name)
+            for i, array in enumerate(arrays.values())
+        }
+        for prefix, arrays in (("x", inputs), ("y", outputs))
+    )
+    return Layout(questions | {"fresh": StateSpec((), "int32")}, None), Layout(answers, None)
 
 
 class _Channel:
@@ -117,23 +110,20 @@ class _Channel:
     def __init__(
         self,
         network: ChildNetwork,
-        inputs: Mapping[str, NDArray[Any]],
-        outputs: Mapping[str, NDArray[Any]],
+        inputs: Arrays,
+        outputs: Arrays,
     ) -> None:
         self.network = network
         self._names = (tuple(inputs), tuple(outputs))
-        number, fresh = StateSpec((), "int64"), StateSpec((), "int32")
-        self.questions = States(
-            Layout({"number": number, "fresh": fresh, **_specs(inputs, "x")}, None)
-        )
-        self.answers = States(Layout({"number": number, **_specs(outputs, "y")}, None))
+        self._layouts = _layouts(inputs, outputs)
+        self.questions, self.answers = map(States, self._layouts)
         name = f"policy-{os.getpid()}-{id(self) & 0xFFFF:x}"
         self._child_segment = f"{name}-child"
         self._segment = Segment.create(name, {QUESTION: self.questions.layout})
         self._reader: ShmReader | None = None
         try:
             self.writer = ShmWriter(self._segment, QUESTION, self.questions)
-            layouts = self.questions.layout.to_json(), self.answers.layout.to_json()
+            layouts = (layout.to_json() for layout in self._layouts)
             network.pipe.tell("bind", name, self._child_segment, *map(list, self._names), *layouts)
             network.pipe.answer(START, SIGNALS.check)
             self._reader = ShmReader(self._child_segment, ANSWER, self.answers)
@@ -149,17 +139,10 @@ class _Channel:
         assert self._reader is not None
         return self._reader
 
-    def question(
-        self, inputs: Mapping[str, NDArray[Any]], outputs: Mapping[str, NDArray[Any]]
-    ) -> Question:
+    def question(self, inputs: Arrays, outputs: Arrays) -> Question:
         """Return what asks about some arrays."""
-        asked = self.questions.layout, self.answers.layout
         same = (tuple(inputs), tuple(outputs)) == self._names
-        if not same or any(
-            layout.specs[name] != spec
-            for layout, arrays, prefix in zip(asked, (inputs, outputs), "xy")
-            for name, spec in _specs(arrays, prefix).items()
-        ):
+        if not same or _layouts(inputs, outputs) != self._layouts:
             raise PolicyError(
                 f"{self.network.what}: its network in a child is bound to other sizes already; "
                 "leave out child"

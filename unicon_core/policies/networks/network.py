@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 from numpy.typing import NDArray
 
@@ -36,15 +36,17 @@ class Tensor:
         return f"{self.name} ({axes or 'scalar'}, {self.dtype})"
 
 
+Arrays: TypeAlias = Mapping[str, NDArray[Any]]
+"""Tensors' names to what they are bound to."""
+
+
 class Network(Protocol):
     """A network that can be bound to arrays."""
 
     inputs: tuple[Tensor, ...]
     outputs: tuple[Tensor, ...]
 
-    def bind(
-        self, inputs: Mapping[str, NDArray[Any]], outputs: Mapping[str, NDArray[Any]]
-    ) -> Callable[[], None]:
+    def bind(self, inputs: Arrays, outputs: Arrays) -> Callable[[], None]:
         """Return a function that reads `inputs` and writes `outputs`, which stay where they are.
 
         Where the network remembers inside itself, the function is `Remembering`.

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from weakref import WeakValueDictionary
 
-from numpy.typing import NDArray
-
-from unicon_core.errors import MissingDependencyError, PolicyError
+from unicon_core.errors import MissingDependencyError, PolicyError, imported, one_line
 from unicon_core.policies.contract import PolicyContract
+from unicon_core.policies.networks.network import Arrays
 from unicon_core.policies.networks.onnx_file import OnnxFile, read_onnx
 
 PROVIDERS = {
@@ -63,12 +62,7 @@ def load_session(path: Path, provider: str = "cpu", threads: int = 1) -> Any:
         PolicyError: onnxruntime cannot load the model, or cannot run it there.
     """
     name, install = PROVIDERS[provider]
-    try:
-        import onnxruntime
-    except ImportError as error:
-        raise MissingDependencyError(
-            f"policy {path.name}", "onnxruntime", "pip install 'unicon_ros[sim]'"
-        ) from error
+    onnxruntime = imported("onnxruntime", f"policy {path.name}", "onnxruntime", "sim")
     available = onnxruntime.get_available_providers()
     if name not in available:
         there = [word for word, (full, _) in PROVIDERS.items() if full in available]
@@ -88,7 +82,7 @@ def load_session(path: Path, provider: str = "cpu", threads: int = 1) -> Any:
     try:
         session = onnxruntime.InferenceSession(str(path), sess_options=options, providers=[name])
     except Exception as error:  # onnxruntime raises classes of its own, derived from Exception
-        reason = " ".join(str(error).split())[:200]
+        reason = one_line(error)[:200]
         where = "" if provider == "cpu" else f" for provider {provider}"
         raise PolicyError(f"{path}: onnxruntime cannot load it{where}: {reason}") from error
     if provider != "cpu" and name not in session.get_providers():
@@ -123,19 +117,12 @@ class OnnxNetwork:
 
     def __init__(self, path: Path, provider: str = "cpu", threads: int = 1) -> None:
         self.file: OnnxFile = read_onnx(path)
-        missing = self.file.missing_external()
-        if missing:
-            raise PolicyError(
-                f"{path}: its weights are in {missing[0].name}, which is not beside it; copy "
-                f"{missing[0].name} to {path.parent}"
-            )
-        self.inputs = self.file.inputs
-        self.outputs = self.file.outputs
+        if lost := self.file.lost_weights():
+            raise PolicyError(f"{path}: its weights {lost}")
+        self.inputs, self.outputs = self.file.inputs, self.file.outputs
         self._session = session_of(path, provider, threads)
 
-    def bind(
-        self, inputs: Mapping[str, NDArray[Any]], outputs: Mapping[str, NDArray[Any]]
-    ) -> Callable[[], None]:
+    def bind(self, inputs: Arrays, outputs: Arrays) -> Callable[[], None]:
         """Return a function that runs the network on these arrays, without copies.
 
         Args:

@@ -60,10 +60,11 @@ class OnnxFile:
             result[key] = value
         return result
 
-    def missing_external(self) -> list[Path]:
-        """Return the files with weights that the model needs and that are not there."""
-        paths = [self.path.parent / name for name in self.external]
-        return [path for path in paths if not os.path.isfile(path)]
+    def lost_weights(self) -> str:
+        """Return where weights are that are not beside the model, and the remedy, "" for none."""
+        folder = self.path.parent
+        lost = next((name for name in self.external if not os.path.isfile(folder / name)), "")
+        return lost and f"are in {lost}, which is not beside it; copy {lost} to {folder}"
 
 
 def read_onnx(path: Path) -> OnnxFile:

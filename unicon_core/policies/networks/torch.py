@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import copy
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from unicon_core.errors import MissingDependencyError, PolicyError
+from unicon_core.errors import PolicyError, imported, one_line
 from unicon_core.policies.contract import PolicyContract
-from unicon_core.policies.networks.network import Tensor
-from unicon_core.policies.networks.torch_memory import TorchMemory
+from unicon_core.policies.networks.network import Arrays, Tensor
 
 
 class TorchNetwork:
@@ -32,14 +31,7 @@ class TorchNetwork:
     """
 
     def __init__(self, contract: PolicyContract) -> None:
-        try:
-            import torch
-        except ImportError as error:
-            raise MissingDependencyError(
-                f"policy {contract.name} (TorchScript)",
-                "torch",
-                "pip install 'unicon_ros[torch]'",
-            ) from error
+        torch = imported("torch", f"policy {contract.name} (TorchScript)", "torch", "torch")
         if contract.recurrent:
             raise PolicyError(
                 f"policy {contract.name}: recurrent tensors cannot be named in TorchScript; "
@@ -50,27 +42,26 @@ class TorchNetwork:
         try:
             self._module = torch.jit.load(str(contract.model), map_location="cpu").eval()
         except (RuntimeError, ValueError) as error:
-            reason = " ".join(str(error).split())[:200]
-            raise PolicyError(f"{contract.model}: torch cannot load it: {reason}") from error
+            raise PolicyError(
+                f"{contract.model}: torch cannot load it: {one_line(error)[:200]}"
+            ) from error
         self._label = f"policy {contract.name}"
         if hasattr(self._module, "reset_memory"):  # exporters of recurrent policies have it
             try:
                 with torch.inference_mode():
                     self._module.reset_memory()
             except RuntimeError as error:
-                reason = " ".join(str(error).split())[:200]
                 raise PolicyError(
-                    f"{contract.model}: its reset_memory does not run without arguments: {reason}"
+                    f"{contract.model}: its reset_memory does not run without arguments: "
+                    f"{one_line(error)[:200]}"
                 ) from error
         self._memory = TorchMemory(torch, self._module)
-        self.inputs = tuple(Tensor(name, "float32", ("", "")) for name in contract.inputs.values())
-        self.outputs = tuple(
-            Tensor(name, "float32", ("", "")) for name in contract.outputs.values()
+        self.inputs, self.outputs = (
+            tuple(Tensor(name, "float32", ("", "")) for name in names.values())
+            for names in (contract.inputs, contract.outputs)
         )
 
-    def bind(
-        self, inputs: Mapping[str, NDArray[Any]], outputs: Mapping[str, NDArray[Any]]
-    ) -> Callable[[], None]:
+    def bind(self, inputs: Arrays, outputs: Arrays) -> Callable[[], None]:
         """Return a function that runs the module on these arrays; it is tried once.
 
         Raises:
@@ -102,23 +93,145 @@ class TorchNetwork:
             run()
         except RuntimeError as error:
             sizes = ", ".join(str(tuple(array.shape)) for array in inputs.values())
-            reason = " ".join(str(error).split())[-160:]
             raise PolicyError(
                 f"{self._label}: the TorchScript network does not run with input {sizes} "
-                f"(observation.terms) and {len(before[0][0])} joints: {reason}"
+                f"(observation.terms) and {len(before[0][0])} joints: {one_line(error)[-160:]}"
             ) from error
         for array, value in zip(outputs.values(), before):
             array[...] = value
-        return run if memory is None else _Remembering(run, memory)
+        if memory is None:
+            return run
+        memory.run = run
+        return memory
 
 
-class _Remembering:
-    """A bound module and what it remembers."""
+class TorchMemory:
+    """The attributes of a module that a call changes, and what they hold between two ticks.
 
-    def __init__(self, run: Callable[[], None], memory: TorchMemory) -> None:
-        self._run = run
-        self.commit, self.reset = memory.commit, memory.reset
-        self.save, self.load = memory.save, memory.load
+    For networks that are tried and warmed up: exporters of recurrent policies keep the hidden state
+    in the module, as buffers that `forward` writes. What it writes stands in its graph: attributes
+    that it sets, and tensors that an operation changes in place.
+
+    Several may share a module: each recalls its own before a call.
+
+    Args:
+        torch: the package.
+        module: a scripted or traced module, as loaded.
+
+    Attributes:
+        names: of the attributes, behind those of their submodules.
+        run: calls the module, bound to arrays.
+    """
+
+    run: Callable[[], None]
+
+    def __init__(self, torch: Any, module: Any) -> None:
+        self._torch = torch
+        self._in_place: list[tuple[Any, Any, Any]] = []  # of the module, kept, at the beginning
+        self._set: list[tuple[Any, str, Any]] = []  # owner, name, at the beginning
+        self.names: list[str] = []
+        weights = {parameter.data_ptr() for parameter in module.parameters()}
+        with torch.inference_mode():
+            for path, is_set in sorted(_written(module).items()):
+                owner = module
+                for part in path[:-1]:
+                    owner = getattr(owner, part)
+                value = getattr(owner, path[-1])
+                tensors = [value] if isinstance(value, torch.Tensor) else value
+                if isinstance(tensors, list) and tensors and _all_of(weights, tensors):
+                    continue  # what only looks as if it were written: the graph cannot tell
+                self.names.append(".".join(path))
+                if is_set or not isinstance(value, torch.Tensor):
+                    self._set.append((owner, path[-1], copy.deepcopy(value)))
+                else:
+                    self._in_place.append((value, value.clone(), value.clone()))
+            self._kept = [copy.deepcopy(value) for _, _, value in self._set]
 
     def __call__(self) -> None:
-        self._run()
+        self.run()
+
+    def share(self) -> TorchMemory:
+        """Return another memory of the same module, at its beginning."""
+        other = copy.copy(self)
+        other._in_place = [(live, first.clone(), first) for live, _, first in self._in_place]
+        other.reset()
+        return other
+
+    def recall(self) -> None:
+        """Give the module what is kept; call it in inference mode."""
+        for live, kept, _ in self._in_place:
+            live.copy_(kept)
+        for (owner, name, _), value in zip(self._set, self._kept):
+            setattr(owner, name, copy.deepcopy(value))
+
+    def commit(self) -> None:
+        """Keep what the last call left."""
+        with self._torch.inference_mode():
+            for live, kept, _ in self._in_place:
+                kept.copy_(live)
+            self._kept = [copy.deepcopy(getattr(owner, name)) for owner, name, _ in self._set]
+
+    def reset(self) -> None:
+        """Keep what was there at the beginning."""
+        with self._torch.inference_mode():
+            for _, kept, initial in self._in_place:
+                kept.copy_(initial)
+            self._kept = [copy.deepcopy(value) for _, _, value in self._set]
+
+    def save(self) -> Any:
+        """Return what is kept, as arrays; `load` takes it back."""
+        tensor = self._torch.Tensor
+
+        def plain(value: Any) -> Any:
+            return value.detach().cpu().numpy().copy() if isinstance(value, tensor) else value
+
+        return _each([[kept for _, kept, _ in self._in_place], self._kept], plain)
+
+    def load(self, saved: Any) -> None:
+        """Keep what another one did."""
+        torch = self._torch
+
+        def tensor(value: Any) -> Any:
+            return torch.from_numpy(value.copy()) if isinstance(value, np.ndarray) else value
+
+        fixed, self._kept = _each(saved, tensor)
+        with torch.inference_mode():
+            for (_, kept, _), value in zip(self._in_place, fixed):
+                kept.copy_(value)
+
+
+def _each(value: Any, change: Callable[[Any], Any]) -> Any:
+    """Return lists, tuples and mappings with what a function makes of each value in them."""
+    if isinstance(value, (list, tuple)):
+        return type(value)(_each(inside, change) for inside in value)
+    if isinstance(value, dict):
+        return {key: _each(inside, change) for key, inside in value.items()}
+    return change(value)
+
+
+def _written(module: Any) -> dict[tuple[str, ...], bool]:
+    """Return the attributes that a call writes, as paths, and whether it sets them."""
+    graph = module.inlined_graph
+    aliases = graph.alias_db()
+    found: dict[tuple[str, ...], bool] = {}
+    for node in graph.findAllNodes("prim::GetAttr"):
+        value = node.output()
+        if value.type().kind() != "ClassType" and aliases.has_writers(value):
+            found[_path(node)] = False
+    for node in graph.findAllNodes("prim::SetAttr"):
+        found[_path(node)] = True
+    return found
+
+
+def _all_of(known: set[int], values: list[Any]) -> bool:
+    return all(hasattr(value, "data_ptr") and value.data_ptr() in known for value in values)
+
+
+def _path(node: Any) -> tuple[str, ...]:
+    """Return the names that lead to the attribute that a node gets or sets."""
+    names = [node.s("name")]
+    owner = node.inputsAt(0).node()
+    while owner.kind() == "prim::GetAttr":
+        names.append(owner.s("name"))
+        owner = owner.inputsAt(0).node()
+    return tuple(reversed(names))

@@ -28,7 +28,7 @@ from unicon_core.platforms.kit.stepped import Setup, SteppedSimulator, setup_of
 from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.platforms.sim.mjx.tick import Places, compiled_tick
 from unicon_core.robots import Robot
-from unicon_core.robots.joint_physics import JOINT_PHYSICS
+from unicon_core.robots.poses import JOINT_PHYSICS
 from unicon_core.states import States
 
 FINEST = 1e-6

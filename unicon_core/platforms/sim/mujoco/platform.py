@@ -29,7 +29,7 @@ from unicon_core.platforms.sim.mujoco.placement import Placement
 from unicon_core.platforms.sim.mujoco.simulated_robot import SimulatedRobot
 from unicon_core.platforms.sim.mujoco.viewer import Viewer
 from unicon_core.robots import Robot
-from unicon_core.robots.joint_physics import JOINT_PHYSICS, JointPhysics, joint_physics
+from unicon_core.robots.poses import JOINT_PHYSICS, JointPhysics, joint_physics
 from unicon_core.states import States
 from unicon_core.states.standard import BASE_STATES
 

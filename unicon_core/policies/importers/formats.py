@@ -1,4 +1,4 @@
-"""Which importer reads an ONNX file's metadata: BeyondMimic and mjlab, holosoma, or exploy."""
+"""Which importer reads a deployment's YAML configuration, or the metadata of an ONNX file."""
 
 from __future__ import annotations
 
@@ -9,27 +9,30 @@ from typing import Any
 
 from unicon_core.errors import PolicyError
 from unicon_core.policies.facts import Facts, says
+from unicon_core.policies.importers.booster import booster_facts
+from unicon_core.policies.importers.deploy_yaml import deploy_yaml_facts
+from unicon_core.policies.importers.env_yaml import env_yaml_facts
 from unicon_core.policies.importers.exploy import exploy_facts
 from unicon_core.policies.importers.holosoma import holosoma_facts
+from unicon_core.policies.importers.legged_gym import legged_gym_facts
 from unicon_core.policies.importers.mjlab import mjlab_facts
+from unicon_core.policies.importers.rl_sar import refuse_base, rl_sar_facts
+from unicon_core.policies.importers.source_reader import Source
+from unicon_core.policies.importers.unitree_rl_gym import unitree_rl_gym_facts
 from unicon_core.policies.networks.onnx_file import OnnxFile, short_text
 
-# A key that tells the format -> its reader; the first one counts.
-_READERS: dict[str, Callable[[OnnxFile], Facts]] = {
+# A key of the metadata that tells the format -> its reader; the first one counts.
+_METADATA: dict[str, Callable[[OnnxFile], Facts]] = {
     "exploy_version": exploy_facts,
     "dof_names": holosoma_facts,
     "joint_names": mjlab_facts,
 }
 
 
-def _reader(onnx: OnnxFile) -> Callable[[OnnxFile], Facts] | None:
+def metadata_reader(onnx: OnnxFile) -> Callable[[OnnxFile], Facts] | None:
+    """Return what reads the metadata of a file; None where they are of no known format."""
     keys = {key for key, _ in onnx.metadata}
-    return next((reader for key, reader in _READERS.items() if key in keys), None)
-
-
-def has_metadata(onnx: OnnxFile) -> bool:
-    """Whether the metadata are of a known format."""
-    return _reader(onnx) is not None
+    return next((reader for key, reader in _METADATA.items() if key in keys), None)
 
 
 # What a key says, as the fact that settles it where it stands twice.
@@ -98,16 +101,38 @@ def settled(
     return replace(onnx, metadata=tuple(kept)), notes
 
 
-def metadata_facts(onnx: OnnxFile) -> Facts:
-    """Return what the metadata say.
+# Keys of a configuration, with dots between nested ones, `*` for the only one -> its reader; the
+# first one whose keys are all there counts.
+_CONFIGURATIONS: dict[tuple[str, ...], Callable[[Source], Facts]] = {
+    ("joint_ids_map", "step_dt"): deploy_yaml_facts,
+    ("sim", "decimation", "observations"): env_yaml_facts,
+    ("control", "init_state.default_joint_angles"): legged_gym_facts,
+    ("*.observations", "*.rl_kp"): rl_sar_facts,
+    ("*.joint_names", "*.joint_mapping"): refuse_base,
+    ("kps", "kds", "default_angles"): unitree_rl_gym_facts,
+    ("common.default_qpos", "policy"): booster_facts,
+}
+_MOTORS = ("joint_ids_map", "leg_joint2motor_idx", "common.default_qpos")
 
-    Raises:
-        PolicyError: no known format, a key twice, or a value against the format.
-    """
-    reader = _reader(onnx)
-    if reader is None:
-        raise PolicyError(
-            f"{onnx.path}: its metadata are of no known format (BeyondMimic, mjlab, holosoma, "
-            "exploy); write a policy.yaml beside it"
-        )
-    return reader(onnx)
+
+def configuration_reader(values: Any) -> Callable[[Source], Facts] | None:
+    """Return what reads a YAML document of a deployment; None where it is of no known format."""
+    readers = _CONFIGURATIONS.items()
+    return next((read for keys, read in readers if all(_has(values, key) for key in keys)), None)
+
+
+def counts_motors(values: Any) -> bool:
+    """Whether a YAML document names joints by the numbers of a robot's motors."""
+    return any(_has(values, key) for key in _MOTORS)
+
+
+def _has(values: Any, key: str) -> bool:
+    for step in key.split("."):
+        if not isinstance(values, Mapping):
+            return False
+        if step == "*" and len(values) == 1:
+            (step,) = values
+        if step not in values:
+            return False
+        values = values[step]
+    return True
