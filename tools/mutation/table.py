@@ -666,7 +666,7 @@ ROWS = [
         ("Target.__call__", "self._look_ahead + max(age, 0.0)", "self._look_ahead + age"),
     ),
     *_rows(
-        "blocks/whole_body/reaching.py",
+        "blocks/whole_body/reach.py",
         REACHED,
         ("Reach.__call__", "measured.dot(measured) < _SENSE", "True"),
         ("Reach.__call__", "pos[self._silent] = vel[self._silent] = np.nan", "pass"),

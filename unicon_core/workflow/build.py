@@ -315,6 +315,8 @@ class WarmUps:
     def add(self, block: Block, factory: Factory, build: Callable[[BuildContext], Block]) -> None:
         """Give a block a warm-up, where its factory is pure and it has none.
 
+        It is the tick of a second one, or its `again` where that ticks as if data were new.
+
         Args:
             block: the block.
             factory: what it was built with.
@@ -330,8 +332,9 @@ class WarmUps:
         self._read |= used
         if self._copy is None:
             self._copy = States(self._states.layout)
-            self._context = replace(self._context, states=self._copy)
-        block.warm_up = _quiet(build(self._context).tick)
+            self._context = replace(self._context, states=self._copy, tell=_nothing)
+        tick = build(self._context).tick
+        block.warm_up = _quiet(getattr(tick, "again", tick))
 
     def refresh(self, platform: Tick | None) -> Tick | None:
         """Return what brings the present values into the copy, or None where nothing is warmed up.
@@ -352,6 +355,10 @@ class WarmUps:
                 warm_up()
 
         return refresh
+
+
+def _nothing(_: str) -> None:
+    """Tell nothing: the block itself does."""
 
 
 def _quiet(tick: Tick) -> Tick:

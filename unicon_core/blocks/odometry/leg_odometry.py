@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_core.blocks.joint_command import single
 from unicon_core.blocks.odometry.standing import Standing
 from unicon_core.blocks.odometry.velocity_filter import VelocityFilter
-from unicon_core.blocks.robot_model import model_for, twice
 from unicon_core.errors import WorkflowError
-from unicon_core.flow.block import Block, Reads, Writes
+from unicon_core.flow.block import Reads, Writes
 from unicon_core.models.feet import Feet
 from unicon_core.robots import Robot
 from unicon_core.schema.marks import Unit, Within
 from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext
-
-View = NDArray[Any]
 
 ACCELERATION_NOISE, JOINT_NOISE = 1.5, 0.4
 LONGEST = 0.1
@@ -30,26 +25,13 @@ HANGS = 0.5
 """Time without a foot that stands in [s], after which the robot is taken to hang, not to jump."""
 DRIFT = 0.03
 """Of the position, as a share of the way."""
+_FASTEST, _QUICKEST, _HARDEST = 1e4, 1e4, 1e6
+"""Squared, in [m²/s²], [rad²/s²] and [m²/s⁴]: a base that moves at 100 m/s, turns at 100 rad/s, or
+feels 100 g is one that a sensor makes up."""
+_FORCE, _POS_VARIANCE = "foot_force", "base_pos_w_variance"
 
 
-def leg_odometry(
-    base_quat: Reads,
-    base_ang_vel: Reads,
-    base_lin_acc: Reads,
-    joint_pos: Reads,
-    joint_vel: Reads,
-    base_lin_vel: Writes,
-    base_lin_vel_variance: Writes,
-    foot_contact: Writes,
-    *,
-    context: BuildContext,
-    position: bool | None = None,
-    foot_force: float | None = None,
-    joint_noise: Annotated[float, Unit("rad/s"), Within(0.0, 20.0, above=True)] = JOINT_NOISE,
-    acceleration_noise: Annotated[
-        float, Unit("m/s²"), Within(0.0, 100.0, above=True)
-    ] = ACCELERATION_NOISE,
-) -> Block:
+class LegOdometry:
     """Estimate the velocity of the base, and its position from the beginning on.
 
     A foot that stands tells the base's velocity by the kinematics of its leg, the accelerometer
@@ -77,94 +59,6 @@ def leg_odometry(
         ModelError: the robot's model has no feet, or there is none.
         MissingDependencyError: MuJoCo, which computes the kinematics, is not installed.
     """
-    single(base_quat)
-    told = () if context.platform is None else context.platform.facts.writes
-    more: tuple[str, ...] = ("joint_effort", "stamp_ns")
-    reads = {name: context.states[name] for name in more if name in told}
-    if _FORCE in told:
-        if foot_force is None:
-            raise WorkflowError(
-                f"platform {context.platform.facts.name!r} tells {_FORCE!r}; say from which "  # type: ignore[union-attr]
-                "reading on a foot stands, as in foot_force: 30, or do not declare that state"
-            )
-        reads[_FORCE] = context.states[_FORCE]
-    if position is None:
-        position = "base_pos_w" not in told
-    names = ("base_pos_w", _POS_VARIANCE) if position else ()
-    writes = {name: context.states[name] for name in names}
-    views = {
-        "base_quat": base_quat,
-        "base_ang_vel": base_ang_vel,
-        "base_lin_acc": base_lin_acc,
-        "joint_pos": joint_pos,
-        "joint_vel": joint_vel,
-        **reads,
-    }
-    outs = {
-        "base_lin_vel": base_lin_vel,
-        "base_lin_vel_variance": base_lin_vel_variance,
-        "foot_contact": foot_contact,
-        **writes,
-    }
-    loaded = model_for("leg_odometry", context)
-
-    def make(ins: Mapping[str, View], results: Mapping[str, View]) -> LegOdometry:
-        feet = Feet(loaded, context.robot)
-        standing = Standing(feet, context.robot, joint_noise, foot_force)
-        return LegOdometry(
-            feet, standing, VelocityFilter(acceleration_noise), ins, results, context
-        )
-
-    tick, second, refresh = twice(make, views, outs)
-
-    def warm_up() -> None:
-        refresh()
-        second.again()  # the one that counts looks at new data only
-        second()
-
-    return Block(
-        "",
-        tick,
-        reads=tuple(reads),
-        writes=tuple(writes),
-        reset=tick.reset,
-        warm_up=warm_up,
-        endless=True,
-    )
-
-
-def _declares(robot: Robot, **_: Any) -> dict[str, StateSpec]:
-    if not robot.walks or not robot.feet:
-        raise WorkflowError(
-            f"block 'leg_odometry': robot {robot.name} ({robot.kind}) has no feet; leave it out, "
-            "or name bodies of the model under feet in the robot file"
-        )
-    return {
-        "base_lin_vel_variance": StateSpec(
-            (), unit="m²/s²", description="of base_lin_vel along each axis"
-        ),
-        _POS_VARIANCE: StateSpec((), unit="m²", description="of base_pos_w along x and y"),
-        "foot_contact": StateSpec(
-            (len(robot.feet),), names=robot.feet, description="0 to 1: how surely it stands"
-        ),
-    }
-
-
-setattr(leg_odometry, "declares", _declares)  # noqa: B010  a function has none to mypy
-_FORCE, _POS_VARIANCE = "foot_force", "base_pos_w_variance"
-
-
-class LegOdometry:
-    """The tick of `leg_odometry`.
-
-    Args:
-        feet: the robot's.
-        standing: tells which of them stand.
-        motion: the filter.
-        views: of the states that it reads.
-        outs: of those that it writes.
-        context: of the workflow.
-    """
 
     memory = ("_standing", "_filter", "_last", "_hanging", "_way", "_rotation", "_told", "_place")
 
@@ -172,24 +66,73 @@ class LegOdometry:
 
     def __init__(
         self,
-        feet: Feet,
-        standing: Standing,
-        motion: VelocityFilter,
-        views: Mapping[str, View],
-        outs: Mapping[str, View],
+        base_quat: Reads,
+        base_ang_vel: Reads,
+        base_lin_acc: Reads,
+        joint_pos: Reads,
+        joint_vel: Reads,
+        base_lin_vel: Writes,
+        base_lin_vel_variance: Writes,
+        foot_contact: Writes,
+        *,
         context: BuildContext,
+        position: bool | None = None,
+        foot_force: float | None = None,
+        joint_noise: Annotated[float, Unit("rad/s"), Within(0.0, 20.0, above=True)] = JOINT_NOISE,
+        acceleration_noise: Annotated[
+            float, Unit("m/s²"), Within(0.0, 100.0, above=True)
+        ] = ACCELERATION_NOISE,
     ) -> None:
-        self._feet, self._standing, self._filter = feet, standing, motion
-        self._imu = tuple(views[n] for n in ("base_quat", "base_ang_vel", "base_lin_acc"))
-        self._effort, self._force = views.get("joint_effort"), views.get(_FORCE)
-        self._joints = views["joint_pos"], views["joint_vel"]
-        self._stamp, self._period = views.get("stamp_ns"), context.period
-        self._velocity = outs["base_lin_vel"]
-        self._variance, self._contact = outs["base_lin_vel_variance"], outs["foot_contact"]
-        self._position, self._of_position = outs.get("base_pos_w"), outs.get(_POS_VARIANCE)
-        imu = context.robot.imu  # a filter of the IMU's place has no lever arm to mind
+        single(base_quat)
+        platform, states, robot = context.platform, context.states, context.robot
+        told = () if platform is None else platform.facts.writes
+        if platform is not None and _FORCE in told and foot_force is None:
+            raise WorkflowError(
+                f"platform {platform.facts.name!r} tells {_FORCE!r}; say from which "
+                "reading on a foot stands, as in foot_force: 30, or do not declare that state"
+            )
+        more = {n: states[n] for n in ("joint_effort", "stamp_ns", _FORCE) if n in told}
+        if position is None:
+            position = "base_pos_w" not in told
+        self.reads = tuple(more)
+        self.writes = ("base_pos_w", _POS_VARIANCE) if position else ()
+        feet = Feet(context.model("leg_odometry"), robot)
+        self._feet, self._standing = feet, Standing(feet, robot, joint_noise, foot_force)
+        self._filter = VelocityFilter(acceleration_noise)
+        self._imu = base_quat, base_ang_vel, base_lin_acc
+        self._effort, self._force = more.get("joint_effort"), more.get(_FORCE)
+        self._joints = joint_pos, joint_vel
+        self._stamp, self._period = more.get("stamp_ns"), context.period
+        self._velocity, self._variance = base_lin_vel, base_lin_vel_variance
+        self._contact = foot_contact
+        self._position, self._of_position = (
+            (states[name] for name in self.writes) if position else (None, None)
+        )
+        imu = robot.imu  # a filter of the IMU's place has no lever arm to mind
         self._arm = [0.0] * 3 if imu is None else np.nan_to_num(imu.position).tolist()
         self.reset()
+
+    @staticmethod
+    def declares(robot: Robot, **_: Any) -> dict[str, StateSpec]:
+        """Return the states of what is estimated, but for the standard ones.
+
+        Raises:
+            WorkflowError: the robot has no feet.
+        """
+        if not robot.walks or not robot.feet:
+            raise WorkflowError(
+                f"block 'leg_odometry': robot {robot.name} ({robot.kind}) has no feet; leave it "
+                "out, or name bodies of the model under feet in the robot file"
+            )
+        return {
+            "base_lin_vel_variance": StateSpec(
+                (), unit="m²/s²", description="of base_lin_vel along each axis"
+            ),
+            _POS_VARIANCE: StateSpec((), unit="m²", description="of base_pos_w along x and y"),
+            "foot_contact": StateSpec(
+                (len(robot.feet),), names=robot.feet, description="0 to 1: how surely it stands"
+            ),
+        }
 
     def reset(self) -> None:
         """Begin anew: at rest, at the origin."""
@@ -201,8 +144,9 @@ class LegOdometry:
         self._told, self._place = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
 
     def again(self) -> None:
-        """Take the present data for new ones, one period later than the last."""
+        """Tick as if the present data were new, one period later than the last: to warm up."""
         self._last = None if self._stamp is None else int(self._stamp) - round(self._period * 1e9)
+        self()
 
     def __call__(self) -> None:
         dt = self._since()
@@ -283,8 +227,3 @@ class LegOdometry:
         place[2] = place[2] + dt * w if height is None else height
         self._way += dt * math.hypot(u, v)
         self._of_position[...] = (DRIFT * self._way) ** 2  # type: ignore[index]
-
-
-_FASTEST, _QUICKEST, _HARDEST = 1e4, 1e4, 1e6
-"""Squared, in [m²/s²], [rad²/s²] and [m²/s⁴]: a base that moves at 100 m/s, turns at 100 rad/s, or
-feels 100 g is one that a sensor makes up."""

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.blocks.joint_command import single
-from unicon_core.blocks.robot_model import model_for
 from unicon_core.errors import WorkflowError
 from unicon_core.flow.block import Amends, Reads
 from unicon_core.models.posed import Weight, bearing_joints
@@ -65,7 +64,7 @@ class Gravity:
                 "how the member is turned is not known here; leave of: out beside it, and name the "
                 "member under moves"
             )
-        robot, loaded = context.robot, model_for("gravity", context)
+        robot, loaded = context.robot, context.model("gravity")
         places = _carried(robot, tuple(moves), bearing_joints(loaded, robot))
         self.moves = tuple(moves) or tuple(robot.joint_names[place] for place in places)
         self._weight = Weight(loaded)

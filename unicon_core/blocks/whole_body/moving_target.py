@@ -11,7 +11,6 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from unicon_core.blocks.joint_command import single
-from unicon_core.blocks.robot_model import model_for
 from unicon_core.blocks.whole_body.frames import effector_of
 from unicon_core.bounds import DURATION
 from unicon_core.errors import WorkflowError
@@ -69,7 +68,7 @@ class MovingTarget:
         single(stamp_ns[..., None])
         robot = context.robot
         places = {effector: effector_of(effector, robot, "moving_target")}
-        frames = Frames(model_for("moving_target", context), robot, places)
+        frames = Frames(context.model("moving_target"), robot, places)
         middle = self._middle = frames.of(robot.default_joint_pos)[effector]
         if centre != "default":
             middle[:3] = centre
