@@ -6,13 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float32
 from unicon_core.platforms.kit.damping import LastSent
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
-
-Float = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,9 +24,9 @@ class Target:
         source: who says so, for messages.
     """
 
-    joint_pos: Float
-    stiffness: Float
-    damping: Float
+    joint_pos: Float32
+    stiffness: Float32
+    damping: Float32
     source: str
 
 

@@ -11,8 +11,8 @@ from functools import lru_cache
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float32, Float64
 from unicon_core.blocks.joint_command import JointCommand, robot_gains, ticks_of
 from unicon_core.bounds import (
     DURATION,
@@ -28,9 +28,8 @@ from unicon_core.bounds import (
 from unicon_core.errors import WorkflowError
 from unicon_core.robots import Robot
 from unicon_core.robots.poses import joints_like, named_pose
-from unicon_core.schema.marks import NotEmpty, Unit, Within
+from unicon_core.schema.marks import NotEmpty, Within, positive
 
-Float = NDArray[np.float32]
 Signal = Literal["sine", "chirp", "square", "triangle", "random"]
 
 FREQUENCY = 100.0
@@ -81,7 +80,7 @@ class Excite:
         joints: Annotated[Sequence[str], NotEmpty] = ("*",),
         amplitude: Motion | Mapping[str, Motion] = 0.1,
         frequency: float | Annotated[Sequence[float], NotEmpty] = 1.0,
-        duration: Annotated[float, Unit("s"), Within(0.0, DURATION, above=True)] = 10.0,
+        duration: Annotated[float, positive(DURATION, "s")] = 10.0,
         fade: Seconds = 1.0,
         in_turn: bool = False,
         around: str | Mapping[str, float] = "stand",
@@ -147,7 +146,7 @@ def _sweep(signal: str, frequency: float | Sequence[float], period: float) -> tu
 
 def _amplitudes(
     robot: Robot, joints: Sequence[str], amplitude: float | Mapping[str, float]
-) -> Float:
+) -> Float32:
     moving = sorted({i for pattern in joints for i in joints_like(pattern, robot)})
     sizes = np.full(robot.num_joints, np.nan)
     for pattern, size in (
@@ -162,7 +161,7 @@ def _amplitudes(
     return chosen
 
 
-def _check(robot: Robot, signal: str, centre: Float, sizes: Float, frequency: float) -> None:
+def _check(robot: Robot, signal: str, centre: Float32, sizes: Float32, frequency: float) -> None:
     """Refuse what would leave the limits of position or speed."""
     for i in np.flatnonzero(sizes):
         name, size = robot.joint_names[i], float(sizes[i])
@@ -207,7 +206,7 @@ class _Wave:
         time = tick * self._period
         return self._shape(time * (self._first + self._half_slope * time))
 
-    def _random(self, cycles: float) -> NDArray[np.float64]:
+    def _random(self, cycles: float) -> Float64:
         knot = math.floor(cycles)
         share = 0.5 - 0.5 * math.cos(math.pi * (cycles - knot))
         before, after = (_drawn(self._seed, k, self._count) for k in (knot, knot + 1))
@@ -227,7 +226,7 @@ def _triangle(cycles: float) -> float:
 
 
 @lru_cache(maxsize=8)
-def _drawn(seed: int, knot: int, count: int) -> NDArray[np.float64]:
+def _drawn(seed: int, knot: int, count: int) -> Float64:
     """Return the values of a knot, the same whenever they are asked for."""
     return np.random.default_rng((seed, knot)).uniform(-1.0, 1.0, count)
 

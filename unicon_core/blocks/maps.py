@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
-from numpy.typing import NDArray
-
+from unicon_core.arrays import Array
 from unicon_core.errors import StateError, alternatives
 from unicon_core.flow.linear import LinearMap
 from unicon_core.states import States
@@ -70,7 +68,7 @@ def _map(
     return LinearMap(read, written, places, scale, offset, source, target)
 
 
-def _vector(states: States, name: str) -> NDArray[Any]:
+def _vector(states: States, name: str) -> Array:
     """Return a state; a scalar one is one element: a last axis for it makes all states alike."""
     return states[name] if states.spec(name).shape else states[name][..., None]
 

@@ -19,7 +19,7 @@ from unicon_core.bounds import (
 )
 from unicon_core.robots import Robot
 from unicon_core.robots.poses import named_pose
-from unicon_core.schema.marks import Unit, Within
+from unicon_core.schema.marks import Within
 
 
 class Pose:
@@ -47,7 +47,7 @@ class Pose:
         robot: Robot,
         period: float,
         to: str | Mapping[str, float] = "stand",
-        duration: Annotated[float, Unit("s"), Within(POSE_DURATION, DURATION)] = 2.0,
+        duration: Annotated[float, Within(POSE_DURATION, DURATION, "s")] = 2.0,
         fade_in: Seconds = 0.0,
         stiffness_scale: StiffnessScale = 1.0,
         damping_scale: DampingScale = 1.0,

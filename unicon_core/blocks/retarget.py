@@ -13,8 +13,8 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float32, Float64
 from unicon_core.blocks.joint_command import single
 from unicon_core.blocks.safety.limits import rates_of
 from unicon_core.bounds import MaxRate
@@ -24,7 +24,7 @@ from unicon_core.retarget.hand_model import HandModel, told_hand
 from unicon_core.retarget.human_hand import ABSENT, JOINTS, HumanHand
 from unicon_core.retarget.retargeting import NEAR, Retargeting
 from unicon_core.robots import Robot
-from unicon_core.schema.marks import Unit, Within
+from unicon_core.schema.marks import Within, positive
 from unicon_core.states import StateSpec
 from unicon_core.states.standard import forwarded_states
 from unicon_core.workflow.autowire import BuildContext
@@ -78,8 +78,8 @@ class Retarget:
         hand: str = "",
         side: Literal["left", "right"] | None = None,
         scale: Annotated[float | None, Within(*SCALES)] = None,
-        contact: Annotated[float, Unit("m"), Within(0.0, 0.5 * NEAR)] = 0.0,
-        filter: Annotated[float | None, Unit("Hz"), Within(0.0, FASTEST, above=True)] = None,
+        contact: Annotated[float, Within(0.0, 0.5 * NEAR, "m")] = 0.0,
+        filter: Annotated[float | None, positive(FASTEST, "Hz")] = None,
         max_rate: MaxRate | None = None,
         model: str | None = None,
     ) -> None:
@@ -149,7 +149,7 @@ class Retarget:
         np.copyto(self._command, sent, where=self._moved, casting="same_kind")
         self._error[...] = retargeting.errors
 
-    def _followed(self, anew: bool) -> NDArray[np.float64]:
+    def _followed(self, anew: bool) -> Float64:
         """Return what is sent: what was found behind the low pass, no faster than allowed."""
         model, q, smooth, sent = (
             self._retargeting.model,
@@ -185,7 +185,7 @@ def side_of(robot: Robot, side: str | None = None) -> str:
     return found
 
 
-def _poses(context: BuildContext, name: str) -> NDArray[np.float32]:
+def _poses(context: BuildContext, name: str) -> Float32:
     specs = context.states.layout.specs
     if name not in specs:
         hands = [each for each, spec in specs.items() if spec.shape == (JOINTS, 7)]

@@ -12,12 +12,12 @@ from unicon_core.blocks.joint_command import end_of
 from unicon_core.bounds import Seconds
 from unicon_core.errors import WorkflowError
 from unicon_core.flow.block import Writes
-from unicon_core.schema.marks import NotEmpty, Within, Write
+from unicon_core.schema.marks import NotEmpty, Write, positive
 
 Twist = tuple[float, float, float]
 Row = Annotated[tuple[Seconds, float, float, float], Write("[t, vx, vy, wz]")]
 Pair = tuple[float, float]
-Change = Annotated[float, Within(0.0, above=True)]
+Change = Annotated[float, positive()]
 
 
 class VelocityCommand:

@@ -10,12 +10,10 @@ from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array
 from unicon_core.states.stacked import places
 from unicon_core.states.states import States
-
-Array = NDArray[Any]
 
 GAP = 64
 """So many numbers that nobody asked for are compared along rather than apart: 64 take 0.1 µs."""

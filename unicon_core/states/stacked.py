@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Container, Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array, Index
 from unicon_core.states.layout import Layout
 
 
-def stacked(views: Sequence[NDArray[Any]]) -> NDArray[Any] | None:
+def stacked(views: Sequence[Array]) -> Array | None:
     """Return views of one shape as one read-only view, shape (len(views), …); None where it cannot.
 
     The standard command states stand back to back: one copy of all five then takes 0.4 µs and five
@@ -27,7 +26,7 @@ def stacked(views: Sequence[NDArray[Any]]) -> NDArray[Any] | None:
     return np.lib.stride_tricks.as_strided(first, shape, strides, writeable=False)
 
 
-def flat(views: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
+def flat(views: Sequence[Array]) -> list[Array]:
     """Return contiguous views flat, one after the other: all as one where they stand back to back.
 
     Their shapes may differ. One product of 60 numbers with itself takes 0.5 µs and five of 12 take
@@ -55,12 +54,12 @@ def spans(layout: Layout, names: Container[str]) -> list[slice]:
     return found
 
 
-def places(view: NDArray[Any], packed: NDArray[Any]) -> NDArray[np.intp] | None:
+def places(view: Array, packed: Array) -> Index | None:
     """Return the place of each element of a view in the packed buffer, or None if outside."""
     start = view.__array_interface__["data"][0] - packed.__array_interface__["data"][0]
     if view.dtype != packed.dtype or start % packed.itemsize:
         return None
-    found: NDArray[np.intp] = np.array(start // packed.itemsize, dtype=np.intp)
+    found: Index = np.array(start // packed.itemsize, dtype=np.intp)
     for length, stride in zip(view.shape, view.strides):
         if stride % packed.itemsize:
             return None

@@ -22,8 +22,8 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Protocol, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Bool, Float32, Int32
 from unicon_core.blocks.controls.device import declares_controls
 from unicon_core.blocks.joint_command import ticks_of
 from unicon_core.buttons import BUTTONS, Button
@@ -78,7 +78,7 @@ class Way:
     enter: Condition | None = None
 
 
-Seen: TypeAlias = tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.float32]]
+Seen: TypeAlias = tuple[Float32, Int32, Float32]
 """Sticks, buttons and projected gravity."""
 
 
@@ -180,7 +180,7 @@ class Modes:
     def __init__(
         self,
         seen: Seen,
-        mode: NDArray[np.int32],
+        mode: Int32,
         names: Sequence[str],
         ways: Sequence[Way],
         context: BuildContext,
@@ -202,7 +202,7 @@ class Modes:
         self._mode[...] = self._names.index(self._now)
         return self._now
 
-    def _press(self, pressed: NDArray[np.bool_]) -> None:
+    def _press(self, pressed: Bool) -> None:
         wished = [way for way in self._ways if way.place >= 0 and pressed[way.place]]
         here = [way for way in wished if not way.sources or self._now in way.sources]
         for way in here or wished[:1]:

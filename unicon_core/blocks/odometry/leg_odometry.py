@@ -14,7 +14,7 @@ from unicon_core.errors import WorkflowError
 from unicon_core.flow.block import Reads, Writes
 from unicon_core.models.feet import Feet
 from unicon_core.robots import Robot
-from unicon_core.schema.marks import Unit, Within
+from unicon_core.schema.marks import positive
 from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext
 
@@ -78,10 +78,8 @@ class LegOdometry:
         context: BuildContext,
         position: bool | None = None,
         foot_force: float | None = None,
-        joint_noise: Annotated[float, Unit("rad/s"), Within(0.0, 20.0, above=True)] = JOINT_NOISE,
-        acceleration_noise: Annotated[
-            float, Unit("m/s²"), Within(0.0, 100.0, above=True)
-        ] = ACCELERATION_NOISE,
+        joint_noise: Annotated[float, positive(20.0, "rad/s")] = JOINT_NOISE,
+        acceleration_noise: Annotated[float, positive(100.0, "m/s²")] = ACCELERATION_NOISE,
     ) -> None:
         single(base_quat)
         platform, states, robot = context.platform, context.states, context.robot

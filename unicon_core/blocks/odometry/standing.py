@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array
 from unicon_core.models.feet import GRAVITY, Feet
 from unicon_core.robots import Robot
 
@@ -64,9 +63,7 @@ class Standing:
         self.height: float | None = None
         self.contact[:] = 0.0
 
-    def __call__(
-        self, dt: float, pull: float, sensed: NDArray[Any] | None, torques: bool
-    ) -> list[float]:
+    def __call__(self, dt: float, pull: float, sensed: Array | None, torques: bool) -> list[float]:
         """Look at the feet.
 
         Args:
@@ -101,7 +98,7 @@ class Standing:
         self,
         heights: list[float],
         pull: float,
-        sensed: NDArray[Any] | None,
+        sensed: Array | None,
         torques: bool,
     ) -> list[float]:
         """Return how surely each foot stands, from 0 to 1."""

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from unicon_core.blocks.safety.ranges import RangeStop
 from unicon_core.errors import WorkflowError
-from unicon_core.schema.marks import Unit, Within
+from unicon_core.schema.marks import Within, positive
 from unicon_core.states.standard import HARDWARE_STATES
 from unicon_core.workflow.autowire import BuildContext
 
@@ -21,9 +21,9 @@ HIGHEST_VOLTAGE = 1000.0
 def hardware_stop(
     context: BuildContext,
     *,
-    temperature: Annotated[float, Unit("°C"), Within(0.0, HOTTEST, above=True)] = 90.0,
+    temperature: Annotated[float, positive(HOTTEST, "°C")] = 90.0,
     charge: Annotated[float, Within(0.0, 1.0)] = 0.05,
-    voltage: Annotated[float | None, Unit("V"), Within(0.0, HIGHEST_VOLTAGE, above=True)] = None,
+    voltage: Annotated[float | None, positive(HIGHEST_VOLTAGE, "V")] = None,
 ) -> RangeStop:
     """Stop where a motor is too hot or tells an error, or where the battery is empty.
 

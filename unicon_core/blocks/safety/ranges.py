@@ -12,7 +12,7 @@ from unicon_core.bounds import DAMPING, EFFORT, POSITION, STIFFNESS, VELOCITY
 from unicon_core.errors import Fault, WorkflowError
 from unicon_core.flow.stage import Stage
 from unicon_core.robots import Robot
-from unicon_core.schema.marks import Unit, Within
+from unicon_core.schema.marks import Within, positive
 from unicon_core.states import States
 from unicon_core.states.screen import Range, Screen
 from unicon_core.states.standard import COMMAND_STATES
@@ -43,7 +43,7 @@ MEASURED = (
 def range_stop(
     context: BuildContext,
     *,
-    margin: Annotated[float, Unit("rad"), Within(0.0, POSITION)] = 0.5,
+    margin: Annotated[float, Within(0.0, POSITION, "rad")] = 0.5,
     factor: Annotated[float, Within(1.0, 10.0)] = 3.0,
 ) -> RangeStop:
     """Stop where what was measured is NaN, infinite, or more than any robot of this kind does.
@@ -81,9 +81,9 @@ def command_stop(
     *,
     states: States,
     robot: Robot,
-    stiffness: Annotated[float, Unit("N·m/rad"), Within(0.0, STIFFNESS, above=True)] = STIFFNESS,
-    damping: Annotated[float, Unit("N·m·s/rad"), Within(0.0, DAMPING, above=True)] = DAMPING,
-    factor: Annotated[float, Within(0.0, 10.0, above=True)] = 2.0,
+    stiffness: Annotated[float, positive(STIFFNESS, "N·m/rad")] = STIFFNESS,
+    damping: Annotated[float, positive(DAMPING, "N·m·s/rad")] = DAMPING,
+    factor: Annotated[float, positive(10.0)] = 2.0,
 ) -> RangeStop:
     """Stop where a command is NaN, infinite, or one that nobody can mean.
 

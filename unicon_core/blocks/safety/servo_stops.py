@@ -14,7 +14,7 @@ from unicon_core.flow.block import Reads
 from unicon_core.flow.stage import Stage
 from unicon_core.platforms.kit.servo import Servo
 from unicon_core.robots import Robot
-from unicon_core.schema.marks import Unit, Within
+from unicon_core.schema.marks import Within, positive
 
 POWER = 100_000.0
 """In [W]: a humanoid's battery gives some 5,000 at most."""
@@ -107,8 +107,8 @@ class PowerStop:
         *,
         robot: Robot,
         period: float,
-        limit: Annotated[float, Unit("W"), Within(0.0, POWER, above=True)],
-        loss: Annotated[float, Unit("W/(N·m)²"), Within(0.0, LOSS)] = 0.0,
+        limit: Annotated[float, positive(POWER, "W")],
+        loss: Annotated[float, Within(0.0, LOSS, "W/(N·m)²")] = 0.0,
         timeout: Timeout = 0.1,
     ) -> None:
         self._measured = joint_pos, joint_vel

@@ -17,7 +17,7 @@ from unicon_core.flow.block import Reads
 from unicon_core.flow.stage import Stage
 from unicon_core.platforms.kit.command import FiniteCheck
 from unicon_core.robots import Robot
-from unicon_core.schema.marks import Unit, Within
+from unicon_core.schema.marks import Unit, Within, positive
 from unicon_core.states import States
 from unicon_core.states.screen import Range, Screen
 
@@ -58,7 +58,7 @@ class TiltStop:
         self,
         projected_gravity: Reads,
         *,
-        angle: Annotated[float, Unit("rad"), Within(0.0, TILT, above=True)] = 1.0,
+        angle: Annotated[float, positive(TILT, "rad")] = 1.0,
     ) -> None:
         self._down, self._angle = projected_gravity[..., 2], angle
         self._bound = -math.cos(angle)
@@ -123,7 +123,7 @@ class VelocityStop:
         *,
         states: States,
         robot: Robot,
-        factor: Annotated[float, Within(0.0, VELOCITY_FACTOR, above=True)] = 1.5,
+        factor: Annotated[float, positive(VELOCITY_FACTOR)] = 1.5,
         limit: Speed | None = None,
     ) -> None:
         if limit is not None:

@@ -7,10 +7,9 @@ hand stand in the order of XRHandJoint (W3C, WebXR Hand Input Module, section 3.
 from __future__ import annotations
 
 import math
-from typing import Any, Literal
+from typing import Literal
 
-from numpy.typing import NDArray
-
+from unicon_core.arrays import Array
 from unicon_core.blocks.teleop.one_euro import OneEuro
 from unicon_core.errors import WorkflowError, alternatives
 from unicon_core.models.plain_turns import Quat, Vector
@@ -33,7 +32,7 @@ FAR = 10.0
 """No hand is farther from where the session began, in [m]."""
 
 
-def pose_of(view: NDArray[Any]) -> tuple[Vector, Quat] | None:
+def pose_of(view: Array) -> tuple[Vector, Quat] | None:
     """Return position [m] and unit quaternion wxyz of a pose, None where it cannot be one."""
     x, y, z, w, i, j, k = view.tolist()
     length = math.sqrt(w * w + i * i + j * j + k * k)
@@ -87,7 +86,7 @@ class Headset:
         self._last = 0
         self.fresh, self.dt, self.age = False, 0.0, 0.0
 
-    def view(self, what: str) -> NDArray[Any]:
+    def view(self, what: str) -> Array:
         """Return a state of the device, which is then one of `reads`."""
         state = f"{self.name}_{what}"
         if state not in self._states.layout.specs:

@@ -23,7 +23,7 @@ from unicon_core.ik.chain import Chain, load_apart
 from unicon_core.ik.differential import DifferentialIk
 from unicon_core.ik.tasks import APART, LONGEST, Settings, Target, Weights
 from unicon_core.robots import Robot
-from unicon_core.schema.marks import Unit, Within, Write
+from unicon_core.schema.marks import Within, Write, positive
 from unicon_core.states import StateSpec
 from unicon_core.states.effectors import target_of, target_states
 from unicon_core.states.standard import forwarded_states
@@ -91,16 +91,12 @@ class Reach:
         context: BuildContext,
         effectors: Effectors,
         moves: Sequence[str] = (_ARMS,),
-        look_ahead: Annotated[float, Unit("s"), Within(0.0, LONGEST)] = 0.0,
+        look_ahead: Annotated[float, Within(0.0, LONGEST, "s")] = 0.0,
         max_rate: MaxRate = MAX_RATE,
         posture: Annotated[float, Within(0.0, 1.0)] = Settings.posture,
-        apart: Annotated[float, Unit("m"), Within(0.0, 0.5)] = APART,
-        tolerance: Annotated[float, Unit("m"), Within(0.0, 1.0, above=True)] = Settings.tolerance[
-            0
-        ],
-        angle_tolerance: Annotated[
-            float, Unit("rad"), Within(0.0, 3.2, above=True)
-        ] = Settings.tolerance[1],
+        apart: Annotated[float, Within(0.0, 0.5, "m")] = APART,
+        tolerance: Annotated[float, positive(1.0, "m")] = Settings.tolerance[0],
+        angle_tolerance: Annotated[float, positive(3.2, "rad")] = Settings.tolerance[1],
     ) -> None:
         single(joint_pos)
         robot, states, lag = context.robot, context.states, context.lag
