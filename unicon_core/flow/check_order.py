@@ -75,8 +75,8 @@ class _Reads:
                 yield from self.walk(child, before, ever)
 
     def block(self, block: Block, before: States) -> Iterator[Finding]:
-        for word, names in (("reads", block.reads), ("amends", block.amends)):
-            for name in names:
+        for word in ("reads", "amends"):
+            for name in getattr(block, word):
                 if name in before or name in block.writes:
                     continue
                 missing = next((c for c in self.claims(block, name) if c not in before), None)
