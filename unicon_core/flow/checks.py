@@ -11,8 +11,7 @@ from typing import NamedTuple
 
 from unicon_core.errors import WorkflowError, alternatives
 from unicon_core.flow.block import Block
-from unicon_core.flow.check_order import behind_send, reads_before_writes
-from unicon_core.flow.finding import Finding
+from unicon_core.flow.check_order import Finding, behind_send, reads_before_writes
 from unicon_core.flow.linear import LinearMap
 from unicon_core.flow.nodes import (
     Chain,
@@ -28,8 +27,6 @@ from unicon_core.flow.nodes import (
 )
 from unicon_core.states import States
 from unicon_core.states.standard import BASE_STATES
-
-__all__ = ["Finding", "check_graph", "raise_first"]
 
 
 def check_graph(root: Node, states: States, *, given: Iterable[str] = ()) -> list[Finding]:
