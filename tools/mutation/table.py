@@ -227,7 +227,7 @@ ROWS = [
         ("PowerStop.__init__", "timeout: Timeout = 0.1", "timeout: Timeout = 1.0"),
     ),
     *_rows(
-        "blocks/safety/twin_stop.py",
+        "blocks/safety/servo_stops.py",
         ("test/blocks/test_twin_stop.py",),
         ("TwinStop.__call__", REMOVED),
         ("TwinStop.__call__", "self._count *= self._flag", "pass"),
@@ -236,7 +236,7 @@ ROWS = [
         ("TwinStop.__init__", "timeout: Timeout = 0.2", "timeout: Timeout = 2.0"),
     ),
     *_rows(
-        "blocks/safety/button_stop.py",
+        "blocks/safety/stops.py",
         ("test/controls/test_modes.py",),
         ("ButtonStop.__call__", REMOVED),
         ("ButtonStop.__call__", "0 if self._alive else self._silent + 1", "0"),
@@ -296,7 +296,7 @@ ROWS = [
         ("JointSensorStop.__call__", "off *= self.looked_at", "pass"),
     ),
     *_rows(
-        "blocks/safety/hardware.py",
+        "blocks/safety/ranges.py",
         BLOCKS,
         ("hardware_stop", '"motor_temperature": (COLDEST, temperature),', ""),
         ("hardware_stop", '"motor_error": (0, 0),', ""),

@@ -9,7 +9,7 @@ flow: {zip: [{policy: walk}, {of: left_hand, forward_command: {max_rate: 6.0}}]}
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -57,9 +57,6 @@ class Retarget:
             limits; None for none.
         model: MJCF or URDF instead of the robot file's.
 
-    Attributes:
-        scale: the robot's length for one of the human's, of each finger, shape (f,).
-
     Raises:
         WorkflowError: there is no such state, or nobody says the side.
         RobotError: the robot file says nothing of a hand.
@@ -98,7 +95,7 @@ class Retarget:
         self._joint_pos, self._command = joint_pos, joint_pos_command
         self._error = context.states[_error(human)]
         tell, who = context.tell, f"retarget of {robot.name}"
-        self.tell = lambda found: tell(f"{who}: {found}")
+        self.tell: Callable[[str], None] = lambda found: tell(f"{who}: {found}")
         rate = np.full(robot.num_joints, np.inf)
         if max_rate is not None:
             rate = rates_of(max_rate, robot, "retarget").astype(np.float64)

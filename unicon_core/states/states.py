@@ -119,21 +119,18 @@ class States:
         try:
             return self._views[name]
         except KeyError:
-            raise self._unknown(name) from None
+            known = alternatives(name, self._views)
+            raise UnknownStateError(f"no state {name!r}; {known}") from None
 
     def __setitem__(self, name: str, value: Any) -> None:
         self[name][...] = value
 
     def __getattr__(self, name: str) -> Array:
-        try:
-            return self._views[name]
-        except KeyError:
-            if name.startswith("__"):
-                raise AttributeError(name) from None
-            raise self._unknown(name) from None
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return self[name]
 
-    def __setattr__(self, name: str, value: Any) -> None:
-        self[name][...] = value
+    __setattr__ = __setitem__
 
     def __contains__(self, name: object) -> bool:
         return name in self._views
@@ -150,9 +147,6 @@ class States:
     def __repr__(self) -> str:
         batch = "" if self.num_robots is None else f" x {self.num_robots} robots"
         return f"States({len(self)} states{batch}, {self._layout.nbytes} bytes)"
-
-    def _unknown(self, name: str) -> UnknownStateError:
-        return UnknownStateError(f"no state {name!r}; {alternatives(name, self._views)}")
 
     def spec(self, name: str) -> StateSpec:
         """Return the specification of a state.

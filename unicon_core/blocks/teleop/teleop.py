@@ -18,12 +18,9 @@ from typing import Annotated, Any, Literal
 
 from unicon_core.arrays import Float32, Int32, Int64
 from unicon_core.blocks.joint_command import ticks_of
-from unicon_core.blocks.teleop.arm import Arm
-from unicon_core.blocks.teleop.clutch import Clutch, Mode
-from unicon_core.blocks.teleop.hand import Hand, Pace
-from unicon_core.blocks.teleop.one_euro import OneEuro
-from unicon_core.blocks.teleop.operator import SIDES, Finger, Headset, Side
-from unicon_core.blocks.teleop.workspace import Workspace
+from unicon_core.blocks.teleop.arm import Arm, Clutch, Mode
+from unicon_core.blocks.teleop.hand import Hand, Pace, Workspace
+from unicon_core.blocks.teleop.operator import SIDES, Finger, Headset, OneEuro, Side
 from unicon_core.errors import WorkflowError
 from unicon_core.models.plain_turns import Vector
 from unicon_core.schema.marks import Within, Write, positive

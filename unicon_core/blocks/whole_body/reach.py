@@ -67,7 +67,6 @@ class Reach:
 
     Attributes:
         ik: what moves the joints.
-        moves: as it was given.
         notes: what to know of it, one line each.
 
     Raises:
