@@ -134,7 +134,7 @@ def as_block(candidate: Any, *, name: str = "", where: str = "") -> Block:
         raise WorkflowError(
             f"block {name or candidate!r} is a {type(candidate).__name__}; "
             "a block is a function without parameters that returns a bool",
-            where or None,
+            where,
         )
 
     def listed(attribute: str) -> tuple[str, ...]:

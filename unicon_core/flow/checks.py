@@ -70,7 +70,7 @@ def raise_first(findings: Iterable[Finding]) -> None:
         WorkflowError: its text, with `file:line` where known.
     """
     for finding in findings:
-        raise WorkflowError(finding.text, finding.where or None)
+        raise WorkflowError(finding.text, finding.where)
 
 
 def _unknown(root: Node, states: States) -> Iterator[Finding]:

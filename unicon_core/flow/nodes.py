@@ -22,7 +22,7 @@ class _Several:
     def __init__(self, *children: Node | Tick, where: str = "") -> None:
         if not children:
             word = type(self).__name__.lower()
-            raise WorkflowError(f"{word}: no blocks; give at least one", where or None)
+            raise WorkflowError(f"{word}: no blocks; give at least one", where)
         self.children: tuple[Node, ...] = tuple(as_node(child, where=where) for child in children)
         self.where = where
 

@@ -107,7 +107,7 @@ class Builder:
             if child is chooser and not isinstance(new, Block):
                 raise WorkflowError(
                     f"{child.name!r} is a flow at this rate; it needs a block or an expression",
-                    child.where or None,
+                    child.where,
                 )
             children.append(new)
         made = with_children(copy(node), children)  # a node of its own for each place

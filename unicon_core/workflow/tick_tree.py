@@ -121,7 +121,7 @@ def _bounded_flow(flow: Node, make: Callable[[], Block]) -> Node:
         raise WorkflowError(
             f"block {chooses.name!r} chooses what runs and writes {COMMAND!r} beside it; let a "
             "block of its own write it",
-            chooses.where or None,
+            chooses.where,
         )
     return with_children(flow, [_bounded_flow(child, make) for child in children_of(flow)])
 

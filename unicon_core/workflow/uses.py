@@ -51,7 +51,7 @@ class Use(Block):
 
     def _not_built(self) -> object:
         raise WorkflowError(
-            f"block {self.name!r} is not built yet; give the flow to a Program", self.where or None
+            f"block {self.name!r} is not built yet; give the flow to a Program", self.where
         )
 
 
@@ -111,7 +111,7 @@ def of(member: str, node: Node | Callable[[], object]) -> Node:
             raise WorkflowError(
                 f"block {each.name!r} is built already, with the states of the whole robot; "
                 "mention its factory: block(FACTORY)",
-                each.where or None,
+                each.where,
             )
         if each.word != EXPRESSION:  # it looks at the whole robot
             each.of = each.of or member

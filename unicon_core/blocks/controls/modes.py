@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Protocol, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 
@@ -45,14 +45,6 @@ class Mode(Entry):
     button: Button
 
 
-class Condition(Protocol):
-    """What has to hold when a mode is entered."""
-
-    def refused(self) -> str:
-        """Return why not, "" where it holds."""
-        ...
-
-
 @dataclass(frozen=True)
 class Way:
     """How a mode is entered.
@@ -65,7 +57,7 @@ class Way:
         after: ticks that the mode before must have had.
         tilt: how far the base may lean in [rad].
         calm: no stick may be pushed.
-        enter: has to hold besides, or None.
+        enter: returns why what has to hold besides does not, "" where it does; or None.
     """
 
     mode: str
@@ -75,7 +67,7 @@ class Way:
     after: int
     tilt: float
     calm: bool
-    enter: Condition | None = None
+    enter: Callable[[], str] | None = None
 
 
 Seen: TypeAlias = tuple[Float32, Int32, Float32]
@@ -230,7 +222,7 @@ class Modes:
             return f"the base leans {lean:.2f} rad, at most {way.tilt:g} are allowed"
         if way.calm and not float(np.abs(self._sticks).max()) <= CENTRED:
             return "a stick is pushed; let go of it first"
-        return "" if way.enter is None else way.enter.refused()
+        return "" if way.enter is None else way.enter()
 
     def reset(self) -> None:
         """Begin anew; what is held down counts once it is pressed again."""

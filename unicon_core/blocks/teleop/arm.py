@@ -104,7 +104,7 @@ class Arm:
         self.writes = target_of(name)
         self._ours = states[pose]
         self._target, self._velocity, self._stamp = (states[state] for state in self.writes)
-        self._kind, self._home = "", False
+        self._kind = ""
 
     def lose(self) -> None:
         """Have no target: nobody sees the operator's hand."""
@@ -160,7 +160,3 @@ class Arm:
         self._target[:3], self._target[3:] = hand.position, hand.quat
         self._velocity[:3], self._velocity[3:] = hand.velocity, hand.spin
         self._stamp[...] = stamp
-
-    def reset(self) -> None:
-        """Begin anew."""
-        self.lose()

@@ -122,6 +122,7 @@ class Headset:
 
     Attributes:
         reads: its states.
+        alive: 1 while it is heard, shape ().
         valid: 1 for each part that is tracked.
         fresh: new poses came in this tick.
         dt: between them and those before, in [s]; 0 where there were none.
@@ -136,7 +137,7 @@ class Headset:
     def __init__(self, states: States, name: str) -> None:
         self.name, self.reads = name, list[str]()
         self._states = states
-        self._alive, self._stamp = self.view("alive"), self.view("stamp_ns")
+        self.alive, self._stamp = self.view("alive"), self.view("stamp_ns")
         self._age, self._head = self.view("age"), self.view("head")
         self.valid = self.view("valid")
         self._head_part = self.part("head")
@@ -149,7 +150,7 @@ class Headset:
         if state not in self._states.layout.specs:
             raise WorkflowError(
                 f"no state {state!r}; list the device that writes it, such as webxr, "
-                "before teleop (commands:), or name yours: device: PREFIX"
+                "before the block that reads it (commands:), or name yours: device: PREFIX"
             )
         self.reads.append(state)
         return self._states[state]
@@ -172,7 +173,7 @@ class Headset:
             stale: poses that are older do not count, in [s].
         """
         self.age = float(self._age)
-        if not self._alive or not 0.0 <= self.age <= stale:
+        if not self.alive or not 0.0 <= self.age <= stale:
             self.fresh, self.dt, self._last = False, 0.0, 0
             return False
         stamp = int(self._stamp)

@@ -164,7 +164,7 @@ class Teleop:
     def reset(self) -> None:
         """Let go of everything; who is engaged has to engage anew."""
         for arm in self._arms:
-            arm.reset()
+            arm.lose()
 
 
 def _workspace(
