@@ -198,7 +198,7 @@ ROWS = [
         ("command_stop", "above=True)] = 2.0", "above=True)] = 10.0"),
     ),
     *_rows(
-        "states/screen.py",
+        "states/stacked.py",
         (*BLOCKS, "test/workflow/test_safety_set.py"),
         ("Screen.__call__", "True"),
     ),

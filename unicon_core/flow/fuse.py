@@ -21,8 +21,7 @@ from unicon_core.flow.nodes import Node, Zip, children_of, with_children
 from unicon_core.flow.stage import FIXED
 from unicon_core.generated import define
 from unicon_core.states import States
-from unicon_core.states.screen import Range, Screen
-from unicon_core.states.stacked import places
+from unicon_core.states.stacked import Range, Screen, places
 
 MAX_COPIES = 4
 """Up to so many separate slice copies (80 ns each) one gather and scatter (750 ns) loses."""

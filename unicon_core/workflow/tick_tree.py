@@ -15,8 +15,7 @@ from unicon_core.flow.fuse import fuse
 from unicon_core.flow.nodes import chooser_of, with_children
 from unicon_core.flow.stage import Stage
 from unicon_core.states import States
-from unicon_core.states.effectors import unsaid_states
-from unicon_core.states.standard import COMMAND_STATES
+from unicon_core.states.standard import COMMAND_STATES, unsaid_states
 from unicon_core.workflow.command_bounds import (
     COMMAND,
     CommandBound,

@@ -18,7 +18,7 @@ from unicon_core.flow.block import Amends, Bundle, Reads
 from unicon_core.flow.stage import Stage
 from unicon_core.robots import Robot
 from unicon_core.schema.marks import Within
-from unicon_core.states.screen import Range
+from unicon_core.states.stacked import Range
 
 ROUNDING = np.float32(1.0001)
 """A target that `rate_limit` has held back is not beyond the same limit."""

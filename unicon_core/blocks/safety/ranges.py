@@ -17,7 +17,7 @@ from unicon_core.flow.stage import Stage
 from unicon_core.robots import Robot
 from unicon_core.schema.marks import Within, positive
 from unicon_core.states import States
-from unicon_core.states.screen import Range, Screen
+from unicon_core.states.stacked import Range, Screen
 from unicon_core.states.standard import COMMAND_STATES, HARDWARE_STATES
 from unicon_core.workflow.autowire import BuildContext
 

@@ -26,7 +26,7 @@ from unicon_core.platforms.kit.command import FiniteCheck
 from unicon_core.robots import Robot
 from unicon_core.schema.marks import NotEmpty, Unit, Within, Write, positive
 from unicon_core.states import States
-from unicon_core.states.screen import Range, Screen
+from unicon_core.states.stacked import Range, Screen
 
 PATIENT = 5
 """Ticks that a block looks at before it stops a robot, from which on it may look after `send`."""

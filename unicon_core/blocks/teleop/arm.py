@@ -15,8 +15,8 @@ from unicon_core.blocks.teleop.operator import Headset, Side, pose_of
 from unicon_core.errors import WorkflowError
 from unicon_core.models.plain_turns import Quat, Vector
 from unicon_core.states import States
-from unicon_core.states.effectors import pose_of as pose_state
-from unicon_core.states.effectors import target_of
+from unicon_core.states.standard import pose_of as pose_state
+from unicon_core.states.standard import target_of
 
 Mode: TypeAlias = Literal["hold", "toggle", "always"]
 

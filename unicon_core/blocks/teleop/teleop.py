@@ -25,7 +25,7 @@ from unicon_core.errors import WorkflowError
 from unicon_core.models.plain_turns import Vector
 from unicon_core.schema.marks import Within, Write, positive
 from unicon_core.states import StateSpec
-from unicon_core.states.effectors import target_states
+from unicon_core.states.standard import target_states
 from unicon_core.workflow.autowire import BuildContext
 
 SPEED, TURN = 5.0, 20.0

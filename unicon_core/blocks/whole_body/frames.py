@@ -18,8 +18,8 @@ from unicon_core.models.frames import Frames as BodyFrames
 from unicon_core.robots import Robot
 from unicon_core.robots.places import Place
 from unicon_core.states import StateSpec
-from unicon_core.states.effectors import pose_of, pose_states
 from unicon_core.states.spec import check_name
+from unicon_core.states.standard import pose_of, pose_states
 from unicon_core.workflow.autowire import BuildContext
 
 Of = Sequence[str] | Mapping[str, str]

@@ -19,7 +19,7 @@ from unicon_core.models.frames import Frames
 from unicon_core.robots import Robot
 from unicon_core.schema.marks import Point, Within
 from unicon_core.states import StateSpec
-from unicon_core.states.effectors import target_of, target_states
+from unicon_core.states.standard import target_of, target_states
 from unicon_core.workflow.autowire import BuildContext
 
 LARGEST = 1.0

@@ -25,8 +25,7 @@ from unicon_core.ik.tasks import APART, LONGEST, Settings, Target, Weights
 from unicon_core.robots import Robot
 from unicon_core.schema.marks import Within, Write, positive
 from unicon_core.states import StateSpec
-from unicon_core.states.effectors import target_of, target_states
-from unicon_core.states.standard import forwarded_states
+from unicon_core.states.standard import forwarded_states, target_of, target_states
 from unicon_core.workflow.autowire import BuildContext
 
 Effectors = (
