@@ -35,15 +35,6 @@ Signal = Literal["sine", "chirp", "square", "triangle", "random"]
 FREQUENCY = 100.0
 """In [Hz]: no leg's joint follows a tenth of it."""
 
-# Largest |slope| of a signal of amplitude 1 at 1 Hz, in [1/s]; a square's steps have none to check.
-_SLOPE = {
-    "sine": 2 * math.pi,
-    "chirp": 2 * math.pi,
-    "triangle": 4.0,
-    "random": math.pi,
-    "square": 0.0,
-}
-
 
 class Excite:
     """Move position targets about a pose: target = pose + envelope · amplitude · signal.
@@ -171,7 +162,7 @@ def _check(robot: Robot, signal: str, centre: Float32, sizes: Float32, frequency
                 f"amplitude {size:g} rad about {centre[i]:g} rad is beyond the limits of joint "
                 f"{name}; give at most {max(room, 0.0):.3g}, or another pose (around)"
             )
-        speed, limit = size * frequency * _SLOPE[signal], float(robot.velocity_limit[i])
+        speed, limit = size * frequency * _SIGNALS[signal][0], float(robot.velocity_limit[i])
         if speed > limit:  # false for an unknown limit
             raise WorkflowError(
                 f"a {signal} of {size:g} rad at {frequency:g} Hz asks joint {name} for "
@@ -194,13 +185,7 @@ class _Wave:
         self._period, self._first = period, sweep[0]
         self._half_slope = 0.5 * (sweep[1] - sweep[0]) / (ticks * period)
         self._seed, self._count = seed, count
-        self._shape: Callable[[float], Any] = {
-            "sine": _sine,
-            "chirp": _sine,
-            "square": _square,
-            "triangle": _triangle,
-            "random": self._random,
-        }[signal]
+        self._shape = _SIGNALS[signal][1] or self._random
 
     def __call__(self, tick: int) -> Any:
         time = tick * self._period
@@ -208,21 +193,23 @@ class _Wave:
 
     def _random(self, cycles: float) -> Float64:
         knot = math.floor(cycles)
-        share = 0.5 - 0.5 * math.cos(math.pi * (cycles - knot))
         before, after = (_drawn(self._seed, k, self._count) for k in (knot, knot + 1))
-        return before + share * (after - before)
+        return before + _eased(cycles - knot) * (after - before)
 
 
 def _sine(cycles: float) -> float:
     return math.sin(2.0 * math.pi * cycles)
 
 
-def _square(cycles: float) -> float:
-    return 1.0 if cycles % 1.0 < 0.5 else -1.0
-
-
-def _triangle(cycles: float) -> float:
-    return 4.0 * abs((cycles - 0.25) % 1.0 - 0.5) - 1.0
+_SIGNALS: dict[str, tuple[float, Callable[[float], Any] | None]] = {
+    "sine": (2 * math.pi, _sine),
+    "chirp": (2 * math.pi, _sine),
+    "triangle": (4.0, lambda cycles: 4.0 * abs((cycles - 0.25) % 1.0 - 0.5) - 1.0),
+    "square": (0.0, lambda cycles: 1.0 if cycles % 1.0 < 0.5 else -1.0),
+    "random": (math.pi, None),
+}
+"""Signal to its largest |slope| at amplitude 1 and 1 Hz in [1/s], of a square's steps none to
+check, and to what makes it of cycles: None for `random`, which is of each joint by itself."""
 
 
 @lru_cache(maxsize=8)
