@@ -103,9 +103,8 @@ class LegOdometry:
         self._stamp, self._period = more.get("stamp_ns"), context.period
         self._velocity, self._variance = base_lin_vel, base_lin_vel_variance
         self._contact = foot_contact
-        self._position, self._of_position = (
-            (states[name] for name in self.writes) if position else (None, None)
-        )
+        outs = {name: states[name] for name in self.writes}
+        self._position, self._of_position = outs.get("base_pos_w"), outs.get(_POS_VARIANCE)
         imu = robot.imu  # a filter of the IMU's place has no lever arm to mind
         self._arm = [0.0] * 3 if imu is None else np.nan_to_num(imu.position).tolist()
         self.reset()
