@@ -323,8 +323,8 @@ class WarmUps:
             build: builds it once more in another context.
         """
         pure = getattr(factory, "pure", getattr(factory, "__module__", "").startswith(_OURS))
-        if not pure or block.warm_up is not None:
-            return
+        if not pure or block.warm_up is not None or block.stage is Stage.RECV:
+            return  # a second device would take what the first is to hear
         slots = self._states.layout.slots
         used = {*block.reads, *block.amends, *block.writes}
         if sum(slots[name].nbytes for name in used if name in slots) > LARGEST:
