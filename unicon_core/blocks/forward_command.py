@@ -138,8 +138,7 @@ class ForwardCommand:
         self.ticks = 0
         self._period = np.float32(period)
         self._step = self._steps = (self.max_rate * period).astype(np.float32)
-        self._lower = np.nan_to_num(robot.lower, nan=-np.inf)
-        self._upper = np.nan_to_num(robot.upper, nan=np.inf)
+        self._lower, self._upper = robot.limits()
         self._effort = np.nan_to_num(robot.effort_limit, nan=np.inf)
         target = command.joint_pos_target
         self.held, self._bound, self._wanted, self._fed = (np.zeros_like(target) for _ in range(4))

@@ -239,8 +239,7 @@ class Sway:
         self._amplitude = np.asarray(amplitude, np.float32)
         self._turn = 2.0 * math.pi * frequency * period
         self._share = 1.0 if time_constant <= 0.0 else -math.expm1(-period / time_constant)
-        self._lower = np.nan_to_num(robot.lower, nan=-np.inf)
-        self._upper = np.nan_to_num(robot.upper, nan=np.inf)
+        self._lower, self._upper = robot.limits()
         self.gains = robot_gains(robot, "sway")
         self._ticks, self._tick = end_of(duration, period), 0
         self.endless = duration is None

@@ -70,8 +70,9 @@ def joint_limits(
     Raises:
         WorkflowError: the margin leaves a joint nothing.
     """
-    lower = np.nan_to_num(robot.lower, nan=-np.inf) + np.float32(margin)
-    upper = np.nan_to_num(robot.upper, nan=np.inf) - np.float32(margin)
+    lower, upper = robot.limits()
+    lower += np.float32(margin)
+    upper -= np.float32(margin)
     if (lower > upper).any():
         joint = robot.joint_names[int(np.argmax(lower > upper))]
         raise WorkflowError(f"margin {margin} rad leaves joint {joint} no range; give less")

@@ -64,8 +64,9 @@ def range_stop(
     names = [name for name in MEASURED if name in told and name in states]
     if not names:
         raise WorkflowError("the platform measures nothing that it looks at; leave it out")
-    lower = np.nan_to_num(robot.lower, nan=-POSITION) - np.float32(margin)
-    upper = np.nan_to_num(robot.upper, nan=POSITION) + np.float32(margin)
+    lower, upper = robot.limits(POSITION)
+    lower -= np.float32(margin)
+    upper += np.float32(margin)
     speed = np.nan_to_num(robot.velocity_limit * factor, nan=VELOCITY)
     bounds: dict[str, tuple[Any, Any]] = {
         "joint_pos": (lower, upper),
