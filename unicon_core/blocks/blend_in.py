@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from unicon_core.blocks.joint_command import ticks_of
+from unicon_core.blocks.joint_command import Counting, ticks_of
 from unicon_core.bounds import Seconds
 from unicon_core.flow.block import Amends
 from unicon_core.flow.stage import Stage
 from unicon_core.workflow.autowire import BuildContext
 
 
-class BlendIn:
+class BlendIn(Counting):
     """Blend from the command that was sent last to the present one, then leave it alone.
 
     Stands behind a policy, in a zip: with K ticks, tick k = 1 … K after the entry sends
@@ -27,7 +27,7 @@ class BlendIn:
         duration: in [s].
     """
 
-    memory = ("_held", "_own", "_mixed", "_tick", "_sent")
+    memory = ("_held", "_own", "_mixed", "_sent")
 
     def __init__(
         self,
@@ -69,12 +69,8 @@ class BlendIn:
             live += held
             mixed[...] = live
 
-    def reset(self) -> None:
-        """Blend anew."""
-        self._tick = 0
 
-
-class FadeIn:
+class FadeIn(Counting):
     """Scale stiffness, velocity target and torque from 0 to 1 over a time, then leave them alone.
 
     Args:
@@ -84,7 +80,7 @@ class FadeIn:
         duration: in [s].
     """
 
-    memory = ("_whole", "_left", "_tick")
+    memory = ("_whole", "_left")
 
     stage = Stage.SAFETY
 
@@ -113,7 +109,3 @@ class FadeIn:
                 np.copyto(whole, live, where=live != left)
                 np.multiply(whole, share, out=live)
                 left[...] = live
-
-    def reset(self) -> None:
-        """Fade in anew."""
-        self._tick = 0

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from unicon_core.arrays import Float32, Float64
-from unicon_core.blocks.joint_command import JointCommand, robot_gains, ticks_of
+from unicon_core.blocks.joint_command import Counting, JointCommand, robot_gains, ticks_of
 from unicon_core.bounds import (
     DURATION,
     POSE_DURATION,
@@ -36,7 +36,7 @@ FREQUENCY = 100.0
 """In [Hz]: no leg's joint follows a tenth of it."""
 
 
-class Excite:
+class Excite(Counting):
     """Move position targets about a pose: target = pose + envelope · amplitude · signal.
 
     It goes to the pose first, within `fade`; the signal is faded in, and out before it is done.
@@ -59,7 +59,7 @@ class Excite:
         damping_scale: factor on the robot file's damping.
     """
 
-    memory = ("_start", "_way", "_approach", "_tick")
+    memory = ("_start", "_way", "_approach")
 
     def __init__(
         self,
@@ -117,10 +117,6 @@ class Excite:
         command.joint_effort_ff[...] = 0.0
         command.joint_stiffness[...], command.joint_damping[...] = self.gains
         return turn >= turns
-
-    def reset(self) -> None:
-        """Begin anew from wherever the joints are at the next tick."""
-        self._tick = 0
 
 
 def _sweep(signal: str, frequency: float | Sequence[float], period: float) -> tuple[float, float]:

@@ -100,6 +100,16 @@ def robot_gains(
     return gains[0], gains[1]
 
 
+class Counting:
+    """Base of blocks that count their ticks from 1 on since their flow entered them."""
+
+    memory: tuple[str, ...] = ("_tick",)
+
+    def reset(self) -> None:
+        """Begin anew with the next tick."""
+        self._tick = 0
+
+
 def ticks_of(seconds: float, period: float) -> int:
     """Return a time as a number of ticks, at least 1."""
     return max(round(seconds / period), 1)

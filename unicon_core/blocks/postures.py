@@ -8,7 +8,7 @@ from typing import Annotated
 
 import numpy as np
 
-from unicon_core.blocks.joint_command import JointCommand, end_of, robot_gains, ticks_of
+from unicon_core.blocks.joint_command import Counting, JointCommand, end_of, robot_gains, ticks_of
 from unicon_core.bounds import (
     DURATION,
     POSE_DURATION,
@@ -24,7 +24,7 @@ from unicon_core.robots.poses import joints_like, named_pose
 from unicon_core.schema.marks import Within, Write
 
 
-class Pose:
+class Pose(Counting):
     """Interpolate the position targets from where they are to a pose.
 
     The path is half a cosine: it begins and ends at rest, and its largest speed is
@@ -40,7 +40,7 @@ class Pose:
         damping_scale: factor on the robot file's damping.
     """
 
-    memory = ("_start", "_way", "_first", "_ticks", "_tick")
+    memory = ("_start", "_way", "_first", "_ticks")
 
     def __init__(
         self,
@@ -102,12 +102,8 @@ class Pose:
                 out *= faded
                 out += first
 
-    def reset(self) -> None:
-        """Begin anew from wherever the joints are at the next tick."""
-        self._tick = 0
 
-
-class Hold:
+class Hold(Counting):
     """Keep the position targets of the moment of entry; limp joints keep their measured position.
 
     Args:
@@ -116,7 +112,7 @@ class Hold:
             of the robot file's.
     """
 
-    memory = ("_held", "_tick")
+    memory = ("_held",)
 
     def __init__(
         self,
@@ -145,20 +141,14 @@ class Hold:
             command.joint_stiffness[...], command.joint_damping[...] = self.gains
         return self._ticks is not None and self._tick >= self._ticks
 
-    def reset(self) -> None:
-        """Hold whatever is the target at the next tick."""
-        self._tick = 0
 
-
-class Damp:
+class Damp(Counting):
     """Let go: stiffness 0, damping against every motion, targets at the measured positions.
 
     Args:
         duration: in [s]; None never ends.
         damping: of every joint in [N·m·s/rad]; None for the robot file's.
     """
-
-    memory = ("_tick",)
 
     def __init__(
         self,
@@ -188,16 +178,12 @@ class Damp:
         self._tick += 1
         return self._ticks is not None and self._tick >= self._ticks
 
-    def reset(self) -> None:
-        """Count the duration anew."""
-        self._tick = 0
-
 
 OTHERS = "give gains of its joints, or run h1_stand, which names none"
 """What helps a robot that the workflow was not written for."""
 
 
-class Sway:
+class Sway(Counting):
     """Move the position targets around a pose: target = pose + K (command + own oscillation).
 
     The targets stay within the robot's joint limits.
@@ -212,7 +198,7 @@ class Sway:
         duration: in [s]; None never ends.
     """
 
-    memory = ("_filtered", "_tick")
+    memory = ("_filtered",)
 
     def __init__(
         self,
@@ -271,7 +257,3 @@ class Sway:
         command.joint_effort_ff[...] = 0.0
         command.joint_stiffness[...], command.joint_damping[...] = self.gains
         return self._ticks is not None and self._tick >= self._ticks
-
-    def reset(self) -> None:
-        """Begin anew from wherever the joints are at the next tick."""
-        self._tick = 0

@@ -9,20 +9,18 @@ from typing import Annotated, cast
 import numpy as np
 
 from unicon_core.arrays import Float32
-from unicon_core.blocks.joint_command import ticks_of
+from unicon_core.blocks.joint_command import Counting, ticks_of
 from unicon_core.bounds import Seconds
 from unicon_core.flow.block import Reads
 from unicon_core.schema.marks import positive
 
 
-class Elapsed:
+class Elapsed(Counting):
     """Hold from the tick on in which a time has passed since entry.
 
     Args:
         seconds: counted in ticks, so that it means the same at any speed of the run.
     """
-
-    memory = ("_tick",)
 
     def __init__(self, *, period: float, seconds: Seconds) -> None:
         self._ticks, self._tick = ticks_of(seconds, period), 0
@@ -30,10 +28,6 @@ class Elapsed:
     def __call__(self) -> bool:
         self._tick += 1
         return self._tick >= self._ticks
-
-    def reset(self) -> None:
-        """Count anew."""
-        self._tick = 0
 
 
 def tilted(
