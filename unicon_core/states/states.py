@@ -130,7 +130,8 @@ class States:
             raise AttributeError(name)
         return self[name]
 
-    __setattr__ = __setitem__
+    def __setattr__(self, name: str, value: Any) -> None:
+        self[name] = value
 
     def __contains__(self, name: object) -> bool:
         return name in self._views
