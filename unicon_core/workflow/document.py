@@ -24,8 +24,6 @@ from unicon_core.schema.records import record_of, type_of
 from unicon_core.schema.types import Mistakes
 from unicon_core.workflow.file import Workflow
 
-SCHEMA = "unicon.workflow/1"
-
 
 @dataclass
 class WorkflowDocument:

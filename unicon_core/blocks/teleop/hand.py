@@ -85,27 +85,14 @@ _UP: Vector = (0.0, 0.0, 1.0)
 _STILL: Vector = (0.0, 0.0, 0.0)
 
 
-@dataclass(frozen=True)
-class Pace:
-    """How a hand follows.
-
-    Attributes:
-        scale: way of the robot's hand for that of the operator's.
-        speed: of a target at most, in [m/s].
-        turn: of a target at most, in [rad/s].
-    """
-
-    scale: float
-    speed: float
-    turn: float
-
-
 class Hand:
     """The target of one end effector.
 
     Args:
         workspace: where it may be.
-        pace: how it follows.
+        scale: way of the robot's hand for that of the operator's.
+        speed: of a target at most, in [m/s].
+        turn: of a target at most, in [rad/s].
         period: of a tick in [s].
 
     Attributes:
@@ -118,9 +105,11 @@ class Hand:
 
     memory = ("live", "position", "quat", "velocity", "spin", "_theirs", "_ours", "_seen", "_level")
 
-    def __init__(self, workspace: Workspace, pace: Pace, period: float) -> None:
-        self._workspace, self._pace = workspace, pace
-        self._way, self._turn = pace.speed * period, pace.turn * period
+    def __init__(
+        self, workspace: Workspace, scale: float, speed: float, turn: float, period: float
+    ) -> None:
+        self._workspace, self._scale, self._most = workspace, scale, (speed, turn)
+        self._way, self._turn = speed * period, turn * period
         self.live = False
         self.position: Vector = _STILL
         self.quat: Quat = (1.0, 0.0, 0.0, 0.0)
@@ -157,7 +146,7 @@ class Hand:
             dt: since the headset's frame before in [s], 0 for the same frame.
         """
         (start, begin), (ours, facing) = self._theirs, self._ours
-        scale = self._pace.scale
+        scale = self._scale
         x, y, z = (scale * (b - a) for a, b in zip(start, position))
         dx, dy, dz = rotate(self._level, (x, y, z))
         change = multiply(self._level, multiply(quat, conjugate(begin)))
@@ -190,8 +179,8 @@ class Hand:
             w + new * (r / dt - w)
             for w, r in zip(self.spin, vector_of(multiply(self.quat, conjugate(quat))))
         )
-        self.velocity = _within((vx, vy, vz), self._pace.speed)
-        self.spin = _within((wx, wy, wz), self._pace.turn)
+        speed, turn = self._most
+        self.velocity, self.spin = _within((vx, vy, vz), speed), _within((wx, wy, wz), turn)
 
     def hold(self) -> None:
         """Keep the target where it is: the clutch is open."""

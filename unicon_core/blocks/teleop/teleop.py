@@ -19,7 +19,7 @@ from typing import Annotated, Any, Literal
 from unicon_core.arrays import Float32, Int32, Int64
 from unicon_core.blocks.joint_command import ticks_of
 from unicon_core.blocks.teleop.arm import Arm, Clutch, Mode
-from unicon_core.blocks.teleop.hand import Hand, Pace, Workspace
+from unicon_core.blocks.teleop.hand import Hand, Workspace
 from unicon_core.blocks.teleop.operator import SIDES, Finger, Headset, OneEuro, Side
 from unicon_core.errors import WorkflowError
 from unicon_core.models.plain_turns import Vector
@@ -102,7 +102,7 @@ class Teleop:
         modes: dict[str, Mode] = {"controller": "hold", "hand": "hold"}
         said = clutch if isinstance(clutch, Mapping) else dict.fromkeys(modes, clutch)
         modes |= {str(kind): mode for kind, mode in said.items()}
-        pace, period = Pace(scale, max_speed, max_turn), context.period
+        period = context.period
         sure = {"controller": 1, "hand": ticks_of(PINCHED, period)}
         headset, arms = Headset(context.states, device), []
         for side, name in effectors.items():
@@ -112,7 +112,7 @@ class Teleop:
                 kind: Clutch(mode, ticks_of(STEADY, period) if mode == "always" else sure[kind])
                 for kind, mode in modes.items()
             }
-            hand = Hand(_workspace(box, sphere, side), pace, period)
+            hand = Hand(_workspace(box, sphere, side), scale, max_speed, max_turn, period)
             arms.append(Arm(SIDES.index(side), theirs, clutches, hand, context.states, name))
         self._headset, self._arms, self._stale = headset, tuple(arms), stale
         states = context.states
