@@ -82,7 +82,11 @@ class Retarget:
     ) -> None:
         single(joint_pos)
         robot, period = context.robot, context.period
-        human = side_of(robot, side)
+        human = side or told_hand(robot).side
+        if not human:
+            raise WorkflowError(
+                f"robot {robot.name} may be a left or a right hand; say which: side: left"
+            )
         hands = HandModel(robot, human, model, context.relative_to)
         name = hand or f"webxr_{human}_hand"
         mirrored = told_hand(robot).side not in ("", human)
@@ -165,21 +169,6 @@ class Retarget:
     def reset(self) -> None:
         """Follow the next hand as one that has just come."""
         self._follows = False
-
-
-def side_of(robot: Robot, side: str | None = None) -> str:
-    """Return the side of the human's hand: the one that is given, else the robot's.
-
-    Raises:
-        WorkflowError: nobody says it.
-        RobotError: the robot file says nothing of a hand.
-    """
-    found = side or told_hand(robot).side
-    if not found:
-        raise WorkflowError(
-            f"robot {robot.name} may be a left or a right hand; say which: side: left"
-        )
-    return found
 
 
 def _poses(context: BuildContext, name: str) -> Float32:
