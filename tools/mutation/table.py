@@ -16,7 +16,7 @@ BLOCKS = (
     "test/blocks/test_blocks_detectors.py",
     "test/blocks/test_joint_sensor_stop.py",
 )
-POSTURES = ("test/blocks/test_blocks_postures.py",)
+COUNTED = ("test/blocks/test_excite.py",)
 LEARNED = ("test/blocks/test_blocks_trips.py",)
 GATES = "test/gates/test_gates.py", "test/gates/test_gates_edges.py"
 BEGINNING = ("test/gates/test_beginning.py",)
@@ -457,7 +457,7 @@ ROWS = [
         ("Entry.__call__", "self._pairs[0][1][...] = self._measured", "pass"),
         ("Entry.__call__", "held[...] = self._last.states[name]", "pass"),
     ),
-    *_rows("blocks/joint_command.py", POSTURES, ("Counting.reset", REMOVED)),
+    *_rows("blocks/joint_command.py", COUNTED, ("Counting.reset", REMOVED)),
     *_rows(
         "runtime/beforehand.py",
         PHASES,
