@@ -20,12 +20,13 @@ from numpy.typing import NDArray
 
 from benchmarks.copied_hand import copied_hand, smooth_motion
 from benchmarks.samples import Samples
-from unicon_core.blocks.retarget import FASTEST, Retarget
+from unicon_core.blocks.retarget import Retarget
 from unicon_core.models.find import pick_model
 from unicon_core.retarget.hand_model import HandModel
-from unicon_core.retarget.human_hand import JOINTS, HumanHand
-from unicon_core.retarget.retargeting import Retargeting
+from unicon_core.retarget.human_hand import JOINTS
 from unicon_core.robots import Robot, load_robot
+from unicon_core.states import StateSpec
+from unicon_core.testing import Bench as BlockBench
 from unicon_ros.bench.report import Bench
 
 Side: TypeAlias = Callable[[NDArray[np.float32], NDArray[np.float32]], NDArray[np.floating]]
@@ -78,20 +79,11 @@ def run(rounds: int | None = None) -> Bench:
 
 
 def _ours(robot: Robot) -> Side:
-    model = HandModel(robot)
-    poses, count = np.zeros((JOINTS, 7), np.float32), robot.num_joints
-    command = np.zeros(count, np.float32)
-    tick = Retarget(
-        HumanHand(poses, model.fingers, "left"),
-        Retargeting(model, 0.0),
-        np.zeros(count, np.float32),
-        command,
-        np.zeros(len(model.fingers), np.float32),
-        period=1.0 / RATE,
-        scale=None,
-        cut=FASTEST,
-        rate=np.full(count, np.inf),
-    )
+    name = "webxr_left_hand"
+    declared = {**Retarget.declares(robot=robot, side="left"), name: StateSpec((JOINTS, 7))}
+    bed = BlockBench(robot, period=1.0 / RATE, states=declared)
+    poses, command = bed.states[name], bed.states["joint_pos_command"]
+    tick = bed.block(Retarget, side="left").tick
 
     def side(hand: NDArray[np.float32], _: NDArray[np.float32]) -> NDArray[np.float32]:
         poses[...] = hand

@@ -12,7 +12,7 @@ import math
 from typing import Annotated, Any, Literal
 
 from unicon_core.errors import WorkflowError
-from unicon_core.schema.marks import Unit, Within
+from unicon_core.schema.marks import Within, positive
 
 POSITION = 4.0 * math.pi
 """|position| in [rad], [m] of sliding joints: two turns; go2's rear thighs have 4.54."""
@@ -51,22 +51,22 @@ DURATION = 1e7
 LONGEST = 1e9
 """In [s], that a block counts: thirty years."""
 
-Timeout = Annotated[float, Unit("s"), Within(0.0, STALE, above=True)]
+Timeout = Annotated[float, positive(STALE, "s")]
 """Time after which a stop trips."""
-Seconds = Annotated[float, Unit("s"), Within(0.0, LONGEST)]
+Seconds = Annotated[float, Within(0.0, LONGEST, "s")]
 """Time that a block counts."""
-Motion = Annotated[float, Unit("rad"), Within(0.0, POSITION, above=True)]
+Motion = Annotated[float, positive(POSITION, "rad")]
 """By which a joint moves, or is off."""
-Speed = Annotated[float, Unit("rad/s"), Within(0.0, VELOCITY, above=True)]
+Speed = Annotated[float, positive(VELOCITY, "rad/s")]
 """Of a joint."""
 MaxRate = Speed | Literal["robot"]
 """Of each joint, or the robot file's velocity limits."""
-Stiffness = Annotated[float, Unit("N·m/rad"), Within(0.0, STIFFNESS)]
-Damping = Annotated[float, Unit("N·m·s/rad"), Within(0.0, DAMPING)]
+Stiffness = Annotated[float, Within(0.0, STIFFNESS, "N·m/rad")]
+Damping = Annotated[float, Within(0.0, DAMPING, "N·m·s/rad")]
 StiffnessScale = Annotated[float, Within(0.0, 2.0)]
 DampingScale = Annotated[float, Within(0.0, 5.0)]
 """Factors on the robot file's gains."""
-Scale = Annotated[float | None, Within(0.0, TRIP_SHARE, above=True)]
+Scale = Annotated[float | None, positive(TRIP_SHARE)]
 """Of the robot file's limits; None for the usual."""
 
 

@@ -17,7 +17,8 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+
+from unicon_core.arrays import UInt8
 
 FOLDER = Path("/dev/shm")
 _PREFIX = "unicon_frames_"
@@ -88,14 +89,14 @@ class FrameRing:
         """Handle of the newest whole frame; 0 if there is none."""
         return self._head[0]
 
-    def fill(self) -> NDArray[np.uint8]:
+    def fill(self) -> UInt8:
         """Return the slot to write the next frame into, shape (nbytes,); then call `commit`.
 
         One process fills. The oldest frame is gone from here on.
         """
         slot = (self.latest + 1) % self.slots
         self._table[_SLOT * slot] = 0
-        frame: NDArray[np.uint8] = self._frames[slot]
+        frame: UInt8 = self._frames[slot]
         return frame
 
     def parts(self) -> tuple[memoryview, memoryview, memoryview, int]:
@@ -123,14 +124,14 @@ class FrameRing:
         self._head[0] = handle
         return handle
 
-    def frame(self, handle: int) -> NDArray[np.uint8] | None:
+    def frame(self, handle: int) -> UInt8 | None:
         """Return a frame in place, shape (nbytes,), read-only; None when it was overwritten.
 
         Ask `holds` after a long look: the frame may have been overwritten meanwhile.
         """
         if not self.holds(handle):
             return None
-        view: NDArray[np.uint8] = self._frames[handle % self.slots].view()
+        view: UInt8 = self._frames[handle % self.slots].view()
         view.flags.writeable = False
         return view
 

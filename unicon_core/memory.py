@@ -25,8 +25,8 @@ from types import BuiltinMethodType, FunctionType, MethodType, ModuleType
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import UInt8
 from unicon_core.errors import StateError, one_line
 
 UNDECLARED = "declares no memory"
@@ -101,7 +101,7 @@ class Memory:
             declares what it lacks, or what cannot be saved.
     """
 
-    def __init__(self, holders: Mapping[str, Any], states: NDArray[np.uint8] | None = None) -> None:
+    def __init__(self, holders: Mapping[str, Any], states: UInt8 | None = None) -> None:
         self._holders: dict[str, Any] = {}
         self.unproven: dict[str, str] = {}
         for label, tick in holders.items():
@@ -169,7 +169,7 @@ def _declares(holder: Any) -> bool:
     return _names_of(holder) is not None or isinstance(holder, Library)
 
 
-def _stateless(holder: Any, states: NDArray[np.uint8] | None) -> bool:
+def _stateless(holder: Any, states: UInt8 | None) -> bool:
     """Return whether an object that declares nothing has nothing to remember with."""
     if isinstance(holder, partial):
         given = (*holder.args, *holder.keywords.values())
@@ -188,7 +188,7 @@ def _stateless(holder: Any, states: NDArray[np.uint8] | None) -> bool:
     return _fixed(holder, states) or not (getattr(holder, "__dict__", True))
 
 
-def _fixed(value: Any, states: NDArray[np.uint8] | None) -> bool:
+def _fixed(value: Any, states: UInt8 | None) -> bool:
     """Return whether a value that a function encloses is a state, a constant or stateless."""
     if isinstance(value, BuiltinMethodType):
         value = value.__self__

@@ -51,7 +51,7 @@ class Pacing:
 
     trigger: Literal["deadline", "state"] = "deadline"
     overrun: Literal["skip", "catch_up"] = "skip"
-    hang: Annotated[float | None, Unit("s"), Within(SHORTEST_HANG, LONGEST_HANG)] = None
+    hang: Annotated[float | None, Within(SHORTEST_HANG, LONGEST_HANG, "s")] = None
     spin_us: Annotated[float, Unit("µs"), Within(0.0)] = 100.0
     arrival_spin_us: Annotated[float | None, Unit("µs"), Within(0.0)] = None
     dry_run_us: Annotated[float, Unit("µs"), Within(0.0)] = 1000.0

@@ -11,7 +11,7 @@ from rcl_interfaces.msg import ParameterType, SetParametersResult
 from unicon_core.check.rules import CODES
 from unicon_core.errors import UniconError, alternatives
 from unicon_core.resources import find_config
-from unicon_core.workflow.overrides import split_setting
+from unicon_core.workflow.document import split_setting
 from unicon_core.workflow.registry import known
 from unicon_ros import compat
 from unicon_ros.bridge.bindings import checked_prefix

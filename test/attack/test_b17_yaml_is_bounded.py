@@ -15,7 +15,7 @@ from unicon_core.errors import PolicyError, RobotError, UniconError, WorkflowErr
 from unicon_core.located_yaml import parse_value, parse_yaml, read_yaml
 from unicon_core.policies import load_policy
 from unicon_core.robots import load_robot
-from unicon_core.workflow.load import load_document
+from unicon_core.workflow.document import load_document
 from unicon_msgs_map import load_map
 from unicon_msgs_map.errors import MapError
 

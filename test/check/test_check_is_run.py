@@ -23,8 +23,8 @@ from unicon_core.platforms.platform import Facts
 from unicon_core.robots import load_robot, robot_names
 from unicon_core.robots.table import robots_table
 from unicon_core.workflow import Program
+from unicon_core.workflow.document import load_document, workflow_names
 from unicon_core.workflow.hardware import declared_facts
-from unicon_core.workflow.load import load_document, workflow_names
 from unicon_core.workflow.registry import find_factory, known
 
 OPTIONS: dict[str | tuple[str, str], dict[str, Any]] = {

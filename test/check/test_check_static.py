@@ -34,7 +34,7 @@ from unicon_core.check.rules import LIVE
 from unicon_core.errors import CheckError, RobotError
 from unicon_core.robots import load_robot, robot_names
 from unicon_core.workflow import load_workflow
-from unicon_core.workflow.load import workflow_names
+from unicon_core.workflow.document import workflow_names
 from unicon_ros.cli.main import main
 
 
@@ -511,7 +511,7 @@ def test_all_mistakes_of_a_built_graph_are_listed(folder: Path) -> None:
     from unicon_core.check.result import CheckResult
     from unicon_core.check.subject import build_subject
     from unicon_core.flow import Block, Zip
-    from unicon_core.workflow.load import load_document
+    from unicon_core.workflow.document import load_document
 
     subject = build_subject(load_document(write_workflow(folder)))
     late = [Block(name, lambda: None, writes=("joint_pos_target",)) for name in ("second", "third")]

@@ -15,7 +15,7 @@ from check_helpers import JOINTS, STAND, WORKFLOW, codes, section, text_of, writ
 from unicon_core.check import check_workflow
 from unicon_core.check.subject import on_platform
 from unicon_core.check.twin.session import TwinSession
-from unicon_core.workflow.load import load_document
+from unicon_core.workflow.document import load_document
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ pytest.importorskip("onnx", reason="the variants are written with onnx")
 from broken_variants import VARIANTS, WORKFLOWS, Draft, Variant
 
 from unicon_core.check import CheckResult, check_workflow
-from unicon_core.workflow.load import workflow_names
+from unicon_core.workflow.document import workflow_names
 
 _STATIC = [variant for variant in VARIANTS if not variant.twin]
 _TWIN = [variant for variant in VARIANTS if variant.twin]

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from unicon_core.blocks.controls.drive import Drive
 from unicon_core.blocks.controls.headset import HeadsetControls
+from unicon_core.blocks.velocity_command import Drive
 from unicon_core.errors import WorkflowError
 from unicon_core.states import States, StateSpec
 from unicon_core.states.standard import BUTTONS

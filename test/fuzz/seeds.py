@@ -89,7 +89,7 @@ commands:
 deferred: [{observation_range: {file: good.npz}}]
 flow:
   zip:
-    - call: "unicon_core.blocks.hold:Hold"
+    - call: "unicon_core.blocks.postures:Hold"
     - call: {function: "unicon_core.blocks.safety.stops:Finite", name: again}
     - deferred: {call: {function: "unicon_core.blocks.predicates:tilted", angle: 1.0}}
 """

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from unicon_core.blocks.whole_body.reach import reach
+from unicon_core.blocks.whole_body.reach import Reach
 from unicon_core.errors import MissingDependencyError, RobotError, UniconError, WorkflowError
 from unicon_core.memory import Memory
 from unicon_core.models.find import pick_model
@@ -19,6 +19,7 @@ from unicon_core.robots import Robot, load_robot
 from unicon_core.states.spec import StateSpec
 from unicon_core.testing import Bench
 from unicon_core.workflow.autowire import BuildContext, autowire, read_options
+from unicon_core.workflow.build import WarmUps
 
 pytest.importorskip("daqp", reason="daqp is not installed: pip install 'unicon_ros[ik]'")
 
@@ -35,13 +36,15 @@ class Reaching(Bench):
     def __init__(self, robot: Robot, **options: Any) -> None:
         lag = options.pop("lag", 0.0)
         given = {"effectors": ["tool"], "moves": ["arm"]} | options
-        options = read_options(reach, given, lambda text, *_: WorkflowError(f"block 'reach'{text}"))
-        specs: dict[str, StateSpec] = reach.declares(robot=robot, **options)  # type: ignore[attr-defined]
+        options = read_options(Reach, given, lambda text, *_: WorkflowError(f"block 'reach'{text}"))
+        specs: dict[str, StateSpec] = Reach.declares(robot=robot, **options)
         super().__init__(robot, states=specs)
         self.stand()
         self.heard: list[str] = []
         context = BuildContext(self.states, robot, self.period, tell=self.heard.append, lag=lag)
-        self.reach = autowire(reach, "reach", context, options)
+        self.reach = autowire(Reach, "reach", context, options)
+        self.warm_ups = WarmUps(context)
+        self.warm_ups.add(self.reach, Reach, lambda other: autowire(Reach, "reach", other, options))
         frames = Frames(
             load_model(pick_model(robot), robot, quiet=True), robot, robot.end_effectors
         )
@@ -391,7 +394,10 @@ def test_warm_ups_change_nothing_and_tell_nothing(welder: Reaching) -> None:
     welder.run(3)
     before = welder.states.snapshot()
     welder.states.tool_target[3:] = 2.0
+    refresh = welder.warm_ups.refresh(None)
     assert welder.reach.warm_up is not None
+    assert refresh is not None
+    refresh()
     welder.reach.warm_up()
     assert welder.heard == []
     welder.states.restore(before)
@@ -446,7 +452,7 @@ def test_what_is_wrong_is_told_in_one_line(
 
 
 def test_a_batch_is_refused(arm: Robot) -> None:
-    specs = reach.declares(robot=arm, effectors=["tool"])  # type: ignore[attr-defined]
+    specs = Reach.declares(robot=arm, effectors=["tool"])
     it = Bench(arm, 4, states=specs)
     with pytest.raises(WorkflowError) as caught:
         it.block("reach", effectors=["tool"], moves=["arm"])

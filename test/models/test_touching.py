@@ -18,7 +18,7 @@ from unicon_core.models.posed import Footprint, PosedModel
 from unicon_core.models.touching import floors, may_touch, on_floor, solid
 from unicon_core.robots import load_robot
 from unicon_core.workflow import Program
-from unicon_core.workflow.load import load_document
+from unicon_core.workflow.document import load_document
 
 mujoco = pytest.importorskip("mujoco")
 

@@ -12,7 +12,7 @@ import pytest
 from unicon_core.check.twin.session import TwinSession
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.workflow import Program, load_workflow
-from unicon_core.workflow.load import load_document
+from unicon_core.workflow.document import load_document
 
 pytest.importorskip("mujoco", reason="the dance needs mujoco")
 pytest.importorskip("onnxruntime", reason="the policies need onnxruntime")

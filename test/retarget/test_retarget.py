@@ -12,7 +12,7 @@ from human_hands import human_hand
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from unicon_core.blocks.retarget import retarget
+from unicon_core.blocks.retarget import Retarget
 from unicon_core.errors import RobotError, UniconError, WorkflowError
 from unicon_core.flow import Writes
 from unicon_core.memory import Memory
@@ -33,7 +33,7 @@ class Led(Bench):
 
     def __init__(self, folder: Path, robots: str = "left", **options: Any) -> None:
         robot = load_robot(f"xhand1_{robots}")
-        declared = retarget.declares(robot=robot)
+        declared = Retarget.declares(robot=robot)
         super().__init__(robot, states={**declared, f"webxr_{robots}_hand": HUMAN})
         self.hand = self.states[f"webxr_{robots}_hand"]
         self.states.joint_pos[...] = robot.default_joint_pos
@@ -148,14 +148,14 @@ def test_a_scale_that_is_given_is_not_measured(tmp_path: Path) -> None:
 def test_another_side_is_mirrored_and_a_file_of_both_asks(tmp_path: Path) -> None:
     right = Led(tmp_path, "right").see(human_hand(HALF, side="right"))
     robot = load_robot("xhand1_right")
-    declared = retarget.declares(robot=robot, side="left")
+    declared = Retarget.declares(robot=robot, side="left")
     bench = Bench(robot, states={**declared, "webxr_left_hand": HUMAN})
     model = str(xhand_model(tmp_path, "right"))
     block = bench.block("retarget", side="left", model=model)
     bench.states.webxr_left_hand = human_hand(HALF, side="left")
     block.tick()
     np.testing.assert_allclose(bench.states.joint_pos_command, right, atol=1e-5)
-    rohand = Bench("rohand", states=retarget.declares(robot=load_robot("rohand")))
+    rohand = Bench("rohand", states=Retarget.declares(robot=load_robot("rohand")))
     with pytest.raises(
         WorkflowError, match="robot rohand may be a left or a right hand; say which: side: left"
     ):
@@ -184,12 +184,12 @@ def test_wrong_options_are_refused(tmp_path: Path, options: dict[str, Any], told
 
 def test_it_is_for_one_robot_with_a_hand(tmp_path: Path) -> None:
     robot = load_robot("xhand1_left")
-    states = {**retarget.declares(robot=robot), "webxr_left_hand": HUMAN}
+    states = {**Retarget.declares(robot=robot), "webxr_left_hand": HUMAN}
     with pytest.raises(WorkflowError, match="it is for one robot; leave num_robots out"):
         Bench(robot, 2, states=states).block("retarget", model=str(xhand_model(tmp_path, "left")))
     go2 = load_robot("go2")
     with pytest.raises(RobotError, match="robot go2 has no hand"):
-        Bench(go2, states=retarget.declares(robot=go2)).block("retarget")
+        Bench(go2, states=Retarget.declares(robot=go2)).block("retarget")
 
 
 def test_a_hand_of_which_it_moves_some_joints_says_which(tmp_path: Path) -> None:
@@ -199,7 +199,7 @@ def test_a_hand_of_which_it_moves_some_joints_says_which(tmp_path: Path) -> None
     path = tmp_path / "xhand1_left.yaml"
     path.write_text(text, "utf-8")
     robot = load_robot(path)
-    bench = Bench(robot, states={**retarget.declares(robot=robot), "webxr_left_hand": HUMAN})
+    bench = Bench(robot, states={**Retarget.declares(robot=robot), "webxr_left_hand": HUMAN})
     block = bench.block("retarget", model=str(xhand_model(tmp_path, "left")))
     assert block.tick.moves == robot.joint_names[:10]
     bench.states.webxr_left_hand = human_hand(HALF, side="left")

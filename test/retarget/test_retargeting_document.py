@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from benchmarks.retarget import run
-from unicon_core.blocks.retarget import retarget
+from unicon_core.blocks.retarget import Retarget
 from unicon_core.errors import RobotError
 from unicon_core.robots import load_robot
 from unicon_core.robots.places import Hand
@@ -35,7 +35,7 @@ def test_the_hand_is_one() -> None:
 
 
 def test_every_option_is_told() -> None:
-    options = set(inspect.signature(retarget).parameters)
+    options = set(inspect.signature(Retarget).parameters)
     options -= {"joint_pos", "joint_pos_command", "context"}
     assert options == set(re.findall(r"^\| `(\w+)` \| ", TEXT, re.MULTILINE)) - {"rohand"}
 

@@ -13,7 +13,7 @@ import time
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program
-from unicon_core.workflow.load import load_document
+from unicon_core.workflow.document import load_document
 from unicon_ros.bridge import RosSession
 
 

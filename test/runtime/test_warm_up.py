@@ -81,6 +81,14 @@ def test_every_built_in_block_of_the_flow_warms_up(paths: dict[str, Path]) -> No
     workflow.close()
 
 
+def test_no_second_device_is_opened_for_a_warm_up(tmp_path: Path) -> None:
+    path = tmp_path / "keys.yaml"
+    path.write_text("{robot: go2, platform: fake, rate: 50, flow: hold, commands: [keyboard]}")
+    workflow = load_workflow(path)
+    assert [b.name for b in workflow.blocks if b.warm_up is None] == ["device"]
+    workflow.close()
+
+
 def busy(microseconds: float) -> None:
     end = time.perf_counter_ns() + microseconds * 1e3
     while time.perf_counter_ns() < end:

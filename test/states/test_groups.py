@@ -69,7 +69,8 @@ def test_copies_are_those_of_each_state_alone(both, chance):
     wanted = {
         name: (states if name in group.specs else there)[name].tobytes() for name in layout.specs
     }
-    Copies(there, group, memoryview(packed)).unpack()
+    for bytes_, state in Copies(there, group, memoryview(packed)).pairs:
+        state[:] = bytes_
     assert {name: there[name].tobytes() for name in layout.specs} == wanted
 
 

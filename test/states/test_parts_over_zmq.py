@@ -18,7 +18,7 @@ from zmq_peers import Link
 
 from unicon_core.errors import PlatformError
 from unicon_core.flow import compile_graph
-from unicon_core.workflow.load import load_document
+from unicon_core.workflow.document import load_document
 from unicon_core.workflow.program import Program
 
 pytest.importorskip("zmq", reason="pyzmq is not installed: pip install 'unicon_ros[zmq]'")

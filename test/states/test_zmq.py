@@ -95,7 +95,7 @@ def test_values_come_whole_and_once_whoever_binds(ipc: str, kind: str, robot_bin
         assert np.median(errors) < 200_000_000
         assert reader.skipped - before == reader.number - number - 50
         assert soon(reader.alive)
-        assert (reader.garbage, reader.refused, reader.rivals) == (0, "", 0)
+        assert (reader.garbage, reader.refused, reader.freshness.rivals) == (0, "", 0)
 
 
 def test_what_was_taken_is_not_taken_again_and_a_silent_writer_is_not_alive(ipc: str) -> None:
@@ -152,9 +152,9 @@ def test_what_a_cut_link_has_kept_is_late_and_the_next_is_taken() -> None:
                 take(reader)
                 assert int(there.stamp_ns) > oldest
                 assert reader.stamp_ns > oldest
-            if reader.late > 0:
+            if reader.freshness.late > 0:
                 break
-        assert reader.late > 0
+        assert reader.freshness.late > 0
 
 
 def test_a_link_that_breaks_is_made_anew_and_what_it_lost_is_counted() -> None:
@@ -169,7 +169,7 @@ def test_a_link_that_breaks_is_made_anew_and_what_it_lost_is_counted() -> None:
         number = reader.number
         link.mend()
         take(reader)
-        assert 0 < reader.lost < reader.number - number
+        assert 0 < reader.freshness.lost < reader.number - number
 
 
 def test_another_layout_is_refused_by_its_first_state(ipc: str) -> None:
@@ -322,7 +322,7 @@ def test_of_two_writers_one_is_followed_and_the_other_takes_over(ipc: str) -> No
         with writing(ipc, mark=3.0, bind=False):
             marks = set()
             end = time.monotonic() + PATIENCE
-            while reader.rivals < 20:
+            while reader.freshness.rivals < 20:
                 assert time.monotonic() < end
                 take(reader)
                 marks.add(float(there.joint_pos[0]))

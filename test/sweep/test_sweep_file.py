@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from unicon_core.errors import UniconError
-from unicon_core.workflow.overrides import split_setting
+from unicon_core.workflow.document import split_setting
 from unicon_ros.sweep.draws import parameter, setting_of
 from unicon_ros.sweep.gate import read_gate
 from unicon_ros.sweep.plan import Plan

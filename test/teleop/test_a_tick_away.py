@@ -11,7 +11,7 @@ import scripted_headset  # noqa: F401  found by the workflow
 from teleop_runs import ROOT, SIDES
 
 from unicon_core.flow import compile_graph
-from unicon_core.workflow.load import load_document
+from unicon_core.workflow.document import load_document
 from unicon_core.workflow.program import Program
 
 pytest.importorskip("mujoco", reason="G1 walks in MuJoCo")

@@ -11,7 +11,7 @@ import yaml
 
 from unicon_core.blocks.teleop.teleop import Teleop
 from unicon_core.workflow.autowire import option_names
-from unicon_core.workflow.load import load_document
+from unicon_core.workflow.document import load_document
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = (ROOT / "docs" / "teleoperation.md").read_text("utf-8")

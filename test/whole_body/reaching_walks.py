@@ -15,7 +15,7 @@ from unicon_core.models.load import load_model
 from unicon_core.platforms.sim.mujoco.platform import MujocoPlatform
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.workflow import Program, load_workflow
-from unicon_core.workflow.load import load_document
+from unicon_core.workflow.document import load_document
 
 HANDS = ("left_hand", "right_hand")
 BEGUN = 3.0

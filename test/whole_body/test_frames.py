@@ -19,7 +19,7 @@ from unicon_core.models.load import load_model
 from unicon_core.robots import Robot, load_robot
 from unicon_core.robots.places import Place
 from unicon_core.runtime import Runner, RunOptions
-from unicon_core.states.effectors import pose_states
+from unicon_core.states.standard import pose_states
 from unicon_core.testing import Bench
 from unicon_core.workflow import Program
 from unicon_core.workflow.uses import block, of

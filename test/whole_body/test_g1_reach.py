@@ -18,7 +18,7 @@ from unicon_core.flow import Block, Stage
 from unicon_core.resources import find_config
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program, load_workflow
-from unicon_core.workflow.load import load_document
+from unicon_core.workflow.document import load_document
 
 pytest.importorskip("mujoco", reason="the walks need mujoco")
 pytest.importorskip("onnxruntime", reason="the policies need onnxruntime")

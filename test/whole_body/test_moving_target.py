@@ -12,7 +12,7 @@ from unicon_core.models.find import pick_model
 from unicon_core.models.frames import Frames
 from unicon_core.models.load import load_model
 from unicon_core.robots import Robot
-from unicon_core.states.effectors import target_states
+from unicon_core.states.standard import target_states
 from unicon_core.testing import Bench
 from unicon_core.workflow import Program
 from unicon_core.workflow.uses import block

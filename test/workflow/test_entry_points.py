@@ -144,7 +144,7 @@ def test_their_block_does_what_it_says(path: Path) -> None:
 
 
 def test_a_name_of_ours_is_not_taken_over(installed: Path) -> None:
-    assert known("blocks")["hold"] == "unicon_core.blocks.hold:Hold"
+    assert known("blocks")["hold"] == "unicon_core.blocks.postures:Hold"
     assert known("blocks")["wobble"] == "their_robots:wobble"
 
 

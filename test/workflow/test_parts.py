@@ -23,7 +23,7 @@ from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter, segme
 from unicon_core.states.groups import subset
 from unicon_core.states.links import AGAIN_NS
 from unicon_core.workflow import load_workflow
-from unicon_core.workflow.load import load_document
+from unicon_core.workflow.document import load_document
 from unicon_core.workflow.program import Program
 
 NAME = f"parts-{os.getpid()}"

@@ -230,7 +230,11 @@ def test_without_buttons_no_device_is_asked_for() -> None:
         ({"a": {"do": "hold", "from": ["b"]}}, "skills", "skills.a.from: no mode 'b'"),
         ({"a b": {"do": "hold"}}, "skills", "unknown key 'a b'; write letters, digits and _"),
         ({"a": {"do": "hold"}}, {"skills": {"on": "joint_pos"}}, "not a state with one whole"),
-        ({"a": {"do": "hold"}}, {"skills": {"begin": "a"}}, "write skills, or {skills:"),
+        (
+            {"a": {"do": "hold"}},
+            {"skills": {"begin": "a"}},
+            "flow.skills: unknown key 'begin'; known: on",
+        ),
         ({"a": {"policy": "walk"}}, "skills", "no policy 'walk'"),
         ({}, "skills", "the workflow has none"),
         (

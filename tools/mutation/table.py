@@ -16,6 +16,7 @@ BLOCKS = (
     "test/blocks/test_blocks_detectors.py",
     "test/blocks/test_joint_sensor_stop.py",
 )
+COUNTED = ("test/blocks/test_excite.py",)
 LEARNED = ("test/blocks/test_blocks_trips.py",)
 GATES = "test/gates/test_gates.py", "test/gates/test_gates_edges.py"
 BEGINNING = ("test/gates/test_beginning.py",)
@@ -83,13 +84,13 @@ ROWS = [
             "not self._largest() <= self._bound",
             "self._largest() > self._bound",
         ),
-        ("TiltStop.__init__", "above=True)] = 1.0", "above=True)] = 1.5"),
+        ("TiltStop.__init__", ")] = 1.0", ")] = 1.5"),
         ("height_stop", "lowest), (np.inf", "-HEIGHT), (np.inf"),
         ("height_stop", "(np.inf, np.inf, highest)", "(np.inf, np.inf, HEIGHT)"),
         ("VelocityStop.__call__", REMOVED),
         ("VelocityStop.__init__", "-bound, bound)", "-bound, 10 * bound)"),
         ("VelocityStop.__init__", "-bound, bound)", "-10 * bound, bound)"),
-        ("VelocityStop.__init__", "above=True)] = 1.5", "above=True)] = 2.0"),
+        ("VelocityStop.__init__", ")] = 1.5", ")] = 2.0"),
         (
             "VelocityStop.__init__",
             "limits * np.float32(factor)",
@@ -127,8 +128,8 @@ ROWS = [
         ("Trip.__call__", REMOVED),
         ("Trip.__call__", "(self._target >= self._lower) & ", ""),
         ("Trip.__call__", " & (self._target <= self._upper)", ""),
-        ("joint_limits", "+ np.float32(margin)", ""),
-        ("joint_limits", "- np.float32(margin)", ""),
+        ("joint_limits", "lower += np.float32(margin)", "pass"),
+        ("joint_limits", "upper -= np.float32(margin)", "pass"),
         ("joint_limits", 'if beyond == "trip"', 'if beyond != "trip"'),
         ("EffortLimits.__call__", REMOVED),
         (
@@ -182,10 +183,10 @@ ROWS = [
                 "projected_gravity",
             )
         ),
-        ("range_stop", "POSITION)] = 0.5", "POSITION)] = 5.0"),
+        ("range_stop", ")] = 0.5", ")] = 5.0"),
         ("range_stop", "10.0)] = 3.0", "10.0)] = 10.0"),
-        ("range_stop", "- np.float32(margin)", "- np.float32(10 * margin)"),
-        ("range_stop", "+ np.float32(margin)", "+ np.float32(10 * margin)"),
+        ("range_stop", "lower -= np.float32(margin)", "lower -= np.float32(10 * margin)"),
+        ("range_stop", "upper += np.float32(margin)", "upper += np.float32(10 * margin)"),
         ("range_stop", "robot.velocity_limit * factor", "robot.velocity_limit * 10 * factor"),
         ("command_stop", "(0.0, stiffness)", "(-stiffness, stiffness)"),
         ("command_stop", "(0.0, damping)", "(-damping, damping)"),
@@ -195,10 +196,10 @@ ROWS = [
         ("command_stop", "(-effort, effort)", "(-10 * effort, 10 * effort)"),
         ("command_stop", "np.float32(2.0 * POSITION)", "np.float32(20.0 * POSITION)"),
         ("command_stop", "np.where(robot.endless, ", "np.where(robot.endless | True, "),
-        ("command_stop", "above=True)] = 2.0", "above=True)] = 10.0"),
+        ("command_stop", ")] = 2.0", ")] = 10.0"),
     ),
     *_rows(
-        "states/screen.py",
+        "states/stacked.py",
         (*BLOCKS, "test/workflow/test_safety_set.py"),
         ("Screen.__call__", "True"),
     ),
@@ -227,7 +228,7 @@ ROWS = [
         ("PowerStop.__init__", "timeout: Timeout = 0.1", "timeout: Timeout = 1.0"),
     ),
     *_rows(
-        "blocks/safety/twin_stop.py",
+        "blocks/safety/servo_stops.py",
         ("test/blocks/test_twin_stop.py",),
         ("TwinStop.__call__", REMOVED),
         ("TwinStop.__call__", "self._count *= self._flag", "pass"),
@@ -236,7 +237,7 @@ ROWS = [
         ("TwinStop.__init__", "timeout: Timeout = 0.2", "timeout: Timeout = 2.0"),
     ),
     *_rows(
-        "blocks/safety/button_stop.py",
+        "blocks/safety/stops.py",
         ("test/controls/test_modes.py",),
         ("ButtonStop.__call__", REMOVED),
         ("ButtonStop.__call__", "0 if self._alive else self._silent + 1", "0"),
@@ -279,8 +280,8 @@ ROWS = [
         ("ImuStop._compare", "if not abs(qx", "if abs(qx"),
         ("ImuStop.reset", REMOVED),
         ("ImuStop.__init__", "timeout: Timeout = 0.2", "timeout: Timeout = 2.0"),
-        ("ImuStop.__init__", "above=True)] = 0.3,", "above=True)] = 3.0,"),
-        ("ImuStop.__init__", "above=True)] = 0.35", "above=True)] = 1.5"),
+        ("ImuStop.__init__", ")] = 0.3,", ")] = 3.0,"),
+        ("ImuStop.__init__", ")] = 0.35", ")] = 1.5"),
     ),
     *_rows(
         "blocks/safety/sensors.py",
@@ -296,13 +297,13 @@ ROWS = [
         ("JointSensorStop.__call__", "off *= self.looked_at", "pass"),
     ),
     *_rows(
-        "blocks/safety/hardware.py",
+        "blocks/safety/ranges.py",
         BLOCKS,
         ("hardware_stop", '"motor_temperature": (COLDEST, temperature),', ""),
         ("hardware_stop", '"motor_error": (0, 0),', ""),
         ("hardware_stop", '"battery_charge": (charge, 1.0),', ""),
         ("hardware_stop", "(voltage, HIGHEST_VOLTAGE)", "(0.1 * voltage, HIGHEST_VOLTAGE)"),
-        ("hardware_stop", "above=True)] = 90.0", "above=True)] = 120.0"),
+        ("hardware_stop", ")] = 90.0", ")] = 120.0"),
         ("hardware_stop", "1.0)] = 0.05", "1.0)] = 0.0"),
         ("", "COLDEST = -40.0", "COLDEST = -400.0"),
     ),
@@ -325,7 +326,7 @@ ROWS = [
         ("ObservationStop.__init__", "MARGIN)] = 0.5", "MARGIN)] = 5.0"),
         ("action_stop", "(-limit, limit)", "(-limit, 10 * limit)"),
         ("action_stop", "(-limit, limit)", "(-10 * limit, limit)"),
-        ("action_stop", "above=True)] = 50.0", "above=True)] = 500.0"),
+        ("action_stop", ")] = 50.0", ")] = 500.0"),
         ("_bounds_of", "allow_pickle=False", "allow_pickle=True"),
     ),
     *_rows(
@@ -455,8 +456,8 @@ ROWS = [
         ("Entry.__call__", "self._tick >= self._ticks", "10 * self._tick >= self._ticks"),
         ("Entry.__call__", "self._pairs[0][1][...] = self._measured", "pass"),
         ("Entry.__call__", "held[...] = self._last.states[name]", "pass"),
-        ("Entry.reset", REMOVED),
     ),
+    *_rows("blocks/joint_command.py", COUNTED, ("Counting.reset", REMOVED)),
     *_rows(
         "runtime/beforehand.py",
         PHASES,
@@ -666,7 +667,7 @@ ROWS = [
         ("Target.__call__", "self._look_ahead + max(age, 0.0)", "self._look_ahead + age"),
     ),
     *_rows(
-        "blocks/whole_body/reaching.py",
+        "blocks/whole_body/reach.py",
         REACHED,
         ("Reach.__call__", "measured.dot(measured) < _SENSE", "True"),
         ("Reach.__call__", "pos[self._silent] = vel[self._silent] = np.nan", "pass"),

@@ -6,13 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float32
+from unicon_core.blocks.joint_command import Counting
 from unicon_core.platforms.kit.damping import LastSent
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
-
-Float = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,9 +25,9 @@ class Target:
         source: who says so, for messages.
     """
 
-    joint_pos: Float
-    stiffness: Float
-    damping: Float
+    joint_pos: Float32
+    stiffness: Float32
+    damping: Float32
     source: str
 
 
@@ -83,7 +82,7 @@ class Approach:
         return arrived if self._then is None else self._then(arrived)
 
 
-class Entry:
+class Entry(Counting):
     """Blends from what was sent last to what the flow commands; for a robot's first ticks.
 
     The first action of a policy may be a radian away from the posture in which it is entered.
@@ -94,7 +93,7 @@ class Entry:
         ticks: length of the blend.
     """
 
-    memory = ("_held", "_tick", "_last")
+    memory = ("_held", "_last")
 
     name = "entry"
     reads = ("joint_pos",)
@@ -120,7 +119,3 @@ class Entry:
             live -= held
             live *= share
             live += held
-
-    def reset(self) -> None:
-        """Blend anew."""
-        self._tick = 0

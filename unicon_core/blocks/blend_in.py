@@ -1,16 +1,17 @@
-"""Block `blend_in`: lets what begins in a chain come in without a jump of the commands."""
+"""Blocks `blend_in` and `fade_in`: commands come in without a jump."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from unicon_core.blocks.joint_command import ticks_of
+from unicon_core.blocks.joint_command import Counting, ticks_of
 from unicon_core.bounds import Seconds
 from unicon_core.flow.block import Amends
+from unicon_core.flow.stage import Stage
 from unicon_core.workflow.autowire import BuildContext
 
 
-class BlendIn:
+class BlendIn(Counting):
     """Blend from the command that was sent last to the present one, then leave it alone.
 
     Stands behind a policy, in a zip: with K ticks, tick k = 1 … K after the entry sends
@@ -26,7 +27,7 @@ class BlendIn:
         duration: in [s].
     """
 
-    memory = ("_held", "_own", "_mixed", "_tick", "_sent")
+    memory = ("_held", "_own", "_mixed", "_sent")
 
     def __init__(
         self,
@@ -68,6 +69,43 @@ class BlendIn:
             live += held
             mixed[...] = live
 
-    def reset(self) -> None:
-        """Blend anew."""
-        self._tick = 0
+
+class FadeIn(Counting):
+    """Scale stiffness, velocity target and torque from 0 to 1 over a time, then leave them alone.
+
+    Args:
+        joint_stiffness: in [N·m/rad], shape (..., n).
+        joint_vel_target: in [rad/s], shape (..., n).
+        joint_effort_ff: in [N·m], shape (..., n).
+        duration: in [s].
+    """
+
+    memory = ("_whole", "_left")
+
+    stage = Stage.SAFETY
+
+    def __init__(
+        self,
+        joint_stiffness: Amends,
+        joint_vel_target: Amends,
+        joint_effort_ff: Amends,
+        *,
+        period: float,
+        duration: Seconds = 1.0,
+    ) -> None:
+        faded = (joint_stiffness, joint_vel_target, joint_effort_ff)
+        self._ticks, self._tick = ticks_of(duration, period), 0
+        # What is there, what it was whole, and what was left of it in the tick before.
+        self._whole = [live.copy() for live in faded]
+        self._left = [np.full_like(live, np.nan) for live in faded]
+        self._views = list(zip(faded, self._whole, self._left))
+
+    def __call__(self) -> None:
+        if self._tick < self._ticks:
+            self._tick += 1
+            share = np.float32(self._tick / self._ticks)
+            for live, whole, left in self._views:
+                # A policy that does not run in every tick leaves what was faded: not once more.
+                np.copyto(whole, live, where=live != left)
+                np.multiply(whole, share, out=live)
+                left[...] = live

@@ -11,9 +11,9 @@ from functools import lru_cache
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from unicon_core.blocks.joint_command import JointCommand, robot_gains, ticks_of
+from unicon_core.arrays import Float32, Float64
+from unicon_core.blocks.joint_command import Counting, JointCommand, robot_gains, ticks_of
 from unicon_core.bounds import (
     DURATION,
     POSE_DURATION,
@@ -28,25 +28,15 @@ from unicon_core.bounds import (
 from unicon_core.errors import WorkflowError
 from unicon_core.robots import Robot
 from unicon_core.robots.poses import joints_like, named_pose
-from unicon_core.schema.marks import NotEmpty, Unit, Within
+from unicon_core.schema.marks import NotEmpty, Within, positive
 
-Float = NDArray[np.float32]
 Signal = Literal["sine", "chirp", "square", "triangle", "random"]
 
 FREQUENCY = 100.0
 """In [Hz]: no leg's joint follows a tenth of it."""
 
-# Largest |slope| of a signal of amplitude 1 at 1 Hz, in [1/s]; a square's steps have none to check.
-_SLOPE = {
-    "sine": 2 * math.pi,
-    "chirp": 2 * math.pi,
-    "triangle": 4.0,
-    "random": math.pi,
-    "square": 0.0,
-}
 
-
-class Excite:
+class Excite(Counting):
     """Move position targets about a pose: target = pose + envelope · amplitude · signal.
 
     It goes to the pose first, within `fade`; the signal is faded in, and out before it is done.
@@ -69,7 +59,7 @@ class Excite:
         damping_scale: factor on the robot file's damping.
     """
 
-    memory = ("_start", "_way", "_approach", "_tick")
+    memory = ("_start", "_way", "_approach")
 
     def __init__(
         self,
@@ -81,7 +71,7 @@ class Excite:
         joints: Annotated[Sequence[str], NotEmpty] = ("*",),
         amplitude: Motion | Mapping[str, Motion] = 0.1,
         frequency: float | Annotated[Sequence[float], NotEmpty] = 1.0,
-        duration: Annotated[float, Unit("s"), Within(0.0, DURATION, above=True)] = 10.0,
+        duration: Annotated[float, positive(DURATION, "s")] = 10.0,
         fade: Seconds = 1.0,
         in_turn: bool = False,
         around: str | Mapping[str, float] = "stand",
@@ -128,10 +118,6 @@ class Excite:
         command.joint_stiffness[...], command.joint_damping[...] = self.gains
         return turn >= turns
 
-    def reset(self) -> None:
-        """Begin anew from wherever the joints are at the next tick."""
-        self._tick = 0
-
 
 def _sweep(signal: str, frequency: float | Sequence[float], period: float) -> tuple[float, float]:
     """Return the first and the last frequency in [Hz]."""
@@ -147,7 +133,7 @@ def _sweep(signal: str, frequency: float | Sequence[float], period: float) -> tu
 
 def _amplitudes(
     robot: Robot, joints: Sequence[str], amplitude: float | Mapping[str, float]
-) -> Float:
+) -> Float32:
     moving = sorted({i for pattern in joints for i in joints_like(pattern, robot)})
     sizes = np.full(robot.num_joints, np.nan)
     for pattern, size in (
@@ -162,7 +148,7 @@ def _amplitudes(
     return chosen
 
 
-def _check(robot: Robot, signal: str, centre: Float, sizes: Float, frequency: float) -> None:
+def _check(robot: Robot, signal: str, centre: Float32, sizes: Float32, frequency: float) -> None:
     """Refuse what would leave the limits of position or speed."""
     for i in np.flatnonzero(sizes):
         name, size = robot.joint_names[i], float(sizes[i])
@@ -172,7 +158,7 @@ def _check(robot: Robot, signal: str, centre: Float, sizes: Float, frequency: fl
                 f"amplitude {size:g} rad about {centre[i]:g} rad is beyond the limits of joint "
                 f"{name}; give at most {max(room, 0.0):.3g}, or another pose (around)"
             )
-        speed, limit = size * frequency * _SLOPE[signal], float(robot.velocity_limit[i])
+        speed, limit = size * frequency * _SIGNALS[signal][0], float(robot.velocity_limit[i])
         if speed > limit:  # false for an unknown limit
             raise WorkflowError(
                 f"a {signal} of {size:g} rad at {frequency:g} Hz asks joint {name} for "
@@ -195,39 +181,35 @@ class _Wave:
         self._period, self._first = period, sweep[0]
         self._half_slope = 0.5 * (sweep[1] - sweep[0]) / (ticks * period)
         self._seed, self._count = seed, count
-        self._shape: Callable[[float], Any] = {
-            "sine": _sine,
-            "chirp": _sine,
-            "square": _square,
-            "triangle": _triangle,
-            "random": self._random,
-        }[signal]
+        self._shape = _SIGNALS[signal][1] or self._random
 
     def __call__(self, tick: int) -> Any:
         time = tick * self._period
         return self._shape(time * (self._first + self._half_slope * time))
 
-    def _random(self, cycles: float) -> NDArray[np.float64]:
+    def _random(self, cycles: float) -> Float64:
         knot = math.floor(cycles)
-        share = 0.5 - 0.5 * math.cos(math.pi * (cycles - knot))
         before, after = (_drawn(self._seed, k, self._count) for k in (knot, knot + 1))
-        return before + share * (after - before)
+        return before + _eased(cycles - knot) * (after - before)
 
 
 def _sine(cycles: float) -> float:
     return math.sin(2.0 * math.pi * cycles)
 
 
-def _square(cycles: float) -> float:
-    return 1.0 if cycles % 1.0 < 0.5 else -1.0
-
-
-def _triangle(cycles: float) -> float:
-    return 4.0 * abs((cycles - 0.25) % 1.0 - 0.5) - 1.0
+_SIGNALS: dict[str, tuple[float, Callable[[float], Any] | None]] = {
+    "sine": (2 * math.pi, _sine),
+    "chirp": (2 * math.pi, _sine),
+    "triangle": (4.0, lambda cycles: 4.0 * abs((cycles - 0.25) % 1.0 - 0.5) - 1.0),
+    "square": (0.0, lambda cycles: 1.0 if cycles % 1.0 < 0.5 else -1.0),
+    "random": (math.pi, None),
+}
+"""Signal to its largest |slope| at amplitude 1 and 1 Hz in [1/s], of a square's steps none to
+check, and to what makes it of cycles: None for `random`, which is of each joint by itself."""
 
 
 @lru_cache(maxsize=8)
-def _drawn(seed: int, knot: int, count: int) -> NDArray[np.float64]:
+def _drawn(seed: int, knot: int, count: int) -> Float64:
     """Return the values of a knot, the same whenever they are asked for."""
     return np.random.default_rng((seed, knot)).uniform(-1.0, 1.0, count)
 

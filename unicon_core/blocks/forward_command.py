@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float32
 from unicon_core.blocks.joint_command import JointCommand, end_of, robot_gains
 from unicon_core.blocks.safety.limits import rates_of
 from unicon_core.bounds import (
@@ -34,7 +34,7 @@ from unicon_core.flow.block import Bundle, Reads
 from unicon_core.models.rows import index_of
 from unicon_core.robots import Robot
 from unicon_core.robots.poses import named_pose
-from unicon_core.schema.marks import Unit, Within
+from unicon_core.schema.marks import Within, positive
 from unicon_core.states import StateSpec
 from unicon_core.states.standard import forwarded_states
 from unicon_core.workflow.autowire import BuildContext
@@ -119,12 +119,12 @@ class ForwardCommand:
         home_rate: Speed = HOME_RATE,
         home: str | Mapping[str, float] = "default",
         start_tolerance: Motion | None = None,
-        integral: Annotated[float, Unit("1/s"), Within(0.0, MOST_INTEGRAL)] = 0.0,
+        integral: Annotated[float, Within(0.0, MOST_INTEGRAL, "1/s")] = 0.0,
         stiffness_scale: StiffnessScale = 1.0,
         damping_scale: DampingScale = 1.0,
         stiffness: Stiffness | Mapping[str, Stiffness] | None = None,
         damping: Damping | Mapping[str, Damping] | None = None,
-        duration: Annotated[float | None, Unit("s"), Within(0.0, DURATION, above=True)] = None,
+        duration: Annotated[float | None, positive(DURATION, "s")] = None,
     ) -> None:
         robot, period = context.robot, context.period
         scales = stiffness_scale, damping_scale
@@ -138,14 +138,13 @@ class ForwardCommand:
         self.ticks = 0
         self._period = np.float32(period)
         self._step = self._steps = (self.max_rate * period).astype(np.float32)
-        self._lower = np.nan_to_num(robot.lower, nan=-np.inf)
-        self._upper = np.nan_to_num(robot.upper, nan=np.inf)
+        self._lower, self._upper = robot.limits()
         self._effort = np.nan_to_num(robot.effort_limit, nan=np.inf)
         target = command.joint_pos_target
         self.held, self._bound, self._wanted, self._fed = (np.zeros_like(target) for _ in range(4))
         self._share, self._offset = np.float32(integral * period), np.zeros_like(target)
         self._silent = np.zeros(target.shape, np.bool_)
-        self._home: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None
+        self._home: tuple[Float32, Float32] | None = None
         self._tolerance = np.inf if start_tolerance is None else start_tolerance
         self._tell = context.tell
         self._heard, self._refused = False, False
@@ -217,7 +216,7 @@ class ForwardCommand:
         command.joint_stiffness[at], command.joint_damping[at] = stiffness[at], damping[at]
         return self._ends is not None and self.ticks >= self._ends
 
-    def _head_home(self, home: NDArray[np.float32], step: NDArray[np.float32]) -> None:
+    def _head_home(self, home: Float32, step: Float32) -> None:
         """Let robots of which nothing is commanded want to be home, slowly."""
         goes, at = self._goes, self._at
         goes[...] = self._silent[at].all(axis=-1, keepdims=True)
@@ -254,9 +253,7 @@ class ForwardCommand:
             )
         self._wanted[...] = self.held
 
-    def _feed_forward(
-        self, said: NDArray[np.float32], most: NDArray[np.float32], out: NDArray[np.float32]
-    ) -> None:
+    def _feed_forward(self, said: Float32, most: Float32, out: Float32) -> None:
         if self._refused:
             out[self._at] = 0.0
             return

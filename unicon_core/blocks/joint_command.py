@@ -5,16 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array, Float32
 from unicon_core.errors import RobotError, WorkflowError
 from unicon_core.flow.block import Bundle, Reads, Writes
 from unicon_core.robots import Robot
-
-Float = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +34,7 @@ class JointCommand(Bundle):
     joint_stiffness: Writes
     joint_damping: Writes
 
-    def entry(self, out: NDArray[Any]) -> None:
+    def entry(self, out: Array) -> None:
         """Write where a movement begins in [rad], shape (..., n).
 
         A joint that holds a target begins there, so that the torque does not jump; a limp one
@@ -56,7 +53,7 @@ class Commands(Bundle):
     joint_stiffness: Reads
     joint_damping: Reads
 
-    def __iter__(self) -> Iterator[NDArray[np.float32]]:
+    def __iter__(self) -> Iterator[Float32]:
         return iter(vars(self).values())
 
 
@@ -67,7 +64,7 @@ def robot_gains(
     damping_scale: float = 1.0,
     stiffness: float | Mapping[str, float] | None = None,
     damping: float | Mapping[str, float] | None = None,
-) -> tuple[Float, Float]:
+) -> tuple[Float32, Float32]:
     """Return the stiffness [N·m/rad] and damping [N·m·s/rad] of a robot file, each shape (n,).
 
     A robot whose vendor closes the position loop has none: 1 then stands for "on".
@@ -103,6 +100,16 @@ def robot_gains(
     return gains[0], gains[1]
 
 
+class Counting:
+    """Base of blocks that count their ticks from 1 on since their flow entered them."""
+
+    memory: tuple[str, ...] = ("_tick",)
+
+    def reset(self) -> None:
+        """Begin anew with the next tick."""
+        self._tick = 0
+
+
 def ticks_of(seconds: float, period: float) -> int:
     """Return a time as a number of ticks, at least 1."""
     return max(round(seconds / period), 1)
@@ -113,7 +120,7 @@ def end_of(duration: float | None, period: float) -> int | None:
     return None if duration is None else ticks_of(duration, period)
 
 
-def single(view: NDArray[Any]) -> None:
+def single(view: Array) -> None:
     """Refuse states of several robots, by a view whose robots are its first axis but one.
 
     Raises:

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
-from numpy.typing import NDArray
-
+from unicon_core.arrays import Array
 from unicon_core.errors import StateError, alternatives
 from unicon_core.flow.linear import LinearMap
 from unicon_core.states import States
@@ -29,7 +27,9 @@ def copy(
     Raises:
         StateError: no such state or element, or the sizes differ.
     """
-    return _map(states, source, target, index)
+    return linear_map(
+        states=states, source=source, target=target, index=index, scale=None, offset=None
+    )
 
 
 def linear_map(
@@ -38,8 +38,8 @@ def linear_map(
     source: str,
     target: str,
     index: Sequence[int | str] | None = None,
-    scale: float | Sequence[float] = 1.0,
-    offset: float | Sequence[float] = 0.0,
+    scale: float | Sequence[float] | None = 1.0,
+    offset: float | Sequence[float] | None = 0.0,
 ) -> LinearMap:
     """Write `source[..., index] · scale + offset` into another state.
 
@@ -53,24 +53,13 @@ def linear_map(
     Raises:
         StateError: no such state or element, or the sizes differ.
     """
-    return _map(states, source, target, index, scale, offset)
-
-
-def _map(
-    states: States,
-    source: str,
-    target: str,
-    index: Sequence[int | str] | None,
-    scale: float | Sequence[float] | None = None,
-    offset: float | Sequence[float] | None = None,
-) -> LinearMap:
     names = states.spec(source).names
     places = None if index is None else [_place(element, names, source) for element in index]
     read, written = _vector(states, source), _vector(states, target)
     return LinearMap(read, written, places, scale, offset, source, target)
 
 
-def _vector(states: States, name: str) -> NDArray[Any]:
+def _vector(states: States, name: str) -> Array:
     """Return a state; a scalar one is one element: a last axis for it makes all states alike."""
     return states[name] if states.spec(name).shape else states[name][..., None]
 

@@ -17,7 +17,7 @@ from unicon_core.bounds import DURATION
 from unicon_core.flow.block import Reads, Writes
 from unicon_core.platforms.kit.servo import Servo
 from unicon_core.robots import Robot
-from unicon_core.schema.marks import Unit, Within
+from unicon_core.schema.marks import Within, positive
 from unicon_core.states import StateSpec
 from unicon_core.states.standard import hardware_states
 
@@ -54,9 +54,9 @@ class MotorHeat:
         *,
         robot: Robot,
         period: float,
-        ambient: Annotated[float, Unit("°C"), Within(-40.0, 100.0)] = AMBIENT,
-        rise: Annotated[float, Unit("K/(N·m)²"), Within(0.0, RISE)] = 0.5,
-        time_constant: Annotated[float, Unit("s"), Within(0.0, DURATION, above=True)] = 60.0,
+        ambient: Annotated[float, Within(-40.0, 100.0, "°C")] = AMBIENT,
+        rise: Annotated[float, Within(0.0, RISE, "K/(N·m)²")] = 0.5,
+        time_constant: Annotated[float, positive(DURATION, "s")] = 60.0,
     ) -> None:
         self._servo = Servo(tuple(command), robot.effort_limit)
         self._measured, temperature = (joint_pos, joint_vel), motor_temperature

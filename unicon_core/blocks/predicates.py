@@ -7,22 +7,20 @@ from collections.abc import Callable
 from typing import Annotated, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from unicon_core.blocks.joint_command import ticks_of
+from unicon_core.arrays import Float32
+from unicon_core.blocks.joint_command import Counting, ticks_of
 from unicon_core.bounds import Seconds
 from unicon_core.flow.block import Reads
-from unicon_core.schema.marks import Unit, Within
+from unicon_core.schema.marks import positive
 
 
-class Elapsed:
+class Elapsed(Counting):
     """Hold from the tick on in which a time has passed since entry.
 
     Args:
         seconds: counted in ticks, so that it means the same at any speed of the run.
     """
-
-    memory = ("_tick",)
 
     def __init__(self, *, period: float, seconds: Seconds) -> None:
         self._ticks, self._tick = ticks_of(seconds, period), 0
@@ -31,15 +29,11 @@ class Elapsed:
         self._tick += 1
         return self._tick >= self._ticks
 
-    def reset(self) -> None:
-        """Count anew."""
-        self._tick = 0
-
 
 def tilted(
     projected_gravity: Reads,
     *,
-    angle: Annotated[float, Unit("rad"), Within(0.0, math.pi, above=True)] = 1.0,
+    angle: Annotated[float, positive(math.pi, "rad")] = 1.0,
 ) -> Callable[[], bool]:
     """Hold while the base leans by more than an angle; of a batch, any of them.
 
@@ -55,7 +49,7 @@ def tilted(
     return is_tilted
 
 
-def largest(values: NDArray[np.float32]) -> Callable[[], float]:
+def largest(values: Float32) -> Callable[[], float]:
     """Return what reads the largest element; of a scalar its value, which is 8x faster."""
     return cast("Callable[[], float]", values.max if values.ndim else values.item)
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float32
 from unicon_core.flow.block import Reads, Writes
 
 
@@ -36,7 +36,7 @@ class BatchGravity:
 
     memory = ()
 
-    def __init__(self, quat: NDArray[np.float32], out: NDArray[np.float32]) -> None:
+    def __init__(self, quat: Float32, out: Float32) -> None:
         self._w, self._x, self._y, self._z = (quat[..., i] for i in range(4))
         self._parts = tuple(out[..., i] for i in range(3))
         self._first, self._second = (np.zeros(quat.shape[:-1], np.float32) for _ in range(2))

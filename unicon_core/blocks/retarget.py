@@ -13,8 +13,8 @@ from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float32, Float64
 from unicon_core.blocks.joint_command import single
 from unicon_core.blocks.safety.limits import rates_of
 from unicon_core.bounds import MaxRate
@@ -24,7 +24,7 @@ from unicon_core.retarget.hand_model import HandModel, told_hand
 from unicon_core.retarget.human_hand import ABSENT, JOINTS, HumanHand
 from unicon_core.retarget.retargeting import NEAR, Retargeting
 from unicon_core.robots import Robot
-from unicon_core.schema.marks import Unit, Within
+from unicon_core.schema.marks import Within, positive
 from unicon_core.states import StateSpec
 from unicon_core.states.standard import forwarded_states
 from unicon_core.workflow.autowire import BuildContext
@@ -37,19 +37,7 @@ SETTLED = 2.0
 told of again."""
 
 
-def retarget(
-    joint_pos: Reads,
-    joint_pos_command: Writes,
-    *,
-    context: BuildContext,
-    hand: str = "",
-    side: Literal["left", "right"] | None = None,
-    scale: Annotated[float | None, Within(*SCALES)] = None,
-    contact: Annotated[float, Unit("m"), Within(0.0, 0.5 * NEAR)] = 0.0,
-    filter: Annotated[float | None, Unit("Hz"), Within(0.0, FASTEST, above=True)] = None,
-    max_rate: MaxRate | None = None,
-    model: str | None = None,
-) -> Retarget:
+class Retarget:
     """Command the joints at which the fingers point as those of a human hand, and pinch as they do.
 
     Nothing is commanded (NaN) while the hand is not tracked, or cannot be one, which is told.
@@ -75,136 +63,72 @@ def retarget(
         ModelError: there is no model of it.
         MissingDependencyError: mujoco is not installed.
     """
-    single(joint_pos)
-    robot, period = context.robot, context.period
-    human = side_of(robot, side)
-    hands = HandModel(robot, human, model, context.relative_to)
-    name = hand or f"webxr_{human}_hand"
-    mirrored = told_hand(robot).side not in ("", human)
-    made = Retarget(
-        HumanHand(_poses(context, name), hands.fingers, human, mirrored=mirrored),
-        Retargeting(hands, contact),
-        joint_pos,
-        joint_pos_command,
-        context.states[_error(human)],
-        period=period,
-        scale=scale,
-        cut=FASTEST if filter is None else filter,
-        rate=np.full(robot.num_joints, np.inf)
-        if max_rate is None
-        else rates_of(max_rate, robot, "retarget").astype(np.float64),
-    )
-    made.reads, made.writes = (name,), (_error(human),)
-    tell, who = context.tell, f"retarget of {robot.name}"
-    made.tell = lambda found: tell(f"{who}: {found}")
-    if not hands.moved.all():
-        made.moves = tuple(np.array(robot.joint_names)[hands.moved].tolist())
-    return made
-
-
-def side_of(robot: Robot, side: str | None = None) -> str:
-    """Return the side of the human's hand: the one that is given, else the robot's.
-
-    Raises:
-        WorkflowError: nobody says it.
-        RobotError: the robot file says nothing of a hand.
-    """
-    found = side or told_hand(robot).side
-    if not found:
-        raise WorkflowError(
-            f"robot {robot.name} may be a left or a right hand; say which: side: left"
-        )
-    return found
-
-
-def _poses(context: BuildContext, name: str) -> NDArray[np.float32]:
-    specs = context.states.layout.specs
-    if name not in specs:
-        hands = [each for each, spec in specs.items() if spec.shape == (JOINTS, 7)]
-        raise WorkflowError(
-            f"no state {name!r} of a human hand; {alternatives(name, hands)}; put a block that "
-            "writes it, such as webxr, before, and name it: hand: STATE"
-        )
-    if specs[name].shape != (JOINTS, 7):
-        raise WorkflowError(
-            f"state {name!r} has shape {list(specs[name].shape)}; a human hand has [{JOINTS}, 7], "
-            "position and quaternion wxyz of each joint"
-        )
-    return context.states[name]
-
-
-def _error(side: str) -> str:
-    return f"{side}_hand_retarget_error"
-
-
-def _declares(*, robot: Robot, side: str | None = None, **_: Any) -> Mapping[str, StateSpec]:
-    specs = forwarded_states(robot.joint_names)
-    told = side or (robot.hand.side if robot.hand is not None else "")
-    if robot.hand is not None and told:
-        fingers = tuple(robot.hand.fingers)
-        specs[_error(told)] = StateSpec(
-            (len(fingers),),
-            unit="m",
-            names=fingers,
-            description="of each tip from where the human's finger leads it; NaN: no hand",
-            initial=math.nan,
-        )
-    return specs
-
-
-setattr(retarget, "declares", _declares)  # noqa: B010  a function has none to mypy
-
-
-class Retarget:
-    """The tick of `retarget`.
-
-    Args:
-        human: the human's hand.
-        retargeting: to the robot's.
-        joint_pos: measured in [rad], shape (n,).
-        command: gets positions in [rad], shape (n,).
-        error: gets how far each tip is from where it should be in [m], shape (f,).
-        period: of the tick in [s].
-        scale: length of the robot's fingers for one of the human's, or None to measure it.
-        cut: of the low pass in [Hz].
-        rate: largest of each joint of the robot in [rad/s], shape (n,).
-
-    Attributes:
-        scale: the robot's length for one of the human's, of each finger, shape (f,).
-    """
 
     memory = ("scale", "_retargeting", "_lengths", "_smooth", "_sent", "_follows", "_told")
 
-    reads: tuple[str, ...] = ()
-    writes: tuple[str, ...] = ()
-    moves: tuple[str, ...] = ()
-    tell: Callable[[str], None] = print
-
     def __init__(
         self,
-        human: HumanHand,
-        retargeting: Retargeting,
-        joint_pos: NDArray[np.float32],
-        command: NDArray[np.float32],
-        error: NDArray[np.float32],
+        joint_pos: Reads,
+        joint_pos_command: Writes,
         *,
-        period: float,
-        scale: float | None,
-        cut: float,
-        rate: NDArray[np.float64],
+        context: BuildContext,
+        hand: str = "",
+        side: Literal["left", "right"] | None = None,
+        scale: Annotated[float | None, Within(*SCALES)] = None,
+        contact: Annotated[float, Within(0.0, 0.5 * NEAR, "m")] = 0.0,
+        filter: Annotated[float | None, positive(FASTEST, "Hz")] = None,
+        max_rate: MaxRate | None = None,
+        model: str | None = None,
     ) -> None:
-        self._human, self._retargeting = human, retargeting
-        self._joint_pos, self._command, self._error = joint_pos, command, error
-        model = retargeting.model
-        self._moved, self._step = model.moved, rate * period
-        self._given, self.scale = scale, np.full(len(model.fingers), scale or 1.0)
-        self._lengths = np.ones(len(model.fingers))
+        single(joint_pos)
+        robot, period = context.robot, context.period
+        human = side or told_hand(robot).side
+        if not human:
+            raise WorkflowError(
+                f"robot {robot.name} may be a left or a right hand; say which: side: left"
+            )
+        hands = HandModel(robot, human, model, context.relative_to)
+        name = hand or f"webxr_{human}_hand"
+        mirrored = told_hand(robot).side not in ("", human)
+        self._human = HumanHand(_poses(context, name), hands.fingers, human, mirrored=mirrored)
+        self._retargeting = Retargeting(hands, contact)
+        self.reads, self.writes = (name,), (_error(human),)
+        self.moves: tuple[str, ...] = ()
+        if not hands.moved.all():
+            self.moves = tuple(np.array(robot.joint_names)[hands.moved].tolist())
+        self._joint_pos, self._command = joint_pos, joint_pos_command
+        self._error = context.states[_error(human)]
+        tell, who = context.tell, f"retarget of {robot.name}"
+        self.tell: Callable[[str], None] = lambda found: tell(f"{who}: {found}")
+        rate = np.full(robot.num_joints, np.inf)
+        if max_rate is not None:
+            rate = rates_of(max_rate, robot, "retarget").astype(np.float64)
+        self._moved, self._step = hands.moved, rate * period
+        self._given, self.scale = scale, np.full(len(hands.fingers), scale or 1.0)
+        self._lengths = np.ones(len(hands.fingers))
+        cut = FASTEST if filter is None else filter
         self._share = 1.0 if cut >= FASTEST else 1.0 - math.exp(-2.0 * math.pi * cut * period)
         self._as_found = self._share == 1.0 and bool(np.isinf(self._step).all())
         self._slow = 1.0 - math.exp(-period / SETTLED)
         self._again = max(1, round(SETTLED / period))
         self._smooth, self._sent = (np.zeros(len(rate)) for _ in range(2))
         self._follows, self._told = False, 0
+
+    @staticmethod
+    def declares(*, robot: Robot, side: str | None = None, **_: Any) -> Mapping[str, StateSpec]:
+        """Return the states of joint commands, and of how far the tips are off."""
+        specs = forwarded_states(robot.joint_names)
+        told = side or (robot.hand.side if robot.hand is not None else "")
+        if robot.hand is not None and told:
+            fingers = tuple(robot.hand.fingers)
+            specs[_error(told)] = StateSpec(
+                (len(fingers),),
+                unit="m",
+                names=fingers,
+                description="of each tip from where the human's finger leads it; NaN: no hand",
+                initial=math.nan,
+            )
+        return specs
 
     def __call__(self) -> None:
         human, retargeting = self._human, self._retargeting
@@ -226,7 +150,7 @@ class Retarget:
         np.copyto(self._command, sent, where=self._moved, casting="same_kind")
         self._error[...] = retargeting.errors
 
-    def _followed(self, anew: bool) -> NDArray[np.float64]:
+    def _followed(self, anew: bool) -> Float64:
         """Return what is sent: what was found behind the low pass, no faster than allowed."""
         model, q, smooth, sent = (
             self._retargeting.model,
@@ -245,3 +169,23 @@ class Retarget:
     def reset(self) -> None:
         """Follow the next hand as one that has just come."""
         self._follows = False
+
+
+def _poses(context: BuildContext, name: str) -> Float32:
+    specs = context.states.layout.specs
+    if name not in specs:
+        hands = [each for each, spec in specs.items() if spec.shape == (JOINTS, 7)]
+        raise WorkflowError(
+            f"no state {name!r} of a human hand; {alternatives(name, hands)}; put a block that "
+            "writes it, such as webxr, before, and name it: hand: STATE"
+        )
+    if specs[name].shape != (JOINTS, 7):
+        raise WorkflowError(
+            f"state {name!r} has shape {list(specs[name].shape)}; a human hand has [{JOINTS}, 7], "
+            "position and quaternion wxyz of each joint"
+        )
+    return context.states[name]
+
+
+def _error(side: str) -> str:
+    return f"{side}_hand_retarget_error"

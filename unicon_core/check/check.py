@@ -31,8 +31,7 @@ from unicon_core.errors import (
     UniconError,
 )
 from unicon_core.workflow import Hook
-from unicon_core.workflow.document import WorkflowDocument
-from unicon_core.workflow.load import load_document
+from unicon_core.workflow.document import WorkflowDocument, load_document
 
 Check = Callable[[Subject, CheckResult], None]
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from unicon_core.blocks.safety.button_stop import RemoteStop
 from unicon_core.blocks.safety.limits import JointLimits
-from unicon_core.blocks.safety.stops import Finite
+from unicon_core.blocks.safety.stops import Finite, RemoteStop
 from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject, listed
 from unicon_core.flow import Block, Chain, Every, Loop, Node, Switch, When, blocks_of

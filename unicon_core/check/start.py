@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from unicon_core.blocks.pose import Pose
+from unicon_core.blocks.postures import Pose
 from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject
 from unicon_core.policies import PolicyContract

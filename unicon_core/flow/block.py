@@ -11,8 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal, TypeAlias
 
-from numpy.typing import NDArray
-
+from unicon_core.arrays import Array
 from unicon_core.errors import WorkflowError
 from unicon_core.flow.linear import LinearMap
 from unicon_core.flow.stage import Stage
@@ -28,11 +27,11 @@ class Access:
     mode: Literal["reads", "writes", "amends"]
 
 
-Reads: TypeAlias = Annotated[NDArray[Any], Access("reads")]
+Reads: TypeAlias = Annotated[Array, Access("reads")]
 """A state that the block reads: it gets a read-only view."""
-Writes: TypeAlias = Annotated[NDArray[Any], Access("writes")]
+Writes: TypeAlias = Annotated[Array, Access("writes")]
 """A state that the block writes in every tick before anybody reads it."""
-Amends: TypeAlias = Annotated[NDArray[Any], Access("amends")]
+Amends: TypeAlias = Annotated[Array, Access("amends")]
 """A state that another block writes and this one changes in place (limits, safety)."""
 
 
@@ -135,7 +134,7 @@ def as_block(candidate: Any, *, name: str = "", where: str = "") -> Block:
         raise WorkflowError(
             f"block {name or candidate!r} is a {type(candidate).__name__}; "
             "a block is a function without parameters that returns a bool",
-            where or None,
+            where,
         )
 
     def listed(attribute: str) -> tuple[str, ...]:

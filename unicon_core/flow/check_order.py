@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 
 from unicon_core.flow.block import Block
 from unicon_core.flow.critical_path import is_patient
-from unicon_core.flow.finding import Finding
 from unicon_core.flow.nodes import (
     Chain,
     Deferred,
@@ -22,6 +22,36 @@ from unicon_core.flow.stage import Stage
 from unicon_core.states.standard import ESTIMATORS
 
 States = frozenset[str]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One finding.
+
+    Attributes:
+        culprit: what is wrong (`block 'policy'`, `loop`).
+        evidence: what shows it.
+        remedy: what to do.
+        where: `file:line` of the culprit, or "".
+    """
+
+    culprit: str
+    evidence: str
+    remedy: str
+    where: str = ""
+
+    @classmethod
+    def of(cls, block: Block, evidence: str, remedy: str) -> Finding:
+        """Return what is wrong with a block."""
+        return cls(f"block {block.name!r}", evidence, remedy, block.where)
+
+    @property
+    def text(self) -> str:
+        """The line to print, without the place."""
+        return f"{self.culprit} {self.evidence}; {self.remedy}"
+
+    def __str__(self) -> str:
+        return f"{self.where}: {self.text}" if self.where else self.text
 
 
 def reads_before_writes(root: Node, given: States) -> list[Finding]:
@@ -75,8 +105,8 @@ class _Reads:
                 yield from self.walk(child, before, ever)
 
     def block(self, block: Block, before: States) -> Iterator[Finding]:
-        for word, names in (("reads", block.reads), ("amends", block.amends)):
-            for name in names:
+        for word in ("reads", "amends"):
+            for name in getattr(block, word):
                 if name in before or name in block.writes:
                     continue
                 missing = next((c for c in self.claims(block, name) if c not in before), None)

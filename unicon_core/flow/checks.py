@@ -7,17 +7,26 @@ nothing is believed to touch nothing.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from typing import NamedTuple
 
 from unicon_core.errors import WorkflowError, alternatives
-from unicon_core.flow import check_ends, check_order, check_writers
 from unicon_core.flow.block import Block
-from unicon_core.flow.finding import Finding
+from unicon_core.flow.check_order import Finding, behind_send, reads_before_writes
 from unicon_core.flow.linear import LinearMap
-from unicon_core.flow.nodes import Node, blocks_of
+from unicon_core.flow.nodes import (
+    Chain,
+    Every,
+    Loop,
+    Node,
+    Switch,
+    When,
+    Zip,
+    blocks_of,
+    children_of,
+    never_done,
+)
 from unicon_core.states import States
 from unicon_core.states.standard import BASE_STATES
-
-__all__ = ["Finding", "check_graph", "raise_first"]
 
 
 def check_graph(root: Node, states: States, *, given: Iterable[str] = ()) -> list[Finding]:
@@ -47,10 +56,10 @@ def check_graph(root: Node, states: States, *, given: Iterable[str] = ()) -> lis
     )
     return [
         *_mismatches(root, states),
-        *check_order.reads_before_writes(root, frozenset([*given, *initial])),
-        *check_writers.two_writers(root),
-        *check_order.behind_send(root),
-        *check_ends.never_reached(root),
+        *reads_before_writes(root, frozenset([*given, *initial])),
+        *_two_writers(root),
+        *behind_send(root),
+        *_never_reached(root),
     ]
 
 
@@ -61,18 +70,13 @@ def raise_first(findings: Iterable[Finding]) -> None:
         WorkflowError: its text, with `file:line` where known.
     """
     for finding in findings:
-        raise WorkflowError(finding.text, finding.where or None)
+        raise WorkflowError(finding.text, finding.where)
 
 
 def _unknown(root: Node, states: States) -> Iterator[Finding]:
     for block in blocks_of(root):
-        for word, names in (
-            ("reads", block.reads),
-            ("writes", block.writes),
-            ("amends", block.amends),
-            ("expects", tuple(block.expects)),
-        ):
-            for name in names:
+        for word in ("reads", "writes", "amends", "expects"):
+            for name in getattr(block, word):
                 if name not in states:
                     remedy = f"{alternatives(name, states)}; or declare it under 'states:'"
                     yield Finding.of(block, f"{word} {name!r}, which is not a state", remedy)
@@ -113,3 +117,136 @@ def _copied(block: Block, linear: LinearMap, states: States) -> Iterator[Finding
 
 def _said(value: object) -> str:
     return repr(value) if value == "" else str(value)
+
+
+class _Writer(NamedTuple):
+    block: Block
+    conditional: bool  # below a When: it may be meant to exclude another When
+
+
+def _two_writers(root: Node) -> list[Finding]:
+    """Find states with two writers in one tick.
+
+    Children of a chain and cases of a switch exclude each other. Of two blocks below two `when`
+    nobody can tell. A block that amends is not a writer, and a block is not a second writer to
+    itself. Blocks of different members or groups of a robot write different joints.
+    """
+    found: dict[tuple[str, str, str], Finding] = {}
+
+    def clash(one: dict[str, list[_Writer]], other: dict[str, list[_Writer]]) -> None:
+        for name in one.keys() & other.keys():
+            for first in one[name]:
+                for second in other[name]:
+                    if first.block is second.block or (first.conditional and second.conditional):
+                        continue
+                    if _apart(name, first.block, second.block):
+                        continue
+                    key = (name, first.block.name, second.block.name)
+                    found[key] = Finding.of(
+                        second.block,
+                        f"writes {second.block.claim(name)!r} in the same tick as "
+                        f"{first.block.name!r}",
+                        _remedy(name, first.block, second.block),
+                    )
+
+    def walk(node: Node, conditional: bool) -> dict[str, list[_Writer]]:
+        if isinstance(node, Block):
+            return {name: [_Writer(node, conditional)] for name in node.writes}
+        together: dict[str, list[_Writer]] = {}
+        for child in children_of(node):
+            below = isinstance(node, When) and child is node.child
+            here = walk(child, conditional or below)
+            if isinstance(node, Switch):
+                clash(
+                    {
+                        name: [w for w in writers if w.block is node.selector]
+                        for name, writers in together.items()
+                    },
+                    here,
+                )
+            elif not isinstance(node, Chain):
+                clash(together, here)
+            for name, writers in here.items():
+                together.setdefault(name, []).extend(writers)
+        return together
+
+    walk(root, False)
+    return [found[key] for key in sorted(found)]
+
+
+def _apart(name: str, first: Block, second: Block) -> bool:
+    """Whether they write different joints."""
+    one, other = first.share, second.share
+    if one is None or other is None or name not in one.states:
+        return False
+    return one.joints.isdisjoint(other.joints)
+
+
+def _remedy(name: str, first: Block, second: Block) -> str:
+    either = (second, first)
+    whole = next((block for block in either if block.claim(name) == name), None)
+    share = first.share or second.share
+    if whole is not None and share is not None and name in share.states:
+        free = [name for name, joints in share.parts.items() if joints.isdisjoint(share.joints)]
+        others = f", of: {' or '.join(free)}" if free else ""
+        return f"a joint has one writer: give {whole.name!r} other joints{others}"
+    if share is not None and name in share.states:
+        both = _both(first, second)
+        return f"a joint has one writer, and both move {both}: take them from one of the two"
+    return (
+        "a state has one writer: remove one, declare the second as one that "
+        "amends, or let a chain or switch choose"
+    )
+
+
+def _both(first: Block, second: Block) -> str:
+    """Return the joints that two blocks move; the first few of many."""
+    shares = [block.share.joints for block in (first, second) if block.share is not None]
+    names = sorted(frozenset.intersection(*shares))
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+
+
+def _never_reached(root: Node) -> list[Finding]:
+    """Find children of chains behind one that is never done, each chain's first."""
+    return list(dict.fromkeys(_walk(root)))
+
+
+def _walk(node: Node) -> Iterator[Finding]:
+    if isinstance(node, Chain):
+        for before, behind in zip(node.children, node.children[1:]):
+            if not never_done(before):
+                continue
+            blocks = blocks_of(behind)
+            loop = _loop(before)
+            if loop is None:
+                name = blocks_of(before)[0].name
+                yield Finding(
+                    f"block {blocks[0].name!r}",
+                    f"can never be reached: {name!r} before it in the chain is never done",
+                    f"run both in a zip, or give {name!r} an end: loop: {{do: …, until: …}}",
+                    blocks[0].where or behind.where,
+                )
+            else:
+                name = blocks_of(loop)[0].name
+                yield Finding(
+                    "loop",
+                    f"of {name!r} can never end, and {blocks[0].name!r} stands behind it in the "
+                    "chain",
+                    "give it an until:, or put it last",
+                    loop.where or blocks_of(loop)[0].where,
+                )
+            break
+    for child in children_of(node):
+        yield from _walk(child)
+
+
+def _loop(node: Node) -> Loop | None:
+    """Return the loop that a node is, through nodes with one child."""
+    while not isinstance(node, Loop):
+        if isinstance(node, (Every, When)):
+            node = node.child
+        elif isinstance(node, (Zip, Chain)) and len(node.children) == 1:
+            node = node.children[0]
+        else:
+            return None
+    return node

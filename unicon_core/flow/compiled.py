@@ -6,9 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import CellType, FunctionType
 
-import numpy as np
-from numpy.typing import NDArray
-
+from unicon_core.arrays import Int64
 from unicon_core.flow.block import Block
 from unicon_core.flow.scope import LABEL
 
@@ -46,7 +44,7 @@ class CompiledGraph:
     source: str
     blocks: tuple[Block, ...]
     deferred_blocks: frozenset[int]
-    stamps: NDArray[np.int64]
+    stamps: Int64
     groups: tuple[tuple[int, ...], ...]
     _ways: Sequence[Callable[[], bool]]
     places: Mapping[int, str]

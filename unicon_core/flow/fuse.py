@@ -12,19 +12,16 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from unicon_core.arrays import Array, Index
 from unicon_core.flow.block import Block, Tick
 from unicon_core.flow.linear import LinearMap
 from unicon_core.flow.nodes import Node, Zip, children_of, with_children
 from unicon_core.flow.stage import FIXED
 from unicon_core.generated import define
 from unicon_core.states import States
-from unicon_core.states.screen import Range, Screen
-from unicon_core.states.stacked import places
-
-Indices = NDArray[np.intp]
-Array = NDArray[Any]
+from unicon_core.states.stacked import Range, Screen, places
 
 MAX_COPIES = 4
 """Up to so many separate slice copies (80 ns each) one gather and scatter (750 ns) loses."""
@@ -154,8 +151,8 @@ class _Piece:
     block: Block
     linear: LinearMap
     dtype: np.dtype[Any]
-    read: Indices
-    write: Indices
+    read: Index
+    write: Index
 
     def clashes(self, other: _Piece) -> bool:
         """Return whether one reads or writes what the other writes: they are not done at once."""
@@ -221,8 +218,8 @@ class _Code:
     def gather(
         self,
         packed: Array,
-        write: Indices,
-        read: Indices,
+        write: Index,
+        read: Index,
         then: Iterable[tuple[str, np.ufunc, Array]],
     ) -> None:
         together = write[-1] - write[0] + 1 == len(write)

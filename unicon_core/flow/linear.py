@@ -6,11 +6,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from unicon_core.arrays import Array
 from unicon_core.errors import StateError
-
-Array = NDArray[Any]
 
 
 @dataclass(eq=False)

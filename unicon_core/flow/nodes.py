@@ -22,7 +22,7 @@ class _Several:
     def __init__(self, *children: Node | Tick, where: str = "") -> None:
         if not children:
             word = type(self).__name__.lower()
-            raise WorkflowError(f"{word}: no blocks; give at least one", where or None)
+            raise WorkflowError(f"{word}: no blocks; give at least one", where)
         self.children: tuple[Node, ...] = tuple(as_node(child, where=where) for child in children)
         self.where = where
 
@@ -268,3 +268,21 @@ def blocks_of(node: Node) -> list[Block]:
     if isinstance(node, Block):
         return [node]
     return list(dict.fromkeys(block for child in children_of(node) for block in blocks_of(child)))
+
+
+def never_done(node: Node) -> bool:
+    """Return True where it is proven that a node is never done.
+
+    A block is proven so by `endless`, which a function that is annotated to return None has too.
+    """
+    if isinstance(node, Block):
+        return node.endless
+    if isinstance(node, (Zip, Switch)):
+        return all(never_done(child) for child in node.children)
+    if isinstance(node, Chain):
+        return any(never_done(child) for child in node.children)
+    if isinstance(node, Loop):
+        return (node.until is None or node.until.endless) and never_done(node.child)
+    if isinstance(node, (Every, When)):
+        return never_done(node.child)
+    return isinstance(node, Deferred)

@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.blocks.approach import Target
-from unicon_core.blocks.hold import Damp, Hold
 from unicon_core.blocks.joint_command import robot_gains
-from unicon_core.blocks.pose import Pose
+from unicon_core.blocks.postures import Damp, Hold, Pose
 from unicon_core.flow import Block, Node, Switch, Zip, children_of, compile_graph
 from unicon_core.flow.nodes import chooser_of
 from unicon_core.flow.stage import Stage

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.arrays import Float32
 from unicon_core.errors import RobotError, alternatives
 from unicon_core.robots.places import Capsule, Hand, Place
 
@@ -147,6 +148,11 @@ class Robot:
     def endless(self) -> NDArray[np.bool_]:
         """Joints that turn without end, such as wheels, shape (n,)."""
         return np.isinf(self.lower) & np.isinf(self.upper)
+
+    def limits(self, unknown: float = np.inf) -> tuple[Float32, Float32]:
+        """Return the smallest and largest positions, each shape (n,); ∓`unknown` for unknown."""
+        lower = np.nan_to_num(self.lower, nan=-unknown)
+        return lower, np.nan_to_num(self.upper, nan=unknown)
 
     @property
     def position_controlled(self) -> bool:

@@ -10,7 +10,7 @@ from typing import Any, Literal, get_args
 
 from unicon_core.errors import PlatformError, UniconError, alternatives
 from unicon_core.flow import Stage, as_block
-from unicon_core.flow.check_ends import never_done
+from unicon_core.flow.nodes import never_done
 from unicon_core.platforms.platform import WaitsForData
 from unicon_core.workflow import Program
 

@@ -20,8 +20,8 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float32
 from unicon_core.errors import UniconError
 from unicon_core.flow import compile_graph
 from unicon_core.flow.compiled import CompiledGraph
@@ -61,7 +61,7 @@ class Rollout:
     fault: str
     block: str
     sha256_commands: str
-    states: NDArray[np.float32]
+    states: Float32
 
 
 class Rollouts:

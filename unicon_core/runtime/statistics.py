@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.arrays import Bool, Float64, Int64
 from unicon_core.flow import CompiledGraph
 from unicon_core.pacing import REAL_TIME, Pacing
 
@@ -102,14 +103,14 @@ class TickStatistics:
             "faults": faults,
         }
 
-    def kept(self) -> NDArray[np.int64]:
+    def kept(self) -> Int64:
         """Return the rows kept, oldest first: due, end, step start, deferred start, block ends."""
         capacity = len(self.rows)
         if self.count <= capacity:
             return self.rows[: self.count]
         return np.roll(self.rows, -(self.count % capacity), axis=0)
 
-    def _kept_shared(self) -> NDArray[np.bool_]:
+    def _kept_shared(self) -> Bool:
         """Return which of the rows kept have stamps of groups."""
         shared = self._shared[: self.count]
         return shared if self.count <= len(shared) else np.roll(shared, -(self.count % len(shared)))
@@ -120,19 +121,19 @@ class TickStatistics:
         first, last = (self.labels[i] for i in (group[0], group[-1]))
         return first if first == last else f"{first} … {last}, {len(group)} blocks"
 
-    def _sent_ns(self) -> NDArray[np.int64]:
+    def _sent_ns(self) -> Int64:
         """Return when the last block ended that is not put off, of each kept tick."""
         ends = [4 + i for i in range(len(self.names)) if i not in self.deferred]
-        sent: NDArray[np.int64] = self.kept()[:, ends].max(axis=1, initial=0)
+        sent: Int64 = self.kept()[:, ends].max(axis=1, initial=0)
         return sent
 
-    def durations_us(self) -> NDArray[np.float64]:
+    def durations_us(self) -> Float64:
         """Return recv → send of each kept tick in [µs], shape (ticks,)."""
         rows = self.kept()
         if not rows.size or len(self.deferred) == len(self.names):
             return np.empty(0)
         took = self._sent_ns() - rows[:, 2]
-        microseconds: NDArray[np.float64] = np.multiply(took, 1e-3, dtype=np.float64)
+        microseconds: Float64 = np.multiply(took, 1e-3, dtype=np.float64)
         return microseconds
 
     def tick_us(self) -> dict[str, float]:
@@ -144,7 +145,7 @@ class TickStatistics:
         rows = self.kept()
         return percentiles((rows[:, 2] - rows[:, 0]) * 1e-3)
 
-    def woken_late_us(self) -> NDArray[np.float64]:
+    def woken_late_us(self) -> Float64:
         """Return start minus deadline of kept ticks that the tick before did not hold up, [µs]."""
         rows = self.kept()
         free = rows[1:, 0] >= rows[:-1, 1]
@@ -164,7 +165,7 @@ class TickStatistics:
             }
         return table
 
-    def spans_us(self, label: str) -> NDArray[np.float64]:
+    def spans_us(self, label: str) -> Float64:
         """Return how long a block took in each kept tick in [µs]; 0 where it did not run."""
         starts, ends = self._spans()
         column = self.labels.index(label)
@@ -197,7 +198,7 @@ class TickStatistics:
                 counts[label] = counts.get(label, 0) + 1
         return dict(sorted(counts.items(), key=lambda item: -item[1]))
 
-    def _spans(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def _spans(self) -> tuple[Int64, Int64]:
         """Return start and end of each block, shape (ticks, blocks); end 0 where it did not run.
 
         Where blocks share a stamp, the last one stands for all of its group.

@@ -18,14 +18,21 @@ class Within(NamedTuple):
 
     Attributes:
         low, high: the smallest and the largest allowed value.
+        unit: such as `rad/s`.
         above: `low` itself is refused.
         endless: infinities are allowed.
     """
 
     low: float = -math.inf
     high: float = math.inf
+    unit: str = ""
     above: bool = False
     endless: bool = False
+
+
+def positive(high: float = math.inf, unit: str = "") -> Within:
+    """Return the bounds of a number above 0."""
+    return Within(0.0, high, unit, above=True)
 
 
 class Key(NamedTuple):
@@ -142,7 +149,7 @@ def _unit_length(quat: Any) -> str:
     return ""
 
 
-Metres = Annotated[float, Unit("m"), Within(-10.0, 10.0)]
+Metres = Annotated[float, Within(-10.0, 10.0, "m")]
 """A coordinate on a robot: none is larger than 10 m."""
 
 Core = Annotated[int, Within(0, 1 << 16)]

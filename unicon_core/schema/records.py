@@ -268,8 +268,8 @@ def _bare(hint: Any, marks: list[Any]) -> Type:
     if hint is bool:
         return Plain((True, False), "true or false")
     if hint in (int, float):
-        unit = _one(marks, Unit, Unit("")).symbol
-        number = Number(hint is int, _one(marks, Within, Within()), unit)
+        bounds = _one(marks, Within, Within())
+        number = Number(hint is int, bounds, _one(marks, Unit, Unit(bounds.unit)).symbol)
         number.wanted = example or number.wanted
         return number
     if hint in (str, Path):

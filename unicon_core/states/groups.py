@@ -104,6 +104,9 @@ _MEANING = ("shape", "dtype", "unit", "frame", "names")
 class Copies:
     """Copies a group's states to and from its packed bytes, in as few pieces as they stand in.
 
+    Attributes:
+        pairs: pieces of the packed bytes, and of the states' buffer; assign one to the other.
+
     Args:
         states: which have all of the group's states, of the same shape, type, unit, frame and
             element names.
@@ -137,11 +140,6 @@ class Copies:
         """Copy the states into the packed bytes."""
         for packed, state in self.pairs:
             packed[:] = state
-
-    def unpack(self) -> None:
-        """Copy the packed bytes into the states."""
-        for packed, state in self.pairs:
-            state[:] = packed
 
 
 def _differ(mine: Layout, theirs: Layout, name: str) -> bool:

@@ -19,7 +19,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from unicon_core.errors import Fault, StateError
-from unicon_core.schema.marks import Key, Unit, Within, Write
+from unicon_core.schema.marks import Key, Write, positive
 from unicon_core.states.backends import Reader, Writer
 from unicon_core.states.groups import Groups
 from unicon_core.states.spec import StateSpec
@@ -75,7 +75,7 @@ class Silent:
         values: state to its neutral value, in place of its initial one.
     """
 
-    after: Annotated[float, Unit("s"), Within(0.0, LONGEST_SILENCE, above=True)] = 0.2
+    after: Annotated[float, positive(LONGEST_SILENCE, "s")] = 0.2
     then: Literal["neutral", "hold", "fault"] = "neutral"
     values: Annotated[Mapping[str, Any], Key("set"), Write("{STATE: VALUE}")] = field(
         default_factory=dict

@@ -124,15 +124,8 @@ class StateSpec:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the specification as plain values; `from_dict` reads it back."""
-        return {
-            "shape": list(self.shape),
-            "dtype": self.dtype,
-            "unit": self.unit,
-            "frame": self.frame,
-            "names": list(self.names),
-            "description": self.description,
-            "initial": list(self.initial) if isinstance(self.initial, tuple) else self.initial,
-        }
+        fields = vars(self).items()
+        return {name: list(x) if isinstance(x, tuple) else x for name, x in fields}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> StateSpec:

@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import DTypeLike
 
+from unicon_core.arrays import Array, UInt8
 from unicon_core.errors import StateError, alternatives
 from unicon_core.states.layout import ALIGNMENT, Layout
 from unicon_core.states.spec import StateSpec
-
-Array = NDArray[Any]
 
 _MAGIC = b"UNICONST1\n"
 
@@ -32,7 +31,7 @@ class Snapshot:
     data: bytes
 
 
-def aligned_buffer(nbytes: int) -> NDArray[np.uint8]:
+def aligned_buffer(nbytes: int) -> UInt8:
     """Return a zeroed byte array of `nbytes`, its first byte on a 64-byte boundary."""
     raw = np.zeros(nbytes + ALIGNMENT, dtype=np.uint8)
     start = -raw.ctypes.data % ALIGNMENT
@@ -59,16 +58,16 @@ class States:
     __slots__ = ("_buffer", "_initial", "_layout", "_views")
 
     _layout: Layout
-    _buffer: NDArray[np.uint8]
+    _buffer: UInt8
     _views: dict[str, Array]
-    _initial: NDArray[np.uint8]
+    _initial: UInt8
 
     def __init__(
         self,
         layout: Layout | Mapping[str, StateSpec],
         num_robots: int | None = None,
         *,
-        buffer: NDArray[np.uint8] | None = None,
+        buffer: UInt8 | None = None,
     ) -> None:
         if not isinstance(layout, Layout):
             layout = Layout(layout, num_robots)
@@ -112,7 +111,7 @@ class States:
         return self._layout.num_robots
 
     @property
-    def buffer(self) -> NDArray[np.uint8]:
+    def buffer(self) -> UInt8:
         """The whole buffer, uint8, shape (layout.nbytes,)."""
         return self._buffer
 
@@ -120,21 +119,19 @@ class States:
         try:
             return self._views[name]
         except KeyError:
-            raise self._unknown(name) from None
+            known = alternatives(name, self._views)
+            raise UnknownStateError(f"no state {name!r}; {known}") from None
 
     def __setitem__(self, name: str, value: Any) -> None:
         self[name][...] = value
 
     def __getattr__(self, name: str) -> Array:
-        try:
-            return self._views[name]
-        except KeyError:
-            if name.startswith("__"):
-                raise AttributeError(name) from None
-            raise self._unknown(name) from None
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return self[name]
 
     def __setattr__(self, name: str, value: Any) -> None:
-        self[name][...] = value
+        self[name] = value
 
     def __contains__(self, name: object) -> bool:
         return name in self._views
@@ -151,9 +148,6 @@ class States:
     def __repr__(self) -> str:
         batch = "" if self.num_robots is None else f" x {self.num_robots} robots"
         return f"States({len(self)} states{batch}, {self._layout.nbytes} bytes)"
-
-    def _unknown(self, name: str) -> UnknownStateError:
-        return UnknownStateError(f"no state {name!r}; {alternatives(name, self._views)}")
 
     def spec(self, name: str) -> StateSpec:
         """Return the specification of a state.

@@ -5,8 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from unicon_core.workflow.document import WorkflowDocument
-from unicon_core.workflow.load import load_document, workflow_names
+from unicon_core.workflow.document import WorkflowDocument, load_document, workflow_names
 
 if TYPE_CHECKING:
     from unicon_core.workflow.program import Hook, Program, load_workflow

@@ -9,14 +9,21 @@ YAML file.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from unicon_core.errors import StateError, UniconError, WorkflowError, alternatives
+from unicon_core.errors import (
+    MissingDependencyError,
+    StateError,
+    UniconError,
+    WorkflowError,
+    alternatives,
+)
 from unicon_core.flow.block import Block, Bundle, as_block
 from unicon_core.flow.stage import Stage
+from unicon_core.models.find import model_of
 from unicon_core.platforms.kit.damping import LastSent
 from unicon_core.platforms.platform import Platform
 from unicon_core.robots import Robot
@@ -45,7 +52,7 @@ class BuildContext:
         networks: those in processes of their own; all mentions of a policy share one.
         lag: how much older what a block reads is when the robot gets what it writes, in [s]: a tick
             on another part than the robot, else 0.
-        models: those that blocks compute with, by robot and file; all blocks share one.
+        models: those that blocks compute with, by robot, file and use; all blocks share one.
         carried: it is the share of a member that another one carries, such as a hand: the platform
             simulates, and the IMU tells of, the one that carries it.
 
@@ -65,8 +72,38 @@ class BuildContext:
     paced: Callable[[], bool] = lambda: False
     networks: dict[tuple[str, str], Any] = field(default_factory=dict)
     lag: float = 0.0
-    models: dict[tuple[str, Path], Any] = field(default_factory=dict)
+    models: dict[tuple[Any, ...], Any] = field(default_factory=dict)
     carried: bool = False
+
+    def model(
+        self, block: str, load: Callable[[Path], Any] | None = None, key: Iterable[Any] = ()
+    ) -> Any:
+        """Return the model that the platform simulates; of a robot, or of what it carries, its own.
+
+        Blocks compute with an `MjData` of their own and leave the model as it is.
+
+        Args:
+            block: that asks, for the message.
+            load: makes what is returned of the file; a `LoadedModel` unless given.
+            key: what it is made for besides robot and file: of equal ones it is made once.
+
+        Raises:
+            ModelError: there is none, or it lacks a joint of the robot.
+            MissingDependencyError: MuJoCo, which computes the kinematics, is not installed.
+        """
+        from unicon_core.models.load import load_model  # of workflows with such blocks alone
+
+        path = model_of(None if self.carried else self.platform, self.robot)
+        place = (self.robot.name, path, *key)
+        if place not in self.models:
+            try:
+                made = load_model(path, self.robot, quiet=True) if load is None else load(path)
+            except MissingDependencyError as error:
+                raise MissingDependencyError(
+                    f"block {block!r}", "mujoco", "pip install 'unicon_ros[sim]'"
+                ) from error
+            self.models[place] = made
+        return self.models[place]
 
 
 PARTS = ("states", "robot", "period", "relative_to")

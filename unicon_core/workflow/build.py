@@ -107,7 +107,7 @@ class Builder:
             if child is chooser and not isinstance(new, Block):
                 raise WorkflowError(
                     f"{child.name!r} is a flow at this rate; it needs a block or an expression",
-                    child.where or None,
+                    child.where,
                 )
             children.append(new)
         made = with_children(copy(node), children)  # a node of its own for each place
@@ -315,14 +315,16 @@ class WarmUps:
     def add(self, block: Block, factory: Factory, build: Callable[[BuildContext], Block]) -> None:
         """Give a block a warm-up, where its factory is pure and it has none.
 
+        It is the tick of a second one, or its `again` where that ticks as if data were new.
+
         Args:
             block: the block.
             factory: what it was built with.
             build: builds it once more in another context.
         """
         pure = getattr(factory, "pure", getattr(factory, "__module__", "").startswith(_OURS))
-        if not pure or block.warm_up is not None:
-            return
+        if not pure or block.warm_up is not None or block.stage is Stage.RECV:
+            return  # a second device would take what the first is to hear
         slots = self._states.layout.slots
         used = {*block.reads, *block.amends, *block.writes}
         if sum(slots[name].nbytes for name in used if name in slots) > LARGEST:
@@ -330,8 +332,9 @@ class WarmUps:
         self._read |= used
         if self._copy is None:
             self._copy = States(self._states.layout)
-            self._context = replace(self._context, states=self._copy)
-        block.warm_up = _quiet(build(self._context).tick)
+            self._context = replace(self._context, states=self._copy, tell=_nothing)
+        tick = build(self._context).tick
+        block.warm_up = _quiet(getattr(tick, "again", tick))
 
     def refresh(self, platform: Tick | None) -> Tick | None:
         """Return what brings the present values into the copy, or None where nothing is warmed up.
@@ -352,6 +355,10 @@ class WarmUps:
                 warm_up()
 
         return refresh
+
+
+def _nothing(_: str) -> None:
+    """Tell nothing: the block itself does."""
 
 
 def _quiet(tick: Tick) -> Tick:

@@ -10,11 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array, Float32
 from unicon_core.policies.controller import ControllerContract
 from unicon_core.robots import Robot
 
@@ -111,9 +110,9 @@ class CommandBounds:
 
     def __init__(
         self,
-        command: NDArray[np.float32],
+        command: Float32,
         bounds: tuple[CommandBound, ...],
-        tick: NDArray[Any],
+        tick: Array,
         period: float,
         warn: Callable[[str], None],
     ) -> None:

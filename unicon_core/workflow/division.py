@@ -72,19 +72,19 @@ def check_places(
                 raise WorkflowError(
                     f"on: {block.part}: the workflow has no parts; declare them (parts:), or leave "
                     "out on:",
-                    block.where or None,
+                    block.where,
                 )
             if block.part not in parts.parts:
                 raise WorkflowError(
                     f"on: no part {block.part!r}; {alternatives(block.part, parts.parts)}",
-                    block.where or None,
+                    block.where,
                 )
             if stage in (None, Stage.SAFETY) and block.part != parts.first:
                 where = "safety" if stage else "wind_down"
                 raise WorkflowError(
                     f"{where}: {block.name!r} is on {block.part!r}; {where} belongs to the part "
                     f"with the robot: leave out on:",
-                    block.where or None,
+                    block.where,
                 )
 
 
@@ -117,7 +117,7 @@ def _divided(node: Node, parts: Parts, part: str) -> Node | None:
         raise WorkflowError(
             f"{type(node).__name__.lower()}: its blocks are of the parts "
             f"{', '.join(sorted(owners))}, which do not share a tick; divide at a zip or a list",
-            node.where or None,
+            node.where,
         )
     kept = [child for child in children_of(node) if part in _owners(child, parts)]
     pruned = [_divided(child, parts, part) for child in kept]

@@ -1,18 +1,28 @@
-"""WorkflowDocument: the content of a workflow file, with where each value stands."""
+"""Workflow documents: read, changed by `--set`, checked, with where each value stands.
+
+platform=fake                          a key
+flow.chain.0.pose.duration=2           an item of a list, by number
+policies.walk.given.action.scale=0.5   also where the file says {given: {action.scale: …}}
+states."my.state".unit=rad             quotes keep a dot in one key
+"""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from unicon_core.bounded_yaml import MAX_DEPTH, YamlError
 from unicon_core.errors import WorkflowError
-from unicon_core.located_yaml import Located
+from unicon_core.file_kinds import other_kind
+from unicon_core.located_yaml import Located, parse_value, read_yaml
+from unicon_core.resources import find_config, list_config
 from unicon_core.schema.read import refuse
-from unicon_core.schema.records import type_of
+from unicon_core.schema.records import record_of, type_of
 from unicon_core.schema.types import Mistakes
-
-SCHEMA = "unicon.workflow/1"
+from unicon_core.workflow.file import Workflow
 
 
 @dataclass
@@ -70,3 +80,232 @@ def read_part(document: WorkflowDocument, kind: Any, value: Any, *path: str | in
     found = type_of(kind).read(value, path, mistakes)
     refuse(mistakes, lambda where, text: document.error(text, *where), f"workflow {document.name}")
     return found
+
+
+_QUOTED = r"\"[^\"]*\"|'[^']*'"
+_SETTING = re.compile(rf"((?:{_QUOTED}|[^=])+)=(.*)", re.DOTALL)
+_STEP = re.compile(rf"({_QUOTED}|[^.]*)(\.|\Z)", re.DOTALL)
+
+Keys = tuple[Any, ...]
+Step = tuple[str, bool]
+"""A part of a path, and whether it stood in quotes."""
+
+
+def split_setting(text: str) -> tuple[str, Any]:
+    """Return path and value of a text as of `--set path=value`.
+
+    Raises:
+        WorkflowError: it has no `=`, or its value is not valid YAML.
+    """
+    found = _SETTING.fullmatch(text)
+    if found is None:
+        raise WorkflowError(
+            f"--set {text!r} has no '='; write --set path=value, as platform=mujoco"
+        )
+    dotted, value = found.groups()
+    try:
+        return dotted.strip(), parse_value(value)
+    except YamlError as error:
+        shown = value if len(value) <= 60 else f"{value[:60]}…"
+        raise WorkflowError(
+            f"--set {dotted}: {shown!r} is not valid YAML: {error.problem}"
+        ) from error
+
+
+def set_value(values: dict[str, Any], dotted: str, value: Any) -> str:
+    """Set a value and return its path without quotes; missing mappings are made.
+
+    What is there already counts first, whichever of its keys have dots. List items go by number.
+    A block or policy that is one word becomes a mapping where a part of it is set.
+
+    Args:
+        values: the document, changed.
+        dotted: keys with dots between them.
+        value: what to set.
+
+    Raises:
+        WorkflowError: the path leads to nothing that has parts, or may mean two values.
+    """
+    steps = _steps(dotted)
+    if len(steps) > MAX_DEPTH:
+        raise WorkflowError(
+            f"--set {dotted[:60]}…: the path has {len(steps)} steps; at most {MAX_DEPTH} are read"
+        )
+    ways = list(_ways(values, steps))
+    there = [keys for keys, left in ways if not left]
+    if len(there) > 1:
+        meant = " or ".join(".".join(f'"{key}"' for key in keys) for keys in there[:2])
+        raise WorkflowError(f"--set {dotted} may mean {meant}; write the one that is meant")
+    keys, left = min(ways, key=lambda way: len(way[1]))
+    keys = (*keys, *(text for text, _ in left))
+    here: Any = values
+    for depth, key in enumerate(keys[:-1], 1):
+        place = _place(here, key, dotted)
+        inner = here[place] if isinstance(here, list) else here.get(place)
+        if inner is None:
+            inner = here[place] = {}
+        elif isinstance(inner, str) and (whole := _whole(inner, keys[:depth], keys[depth])):
+            inner = here[place] = whole
+        elif not isinstance(inner, (dict, list)):
+            path = ".".join(map(_quoted, keys[:depth]))
+            remedy = f"set it whole: --set {path}=VALUE"
+            if path == "platform" and not isinstance(values.get("robot"), dict):
+                option = dotted if len(keys) > 2 else f"platform.{inner}.{keys[1]}"
+                remedy = f"its options: --set {option.replace('platform', 'platforms', 1)}={value}"
+            raise WorkflowError(
+                f"--set {dotted}: {path} is {inner!r:.60}, which has no parts; {remedy}"
+            )
+        here = inner
+    here[_place(here, keys[-1], dotted)] = value
+    return ".".join(map(str, keys))
+
+
+def _steps(dotted: str) -> list[Step]:
+    steps: list[Step] = []
+    at = 0
+    while found := _STEP.match(dotted, at):
+        text, end = found.groups()
+        quoted = len(text) > 1 and text[0] == text[-1] and text[0] in "\"'"
+        steps.append((text[1:-1] if quoted else text, quoted))
+        at = found.end()
+        if not end:
+            break
+    return steps
+
+
+def _ways(here: Any, steps: list[Step]) -> Iterator[tuple[Keys, list[Step]]]:
+    """Yield the keys that a path may mean as far as they are there, and the steps that are left."""
+    met = False
+    for count in range(1, len(steps) + 1):
+        if count > 1 and any(quoted for _, quoted in steps[:count]):
+            break
+        key = _key(here, ".".join(text for text, _ in steps[:count]))
+        if key is not None:
+            met = True
+            for keys, left in _ways(here[key], steps[count:]):
+                yield (key, *keys), left
+    if not met:
+        yield (), steps
+
+
+def _key(here: Any, text: str) -> Any:
+    """Return the key or number of a part that is there, else None."""
+    number = int(text) if text.isdecimal() and len(text) < 10 else None
+    if isinstance(here, list):
+        return number if number is not None and number < len(here) else None
+    if isinstance(here, dict):
+        return text if text in here else number if number in here else None
+    return None
+
+
+def _place(here: Any, key: Any, dotted: str) -> Any:
+    if isinstance(here, list) and not isinstance(key, int):
+        named = ", ".join(f"{i} ({_word(item)})" for i, item in enumerate(here[:12]))
+        remedy = f"give a number from 0 to {len(here) - 1}: {named}"
+        if not here:
+            remedy = f"set the list: --set {dotted.rpartition('.')[0]}=[…]"
+        raise WorkflowError(
+            f"--set {dotted}: {key!r} is not a place in a list of {len(here)}; {remedy}"
+        )
+    return key
+
+
+def _word(item: Any) -> str:
+    """Return what an item of a list is called: a block by its name."""
+    return f"{next(iter(item), None) if isinstance(item, dict) else item!s:.30}"
+
+
+def _whole(word: str, path: Keys, key: Any) -> dict[str, Any] | None:
+    """Return the mapping that a word stands for: a block without options, a policy's path."""
+    if key == word:
+        return {word: {}}
+    if len(path) == 2 and path[0] == "policies":
+        return {"path": word}
+    return None
+
+
+def _quoted(key: Any) -> str:
+    return f'"{key}"' if "." in str(key) else str(key)
+
+
+def workflow_names() -> list[str]:
+    """Return the names of the workflows that `load_document` finds, sorted."""
+    return list_config("workflows")
+
+
+def description_of(name: str) -> str:
+    """Return the description of a workflow, of which the keys alone are checked.
+
+    Raises:
+        WorkflowError: no such file, broken YAML, or an unknown or missing key.
+    """
+    located = read_yaml(find_config("workflows", name, error=WorkflowError), WorkflowError)
+    values = located.value if isinstance(located.value, dict) else {}
+    mistakes = Mistakes(values)
+    record_of(Workflow).check_keys(values, (), mistakes)
+    refuse(mistakes, located.error, f"workflow {name}")
+    return str(values.get("description") or "")
+
+
+def load_document(
+    name_or_path: str | Path, overrides: Iterable[str] | Mapping[str, Any] = ()
+) -> WorkflowDocument:
+    """Read a workflow file.
+
+    Args:
+        name_or_path: a name in `config/workflows/`, or a path.
+        overrides: `path=value` texts as of `--set`, or a mapping of dotted paths to values.
+
+    Raises:
+        WorkflowError: no such file, broken YAML, an unknown key, a wrong override.
+    """
+    path = find_config("workflows", name_or_path, error=WorkflowError)
+    return document_at(read_yaml(path, WorkflowError), overrides)
+
+
+def document_at(
+    located: Located, overrides: Iterable[str] | Mapping[str, Any] = ()
+) -> WorkflowDocument:
+    """Return the document of a workflow that was read; see `load_document`."""
+    path, values = located.path, located.value
+    if not isinstance(values, dict):
+        raise WorkflowError("a workflow is a mapping with robot, platform and flow", f"{path}:1")
+    changed = []
+    pairs = overrides.items() if isinstance(overrides, Mapping) else map(split_setting, overrides)
+    for dotted, value in pairs:
+        changed.append(set_value(values, dotted, value))
+    return _checked(WorkflowDocument(path.stem, values, located, tuple(changed)))
+
+
+def document_of(values: Mapping[str, Any], path: Path, line: int) -> WorkflowDocument:
+    """Return the document of a workflow that is written in Python.
+
+    Args:
+        values: as of a workflow file; flows may be nodes.
+        path: the Python file; relative paths are relative to its folder.
+        line: where it stands.
+
+    Raises:
+        WorkflowError: a key is unknown, missing or wrong.
+    """
+    given = {key: value for key, value in values.items() if value is not None}
+    states = given.get("states")
+    if isinstance(states, Mapping):
+        from unicon_core.states import StateSpec  # NumPy, which a list of workflows does without
+
+        plain = {
+            name: spec.to_dict() if isinstance(spec, StateSpec) else spec
+            for name, spec in states.items()
+        }
+        given["states"] = plain
+    return _checked(WorkflowDocument(path.stem, given, Located(path, given, {(): line})))
+
+
+def _checked(document: WorkflowDocument) -> WorkflowDocument:
+    values = document.values
+    other = other_kind(values, "workflow")
+    if other:
+        raise document.error(other, "schema")
+    read_part(document, Workflow, values)
+    document.name = str(document.get("name", document.name))
+    return document

@@ -93,7 +93,7 @@ class EntryCondition:
         self._states = states
         self._parts = dict(_parts(parse(text, "eval")))
 
-    def refused(self) -> str:
+    def __call__(self) -> str:
         """Return what does not hold and the values that it looks at; "" where it holds."""
         if self._holds():
             return ""

@@ -23,6 +23,7 @@ from unicon_core.schema.marks import (
     Unit,
     Within,
     Write,
+    positive,
 )
 from unicon_core.schema.records import meant
 from unicon_core.schema.types import Here
@@ -83,7 +84,7 @@ class Entry:
     button: Button | None = None
     sources: Annotated[Sequence[str], Key("from")] = ()
     after: Seconds = 0.0
-    tilt: Annotated[float, Unit("rad"), Within(0.0, math.pi, above=True)] = math.pi
+    tilt: Annotated[float, positive(math.pi, "rad")] = math.pi
     calm: bool = False
 
 
@@ -107,7 +108,7 @@ class Skill(Entry):
     policy: str | None = None
     do: FlowType | None = None
     enter: Annotated[str | None, Write("an expression over states")] = None
-    blend: Annotated[float, Unit("s"), Within(0.0, 60.0)] = 0.5
+    blend: Annotated[float, Within(0.0, 60.0, "s")] = 0.5
     next: str | None = None
 
     @staticmethod
@@ -197,8 +198,8 @@ class Workflow:
     parts: Annotated[Any, Later("unicon_core.workflow.parts:PartFiles")] | None = None
     scene: Annotated[Any, Later("unicon_core.platforms.kit.scene:Scene")] | None = None
     platforms: Annotated[Any, Later("unicon_core.workflow.flow_schema:PLATFORMS")] | None = None
-    rate: Annotated[float | None, Unit("Hz"), Within(0.001, 10_000.0)] = None
-    duration: Annotated[float | None, Unit("s"), Within(0.0, DURATION, above=True)] = None
+    rate: Annotated[float | None, Within(0.001, 10_000.0, "Hz")] = None
+    duration: Annotated[float | None, positive(DURATION, "s")] = None
     num_robots: Annotated[int | None, Within(1, MOST_ROBOTS)] = None
     map: Annotated[str | None, Checked(_no_map)] = None
     ros: bool | None = None

@@ -16,6 +16,8 @@ from unicon_core.schema.types import Mistakes, Type
 from unicon_core.workflow.autowire import option_names
 from unicon_core.workflow.registry import Factory, find_factory, known
 
+Json = dict[str, Any]
+
 _OWN = {"pattern": r"^[\w.]+:\w+$", "type": "string", "description": "a factory of one's own"}
 _SEVERAL = ("zip", "chain")
 _WORDS = ("loop", "every", "when", "switch", "skills", "call")
@@ -26,13 +28,13 @@ class Flow(Type):
 
     wanted = "a block, or {chain: [...]}"
 
-    def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
+    def json(self, definitions: Json) -> Json:
         """Return a reference to the schema of all flows."""
         if "Flow" not in definitions:
-            definitions["Flow"] = flow = dict[str, Any]()
+            definitions["Flow"] = flow = Json()
             here = {"$ref": "#/$defs/Flow"}
             blocks = {name: _block(name, definitions) for name in sorted(known("blocks"))}
-            words: dict[str, Any] = {
+            words: Json = {
                 word: {"type": "array", "items": here, "minItems": 1} for word in _SEVERAL
             }
             words |= {word: {} for word in _WORDS}
@@ -61,7 +63,7 @@ class Platforms(Type):
         """Return the mapping; options are read by the builder, for the platforms that are used."""
         return type_of(Mapping[str, Mapping[str, Any] | None]).read(value, where, mistakes)
 
-    def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
+    def json(self, definitions: Json) -> Json:
         """Return the schema of `platforms:`."""
         options = {n: _options("platforms", n, definitions) for n in sorted(known("platforms"))}
         given = {
@@ -78,7 +80,7 @@ class PlatformName(Type):
 
     wanted = "NAME, or {MEMBER: NAME}"
 
-    def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
+    def json(self, definitions: Json) -> Json:
         """Return the schema of `platform:`."""
         members = {"type": "object", "additionalProperties": {"type": "string"}}
         return {"anyOf": [{"enum": sorted(known("platforms"))}, _OWN, members]}
@@ -87,7 +89,7 @@ class PlatformName(Type):
 FLOW, PLATFORMS, PLATFORM_NAME = Flow(), Platforms(), PlatformName()
 
 
-def _block(name: str, definitions: dict[str, Any]) -> dict[str, Any]:
+def _block(name: str, definitions: Json) -> Json:
     options = _options("blocks", name, definitions)
     if options is None:  # what it needs is not installed
         return {}
@@ -99,7 +101,7 @@ def _block(name: str, definitions: dict[str, Any]) -> dict[str, Any]:
 _NULL = {"type": "null"}
 
 
-def _options(kind: str, name: str, definitions: dict[str, Any]) -> dict[str, Any] | None:
+def _options(kind: str, name: str, definitions: Json) -> Json | None:
     try:
         factory: Factory = find_factory(kind, name, UniconError)
     except UniconError:
@@ -107,7 +109,7 @@ def _options(kind: str, name: str, definitions: dict[str, Any]) -> dict[str, Any
     free, text = option_names(factory), inspect.getdoc(factory) or ""
     types = {name: option_type(factory, name) for name in free}
     texts, parameters = described(text), inspect.signature(factory).parameters
-    schema: dict[str, Any] = {
+    schema: Json = {
         option: (made.json(definitions) if (made := types[option]) is not None else {})
         | ({"description": texts[option]} if option in texts else {})
         for option in parameters

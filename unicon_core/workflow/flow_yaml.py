@@ -14,22 +14,86 @@ of the robot.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, TypeAlias
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, TypeAlias
 
-from unicon_core.errors import WorkflowError, alternatives
+from unicon_core.errors import WorkflowError
 from unicon_core.flow import Block, Chain, Deferred, Every, Loop, Node, Switch, When, Zip, as_node
-from unicon_core.workflow.document import WorkflowDocument
+from unicon_core.schema.marks import Key, NotEmpty, Within, Write
+from unicon_core.workflow.document import WorkflowDocument, read_part
+from unicon_core.workflow.file import FlowType
 from unicon_core.workflow.registry import known
 from unicon_core.workflow.skills import skills_switch
 from unicon_core.workflow.uses import EXPRESSION, Use, of, on
-
-FLOW_WORDS = ("zip", "chain", "loop", "every", "when", "switch", "deferred", "skills")
 
 MAX_NODES = 1000
 """Blocks and flow words of one workflow: each takes time to build, and aliases can repeat it."""
 
 Where: TypeAlias = tuple[str | int, ...]
+
+
+@dataclass(frozen=True)
+class LoopForm:
+    """What `loop:` says.
+
+    Attributes:
+        do: what is stepped.
+        until: predicate that ends it.
+    """
+
+    do: FlowType
+    until: Any = None
+
+
+@dataclass(frozen=True)
+class EveryForm:
+    """What `every:` says.
+
+    Attributes:
+        n: ticks, of which it is stepped in the first.
+        do: what is stepped.
+    """
+
+    n: Annotated[int, Within(1)]
+    do: FlowType
+
+
+@dataclass(frozen=True)
+class WhenForm:
+    """What `when:` says.
+
+    Attributes:
+        condition: predicate that has to hold.
+        do: what is stepped.
+    """
+
+    condition: Annotated[Any, Key("if")]
+    do: FlowType
+
+
+@dataclass(frozen=True)
+class SwitchForm:
+    """What `switch:` says.
+
+    Attributes:
+        on: selector of a case.
+        cases: name to what is stepped.
+        blend: time over which a change of case is blended, in [s].
+    """
+
+    on: Any
+    cases: Annotated[Mapping[Any, Any], NotEmpty, Write("{NAME: BLOCK}")]
+    blend: Annotated[float, Within(0.0, unit="s")] = 0.0
+
+
+_CONTROLS: dict[str, Any] = {
+    "loop": LoopForm,
+    "every": EveryForm,
+    "when": WhenForm,
+    "switch": SwitchForm,
+}
+FLOW_WORDS = ("zip", "chain", *_CONTROLS, "deferred", "skills")
 
 
 class FlowReader:
@@ -81,7 +145,7 @@ class FlowReader:
             return Deferred(self.node(body, path), where=self._document.where(*path))
         if word == "skills":
             return skills_switch(self._document, body, path, self.node)
-        if word in FLOW_WORDS:
+        if word in _CONTROLS:
             return self._control(word, body, path)
         return self._use(str(word), body, path)
 
@@ -133,49 +197,19 @@ class FlowReader:
         return Use(EXPRESSION, first=text, label=text, where=self._document.where(*path))
 
     def _control(self, word: str, body: Any, path: Where) -> Node:
-        forms = {
-            "loop": (("do",), ("until",)),
-            "every": (("n", "do"), ()),
-            "when": (("if", "do"), ()),
-            "switch": (("on", "cases"), ("blend",)),
-        }
-        needed, optional = forms[word]
-        shape = ", ".join([*(f"{key}: …" for key in needed), *(f"[{key}: …]" for key in optional)])
-        if not isinstance(body, dict):
-            raise self._error(path, f"{word}: needs {{{shape}}}")
-        for key in body:
-            if key not in needed and key not in optional:
-                known_keys = (*needed, *optional)
-                raise self._error(
-                    (*path, key), f"{word}: no key {key!r}; {alternatives(str(key), known_keys)}"
-                )
-        for key in needed:
-            if body.get(key) is None:
-                raise self._error(path, f"{word}: the key {key!r} is missing; it needs {{{shape}}}")
+        said = read_part(self._document, _CONTROLS[word], body, *path)
         where = self._document.where(*path)
-        if word == "switch":
-            return self._switch(body, path, where)
-        child = self.node(body["do"], (*path, "do"))
-        if word == "every":
-            return Every(body["n"], child, where=where)
-        if word == "when":
-            return When(self._predicate(body["if"], (*path, "if")), child, where=where)
-        until = body.get("until")
-        stop = None if until is None else self._predicate(until, (*path, "until"))
+        if isinstance(said, SwitchForm):
+            cases = {str(n): self.node(case, (*path, "cases", n)) for n, case in said.cases.items()}
+            selector = self._predicate(said.on, (*path, "on"))
+            return Switch(selector, cases, blend=said.blend, where=where)
+        child = self.node(said.do, (*path, "do"))
+        if isinstance(said, EveryForm):
+            return Every(said.n, child, where=where)
+        if isinstance(said, WhenForm):
+            return When(self._predicate(said.condition, (*path, "if")), child, where=where)
+        stop = None if said.until is None else self._predicate(said.until, (*path, "until"))
         return Loop(child, stop, where=where)
-
-    def _switch(self, body: dict[str, Any], path: Where, where: str) -> Node:
-        cases = body["cases"]
-        if not isinstance(cases, dict) or not cases:
-            raise self._error((*path, "cases"), "switch: cases: needs a mapping of name to block")
-        blend = body.get("blend", 0.0)
-        if isinstance(blend, bool) or not isinstance(blend, (int, float)) or blend < 0:
-            raise self._error(
-                (*path, "blend"), f"switch: blend: {blend!r} is not a time >= 0 in [s]"
-            )
-        nodes = {str(name): self.node(case, (*path, "cases", name)) for name, case in cases.items()}
-        selector = self._predicate(body["on"], (*path, "on"))
-        return Switch(selector, nodes, blend=float(blend), where=where)
 
     def _error(self, path: Where, message: str) -> WorkflowError:
         return self._document.error(message, *path)

@@ -71,8 +71,8 @@ def checked(platform: Any, declared: Facts, states: States) -> Platform:
             f"{what} says simulated={facts.simulated} and the factory {declared.simulated}; say it "
             "once, in `facts` of the class, and annotate the factory with that class (-> Class)"
         )
-    for use, names in (("reads", facts.reads), ("writes", facts.writes)):
-        for state in names:
+    for use in ("reads", "writes"):
+        for state in getattr(facts, use):
             if state not in states:
                 raise PlatformError(
                     f"{what} {use} {state!r}, which is not a state; {alternatives(state, states)}"

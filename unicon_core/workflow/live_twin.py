@@ -22,7 +22,7 @@ from unicon_core.gap import aligned_mse
 from unicon_core.memory import Library
 from unicon_core.platforms.kit.beside import PLACE, Beside
 from unicon_core.robots import Robot
-from unicon_core.schema.marks import Unit, Within
+from unicon_core.schema.marks import positive
 from unicon_core.states import States, StateSpec
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow.autowire import BuildContext
@@ -53,9 +53,9 @@ class TwinSettings:
     """
 
     platform: str
-    window: Annotated[float, Unit("s"), Within(0.0, LONGEST, above=True)] = 0.2
-    over: Annotated[float, Unit("s"), Within(0.0, LONGEST, above=True)] = 1.0
-    bound: Annotated[float, Unit("rad"), Within(0.0, POSITION, above=True)] = 0.15
+    window: Annotated[float, positive(LONGEST, "s")] = 0.2
+    over: Annotated[float, positive(LONGEST, "s")] = 1.0
+    bound: Annotated[float, positive(POSITION, "rad")] = 0.15
 
 
 def twin_of(document: WorkflowDocument) -> TwinSettings | None:

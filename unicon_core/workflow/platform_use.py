@@ -15,14 +15,14 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 from unicon_core.errors import alternatives
-from unicon_core.schema.marks import Unit, Within, Write
+from unicon_core.schema.marks import Write, positive
 from unicon_core.workflow.document import WorkflowDocument, read_part
 
 HANDS, HAND = "hands", "_hand"
 """Under `platform:` this word stands for all members whose names end so."""
 
 
-Time = Annotated[float | None, Unit("s"), Within(0.0, 60.0, above=True)]
+Time = Annotated[float | None, positive(60.0, "s")]
 
 
 @dataclass(frozen=True)

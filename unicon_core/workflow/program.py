@@ -42,10 +42,9 @@ from unicon_core.workflow.division import (
     publishers,
     refuse_parts,
 )
-from unicon_core.workflow.document import WorkflowDocument
+from unicon_core.workflow.document import WorkflowDocument, document_of, load_document
 from unicon_core.workflow.gate import Gate, withheld
 from unicon_core.workflow.live_twin import build_twin, twin_of
-from unicon_core.workflow.load import document_of, load_document
 from unicon_core.workflow.members import load_robot_of
 from unicon_core.workflow.parts import read_parts, read_store
 from unicon_core.workflow.platforms import build_platform, latches_of

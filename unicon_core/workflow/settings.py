@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal
 
 from unicon_core.bounds import POSE_SPEED
 from unicon_core.pacing import Pacing
-from unicon_core.schema.marks import Made, Unit, Within
+from unicon_core.schema.marks import Made, Within, positive
 from unicon_core.schema.types import Here
 from unicon_core.together.meeting import Party
 from unicon_core.together.rendezvous import Moment, moment_of
@@ -72,8 +72,8 @@ class StartSettings:
 
     gates: bool = True
     operator: bool = True
-    approach: Annotated[float, Unit("rad/s"), Within(0.0, POSE_SPEED, above=True)] = 0.5
-    fade_in: Annotated[float, Unit("s"), Within(0.0, LONGEST_FADE)] = 1.0
+    approach: Annotated[float, positive(POSE_SPEED, "rad/s")] = 0.5
+    fade_in: Annotated[float, Within(0.0, LONGEST_FADE, "s")] = 1.0
     at: Annotated[Moment | None, Made(moment_of)] = None
     together: Party | None = None
     late: Literal["fault", "go"] = "fault"

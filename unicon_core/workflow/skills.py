@@ -13,8 +13,8 @@ It is the switch that one would write by hand: `blend_in` behind each skill, and
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -23,16 +23,29 @@ from unicon_core.blocks.controls.skills import SKILL, Ended, Skills
 from unicon_core.errors import WorkflowError
 from unicon_core.flow import Block, Chain, Node, Switch, Zip
 from unicon_core.robots import Robot
+from unicon_core.schema.marks import Write
 from unicon_core.states import StateSpec
 from unicon_core.states.standard import control_states
 from unicon_core.workflow.autowire import BuildContext
-from unicon_core.workflow.document import WorkflowDocument
+from unicon_core.workflow.document import WorkflowDocument, read_part
 from unicon_core.workflow.expression import EntryCondition
 from unicon_core.workflow.program_data import ProgramData
 from unicon_core.workflow.uses import Use
 
 BLEND = 0.5
 """Time in which a skill comes in, unless it says another, in [s]."""
+
+
+@dataclass(frozen=True)
+class SkillsForm:
+    """What `skills:` of a flow says.
+
+    Attributes:
+        on: state that asks for a skill by its number.
+    """
+
+    on: Annotated[str | None, Write("STATE")] = None
+
 
 Reader = Callable[[Any, tuple[str | int, ...]], Node]
 
@@ -54,14 +67,7 @@ def skills_switch(
     listed = document.get("skills", {})
     if not listed:
         raise document.error("skills: the workflow has none; list them under skills:", *path)
-    options = {} if options is None else options
-    on = options.get("on") if isinstance(options, dict) else None
-    if not isinstance(options, dict) or set(options) - {"on"}:
-        raise document.error(
-            f"skills: {options!r}; write skills, or {{skills: {{on: STATE}}}}", *path
-        )
-    if on is not None and not isinstance(on, str):
-        raise document.error(f"skills: on: {on!r} is not the name of a state", *path)
+    on = read_part(document, SkillsForm, options or {}, *path).on
     said = {name: {"policy": e} if isinstance(e, str) else e for name, e in listed.items()}
     where, made = document.where(*path), list[Skills]()
 

@@ -15,8 +15,7 @@ from unicon_core.flow.fuse import fuse
 from unicon_core.flow.nodes import chooser_of, with_children
 from unicon_core.flow.stage import Stage
 from unicon_core.states import States
-from unicon_core.states.effectors import unsaid_states
-from unicon_core.states.standard import COMMAND_STATES
+from unicon_core.states.standard import COMMAND_STATES, unsaid_states
 from unicon_core.workflow.command_bounds import (
     COMMAND,
     CommandBound,
@@ -121,7 +120,7 @@ def _bounded_flow(flow: Node, make: Callable[[], Block]) -> Node:
         raise WorkflowError(
             f"block {chooses.name!r} chooses what runs and writes {COMMAND!r} beside it; let a "
             "block of its own write it",
-            chooses.where or None,
+            chooses.where,
         )
     return with_children(flow, [_bounded_flow(child, make) for child in children_of(flow)])
 

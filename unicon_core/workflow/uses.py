@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from unicon_core.errors import WorkflowError
-from unicon_core.flow import Block, Node, as_node, blocks_of
+from unicon_core.flow import Block, Node, Tick, as_node, blocks_of
 
 EXPRESSION = "expression"
 """Word of a predicate over states that is given as a text."""
@@ -51,7 +51,7 @@ class Use(Block):
 
     def _not_built(self) -> object:
         raise WorkflowError(
-            f"block {self.name!r} is not built yet; give the flow to a Program", self.where or None
+            f"block {self.name!r} is not built yet; give the flow to a Program", self.where
         )
 
 
@@ -91,7 +91,7 @@ def elapsed(seconds: float) -> Use:
     return _use("elapsed", seconds, {})
 
 
-def on(part: str, node: Node | Callable[[], object]) -> Node:
+def on(part: str, node: Node | Tick) -> Node:
     """Give a tree to a part of a divided workflow, where it does not belong to one already."""
     made = as_node(node)
     for each in blocks_of(made):
@@ -99,7 +99,7 @@ def on(part: str, node: Node | Callable[[], object]) -> Node:
     return made
 
 
-def of(member: str, node: Node | Callable[[], object]) -> Node:
+def of(member: str, node: Node | Tick) -> Node:
     """Give a tree to a member of the robot: its blocks see and move the joints of that one alone.
 
     Raises:
@@ -111,7 +111,7 @@ def of(member: str, node: Node | Callable[[], object]) -> Node:
             raise WorkflowError(
                 f"block {each.name!r} is built already, with the states of the whole robot; "
                 "mention its factory: block(FACTORY)",
-                each.where or None,
+                each.where,
             )
         if each.word != EXPRESSION:  # it looks at the whole robot
             each.of = each.of or member

@@ -132,7 +132,7 @@ def emulate(arguments: argparse.Namespace) -> int:
 def _options(arguments: argparse.Namespace, factory: Any, name: str) -> dict[str, Any]:
     """Return the options of the face."""
     from unicon_core.workflow.autowire import option_names
-    from unicon_core.workflow.overrides import split_setting
+    from unicon_core.workflow.document import split_setting
 
     options = dict(map(split_setting, arguments.options))
     if "address" in option_names(factory):

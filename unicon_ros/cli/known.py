@@ -206,7 +206,7 @@ def _parameters(factory: Any) -> list[tuple[str, str]]:
 
 def _workflows(arguments: argparse.Namespace) -> int:
     from unicon_core.workflow import load_document, workflow_names
-    from unicon_core.workflow.load import description_of
+    from unicon_core.workflow.document import description_of
 
     if arguments.name:
         print(load_document(arguments.name).path.read_text(encoding="utf-8"), end="")

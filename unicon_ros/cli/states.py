@@ -16,9 +16,9 @@ from unicon_ros.cli.console import print_table
 from unicon_ros.cli.options import add_overrides, argument, command, flag, positive
 
 if TYPE_CHECKING:
+    from unicon_core.arrays import Array
     from unicon_core.states.backends.shm import Segment
     from unicon_core.states.groups import Groups
-    from unicon_core.states.states import Array
     from unicon_core.workflow import Program
 
 LOOK = 0.5

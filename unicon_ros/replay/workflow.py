@@ -14,7 +14,7 @@ from unicon_core.resources import find_config
 from unicon_core.robots import Robot, robot_files
 from unicon_core.states.standard import GAIN_SCALE, GAIN_SCALE_SPEC, HARDWARE_STATES
 from unicon_core.workflow import Program, WorkflowDocument, load_document
-from unicon_core.workflow.load import document_at
+from unicon_core.workflow.document import document_at
 from unicon_ros.recording import Record
 from unicon_ros.recording.facts import network_hash, robot_text, versions_here
 

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from unicon_core.errors import UniconError, WorkflowError, imported
 from unicon_core.located_yaml import Located, read_yaml
 from unicon_core.resources import find_config, sha256_of
-from unicon_core.workflow.document import WorkflowDocument
-from unicon_core.workflow.load import document_at
+from unicon_core.workflow.document import WorkflowDocument, document_at
 from unicon_core.workflow.platforms import facts_of_all, find_platforms
 from unicon_ros.sweep.draws import setting_of
 from unicon_ros.sweep.sweep_file import SCHEMA, SweepFile

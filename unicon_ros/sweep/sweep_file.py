@@ -25,7 +25,7 @@ from unicon_core.located_yaml import Located, read_yaml
 from unicon_core.schema.marks import NotEmpty, Text, Unit, Within, Write
 from unicon_core.schema.read import read
 from unicon_core.schema.types import Here, Mistakes
-from unicon_core.workflow.overrides import split_setting
+from unicon_core.workflow.document import split_setting
 from unicon_ros.sweep.draws import Parameter, parameter, setting_of
 from unicon_ros.sweep.gate import Gate, read_gate
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from unicon_core.arrays import Float32, Int32
 from unicon_core.flow import Block, Stage
 from unicon_core.states import States, StateSpec
 from unicon_core.states.standard import CONTROL_STATES, control_states
@@ -27,9 +25,9 @@ class Controls:
     """
 
     def __init__(self, states: States) -> None:
-        self.sticks: NDArray[np.float32] = states["sticks"]
-        self.buttons: NDArray[np.int32] = states["buttons"]
-        self.alive: NDArray[np.int32] = states["controls_alive"]
+        self.sticks: Float32 = states["sticks"]
+        self.buttons: Int32 = states["buttons"]
+        self.alive: Int32 = states["controls_alive"]
 
     def let_go(self) -> None:
         """Release all that is pressed: the device is not heard."""

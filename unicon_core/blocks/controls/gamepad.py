@@ -9,8 +9,6 @@ include/uapi/linux/input.h and input-event-codes.h, which say the codes too).
 
 from __future__ import annotations
 
-import errno
-import fcntl
 import os
 import struct
 import time
@@ -18,7 +16,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from unicon_core.blocks.controls.device import Controls, declares_controls, device_block
-from unicon_core.blocks.controls.pads import HATS, INPUT, Finder, Mapped, ask, pad_of
+from unicon_core.blocks.controls.pads import HATS, INPUT, Finder, Mapped, ask, asked, pad_of
 from unicon_core.buttons import BUTTONS
 from unicon_core.errors import WorkflowError
 from unicon_core.flow import Block
@@ -170,12 +168,9 @@ class Gamepad:
 
 def _range(file: int, code: int) -> tuple[int, int] | None:
     """Return the least and the largest value of an axis, as EVIOCGABS tells; None for a pipe."""
-    info = bytearray(24)  # struct input_absinfo: value, minimum, maximum, fuzz, flat, resolution
-    try:
-        fcntl.ioctl(file, 0x80184540 + code, info)
-    except OSError as error:
-        if error.errno in (errno.ENOTTY, errno.EINVAL, errno.ENODEV):
-            return None
-        raise
+    # struct input_absinfo: value, minimum, maximum, fuzz, flat, resolution
+    info = asked(file, 0x80184540 + code, 24)
+    if info is None:
+        return None
     _, low, high = struct.unpack_from("<3i", info)
     return (low, high) if high > low else None

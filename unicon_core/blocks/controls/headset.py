@@ -12,8 +12,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from unicon_core.blocks.controls.device import declares_controls
+from unicon_core.blocks.teleop.operator import Headset
 from unicon_core.buttons import BUTTONS
-from unicon_core.errors import WorkflowError
 from unicon_core.flow.block import Writes
 from unicon_core.states import States
 
@@ -27,10 +27,6 @@ _BUTTONS: Mapping[str, Mapping[str, str]] = {
 """Side to the controller's button and ours."""
 _STICKS = {"left": (0, 1), "right": (2, 3)}
 """Side to the elements of `sticks`: thumbstick x and y, of which y is positive to the back."""
-_NEEDED = (
-    *("alive", "valid"),
-    *(f"{side}_{what}" for side in _BUTTONS for what in ("buttons", "axes")),
-)
 
 
 class HeadsetControls:
@@ -60,31 +56,22 @@ class HeadsetControls:
         states: States,
         device: str = "webxr",
     ) -> None:
-        self.reads = tuple(f"{device}_{what}" for what in _NEEDED)
-        for state in self.reads:
-            if state not in states.layout.specs:
-                raise WorkflowError(
-                    f"no state {state!r}; list the device that writes it, such as webxr, before "
-                    "headset_controls (commands:), or name yours: device: PREFIX"
-                )
+        headset = Headset(states, device)
         self._sticks, self._buttons, self._heard = sticks, buttons, controls_alive
-        self._alive, self._valid = states[f"{device}_alive"], states[f"{device}_valid"]
-        parts = states.spec(f"{device}_valid").names
-        self._sides = []
-        for side, named in _BUTTONS.items():
-            names = states.spec(f"{device}_{side}_buttons").names
-            axes = states.spec(f"{device}_{side}_axes").names
-            self._sides.append(
-                (
-                    parts.index(f"{side}_controller"),
-                    states[f"{device}_{side}_axes"],
-                    [axes.index(f"thumbstick_{axis}") for axis in "xy"],
-                    _STICKS[side],
-                    states[f"{device}_{side}_buttons"],
-                    [names.index(name) for name in named],
-                    [BUTTONS.index(name) for name in named.values()],
-                )
+        self._alive, self._valid = headset.alive, headset.valid
+        self._sides = [
+            (
+                headset.part(f"{side}_controller"),
+                headset.view(f"{side}_axes"),
+                [headset.named(f"{side}_axes", f"thumbstick_{axis}") for axis in "xy"],
+                _STICKS[side],
+                headset.view(f"{side}_buttons"),
+                [headset.named(f"{side}_buttons", name) for name in named],
+                [BUTTONS.index(name) for name in named.values()],
             )
+            for side, named in _BUTTONS.items()
+        ]
+        self.reads = tuple(headset.reads)
 
     def __call__(self) -> None:
         self._sticks[...] = 0.0

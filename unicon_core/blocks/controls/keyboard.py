@@ -17,7 +17,7 @@ from unicon_core.blocks.controls.device import Controls, declares_controls, devi
 from unicon_core.blocks.joint_command import ticks_of
 from unicon_core.buttons import BUTTONS
 from unicon_core.flow import Block
-from unicon_core.schema.marks import Unit, Within
+from unicon_core.schema.marks import Within
 from unicon_core.workflow.autowire import BuildContext
 
 STICK_KEYS = {
@@ -36,7 +36,7 @@ ESCAPE = "\x1b"
 def keyboard(
     *,
     context: BuildContext,
-    hold: Annotated[float, Unit("s"), Within(0.05, 2.0)] = 0.5,
+    hold: Annotated[float, Within(0.05, 2.0, "s")] = 0.5,
 ) -> Block:
     """Write sticks and buttons as keys of the terminal say.
 

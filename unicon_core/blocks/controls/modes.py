@@ -19,11 +19,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Protocol, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Bool, Float32, Int32
 from unicon_core.blocks.controls.device import declares_controls
 from unicon_core.blocks.joint_command import ticks_of
 from unicon_core.buttons import BUTTONS, Button
@@ -45,14 +45,6 @@ class Mode(Entry):
     button: Button
 
 
-class Condition(Protocol):
-    """What has to hold when a mode is entered."""
-
-    def refused(self) -> str:
-        """Return why not, "" where it holds."""
-        ...
-
-
 @dataclass(frozen=True)
 class Way:
     """How a mode is entered.
@@ -65,7 +57,7 @@ class Way:
         after: ticks that the mode before must have had.
         tilt: how far the base may lean in [rad].
         calm: no stick may be pushed.
-        enter: has to hold besides, or None.
+        enter: returns why what has to hold besides does not, "" where it does; or None.
     """
 
     mode: str
@@ -75,10 +67,10 @@ class Way:
     after: int
     tilt: float
     calm: bool
-    enter: Condition | None = None
+    enter: Callable[[], str] | None = None
 
 
-Seen: TypeAlias = tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.float32]]
+Seen: TypeAlias = tuple[Float32, Int32, Float32]
 """Sticks, buttons and projected gravity."""
 
 
@@ -180,7 +172,7 @@ class Modes:
     def __init__(
         self,
         seen: Seen,
-        mode: NDArray[np.int32],
+        mode: Int32,
         names: Sequence[str],
         ways: Sequence[Way],
         context: BuildContext,
@@ -202,7 +194,7 @@ class Modes:
         self._mode[...] = self._names.index(self._now)
         return self._now
 
-    def _press(self, pressed: NDArray[np.bool_]) -> None:
+    def _press(self, pressed: Bool) -> None:
         wished = [way for way in self._ways if way.place >= 0 and pressed[way.place]]
         here = [way for way in wished if not way.sources or self._now in way.sources]
         for way in here or wished[:1]:
@@ -230,7 +222,7 @@ class Modes:
             return f"the base leans {lean:.2f} rad, at most {way.tilt:g} are allowed"
         if way.calm and not float(np.abs(self._sticks).max()) <= CENTRED:
             return "a stick is pushed; let go of it first"
-        return "" if way.enter is None else way.enter.refused()
+        return "" if way.enter is None else way.enter()
 
     def reset(self) -> None:
         """Begin anew; what is held down counts once it is pressed again."""

@@ -138,18 +138,23 @@ def _name(identity: Identity | None) -> str:
 
 def ask(file: int) -> Identity | None:
     """Return what the kernel says of an open device (EVIOCGID, EVIOCGBIT); None for a pipe."""
-    names, keys, axes = bytearray(8), bytearray(96), bytearray(8)
+    found = [asked(file, *each) for each in ((0x80084502, 8), (0x80604521, 96), (0x80084523, 8))]
+    names, keys, axes = found
+    if names is None or keys is None or axes is None:
+        return None
+    _, vendor, product, _ = struct.unpack("<4H", names)
+    bits = int.from_bytes(keys, "little"), int.from_bytes(axes, "little")
+    return Identity(vendor, product, *bits)
+
+
+def asked(file: int, request: int, size: int) -> bytes | None:
+    """Return what the kernel answers to a request of `size` bytes (ioctl(2)); None for a pipe."""
     try:
-        fcntl.ioctl(file, 0x80084502, names)
-        fcntl.ioctl(file, 0x80604521, keys)
-        fcntl.ioctl(file, 0x80084523, axes)
+        return fcntl.ioctl(file, request, bytes(size))
     except OSError as error:
         if error.errno in (errno.ENOTTY, errno.EINVAL, errno.ENODEV):
             return None
         raise
-    _, vendor, product, _ = struct.unpack("<4H", names)
-    bits = int.from_bytes(keys, "little"), int.from_bytes(axes, "little")
-    return Identity(vendor, product, *bits)
 
 
 class Finder:

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from unicon_core.blocks.controls.device import Controls
@@ -43,19 +43,20 @@ _PND_BUTTONS = ("A", "B", "X", "Y", "L1", "R1", "select", "start")
 PND_FULL, PND_DEAD = 32767.0, 5000.0
 
 
-def _set_sticks(controls: Controls, *values: float) -> None:
-    for element, value in enumerate(values):
+def _take(controls: Controls, sticks: Iterable[float], pressed: Iterable[str]) -> None:
+    for element, value in enumerate(sticks):
         good = math.isfinite(value)
         controls.sticks[element] = min(max(value, -1.0), 1.0) if good else 0.0
+    controls.buttons[...] = 0
+    for name in pressed:
+        controls.buttons[BUTTONS.index(name)] = 1
+    controls.alive[...] = 1
 
 
 def unitree(raw: Any, controls: Controls) -> None:
     """Take the 40 bytes of a Unitree robot."""
     bits, lx, rx, ry, ly = _UNITREE.unpack(raw)
-    _set_sticks(controls, lx, ly, rx, ry)
-    for element in range(len(BUTTONS)):
-        controls.buttons[element] = bits >> element & 1
-    controls.alive[...] = 1
+    _take(controls, (lx, ly, rx, ry), [n for i, n in enumerate(BUTTONS) if bits >> i & 1])
 
 
 def unitree_pressed(controls: Controls, raw: bytearray) -> None:
@@ -68,24 +69,17 @@ def unitree_pressed(controls: Controls, raw: bytearray) -> None:
 def dobot(raw: Any, controls: Controls) -> None:
     """Take the 40 bytes of a Dobot Atom."""
     low, high, lx, rx, ry, ly = _DOBOT.unpack(raw)
-    _set_sticks(controls, lx, ly, rx, ry)
-    controls.buttons[...] = 0
-    for names, bits in ((_DOBOT_2, low), (_DOBOT_3, high)):
-        for place, name in enumerate(names):
-            controls.buttons[BUTTONS.index(_OURS.get(name, name))] = bits >> place & 1
-    controls.alive[...] = 1
+    named = [*enumerate(_DOBOT_2), *enumerate(_DOBOT_3, 8)]
+    pressed = [_OURS.get(name, name) for i, name in named if (low | high << 8) >> i & 1]
+    _take(controls, (lx, ly, rx, ry), pressed)
 
 
 def pnd(raw: Any, controls: Controls) -> None:
     """Take the 19 float32 of a PND Adam."""
     lx, ly, rx, ry, lt, rt, _, _, *pressed = _PND.unpack(raw)
-    steady = [0.0 if abs(value) < PND_DEAD else value / PND_FULL for value in (lx, ly, rx, ry)]
-    _set_sticks(controls, *steady)
-    controls.buttons[...] = 0
-    told = dict(zip(_PND_BUTTONS, pressed))
-    for name, value in (told | {"L2": lt, "R2": rt}).items():
-        controls.buttons[BUTTONS.index(name)] = int(value > 0.5)  # false for NaN
-    controls.alive[...] = 1
+    steady = (0.0 if abs(value) < PND_DEAD else value / PND_FULL for value in (lx, ly, rx, ry))
+    told = zip((*_PND_BUTTONS, "L2", "R2"), (*pressed[: len(_PND_BUTTONS)], lt, rt))
+    _take(controls, steady, [name for name, value in told if value > 0.5])  # false for NaN
 
 
 def booster(raw: Any, controls: Controls) -> None:
@@ -94,12 +88,8 @@ def booster(raw: Any, controls: Controls) -> None:
     if event == _BOOSTER_GONE:
         controls.let_go()
         return
-    _set_sticks(controls, lx, -ly, rx, -ry)
-    controls.buttons[...] = 0
-    for names, value in zip(_BOOSTER_BUTTONS + _BOOSTER_CROSS, pressed, strict=True):
-        for name in names.split() if value else ():
-            controls.buttons[BUTTONS.index(name)] = 1
-    controls.alive[...] = 1
+    named = zip(_BOOSTER_BUTTONS + _BOOSTER_CROSS, pressed, strict=True)
+    _take(controls, (lx, -ly, rx, -ry), " ".join(n for n, on in named if on).split())
 
 
 REMOTES: dict[str, tuple[int, Callable[[Any, Controls], None]]] = {

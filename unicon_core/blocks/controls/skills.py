@@ -7,11 +7,8 @@ calls `ask`, such as a service. Who is refused is told why.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from unicon_core.arrays import Array, Int32
 from unicon_core.blocks.controls.modes import Modes, Seen, Way
 from unicon_core.workflow.autowire import BuildContext
 
@@ -45,10 +42,10 @@ class Skills(Modes):
     def __init__(
         self,
         seen: Seen,
-        number: NDArray[np.int32],
+        number: Int32,
         ways: Sequence[Way],
         following: Mapping[str, str],
-        wish: NDArray[Any] | None,
+        wish: Array | None,
         context: BuildContext,
         reads: Sequence[str],
     ) -> None:

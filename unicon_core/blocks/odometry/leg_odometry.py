@@ -1,27 +1,128 @@
-"""Block `leg_odometry`: how a legged robot moves, of its IMU and the legs that carry it."""
+"""Block `leg_odometry`: how a legged robot moves, of its IMU and the legs that carry it.
+
+`Standing` says which feet stand, and how much what they say of the velocity is worth.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array
 from unicon_core.blocks.joint_command import single
-from unicon_core.blocks.odometry.standing import Standing
 from unicon_core.blocks.odometry.velocity_filter import VelocityFilter
-from unicon_core.blocks.robot_model import model_for, twice
 from unicon_core.errors import WorkflowError
-from unicon_core.flow.block import Block, Reads, Writes
-from unicon_core.models.feet import Feet
+from unicon_core.flow.block import Reads, Writes
+from unicon_core.models.feet import GRAVITY, Feet
 from unicon_core.robots import Robot
-from unicon_core.schema.marks import Unit, Within
+from unicon_core.schema.marks import positive
 from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext
 
-View = NDArray[Any]
+_LEAST, _SURE = 0.4, 0.8
+"""Of an equal share of the weight: what a foot bears that surely hangs, and surely stands. A leg
+that swings asks its joints for up to a third of it."""
+_NEAR, _FAR = 0.01, 0.04
+"""Over the lowest foot in [m]: a foot so high surely stands, and surely hangs, of an even floor."""
+_FALLS = 0.3 * GRAVITY
+"""What an accelerometer reads at most in the air, [m/s²]."""
+_TOUCH, _SETTLES = 0.25, 0.05
+"""What a foot moves though it stands, at its touchdown in [m/s], and the time in [s] in which that
+goes: rubber and ground give way, and the foot slides until it bears."""
+
+
+class Standing:
+    """Tells of each foot whether it stands.
+
+    The variance of a velocity that a leg tells is that of its joints' velocities times its length,
+    the more the less surely the foot stands (Camurri et al., "Probabilistic Contact Estimation and
+    Impact Detection for State Estimation of Quadruped Robots", RA-L 2017).
+
+    Args:
+        feet: of the robot, at any posture.
+        robot: names them.
+        joint_noise: standard deviation of the joints' velocities in [rad/s].
+        threshold: of the feet's force sensors, or None.
+
+    Attributes:
+        contact: from 0 to 1, how surely each foot of the robot file stands, shape (len(feet),).
+        any: whether one of them stands at all.
+        height: of the base over the feet that stand in [m], None where none does.
+    """
+
+    memory = ("contact", "any", "height", "_since")
+
+    def __init__(
+        self, feet: Feet, robot: Robot, joint_noise: float, threshold: float | None
+    ) -> None:
+        self._feet, self._threshold = feet, threshold
+        self._share = feet.weight / len(feet.names)
+        self._rank = np.array([robot.feet.index(name) for name in feet.names], np.intp)
+        pose, none = np.nan_to_num(robot.default_joint_pos), np.zeros(3)
+        feet(np.array((1.0, 0.0, 0.0, 0.0)), none, pose, np.zeros_like(pose), None)
+        lengths = np.linalg.norm(feet.position, axis=1)
+        self._variances = ((joint_noise * lengths) ** 2).tolist()
+        self.contact = np.zeros(len(robot.feet), np.float32)
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin anew: no foot has stood."""
+        self._since = [0.0] * len(self._variances)
+        self.any = False
+        self.height: float | None = None
+        self.contact[:] = 0.0
+
+    def __call__(self, dt: float, pull: float, sensed: Array | None, torques: bool) -> list[float]:
+        """Look at the feet.
+
+        Args:
+            dt: since the last look in [s].
+            pull: what the accelerometer reads, its length squared in [m²/s⁴].
+            sensed: by the feet's force sensors, in the order of the robot file, or None.
+            torques: whether the feet's `force` is of now.
+
+        Returns:
+            The variance of each foot's velocity along an axis in [m²/s²], infinite for one that
+            does not stand.
+        """
+        heights = self._feet.position[:, 2].tolist()
+        sure = self._surely(heights, pull, sensed, torques)
+        variances, whole, height = [], 0.0, 0.0
+        for foot, share in enumerate(sure):
+            if not share > 0.0:  # nor where it is not a number
+                self._since[foot] = sure[foot] = 0.0
+                variances.append(math.inf)
+                continue
+            touch = _TOUCH**2 * math.exp(-self._since[foot] / _SETTLES)
+            variances.append(self._variances[foot] / (share * share) + touch)
+            self._since[foot] += dt
+            whole += share
+            height -= share * heights[foot]
+        self.any = whole > 0.0
+        self.height = height / whole if self.any else None
+        self.contact[self._rank] = sure
+        return variances
+
+    def _surely(
+        self,
+        heights: list[float],
+        pull: float,
+        sensed: Array | None,
+        torques: bool,
+    ) -> list[float]:
+        """Return how surely each foot stands, from 0 to 1."""
+        if sensed is not None and self._threshold is not None:
+            return [float(f >= self._threshold) for f in sensed[self._rank].tolist()]
+        if torques:
+            least, span = _LEAST * self._share, (_SURE - _LEAST) * self._share
+            return [min(max((f - least) / span, 0.0), 1.0) for f in self._feet.force.tolist()]
+        if pull < _FALLS**2:
+            return [0.0] * len(heights)
+        high = min(heights) + _FAR
+        return [min(max((high - at) / (_FAR - _NEAR), 0.0), 1.0) for at in heights]
+
 
 ACCELERATION_NOISE, JOINT_NOISE = 1.5, 0.4
 LONGEST = 0.1
@@ -30,26 +131,13 @@ HANGS = 0.5
 """Time without a foot that stands in [s], after which the robot is taken to hang, not to jump."""
 DRIFT = 0.03
 """Of the position, as a share of the way."""
+_FASTEST, _QUICKEST, _HARDEST = 1e4, 1e4, 1e6
+"""Squared, in [m²/s²], [rad²/s²] and [m²/s⁴]: a base that moves at 100 m/s, turns at 100 rad/s, or
+feels 100 g is one that a sensor makes up."""
+_FORCE, _POS_VARIANCE = "foot_force", "base_pos_w_variance"
 
 
-def leg_odometry(
-    base_quat: Reads,
-    base_ang_vel: Reads,
-    base_lin_acc: Reads,
-    joint_pos: Reads,
-    joint_vel: Reads,
-    base_lin_vel: Writes,
-    base_lin_vel_variance: Writes,
-    foot_contact: Writes,
-    *,
-    context: BuildContext,
-    position: bool | None = None,
-    foot_force: float | None = None,
-    joint_noise: Annotated[float, Unit("rad/s"), Within(0.0, 20.0, above=True)] = JOINT_NOISE,
-    acceleration_noise: Annotated[
-        float, Unit("m/s²"), Within(0.0, 100.0, above=True)
-    ] = ACCELERATION_NOISE,
-) -> Block:
+class LegOdometry:
     """Estimate the velocity of the base, and its position from the beginning on.
 
     A foot that stands tells the base's velocity by the kinematics of its leg, the accelerometer
@@ -77,94 +165,6 @@ def leg_odometry(
         ModelError: the robot's model has no feet, or there is none.
         MissingDependencyError: MuJoCo, which computes the kinematics, is not installed.
     """
-    single(base_quat)
-    told = () if context.platform is None else context.platform.facts.writes
-    more: tuple[str, ...] = ("joint_effort", "stamp_ns")
-    reads = {name: context.states[name] for name in more if name in told}
-    if _FORCE in told:
-        if foot_force is None:
-            raise WorkflowError(
-                f"platform {context.platform.facts.name!r} tells {_FORCE!r}; say from which "  # type: ignore[union-attr]
-                "reading on a foot stands, as in foot_force: 30, or do not declare that state"
-            )
-        reads[_FORCE] = context.states[_FORCE]
-    if position is None:
-        position = "base_pos_w" not in told
-    names = ("base_pos_w", _POS_VARIANCE) if position else ()
-    writes = {name: context.states[name] for name in names}
-    views = {
-        "base_quat": base_quat,
-        "base_ang_vel": base_ang_vel,
-        "base_lin_acc": base_lin_acc,
-        "joint_pos": joint_pos,
-        "joint_vel": joint_vel,
-        **reads,
-    }
-    outs = {
-        "base_lin_vel": base_lin_vel,
-        "base_lin_vel_variance": base_lin_vel_variance,
-        "foot_contact": foot_contact,
-        **writes,
-    }
-    loaded = model_for("leg_odometry", context)
-
-    def make(ins: Mapping[str, View], results: Mapping[str, View]) -> LegOdometry:
-        feet = Feet(loaded, context.robot)
-        standing = Standing(feet, context.robot, joint_noise, foot_force)
-        return LegOdometry(
-            feet, standing, VelocityFilter(acceleration_noise), ins, results, context
-        )
-
-    tick, second, refresh = twice(make, views, outs)
-
-    def warm_up() -> None:
-        refresh()
-        second.again()  # the one that counts looks at new data only
-        second()
-
-    return Block(
-        "",
-        tick,
-        reads=tuple(reads),
-        writes=tuple(writes),
-        reset=tick.reset,
-        warm_up=warm_up,
-        endless=True,
-    )
-
-
-def _declares(robot: Robot, **_: Any) -> dict[str, StateSpec]:
-    if not robot.walks or not robot.feet:
-        raise WorkflowError(
-            f"block 'leg_odometry': robot {robot.name} ({robot.kind}) has no feet; leave it out, "
-            "or name bodies of the model under feet in the robot file"
-        )
-    return {
-        "base_lin_vel_variance": StateSpec(
-            (), unit="m²/s²", description="of base_lin_vel along each axis"
-        ),
-        _POS_VARIANCE: StateSpec((), unit="m²", description="of base_pos_w along x and y"),
-        "foot_contact": StateSpec(
-            (len(robot.feet),), names=robot.feet, description="0 to 1: how surely it stands"
-        ),
-    }
-
-
-setattr(leg_odometry, "declares", _declares)  # noqa: B010  a function has none to mypy
-_FORCE, _POS_VARIANCE = "foot_force", "base_pos_w_variance"
-
-
-class LegOdometry:
-    """The tick of `leg_odometry`.
-
-    Args:
-        feet: the robot's.
-        standing: tells which of them stand.
-        motion: the filter.
-        views: of the states that it reads.
-        outs: of those that it writes.
-        context: of the workflow.
-    """
 
     memory = ("_standing", "_filter", "_last", "_hanging", "_way", "_rotation", "_told", "_place")
 
@@ -172,24 +172,70 @@ class LegOdometry:
 
     def __init__(
         self,
-        feet: Feet,
-        standing: Standing,
-        motion: VelocityFilter,
-        views: Mapping[str, View],
-        outs: Mapping[str, View],
+        base_quat: Reads,
+        base_ang_vel: Reads,
+        base_lin_acc: Reads,
+        joint_pos: Reads,
+        joint_vel: Reads,
+        base_lin_vel: Writes,
+        base_lin_vel_variance: Writes,
+        foot_contact: Writes,
+        *,
         context: BuildContext,
+        position: bool | None = None,
+        foot_force: float | None = None,
+        joint_noise: Annotated[float, positive(20.0, "rad/s")] = JOINT_NOISE,
+        acceleration_noise: Annotated[float, positive(100.0, "m/s²")] = ACCELERATION_NOISE,
     ) -> None:
-        self._feet, self._standing, self._filter = feet, standing, motion
-        self._imu = tuple(views[n] for n in ("base_quat", "base_ang_vel", "base_lin_acc"))
-        self._effort, self._force = views.get("joint_effort"), views.get(_FORCE)
-        self._joints = views["joint_pos"], views["joint_vel"]
-        self._stamp, self._period = views.get("stamp_ns"), context.period
-        self._velocity = outs["base_lin_vel"]
-        self._variance, self._contact = outs["base_lin_vel_variance"], outs["foot_contact"]
+        single(base_quat)
+        platform, states, robot = context.platform, context.states, context.robot
+        told = () if platform is None else platform.facts.writes
+        if platform is not None and _FORCE in told and foot_force is None:
+            raise WorkflowError(
+                f"platform {platform.facts.name!r} tells {_FORCE!r}; say from which "
+                "reading on a foot stands, as in foot_force: 30, or do not declare that state"
+            )
+        more = {n: states[n] for n in ("joint_effort", "stamp_ns", _FORCE) if n in told}
+        if position is None:
+            position = "base_pos_w" not in told
+        self.reads = tuple(more)
+        self.writes = ("base_pos_w", _POS_VARIANCE) if position else ()
+        feet = Feet(context.model("leg_odometry"), robot)
+        self._feet, self._standing = feet, Standing(feet, robot, joint_noise, foot_force)
+        self._filter = VelocityFilter(acceleration_noise)
+        self._imu = base_quat, base_ang_vel, base_lin_acc
+        self._effort, self._force = more.get("joint_effort"), more.get(_FORCE)
+        self._joints = joint_pos, joint_vel
+        self._stamp, self._period = more.get("stamp_ns"), context.period
+        self._velocity, self._variance = base_lin_vel, base_lin_vel_variance
+        self._contact = foot_contact
+        outs = {name: states[name] for name in self.writes}
         self._position, self._of_position = outs.get("base_pos_w"), outs.get(_POS_VARIANCE)
-        imu = context.robot.imu  # a filter of the IMU's place has no lever arm to mind
+        imu = robot.imu  # a filter of the IMU's place has no lever arm to mind
         self._arm = [0.0] * 3 if imu is None else np.nan_to_num(imu.position).tolist()
         self.reset()
+
+    @staticmethod
+    def declares(robot: Robot, **_: Any) -> dict[str, StateSpec]:
+        """Return the states of what is estimated, but for the standard ones.
+
+        Raises:
+            WorkflowError: the robot has no feet.
+        """
+        if not robot.walks or not robot.feet:
+            raise WorkflowError(
+                f"block 'leg_odometry': robot {robot.name} ({robot.kind}) has no feet; leave it "
+                "out, or name bodies of the model under feet in the robot file"
+            )
+        return {
+            "base_lin_vel_variance": StateSpec(
+                (), unit="m²/s²", description="of base_lin_vel along each axis"
+            ),
+            _POS_VARIANCE: StateSpec((), unit="m²", description="of base_pos_w along x and y"),
+            "foot_contact": StateSpec(
+                (len(robot.feet),), names=robot.feet, description="0 to 1: how surely it stands"
+            ),
+        }
 
     def reset(self) -> None:
         """Begin anew: at rest, at the origin."""
@@ -201,8 +247,9 @@ class LegOdometry:
         self._told, self._place = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
 
     def again(self) -> None:
-        """Take the present data for new ones, one period later than the last."""
+        """Tick as if the present data were new, one period later than the last: to warm up."""
         self._last = None if self._stamp is None else int(self._stamp) - round(self._period * 1e9)
+        self()
 
     def __call__(self) -> None:
         dt = self._since()
@@ -283,8 +330,3 @@ class LegOdometry:
         place[2] = place[2] + dt * w if height is None else height
         self._way += dt * math.hypot(u, v)
         self._of_position[...] = (DRIFT * self._way) ** 2  # type: ignore[index]
-
-
-_FASTEST, _QUICKEST, _HARDEST = 1e4, 1e4, 1e6
-"""Squared, in [m²/s²], [rad²/s²] and [m²/s⁴]: a base that moves at 100 m/s, turns at 100 rad/s, or
-feels 100 g is one that a sensor makes up."""

@@ -8,16 +8,16 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array, Float32
 from unicon_core.blocks.safety.ranges import RangeStop
 from unicon_core.errors import WorkflowError
 from unicon_core.flow.block import Reads
 from unicon_core.robots import Robot
-from unicon_core.schema.marks import Matches, Within
+from unicon_core.schema.marks import Matches, Within, positive
 from unicon_core.states import States
 
 MARGIN = 10.0
@@ -71,7 +71,7 @@ def action_stop(
     *,
     states: States,
     robot: Robot,
-    limit: Annotated[float, Within(0.0, ACTION, above=True)] = 50.0,
+    limit: Annotated[float, positive(ACTION)] = 50.0,
 ) -> RangeStop:
     """Stop where a network's output is NaN or larger than any that moves a robot.
 
@@ -124,7 +124,7 @@ def _path(file: str, relative_to: Path | None) -> Path:
     return Path(file) if relative_to is None else relative_to / file
 
 
-def _bounds_of(path: Path, size: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _bounds_of(path: Path, size: int) -> tuple[Float32, Float32]:
     """Return `lower` and `upper` of a file, shape (m,)."""
     remedy = "write it with observation_range in a good run"
     try:
@@ -147,7 +147,7 @@ def _bounds_of(path: Path, size: int) -> tuple[NDArray[np.float32], NDArray[np.f
     return lower, upper
 
 
-def _label(view: NDArray[Any], states: States) -> str:
+def _label(view: Array, states: States) -> str:
     """Return the name of the state that a parameter got, which a workflow may have renamed."""
     start = view.__array_interface__["data"][0]
     return next(n for n in states if states[n].__array_interface__["data"][0] == start)

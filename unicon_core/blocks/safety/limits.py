@@ -10,17 +10,15 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Bool, Float32
 from unicon_core.bounds import POSITION, SHARE, MaxRate, Scale
 from unicon_core.errors import Fault, RobotError, WorkflowError
 from unicon_core.flow.block import Amends, Bundle, Reads
 from unicon_core.flow.stage import Stage
 from unicon_core.robots import Robot
-from unicon_core.schema.marks import Unit, Within
-from unicon_core.states.screen import Range
-
-Float = NDArray[np.float32]
+from unicon_core.schema.marks import Within
+from unicon_core.states.stacked import Range
 
 ROUNDING = np.float32(1.0001)
 """A target that `rate_limit` has held back is not beyond the same limit."""
@@ -29,7 +27,7 @@ Beyond = Literal["clamp", "trip"]
 """What a limit does with a command that is beyond it."""
 
 
-def limits_of(known: Float, scale: float | None, usual: float, beyond: Beyond) -> Float:
+def limits_of(known: Float32, scale: float | None, usual: float, beyond: Beyond) -> Float32:
     """Return limits of a robot file times the option `scale`, infinite where it says none.
 
     Args:
@@ -48,7 +46,7 @@ def limits_of(known: Float, scale: float | None, usual: float, beyond: Beyond) -
     return np.nan_to_num(known, nan=np.inf) * np.float32(usual if scale is None else scale)
 
 
-def first_of(wrong: NDArray[np.bool_], robot: Robot) -> tuple[tuple[int, ...], str]:
+def first_of(wrong: Bool, robot: Robot) -> tuple[tuple[int, ...], str]:
     """Return index and name of the first joint that is wrong, shape (..., n), for a fault."""
     index = tuple(int(i) for i in np.argwhere(wrong)[0])
     who = f"robot {index[0]}, " if len(index) > 1 else ""
@@ -59,7 +57,7 @@ def joint_limits(
     joint_pos_target: Amends,
     *,
     robot: Robot,
-    margin: Annotated[float, Unit("rad"), Within(0.0, POSITION)] = 0.0,
+    margin: Annotated[float, Within(0.0, POSITION, "rad")] = 0.0,
     beyond: Beyond = "clamp",
 ) -> JointLimits:
     """Hold position targets within the robot's limits; an unknown limit does not bind.
@@ -72,8 +70,9 @@ def joint_limits(
     Raises:
         WorkflowError: the margin leaves a joint nothing.
     """
-    lower = np.nan_to_num(robot.lower, nan=-np.inf) + np.float32(margin)
-    upper = np.nan_to_num(robot.upper, nan=np.inf) - np.float32(margin)
+    lower, upper = robot.limits()
+    lower += np.float32(margin)
+    upper -= np.float32(margin)
     if (lower > upper).any():
         joint = robot.joint_names[int(np.argmax(lower > upper))]
         raise WorkflowError(f"margin {margin} rad leaves joint {joint} no range; give less")
@@ -95,7 +94,7 @@ class Clamp:
     stage = Stage.SAFETY
     clamps = True
 
-    def __init__(self, target: Float, lower: Float, upper: Float, robot: Robot) -> None:
+    def __init__(self, target: Float32, lower: Float32, upper: Float32, robot: Robot) -> None:
         self._target, self._lower, self._upper, self._robot = target, lower, upper, robot
         self.ranges = [Range(target, lower, upper)]
 
@@ -173,7 +172,7 @@ class EffortLimits:
     stage = Stage.SAFETY
     clamps = True
 
-    def __init__(self, servo: Servo, limit: Float, robot: Robot) -> None:
+    def __init__(self, servo: Servo, limit: Float32, robot: Robot) -> None:
         self._servo, self._lower, self._upper, self._robot = servo, -limit, limit, robot
         target = servo.joint_pos_target
         self._torque, self._rest, self._clipped = (np.zeros_like(target) for _ in range(3))
@@ -222,7 +221,7 @@ class EffortStop(EffortLimits):
         )
 
 
-def velocity_limits(robot: Robot, remedy: str, hands: float | None = None) -> Float:
+def velocity_limits(robot: Robot, remedy: str, hands: float | None = None) -> Float32:
     """Return the velocity limits of a robot file in [rad/s], shape (n,).
 
     Args:
@@ -246,7 +245,7 @@ def velocity_limits(robot: Robot, remedy: str, hands: float | None = None) -> Fl
     return robot.velocity_limit
 
 
-def rates_of(max_rate: MaxRate, robot: Robot, block: str) -> Float:
+def rates_of(max_rate: MaxRate, robot: Robot, block: str) -> Float32:
     """Return how fast each joint may go by the option `max_rate` of a block, [rad/s], shape (n,).
 
     Args:
@@ -296,7 +295,7 @@ class RateLimit:
     stage = Stage.SAFETY
     clamps = True
 
-    def __init__(self, pos: Float, target: Float, step: Float, robot: Robot) -> None:
+    def __init__(self, pos: Float32, target: Float32, step: Float32, robot: Robot) -> None:
         self._pos, self._target, self._step, self._robot = pos, target, step, robot
         self._last, self._bound = np.zeros_like(target), np.zeros_like(target)
         self._fresh = True

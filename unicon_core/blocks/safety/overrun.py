@@ -8,7 +8,7 @@ from typing import Annotated
 
 from unicon_core.errors import Fault, WorkflowError
 from unicon_core.flow.stage import Stage
-from unicon_core.schema.marks import Unit, Within
+from unicon_core.schema.marks import Within, positive
 from unicon_core.workflow.autowire import BuildContext
 
 LONGEST = 60.0
@@ -42,7 +42,7 @@ class OverrunStop:
         context: BuildContext,
         *,
         count: Annotated[int, Within(1)] = 10,
-        window: Annotated[float, Unit("s"), Within(0.0, LONGEST, above=True)] = 1.0,
+        window: Annotated[float, positive(LONGEST, "s")] = 1.0,
     ) -> None:
         period, platform = context.period, context.platform
         ticks = round(window / period)

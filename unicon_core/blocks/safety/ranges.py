@@ -1,4 +1,7 @@
-"""Stops for what no robot measures and nobody means: `range_stop`, `command_stop`."""
+"""Stops for what no robot measures and nobody means, for hot motors and an empty battery.
+
+They are `range_stop`, `command_stop` and `hardware_stop`.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +15,10 @@ from unicon_core.bounds import DAMPING, EFFORT, POSITION, STIFFNESS, VELOCITY
 from unicon_core.errors import Fault, WorkflowError
 from unicon_core.flow.stage import Stage
 from unicon_core.robots import Robot
-from unicon_core.schema.marks import Unit, Within
+from unicon_core.schema.marks import Within, positive
 from unicon_core.states import States
-from unicon_core.states.screen import Range, Screen
-from unicon_core.states.standard import COMMAND_STATES
+from unicon_core.states.stacked import Range, Screen
+from unicon_core.states.standard import COMMAND_STATES, HARDWARE_STATES
 from unicon_core.workflow.autowire import BuildContext
 
 ANGULAR_VELOCITY = 70.0
@@ -43,7 +46,7 @@ MEASURED = (
 def range_stop(
     context: BuildContext,
     *,
-    margin: Annotated[float, Unit("rad"), Within(0.0, POSITION)] = 0.5,
+    margin: Annotated[float, Within(0.0, POSITION, "rad")] = 0.5,
     factor: Annotated[float, Within(1.0, 10.0)] = 3.0,
 ) -> RangeStop:
     """Stop where what was measured is NaN, infinite, or more than any robot of this kind does.
@@ -61,8 +64,9 @@ def range_stop(
     names = [name for name in MEASURED if name in told and name in states]
     if not names:
         raise WorkflowError("the platform measures nothing that it looks at; leave it out")
-    lower = np.nan_to_num(robot.lower, nan=-POSITION) - np.float32(margin)
-    upper = np.nan_to_num(robot.upper, nan=POSITION) + np.float32(margin)
+    lower, upper = robot.limits(POSITION)
+    lower -= np.float32(margin)
+    upper += np.float32(margin)
     speed = np.nan_to_num(robot.velocity_limit * factor, nan=VELOCITY)
     bounds: dict[str, tuple[Any, Any]] = {
         "joint_pos": (lower, upper),
@@ -81,9 +85,9 @@ def command_stop(
     *,
     states: States,
     robot: Robot,
-    stiffness: Annotated[float, Unit("N·m/rad"), Within(0.0, STIFFNESS, above=True)] = STIFFNESS,
-    damping: Annotated[float, Unit("N·m·s/rad"), Within(0.0, DAMPING, above=True)] = DAMPING,
-    factor: Annotated[float, Within(0.0, 10.0, above=True)] = 2.0,
+    stiffness: Annotated[float, positive(STIFFNESS, "N·m/rad")] = STIFFNESS,
+    damping: Annotated[float, positive(DAMPING, "N·m·s/rad")] = DAMPING,
+    factor: Annotated[float, positive(10.0)] = 2.0,
 ) -> RangeStop:
     """Stop where a command is NaN, infinite, or one that nobody can mean.
 
@@ -163,3 +167,46 @@ class RangeStop:
                 f"{who}{name}{which} is {view[index]:g}{unit}, {self._said} "
                 f"{lower[index]:.4g} to {upper[index]:.4g}"
             )
+
+
+HOTTEST = 150.0
+"""In [°C]: magnets and windings of class F end there."""
+COLDEST = -40.0
+"""In [°C]: a sensor that tells less is broken."""
+HIGHEST_VOLTAGE = 1000.0
+"""In [V]: legged robots have 20 to 60."""
+
+
+def hardware_stop(
+    context: BuildContext,
+    *,
+    temperature: Annotated[float, positive(HOTTEST, "°C")] = 90.0,
+    charge: Annotated[float, Within(0.0, 1.0)] = 0.05,
+    voltage: Annotated[float | None, positive(HIGHEST_VOLTAGE, "V")] = None,
+) -> RangeStop:
+    """Stop where a motor is too hot or tells an error, or where the battery is empty.
+
+    It looks at those of the hardware states that the platform writes: `motor_temperature`,
+    `motor_error`, `battery_charge` and, where a bound is given, `battery_voltage`.
+
+    Args:
+        temperature: highest of a motor in [°C].
+        charge: lowest of the battery, as a share of 1.
+        voltage: lowest of the battery in [V]; None does not look.
+
+    Raises:
+        WorkflowError: the platform tells nothing of this.
+    """
+    bounds: dict[str, tuple[Any, Any]] = {
+        "motor_temperature": (COLDEST, temperature),
+        "motor_error": (0, 0),
+        "battery_charge": (charge, 1.0),
+    }
+    if voltage is not None:
+        bounds["battery_voltage"] = (voltage, HIGHEST_VOLTAGE)
+    states, platform = context.states, context.platform
+    told = HARDWARE_STATES if platform is None else platform.facts.writes
+    seen = {name: pair for name, pair in bounds.items() if name in states and name in told}
+    if not seen:
+        raise WorkflowError("the platform tells nothing of motors and battery; leave it out")
+    return RangeStop(states, context.robot, seen, "allowed are")

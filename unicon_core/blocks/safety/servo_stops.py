@@ -1,4 +1,7 @@
-"""Stops for joints that do not follow, or take too much: `tracking_stop`, `power_stop`."""
+"""Stops for joints that do not follow, or take too much, or do not as their live twin does.
+
+They are `tracking_stop`, `power_stop` and `twin_stop`.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ from unicon_core.flow.block import Reads
 from unicon_core.flow.stage import Stage
 from unicon_core.platforms.kit.servo import Servo
 from unicon_core.robots import Robot
-from unicon_core.schema.marks import Unit, Within
+from unicon_core.schema.marks import Within, positive
 
 POWER = 100_000.0
 """In [W]: a humanoid's battery gives some 5,000 at most."""
@@ -107,8 +110,8 @@ class PowerStop:
         *,
         robot: Robot,
         period: float,
-        limit: Annotated[float, Unit("W"), Within(0.0, POWER, above=True)],
-        loss: Annotated[float, Unit("W/(N·m)²"), Within(0.0, LOSS)] = 0.0,
+        limit: Annotated[float, positive(POWER, "W")],
+        loss: Annotated[float, Within(0.0, LOSS, "W/(N·m)²")] = 0.0,
         timeout: Timeout = 0.1,
     ) -> None:
         self._measured = joint_pos, joint_vel
@@ -145,3 +148,52 @@ class PowerStop:
     def reset(self) -> None:
         """Count anew."""
         self._count = 0
+
+
+class TwinStop:
+    """Stop where the twin's flag stays raised; the workflow has a `twin:`, whose bound counts.
+
+    It looks right behind the twin, which simulates behind `send`.
+
+    Args:
+        timeout: for which one joint's flag is raised without a break in [s]; at least one tick.
+    """
+
+    memory = ("_count",)
+
+    stage = Stage.SAFETY
+    awaits = True  # that the robot follows its commands
+    patient = True
+
+    def __init__(
+        self,
+        twin_flag: Reads,
+        twin_gap: Reads,
+        *,
+        robot: Robot,
+        period: float,
+        timeout: Timeout = 0.2,
+    ) -> None:
+        self._flag, self._gap, self._robot = twin_flag, twin_gap, robot
+        self._ticks = ticks_of(timeout, period)
+        self._count = np.zeros(twin_flag.shape, np.int64)
+
+    def __call__(self) -> None:
+        """Look.
+
+        Raises:
+            Fault: a joint differs from its twin's.
+        """
+        self._count += 1
+        self._count *= self._flag
+        worst = int(self._count.argmax())
+        if self._count[worst] >= self._ticks:
+            worst = int(np.argmax(np.where(self._count >= self._ticks, self._gap, -1.0)))
+            raise Fault(
+                f"joint {self._robot.joint_names[worst]} is {self._gap[worst]:.2f} rad from its "
+                f"twin for {self._count[worst]} ticks; is its motor weak, hot or blocked?"
+            )
+
+    def reset(self) -> None:
+        """Count anew."""
+        self._count[...] = 0

@@ -1,25 +1,32 @@
-"""Safety blocks that raise Fault: `finite`, `tilt_stop`, `velocity_stop`, `stale_stop`."""
+"""Stops: `finite`, `tilt_stop`, `height_stop`, `velocity_stop`, `stale_stop`; the operator's hand.
+
+`button_stop`: a button is pressed, or the device is gone. `remote_stop`: the buttons of the robot's
+own remote that its vendor uses to damp it.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
 
-from unicon_core.blocks.joint_command import Commands, ticks_of
+from unicon_core.blocks.controls.device import declares_controls
+from unicon_core.blocks.joint_command import Commands, end_of, ticks_of
 from unicon_core.blocks.predicates import largest
 from unicon_core.blocks.safety.limits import velocity_limits
 from unicon_core.blocks.safety.ranges import RangeStop
-from unicon_core.bounds import TILT, VELOCITY, VELOCITY_FACTOR, Speed, Timeout
-from unicon_core.errors import Fault, Silence, WorkflowError
+from unicon_core.bounds import TILT, VELOCITY, VELOCITY_FACTOR, Seconds, Speed, Timeout
+from unicon_core.buttons import BUTTONS, Button
+from unicon_core.errors import EmergencyStopPressed, Fault, Silence, WorkflowError
 from unicon_core.flow.block import Reads
 from unicon_core.flow.stage import Stage
 from unicon_core.platforms.kit.command import FiniteCheck
 from unicon_core.robots import Robot
-from unicon_core.schema.marks import Unit, Within
+from unicon_core.schema.marks import NotEmpty, Unit, Within, Write, positive
 from unicon_core.states import States
-from unicon_core.states.screen import Range, Screen
+from unicon_core.states.stacked import Range, Screen
 
 PATIENT = 5
 """Ticks that a block looks at before it stops a robot, from which on it may look after `send`."""
@@ -58,7 +65,7 @@ class TiltStop:
         self,
         projected_gravity: Reads,
         *,
-        angle: Annotated[float, Unit("rad"), Within(0.0, TILT, above=True)] = 1.0,
+        angle: Annotated[float, positive(TILT, "rad")] = 1.0,
     ) -> None:
         self._down, self._angle = projected_gravity[..., 2], angle
         self._bound = -math.cos(angle)
@@ -123,7 +130,7 @@ class VelocityStop:
         *,
         states: States,
         robot: Robot,
-        factor: Annotated[float, Within(0.0, VELOCITY_FACTOR, above=True)] = 1.5,
+        factor: Annotated[float, positive(VELOCITY_FACTOR)] = 1.5,
         limit: Speed | None = None,
     ) -> None:
         if limit is not None:
@@ -182,3 +189,105 @@ class StaleStop:
         """Wait anew for data."""
         self._last = None
         self._same = 0
+
+
+Buttons = Annotated[Sequence[Button], NotEmpty, Write("a list of buttons, such as [select]")]
+STEADY = 2
+"""For how many ticks all buttons of an emergency stop are pressed: one frame may be garbage."""
+
+
+class ButtonStop:
+    """Stop where one of some buttons is pressed, or the device has not been heard for a while.
+
+    Args:
+        on: names of buttons, any of them.
+        lost: how long the device may be silent in [s], from the first tick on; None for ever, where
+            a robot walks on its own.
+    """
+
+    memory = ("_silent",)
+
+    endless = True
+    declares = staticmethod(declares_controls)
+
+    def __init__(
+        self,
+        buttons: Reads,
+        controls_alive: Reads,
+        *,
+        period: float,
+        on: Buttons = ("select",),
+        lost: Seconds | None = None,
+    ) -> None:
+        self._buttons, self._alive, self._lost = buttons, controls_alive, end_of(lost, period)
+        self._places = {BUTTONS.index(name): name for name in on}
+        self._silent = 0
+        self.buttons_used = tuple(on)
+
+    def __call__(self) -> None:
+        for place, name in self._places.items():
+            if self._buttons[place]:
+                raise Fault(f"the operator pressed {name}")
+        self._silent = 0 if self._alive else self._silent + 1
+        if self._lost is not None and self._silent > self._lost:
+            raise Fault(
+                f"the operator's device was not heard for {self._silent} ticks; more than "
+                f"{self._lost} are a fault (button_stop)"
+            )
+
+    def reset(self) -> None:
+        """Count anew."""
+        self._silent = 0
+
+
+class RemoteStop:
+    """Stop as by an emergency stop where all of some buttons are held for two ticks.
+
+    A remote that is switched off presses nothing, so it is no fault.
+
+    Args:
+        on: names of buttons, all of which are held; None for `transport.stop_buttons` of the robot
+            file, the vendor's combination for damping.
+
+    Attributes:
+        names: of the buttons.
+
+    Raises:
+        WorkflowError: neither the robot file nor the workflow names one.
+    """
+
+    memory = ("_ticks",)
+
+    endless = True
+    declares = staticmethod(declares_controls)
+
+    def __init__(
+        self,
+        buttons: Reads,
+        *,
+        robot: Robot,
+        on: Buttons | None = None,
+    ) -> None:
+        names = robot.transport.get("stop_buttons") if on is None else on
+        if not names:
+            raise WorkflowError(
+                f"{robot.path.name} has no transport.stop_buttons; give on: a list of buttons, "
+                "such as [L2, B]"
+            )
+        self.names = tuple(names)
+        self._buttons, self._places, self._ticks = buttons, [*map(BUTTONS.index, names)], 0
+
+    def __call__(self) -> None:
+        for place in self._places:
+            if not self._buttons[place]:
+                self._ticks = 0
+                return
+        self._ticks += 1
+        if self._ticks >= STEADY:
+            raise EmergencyStopPressed(
+                f"the operator pressed {'+'.join(self.names)} on the remote (remote_stop)"
+            )
+
+    def reset(self) -> None:
+        """Count anew."""
+        self._ticks = 0

@@ -11,8 +11,8 @@ import math
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float32
 from unicon_core.blocks.joint_command import single, ticks_of
 from unicon_core.blocks.safety.limits import first_of
 from unicon_core.blocks.safety.stops import PATIENT
@@ -21,9 +21,7 @@ from unicon_core.errors import Fault
 from unicon_core.flow.block import Reads
 from unicon_core.flow.stage import Stage
 from unicon_core.robots import Robot
-from unicon_core.schema.marks import Unit, Within
-
-Float = NDArray[np.float32]
+from unicon_core.schema.marks import positive
 
 
 class EncoderStop:
@@ -110,7 +108,7 @@ class EncoderStop:
         self._last[...] = np.nan
 
 
-def _bytes(view: Float) -> memoryview:
+def _bytes(view: Float32) -> memoryview:
     """Return a contiguous view as bytes."""
     flat: Any = view.reshape(-1).view(np.uint8)
     return memoryview(flat)
@@ -181,8 +179,8 @@ class ImuStop:
         *,
         period: float,
         timeout: Timeout = 0.2,
-        motion: Annotated[float, Unit("rad"), Within(0.0, 100.0, above=True)] = 0.3,
-        angle: Annotated[float, Unit("rad"), Within(0.0, 0.5 * math.pi, above=True)] = 0.35,
+        motion: Annotated[float, positive(100.0, "rad")] = 0.3,
+        angle: Annotated[float, positive(0.5 * math.pi, "rad")] = 0.35,
     ) -> None:
         single(base_quat)
         ticks = self._ticks = max(ticks_of(timeout, period), 2)

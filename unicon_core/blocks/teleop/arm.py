@@ -1,19 +1,69 @@
-"""Arm: writes the target of one end effector, as one of the operator's hands moves it."""
+"""Arm: writes the target of one end effector, as one of the operator's hands moves it.
+
+Its clutch must be seen open before it closes: whoever comes back with a closed hand moves nothing.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Literal, TypeAlias
 
 import numpy as np
 
-from unicon_core.blocks.teleop.clutch import Clutch
 from unicon_core.blocks.teleop.hand import Hand
 from unicon_core.blocks.teleop.operator import Headset, Side, pose_of
 from unicon_core.errors import WorkflowError
 from unicon_core.models.plain_turns import Quat, Vector
 from unicon_core.states import States
-from unicon_core.states.effectors import pose_of as pose_state
-from unicon_core.states.effectors import target_of
+from unicon_core.states.standard import pose_of as pose_state
+from unicon_core.states.standard import target_of
+
+Mode: TypeAlias = Literal["hold", "toggle", "always"]
+
+
+class Clutch:
+    """The clutch of one hand.
+
+    Args:
+        mode: `hold`, engaged while it is closed; `toggle`, each closing turns it over; `always`,
+            engaged while the hand is tracked.
+        sure: ticks for which it has to be closed; for `always`, ticks for which the hand has to be
+            tracked.
+
+    Attributes:
+        engaged: it is, just now.
+    """
+
+    memory = ("engaged", "_open", "_ticks")
+
+    def __init__(self, mode: Mode, sure: int) -> None:
+        self._mode, self._sure = mode, max(1, sure)
+        self.engaged = False
+        self._open = mode == "always"
+        self._ticks = 0
+
+    def __call__(self, closed: bool) -> bool:
+        """Take what the operator does in this tick; return whether it is engaged.
+
+        Args:
+            closed: button or fingers are; of no matter for `always`.
+        """
+        if self._mode == "always":
+            closed = True
+        if not closed:
+            self._ticks, self._open = 0, True
+            if self._mode == "hold":
+                self.engaged = False
+            return self.engaged
+        self._ticks += 1
+        if self._open and self._ticks >= self._sure:
+            self._open = False
+            self.engaged = not self.engaged if self._mode == "toggle" else True
+        return self.engaged
+
+    def drop(self) -> None:
+        """Let go, until it is closed anew: the hand is not tracked, or another thing is."""
+        self.engaged, self._ticks, self._open = False, 0, self._mode == "always"
 
 
 class Arm:
@@ -54,7 +104,7 @@ class Arm:
         self.writes = target_of(name)
         self._ours = states[pose]
         self._target, self._velocity, self._stamp = (states[state] for state in self.writes)
-        self._kind, self._home = "", False
+        self._kind = ""
 
     def lose(self) -> None:
         """Have no target: nobody sees the operator's hand."""
@@ -110,7 +160,3 @@ class Arm:
         self._target[:3], self._target[3:] = hand.position, hand.quat
         self._velocity[:3], self._velocity[3:] = hand.velocity, hand.spin
         self._stamp[...] = stamp
-
-    def reset(self) -> None:
-        """Begin anew."""
-        self.lose()

@@ -2,6 +2,10 @@
 
 At the moment at which the clutch is engaged the two are taken as equal; from then on the robot's
 moves as the operator's does, in the axes in which he looks ahead: his forward is the robot's.
+
+Its workspace is a box in the base's frame, and a ball about the shoulder. A target that is outside
+already, since the robot's hand was there when the clutch was engaged, is not pulled in; it comes no
+farther out.
 """
 
 from __future__ import annotations
@@ -9,7 +13,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from unicon_core.blocks.teleop.workspace import Workspace
 from unicon_core.models.plain_turns import (
     Quat,
     Vector,
@@ -21,6 +24,60 @@ from unicon_core.models.plain_turns import (
     vector_of,
 )
 
+ROUNDS = 3
+"""Of going to box and ball in turns; what is left is cut off on the way from the last target."""
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """Where the targets of one hand may be.
+
+    Attributes:
+        lower: smallest x, y, z in the base's frame in [m].
+        upper: largest.
+        centre: of the ball in [m].
+        radius: in [m]; infinite for no ball.
+    """
+
+    lower: Vector
+    upper: Vector
+    centre: Vector = (0.0, 0.0, 0.0)
+    radius: float = math.inf
+
+    def inside(self, wanted: Vector, last: Vector) -> Vector:
+        """Return the allowed position in [m] that is near a wanted one.
+
+        Args:
+            wanted: in the base's frame in [m].
+            last: the target of the tick before, from where it is reached in a straight line.
+        """
+        lower = tuple(map(min, self.lower, last))
+        upper = tuple(map(max, self.upper, last))
+        radius = max(self.radius, math.dist(last, self.centre))
+        x, y, z = wanted
+        for _ in range(ROUNDS):
+            x, y, z = (max(a, min(v, b)) for a, v, b in zip(lower, (x, y, z), upper))
+            far = math.dist((x, y, z), self.centre)
+            if far <= radius:
+                return x, y, z
+            x, y, z = (c + (v - c) * radius / far for c, v in zip(self.centre, (x, y, z)))
+        x, y, z = (max(a, min(v, b)) for a, v, b in zip(lower, (x, y, z), upper))
+        if math.dist((x, y, z), self.centre) <= radius:
+            return x, y, z
+        return self._cut((x, y, z), last, radius)
+
+    def _cut(self, wanted: Vector, last: Vector, radius: float) -> Vector:
+        """Return the last point in the ball on the way from one in it to one that is not."""
+        way = tuple(w - v for w, v in zip(wanted, last))
+        out = tuple(v - c for v, c in zip(last, self.centre))
+        a = sum(w * w for w in way)
+        b = sum(w * o for w, o in zip(way, out))
+        c = sum(o * o for o in out) - radius * radius
+        share = max(0.0, min(1.0, (-b + math.sqrt(max(b * b - a * c, 0.0))) / a)) if a else 0.0
+        x, y, z = (v + share * w for v, w in zip(last, way))
+        return x, y, z
+
+
 SMOOTHED = 0.03
 """Time constant of a target's velocity in [s]: two frames of a headset."""
 
@@ -28,27 +85,14 @@ _UP: Vector = (0.0, 0.0, 1.0)
 _STILL: Vector = (0.0, 0.0, 0.0)
 
 
-@dataclass(frozen=True)
-class Pace:
-    """How a hand follows.
-
-    Attributes:
-        scale: way of the robot's hand for that of the operator's.
-        speed: of a target at most, in [m/s].
-        turn: of a target at most, in [rad/s].
-    """
-
-    scale: float
-    speed: float
-    turn: float
-
-
 class Hand:
     """The target of one end effector.
 
     Args:
         workspace: where it may be.
-        pace: how it follows.
+        scale: way of the robot's hand for that of the operator's.
+        speed: of a target at most, in [m/s].
+        turn: of a target at most, in [rad/s].
         period: of a tick in [s].
 
     Attributes:
@@ -61,9 +105,11 @@ class Hand:
 
     memory = ("live", "position", "quat", "velocity", "spin", "_theirs", "_ours", "_seen", "_level")
 
-    def __init__(self, workspace: Workspace, pace: Pace, period: float) -> None:
-        self._workspace, self._pace = workspace, pace
-        self._way, self._turn = pace.speed * period, pace.turn * period
+    def __init__(
+        self, workspace: Workspace, scale: float, speed: float, turn: float, period: float
+    ) -> None:
+        self._workspace, self._scale, self._most = workspace, scale, (speed, turn)
+        self._way, self._turn = speed * period, turn * period
         self.live = False
         self.position: Vector = _STILL
         self.quat: Quat = (1.0, 0.0, 0.0, 0.0)
@@ -100,7 +146,7 @@ class Hand:
             dt: since the headset's frame before in [s], 0 for the same frame.
         """
         (start, begin), (ours, facing) = self._theirs, self._ours
-        scale = self._pace.scale
+        scale = self._scale
         x, y, z = (scale * (b - a) for a, b in zip(start, position))
         dx, dy, dz = rotate(self._level, (x, y, z))
         change = multiply(self._level, multiply(quat, conjugate(begin)))
@@ -133,8 +179,8 @@ class Hand:
             w + new * (r / dt - w)
             for w, r in zip(self.spin, vector_of(multiply(self.quat, conjugate(quat))))
         )
-        self.velocity = _within((vx, vy, vz), self._pace.speed)
-        self.spin = _within((wx, wy, wz), self._pace.turn)
+        speed, turn = self._most
+        self.velocity, self.spin = _within((vx, vy, vz), speed), _within((wx, wy, wz), turn)
 
     def hold(self) -> None:
         """Keep the target where it is: the clutch is open."""

@@ -2,19 +2,75 @@
 
 Parts, buttons and joints are found by the names that the states give their elements; joints of a
 hand stand in the order of XRHandJoint (W3C, WebXR Hand Input Module, section 3.2).
+
+Hands that tremble are smoothed by the One-Euro filter: Casiez, Roussel, Vogel 2012, "1€ Filter: A
+Simple Speed-based Low-pass Filter for Noisy Input in Interactive Systems", CHI: the cut-off
+frequency rises with the speed, which is itself smoothed.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any, Literal
+from typing import Literal
 
-from numpy.typing import NDArray
-
-from unicon_core.blocks.teleop.one_euro import OneEuro
+from unicon_core.arrays import Array
 from unicon_core.errors import WorkflowError, alternatives
-from unicon_core.models.plain_turns import Quat, Vector
+from unicon_core.models.plain_turns import Quat, Vector, conjugate, multiply, towards, vector_of
 from unicon_core.states import States
+
+SPEED_CUTOFF = 1.0
+"""Of the speed itself in [Hz], as in the paper."""
+
+
+class OneEuro:
+    """Smooths a pose.
+
+    Args:
+        cutoff: of a hand that keeps still in [Hz].
+        slope: by how much the cut-off rises with the speed, in [Hz] for 1 m/s, or 1 rad/s.
+    """
+
+    memory = ("_position", "_quat", "_speed", "_turn")
+
+    def __init__(self, cutoff: float, slope: float) -> None:
+        self._cutoff, self._slope = cutoff, slope
+        self._position: Vector | None = None
+        self._quat: Quat = (1.0, 0.0, 0.0, 0.0)
+        self._speed = self._turn = 0.0
+
+    def reset(self) -> None:
+        """Begin with the next pose."""
+        self._position = None
+        self._speed = self._turn = 0.0
+
+    def __call__(self, position: Vector, quat: Quat, dt: float) -> tuple[Vector, Quat]:
+        """Return the smoothed pose: position in [m], quaternion wxyz.
+
+        Args:
+            position: in [m].
+            quat: unit quaternion wxyz.
+            dt: since the last pose in [s], more than 0.
+        """
+        last = self._position
+        if last is None:
+            self._position, self._quat = position, quat
+            return position, quat
+        slow = _alpha(SPEED_CUTOFF, dt)
+        self._speed += slow * (math.dist(position, last) / dt - self._speed)
+        angle = math.hypot(*vector_of(multiply(quat, conjugate(self._quat))))
+        self._turn += slow * (angle / dt - self._turn)
+        near = _alpha(self._cutoff + self._slope * self._speed, dt)
+        x, y, z = (a + near * (b - a) for a, b in zip(last, position))
+        self._position = x, y, z
+        share = _alpha(self._cutoff + self._slope * self._turn, dt)
+        self._quat = towards(self._quat, quat, share)
+        return self._position, self._quat
+
+
+def _alpha(cutoff: float, dt: float) -> float:
+    """Return the share of a new value: 1 / (1 + tau / dt), tau = 1 / (2 pi cutoff)."""
+    return 1.0 / (1.0 + 1.0 / (2.0 * math.pi * cutoff * dt))
+
 
 SIDES = ("left", "right")
 WRIST, THUMB = 0, 4
@@ -33,7 +89,7 @@ FAR = 10.0
 """No hand is farther from where the session began, in [m]."""
 
 
-def pose_of(view: NDArray[Any]) -> tuple[Vector, Quat] | None:
+def pose_of(view: Array) -> tuple[Vector, Quat] | None:
     """Return position [m] and unit quaternion wxyz of a pose, None where it cannot be one."""
     x, y, z, w, i, j, k = view.tolist()
     length = math.sqrt(w * w + i * i + j * j + k * k)
@@ -66,6 +122,7 @@ class Headset:
 
     Attributes:
         reads: its states.
+        alive: 1 while it is heard, shape ().
         valid: 1 for each part that is tracked.
         fresh: new poses came in this tick.
         dt: between them and those before, in [s]; 0 where there were none.
@@ -80,20 +137,20 @@ class Headset:
     def __init__(self, states: States, name: str) -> None:
         self.name, self.reads = name, list[str]()
         self._states = states
-        self._alive, self._stamp = self.view("alive"), self.view("stamp_ns")
+        self.alive, self._stamp = self.view("alive"), self.view("stamp_ns")
         self._age, self._head = self.view("age"), self.view("head")
         self.valid = self.view("valid")
         self._head_part = self.part("head")
         self._last = 0
         self.fresh, self.dt, self.age = False, 0.0, 0.0
 
-    def view(self, what: str) -> NDArray[Any]:
+    def view(self, what: str) -> Array:
         """Return a state of the device, which is then one of `reads`."""
         state = f"{self.name}_{what}"
         if state not in self._states.layout.specs:
             raise WorkflowError(
                 f"no state {state!r}; list the device that writes it, such as webxr, "
-                "before teleop (commands:), or name yours: device: PREFIX"
+                "before the block that reads it (commands:), or name yours: device: PREFIX"
             )
         self.reads.append(state)
         return self._states[state]
@@ -116,7 +173,7 @@ class Headset:
             stale: poses that are older do not count, in [s].
         """
         self.age = float(self._age)
-        if not self._alive or not 0.0 <= self.age <= stale:
+        if not self.alive or not 0.0 <= self.age <= stale:
             self.fresh, self.dt, self._last = False, 0.0, 0
             return False
         stamp = int(self._stamp)

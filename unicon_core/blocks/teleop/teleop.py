@@ -16,32 +16,27 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
+from unicon_core.arrays import Float32, Int32, Int64
 from unicon_core.blocks.joint_command import ticks_of
-from unicon_core.blocks.teleop.arm import Arm
-from unicon_core.blocks.teleop.clutch import Clutch, Mode
-from unicon_core.blocks.teleop.hand import Hand, Pace
-from unicon_core.blocks.teleop.one_euro import OneEuro
-from unicon_core.blocks.teleop.operator import SIDES, Finger, Headset, Side
-from unicon_core.blocks.teleop.workspace import Workspace
+from unicon_core.blocks.teleop.arm import Arm, Clutch, Mode
+from unicon_core.blocks.teleop.hand import Hand, Workspace
+from unicon_core.blocks.teleop.operator import SIDES, Finger, Headset, OneEuro, Side
 from unicon_core.errors import WorkflowError
 from unicon_core.models.plain_turns import Vector
-from unicon_core.schema.marks import Unit, Within, Write
+from unicon_core.schema.marks import Within, Write, positive
 from unicon_core.states import StateSpec
-from unicon_core.states.effectors import target_states
+from unicon_core.states.standard import target_states
 from unicon_core.workflow.autowire import BuildContext
 
 SPEED, TURN = 5.0, 20.0
 """Largest `max_speed` in [m/s] and `max_turn` in [rad/s]: a hand that throws has 10 m/s."""
 FARTHEST = 3.0
 """Of a workspace in [m]; no arm is longer."""
-Coordinate = Annotated[float, Unit("m"), Within(-FARTHEST, FARTHEST)]
-Radius = Annotated[float, Unit("m"), Within(0.0, FARTHEST, above=True)]
+Coordinate = Annotated[float, Within(-FARTHEST, FARTHEST, "m")]
+Radius = Annotated[float, positive(FARTHEST, "m")]
 Corner = tuple[Coordinate, Coordinate, Coordinate]
-Cutoff = Annotated[float, Unit("Hz"), Within(0.0, 100.0, above=True)]
-Slope = Annotated[float, Unit("Hz"), Within(0.0, 100.0)]
+Cutoff = Annotated[float, positive(100.0, "Hz")]
+Slope = Annotated[float, Within(0.0, 100.0, "Hz")]
 PINCHED = 0.06
 """How long fingers have to be together in [s]: headsets see a pinch now and then that is none."""
 STEADY = 0.5
@@ -90,13 +85,13 @@ class Teleop:
         | None = None,
         clutch: Mode | Mapping[Literal["controller", "hand"], Mode] = "hold",
         pinch: Finger = "ring",
-        scale: Annotated[float, Within(0.0, 4.0, above=True)] = 1.0,
-        max_speed: Annotated[float, Unit("m/s"), Within(0.0, SPEED, above=True)] = 0.5,
-        max_turn: Annotated[float, Unit("rad/s"), Within(0.0, TURN, above=True)] = 2.0,
+        scale: Annotated[float, positive(4.0)] = 1.0,
+        max_speed: Annotated[float, positive(SPEED, "m/s")] = 0.5,
+        max_turn: Annotated[float, positive(TURN, "rad/s")] = 2.0,
         smooth: Annotated[tuple[Cutoff, Slope], Write("[Hz, Hz for 1 m/s], such as [2.0, 5.0]")]
         | None = None,
         home: str | None = "a",
-        stale: Annotated[float, Unit("s"), Within(0.0, 2.0, above=True)] = 0.2,
+        stale: Annotated[float, positive(2.0, "s")] = 0.2,
     ) -> None:
         effectors = {side: name for side, name in zip(SIDES, (left, right)) if name is not None}
         if not effectors or left == right:
@@ -107,7 +102,7 @@ class Teleop:
         modes: dict[str, Mode] = {"controller": "hold", "hand": "hold"}
         said = clutch if isinstance(clutch, Mapping) else dict.fromkeys(modes, clutch)
         modes |= {str(kind): mode for kind, mode in said.items()}
-        pace, period = Pace(scale, max_speed, max_turn), context.period
+        period = context.period
         sure = {"controller": 1, "hand": ticks_of(PINCHED, period)}
         headset, arms = Headset(context.states, device), []
         for side, name in effectors.items():
@@ -117,13 +112,13 @@ class Teleop:
                 kind: Clutch(mode, ticks_of(STEADY, period) if mode == "always" else sure[kind])
                 for kind, mode in modes.items()
             }
-            hand = Hand(_workspace(box, sphere, side), pace, period)
+            hand = Hand(_workspace(box, sphere, side), scale, max_speed, max_turn, period)
             arms.append(Arm(SIDES.index(side), theirs, clutches, hand, context.states, name))
         self._headset, self._arms, self._stale = headset, tuple(arms), stale
         states = context.states
-        self._engaged: NDArray[np.int32] = states["teleop_engaged"]
-        self._latency: NDArray[np.float32] = states["teleop_latency"]
-        self._now: NDArray[np.int64] = states["stamp_ns"]
+        self._engaged: Int32 = states["teleop_engaged"]
+        self._latency: Float32 = states["teleop_latency"]
+        self._now: Int64 = states["stamp_ns"]
         given = [state for arm in arms for state in arm.reads]
         self.reads = (*headset.reads, *given, "stamp_ns")
         written = [state for arm in arms for state in arm.writes]
@@ -169,7 +164,7 @@ class Teleop:
     def reset(self) -> None:
         """Let go of everything; who is engaged has to engage anew."""
         for arm in self._arms:
-            arm.reset()
+            arm.lose()
 
 
 def _workspace(

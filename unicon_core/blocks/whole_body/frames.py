@@ -10,31 +10,22 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_core.blocks.joint_command import single
-from unicon_core.blocks.robot_model import model_for
 from unicon_core.errors import WorkflowError, alternatives
-from unicon_core.flow.block import Block, Reads
-from unicon_core.models.frames import Frames
+from unicon_core.flow.block import Reads
+from unicon_core.models.frames import Frames as BodyFrames
 from unicon_core.robots import Robot
 from unicon_core.robots.places import Place
 from unicon_core.states import StateSpec
-from unicon_core.states.effectors import pose_of, pose_states
 from unicon_core.states.spec import check_name
+from unicon_core.states.standard import pose_of, pose_states
 from unicon_core.workflow.autowire import BuildContext
 
 Of = Sequence[str] | Mapping[str, str]
-View = NDArray[Any]
 
 
-def frames(
-    joint_pos: Reads,
-    *,
-    context: BuildContext,
-    of: Of = (),
-    frame: Literal["base", "world"] = "base",
-) -> Block:
+class Frames:
     """Tell the poses of end effectors, or of bodies, as states `NAME_pose`.
 
     Each is position in [m] and quaternion wxyz, shape (7,). Two neighbouring ticks have the
@@ -49,26 +40,48 @@ def frames(
         WorkflowError: no such end effector, or the states are of a batch.
         ModelError: there is no model, or it lacks a body.
     """
-    single(joint_pos)
-    loaded, states, robot = model_for("frames", context), context.states, context.robot
-    places = _places(of, robot)
-    base: tuple[str, ...] = ()
-    if frame == "world" and loaded.base is not None:
-        base = ("base_pos_w", "base_quat")
-        if context.carried:
-            raise WorkflowError(
-                "frame is 'world', and what carries this member is not known here; leave of: out "
-                "beside it, and name bodies of the whole"
-            )
-    names = tuple(map(pose_of, places))
-    tick = FramePoses(
-        Frames(loaded, robot, places),
-        joint_pos,
-        [states[name] for name in names],
-        tuple(states[name] for name in base),
-        np.zeros(7) if frame == "world" else None,
-    )
-    return Block("", tick, reads=base, writes=names, endless=True)
+
+    memory = ()
+
+    def __init__(
+        self,
+        joint_pos: Reads,
+        *,
+        context: BuildContext,
+        of: Of = (),
+        frame: Literal["base", "world"] = "base",
+    ) -> None:
+        single(joint_pos)
+        loaded, states, robot = context.model("frames"), context.states, context.robot
+        places = _places(of, robot)
+        self.reads: tuple[str, ...] = ()
+        if frame == "world" and loaded.base is not None:
+            self.reads = ("base_pos_w", "base_quat")
+            if context.carried:
+                raise WorkflowError(
+                    "frame is 'world', and what carries this member is not known here; leave of: "
+                    "out beside it, and name bodies of the whole"
+                )
+        self.writes = tuple(map(pose_of, places))
+        self._frames, self._joint_pos = BodyFrames(loaded, robot, places), joint_pos
+        self._outs = [states[name] for name in self.writes]
+        self._base = [states[name] for name in self.reads]
+        self._world = np.array((0, 0, 0, 1.0, 0, 0, 0)) if frame == "world" else None
+
+    @staticmethod
+    def declares(
+        *, robot: Robot, of: Of = (), frame: str = "base", **_: Any
+    ) -> dict[str, StateSpec]:
+        """Return the states of the poses."""
+        found: dict[str, StateSpec] = {}
+        for name in _places(of, robot):
+            found |= pose_states(name, frame)
+        return found
+
+    def __call__(self) -> None:
+        if self._base and self._world is not None:
+            self._world[:3], self._world[3:] = self._base
+        self._frames(self._joint_pos, self._outs, self._world)
 
 
 def effector_of(name: str, robot: Robot, block: str) -> Place:
@@ -102,45 +115,3 @@ def _places(of: Of, robot: Robot) -> dict[str, Place]:
             f"or name them under end_effectors in {robot.path}"
         )
     return {word: effector_of(word, robot, "frames") for word in words}
-
-
-def _declares(*, robot: Robot, of: Of = (), frame: str = "base", **_: Any) -> dict[str, StateSpec]:
-    found: dict[str, StateSpec] = {}
-    for name in _places(of, robot):
-        found |= pose_states(name, frame)
-    return found
-
-
-setattr(frames, "declares", _declares)  # noqa: B010  a function has none to mypy
-
-
-class FramePoses:
-    """The tick of `frames`.
-
-    Args:
-        frames: the robot's.
-        joint_pos: in [rad] or [m], shape (n,).
-        outs: states of the poses, each of shape (7,).
-        base: states of the base's position in [m] and orientation, or none where it is fixed.
-        world: scratch for the pose of the base, shape (7,); None for poses in the base frame.
-    """
-
-    memory = ()
-
-    def __init__(
-        self,
-        frames: Frames,
-        joint_pos: View,
-        outs: Sequence[View],
-        base: tuple[View, ...],
-        world: NDArray[np.float64] | None,
-    ) -> None:
-        self._frames, self._joint_pos, self._outs = frames, joint_pos, outs
-        self._base, self._world = base, world
-        if world is not None:
-            world[3] = 1.0
-
-    def __call__(self) -> None:
-        if self._base and self._world is not None:
-            self._world[:3], self._world[3:] = self._base
-        self._frames(self._joint_pos, self._outs, self._world)

@@ -12,10 +12,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Bool, Index
 from unicon_core.blocks.joint_command import single
-from unicon_core.blocks.robot_model import model_for
 from unicon_core.errors import WorkflowError
 from unicon_core.flow.block import Amends, Reads
 from unicon_core.models.posed import Weight, bearing_joints
@@ -65,7 +64,7 @@ class Gravity:
                 "how the member is turned is not known here; leave of: out beside it, and name the "
                 "member under moves"
             )
-        robot, loaded = context.robot, model_for("gravity", context)
+        robot, loaded = context.robot, context.model("gravity")
         places = _carried(robot, tuple(moves), bearing_joints(loaded, robot))
         self.moves = tuple(moves) or tuple(robot.joint_names[place] for place in places)
         self._weight = Weight(loaded)
@@ -90,7 +89,7 @@ class Gravity:
         self._effort[self._at] = total
 
 
-def _carried(robot: Robot, words: tuple[str, ...], bears: NDArray[np.bool_]) -> NDArray[np.intp]:
+def _carried(robot: Robot, words: tuple[str, ...], bears: Bool) -> Index:
     """Return the joints that are carried, in the robot's order."""
     servo = robot.by_position
     if not words:
@@ -118,5 +117,5 @@ def _carried(robot: Robot, words: tuple[str, ...], bears: NDArray[np.bool_]) -> 
     return places
 
 
-def _any(robot: Robot, joints: Sequence[str], of: NDArray[np.bool_]) -> bool:
+def _any(robot: Robot, joints: Sequence[str], of: Bool) -> bool:
     return any(of[robot.joint_names.index(name)] for name in joints)

@@ -11,16 +11,15 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from unicon_core.blocks.joint_command import single
-from unicon_core.blocks.robot_model import model_for
 from unicon_core.blocks.whole_body.frames import effector_of
 from unicon_core.bounds import DURATION
 from unicon_core.errors import WorkflowError
 from unicon_core.flow.block import Reads
 from unicon_core.models.frames import Frames
 from unicon_core.robots import Robot
-from unicon_core.schema.marks import Point, Unit, Within
+from unicon_core.schema.marks import Point, Within
 from unicon_core.states import StateSpec
-from unicon_core.states.effectors import target_of, target_states
+from unicon_core.states.standard import target_of, target_states
 from unicon_core.workflow.autowire import BuildContext
 
 LARGEST = 1.0
@@ -61,15 +60,15 @@ class MovingTarget:
         context: BuildContext,
         effector: str,
         centre: Literal["default"] | Point = "default",
-        radius: Annotated[float, Unit("m"), Within(0.0, LARGEST)] = 0.08,
-        frequency: Annotated[float, Unit("Hz"), Within(0.0, QUICKEST)] = 0.4,
+        radius: Annotated[float, Within(0.0, LARGEST, "m")] = 0.08,
+        frequency: Annotated[float, Within(0.0, QUICKEST, "Hz")] = 0.4,
         plane: Literal["xy", "xz", "yz"] = "yz",
-        ramp: Annotated[float, Unit("s"), Within(0.0, DURATION)] = 2.0,
+        ramp: Annotated[float, Within(0.0, DURATION, "s")] = 2.0,
     ) -> None:
         single(stamp_ns[..., None])
         robot = context.robot
         places = {effector: effector_of(effector, robot, "moving_target")}
-        frames = Frames(model_for("moving_target", context), robot, places)
+        frames = Frames(context.model("moving_target"), robot, places)
         middle = self._middle = frames.of(robot.default_joint_pos)[effector]
         if centre != "default":
             middle[:3] = centre

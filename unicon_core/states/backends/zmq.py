@@ -159,7 +159,7 @@ class ZmqReader:
         refused: why frames of another layout are not taken, with the first state that differs; ""
             where none came since a value was taken.
         garbage: messages that are not frames of this version.
-        lost, late, reordered, rivals: as of `Freshness`.
+        freshness: counts the values that did not pass: `late`, `reordered`, `rivals`, `lost`.
 
     Raises:
         MissingDependencyError: pyzmq is not installed.
@@ -188,7 +188,7 @@ class ZmqReader:
         copies.pack()  # so that `restore` leaves the states as they are until one is taken
         self._copies, self._scratch = copies.pairs, scratch
         self._body = HEAD.size + group.nbytes
-        self._freshness = Freshness(late)
+        self.freshness = Freshness(late)
         self._oldest = round(late * 1e9)
         self._held = b""  # a frame that passed and has not been taken
         self._held_number = self._held_stamp = self._held_at = 0
@@ -211,26 +211,6 @@ class ZmqReader:
         self._poll = select.poll()
         self._poll.register(socket.getsockopt(zmq.FD), select.POLLIN)
 
-    @property
-    def lost(self) -> int:
-        """Values that did not come while they were waited for."""
-        return self._freshness.lost
-
-    @property
-    def late(self) -> int:
-        """Values that took too long."""
-        return self._freshness.late
-
-    @property
-    def reordered(self) -> int:
-        """Values that came again, or in another order."""
-        return self._freshness.reordered
-
-    @property
-    def rivals(self) -> int:
-        """Values of another writer while one lives."""
-        return self._freshness.rivals
-
     def take(self) -> bool:
         """Copy the newest value into the states; False where it has been taken before."""
         if not self._held or time.monotonic_ns() - self._held_at > JUST_NOW:
@@ -240,12 +220,12 @@ class ZmqReader:
             return False
         self._held = b""
         if time.monotonic_ns() - self._held_stamp > self._oldest:  # nobody took it in time
-            self._freshness.late += 1
+            self.freshness.late += 1
             return False
         self._scratch[:] = frame[HEAD.size : self._body]
         self.number, self.stamp_ns = self._held_number, self._held_stamp
         self.restore()
-        self.skipped = self._freshness.skipped
+        self.skipped = self.freshness.skipped
         return True
 
     def restore(self) -> None:
@@ -280,7 +260,7 @@ class ZmqReader:
         """
         self._look()
         now = time.clock_gettime_ns(_CLOCK)
-        if self._freshness.live(now):
+        if self.freshness.live(now):
             return True
         if self.refused:
             raise StateError(self.refused)
@@ -302,7 +282,7 @@ class ZmqReader:
                 frame = self._receive(self._flags)
             except self._again:
                 now = time.clock_gettime_ns(_CLOCK)
-                self._freshness.nothing(now)
+                self.freshness.nothing(now)
                 if now >= self._next_rejoin:
                     self._next_rejoin = now + WORDS
                     self._end.rejoin()
@@ -326,12 +306,12 @@ class ZmqReader:
             self.garbage += 1
             return False
         now = time.clock_gettime_ns(_CLOCK)
-        if not self._freshness.passes(epoch, number, sent, now):
+        if not self.freshness.passes(epoch, number, sent, now):
             return False
-        self._freshness.skipped += bool(self._held)  # the one that waited was not taken
+        self.freshness.skipped += bool(self._held)  # the one that waited was not taken
         self._held, self._held_number = frame, number
         self._held_at = time.monotonic_ns()
-        self._held_stamp = self._held_at - self._freshness.delay
+        self._held_stamp = self._held_at - self.freshness.delay
         self.refused = ""
         return True
 

@@ -6,9 +6,7 @@ import time
 
 from unicon_core.errors import StateError
 from unicon_core.states.backends.shm.segment import (
-    BYTES,
     MAX_SLEEPERS,
-    RING,
     SLEEPERS,
     SLOTS,
     Segment,
@@ -38,19 +36,14 @@ class ShmWriter:
 
     def __init__(self, segment: Segment, group: str, states: States) -> None:
         self._segment, self._number, self._in_vain = segment, 0, 0
-        start, nbytes = segment.starts[group], segment.groups[group].nbytes
-        memory = segment.memory
+        start, memory, layout = segment.starts[group], segment.memory, segment.groups[group]
         self._latest = memory[start : start + 8].cast("Q")
         self._sleepers = memory[start + SLEEPERS : start + SLEEPERS + MAX_SLEEPERS]
         self._nobody = bytes(MAX_SLEEPERS)
         self._wake, self._fence = Sleep(memory, start).wake, barrier()
-        slots = []
-        for place in range(SLOTS):
-            at = start + RING + place * (BYTES + nbytes)
-            head = memory[at : at + 16].cast("Q")
-            bytes_ = memory[at + BYTES : at + BYTES + nbytes]
-            slots.append((head, Copies(states, segment.groups[group], bytes_).pairs))
-        self._slots = tuple(slots)
+        self._slots = tuple(
+            (head, Copies(states, layout, packed).pairs) for head, packed in segment.slots(group)
+        )
 
     def publish(self) -> None:
         """Publish the states as they are now."""
@@ -131,17 +124,13 @@ class ShmWatcher:
         what = difference(self._wanted or layout, layout)
         if what:
             raise StateError(f"segment {self._name!r}, group {self._group!r}: {what}")
-        start, nbytes, memory = segment.starts[self._group], layout.nbytes, segment.memory
+        start = segment.starts[self._group]
         if self._taken is _NOTHING:  # a new writer's first value may be awaited: it stays
             # Two: what is copied while it is overwritten must not stand in for what was taken last.
             self._fill, self._taken = self._packed(layout), self._packed(layout)
         self._wanted, self._segment = layout, segment
-        self._latest = memory[start : start + 8].cast("Q")
-        slots = []
-        for place in range(SLOTS):
-            at = start + RING + place * (BYTES + nbytes)
-            slots.append((memory[at : at + 16].cast("Q"), memory[at + BYTES : at + BYTES + nbytes]))
-        self._slots = tuple(slots)
+        self._latest = segment.memory[start : start + 8].cast("Q")
+        self._slots = tuple(segment.slots(self._group))
         self._seen = 0
 
     def _packed(self, layout: Layout) -> tuple[memoryview, _Pairs]:

@@ -39,7 +39,7 @@ JSON_AT = 128
 # Of a group, from its start: the latest number, then a line of one byte for each sleeping reader,
 # then the slots. Of a slot: number, stamp in [ns] of CLOCK_MONOTONIC, then the bytes.
 LATEST, SLEEPERS, RING = 0, LINE, 2 * LINE
-STAMP, BYTES = 8, LINE
+BYTES = LINE
 MAX_SLEEPERS = LINE
 
 
@@ -173,13 +173,17 @@ class Segment:
         except OSError:
             return False
 
+    def slots(self, group: str) -> list[tuple[memoryview, memoryview]]:
+        """Return number and stamp, and the bytes, of each slot of a group."""
+        start, nbytes, memory = self.starts[group] + RING, self.groups[group].nbytes, self.memory
+        places = [start + place * (BYTES + nbytes) for place in range(SLOTS)]
+        return [(memory[at : at + 16].cast("Q"), memory[at + BYTES :][:nbytes]) for at in places]
+
     def latest(self, group: str) -> tuple[int, int]:
         """Return number and stamp [ns] of a group's newest value; number 0: none yet."""
         start = self.starts[group]
         number = int.from_bytes(self.memory[start + LATEST : start + LATEST + 8], "little")
-        slot = start + RING + number % SLOTS * (BYTES + self.groups[group].nbytes)
-        stamp = int.from_bytes(self.memory[slot + STAMP : slot + STAMP + 8], "little")
-        return number, stamp if number else 0
+        return number, self.slots(group)[number % SLOTS][0][1] if number else 0
 
     def sleeper(self) -> int:
         """Return a place of this process's own among those that sleep.

@@ -1,0 +1,259 @@
+"""Blocks `pose`, `hold`, `damp` and `sway`: postures, and what moves about one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Annotated
+
+import numpy as np
+
+from unicon_core.blocks.joint_command import Counting, JointCommand, end_of, robot_gains, ticks_of
+from unicon_core.bounds import (
+    DURATION,
+    POSE_DURATION,
+    POSE_SPEED,
+    Damping,
+    DampingScale,
+    Seconds,
+    StiffnessScale,
+)
+from unicon_core.flow.block import Reads
+from unicon_core.robots import Robot
+from unicon_core.robots.poses import joints_like, named_pose
+from unicon_core.schema.marks import Within, Write
+
+
+class Pose(Counting):
+    """Interpolate the position targets from where they are to a pose.
+
+    The path is half a cosine: it begins and ends at rest, and its largest speed is
+    π/2 · distance / duration. A joint that would be faster than 10 rad/s is given the time that
+    it takes, so the block may last longer than told.
+
+    Args:
+        to: `stand` (`default`), `rest` (`lie`), or joint names and patterns (`*_knee_joint`) to
+            [rad]; joints that are not named stay where they are.
+        duration: in [s], at least 0.1; done at its end.
+        fade_in: time in [s] over which the gains go from their present values to the robot's.
+        stiffness_scale: factor on the robot file's stiffness.
+        damping_scale: factor on the robot file's damping.
+    """
+
+    memory = ("_start", "_way", "_first", "_ticks")
+
+    def __init__(
+        self,
+        command: JointCommand,
+        *,
+        robot: Robot,
+        period: float,
+        to: str | Mapping[str, float] = "stand",
+        duration: Annotated[float, Within(POSE_DURATION, DURATION, "s")] = 2.0,
+        fade_in: Seconds = 0.0,
+        stiffness_scale: StiffnessScale = 1.0,
+        damping_scale: DampingScale = 1.0,
+    ) -> None:
+        self._command = command
+        self._goal, self._said = named_pose(to, robot, "block 'pose'")
+        if isinstance(to, str):  # a wheel is left where it stands
+            self._said = np.where(robot.endless, np.float32(0.0), self._said)
+        self.gains = gains = robot_gains(robot, "pose", stiffness_scale, damping_scale)
+        self._asked = self._ticks = ticks_of(duration, period)
+        # Peak speed π/2 · way / time: ticks that a way of 1 rad takes at the speed allowed.
+        self._ticks_per_rad = 0.5 * math.pi / (POSE_SPEED * period)
+        self._fade_ticks = ticks_of(fade_in, period)
+        self._start, self._way = (np.zeros_like(command.joint_pos_target) for _ in range(2))
+        # The states, what they held at the beginning, and the gains that they go to.
+        states = (command.joint_stiffness, command.joint_damping)
+        self._first = [out.copy() for out in states]
+        self._fades = list(zip(states, self._first, gains))
+        self._tick = 0
+
+    def __call__(self) -> bool:
+        command = self._command
+        if self._tick == 0:
+            command.entry(self._start)
+            np.subtract(self._goal, self._start, out=self._way)
+            self._way *= self._said
+            farthest = float(np.abs(self._way).max())
+            if self._way.ndim == 1 and math.isfinite(farthest):  # a batch is simulated
+                self._ticks = max(self._asked, math.ceil(farthest * self._ticks_per_rad))
+            for out, first, _ in self._fades:
+                first[...] = out
+        self._tick += 1
+        done = self._tick >= self._ticks
+        share = 1.0 if done else 0.5 - 0.5 * math.cos(math.pi * self._tick / self._ticks)
+        target = command.joint_pos_target
+        np.multiply(self._way, share, out=target)
+        target += self._start
+        command.joint_vel_target[...] = 0.0
+        command.joint_effort_ff[...] = 0.0
+        self._write_gains()
+        return done
+
+    def _write_gains(self) -> None:
+        faded = min(self._tick / self._fade_ticks, 1.0)
+        for out, first, gain in self._fades:
+            if faded == 1.0:
+                out[...] = gain
+            else:  # first + faded · (gain - first), in place
+                np.subtract(gain, first, out=out)
+                out *= faded
+                out += first
+
+
+class Hold(Counting):
+    """Keep the position targets of the moment of entry; limp joints keep their measured position.
+
+    Args:
+        duration: in [s]; None never ends.
+        keep_gains: leave stiffness and damping as the block before set them (a policy's), instead
+            of the robot file's.
+    """
+
+    memory = ("_held",)
+
+    def __init__(
+        self,
+        command: JointCommand,
+        *,
+        robot: Robot,
+        period: float,
+        duration: Seconds | None = None,
+        keep_gains: bool = False,
+    ) -> None:
+        self._command, self._ticks = command, end_of(duration, period)
+        self.endless = duration is None
+        self.gains = None if keep_gains else robot_gains(robot, "hold")
+        self._held = np.zeros_like(command.joint_pos_target)
+        self._tick = 0
+
+    def __call__(self) -> bool:
+        command = self._command
+        if self._tick == 0:
+            command.entry(self._held)
+        self._tick += 1
+        command.joint_pos_target[...] = self._held
+        command.joint_vel_target[...] = 0.0
+        command.joint_effort_ff[...] = 0.0
+        if self.gains is not None:
+            command.joint_stiffness[...], command.joint_damping[...] = self.gains
+        return self._ticks is not None and self._tick >= self._ticks
+
+
+class Damp(Counting):
+    """Let go: stiffness 0, damping against every motion, targets at the measured positions.
+
+    Args:
+        duration: in [s]; None never ends.
+        damping: of every joint in [N·m·s/rad]; None for the robot file's.
+    """
+
+    def __init__(
+        self,
+        command: JointCommand,
+        *,
+        robot: Robot,
+        period: float,
+        duration: Seconds | None = None,
+        damping: Damping | None = None,
+    ) -> None:
+        self._command, self._ticks = command, end_of(duration, period)
+        self._gain = (
+            robot_gains(robot, "damp")[1]
+            if damping is None
+            else np.full(robot.num_joints, damping, np.float32)
+        )
+        self.endless = duration is None
+        self._tick = 0
+
+    def __call__(self) -> bool:
+        command = self._command
+        command.joint_pos_target[...] = command.joint_pos
+        command.joint_vel_target[...] = 0.0
+        command.joint_effort_ff[...] = 0.0
+        command.joint_stiffness[...] = 0.0
+        command.joint_damping[...] = self._gain
+        self._tick += 1
+        return self._ticks is not None and self._tick >= self._ticks
+
+
+OTHERS = "give gains of its joints, or run h1_stand, which names none"
+"""What helps a robot that the workflow was not written for."""
+
+
+class Sway(Counting):
+    """Move the position targets around a pose: target = pose + K (command + own oscillation).
+
+    The targets stay within the robot's joint limits.
+
+    Args:
+        gains: joint names and patterns to their row of K: radians for each m/s of vx, m/s of vy and
+            rad/s of wz; rows of patterns that meet on a joint add up.
+        amplitude: of the block's own sine command, vx, vy in [m/s] and wz in [rad/s].
+        frequency: of that sine in [Hz].
+        time_constant: of the first-order filter on the targets in [s].
+        around: the pose, as for `pose`.
+        duration: in [s]; None never ends.
+    """
+
+    memory = ("_filtered",)
+
+    def __init__(
+        self,
+        command: JointCommand,
+        velocity_command: Reads,
+        *,
+        robot: Robot,
+        period: float,
+        gains: Mapping[
+            str, Annotated[tuple[float, float, float], Write("[per vx, per vy, per wz]")]
+        ],
+        amplitude: Annotated[tuple[float, float, float], Write("[vx, vy, wz]")] = (0.0, 0.0, 0.0),
+        frequency: float = 0.5,
+        time_constant: float = 0.3,
+        around: str | Mapping[str, float] = "stand",
+        duration: Seconds | None = None,
+    ) -> None:
+        matrix = np.zeros((3, robot.num_joints), np.float32)
+        for pattern, row in gains.items():
+            matrix[:, joints_like(pattern, robot, OTHERS)] += np.asarray(row, np.float32)[:, None]
+        centre, said = named_pose(around, robot, "block 'sway'")
+        self._centre = np.where(said > 0.0, centre, np.nan_to_num(robot.default_joint_pos))
+        self._command, self._velocity = command, velocity_command
+        self._amplitude = np.asarray(amplitude, np.float32)
+        self._turn = 2.0 * math.pi * frequency * period
+        self._share = 1.0 if time_constant <= 0.0 else -math.expm1(-period / time_constant)
+        self._lower, self._upper = robot.limits()
+        self.gains = robot_gains(robot, "sway")
+        self._ticks, self._tick = end_of(duration, period), 0
+        self.endless = duration is None
+        self._filtered, self._wanted, self._moved = (
+            np.zeros_like(command.joint_pos_target) for _ in range(3)
+        )
+        self._twist = np.zeros_like(velocity_command)
+        self._parts = [(self._twist[..., i : i + 1], row) for i, row in enumerate(matrix)]
+
+    def __call__(self) -> bool:
+        command, wanted, filtered = self._command, self._wanted, self._filtered
+        if self._tick == 0:
+            command.entry(filtered)
+        self._tick += 1
+        np.multiply(self._amplitude, math.sin(self._turn * self._tick), out=self._twist)
+        self._twist += self._velocity
+        # No matrix product: BLAS rounds a batch otherwise than a single robot.
+        wanted[...] = self._centre
+        for part, row in self._parts:
+            np.multiply(part, row, out=self._moved)
+            wanted += self._moved
+        np.maximum(wanted, self._lower, out=wanted)
+        np.minimum(wanted, self._upper, out=wanted)
+        wanted -= filtered
+        wanted *= self._share
+        filtered += wanted
+        command.joint_pos_target[...] = filtered
+        command.joint_vel_target[...] = 0.0
+        command.joint_effort_ff[...] = 0.0
+        command.joint_stiffness[...], command.joint_damping[...] = self.gains
+        return self._ticks is not None and self._tick >= self._ticks
