@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import RobotError, WorkflowError, alternatives
-from unicon_core.models.joints import bodies_above, dofs_above
 from unicon_core.models.load import load_model
-from unicon_core.models.loaded import LoadedModel, import_mujoco
+from unicon_core.models.loaded import LoadedModel, bodies_above, dofs_above, import_mujoco
 from unicon_core.models.rows import index_of
 from unicon_core.robots import Robot
 

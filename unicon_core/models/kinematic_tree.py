@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.models.joints import find_joints, free_joint, is_simple
 from unicon_core.models.links import Geom, Link
-from unicon_core.models.loaded import import_mujoco
+from unicon_core.models.loaded import find_joints, free_joint, import_mujoco, is_simple
 from unicon_core.models.quaternions import Float, about, multiply, rotate
 from unicon_core.models.touching import solid
 from unicon_core.robots import Robot
@@ -53,13 +52,12 @@ def frame_of(model: Any, robot: Robot, body: int) -> tuple[str, Float] | None:
 
 class _Reader:
     def __init__(self, model: Any, robot: Robot, colliding: bool = False) -> None:
-        mujoco = import_mujoco()
-        self._mujoco, self._model, self._robot = mujoco, model, robot
+        self._mujoco, self._model, self._robot = import_mujoco(), model, robot
         self._colliding = colliding
-        joints = find_joints(mujoco, model, robot, robot.path)
+        joints = find_joints(model, robot, robot.path)
         self._rank = {joint: rank for rank, joint in enumerate(joints)}
         self._roots = {int(body) for body in model.body_rootid[model.jnt_bodyid[joints]]}
-        base = free_joint(mujoco, model, joints[0])
+        base = free_joint(model, joints[0])
         self._root = 0 if base is None else int(model.jnt_bodyid[base])
         self.links: list[Link] = []
         self.of_body: dict[int, tuple[int, Float]] = {}  # body -> last link, its shift
@@ -101,7 +99,7 @@ class _Reader:
         name = model.body(body).name or f"body_{body}"
         first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
         shift = np.zeros(3)
-        joints = [j for j in range(first, first + count) if is_simple(self._mujoco, model, j)]
+        joints = [j for j in range(first, first + count) if is_simple(model, j)]
         if not joints:
             base = self.links[parent]
             here = not position.any() and abs(quat[0]) > 1.0 - 1e-9

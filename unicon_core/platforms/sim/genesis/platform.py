@@ -70,7 +70,7 @@ class GenesisPlatform(SteppedSimulator):
             raise ModelError(f"model {loaded.path}: Genesis says: {_line(error)}") from error
         # Its coordinates are MuJoCo's: the same joints in the same order.
         model = loaded.model
-        self._at, self._rates = loaded.addresses, model.jnt_dofadr[loaded.joints]
+        self._at, self._rates = loaded.addresses, loaded.dofs
         at, rate = (
             (0, 0)
             if loaded.base is None
