@@ -19,8 +19,7 @@ from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.posed import PosedModel
 from unicon_core.models.touching import around, floors
 from unicon_core.robots import Robot
-from unicon_core.terrain.build import ground_of
-from unicon_core.terrain.ground import THICK, Ground
+from unicon_core.terrain.ground import THICK, Ground, ground_of
 from unicon_core.terrain.words import Terrain
 
 TERRAIN = "terrain"

@@ -25,7 +25,7 @@ from unicon_core.robots.poses import named_pose, robot_poses
 from unicon_core.schema.marks import Like, NotAKey, Unit, Within, Write
 from unicon_core.schema.read import check_made
 from unicon_core.schema.records import record_of
-from unicon_core.terrain.build import refuse_endless_ground
+from unicon_core.terrain.ground import refuse_endless_ground
 from unicon_core.terrain.words import FLAT, Terrain, read_terrain
 
 DISTURBANCES = (
