@@ -7,7 +7,7 @@ and capsules as its only shapes. Kept apart are those that moved joints move aga
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -241,7 +241,7 @@ class Reaching:
 
     loaded: LoadedModel
     pairs: tuple[Pair, ...] = ()
-    left_out: tuple[tuple[str, str, float], ...] = field(default=())
+    left_out: tuple[tuple[str, str, float], ...] = ()
 
 
 def load_apart(

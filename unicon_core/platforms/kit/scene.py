@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import PlatformError, alternatives
 from unicon_core.models.find import pick_model
-from unicon_core.platforms.kit.bodies import BODY_PHYSICS, ROUGHEST, Payload
-from unicon_core.platforms.kit.gantry import GANTRY
+from unicon_core.platforms.kit.bodies import BODY_PHYSICS, GANTRY, ROUGHEST, Payload
 from unicon_core.robots import Robot
 from unicon_core.robots.file import Simulated
 from unicon_core.robots.places import Places

@@ -17,7 +17,6 @@ from unicon_core.platforms.kit.base import BaseStates, Float, WorldPose, cross, 
 from unicon_core.platforms.kit.bodies import BODY_PHYSICS
 from unicon_core.platforms.kit.clock import steps_in, tick_ns
 from unicon_core.platforms.kit.command import Command
-from unicon_core.platforms.kit.joint_delay import JointDelay, delay_of, strength_of
 from unicon_core.platforms.kit.joint_model import (
     JointModel,
     Passive,
@@ -26,7 +25,7 @@ from unicon_core.platforms.kit.joint_model import (
     lost,
 )
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.kit.servo import Servo
+from unicon_core.platforms.kit.servo import JointDelay, Servo, delay_of, strength_of
 from unicon_core.platforms.kit.start import Start, start_of
 from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.robots import Robot

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.errors import Fault, MissingDependencyError, ModelError
+from unicon_core.errors import Fault, MissingDependencyError, ModelError, one_line
 from unicon_core.models.touching import contact_of, floors, may_touch, on_floor
 from unicon_core.platforms.kit.quiet import patience
 from unicon_core.platforms.kit.stepped import (
@@ -67,7 +67,7 @@ class GenesisPlatform(SteppedSimulator):
             model = adapted(start, setup.figures)
             self._scene, self._robots = built(genesis, model, setup.timestep, self._begin)
         except self._broken as error:
-            raise ModelError(f"model {loaded.path}: Genesis says: {_line(error)}") from error
+            raise ModelError(f"model {loaded.path}: Genesis says: {one_line(error)}") from error
         # Its coordinates are MuJoCo's: the same joints in the same order.
         model = loaded.model
         self._at, self._rates = loaded.addresses, loaded.dofs
@@ -101,7 +101,7 @@ class GenesisPlatform(SteppedSimulator):
         try:
             self._scene.step(update_visualizer=False)
         except self._broken as error:  # it looks every tenth step
-            raise Fault(f"the physics blew up: Genesis says: {_line(error)}") from error
+            raise Fault(f"the physics blew up: Genesis says: {one_line(error)}") from error
 
     def add_velocity(self, velocity: Float) -> None:
         vel = self._velocities()
@@ -118,10 +118,6 @@ class GenesisPlatform(SteppedSimulator):
     def _velocities(self) -> Float:
         """Return the velocities of all degrees of freedom, shape (N, nv), float64."""
         return np.asarray(self._robots.get_dofs_velocity().cpu().numpy(), np.float64)
-
-
-def _line(error: Exception) -> str:
-    return " ".join(str(error).split())
 
 
 _FIRST = 3

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from unicon_core.errors import MissingDependencyError, PlatformError
-from unicon_core.models.physical import physical_urdf
+from unicon_core.models.urdf_write import physical_urdf
 from unicon_core.platforms.kit.stepped import (
     SIMULATED,
     Facts,

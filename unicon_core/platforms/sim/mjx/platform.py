@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from unicon_core.errors import MissingDependencyError, ModelError
+from unicon_core.errors import MissingDependencyError, ModelError, one_line
 from unicon_core.models.actuators import effort_ranges
-from unicon_core.platforms.kit.joint_delay import strength_of
 from unicon_core.platforms.kit.quiet import patience, quiet
+from unicon_core.platforms.kit.servo import strength_of
 from unicon_core.platforms.kit.stepped import (
     BODY_PHYSICS,
     JOINT_PHYSICS,
@@ -209,10 +209,9 @@ def _put(mjx: Any, model: Any, start: Start) -> tuple[Any, Any]:
         compiled = mjx.put_model(model)
         data = mjx.make_data(compiled)
     except (NotImplementedError, ValueError) as error:
-        reason = " ".join(str(error).split())
         raise ModelError(
-            f"platform 'mjx' cannot simulate model {start.loaded.path}: {reason}; change the "
-            "model, or take platform: mujoco"
+            f"platform 'mjx' cannot simulate model {start.loaded.path}: {one_line(error)}; change "
+            "the model, or take platform: mujoco"
         ) from error
     pyramid = import_mujoco().mjtCone.mjCONE_PYRAMIDAL
     if not data._impl.ncon and model.opt.cone != pyramid:

@@ -16,13 +16,12 @@ from unicon_core.errors import PlatformError
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.posed import PosedModel
 from unicon_core.models.terrain import Models
-from unicon_core.platforms.kit.bodies import BODY_PHYSICS, tell_bodies
+from unicon_core.platforms.kit.bodies import BODY_PHYSICS, GANTRY, hold, tell_bodies
 from unicon_core.platforms.kit.clock import steps_in
 from unicon_core.platforms.kit.command import Command
-from unicon_core.platforms.kit.gantry import GANTRY, hold
-from unicon_core.platforms.kit.joint_delay import delay_of, strength_of
 from unicon_core.platforms.kit.joint_model import Passive
 from unicon_core.platforms.kit.scene import TERRAIN, Scene
+from unicon_core.platforms.kit.servo import delay_of, strength_of
 from unicon_core.platforms.kit.start import initial_positions
 from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.platforms.sim.mujoco.batch import Batch, shares

@@ -72,7 +72,8 @@ class BaseReader:
         qacc = data.qacc[model.jnt_dofadr[joint] :][:6]
         self._rotation = data.xmat[body].reshape(3, 3)
         imu = find_imu(model, body)
-        self.source = dict.fromkeys(("quat", "gyro", "accelerometer"), "free joint")
+        kinds = "quat", "gyro", "accelerometer"
+        self.source: dict[str, str | None] = dict.fromkeys(kinds, "free joint")
 
         def sensor(kind: str) -> tuple[Float, Float]:
             """Return the sensor's data and the orientation of its site in the base."""

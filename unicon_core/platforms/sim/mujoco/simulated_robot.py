@@ -15,7 +15,7 @@ from unicon_core.models.loaded import LoadedModel
 from unicon_core.models.posed import PosedModel
 from unicon_core.platforms.kit.clock import tick_ns
 from unicon_core.platforms.kit.command import Command
-from unicon_core.platforms.kit.joint_delay import JointDelay
+from unicon_core.platforms.kit.servo import JointDelay
 from unicon_core.platforms.sim.mujoco.reader import Reader, without_sensors
 from unicon_core.platforms.sim.mujoco.rehearsal import Rehearsal
 from unicon_core.platforms.sim.mujoco.servo import Servo

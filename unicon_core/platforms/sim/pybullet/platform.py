@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from unicon_core.errors import MissingDependencyError
-from unicon_core.models.physical import physical_urdf
+from unicon_core.models.urdf_write import physical_urdf
 from unicon_core.platforms.kit.quiet import quiet
 from unicon_core.platforms.kit.stepped import (
     BODY_PHYSICS,
