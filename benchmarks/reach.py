@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.samples import Samples, timed
-from unicon_core.ik import Chain, DifferentialIk, Settings, Weights
-from unicon_core.ik.chain import Reaching, load_apart
-from unicon_core.ik.differential import Apart
-from unicon_core.ik.tasks import Pose
+from unicon_core.ik.chain import Chain, Reaching, load_apart
+from unicon_core.ik.differential import Apart, DifferentialIk
+from unicon_core.ik.tasks import Pose, Settings, Weights
 from unicon_core.models.find import pick_model
 from unicon_core.robots import Robot, load_robot
 from unicon_ros.bench.report import Bench

@@ -249,7 +249,7 @@ def _left() -> Iterator[_Row]:
 
 
 def _disks() -> Iterator[_Row]:
-    from unicon_core.assets import asset_folder, load_assets, named
+    from unicon_core.assets.manifest import asset_folder, load_assets, named
     from unicon_core.resources import assets_cache, assets_roots, user_folder
 
     assets = load_assets()

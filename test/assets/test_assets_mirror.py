@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from unicon_core.assets import load_assets, named
+from unicon_core.assets.manifest import load_assets, named
 
 pytest.importorskip("mujoco", reason="mujoco is not installed: pip install 'unicon_ros[sim]'")
 pytest.importorskip("onnxruntime", reason="pip install 'unicon_ros[sim]'")

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from unicon_core.ik import Weights
+from unicon_core.ik.tasks import Weights
 from unicon_core.robots import Robot
 
 pytest.importorskip("daqp", reason="daqp is not installed: pip install 'unicon_ros[ik]'")

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from reference_capsules import nearest
 
-from unicon_core.ik import DifferentialIk, Settings, Weights
 from unicon_core.ik.chain import Chain, load_apart
+from unicon_core.ik.differential import DifferentialIk
+from unicon_core.ik.tasks import Settings, Weights
 from unicon_core.models.find import pick_model
 from unicon_core.robots import Robot
 

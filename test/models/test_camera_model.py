@@ -124,7 +124,7 @@ def test_the_optical_frame_is_where_the_camera_is(
     data.qpos[:] = qpos
     mujoco.mj_forward(model, data)
     camera = model.camera(name).id
-    mount = optical_frame(mujoco, model, robot, camera)
+    mount = optical_frame(model, robot, camera)
     assert mount is not None
     parent, position, quat = mount
     assert parent == expected
@@ -139,14 +139,14 @@ def test_a_camera_in_the_world_of_a_robot_that_stands_there_hangs_on_its_base(
     robot: Robot,
 ) -> None:
     fixed = mujoco.MjModel.from_xml_string(SCENE.replace("<freejoint/>", ""))
-    mount = optical_frame(mujoco, fixed, robot, fixed.camera("standing").id)
+    mount = optical_frame(fixed, robot, fixed.camera("standing").id)
     assert mount is not None
     assert mount[0] == "trunk"
     np.testing.assert_allclose(mount[1], (0.0, 0.0, 1.0), atol=1e-12)
 
 
 def test_a_camera_that_turns_by_itself_has_no_frame_of_its_own(model: Any, robot: Robot) -> None:
-    assert optical_frame(mujoco, model, robot, model.camera("follows").id) is None
+    assert optical_frame(model, robot, model.camera("follows").id) is None
 
 
 def test_a_camera_without_perspective_has_no_intrinsics(model: Any) -> None:
@@ -174,7 +174,7 @@ def test_the_renderer_draws_a_ball_where_intrinsics_and_frame_say(
     mujoco.mj_forward(model, data)
     for name in FIXED:
         camera = model.camera(name).id
-        mount = optical_frame(mujoco, model, robot, camera)
+        mount = optical_frame(model, robot, camera)
         assert mount is not None
         parent, position, quat = mount
         origin, turn = in_world(model, data, robot, parent)

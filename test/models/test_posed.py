@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from unicon_core.models.find import find_model
-from unicon_core.models.joints import free_joint
 from unicon_core.models.load import load_model
-from unicon_core.models.loaded import LoadedModel
+from unicon_core.models.loaded import LoadedModel, free_joint
 from unicon_core.models.posed import PosedModel, foot_geoms
 from unicon_core.robots import load_robot
 
@@ -90,7 +89,7 @@ def test_feet_are_bodies_sites_geoms_or_their_stems() -> None:
 
 def test_the_free_joint_is_the_robots_own() -> None:
     model = loaded().model
-    assert free_joint(mujoco, model, 2) == 1
+    assert free_joint(model, 2) == 1
 
 
 def test_key_poses_are_in_the_robots_order() -> None:

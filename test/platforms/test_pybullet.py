@@ -12,7 +12,7 @@ import pytest
 
 from unicon_core.errors import Fault, MissingDependencyError
 from unicon_core.models.kinematic_tree import read_tree
-from unicon_core.models.physical import physical_links
+from unicon_core.models.urdf_write import physical_links
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.kit.start import start_of
 from unicon_core.platforms.platform import Resettable

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from unicon_core.models.find import pick_model
-from unicon_core.models.kinematic_tree import read_tree
-from unicon_core.models.links import Link
+from unicon_core.models.kinematic_tree import Link, read_tree
 from unicon_core.models.load import load_model
 from unicon_core.models.quaternions import multiply, rotate
 from unicon_core.models.urdf_write import _rpy, urdf

@@ -11,8 +11,8 @@ import pytest
 from pages import read_page
 
 from unicon_core.flow import blocks_of, compile_graph
-from unicon_core.show import show_mermaid, show_svg, show_text
-from unicon_core.show.mermaid import ENTITIES
+from unicon_core.show.svg import show_svg
+from unicon_core.show.text import ENTITIES, show_mermaid, show_text
 from unicon_core.workflow import Program, load_document, load_workflow, workflow_names
 from unicon_ros.cli.main import main
 

@@ -9,7 +9,7 @@ import pytest
 
 from unicon_core.models.loaded import LoadedModel
 from unicon_core.models.terrain import laying
-from unicon_core.terrain.build import ground_of
+from unicon_core.terrain.ground import ground_of
 from unicon_core.terrain.words import read_terrain
 
 BALL = """\

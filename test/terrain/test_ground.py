@@ -12,8 +12,7 @@ from ball_on_ground import laid
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from unicon_core.terrain.build import BOXES, ground_of, refuse_endless_ground
-from unicon_core.terrain.drawn import uniform
+from unicon_core.terrain.ground import BOXES, ground_of, refuse_endless_ground, uniform
 from unicon_core.terrain.words import KINDS, Terrain, read_terrain
 
 mujoco = pytest.importorskip("mujoco")

@@ -4,26 +4,3 @@
 
 `config/assets.yaml` has what there is: of each file its repository, commit, SHA-256 and licence.
 """
-
-from unicon_core.assets.fetching import Got, fetch
-from unicon_core.assets.manifest import (
-    Asset,
-    AssetFile,
-    Source,
-    asset_folder,
-    load_assets,
-    named,
-    wrong_files,
-)
-
-__all__ = [
-    "Asset",
-    "AssetFile",
-    "Got",
-    "Source",
-    "asset_folder",
-    "fetch",
-    "load_assets",
-    "named",
-    "wrong_files",
-]

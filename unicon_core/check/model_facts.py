@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.models.joints import drives, position_gains
 from unicon_core.models.kinematic_tree import read_tree
-from unicon_core.models.loaded import LoadedModel, import_mujoco
+from unicon_core.models.loaded import LoadedModel, drives, position_gains
 from unicon_core.robots import Robot
 
 Float = NDArray[np.float64]
@@ -47,7 +46,7 @@ def model_joints(loaded: LoadedModel | None) -> ModelJoints | None:
         return None
     model, ids = loaded.model, loaded.joints
     lower, upper, effort, kp, kd = (np.full(len(ids), np.nan) for _ in range(5))
-    driven = drives(import_mujoco(), model)
+    driven = drives(model)
     dofs = model.jnt_dofadr[list(ids)]
     passive, inertia = model.dof_damping[dofs].astype(float), model.dof_M0[dofs].astype(float)
     for k, joint in enumerate(ids):

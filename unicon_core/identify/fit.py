@@ -87,7 +87,7 @@ def _simulator(robot: Robot, scene: Scene) -> tuple[dict[str, Float], NDArray[np
     """
     loaded = load_model(scene.model_path(robot), robot, quiet=True)
     model, physics = loaded.model, joint_physics(robot, scene.joints)
-    dofs = model.jnt_dofadr[loaded.joints]
+    dofs = loaded.dofs
     figures = {
         "strength": np.nan_to_num(physics.strength, nan=1.0),
         "friction": _said(physics.friction, model.dof_frictionloss[dofs]),

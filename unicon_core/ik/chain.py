@@ -7,7 +7,7 @@ and capsules as its only shapes. Kept apart are those that moved joints move aga
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import RobotError, WorkflowError, alternatives
-from unicon_core.models.joints import bodies_above, dofs_above
 from unicon_core.models.load import load_model
-from unicon_core.models.loaded import LoadedModel, import_mujoco
+from unicon_core.models.loaded import LoadedModel, bodies_above, dofs_above, import_mujoco
 from unicon_core.models.rows import index_of
 from unicon_core.robots import Robot
 
@@ -242,7 +241,7 @@ class Reaching:
 
     loaded: LoadedModel
     pairs: tuple[Pair, ...] = ()
-    left_out: tuple[tuple[str, str, float], ...] = field(default=())
+    left_out: tuple[tuple[str, str, float], ...] = ()
 
 
 def load_apart(

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from unicon_core.errors import ModelError, alternatives
+from unicon_core.errors import ModelError
+from unicon_core.models.loaded import body_in, import_mujoco
 from unicon_core.robots import Robot
 from unicon_core.robots.robot import plain_name
 
@@ -35,10 +37,9 @@ def lacking_members(spec: Any, robot: Robot) -> list[str]:
 
 
 def attach_members(
-    mujoco: Any,
     spec: Any,
     robot: Robot,
-    path: Any,
+    path: Path,
     read: Callable[[Robot, list[str]], Any],
     notes: list[str],
 ) -> None:
@@ -51,7 +52,6 @@ def attach_members(
     body's joints and have 0 for the member's.
 
     Args:
-        mujoco: the module.
         spec: the `MjSpec` of the body, changed.
         robot: the whole.
         path: of the body's model, for messages.
@@ -67,17 +67,11 @@ def attach_members(
     keys = _taken_keys(spec)
     for member in members:
         mount = robot.mounts[member]
-        carrier = spec.body(mount.body)
-        if carrier is None or mount.body == "world":
-            known = [body.name for body in spec.bodies if body.name not in ("", "world")]
-            raise ModelError(
-                f"mounts.{member}: no body {mount.body!r} in {path}; "
-                f"{alternatives(mount.body, known)}"
-            )
+        carrier = body_in(spec, mount.body, f"mounts.{member}", path)
         own: list[str] = []
         child = read(robot.members[member], own)
         notes += [f"{member}: {note}" for note in own]
-        _attach_one(mujoco, spec, robot, member, carrier, child)
+        _attach_one(spec, robot, member, carrier, child)
         notes.append(f"{member}: {robot.members[member].name} attached to {mount.body}")
         if robot.members[member].position_controlled:
             _give_rotors(spec, robot, member, notes)
@@ -85,9 +79,7 @@ def attach_members(
         _give_keys(spec, keys)
 
 
-def _attach_one(
-    mujoco: Any, spec: Any, robot: Robot, member: str, carrier: Any, child: Any
-) -> None:
+def _attach_one(spec: Any, robot: Robot, member: str, carrier: Any, child: Any) -> None:
     mount = robot.mounts[member]
     for actuator in list(child.actuators):
         child.delete(actuator)
@@ -121,7 +113,7 @@ def _attach_one(
                 taken[kind].add(name)
                 names[kind, each.name] = name
                 each.name = name
-        _rename(mujoco, spec, names)
+        _rename(spec, names)
     for body in [b for b in spec.bodies if _below(b, carrier)]:
         spec.add_exclude(bodyname1=carrier.name, bodyname2=body.name)
 
@@ -148,8 +140,9 @@ def _below(body: Any, carrier: Any) -> bool:
     return False
 
 
-def _rename(mujoco: Any, spec: Any, names: dict[tuple[str, str], str]) -> None:
+def _rename(spec: Any, names: dict[tuple[str, str], str]) -> None:
     """Bring what refers to renamed parts in step: constraints, exclusions and sensors."""
+    mujoco = import_mujoco()
     for each in spec.equalities:
         kind = "joints" if each.type == mujoco.mjtEq.mjEQ_JOINT else "bodies"
         each.name1 = names.get((kind, each.name1), each.name1)

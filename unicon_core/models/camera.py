@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import ModelError, UniconError, alternatives, one_line
-from unicon_core.models.joints import body_in
 from unicon_core.models.kinematic_tree import frame_of
-from unicon_core.models.loaded import import_mujoco
+from unicon_core.models.loaded import body_in, import_mujoco
 from unicon_core.models.posed import PosedModel
 from unicon_core.models.quaternions import Float, multiply
 from unicon_core.models.terrain import load_on
@@ -115,7 +114,7 @@ class ModelCamera:
         if depth:
             self._renderer.enable_depth_rendering()
         self.pinhole = intrinsics(model, self._camera, *size)
-        self.mount = optical_frame(mujoco, model, robot, self._camera)
+        self.mount = optical_frame(model, robot, self._camera)
 
     def shoot(self, joint_pos: Float, base: Float) -> NDArray[Any]:
         """Return the picture of a pose, as `PosedModel.put` takes it.
@@ -158,16 +157,13 @@ def intrinsics(model: Any, camera: int, width: int, height: int) -> Intrinsics:
     return Intrinsics(fx / across * width, fy / down * height, middle[0] - right, middle[1] - up)
 
 
-def optical_frame(
-    mujoco: Any, model: Any, robot: Robot, camera: int
-) -> tuple[str, Float, Float] | None:
+def optical_frame(model: Any, robot: Robot, camera: int) -> tuple[str, Float, Float] | None:
     """Return the parent frame of a camera's optical frame, its position [m] and quaternion wxyz.
 
     The parent is the frame of the robot's link that carries the camera, as /tf has it. A camera
     that stands in the world has its place in `odom`, or in the base of a robot that stands there.
 
     Args:
-        mujoco: the module.
         model: an `MjModel` that has the robot's joints.
         robot: gives names to the frames.
         camera: its number in the model.
@@ -175,6 +171,7 @@ def optical_frame(
     Returns:
         None for a camera that turns by itself, such as one that tracks a body.
     """
+    mujoco = import_mujoco()
     if model.cam_mode[camera] != int(mujoco.mjtCamLight.mjCAMLIGHT_FIXED):
         return None
     carrier = frame_of(model, robot, int(model.cam_bodyid[camera]))

@@ -14,8 +14,7 @@ from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
 from unicon_core.errors import ModelError
-from unicon_core.models.joints import dofs_above
-from unicon_core.models.loaded import LoadedModel, import_mujoco
+from unicon_core.models.loaded import LoadedModel, dofs_above, import_mujoco
 from unicon_core.models.posed import foot_bodies, foot_geoms
 from unicon_core.models.rows import index_of, rows_of
 from unicon_core.models.touching import solid
@@ -78,7 +77,7 @@ class Feet:
         self._quat, self._turning = data.qpos[start + 3 : start + 7], data.qvel[first + 3 :][:3]
         self._qpos, self._qvel = data.qpos, data.qvel
         self._positions = index_of(loaded.addresses.tolist())
-        self._velocities = index_of(model.jnt_dofadr[loaded.joints].tolist())
+        self._velocities = index_of(loaded.dofs.tolist())
         trunk = int(model.jnt_bodyid[base])
         self.weight = float(model.body_subtreemass[trunk]) * GRAVITY
         self._centre = data.subtree_com[int(model.body_rootid[trunk])]
@@ -92,7 +91,7 @@ class Feet:
         body = np.array(list(found.values()), np.intp)
         twists = self._rows(data.cvel, body)
         self._spin, self._shift = twists[:, None, :3], twists[:, 3:]
-        self._find_points(_points(mujoco, model, found, robot), body)
+        self._find_points(_points(model, found, robot), body)
         self._find_legs(_dofs(model, body, first))
 
     def _rows(self, source: Float, index: NDArray[np.intp]) -> Float:
@@ -200,7 +199,7 @@ def _dofs(model: Any, bodies: NDArray[np.intp], first: int) -> NDArray[np.intp]:
     return np.array([leg[::-1] + [-1] * (most - len(leg)) for leg in legs], np.intp)
 
 
-def _points(mujoco: Any, model: Any, bodies: dict[str, int], robot: Robot) -> tuple[Float, Float]:
+def _points(model: Any, bodies: dict[str, int], robot: Robot) -> tuple[Float, Float]:
     """Return where each foot may touch the ground: centres of spheres in the body's frame, radii.
 
     Shapes (F, most, 3) and (F, most) in [m]. Where the model has no shape, as where meshes are
@@ -212,7 +211,7 @@ def _points(mujoco: Any, model: Any, bodies: dict[str, int], robot: Robot) -> tu
     for foot, body in bodies.items():
         own = [g for g in geoms.get(foot, []) if model.geom_bodyid[g] == body]
         touching = [geom for geom in own if solid(model, geom)]
-        parts = [_of_geom(mujoco, model, geom) for geom in touching or own]
+        parts = [_of_geom(model, geom) for geom in touching or own]
         parts = parts or [(np.zeros((1, 3)), 0.0)]
         places.append(np.concatenate([at for at, _ in parts]))
         radii.append(np.concatenate([np.full(len(at), radius) for at, radius in parts]))
@@ -224,8 +223,9 @@ def _points(mujoco: Any, model: Any, bodies: dict[str, int], robot: Robot) -> tu
     )
 
 
-def _of_geom(mujoco: Any, model: Any, geom: int) -> tuple[Float, float]:
+def _of_geom(model: Any, geom: int) -> tuple[Float, float]:
     """Return the spheres that a geom is made of, or its corners: their centres, and the radius."""
+    mujoco = import_mujoco()
     kinds, kind = mujoco.mjtGeom, int(model.geom_type[geom])
     size = np.array(model.geom_size[geom])
     middle, half, radius = np.zeros(3), np.array(model.geom_aabb[geom, 3:]), 0.0

@@ -9,7 +9,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Protocol, runtime_checkable
 
-from unicon_core.errors import MissingDependencyError, ModelError, alternatives
+from unicon_core.errors import MissingDependencyError, ModelError, alternatives, one_line
 from unicon_core.resources import find_resource
 from unicon_core.robots import Robot
 from unicon_core.robots.robot import MODEL_FORMATS
@@ -128,8 +128,7 @@ def _description(name: str, what: str) -> ModuleType:
         known = [each for each in found if each.endswith("_description")]
         raise ModelError(f"{what}: no such description; {alternatives(name, known)}") from error
     except Exception as error:  # whatever its download raises: git, the network, the disk
-        reason = " ".join(str(error).split())[:200]
         raise ModelError(
-            f"{what}: robot_descriptions could not fetch it: {reason}; "
+            f"{what}: robot_descriptions could not fetch it: {one_line(error)[:200]}; "
             "connect to the network, or give a file by path"
         ) from error

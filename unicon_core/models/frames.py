@@ -29,14 +29,12 @@ def body_of(loaded: LoadedModel, place: Place, what: str) -> int:
     Raises:
         ModelError: the model has no such body.
     """
-    mujoco, model = import_mujoco(), loaded.model
-    body = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, place.body))
-    if body < 0:
-        known = [model.body(i).name for i in range(1, model.nbody)]
-        raise ModelError(
-            f"{what}: no body {place.body!r} in {loaded.path}; {alternatives(place.body, known)}"
-        )
-    return body
+    model = loaded.model
+    names = [model.body(i).name for i in range(model.nbody)]
+    if place.body not in filter(None, names):
+        known = alternatives(place.body, names[1:])
+        raise ModelError(f"{what}: no body {place.body!r} in {loaded.path}; {known}")
+    return names.index(place.body)
 
 
 class Frames:

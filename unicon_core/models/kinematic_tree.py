@@ -6,17 +6,81 @@ A link's frame is where URDF has it: at its joint's anchor, turned as the body i
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from unicon_core.models.joints import find_joints, free_joint, is_simple
-from unicon_core.models.links import Geom, Link
-from unicon_core.models.loaded import import_mujoco
+from unicon_core.models.loaded import find_joints, free_joint, import_mujoco, is_simple
 from unicon_core.models.quaternions import Float, about, multiply, rotate
 from unicon_core.models.touching import solid
 from unicon_core.robots import Robot
+
+
+@dataclass
+class Geom:
+    """One shape of a link.
+
+    Attributes:
+        shape: `box`, `sphere`, `cylinder` or `mesh`.
+        size: box: edges; sphere: radius; cylinder: radius, length; in [m]; mesh: scale.
+        position: in the link's frame, [m], shape (3,).
+        quat: geom to link, wxyz.
+        rgba: colour; empty for that of a mesh's own file.
+        number: of the model's geom of which it is a part, -1 for none.
+        uri: of a mesh's file.
+    """
+
+    shape: str
+    size: tuple[float, ...]
+    position: Float
+    quat: Float
+    rgba: tuple[float, ...]
+    number: int = -1
+    uri: str = ""
+
+
+@dataclass
+class Link:
+    """One link and the joint that carries it.
+
+    Attributes:
+        name: frame name.
+        parent: number of the parent link, -1 for the root.
+        position: of the joint in the parent's frame in [m], shape (3,).
+        quat: link to parent at joint position 0, wxyz.
+        joint: name of the joint in the robot's words, "" where it is fixed.
+        index: number of the joint in the robot's order, -1 where it is none of them.
+        sliding: moves along the axis and does not turn about it.
+        axis: unit vector in the link's frame, shape (3,).
+        lower, upper: limits in [rad] or [m]; NaN where there are none.
+        mass: in [kg], 0 for a link without inertia.
+        centre: centre of mass in the link's frame in [m], shape (3,).
+        inertia_quat: principal axes to link, wxyz.
+        inertia: principal moments in [kg·m²], shape (3,).
+        geoms: what it looks like, in primitives.
+        looks: what it looks like with meshes; None where it has none.
+        number: of the model's joint that carries it, -1 where it is fixed.
+    """
+
+    name: str
+    parent: int
+    position: Float = field(default_factory=lambda: np.zeros(3))
+    quat: Float = field(default_factory=lambda: np.array((1.0, 0.0, 0.0, 0.0)))
+    joint: str = ""
+    index: int = -1
+    sliding: bool = False
+    axis: Float = field(default_factory=lambda: np.array((0.0, 0.0, 1.0)))
+    lower: float = float("nan")
+    upper: float = float("nan")
+    mass: float = 0.0
+    centre: Float = field(default_factory=lambda: np.zeros(3))
+    inertia_quat: Float = field(default_factory=lambda: np.array((1.0, 0.0, 0.0, 0.0)))
+    inertia: Float = field(default_factory=lambda: np.zeros(3))
+    geoms: list[Geom] = field(default_factory=list)
+    looks: list[Geom] | None = None
+    number: int = -1
+
 
 BASE = "base_link"
 """In every tree (REP-105): its root, or where the robot calls its base otherwise fixed to that. The
@@ -53,13 +117,12 @@ def frame_of(model: Any, robot: Robot, body: int) -> tuple[str, Float] | None:
 
 class _Reader:
     def __init__(self, model: Any, robot: Robot, colliding: bool = False) -> None:
-        mujoco = import_mujoco()
-        self._mujoco, self._model, self._robot = mujoco, model, robot
+        self._mujoco, self._model, self._robot = import_mujoco(), model, robot
         self._colliding = colliding
-        joints = find_joints(mujoco, model, robot, robot.path)
+        joints = find_joints(model, robot, robot.path)
         self._rank = {joint: rank for rank, joint in enumerate(joints)}
         self._roots = {int(body) for body in model.body_rootid[model.jnt_bodyid[joints]]}
-        base = free_joint(mujoco, model, joints[0])
+        base = free_joint(model, joints[0])
         self._root = 0 if base is None else int(model.jnt_bodyid[base])
         self.links: list[Link] = []
         self.of_body: dict[int, tuple[int, Float]] = {}  # body -> last link, its shift
@@ -101,7 +164,7 @@ class _Reader:
         name = model.body(body).name or f"body_{body}"
         first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
         shift = np.zeros(3)
-        joints = [j for j in range(first, first + count) if is_simple(self._mujoco, model, j)]
+        joints = [j for j in range(first, first + count) if is_simple(model, j)]
         if not joints:
             base = self.links[parent]
             here = not position.any() and abs(quat[0]) > 1.0 - 1e-9

@@ -16,14 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.errors import ModelError, RobotError
+from unicon_core.errors import ModelError, RobotError, one_line
 from unicon_core.models.absent import drop_absent_meshes, drop_absent_textures
 from unicon_core.models.actuators import mend_actuators
 from unicon_core.models.attach import attach_members
 from unicon_core.models.bounded import refuse_endless, refuse_not_finite
 from unicon_core.models.find import pick_model
-from unicon_core.models.joints import find_joints, simple_joints
-from unicon_core.models.loaded import LoadedModel, import_mujoco
+from unicon_core.models.loaded import LoadedModel, find_joints, import_mujoco, simple_joints
 from unicon_core.robots import Robot, joint_index
 
 _log = logging.getLogger(__name__)
@@ -58,13 +57,12 @@ def load_model(
     Raises:
         ModelError: the file is wrong, or lacks a joint of the robot.
     """
-    mujoco = import_mujoco()
     notes: list[str] = []
     absent: dict[Path, str] = {}
     shapes: dict[str, list[str]] = {}
 
     def read(path: Path, notes: list[str], floats: bool) -> Any:
-        spec = _read(mujoco, path, notes)
+        spec = _read(path, notes)
         lacking = drop_absent_meshes(spec, path, floats, shapes)
         for note in lacking:
             absent[path] = note
@@ -77,32 +75,29 @@ def load_model(
     if path.suffix.lower() == ".urdf":
         spec.option.timestep = _URDF_TIMESTEP
         # A URDF has no armature: with Euler's step the vendor's damping blows an A1 up.
-        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        spec.option.integrator = import_mujoco().mjtIntegrator.mjINT_IMPLICITFAST
         if robot.floats:
-            _add_free_joint(mujoco, spec, notes)
+            _add_free_joint(spec, notes)
     if timestep is not None:
         spec.option.timestep = float(timestep)
     if robot.floats:
-        mend_floor(mujoco, spec, notes)
+        mend_floor(spec, notes)
     if robot.mounts and robot.members:
 
         def member(own: Robot, told: list[str]) -> Any:
             return read(pick_model(own), told, floats=False)
 
         with _told(path):
-            attach_members(mujoco, spec, robot, path, member, notes)
+            attach_members(spec, robot, path, member, notes)
     if prepare is not None:
         prepare(spec)
-    with _told(path):
-        model = spec.compile()
-    welded = weld_absent(mujoco, spec, model, robot, notes) if robot.weldable else ()
+    model = _compiled(spec, path)
+    welded = weld_absent(spec, model, robot, notes) if robot.weldable else ()
     if welded:
-        with _told(path):
-            model = spec.compile()
-    joints = find_joints(mujoco, model, robot, path)
-    if mend_actuators(mujoco, spec, model, joints, robot.joint_names, notes):
-        with _told(path):
-            model = spec.compile()
+        model = _compiled(spec, path)
+    joints = find_joints(model, robot, path)
+    if mend_actuators(spec, model, joints, robot.joint_names, notes):
+        model = _compiled(spec, path)
     refuse_not_finite(path, model)
     arm = np.zeros(3)
     if robot.imu is not None:
@@ -110,7 +105,8 @@ def load_model(
     return LoadedModel(model, path, joints, notes, welded, absent, shapes, arm)
 
 
-def _read(mujoco: Any, path: Path, notes: list[str]) -> Any:
+def _read(path: Path, notes: list[str]) -> Any:
+    mujoco = import_mujoco()
     refuse_endless(path)
     is_urdf = path.suffix.lower() == ".urdf"
     text = repaired_urdf(path, notes) if is_urdf else None
@@ -125,21 +121,25 @@ def _read(mujoco: Any, path: Path, notes: list[str]) -> Any:
     return spec
 
 
+def _compiled(spec: Any, path: Path) -> Any:
+    with _told(path):
+        return spec.compile()
+
+
 @contextmanager
 def _told(path: Path) -> Iterator[None]:
     """Tell what MuJoCo finds wrong in a file as a ModelError."""
     try:
         yield
     except ValueError as error:
-        reason = " ".join(str(error).split())
-        raise ModelError(f"model {path}: {reason}; correct the file") from error
+        raise ModelError(f"model {path}: {one_line(error)}; correct the file") from error
     except (RuntimeError, MemoryError) as error:  # of C++, which has no words for it
         raise ModelError(
             f"model {path}: MuJoCo gives it up, most likely for want of memory; make it smaller"
         ) from error
 
 
-def _add_free_joint(mujoco: Any, spec: Any, notes: list[str]) -> None:
+def _add_free_joint(spec: Any, notes: list[str]) -> None:
     root = spec.worldbody.first_body()
     if root is not None and not list(root.joints):
         root.add_freejoint(name="floating_base")
@@ -150,18 +150,17 @@ def _add_free_joint(mujoco: Any, spec: Any, notes: list[str]) -> None:
 FLOOR = "floor"
 
 
-def mend_floor(mujoco: Any, spec: Any, notes: list[str]) -> None:
+def mend_floor(spec: Any, notes: list[str]) -> None:
     """Add a floor where a model has no surroundings, and let pairs that name another one name it.
 
     A robot's file that its author includes into scenes may name the scene's floor, whatever that is
     called; without the scene MuJoCo would refuse the pair.
 
     Args:
-        mujoco: the module.
         spec: the `MjSpec`.
         notes: what was changed is added.
     """
-    kinds = mujoco.mjtGeom
+    kinds = import_mujoco().mjtGeom
     # MuJoCo lets bodies that stand still alone have planes and height fields.
     planes = [geom for geom in spec.geoms if geom.type == kinds.mjGEOM_PLANE]
     fields = [geom for geom in spec.geoms if geom.type == kinds.mjGEOM_HFIELD]
@@ -198,22 +197,19 @@ _MASS, _INERTIA = 1e-6, 1e-9  # [kg], [kg·m²]: nothing that the robot feels
 _ARMATURE, _DAMPING = 1e4, 1e6  # [kg·m²], [N·m·s/rad]: 100 N·m turn it by 1e-4 rad/s
 
 
-def weld_absent(
-    mujoco: Any, spec: Any, model: Any, robot: Robot, notes: list[str]
-) -> tuple[str, ...]:
+def weld_absent(spec: Any, model: Any, robot: Robot, notes: list[str]) -> tuple[str, ...]:
     """Add a joint that stands still for each weldable joint that a model lacks; return those.
 
     Each carries a body of 1 mg at the robot's base, which collides with nothing. A model that has
     none of the robot's joints, or lacks one that a policy moves, is left as it is.
 
     Args:
-        mujoco: the module.
         spec: the `MjSpec`, changed.
         model: compiled of it.
         robot: whose joints are looked for, `weldable` among them.
         notes: is added to.
     """
-    ids = simple_joints(mujoco, model)
+    ids = simple_joints(model)
     names = list(ids)
     there, absent = [], []
     for name in robot.joint_names:
@@ -231,7 +227,10 @@ def weld_absent(
         body.explicitinertial = True
         body.mass, body.inertia = _MASS, [_INERTIA] * 3
         body.add_joint(
-            name=name, type=mujoco.mjtJoint.mjJNT_HINGE, armature=_ARMATURE, damping=_DAMPING
+            name=name,
+            type=import_mujoco().mjtJoint.mjJNT_HINGE,
+            armature=_ARMATURE,
+            damping=_DAMPING,
         )
     for key in list(spec.keys):
         if last and len(key.qpos) == model.nq:  # the new joints come behind all others

@@ -21,8 +21,7 @@ import numpy as np
 from unicon_core.errors import UniconError
 from unicon_core.models.absent import mesh_places, model_folders
 from unicon_core.models.find import pick_model
-from unicon_core.models.kinematic_tree import BASE, read_tree
-from unicon_core.models.links import Geom, Link
+from unicon_core.models.kinematic_tree import BASE, Geom, Link, read_tree
 from unicon_core.models.load import load_model, repaired_urdf
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.quaternions import Float, about, multiply, rotate

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from unicon_core.models.joints import bodies_above
-from unicon_core.models.loaded import LoadedModel, import_mujoco
+from unicon_core.models.loaded import LoadedModel, bodies_above, import_mujoco
 from unicon_core.models.rows import index_of
 from unicon_core.models.touching import floors, may_touch, on_floor, solid
 from unicon_core.robots import Robot
@@ -185,7 +184,7 @@ class Weight:
         self._model, self._posed = loaded.model, PosedModel(loaded)
         self._mujoco, self.floats = import_mujoco(), loaded.base is not None
         model = loaded.model
-        self._dofs = index_of(model.jnt_dofadr[loaded.joints].tolist())
+        self._dofs = index_of(loaded.dofs.tolist())
         self._asked, self._base = np.zeros(model.nv), np.array((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
 
     def __call__(

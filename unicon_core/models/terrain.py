@@ -6,6 +6,8 @@ Ground touches the robot as the floor of its model did, or as a patch of other f
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,8 +19,7 @@ from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.posed import PosedModel
 from unicon_core.models.touching import around, floors
 from unicon_core.robots import Robot
-from unicon_core.terrain.build import ground_of
-from unicon_core.terrain.ground import THICK, Ground
+from unicon_core.terrain.ground import THICK, Ground, ground_of
 from unicon_core.terrain.words import Terrain
 
 TERRAIN = "terrain"
@@ -64,6 +65,37 @@ def load_on(
             prepare(spec)
 
     return load_model(path, robot, timestep, quiet=True, prepare=both)
+
+
+class Models:
+    """Reads a model once, and once for each ground; who asks again gets a copy.
+
+    Args:
+        path: MJCF or URDF file.
+        robot: whose joints must all be there.
+        timestep: physics step in [s], None for the model's own.
+
+    Raises:
+        ModelError: the file is wrong, or lacks a joint of the robot.
+    """
+
+    def __init__(self, path: Path, robot: Robot, timestep: float | None) -> None:
+        self._path, self._robot, self._timestep = path, robot, timestep
+        self.flat = load_model(path, robot, timestep)
+        self._laid: tuple[Terrain, LoadedModel] | None = None
+
+    def on(self, terrain: Terrain | None) -> LoadedModel:
+        """Return a model that may be changed, on flat ground or on this; see `load_on`.
+
+        Raises:
+            ModelError: the model has other surroundings than a floor.
+        """
+        if terrain is None:
+            return replace(self.flat, model=copy(self.flat.model))
+        if self._laid is None or self._laid[0] != terrain:
+            laid = load_on(self._path, self._robot, terrain, self._timestep, flat=self.flat)
+            self._laid = terrain, laid
+        return replace(self._laid[1], model=copy(self._laid[1].model))
 
 
 def laying(loaded: LoadedModel, ground: Ground) -> Callable[[Any], None]:

@@ -11,8 +11,8 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.platforms.kit.bodies import GANTRY
 from unicon_core.platforms.kit.command import Command
-from unicon_core.platforms.kit.gantry import GANTRY
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.kit.servo import Servo
 from unicon_core.platforms.kit.start import start_of

@@ -14,18 +14,11 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import Fault
 from unicon_core.platforms.platform import (
-    CountsArrivals,
     Facts,
-    Pausable,
     Platform,
     Prepares,
-    Pushable,
     RequiresStates,
-    Resettable,
     SeesCommanders,
-    Viewable,
-    WaitsForData,
-    WarmsUp,
     info_of,
 )
 from unicon_core.robots import Robot
@@ -33,19 +26,10 @@ from unicon_core.states import States
 from unicon_core.states.member import STAMP, divided, stamp_of
 from unicon_core.states.standard import JOINT_STATES, MOTOR_STATES
 
-_OF_BASE: dict[str, Any] = {
-    "wait": WaitsForData,
-    "arrivals": CountsArrivals,
-    "push": Pushable,
-    "viewer": Viewable,
-}
-_OF_EACH: dict[str, Any] = {"reset": Resettable, "pause": Pausable, "warm_up": WarmsUp}
-_OF_SOME: dict[str, Any] = {
-    "prepare": Prepares,
-    "commanders": SeesCommanders,
-    "require": RequiresStates,
-}
-"""Method to protocol: what the base alone does, what all do that can, and what is put together."""
+_OF_BASE = ("wait", "arrivals", "push", "viewer")
+_OF_EACH = ("reset", "pause", "warm_up")
+_OF_SOME = ("prepare", "commanders", "require")
+"""Methods: what the base alone does, what all do that can, and what is put together."""
 
 
 def joined_facts(each: Mapping[str, Facts]) -> Facts:
@@ -118,20 +102,16 @@ class JoinedPlatform:
     def _able(self, base: Platform) -> None:
         """Take over abilities: the protocols look for methods."""
         every = self.members.values()
-        abilities: dict[str, Any] = {
-            name: getattr(base, name)
-            for name, protocol in _OF_BASE.items()
-            if isinstance(base, protocol)
-        }
-        for name, protocol in _OF_EACH.items():
-            calls = [getattr(each, name) for each in every if isinstance(each, protocol)]
-            if len(calls) == len(every) or (calls and protocol is not Resettable):
-                abilities[name] = _all(calls)
-        for name, protocol in _OF_SOME.items():
-            if any(isinstance(each, protocol) for each in every):
-                abilities[name] = getattr(self, f"_{name}")
-        for name, ability in abilities.items():
-            setattr(self, name, ability)
+        for name in _OF_BASE:
+            if hasattr(base, name):
+                setattr(self, name, getattr(base, name))
+        for name in _OF_EACH:
+            calls = [getattr(each, name) for each in every if hasattr(each, name)]
+            if len(calls) == len(every) or (calls and name != "reset"):
+                setattr(self, name, _all(calls))
+        for name in _OF_SOME:
+            if any(hasattr(each, name) for each in every):
+                setattr(self, name, getattr(self, f"_{name}"))
 
     def recv(self) -> bool | None:
         """Bring the data of all members into the states; True when one has gone for good.

@@ -22,9 +22,8 @@ from numpy.typing import NDArray
 from unicon_core.errors import PolicyError, UniconError, alternatives
 from unicon_core.figures import figure
 from unicon_core.models.find import pick_model
-from unicon_core.models.joints import drives, position_gains
 from unicon_core.models.load import load_model
-from unicon_core.models.loaded import import_mujoco
+from unicon_core.models.loaded import drives, position_gains
 from unicon_core.policies.facts import GAINS, Facts, is_open, missing_facts
 from unicon_core.policies.hints import listed
 from unicon_core.robots import Robot, load_robot
@@ -300,7 +299,6 @@ class _Known:
 
     def __init__(self, path: Path, robot: Robot) -> None:
         anything = replace(robot, weldable=frozenset(robot.joint_names))
-        self._mujoco = import_mujoco()
         self._loaded = loaded = load_model(path, anything, quiet=True)
         self._model = model = loaded.model
         self.name = path.name
@@ -308,7 +306,7 @@ class _Known:
         ids = {name: joint for name, joint in found if name not in loaded.welded}
         self.ids: dict[str, int] = dict(sorted(ids.items(), key=lambda item: item[1]))
         self.frames = {model.key(i).name: i for i in range(model.nkey) if model.key(i).name}
-        self._driven = drives(self._mujoco, model)
+        self._driven = drives(model)
 
     def ordered(self, order: str) -> list[str]:
         """Return the joints in an order; siblings stand as in the file."""

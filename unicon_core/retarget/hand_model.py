@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from unicon_core.errors import ModelError, RobotError
 from unicon_core.models.find import pick_model
 from unicon_core.models.frames import body_of
-from unicon_core.models.joints import body_in, dofs_above
 from unicon_core.models.load import load_model
-from unicon_core.models.loaded import LoadedModel, import_mujoco
+from unicon_core.models.loaded import LoadedModel, body_in, dofs_above, import_mujoco
 from unicon_core.models.posed import followers
 from unicon_core.robots import Robot
 from unicon_core.robots.places import Hand

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import UniconError, alternatives
-from unicon_core.models.links import Link
+from unicon_core.models.kinematic_tree import Link
 from unicon_core.resources import find_config, same_modules
 from unicon_msgs_map.layout.messages import shared_messages
 from unicon_msgs_map.spec import Qos

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.models.links import Link
+from unicon_core.models.kinematic_tree import Link
 from unicon_core.models.quaternions import multiply, rotate
 from unicon_msgs_map import Encoder, FieldSpec, PublishSpec, Qos
 from unicon_msgs_map.layout.messages import shared_messages

@@ -57,8 +57,8 @@ def add(commands: Any) -> None:
 
 def fetch_all(names: Sequence[str], mirror: str | None = None) -> int:
     """Fetch assets, and say what comes from where under which licence."""
-    from unicon_core.assets import Asset, fetch, load_assets, named
-    from unicon_core.assets.manifest import LICENCES
+    from unicon_core.assets.fetching import fetch
+    from unicon_core.assets.manifest import LICENCES, Asset, load_assets, named
 
     assets = named(names, load_assets())
 
@@ -93,7 +93,7 @@ def references(document: WorkflowDocument) -> set[str]:
 
 def fetch_for(document: WorkflowDocument, mirror: str | None = None) -> None:
     """Fetch the assets that a workflow and its robot name and that are not at hand."""
-    from unicon_core.assets import load_assets
+    from unicon_core.assets.manifest import load_assets
 
     known, missing = load_assets(), set()
     for reference in references(document):
@@ -148,7 +148,7 @@ def _fetch(arguments: argparse.Namespace) -> int:
 
 
 def _list(arguments: argparse.Namespace) -> int:
-    from unicon_core.assets import asset_folder, load_assets
+    from unicon_core.assets.manifest import asset_folder, load_assets
 
     known = load_assets()
     assets = {name: each[0] for name, each in known.items() if each[0].name == name}
@@ -179,7 +179,7 @@ def _list(arguments: argparse.Namespace) -> int:
 
 
 def _path(arguments: argparse.Namespace) -> int:
-    from unicon_core.assets import asset_folder, load_assets, named
+    from unicon_core.assets.manifest import asset_folder, load_assets, named
 
     for asset in named([arguments.name], load_assets()):
         folder = asset_folder(asset)
@@ -193,7 +193,7 @@ def _path(arguments: argparse.Namespace) -> int:
 
 def _verify(arguments: argparse.Namespace) -> int:
     """Verify what is at hand; a folder of `UNICON_ASSETS` may have fewer files, or others."""
-    from unicon_core.assets import asset_folder, load_assets, named, wrong_files
+    from unicon_core.assets.manifest import asset_folder, load_assets, named, wrong_files
 
     assets = load_assets()
     chosen = named(arguments.names or [*assets], assets)

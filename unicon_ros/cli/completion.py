@@ -50,7 +50,7 @@ def _actions(parser: argparse.ArgumentParser) -> Iterator[tuple[str, argparse.Ac
 
 def _names(what: str, prefix: str) -> Iterable[str]:
     """Return what is known of a kind."""
-    from unicon_core.assets import load_assets
+    from unicon_core.assets.manifest import load_assets
     from unicon_core.policies import policies_rows
     from unicon_core.robots import robot_names
     from unicon_core.workflow import workflow_names

@@ -18,9 +18,8 @@ from unicon_core.check.model_facts import model_joints
 from unicon_core.errors import ModelError, RobotError
 from unicon_core.located_yaml import parse_yaml
 from unicon_core.models.find import find_model
-from unicon_core.models.joints import drives, is_simple
 from unicon_core.models.load import load_model
-from unicon_core.models.loaded import LoadedModel, import_mujoco
+from unicon_core.models.loaded import LoadedModel, drives, import_mujoco, is_simple
 from unicon_core.page import write_file
 from unicon_core.robots import Robot
 from unicon_core.robots.file import KINDS, SCHEMA, joint_bounds
@@ -175,8 +174,7 @@ def _facts(bare: LoadedModel, name: str, kind: str | None) -> _Facts:
 
 def _simple(model: Any) -> list[int]:
     """Return the joints with one axis of the tree that has most of them: the robot's."""
-    mujoco = import_mujoco()
-    joints = [i for i in range(model.njnt) if is_simple(mujoco, model, i)]
+    joints = [i for i in range(model.njnt) if is_simple(model, i)]
     roots = [int(model.body_rootid[model.jnt_bodyid[i]]) for i in joints]
     most = max(roots, key=roots.count, default=0)
     return [i for i, root in zip(joints, roots) if root == most]
@@ -185,7 +183,7 @@ def _simple(model: Any) -> list[int]:
 def _driven(model: Any, joints: list[int]) -> tuple[list[int], list[int]]:
     """Return the joints with an actuator, and the others; all of a model without actuators."""
     mujoco = import_mujoco()
-    driven, tendon = {*drives(mujoco, model)}, int(mujoco.mjtTrn.mjTRN_TENDON)
+    driven, tendon = {*drives(model)}, int(mujoco.mjtTrn.mjTRN_TENDON)
     for pulled in model.actuator_trnid[model.actuator_trntype == tendon, 0]:
         first, count = int(model.tendon_adr[pulled]), int(model.tendon_num[pulled])
         wraps = slice(first, first + count)
@@ -223,7 +221,7 @@ def _ordered(path: Path, model: Any, names: list[str]) -> tuple[tuple[str, ...],
 
     The vendor's motor order may be another one.
     """
-    driven = drives(import_mujoco(), model)
+    driven = drives(model)
     first = {model.joint(j).name: min(ids) for j, ids in driven.items()}
     if path.suffix.lower() != ".urdf" and set(names) <= set(first):
         return tuple(sorted(names, key=first.__getitem__)), "its actuators"

@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import RobotError
-from unicon_core.models.joints import free_joint
-from unicon_core.models.loaded import import_mujoco
+from unicon_core.models.loaded import free_joint, import_mujoco
 from unicon_core.robots.file import KINDS
 
 _LEG = re.compile(
@@ -95,7 +94,7 @@ def kind_of(model: Any, joints: Sequence[int], source: str) -> tuple[str, str]:
     wheels = [limb for limb in limbs if limb.wheel]
     if len(wheels) > 1 and all(limb.wheel for limb in down):
         return "wheeled", f"{len(wheels)} limbs end in a wheel"
-    free = free_joint(import_mujoco(), model, joints[0]) is not None
+    free = free_joint(model, joints[0]) is not None
     legs, said = _legs(model, joints, limbs)
     if (free or leggy) and len(legs) in (2, 4):
         return ("humanoid" if len(legs) == 2 else "quadruped"), f"{len(legs)} limbs {said}"

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import MissingDependencyError, ModelError, PlatformError
 from unicon_core.platforms.fake import FakePlatform
+from unicon_core.platforms.kit.bodies import let_go
 from unicon_core.platforms.kit.disturbances import disturb
-from unicon_core.platforms.kit.gantry import let_go
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.kit.start import start_of
 from unicon_core.platforms.platform import Platform

@@ -20,34 +20,16 @@ from unicon_core.errors import Fault, UniconError
 from unicon_core.models.find import terrain_of
 from unicon_core.platforms.child.parent import ALARM, LONGEST, Parent, text_of
 from unicon_core.platforms.child.platform import START
-from unicon_core.platforms.platform import (
-    CountsArrivals,
-    Platform,
-    Prepares,
-    Pushable,
-    ReportsVariant,
-    RequiresStates,
-    Resettable,
-    SeesCommanders,
-    info_of,
-)
+from unicon_core.platforms.platform import Platform, info_of
 from unicon_core.states import Layout, States
 from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter
 from unicon_core.states.groups import COMMAND, MEASURED, subset
 
-ABILITIES: dict[str, Any] = {
-    "reset": Resettable,
-    "push": Pushable,
-    "require": RequiresStates,
-    "variant": ReportsVariant,
-    "commanders": SeesCommanders,
-    "prepare": Prepares,
-    "arrivals": CountsArrivals,
-}
-"""What a platform can do for its parent besides a tick: method to protocol.
+ABILITIES = ("reset", "push", "require", "variant", "commanders", "prepare", "arrivals")
+"""What a platform can do for its parent besides a tick: methods of its protocols.
 
 A call goes through the pipe, and what the method returns or raises comes back. None is called once
-commands are sent but those of simulators. A new ability needs its line here and nothing else."""
+commands are sent but those of simulators. A new ability needs its word here and nothing else."""
 
 _ROBOT_LOOK = 0.001
 """How often a robot's data are taken, in [s]; a command is sent at once."""
@@ -79,7 +61,7 @@ def main() -> int:
             info=dict(info_of(platform)),
             model_path=getattr(platform, "model_path", None),
             terrain=terrain_of(platform),
-            abilities=[name for name, kind in ABILITIES.items() if isinstance(platform, kind)],
+            abilities=[name for name in ABILITIES if hasattr(platform, name)],
         )
         if driver.run():
             tell(done=True)

@@ -1,10 +1,11 @@
-"""What a scene says of bodies: a payload and the friction of contacts; for simulators' models.
+"""What a scene says of bodies: a payload, the friction of contacts, a gantry; for simulators.
 
 scene: {payload: {mass: 3.0, body: trunk, position: [0.0, 0.0, 0.08]}, contact_friction: 0.5}
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -67,15 +68,14 @@ def tell_bodies(loaded: LoadedModel, payload: Mapping[str, Any], friction: float
 
 def _carrier(loaded: LoadedModel, name: str) -> int:
     """Return the id of the body that carries the payload."""
-    mujoco, model = import_mujoco(), loaded.model
+    model = loaded.model
     if name:
-        found = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name))
-        if found > 0:
-            return found
-        names = [model.body(i).name for i in range(1, model.nbody)]
+        names = [model.body(i).name for i in range(model.nbody)]
+        if name in names[1:]:
+            return names.index(name, 1)
         raise PlatformError(
             f"scene.payload: model {loaded.path} has no body {name!r}; "
-            f"{alternatives(name, filter(None, names))}"
+            f"{alternatives(name, filter(None, names[1:]))}"
         )
     if loaded.base is None:
         raise PlatformError("scene.payload: the robot has no base that moves; name a body")
@@ -113,3 +113,44 @@ def _add(model: Any, body: int, mass: float, position: Any) -> None:
 
 def _steiner(way: Float) -> Float:
     return np.asarray(way @ way * np.eye(3) - np.outer(way, way))
+
+
+GANTRY = "gantry"
+"""Word of `Facts.physics`: a base that is held."""
+
+FREQUENCY = 2.0
+"""Of the critically damped springs in [Hz]: slow against a physics step, quick against a leg."""
+RADIUS = 0.3
+"""Of gyration that the turning dampers are made for, in [m]."""
+
+
+def hold(model: Any, base: int, qpos: Float) -> None:
+    """Let the model's own springs hold a base where it begins.
+
+        f = k (p* - p) - 2 m w v,   t = k (q* - q) - 2 sqrt(k m) r omega,   k = m w²
+
+    with the mass m [kg] of all that hangs, and p* higher by g / w², so that the springs bear it.
+    MuJoCo's free joint has one stiffness, in [N/m] and in [N·m/rad]. A light base on limp legs
+    needs dampers that are integrated implicitly, so Euler does that from here on, even where the
+    model forbids it (`eulerdamp`).
+
+    Args:
+        model: the `MjModel`, which is changed.
+        base: number of its free joint.
+        qpos: where the robot begins, shape (nq,).
+    """
+    model.opt.disableflags &= ~int(import_mujoco().mjtDisableBit.mjDSBL_EULERDAMP)
+    w, mass = 2.0 * math.pi * FREQUENCY, float(model.body_subtreemass[model.jnt_bodyid[base]])
+    pose, twist = int(model.jnt_qposadr[base]), int(model.jnt_dofadr[base])
+    model.jnt_stiffness[base] = mass * w * w
+    model.qpos_spring[pose : pose + 7] = qpos[pose : pose + 7]
+    model.qpos_spring[pose : pose + 3] -= model.opt.gravity / (w * w)
+    model.dof_damping[twist : twist + 3] = 2.0 * mass * w
+    model.dof_damping[twist + 3 : twist + 6] = 2.0 * mass * w * RADIUS
+
+
+def let_go(model: Any, base: int) -> None:
+    """Hold it no longer."""
+    twist = int(model.jnt_dofadr[base])
+    model.jnt_stiffness[base] = 0.0
+    model.dof_damping[twist : twist + 6] = 0.0

@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.models.actuators import actuator_kind
-from unicon_core.models.joints import drives
-from unicon_core.models.loaded import LoadedModel, import_mujoco
+from unicon_core.models.loaded import LoadedModel, drives, import_mujoco
 from unicon_core.models.touching import around, contact_of, floors, may_touch, on_floor
 from unicon_core.platforms.kit.start import Start
 from unicon_core.robots import Robot
@@ -54,7 +53,7 @@ class JointModel:
             model: the one of `loaded`, or a copy of it.
             loaded: says where the joints are.
         """
-        mujoco, dofs = import_mujoco(), model.jnt_dofadr[loaded.joints]
+        mujoco, dofs = import_mujoco(), loaded.dofs
         model.dof_armature[dofs], model.dof_damping[dofs] = self.armature, self.damping
         model.dof_frictionloss[dofs] = self.friction
         mujoco.mj_setConst(model, mujoco.MjData(model))  # the solver's inverse inertias follow
@@ -68,7 +67,7 @@ def joint_model(start: Start, passive: Passive) -> JointModel:
         passive: whether the model's damping acts.
     """
     model, physics, joints = start.loaded.model, start.physics, start.loaded.joints
-    dofs = model.jnt_dofadr[joints]
+    dofs = start.loaded.dofs
     armature, friction = model.dof_armature[dofs], model.dof_frictionloss[dofs]
     limited = model.jnt_limited[joints].astype(bool)
     lower, upper = model.jnt_range[joints].T
@@ -124,10 +123,10 @@ def lost(start: Start, robot: Robot, figures: JointModel, represents: Collection
     has["contact friction"] = "contacts with friction against turning or rolling" if turning else ""
     cut = [
         actuators[0]
-        for joint, actuators in drives(mujoco, model).items()
+        for joint, actuators in drives(model).items()
         if joint in loaded.joints
         and model.actuator_ctrllimited[actuators[0]]
-        and actuator_kind(mujoco, model, actuators[0]) == "position"
+        and actuator_kind(model, actuators[0]) == "position"
     ]
     has["targets"] = f"control ranges that cut the targets of {len(cut)} joints" if cut else ""
     has["constraints"] = f"{model.neq} equality constraints" if model.neq else ""

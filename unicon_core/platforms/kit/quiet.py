@@ -1,11 +1,13 @@
-"""Silence of libraries that print to the process's own output, past Python."""
+"""Engines at their start: silence where they print past Python, a line where they take long."""
 
 from __future__ import annotations
 
 import os
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from threading import Timer
 
 
 @contextmanager
@@ -35,3 +37,33 @@ def quiet(handle: int = 1) -> Iterator[None]:
             os.dup2(kept, handle)
     finally:
         os.close(kept)
+
+
+AFTER = 2.0
+"""Seconds for which nobody asks."""
+
+
+@contextmanager
+def patience(what: str) -> Iterator[None]:
+    """Say on standard error what takes long, once it does, and how long it took.
+
+    Args:
+        what: such as "mjx: compiling the physics of 64 robots, some 10 s the first time".
+    """
+    begin = time.monotonic()
+    said = []
+
+    def say() -> None:
+        said.append(True)
+        print(f"{what} …", file=sys.stderr, flush=True)
+
+    timer = Timer(AFTER, say)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+        if said:
+            took = time.monotonic() - begin
+            print(f"{what.partition(':')[0]}: ready after {took:.0f} s", file=sys.stderr)

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import PlatformError, alternatives
 from unicon_core.models.find import pick_model
-from unicon_core.platforms.kit.bodies import BODY_PHYSICS, ROUGHEST, Payload
-from unicon_core.platforms.kit.gantry import GANTRY
+from unicon_core.platforms.kit.bodies import BODY_PHYSICS, GANTRY, ROUGHEST, Payload
 from unicon_core.robots import Robot
 from unicon_core.robots.file import Simulated
 from unicon_core.robots.places import Places
@@ -25,7 +24,7 @@ from unicon_core.robots.poses import named_pose, robot_poses
 from unicon_core.schema.marks import Like, NotAKey, Unit, Within, Write
 from unicon_core.schema.read import check_made
 from unicon_core.schema.records import record_of
-from unicon_core.terrain.build import refuse_endless_ground
+from unicon_core.terrain.ground import refuse_endless_ground
 from unicon_core.terrain.words import FLAT, Terrain, read_terrain
 
 DISTURBANCES = (

@@ -1,12 +1,15 @@
-"""Joint servos in NumPy, for simulators and robots whose motors take torques."""
+"""Joint servos in NumPy, and motors that are weak or late, for simulators and robots."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from unicon_core.robots.poses import JointPhysics
 
 Array = NDArray[Any]
 
@@ -50,3 +53,58 @@ class Servo:
         torque += self._part
         np.clip(torque, self._lower, self._limit, out=torque)
         return torque
+
+
+def strength_of(physics: JointPhysics) -> NDArray[np.float64] | None:
+    """Return the factor on each motor's torque, shape (n,); None where all are 1."""
+    strength = np.where(np.isnan(physics.strength), 1.0, physics.strength)
+    return None if (strength == 1.0).all() else strength
+
+
+def delay_of(physics: JointPhysics, timestep: float) -> NDArray[np.int64] | None:
+    """Return each joint's delay in physics steps, shape (n,); None where all are 0.
+
+    Args:
+        physics: says it in [s].
+        timestep: of the physics in [s].
+    """
+    delay = np.rint(np.nan_to_num(physics.delay) / timestep).astype(np.int64)
+    return delay if delay.any() else None
+
+
+class JointDelay:
+    """The command of each physics step where joints get theirs late, each by its own delay.
+
+    Args:
+        rows: the present command as of `Command.rows`, shape (5, ..., n); read at each call.
+        delay: in physics steps, shape (n,).
+        decimation: physics steps in a tick.
+    """
+
+    memory = ("_past", "_tick")
+
+    def __init__(self, rows: Array, delay: NDArray[np.int64], decimation: int) -> None:
+        self._rows = rows
+        ticks, begin = np.divmod(delay, decimation)
+        edges = sorted({0, decimation, *begin.tolist()})
+        # In the steps before a joint's `begin` the command of one tick earlier still acts.
+        self._parts = [(end - start, ticks + (start < begin)) for start, end in pairwise(edges)]
+        self._past = np.zeros((int(ticks.max()) + 2, *rows.shape), rows.dtype)
+        self._joints = np.arange(rows.shape[-1])
+        self._order = (*range(1, rows.ndim), 0)
+        self.reset()
+
+    def __call__(self) -> Iterator[tuple[int, Array]]:
+        """Take the present command; yield physics steps and the command that acts in them."""
+        depth = len(self._past)
+        if self._tick == 0:  # before the first command arrives the motors hold what it says
+            self._past[...] = self._rows
+        self._past[self._tick % depth] = self._rows
+        for steps, ages in self._parts:
+            late = self._past[(self._tick - ages) % depth, ..., self._joints]
+            yield steps, late.transpose(self._order)
+        self._tick += 1
+
+    def reset(self) -> None:
+        """Begin anew with the next command."""
+        self._tick = 0

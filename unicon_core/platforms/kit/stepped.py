@@ -3,30 +3,58 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_core.errors import Fault, PlatformError
 from unicon_core.models.actuators import effort_ranges
-from unicon_core.platforms.kit.base import BaseStates, WorldPose
+from unicon_core.models.loaded import import_mujoco
+from unicon_core.platforms.kit.base import BaseStates, Float, WorldPose, cross, rotation
+from unicon_core.platforms.kit.bodies import BODY_PHYSICS
 from unicon_core.platforms.kit.clock import steps_in, tick_ns
 from unicon_core.platforms.kit.command import Command
-from unicon_core.platforms.kit.joint_delay import JointDelay, delay_of, strength_of
-from unicon_core.platforms.kit.joint_model import JointModel, Passive, joint_model, lost
+from unicon_core.platforms.kit.joint_model import (
+    JointModel,
+    Passive,
+    ground_friction,
+    joint_model,
+    lost,
+)
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.kit.servo import Servo
+from unicon_core.platforms.kit.servo import JointDelay, Servo, delay_of, strength_of
 from unicon_core.platforms.kit.start import Start, start_of
-from unicon_core.platforms.platform import Facts
+from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.robots import Robot
+from unicon_core.robots.poses import JOINT_PHYSICS
 from unicon_core.states import States
 from unicon_core.states.standard import BASE_STATES, JOINT_STATES
 
-Float = NDArray[np.float64]
+__all__ = [
+    "BODY_PHYSICS",
+    "JOINT_PHYSICS",
+    "SIMULATED",
+    "DampedSimulator",
+    "Facts",
+    "Float",
+    "JointModel",
+    "Passive",
+    "Robot",
+    "Scene",
+    "Setup",
+    "Start",
+    "States",
+    "SteppedSimulator",
+    "WorldPose",
+    "cross",
+    "ground_friction",
+    "import_mujoco",
+    "rotation",
+    "setup_of",
+]
 
 GRAVITY = np.array((0.0, 0.0, -9.81))
 """On earth, in the world in [m/s²], shape (3,)."""
@@ -107,7 +135,7 @@ class SteppedSimulator(ABC):
     """
 
     facts: Facts
-    represents: ClassVar[frozenset[str]] = frozenset()
+    represents: ClassVar[Collection[str]] = ()
     """Words of `kit/joint_model.py` for what the engine has as the model says."""
 
     def __init__(self, setup: Setup, notes: Sequence[str] = ()) -> None:

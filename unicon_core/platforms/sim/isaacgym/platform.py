@@ -13,19 +13,25 @@ from typing import Any
 import numpy as np
 
 from unicon_core.errors import MissingDependencyError, PlatformError
-from unicon_core.models.physical import physical_urdf
-from unicon_core.platforms.kit.base import Float, WorldPose, cross, rotation
-from unicon_core.platforms.kit.joint_model import (
+from unicon_core.models.urdf_write import physical_urdf
+from unicon_core.platforms.kit.stepped import (
+    SIMULATED,
+    Facts,
+    Float,
     JointModel,
     Passive,
+    Robot,
+    Scene,
+    Setup,
+    Start,
+    States,
+    SteppedSimulator,
+    WorldPose,
+    cross,
     ground_friction,
+    rotation,
+    setup_of,
 )
-from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.kit.start import Start
-from unicon_core.platforms.kit.stepped import Setup, SteppedSimulator, setup_of
-from unicon_core.platforms.platform import SIMULATED, Facts
-from unicon_core.robots import Robot
-from unicon_core.states import States
 
 INSTALL = (
     "unpack NVIDIA's Isaac Gym Preview 4 and pip install -e isaacgym/python; its modules are for "
@@ -47,7 +53,7 @@ class IsaacGymPlatform(SteppedSimulator):
         physics=("strength", "armature", "delay"),
         notes=("written against the vendor's documentation, not run against its module",),
     )
-    represents = frozenset({"armature", "damping", "limits"})
+    represents = ("armature", "damping", "limits")
 
     def __init__(self, modules: tuple[Any, Any, Any], device: str, setup: Setup) -> None:
         api, self._interop, self._torch = modules

@@ -16,15 +16,22 @@ from typing import Annotated, Any
 import numpy as np
 
 from unicon_core.errors import MissingDependencyError, PlatformError
-from unicon_core.models.physical import physical_urdf
-from unicon_core.platforms.kit.base import Float, WorldPose
-from unicon_core.platforms.kit.joint_model import Passive, ground_friction
-from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.kit.stepped import Setup, SteppedSimulator, setup_of
-from unicon_core.platforms.platform import SIMULATED, Facts
-from unicon_core.robots import Robot
+from unicon_core.models.urdf_write import physical_urdf
+from unicon_core.platforms.kit.stepped import (
+    SIMULATED,
+    Facts,
+    Float,
+    Passive,
+    Robot,
+    Scene,
+    Setup,
+    States,
+    SteppedSimulator,
+    WorldPose,
+    ground_friction,
+    setup_of,
+)
 from unicon_core.schema.marks import Matches
-from unicon_core.states import States
 
 INSTALL = (
     "pip install 'isaaclab[isaacsim,all]==2.3.2.post1' in Python 3.11, from NVIDIA's own index "
@@ -47,7 +54,7 @@ class IsaacLabPlatform(SteppedSimulator):
         physics=("strength", "friction", "armature", "delay"),
         notes=("written against the vendor's sources, not run against its modules",),
     )
-    represents = frozenset({"armature", "damping", "friction", "limits"})
+    represents = ("armature", "damping", "friction", "limits")
 
     def __init__(self, device: str, setup: Setup) -> None:
         self._torch, self._device = import_module("torch"), device

@@ -1,35 +1,42 @@
 """MJX behind the platform contract, for workflows that say `platform: mjx`.
 
 A tick of all robots is one compiled call: the servo and a physics step as often as a tick has them.
+It is compiled once for a number of robots and a structure of the model: masses, gains, gravity and
+the number of physics steps are arguments, so that another robot like it needs no second time.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterable
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from unicon_core.errors import MissingDependencyError, ModelError
+from unicon_core.errors import MissingDependencyError, ModelError, one_line
 from unicon_core.models.actuators import effort_ranges
-from unicon_core.models.loaded import import_mujoco
-from unicon_core.platforms.kit.base import Float, WorldPose, rotation
-from unicon_core.platforms.kit.bodies import BODY_PHYSICS
-from unicon_core.platforms.kit.joint_delay import strength_of
-from unicon_core.platforms.kit.joint_model import Passive
-from unicon_core.platforms.kit.patience import patience
-from unicon_core.platforms.kit.quiet import quiet
-from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.kit.start import Start
-from unicon_core.platforms.kit.stepped import Setup, SteppedSimulator, setup_of
-from unicon_core.platforms.platform import SIMULATED, Facts
-from unicon_core.platforms.sim.mjx.tick import Places, compiled_tick
-from unicon_core.robots import Robot
-from unicon_core.robots.poses import JOINT_PHYSICS
-from unicon_core.states import States
+from unicon_core.platforms.kit.quiet import patience, quiet
+from unicon_core.platforms.kit.servo import strength_of
+from unicon_core.platforms.kit.stepped import (
+    BODY_PHYSICS,
+    JOINT_PHYSICS,
+    SIMULATED,
+    Facts,
+    Float,
+    Passive,
+    Robot,
+    Scene,
+    Setup,
+    Start,
+    States,
+    SteppedSimulator,
+    WorldPose,
+    import_mujoco,
+    rotation,
+    setup_of,
+)
 
 FINEST = 1e-6
 """Tolerance of the solver: float32 seldom gets further, however often it iterates. With MuJoCo's
@@ -46,11 +53,16 @@ class MjxPlatform(SteppedSimulator):
         writes=SIMULATED,
         physics=(*JOINT_PHYSICS, *BODY_PHYSICS),
     )
-    represents = frozenset(
-        {
-            *("armature", "damping", "friction", "limits"),
-            *("self-collision", "meshes", "contact friction", "constraints", "terrain"),
-        }
+    represents = (
+        "armature",
+        "damping",
+        "friction",
+        "limits",
+        "self-collision",
+        "meshes",
+        "contact friction",
+        "constraints",
+        "terrain",
     )
 
     def __init__(self, setup: Setup) -> None:
@@ -117,6 +129,65 @@ class MjxPlatform(SteppedSimulator):
         return super().info() | {"devices": devices}
 
 
+class Places(NamedTuple):
+    """Where joints and the free joint stand in `qpos` and `qvel`; a base that is fixed has none."""
+
+    pos: tuple[int, ...]
+    vel: tuple[int, ...]
+    floating: bool
+    base_pos: int
+    base_vel: int
+
+    @classmethod
+    def of(cls, model: Any, start: Start) -> Places:
+        """Return those of a robot in a model."""
+        joints, base = start.loaded.joints, start.loaded.base
+        pos, vel = model.jnt_qposadr[joints].tolist(), model.jnt_dofadr[joints].tolist()
+        if base is None:
+            return cls(tuple(pos), tuple(vel), False, 0, 0)
+        at = int(model.jnt_qposadr[base]), int(model.jnt_dofadr[base])
+        return cls(tuple(pos), tuple(vel), True, *at)
+
+
+@cache
+def compiled_tick(places: Places) -> Any:
+    """Return (model, limits, factor, data, command, steps) to (data, what is told).
+
+    `limits` of the torque have shape (2, n), `factor` (n,), the command (5, N, n); told are `pos`,
+    `vel`, `torque`, `base` and, one physics step before, `before`: qpos and qvel of the free joint.
+    The servo's equation is that of `kit/servo.py`.
+    """
+    import jax
+    from mujoco import mjx
+
+    jnp = jax.numpy
+    pos, vel = jnp.array(places.pos), jnp.array(places.vel)
+
+    def where(data: Any) -> Any:
+        if not places.floating:
+            return jnp.zeros(13)
+        at, by = places.base_pos, places.base_vel
+        return jnp.concatenate((data.qpos[at : at + 7], data.qvel[by : by + 6]))
+
+    def one(model: Any, limits: Any, factor: Any, data: Any, command: Any, steps: Any) -> Any:
+        target, velocity, feed_forward, stiffness, damping = command
+
+        def step(_: Any, carried: Any) -> Any:
+            data, _, _ = carried
+            error, slip = target - data.qpos[pos], velocity - data.qvel[vel]
+            asked = stiffness * error + (damping * slip + feed_forward)
+            torque = jnp.clip(asked, *limits) * factor
+            applied = jnp.zeros_like(data.qfrc_applied).at[vel].set(torque)
+            return mjx.step(model, data.replace(qfrc_applied=applied)), where(data), torque
+
+        begin = (data, where(data), jnp.zeros_like(target))
+        data, before, torque = jax.lax.fori_loop(0, steps, step, begin)
+        told = {"pos": data.qpos[pos], "vel": data.qvel[vel], "torque": torque}
+        return data, told | {"base": where(data), "before": before}
+
+    return jax.jit(jax.vmap(one, in_axes=(None, None, None, 0, 1, None)))
+
+
 def _model(setup: Setup) -> Any:
     """Return the model with the joints' figures and without its own actuators."""
     mujoco, loaded = import_mujoco(), setup.start.loaded
@@ -138,10 +209,9 @@ def _put(mjx: Any, model: Any, start: Start) -> tuple[Any, Any]:
         compiled = mjx.put_model(model)
         data = mjx.make_data(compiled)
     except (NotImplementedError, ValueError) as error:
-        reason = " ".join(str(error).split())
         raise ModelError(
-            f"platform 'mjx' cannot simulate model {start.loaded.path}: {reason}; change the "
-            "model, or take platform: mujoco"
+            f"platform 'mjx' cannot simulate model {start.loaded.path}: {one_line(error)}; change "
+            "the model, or take platform: mujoco"
         ) from error
     pyramid = import_mujoco().mjtCone.mjCONE_PYRAMIDAL
     if not data._impl.ncon and model.opt.cone != pyramid:

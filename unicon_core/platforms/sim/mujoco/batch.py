@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+import weakref
+from collections.abc import Callable, Sequence
 from functools import partial
+from queue import SimpleQueue
+from threading import Thread
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.platforms.kit.command import Command
-from unicon_core.platforms.kit.side_by_side import SideBySide
-from unicon_core.platforms.sim.mujoco.servo import Servo
+from unicon_core.platforms.sim.mujoco.servo import Servo, Told
 from unicon_core.platforms.sim.mujoco.simulated_robot import SimulatedRobot
 
 Array = NDArray[Any]
-Told = tuple[Array, Array, Array]
-"""Controls, gains and biases of one robot's actuators: shapes (n,), (n,) and (n, 3)."""
 Part = tuple[int, list[Told]]
 """Physics steps, and what acts in them on each robot."""
 
@@ -33,35 +33,77 @@ def shares(count: int) -> list[range]:
     return [range(i * count // threads, (i + 1) * count // threads) for i in range(threads)]
 
 
-class SharedServo(Servo):
-    """Reckons the commands of all robots at once, and writes each one before its robot's step."""
+Job = Callable[[], object]
+Ended = SimpleQueue[tuple[int, BaseException | None]]
+Inbox = SimpleQueue["Ended | None"]
 
-    def told(self, command: Array) -> list[Told]:
-        """Return what `push` would bring into the model, of every robot of a batch at once.
 
-        Args:
-            command: rows as of `push`, shape (5, N, n).
+class SideBySide:
+    """Does all jobs at each call: the first one in the caller's thread.
 
-        Returns:
-            What `write` takes, for each robot.
+    A signal handler may close it in the middle of a call, hence `SimpleQueue`: it is the one queue
+    that may be entered twice.
+
+    Args:
+        jobs: one or more; with one there are no threads.
+        name: of the threads.
+    """
+
+    def __init__(self, jobs: Sequence[Job], name: str) -> None:
+        self._jobs, self._inboxes = tuple(jobs), [Inbox() for _ in jobs[1:]]
+        self._threads = [
+            Thread(target=_serve, args=(rank, job, inbox), name=f"{name} {rank}", daemon=True)
+            for rank, (job, inbox) in enumerate(zip(jobs[1:], self._inboxes), 1)
+        ]
+        # Also where nobody closes it.
+        self._end = weakref.finalize(self, _end, self._inboxes)
+        # Not at the first call: a thread is born with the priority and the core of its parent.
+        for thread in self._threads:
+            thread.start()
+
+    def __call__(self) -> None:
+        """Do all jobs; once closed, one after the other.
+
+        Raises:
+            BaseException: what a job raised, once all have ended; of several the first job's.
         """
-        if self._strength is not None:
-            command = np.concatenate((command[:2], command[2:] * self._strength))
-        stiffness, damping = command[3:] / self.gear**2
-        b0 = (command[4] * command[1] + command[2]) / self.gear
-        bias = np.stack((b0, -stiffness, -damping), axis=-1)
-        return list(zip(command[0] * self.gear, stiffness, bias))
+        first, *others = self._jobs
+        if not self._end.alive:
+            for job in self._jobs:
+                job()
+            return
+        ended = Ended()  # of this call: what an interrupted one left is not taken for it
+        for inbox in self._inboxes:
+            inbox.put(ended)
+        try:
+            first()
+        finally:
+            errors = dict(ended.get() for _ in others)
+        for rank in sorted(errors):
+            if (error := errors[rank]) is not None:
+                raise error
 
-    def write(self, ctrl: Array, told: Told) -> None:
-        """Put what `told` returned into the model and one robot's controls.
+    def close(self) -> None:
+        """End the threads, what they do being done; safe to call twice."""
+        self._end()
+        for thread in self._threads:
+            thread.join()
 
-        Args:
-            ctrl: `MjData.ctrl` of the robot.
-            told: of the robot.
-        """
-        index = self.index
-        ctrl[index], self._gain[index], self._bias[index, :3] = told
-        self._written = b""  # it is not what was pushed any more
+
+def _serve(rank: int, job: Job, inbox: Inbox) -> None:
+    while (ended := inbox.get()) is not None:
+        error: BaseException | None = None
+        try:
+            job()
+        except BaseException as raised:
+            error = raised
+        ended.put((rank, error))
+        del ended, error
+
+
+def _end(inboxes: Sequence[Inbox]) -> None:
+    for inbox in inboxes:
+        inbox.put(None)
 
 
 class Batch:
@@ -84,7 +126,7 @@ class Batch:
         robots: Sequence[SimulatedRobot],
         decimation: int,
         shares: Sequence[range],
-        servos: Sequence[SharedServo],
+        servos: Sequence[Servo],
     ) -> None:
         self._take, self._rows, self._robots = command.take, command.rows, robots
         self._decimation = decimation
@@ -120,7 +162,7 @@ class Batch:
 
 
 def _simulate(
-    servo: SharedServo, robots: Sequence[SimulatedRobot], ranks: range, parts: list[Part]
+    servo: Servo, robots: Sequence[SimulatedRobot], ranks: range, parts: list[Part]
 ) -> None:
     for rank in ranks:
         robot = robots[rank]

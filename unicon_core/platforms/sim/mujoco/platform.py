@@ -14,18 +14,18 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import PlatformError
 from unicon_core.models.loaded import LoadedModel, import_mujoco
-from unicon_core.platforms.kit.bodies import BODY_PHYSICS, tell_bodies
+from unicon_core.models.posed import PosedModel
+from unicon_core.models.terrain import Models
+from unicon_core.platforms.kit.bodies import BODY_PHYSICS, GANTRY, hold, tell_bodies
 from unicon_core.platforms.kit.clock import steps_in
 from unicon_core.platforms.kit.command import Command
-from unicon_core.platforms.kit.gantry import GANTRY, hold
-from unicon_core.platforms.kit.joint_delay import delay_of, strength_of
 from unicon_core.platforms.kit.joint_model import Passive
 from unicon_core.platforms.kit.scene import TERRAIN, Scene
+from unicon_core.platforms.kit.servo import delay_of, strength_of
 from unicon_core.platforms.kit.start import initial_positions
 from unicon_core.platforms.platform import SIMULATED, Facts
-from unicon_core.platforms.sim.mujoco.batch import Batch, SharedServo, shares
-from unicon_core.platforms.sim.mujoco.models import Models
-from unicon_core.platforms.sim.mujoco.placement import Placement
+from unicon_core.platforms.sim.mujoco.batch import Batch, shares
+from unicon_core.platforms.sim.mujoco.servo import Servo
 from unicon_core.platforms.sim.mujoco.simulated_robot import SimulatedRobot
 from unicon_core.platforms.sim.mujoco.viewer import Viewer
 from unicon_core.robots import Robot
@@ -119,7 +119,7 @@ class MujocoPlatform:
         self._physics = physics = joint_physics(robot, scene.joints)
         _tell_joints(mujoco, loaded, physics)
         self._passive = passive
-        self._dofs = model.jnt_dofadr[loaded.joints]
+        self._dofs = loaded.dofs
         if passive == "replace":
             model.dof_damping[self._dofs] = 0.0
         delay = delay_of(physics, float(model.opt.timestep))
@@ -129,8 +129,7 @@ class MujocoPlatform:
         self._models = [model, *(copy(model) for _ in ranks[1:])]
         self.robots: list[SimulatedRobot] = []
         servos = [
-            SharedServo(mujoco, own, loaded.joints, robot.effort_limit, strength_of(physics))
-            for own in self._models
+            Servo(replace(loaded, model=own), robot, strength_of(physics)) for own in self._models
         ]
         for own, servo, share in zip(self._models, servos, ranks):
             for k in share:
@@ -160,8 +159,8 @@ class MujocoPlatform:
             self._batch = Batch(command, self.robots, self.decimation, ranks, servos)
 
     @cached_property
-    def _placement(self) -> Placement:
-        return Placement(self._read.flat, self.robots)
+    def _posed(self) -> PosedModel:
+        return PosedModel(self._read.flat)
 
     @property
     def data(self) -> Any:
@@ -235,15 +234,17 @@ class MujocoPlatform:
 
     def put(self, measured: Mapping[str, NDArray[Any]]) -> None:
         """Put the robot where one was measured, every one of a batch; see `Placeable`."""
-        self._placement.put(measured)
+        for robot in self.robots:
+            robot.put(measured, self._posed)
 
     def save(self) -> list[dict[str, Any]]:
         """Return what the physics go on from, for a replay."""
-        return self._placement.save()
+        return [robot.save() for robot in self.robots]
 
     def load(self, saved: list[dict[str, Any]]) -> None:
         """Go on as another platform would that was built alike."""
-        self._placement.load(saved)
+        for robot, kept in zip(self.robots, saved, strict=True):
+            robot.load(kept)
 
     def close(self) -> None:
         """Let go; a simulation has no motors to damp."""
@@ -297,13 +298,9 @@ class MujocoPlatform:
         physics = self._physics
         own, body = {*loaded.joints, loaded.base}, None
         if loaded.base is not None:
-            carries = int(model.jnt_bodyid[loaded.base])
-            body = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, carries)
-        others = [
-            mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, i) or f"joint {i}"
-            for i in range(model.njnt)
-            if i not in own
-        ]
+            body = model.body(int(model.jnt_bodyid[loaded.base])).name or None
+        beyond = (i for i in range(model.njnt) if i not in own)
+        others = [model.joint(i).name or f"joint {i}" for i in beyond]
         notes = list(loaded.notes)
         if others:
             notes.append(f"joints beyond the robot's, left to the model: {', '.join(others)}")
@@ -346,7 +343,7 @@ def _tell_joints(mujoco: Any, loaded: LoadedModel, physics: JointPhysics) -> Non
     told = {"dof_frictionloss": physics.friction, "dof_armature": physics.armature}
     if all(np.isnan(values).all() for values in told.values()):
         return
-    dofs = model.jnt_dofadr[loaded.joints]
+    dofs = loaded.dofs
     for name, values in told.items():
         array = getattr(model, name)
         array[dofs] = np.where(np.isnan(values), array[dofs], values)

@@ -15,27 +15,25 @@ it does for every position actuator: the torque at a state is the same, the step
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.models.actuators import actuator_kind, effort_range
-from unicon_core.models.joints import drives
+from unicon_core.models.actuators import actuator_kind, effort_ranges
+from unicon_core.models.loaded import LoadedModel, drives, import_mujoco
 from unicon_core.models.rows import index_of
+from unicon_core.robots import Robot
 
 Float = NDArray[np.float64]
+Told = tuple[Float, Float, Float]
+"""Controls, gains and biases of one robot's actuators: shapes (n,), (n,) and (n, 3)."""
 
 
 class Servo:
     """The actuators of a robot's joints in one model.
 
     Args:
-        mujoco: the module.
-        model: the `MjModel`, changed in place.
-        joints: joint id of each robot joint.
-        effort_limit: largest torque of each joint in [N·m], NaN for none, shape (n,).
+        loaded: the model, changed in place.
+        robot: says the largest torques.
         strength: what the motors give of the torque above, and of its limits, shape (n,); None for
             all of it.
 
@@ -44,31 +42,20 @@ class Servo:
         effort_lower, effort_upper: torque limits in use in [N·m], shape (n,), infinite for none.
     """
 
-    def __init__(
-        self,
-        mujoco: Any,
-        model: Any,
-        joints: Sequence[int],
-        effort_limit: NDArray[np.float32],
-        strength: Float | None = None,
-    ) -> None:
-        driven = drives(mujoco, model)
-        self.actuators = [driven[joint][0] for joint in joints]
-        self.silenced = [i for joint in joints for i in driven[joint][1:]]
-        count = len(joints)
-        self.kinds: list[str] = []
-        self.effort_lower = np.full(count, -np.inf)
-        self.effort_upper = np.full(count, np.inf)
+    def __init__(self, loaded: LoadedModel, robot: Robot, strength: Float | None = None) -> None:
+        mujoco, model = import_mujoco(), loaded.model
+        driven = [drives(model)[joint] for joint in loaded.joints]
+        self.actuators = [first for first, *_ in driven]
+        self.silenced = [i for _, *others in driven for i in others]
+        self.kinds = [actuator_kind(model, i) for i in self.actuators]
         self.gear = np.array([float(model.actuator_gear[i, 0]) for i in self.actuators])
-        for k, (joint, i) in enumerate(zip(joints, self.actuators)):
-            self.kinds.append(actuator_kind(mujoco, model, i))
-            found = effort_range(mujoco, model, joint, i, float(effort_limit[k]))
-            self.effort_lower[k], self.effort_upper[k] = found
+        self.effort_lower, self.effort_upper = lower, upper = effort_ranges(loaded, robot)
+        for k, i in enumerate(self.actuators):
             model.actuator_gaintype[i] = int(mujoco.mjtGain.mjGAIN_FIXED)
             model.actuator_biastype[i] = int(mujoco.mjtBias.mjBIAS_AFFINE)
             if self.kinds[k] != "position":  # its range was one of torques or speeds
                 model.actuator_ctrllimited[i] = 0
-            limits = np.array([self.effort_lower[k], self.effort_upper[k]]) / self.gear[k]
+            limits = np.array([lower[k], upper[k]]) / self.gear[k]
             model.actuator_forcelimited[i] = int(np.isfinite(limits).all())
             model.actuator_forcerange[i] = np.sort(limits)
         # Silenced is a second actuator on a joint (position and velocity pairs).
@@ -79,11 +66,12 @@ class Servo:
             self.effort_lower *= strength
             self.effort_upper *= strength
             model.actuator_forcerange[self.actuators] *= strength[:, None]
+        count = len(self.actuators)
         self._strength, self._weakened = strength, np.zeros((5, count))
         weak = np.ones(count) if strength is None else strength
         self._factor = np.stack([np.ones(count)] * 2 + [weak] * 3)
         self.index = index_of(self.actuators)
-        self._gain = model.actuator_gainprm[:, 0]
+        self._model, self._gain = model, model.actuator_gainprm[:, 0]
         self._bias = model.actuator_biasprm
         self._unit_gear = bool((self.gear == 1.0).all())
         self._target = np.zeros(count)
@@ -118,3 +106,47 @@ class Servo:
             self._bias[index, 1] = -stiffness
             self._bias[index, 2] = -damping
             self._written = gains
+
+    def told(self, command: Float) -> list[Told]:
+        """Return what `push` would bring into the model, of every robot of a batch at once.
+
+        Args:
+            command: rows as of `push`, shape (5, N, n).
+
+        Returns:
+            What `write` takes, for each robot.
+        """
+        if self._strength is not None:
+            command = np.concatenate((command[:2], command[2:] * self._strength))
+        stiffness, damping = command[3:] / self.gear**2
+        b0 = (command[4] * command[1] + command[2]) / self.gear
+        bias = np.stack((b0, -stiffness, -damping), axis=-1)
+        return list(zip(command[0] * self.gear, stiffness, bias))
+
+    def write(self, ctrl: Float, told: Told) -> None:
+        """Put what `told` returned into the model and one robot's controls.
+
+        Args:
+            ctrl: `MjData.ctrl` of the robot.
+            told: of the robot.
+        """
+        index = self.index
+        ctrl[index], self._gain[index], self._bias[index, :3] = told
+        self._written = b""  # it is not what was pushed any more
+
+    def holding(self, qpos: Float) -> Float:
+        """Return controls that hold the joints of other position actuators (hands, objects).
+
+        Args:
+            qpos: positions that are held, as of `MjData.qpos`.
+
+        Returns:
+            As of `MjData.ctrl`.
+        """
+        model = self._model
+        ctrl, kind = np.zeros(model.nu), int(import_mujoco().mjtTrn.mjTRN_JOINT)
+        for i in {*range(model.nu)} - {*self.actuators, *self.silenced}:
+            if model.actuator_trntype[i] == kind and actuator_kind(model, i) == "position":
+                place = model.jnt_qposadr[model.actuator_trnid[i, 0]]
+                ctrl[i] = qpos[place] * model.actuator_gear[i, 0]
+        return ctrl

@@ -7,7 +7,7 @@ import sys
 import time
 from typing import Any
 
-from unicon_core.errors import PlatformError
+from unicon_core.errors import PlatformError, one_line
 
 
 class Viewer:
@@ -38,7 +38,7 @@ class Viewer:
             self._handle = mujoco.viewer.launch_passive(model, data)
         except Exception as error:  # glfw raises classes of its own
             raise PlatformError(
-                f"the viewer cannot open a window: {' '.join(str(error).split())}; "
+                f"the viewer cannot open a window: {one_line(error)}; "
                 "give --view for a page in the browser"
             ) from error
         self._interval = 1.0 / rate

@@ -6,18 +6,18 @@ Newton has readers of URDF and MJCF of its own, but what a workflow simulates is
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.models.kinematic_tree import read_tree
-from unicon_core.models.links import Link
+from unicon_core.models.kinematic_tree import Link, read_tree
 from unicon_core.models.loaded import import_mujoco
-from unicon_core.models.physical import physical_links
 from unicon_core.models.quaternions import rotate
 from unicon_core.models.touching import solid, still
+from unicon_core.models.urdf_write import physical_links
 from unicon_core.platforms.kit.base import rotation
 from unicon_core.platforms.kit.joint_model import JointModel
 from unicon_core.platforms.kit.start import Start
@@ -29,6 +29,24 @@ _RAW = 1  # of `solref_mode`: a pair as MuJoCo has it, not a stiffness and a dam
 _WHOLE = ("solver", "integrator", "cone", "iterations", "ls_iterations")
 _NUMBERS = ("impratio", "tolerance", "ls_tolerance", "density", "viscosity")
 _WORLD = -1  # Newton's number of the body that does not move
+
+_SIZES = {
+    "sphere": ("radius",),
+    "box": ("hx", "hy", "hz"),
+    "capsule": ("radius", "half_height"),
+    "cylinder": ("radius", "half_height"),
+    "ellipsoid": ("rx", "ry", "rz"),
+}
+"""Kind of a geom to Newton's words for its sizes."""
+
+# Newton's words for what MuJoCo has of geoms, joints, their friction and pairs, to its arrays.
+_OF_GEOM = {word: f"geom_{word}" for word in ("contype", "conaffinity", "condim", "solref")} | {
+    word: word for word in ("geom_priority", "geom_solmix", "geom_solimp")
+}
+_OF_JOINT = {"limit_margin": "jnt_margin", "solreflimit": "jnt_solref", "solimplimit": "jnt_solimp"}
+_OF_DOF = {"solreffriction": "dof_solref", "solimpfriction": "dof_solimp"}
+_PAIR = ("solref", "solreffriction", "solimp", "margin", "gap", "friction")
+_OF_PAIR = {"pair_condim": "pair_dim"} | {f"pair_{word}": f"pair_{word}" for word in _PAIR}
 
 
 def build_world(
@@ -84,7 +102,6 @@ class _Builder:
     ) -> None:
         self._newton, self._warp, self._start = newton, warp, start
         self._model, self._figures, self._robot = start.loaded.model, figures, robot
-        self._kinds = import_mujoco().mjtGeom
         self._builder = newton.ModelBuilder(gravity=warp.vec3(*start.gravity))
         newton.solvers.SolverMuJoCo.register_custom_attributes(self._builder)
         self._shapes: dict[int, int] = {}  # geom -> shape
@@ -118,21 +135,19 @@ class _Builder:
         self._pair()
         return builder, joints
 
-    def _body(self, link: Link) -> int:
+    def _body(self, link: Link) -> Any:
         turn = rotation(link.inertia_quat[None])[0]
         inertia = turn @ np.diag(link.inertia) @ turn.T
-        body: int = self._builder.add_link(
+        return self._builder.add_link(
             mass=link.mass,
             com=self._warp.vec3(*link.centre),
             inertia=self._warp.mat33(*inertia.ravel()),
             label=link.name,
             lock_inertia=True,
         )
-        return body
 
-    def _joint(self, link: Link, bodies: list[int]) -> int:
+    def _joint(self, link: Link, bodies: list[int]) -> Any:
         builder, body = self._builder, bodies[-1]
-        joint: int
         if link.parent < 0:
             joint = builder.add_joint_free(body, label="base")
             w, x, y, z = self._start.quat
@@ -141,8 +156,7 @@ class _Builder:
         where = {"parent_xform": self._transform(link.position, link.quat)}
         parent = bodies[link.parent]
         if not link.joint:
-            joint = builder.add_joint_fixed(parent, body, **where)
-            return joint
+            return builder.add_joint_fixed(parent, body, **where)
         add = builder.add_joint_prismatic if link.sliding else builder.add_joint_revolute
         axis = self._warp.vec3(*link.axis)
         says = self._figures_of(link)
@@ -161,48 +175,50 @@ class _Builder:
         """Return what Newton is told of a joint; it has no drive of its own."""
         model, figures, at = self._model, self._figures, link.index
         dof = int(model.jnt_dofadr[link.number])
+        words = ("armature", "damping", "friction", "lower", "upper")
         if at >= 0:
-            own = figures.armature[at], figures.damping[at], figures.friction[at]
-            limits = figures.lower[at], figures.upper[at]
+            own = [getattr(figures, word)[at] for word in words]
         else:
-            own = model.dof_armature[dof], model.dof_damping[dof], model.dof_frictionloss[dof]
-            limits = link.lower, link.upper
-        armature, damping, friction = map(float, own)
-        lower, upper = (float(limit) for limit in limits)
-        spring = float(model.qpos_spring[model.jnt_qposadr[link.number]])
+            own = [model.dof_armature[dof], model.dof_damping[dof], model.dof_frictionloss[dof]]
+            own += [link.lower, link.upper]
+        told = ("armature", "damping", "friction", "limit_lower", "limit_upper")
         return {
-            "armature": armature,
-            "damping": damping,
-            "friction": friction,
-            "limit_lower": lower,
-            "limit_upper": upper,
+            **dict(zip(told, map(float, own))),
             "stiffness": float(np.ravel(model.jnt_stiffness[link.number])[0]),
-            "rest_q": spring,
+            "rest_q": float(model.qpos_spring[model.jnt_qposadr[link.number]]),
             "target_ke": 0.0,
             "target_kd": 0.0,
             "actuator_mode": self._newton.JointTargetMode.NONE,
             "custom_attributes": {
-                "mujoco:limit_margin": float(model.jnt_margin[link.number]),
-                "mujoco:solreflimit": self._vector(model.jnt_solref[link.number]),
+                **self._same(_OF_JOINT, link.number),
+                **self._same(_OF_DOF, dof),
                 "mujoco:solreflimit_mode": _RAW,
-                "mujoco:solimplimit": self._vector(model.jnt_solimp[link.number]),
-                "mujoco:solreffriction": self._vector(model.dof_solref[dof]),
-                "mujoco:solimpfriction": self._vector(model.dof_solimp[dof]),
             },
         }
 
     def _place(self, geom: int, part: Float) -> Float:
         """Return where a geom is on its link, from where `read_tree` puts its first part."""
-        model, kinds = self._model, self._kinds
-        if int(model.geom_type[geom]) in (int(kinds.mjGEOM_ELLIPSOID), int(kinds.mjGEOM_MESH)):
+        model = self._model
+        if self._kind(geom) in ("ellipsoid", "mesh"):
             return part - rotate(model.geom_quat[geom], np.array(model.geom_aabb[geom, :3]))
         return part
 
+    def _kind(self, geom: int) -> str:
+        """Return what a geom is, such as `box`."""
+        kind: str = import_mujoco().mjtGeom(self._model.geom_type[geom]).name
+        return kind.removeprefix("mjGEOM_").lower()
+
     def _shape(self, body: int, geom: int, position: Float, quat: Float) -> None:
         """Add a geom of the model, with its contacts' settings."""
-        builder, model, kinds = self._builder, self._model, self._kinds
-        kind = int(model.geom_type[geom])
-        size = model.geom_size[geom].tolist()
+        model, kind, sizes = self._model, self._kind(geom), dict[str, Any]()
+        if kind in _SIZES:
+            sizes = dict(zip(_SIZES[kind], model.geom_size[geom].tolist()))
+        elif kind == "plane":
+            sizes = {"width": 0.0, "length": 0.0}
+        elif kind == "mesh":
+            kind, sizes = "convex_hull", {"mesh": self._mesh(geom)}
+        else:
+            return
         slide, turn, roll = map(float, model.geom_friction[geom])
         config = self._newton.ModelBuilder.ShapeConfig(
             density=0.0,
@@ -212,41 +228,18 @@ class _Builder:
             margin=float(model.geom_margin[geom]),
             gap=float(model.geom_gap[geom]),
         )
-        says = {
-            "xform": self._transform(position, quat),
-            "cfg": config,
-            "label": f"geom_{geom}",
-            "custom_attributes": {
-                "mujoco:contype": int(model.geom_contype[geom]),
-                "mujoco:conaffinity": int(model.geom_conaffinity[geom]),
+        self._shapes[geom] = getattr(self._builder, f"add_shape_{kind}")(
+            body=body,
+            **sizes,
+            xform=self._transform(position, quat),
+            cfg=config,
+            label=f"geom_{geom}",
+            custom_attributes={
+                **self._same(_OF_GEOM, geom),
                 "mujoco:collision_mask_domain": 0,
-                "mujoco:condim": int(model.geom_condim[geom]),
-                "mujoco:geom_priority": int(model.geom_priority[geom]),
-                "mujoco:geom_solmix": float(model.geom_solmix[geom]),
-                "mujoco:geom_solimp": self._vector(model.geom_solimp[geom]),
-                "mujoco:solref": self._vector(model.geom_solref[geom]),
                 "mujoco:solref_mode": _RAW,
             },
-        }
-        shape: int
-        if kind == int(kinds.mjGEOM_PLANE):
-            shape = builder.add_shape_plane(body=body, width=0.0, length=0.0, **says)
-        elif kind == int(kinds.mjGEOM_SPHERE):
-            shape = builder.add_shape_sphere(body, radius=size[0], **says)
-        elif kind == int(kinds.mjGEOM_BOX):
-            shape = builder.add_shape_box(body, hx=size[0], hy=size[1], hz=size[2], **says)
-        elif kind == int(kinds.mjGEOM_CAPSULE):
-            shape = builder.add_shape_capsule(body, radius=size[0], half_height=size[1], **says)
-        elif kind == int(kinds.mjGEOM_CYLINDER):
-            shape = builder.add_shape_cylinder(body, radius=size[0], half_height=size[1], **says)
-        elif kind == int(kinds.mjGEOM_ELLIPSOID):
-            axes = dict(zip(("rx", "ry", "rz"), size))
-            shape = builder.add_shape_ellipsoid(body, **axes, **says)
-        elif kind == int(kinds.mjGEOM_MESH):
-            shape = builder.add_shape_convex_hull(body, mesh=self._mesh(geom), **says)
-        else:
-            return
-        self._shapes[geom] = shape
+        )
 
     def _mesh(self, geom: int) -> Any:
         model, mesh = self._model, int(self._model.geom_dataid[geom])
@@ -282,26 +275,28 @@ class _Builder:
             ends = int(model.pair_geom1[i]), int(model.pair_geom2[i])
             if not set(ends) <= shapes.keys():
                 continue
-            says = {
-                "world": 0,
-                "geom1": shapes[ends[0]],
-                "geom2": shapes[ends[1]],
-                "condim": int(model.pair_dim[i]),
-                "solref": self._vector(model.pair_solref[i]),
-                "solreffriction": self._vector(model.pair_solreffriction[i]),
-                "solimp": self._vector(model.pair_solimp[i]),
-                "margin": float(model.pair_margin[i]),
-                "gap": float(model.pair_gap[i]),
-                "friction": self._vector(model.pair_friction[i]),
-            }
-            self._builder.add_custom_values(**{f"mujoco:pair_{k}": v for k, v in says.items()})
+            one, other = (shapes[end] for end in ends)
+            where = {"mujoco:pair_world": 0, "mujoco:pair_geom1": one, "mujoco:pair_geom2": other}
+            self._builder.add_custom_values(**where, **self._same(_OF_PAIR, i))
 
     def _transform(self, position: Float, quat: Float) -> Any:
         """Return a pose with the quaternion xyzw."""
-        w, x, y, z = (float(value) for value in quat)
-        place = self._warp.vec3(*(float(value) for value in position))
+        w, x, y, z = map(float, quat)
+        place = self._warp.vec3(*map(float, position))
         return self._warp.transform(place, self._warp.quat(x, y, z, w))
 
-    def _vector(self, values: Float) -> Any:
-        kinds = {2: self._warp.vec2, 5: self._warp.types.vector(5, self._warp.float32)}
-        return kinds[len(values)](*(float(value) for value in values))
+    def _same(self, arrays: Mapping[str, str], place: int) -> dict[str, Any]:
+        """Return what arrays of the model have at a place, as Newton takes it.
+
+        Args:
+            arrays: Newton's words to names of the arrays.
+            place: number of the geom, joint or pair.
+        """
+        warp = self._warp
+        vectors = {2: warp.vec2, 5: warp.types.vector(5, warp.float32)}
+        says = {}
+        for word, array in arrays.items():
+            value = getattr(self._model, array)[place]
+            plain = value.tolist()
+            says[f"mujoco:{word}"] = vectors[len(value)](*plain) if value.ndim else plain
+        return says

@@ -9,16 +9,23 @@ from typing import Any
 import numpy as np
 
 from unicon_core.errors import MissingDependencyError
-from unicon_core.models.physical import physical_urdf
-from unicon_core.platforms.kit.base import Float, WorldPose
-from unicon_core.platforms.kit.bodies import BODY_PHYSICS
-from unicon_core.platforms.kit.joint_model import Passive, ground_friction
+from unicon_core.models.urdf_write import physical_urdf
 from unicon_core.platforms.kit.quiet import quiet
-from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.kit.stepped import DampedSimulator, Setup, setup_of
-from unicon_core.platforms.platform import SIMULATED, Facts
-from unicon_core.robots import Robot
-from unicon_core.states import States
+from unicon_core.platforms.kit.stepped import (
+    BODY_PHYSICS,
+    SIMULATED,
+    DampedSimulator,
+    Facts,
+    Float,
+    Passive,
+    Robot,
+    Scene,
+    Setup,
+    States,
+    WorldPose,
+    ground_friction,
+    setup_of,
+)
 
 
 class PybulletPlatform(DampedSimulator):
@@ -31,7 +38,7 @@ class PybulletPlatform(DampedSimulator):
         writes=SIMULATED,
         physics=("strength", "friction", "delay", *BODY_PHYSICS),
     )
-    represents = frozenset({"damping", "friction", "limits"})
+    represents = ("damping", "friction", "limits")
 
     def __init__(self, clients: Sequence[Any], setup: Setup) -> None:
         description = physical_urdf(setup.start.loaded, setup.robot)

@@ -12,19 +12,23 @@ from typing import Any
 import numpy as np
 
 from unicon_core.errors import Fault, MissingDependencyError, PlatformError, alternatives
-from unicon_core.models.loaded import import_mujoco
-from unicon_core.platforms.kit.base import Float, WorldPose
-from unicon_core.platforms.kit.joint_model import (
+from unicon_core.platforms.kit.stepped import (
+    SIMULATED,
+    Facts,
+    Float,
     JointModel,
     Passive,
+    Robot,
+    Scene,
+    Setup,
+    Start,
+    States,
+    SteppedSimulator,
+    WorldPose,
     ground_friction,
+    import_mujoco,
+    setup_of,
 )
-from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.kit.start import Start
-from unicon_core.platforms.kit.stepped import Setup, SteppedSimulator, setup_of
-from unicon_core.platforms.platform import SIMULATED, Facts
-from unicon_core.robots import Robot
-from unicon_core.states import States
 
 INSTALL = "install Webots, and put $WEBOTS_HOME/lib/controller/python on PYTHONPATH"
 
@@ -46,7 +50,7 @@ class WebotsPlatform(SteppedSimulator):
         physics=("strength", "delay"),
         notes=("written against the vendor's modules, not run against Webots",),
     )
-    represents = frozenset({"damping", "limits"})
+    represents = ("damping", "limits")
 
     def __init__(self, supervisor: Any, setup: Setup) -> None:
         self._supervisor, self._step_ms = supervisor, round(setup.timestep * 1e3)
