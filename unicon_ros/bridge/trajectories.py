@@ -17,8 +17,8 @@ import numpy as np
 from unicon_core.blocks.forward_command import ForwardCommand
 from unicon_core.errors import UniconError
 from unicon_core.flow import Block
-from unicon_core.trajectory import Ending, Limits, Player, Points, Refusal, Tolerances
-from unicon_core.trajectory.accepted import Code
+from unicon_core.trajectory.accepted import Code, Limits, Points, Refusal
+from unicon_core.trajectory.player import Ending, Player, Tolerances
 from unicon_core.workflow import Program
 from unicon_core.workflow.program_data import ProgramData
 from unicon_msgs_map.spec import TrajectorySpec
