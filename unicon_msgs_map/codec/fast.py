@@ -79,15 +79,14 @@ def compile_fast(
         reject: whether numbers that are not finite are refused.
         loose: compare structural bytes only, not the padding between them.
     """
-    code = Code(raw, order, reject)
-    scalars = Scalars(code)
+    code = Scalars(raw, order, reject)
     bulk: dict[Primitive, list[Run]] = {}
     for number, run in enumerate(runs):
         many = run.kind == "number" and len(run.offsets) > SCALAR_LIMIT
         if many and run.primitive is not None and castable(run):
             bulk.setdefault(run.primitive, []).append(run)
         else:
-            scalars.add(number, run)
+            code.add(number, run)
     for number, (primitive, members) in enumerate(bulk.items()):
         read_in_bulk(code, number, primitive, members)
     guards = hard if loose else _bridged(hard, sorted(o for r in runs for o in r.offsets))

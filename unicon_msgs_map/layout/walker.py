@@ -214,16 +214,14 @@ class _Walker:
         wants: list[Want | None] = [Want(ends=want.ends)] if want.ends else []
         for selector, inner in want.items:
             if isinstance(selector, Key):
-                if self.key(item, at, selector):
-                    if id(inner) in matched:
-                        raise Malformed(f"two elements have {selector.field} {selector.value!r}")
-                    matched.add(id(inner))
-                    wants.append(inner)
-            elif isinstance(selector, int):
-                if selector == index:
-                    wants.append(inner)
-            elif selector[0] <= index and (selector[1] is None or index < selector[1]):
-                wants.append(inner)
+                if not self.key(item, at, selector):
+                    continue
+                if id(inner) in matched:
+                    raise Malformed(f"two elements have {selector.field} {selector.value!r}")
+                matched.add(id(inner))
+            elif index not in range(*_range(selector, index + 1)):
+                continue
+            wants.append(inner)
         return wants
 
     def key(self, item: TypeRef, at: int, key: Key) -> bool:
