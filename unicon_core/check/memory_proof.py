@@ -180,24 +180,27 @@ class _Walker:
         if isinstance(value, np.ndarray):
             if not np.may_share_memory(value, self._states) and not value.dtype.hasobject:
                 self.places[path] = _Place(path, value.tobytes(), value)
-        elif isinstance(value, (*_ATOMS, np.generic, Enum)):
-            self.places[path] = _Place(path, (type(value), repr(value)))
+            return
+        shown: Any
+        if isinstance(value, (*_ATOMS, np.generic, Enum)):
+            shown = type(value), repr(value)
         elif isinstance(value, np.random.Generator):
-            self.places[path] = _Place(path, repr(value.bit_generator.state))
+            shown = repr(value.bit_generator.state)
         elif isinstance(value, random.Random):
-            self.places[path] = _Place(path, value.getstate())
-        elif isinstance(value, GeneratorType):
-            frame = value.gi_frame
-            self.places[path] = _Place(path, None if frame is None else frame.f_lasti)
-            self._todo.append((path, value))
-        elif hasattr(type(value), "__next__"):
-            self.places[path] = _Place(path, repr(value.__reduce__()))
+            shown = value.getstate()
+        elif hasattr(type(value), "__next__") and not isinstance(value, GeneratorType):
+            shown = repr(value.__reduce__())
         elif hasattr(value, "cache_info"):
-            self.places[path] = _Place(path, repr(value.cache_info()))
+            shown = repr(value.cache_info())
         else:
-            if isinstance(value, (list, dict, set, deque, bytearray)):
-                self.places[path] = _Place(path, len(value))
             self._todo.append((path, value))
+            if isinstance(value, GeneratorType):
+                shown = value.gi_frame and value.gi_frame.f_lasti
+            elif isinstance(value, (list, dict, set, deque, bytearray)):
+                shown = len(value)
+            else:
+                return
+        self.places[path] = _Place(path, shown)
 
     def _parts(self, value: Any, path: str) -> Iterator[tuple[str, Any]]:
         if isinstance(value, partial):
