@@ -252,12 +252,11 @@ class Trajectories:
         for each in tolerances:
             if each.name not in joints:
                 raise Refusal(
-                    Code.INVALID_JOINTS, f"there is a tolerance of {each.name[:60]!r}, which the "
-                    "robot has not"
-                )  # fmt: skip
+                    f"there is a tolerance of {each.name[:60]!r}, which the robot has not",
+                    Code.INVALID_JOINTS,
+                )
             if each.velocity > 0.0 or each.acceleration > 0.0 or not np.isfinite(each.position):
                 raise Refusal(
-                    Code.INVALID_GOAL,
                     f"tolerances of {each.name}: positions alone are compared; give a number "
                     "there, and 0 for velocity and acceleration",
                 )
