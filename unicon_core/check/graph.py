@@ -102,9 +102,25 @@ def check_parts(subject: Subject, result: CheckResult) -> None:
     _check_silence(subject, result, parts, given)
     if subject.program.part:  # the others' blocks are not here
         return
-    writers = _writers(subject, parts)
-    _check_writers(subject, result, writers)
-    _check_published(subject, result, parts, writers)
+    writers, where = _writers(subject, parts), subject.document.where
+    for state, who in writers.items():
+        if len(who) > 1:
+            said = " and ".join(f"{block!r} of part {part!r}" for part, block in who.items())
+            evidence = f"{said} write it, and a part does not write another's states"
+            result.find("parts.writers", f"state {state!r}", evidence, where=where("parts"))
+    for part in parts.parts.values():
+        for state in part.publishes:
+            if part.name in writers.get(state, {}):
+                continue
+            theirs = next(iter(writers.get(state, {})), "")
+            result.find(
+                "parts.published",
+                f"part {part.name!r}",
+                f"it publishes {state!r}, which "
+                + (f"part {theirs!r} writes" if theirs else "nothing writes"),
+                f"move it to part {theirs!r}" if theirs else "take it out of publishes",
+                where("parts", part.name, "publishes"),
+            )
     _check_read(subject, result, parts, given, writers)
 
 
@@ -140,35 +156,6 @@ def _writers(subject: Subject, parts: Parts) -> Writers:
         for state in block.writes:
             writers.setdefault(state, {}).setdefault(owner_of(block, parts), block.name)
     return writers
-
-
-def _check_writers(subject: Subject, result: CheckResult, writers: Writers) -> None:
-    for state, who in writers.items():
-        if len(who) > 1:
-            said = " and ".join(f"{block!r} of part {part!r}" for part, block in who.items())
-            result.find(
-                "parts.writers",
-                f"state {state!r}",
-                f"{said} write it, and a part does not write another's states",
-                where=subject.document.where("parts"),
-            )
-
-
-def _check_published(subject: Subject, result: CheckResult, parts: Parts, writers: Writers) -> None:
-    for part in parts.parts.values():
-        for state in part.publishes:
-            owners = writers.get(state, {})
-            if part.name in owners:
-                continue
-            theirs = next(iter(owners), "")
-            result.find(
-                "parts.published",
-                f"part {part.name!r}",
-                f"it publishes {state!r}, which "
-                + (f"part {theirs!r} writes" if theirs else "nothing writes"),
-                f"move it to part {theirs!r}" if theirs else "take it out of publishes",
-                subject.document.where("parts", part.name, "publishes"),
-            )
 
 
 def _check_read(

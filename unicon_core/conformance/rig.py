@@ -154,9 +154,8 @@ class Rig:
             "height": 2.0,
             "quat": "1 0 0 0",
         } | dict(model or {})
-        limits = {key: says[key] for key in ("lower", "upper")}
         file, path = folder / "probe.yaml", folder / "probe.xml"
-        joints = "\n".join(_JOINT.format(name=name, effort=effort, **limits) for name in order)
+        joints = "\n".join(_JOINT.format(name=name, effort=effort, **says) for name in order)
         kind, feet = ("quadruped", "feet: [box]\n") if floating else ("arm", "")
         robot = _ROBOT.format(kind=kind, joints=joints, imu=list(IMU_POSITION), feet=feet)
         file.write_text(robot, encoding="utf-8")
