@@ -41,6 +41,14 @@ def test_codes_are_unique_and_every_rule_says_all() -> None:
         assert all((rule.what, rule.why, rule.remedy)), rule.code
 
 
+def test_the_remedy_of_a_finding_is_its_rules_unless_it_has_one_of_its_own() -> None:
+    result = CheckResult("walk")
+    for remedy in (None, "mend it", ""):
+        result.find("gains.swapped", "policy 'walk'", "kp 1, kd 40", remedy)
+    remedies = [finding.remedy for finding in result.findings]
+    assert remedies == ["exchange stiffness and damping", "mend it", ""]
+
+
 @pytest.mark.parametrize("code", CODES)
 def test_a_test_raises_every_code(code: str) -> None:
     texts = (path.read_text("utf-8") for path in (ROOT / "test").rglob("test_*.py"))

@@ -1,7 +1,7 @@
 """Our side of a field: arrays, element names, variables and conversions, resolved once at build.
 
-Shared by encoders and decoders. A `Bound` names the flat view of a state and which of its
-elements take part, in message order.
+Shared by encoders and decoders, as is what numbers of a type can hold. A `Bound` names the flat
+view of a state and which of its elements take part, in message order.
 """
 
 from __future__ import annotations
@@ -168,3 +168,13 @@ def _select(field: FieldSpec, size: int, names: tuple[str, ...] | None) -> tuple
             f"{field.source} is out of range; state {name!r} has {count_of(size)}"
         )
     return tuple(range(start, stop))
+
+
+SINGLE_MAX = float(np.finfo(np.float32).max)
+DOUBLE_MAX = float(np.finfo(np.float64).max)
+
+
+def limits(dtype: np.dtype[Any] | str) -> tuple[int, int]:
+    """Return the smallest and largest integer of a dtype."""
+    info = np.iinfo(dtype)
+    return int(info.min), int(info.max)

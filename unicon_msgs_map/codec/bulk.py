@@ -21,10 +21,9 @@ from typing import Any
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
 
-from unicon_msgs_map.codec.binding import AnyArray
+from unicon_msgs_map.codec.binding import DOUBLE_MAX, SINGLE_MAX, AnyArray
 from unicon_msgs_map.codec.careful import Run
 from unicon_msgs_map.codec.code import Code
-from unicon_msgs_map.codec.ranges import DOUBLE_MAX, SINGLE_MAX
 from unicon_msgs_map.codec.strides import address, fuse, line, stack, step
 from unicon_msgs_map.layout.messages import Primitive
 

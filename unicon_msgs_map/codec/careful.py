@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_msgs_map.codec.binding import Bound, Conversion
-from unicon_msgs_map.codec.ranges import SINGLE_MAX, limits
+from unicon_msgs_map.codec.binding import SINGLE_MAX, Bound, Conversion, limits
 from unicon_msgs_map.codec.targets import Target
 from unicon_msgs_map.errors import count_of
 from unicon_msgs_map.layout.messages import Primitive

@@ -15,8 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_msgs_map.codec.binding import AnyArray, Bound, Conversion
-from unicon_msgs_map.codec.ranges import SINGLE_MAX, limits
+from unicon_msgs_map.codec.binding import SINGLE_MAX, AnyArray, Bound, Conversion, limits
 from unicon_msgs_map.codec.strides import address, fuse, line, stack, step
 from unicon_msgs_map.layout.template import Slot, Template
 

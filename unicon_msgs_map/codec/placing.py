@@ -11,8 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from unicon_core.errors import alternatives
-from unicon_msgs_map.codec.binding import Bound, affine, message_order
-from unicon_msgs_map.codec.ranges import SINGLE_MAX, limits
+from unicon_msgs_map.codec.binding import SINGLE_MAX, Bound, affine, limits, message_order
 from unicon_msgs_map.errors import MapStateError, count_of
 from unicon_msgs_map.layout.check import resolve
 from unicon_msgs_map.layout.messages import Array, Primitive, String, Struct, TypeRef

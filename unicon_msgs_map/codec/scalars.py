@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from unicon_msgs_map.codec.binding import DOUBLE_MAX, SINGLE_MAX, limits
 from unicon_msgs_map.codec.careful import UNIT, Run, state_of
 from unicon_msgs_map.codec.code import Code
-from unicon_msgs_map.codec.ranges import DOUBLE_MAX, SINGLE_MAX, limits
 from unicon_msgs_map.layout.messages import Primitive
 
 
