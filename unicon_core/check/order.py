@@ -117,7 +117,9 @@ def other_order(depths: Sequence[int]) -> NDArray[np.intp]:
 def joint_orders(
     joints: Sequence[str], robot: Robot, depths: Sequence[int]
 ) -> dict[str, list[str]]:
-    """Return other orders in which the same joints may have been meant, the likeliest first.
+    """Return orders in which the same joints may have been meant, the likeliest first.
+
+    Some may be the given one.
 
     Args:
         joints: in the given order.
@@ -126,17 +128,12 @@ def joint_orders(
     """
     limb_by_limb = [name for name in robot.joint_names if name in joints]
     by_depth, other = dict(zip(joints, depths)), other_order(depths)
-    orders = {
+    return {
         "the joint order of the other kind of simulator": [joints[i] for i in other],
         "that order undone": [joints[i] for i in np.argsort(other)],
         "the robot's joint order": limb_by_limb,
         "a breadth-first joint order": sorted(limb_by_limb, key=lambda name: by_depth[name]),
         "the reversed joint order": list(joints[::-1]),
-    }
-    return {
-        name: order
-        for name, order in orders.items()
-        if len(order) == len(joints) and tuple(order) != tuple(joints)
     }
 
 
