@@ -67,9 +67,9 @@ def prove(block: Block, states: States, ticks: int = TICKS, seed: int = 0) -> Pr
                 return Proof(trouble=why)
         _run(block, states, inputs, range(ticks))
         middle, remembered = states.snapshot(), memory.take()
-        before = _walk(block.tick, states)
+        before = _Walker(block.tick, states).places
         first = _run(block, states, inputs, range(ticks, 2 * ticks))
-        changed = _changed(before, _walk(block.tick, states))
+        changed = _changed(before, _Walker(block.tick, states).places)
         states.restore(middle)
         memory.put_back(remembered)
         _spoil(changed)
@@ -151,30 +151,21 @@ def _spoil(changed: list[_Place]) -> None:
             array[moved] = np.nan if array.dtype.kind == "f" else 77
 
 
-def _walk(root: Any, states: States) -> dict[str, _Place]:
-    """Return what a block can change without declaring it, by path."""
-    walker = _Walker(holder_of(root), states)
-    walker.follow(root, "")
-    return walker.places
-
-
 class _Walker:
-    def __init__(self, holder: Any, states: States) -> None:
+    """What a block can change without declaring it: `places`, by path."""
+
+    def __init__(self, root: Any, states: States) -> None:
         self.places: dict[str, _Place] = {}
         self._states = states.buffer
-        self._seen: dict[int, Any] = {id(states): states}
-        self._todo: deque[tuple[str, Any]] = deque()
-        self._module = _package(holder)
-
-    def follow(self, root: Any, path: str) -> None:
-        self._todo.append((path, root))
-        while self._todo and len(self._seen) < MOST:
+        self._module = _package(holder_of(root))
+        self._todo: deque[tuple[str, Any]] = deque([("", root)])
+        seen: dict[int, Any] = {id(states): states}
+        while self._todo and len(seen) < MOST:
             path, value = self._todo.popleft()
-            if id(value) in self._seen:
-                continue
-            self._seen[id(value)] = value
-            for name, each in self._parts(value, path):
-                self._take(name, each)
+            if id(value) not in seen:
+                seen[id(value)] = value
+                for name, each in self._parts(value, path):
+                    self._take(name, each)
 
     def _take(self, path: str, value: Any) -> None:
         if isinstance(value, np.ndarray):
