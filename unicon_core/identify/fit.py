@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from unicon_core.errors import UniconError, alternatives
 from unicon_core.gap import aligned_mse
 from unicon_core.identify.found import Fit, Parameter
-from unicon_core.identify.replays import Joints, Motion, Replays
+from unicon_core.identify.replays import Motion, Replays
 from unicon_core.models.load import load_model
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.robots import Robot
@@ -174,13 +174,12 @@ class _Search:
         return self._fit(at, deviations, free, first, now, rounds)
 
     def _replay(self, points: Sequence[Float]) -> list[Float]:
-        return self._replays([self._joints(point) for point in points])
-
-    def _joints(self, point: Float) -> Joints:
-        said: dict[str, dict[str, float]] = {}
-        for (i, word), value in zip(self._keys, point):
-            said.setdefault(self._robot.joint_names[i], {})[word] = float(value)
-        return said
+        sets: list[dict[str, dict[str, float]]] = []
+        for point in points:
+            sets.append({})
+            for (i, word), value in zip(self._keys, point):
+                sets[-1].setdefault(self._robot.joint_names[i], {})[word] = float(value)
+        return self._replays(sets)
 
     def _slopes(self, at: Float, now: Float) -> Float:
         """Return the derivatives of every answer, shape (w, l, n, p)."""

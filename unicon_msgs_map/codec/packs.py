@@ -137,24 +137,22 @@ class Packs:
         form, position = "<", start
         arguments: list[str] = []
         for slot in sorted(slots, key=lambda s: s.offset):
-            form, position = self._gap(form, arguments, position, slot.offset)
+            form += self._gap(arguments, position, slot.offset)
+            position = slot.offset
             for code, expression in self.values[slot]:
                 form += code
                 arguments.append(expression)
                 position += struct.calcsize("<" + code)
-        form, _ = self._gap(form, arguments, position, stop)
-        return form, arguments
+        return form + self._gap(arguments, position, stop), arguments
 
-    def _gap(self, form: str, arguments: list[str], start: int, stop: int) -> tuple[str, int]:
-        if start == stop:
-            return form, stop
+    def _gap(self, arguments: list[str], start: int, stop: int) -> str:
         constant = bytes(self.data[start:stop])
         if not any(constant):
-            return f"{form}{stop - start}x", stop  # pad bytes are packed as zeros
+            return f"{stop - start}x" if constant else ""  # pad bytes are packed as zeros
         name = f"c{start}"
         self.space[name] = constant
         arguments.append(name)
-        return f"{form}{stop - start}s", stop
+        return f"{stop - start}s"
 
 
 def _single(value: float) -> float:
