@@ -67,12 +67,11 @@ def bind_state(field: FieldSpec, arrays: Arrays, names: Names) -> Bound:
         raise field.state_error(
             f"no state {name!r}; {alternatives(name, arrays)}; write ={name} for the text"
         )
-    if array.dtype.kind not in _KINDS or not array.dtype.isnative or array.dtype.itemsize > 8:
+    kind, size = array.dtype.kind, array.dtype.itemsize
+    if kind not in _KINDS or not array.dtype.isnative or size > 8 or (kind == "f" and size < 4):
         raise field.state_error(
             f"state {name!r} has dtype {array.dtype}; use bool, native integers, float32 or float64"
         )
-    if array.dtype == np.float16:
-        raise field.state_error(f"state {name!r} has dtype float16; use float32 or float64")
     flat = array.reshape(-1)
     if array.size and not np.may_share_memory(flat, array):
         raise field.state_error(
