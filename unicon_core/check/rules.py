@@ -40,9 +40,10 @@ class Rule:
         """Return the rule for a terminal."""
         kinds = {"error": "error", "note": "note", "either": "error or note, by what is seen"}
         kind = kinds[self.severity] + (", cannot be accepted or forced" if self.firm else "")
-        lines = [f"{self.code}: {self.what}", f"  kind    {kind}"]
-        lines += [f"  looks at {', '.join(self.needs)}", f"  why     {self.why}"]
-        return "\n".join([*lines, f"  remedy  {self.remedy}"])
+        return (
+            f"{self.code}: {self.what}\n  kind    {kind}\n  looks at {', '.join(self.needs)}\n"
+            f"  why     {self.why}\n  remedy  {self.remedy}"
+        )
 
 
 RULES = tuple(

@@ -23,6 +23,8 @@ class Code:
         work: lines that read and test numbers.
         writes: lines that write states, after all tests.
         reads: `struct` code and variable of a number that is read by itself, by its offset.
+        times: variable of a time by that of its seconds.
+        values: what is written to a state one by one, by its name.
     """
 
     def __init__(self, raw: bytes, order: str, reject: bool) -> None:
@@ -32,6 +34,8 @@ class Code:
         self.work: list[str] = []
         self.writes: list[str] = []
         self.reads: dict[int, tuple[str, str]] = {}
+        self.times: dict[str, str] = {}
+        self.values: dict[str, list[str]] = {}
 
     def stage(self) -> AnyArray:
         """Return the bytes of the present payload, where NumPy reads them, shape (len(raw),)."""

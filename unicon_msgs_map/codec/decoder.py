@@ -12,8 +12,7 @@ import numpy as np
 from unicon_msgs_map.codec.binding import Arrays, Names, Variables
 from unicon_msgs_map.codec.careful import Rejected
 from unicon_msgs_map.codec.layouts import Layouts
-from unicon_msgs_map.codec.targets import Target, bind_targets
-from unicon_msgs_map.layout.messages import Struct
+from unicon_msgs_map.codec.targets import bind_targets
 from unicon_msgs_map.layout.walker import Malformed
 from unicon_msgs_map.spec import SubscribeSpec
 
@@ -28,10 +27,9 @@ class Decoder(Layouts):
         last_error: why the last refused message was refused; empty if none was.
     """
 
-    def __init__(self, spec: SubscribeSpec, message: Struct, targets: list[Target]) -> None:
-        super().__init__(spec, message, targets)
-        self.received = self.rejected = 0
-        self.last_error = ""
+    received = 0
+    rejected = 0
+    last_error = ""
 
     @classmethod
     def build(

@@ -13,11 +13,6 @@ from unicon_msgs_map.layout.messages import Primitive
 class Scalars(Code):
     """Writes the lines of single numbers, times, constants and zeros."""
 
-    def __init__(self, raw: bytes, order: str, reject: bool) -> None:
-        super().__init__(raw, order, reject)
-        self.times: dict[str, str] = {}  # variable of the seconds: variable of the time
-        self.values: dict[str, list[str]] = {}  # state: what is written to it one by one
-
     def add(self, number: int, run: Run) -> None:
         """Write the lines of a run.
 
