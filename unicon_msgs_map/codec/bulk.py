@@ -23,7 +23,7 @@ from numpy.lib.stride_tricks import as_strided
 
 from unicon_msgs_map.codec.binding import DOUBLE_MAX, SINGLE_MAX, AnyArray
 from unicon_msgs_map.codec.careful import Run
-from unicon_msgs_map.codec.code import Code
+from unicon_msgs_map.codec.scalars import Code
 from unicon_msgs_map.codec.strides import address, fuse, line, stack, step
 from unicon_msgs_map.layout.messages import Primitive
 

@@ -27,8 +27,7 @@ class Decoder(Layouts):
         last_error: why the last refused message was refused; empty if none was.
     """
 
-    received = 0
-    rejected = 0
+    received = rejected = 0
     last_error = ""
 
     @classmethod

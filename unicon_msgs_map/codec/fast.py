@@ -29,8 +29,7 @@ import numpy as np
 from unicon_core.generated import define
 from unicon_msgs_map.codec.bulk import castable, read_in_bulk
 from unicon_msgs_map.codec.careful import Run
-from unicon_msgs_map.codec.code import Code
-from unicon_msgs_map.codec.scalars import Scalars
+from unicon_msgs_map.codec.scalars import Code
 from unicon_msgs_map.layout.messages import Primitive
 
 SCALAR_LIMIT = 8  # numbers of one field that are still read one by one
@@ -79,7 +78,7 @@ def compile_fast(
         reject: whether numbers that are not finite are refused.
         loose: compare structural bytes only, not the padding between them.
     """
-    code = Scalars(raw, order, reject)
+    code = Code(raw, order, reject)
     bulk: dict[Primitive, list[Run]] = {}
     for number, run in enumerate(runs):
         many = run.kind == "number" and len(run.offsets) > SCALAR_LIMIT
