@@ -13,7 +13,9 @@ from typing import Any
 import numpy as np
 
 from unicon_core.errors import UniconError
-from unicon_core.identify import Fit, Motion, fit, overlay_text
+from unicon_core.identify.fit import fit
+from unicon_core.identify.found import Fit, overlay_text
+from unicon_core.identify.replays import Motion
 from unicon_core.platforms.kit.beside import PLACE
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.robots import Robot, load_robot, robot_names

@@ -15,7 +15,7 @@ pytest.importorskip("onnx", reason="the test networks are written with onnx")
 from toy_workflows import codes, write_workflow
 
 from unicon_core.check import check_workflow, refuse_errors
-from unicon_core.check.gate import Subject
+from unicon_core.check.check import Subject
 from unicon_core.errors import UniconError
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow
@@ -135,7 +135,7 @@ def test_run_checks_the_workflow_that_it_runs(
     workflow = load_workflow(write_workflow(folder))
     seen: list[Subject] = []
     monkeypatch.setattr(
-        "unicon_core.check.gate.static_checks", lambda subject, result: seen.append(subject)
+        "unicon_core.check.check.static_checks", lambda subject, result: seen.append(subject)
     )
     refuse_errors(workflow)
     workflow.close()

@@ -12,13 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from unicon_core.check.mirror import mirror_pairs
-from unicon_core.check.order import other_order
+from unicon_core.check.order import mirror_pairs, other_order
 from unicon_core.check.result import CheckResult, Finding, Section
 from unicon_core.check.twin.measures import Recorder
-from unicon_core.check.twin.over_time import filter_repairs
 from unicon_core.check.twin.perturb import permuted, perturbations, renamed
-from unicon_core.check.twin.repair import repairs
+from unicon_core.check.twin.repair import filter_repairs, repairs
 from unicon_core.policies import ActionSpec, ObservationSpec, ObservationTerm, PolicyContract
 from unicon_core.policies.contract import CommandSpec, FilterSpec, PhaseSpec
 from unicon_core.policies.observation import Observation

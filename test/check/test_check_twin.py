@@ -14,6 +14,7 @@ from check_helpers import JOINTS, STAND, WORKFLOW, codes, section, text_of, writ
 
 from unicon_core.check import check_workflow
 from unicon_core.check.subject import on_platform
+from unicon_core.check.twin.perturb import Change
 from unicon_core.check.twin.session import TwinSession
 from unicon_core.workflow.document import load_document
 
@@ -139,9 +140,9 @@ def test_two_runs_of_one_contract_are_equal_and_leave_no_trace(folder: Path) -> 
     contract = session.contracts["walk"]
     first = session.run(1.0)
     weak = replace(contract, stiffness=0.1 * contract.stiffness)
-    assert session.run(1.0, "walk", weak, unlimited=True) != first
+    assert session.run(1.0, "walk", Change("", "", weak, unlimited=True)) != first
     assert session.run(1.0) == first
-    assert session.run(1.0, "walk", contract) == first
+    assert session.run(1.0, "walk", Change("", "", contract)) == first
     session.close()
 
 

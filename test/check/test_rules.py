@@ -11,10 +11,10 @@ from types import SimpleNamespace
 import pytest
 
 from unicon_core.check import CheckResult, check_workflow
-from unicon_core.check.clock import check_clock
-from unicon_core.check.parts import check_parts
+from unicon_core.check.graph import check_parts
 from unicon_core.check.result import PolicyResult
 from unicon_core.check.rules import CODES, FIRM, LIVE, RULES, markdown
+from unicon_core.check.timing import check_clock
 from unicon_core.platforms.fake import FakePlatform
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.platform import Facts
@@ -39,6 +39,14 @@ def test_codes_are_unique_and_every_rule_says_all() -> None:
     for rule in RULES:
         assert rule.needs
         assert all((rule.what, rule.why, rule.remedy)), rule.code
+
+
+def test_the_remedy_of_a_finding_is_its_rules_unless_it_has_one_of_its_own() -> None:
+    result = CheckResult("walk")
+    for remedy in (None, "mend it", ""):
+        result.find("gains.swapped", "policy 'walk'", "kp 1, kd 40", remedy)
+    remedies = [finding.remedy for finding in result.findings]
+    assert remedies == ["exchange stiffness and damping", "mend it", ""]
 
 
 @pytest.mark.parametrize("code", CODES)

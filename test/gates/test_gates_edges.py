@@ -11,9 +11,8 @@ import pytest
 
 from unicon_core import Program, block
 from unicon_core.errors import Fault
-from unicon_core.gates.data import Changing, Rate
+from unicon_core.gates.data import Changing, Imu, Rate
 from unicon_core.gates.gate import Heeding
-from unicon_core.gates.imu import Imu
 
 PERIOD = 0.02
 LEVEL = {

@@ -14,8 +14,9 @@ pytest.importorskip("mujoco", reason="mujoco is not installed: pip install 'unic
 from motions import motion
 
 from unicon_core.errors import UniconError
-from unicon_core.identify import Fit, Motion, Parameter, fit, overlay_text
-from unicon_core.identify.replays import replayed
+from unicon_core.identify.fit import fit
+from unicon_core.identify.found import Fit, Parameter, overlay_text
+from unicon_core.identify.replays import Motion, replayed
 from unicon_core.platforms.kit.beside import PLACE
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.robots import load_robot

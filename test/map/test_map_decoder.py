@@ -555,7 +555,7 @@ def test_garbage_between_evenly_spaced_numbers_changes_nothing(order: Any) -> No
         joints.buffer[...] = 0
         assert joints.decoder.decode(bytes(raw))
         np.testing.assert_array_equal(joints.buffer, values.astype(np.float32))
-        assert joints.decoder._fast(bytes(raw))
+        assert joints.decoder.fast(bytes(raw))
     assert joints.decoder.derived == 1
 
 
@@ -585,7 +585,7 @@ def test_states_outlive_their_names_while_a_decoder_writes_them() -> None:
         object.__setattr__(message, part, np.arange(12.0))
     raw = serialize(message)
     assert decoder.decode(raw)
-    function = decoder._fast
+    function = decoder.fast
     alive = [weakref.ref(array) for array in arrays.values()]
     del arrays, decoder
     gc.collect()
@@ -654,7 +654,7 @@ def test_layouts_kept_are_few() -> None:
     joints = Joints()
     for k in range(1, 7):
         assert joints.decoder.decode(joint_state(NAMES[:k]))
-    assert len(joints.decoder._layouts.kept) == 4
+    assert len(joints.decoder.kept) == 4
 
 
 def test_specs_without_a_policy_have_the_documented_ones() -> None:

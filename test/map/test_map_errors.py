@@ -377,7 +377,7 @@ PUBLISHED: list[tuple[str, dict[str, object], str]] = [
     (
         TWIST_TYPE,
         {"linear": "half"},
-        "linear: state 'half' has dtype float16; use float32 or float64",
+        "linear: state 'half' has dtype float16; use bool, native integers, float32 or float64",
     ),
     (
         TWIST_TYPE,

@@ -13,8 +13,8 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from unicon_msgs_map.errors import MapDependencyError, MessageTypeError
+from unicon_msgs_map.layout.installed import FILE, ready_made
 from unicon_msgs_map.layout.messages import Messages
-from unicon_msgs_map.layout.ready_made import FILE, ready_made
 
 THEIRS = get_typestore(Stores.ROS2_JAZZY)
 

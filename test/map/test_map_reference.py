@@ -216,7 +216,7 @@ def test_decoded_values_equal_those_of_rosbags(data: st.DataObject, little: bool
 def test_fast_and_careful_path_write_the_same(data: st.DataObject, little: bool) -> None:
     reader, raw = drawn(data, little)
     assert reader.decoder.decode(raw)
-    kept = reader.decoder._layouts.kept[0]
+    kept = reader.decoder.kept[0]
     for state in reader.arrays.values():
         state[...] = 0
     assume(kept.fast(raw))  # infinities are for the careful path alone

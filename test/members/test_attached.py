@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from unicon_core.check.collision import check_collision
+from unicon_core.check.pose import check_collision
 from unicon_core.check.result import CheckResult
 from unicon_core.errors import ModelError, RobotError, UniconError
 from unicon_core.located_yaml import read_yaml

@@ -12,7 +12,7 @@ import pytest
 from member_robots import LOG
 
 from unicon_core.errors import Fault, RobotError, UniconError, WorkflowError
-from unicon_core.gates.standing import Variant
+from unicon_core.gates.gate import Variant
 from unicon_core.platforms.joined import JoinedPlatform
 from unicon_core.robots import compose, load_files, load_robot, robot_files
 from unicon_core.runtime import Runner, RunOptions

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from unicon_core.check.seen import little_seen
+from unicon_core.check.files import little_seen
 from unicon_core.errors import UniconError
 from unicon_core.evidence import LEVELS, Evidence, load_evidence
 from unicon_core.platforms.platform import Facts

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from unicon_core.check.twin.perturb import Change
 from unicon_core.check.twin.session import TwinSession
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.workflow import Program, load_workflow
@@ -61,7 +62,7 @@ def test_the_twin_scores_the_dance_by_its_motion(assets: Path) -> None:
         given = session.run(2.0)
         left = tuple(name.replace("left", "LEFT") for name in contract.joints)
         other = [n.replace("right", "left").replace("LEFT", "right") for n in left]
-        broken = session.run(2.0, "dance", replace(contract, joints=tuple(other)))
+        broken = session.run(2.0, "dance", Change("", "", replace(contract, joints=tuple(other))))
     finally:
         session.close()
     assert given.follows

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from unicon_core.trajectory import Limits, Points, Refusal, Start, accepted
-from unicon_core.trajectory.accepted import Code
+from unicon_core.trajectory.accepted import Code, Limits, Points, Refusal, Start, accepted
 
 JOINTS = ("hip", "knee")
 LIMITS = Limits(JOINTS, np.array([-1.0, -2.0]), np.array([1.0, 0.0]), np.array([2.0, 3.0]))

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from unicon_core.trajectory import Ending, Limits, Player, Points, Refusal, Tolerances
-from unicon_core.trajectory.accepted import Code
+from unicon_core.trajectory.accepted import Code, Limits, Points, Refusal
+from unicon_core.trajectory.player import Ending, Player, Tolerances
 
 JOINTS = ("hip", "knee")
 LIMITS = Limits(JOINTS, np.full(2, -2.0), np.full(2, 2.0), np.full(2, 5.0))

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from unicon_core.check import check_workflow
-from unicon_core.check.gate import refuse_errors
+from unicon_core.check.check import refuse_errors
 from unicon_core.errors import WorkflowError
 from unicon_core.platforms.platform import Facts, Platform
 from unicon_core.resources import find_config

@@ -375,7 +375,7 @@ ROWS = [
         ("", "FROZEN = 1.0", "FROZEN = 10.0"),
     ),
     *_rows(
-        "gates/imu.py",
+        "gates/data.py",
         GATES,
         ("Imu.__call__", "''"),
         ("Imu._orientation", "''"),
@@ -388,7 +388,7 @@ ROWS = [
         ("Imu._orientation", 'return "" if self._stop is None else self._stop()', 'return ""'),
     ),
     *_rows(
-        "gates/standing.py",
+        "gates/gate.py",
         GATES,
         ("Variant.__call__", "''"),
         ("Variant.__call__", "value != expected", "False"),

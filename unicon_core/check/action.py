@@ -1,20 +1,22 @@
-"""The action: reachable targets against limits, torque of one unit, period, commands."""
+"""The action: reachable targets against limits, torque of one unit, and what reaches the motors."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import compress
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from unicon_core.check.action_rates import check_rates
-from unicon_core.check.clock import check_clock
-from unicon_core.check.mirror import check_mirrored
+from unicon_core.blocks.safety.limits import EffortLimits, JointLimits
+from unicon_core.blocks.safety.speeds import VelocityLimits
+from unicon_core.check.order import check_mirrored
 from unicon_core.check.result import CheckResult, PolicyResult
-from unicon_core.check.safety import limits_targets
+from unicon_core.check.safety import has_limits
 from unicon_core.check.subject import Subject, listed
-from unicon_core.figures import figure, span
-from unicon_core.platforms.platform import info_of
+from unicon_core.figures import figure, figures, span, spans
+from unicon_core.flow import Stage
+from unicon_core.policies.contract import ActionKind
 from unicon_core.robots import joint_index
 
 PLAUSIBLE_ACTION = 1.0
@@ -26,7 +28,6 @@ LARGEST_SCALE = 1.0
 """In [rad] for one unit of action: actions in radians have 1, published ones 0.07 to 1."""
 ROUNDING = 1e-4
 """In [rad]: by how much a figure may be beyond a limit, which is often the same one rounded."""
-_AXES = ("lin_vel_x", "lin_vel_y", "ang_vel_z")
 
 
 def check_action(subject: Subject, result: CheckResult) -> None:
@@ -59,28 +60,24 @@ def _action(subject: Subject, policy: PolicyResult) -> None:
     room = upper - lower
     at = joint_index(joints, contract.joints)
     stiffness, damping = (
-        gain[at].astype(np.float64) for gain in (contract.stiffness, contract.damping)
+        gains[at].astype(np.float64) for gains in (contract.stiffness, contract.damping)
     )
-    unit = np.where(position, stiffness, np.where(velocity, damping, 1.0))
-    share = np.abs(scale) * unit / effort
+    gain = np.where(position, stiffness, np.where(velocity, damping, 1.0))
+    share = np.abs(scale) * gain / effort
     outside = (low < lower - ROUNDING) | (high > upper + ROUNDING)
-    rows = [
-        [
-            name,
-            figure(offset[i]),
-            figure(scale[i]),
-            span(clip[0, i], clip[1, i]),
-            span(low[i], high[i], form=".4g"),
-            span(lower[i], upper[i], form=".4g"),
-            figure(share[i], ".2f") if np.isfinite(share[i]) else "?",
-            "outside" if outside[i] else "",
-        ]
-        for i, name in enumerate(joints)
-    ]
-    columns = ["joint", "offset", "scale", "action", "reach [rad]", "limits [rad]", "torque/unit"]
+    unit = "" if action.kinds else " [rad]"
+    columns: dict[str, Sequence[str]] = {"joint": joints}
     if action.kinds:
-        rows = [[row[0], kind, *row[1:]] for row, kind in zip(rows, action.kinds)]
-        columns = ["joint", "target", *columns[1:4], "reach", "limits", "torque/unit"]
+        columns["target"] = action.kinds
+    columns |= {
+        "offset": figures(offset),
+        "scale": figures(scale),
+        "action": spans(*clip),
+        f"reach{unit}": spans(low, high, ".4g"),
+        f"limits{unit}": spans(lower, upper, ".4g"),
+        "torque/unit": [figure(each, ".2f") if np.isfinite(each) else "?" for each in share],
+        "": ["outside" if each else "" for each in outside],
+    }
     lines = [f"target = offset + scale · action; last action is the {action.feedback} one"]
     if action.clip is None or wide.any():
         lines.append(f"no clip that binds: shown is an action of ±{PLAUSIBLE_ACTION:g}")
@@ -89,14 +86,13 @@ def _action(subject: Subject, policy: PolicyResult) -> None:
         lines.append("torque/unit: scale · stiffness (velocity: · damping), of the effort limit")
     else:
         lines.append("torque/unit: stiffness · scale as a share of the effort limit")
-    policy.result.table(f"Action of policy {policy.key}", [*columns, ""], rows, lines)
+    policy.result.columns(f"Action of policy {policy.key}", columns, lines)
     idle = scale == 0.0
     if idle.all():
         policy.find(
             "action.scale",
             "action.scale",
             "it is 0: no joint could move",
-            "give the scale that it was trained with, in [rad]",
         )
     elif idle.any():
         evidence = f"0 at {listed(compress(joints, idle))}: they stay at their offset"
@@ -109,7 +105,6 @@ def _action(subject: Subject, policy: PolicyResult) -> None:
             "action.kind",
             f"{joints[i]} is given positions and its stiffness is 0: it does not go there "
             f"({limp.size} joints)",
-            "give action.kind velocity or torque there, or the stiffness that it was trained with",
         )
     jumps = np.flatnonzero(position & (np.abs(scale) > room))
     if jumps.size:
@@ -120,7 +115,6 @@ def _action(subject: Subject, policy: PolicyResult) -> None:
             "action.scale",
             f"one unit of action moves {joints[i]} by {scale[i]:g} rad, and its whole range is "
             f"{room[i]:.4g} ({jumps.size} joints)",
-            "give the scale that it was trained with, in [rad]",
             error=bool((np.abs(scale[jumps]) > LARGEST_SCALE + 1e-6).any()),
         )
     strong = np.flatnonzero(position & (share > UNIT_TORQUE))
@@ -142,111 +136,61 @@ def _action(subject: Subject, policy: PolicyResult) -> None:
             "action.offset",
             f"action 0 puts {joints[i]} at {figure(offset[i])} rad, its limits are "
             f"[{span(lower[i], upper[i], ', ', '.4g')}]",
-            "correct the offset (the default pose) or the robot's limits",
         )
-    if action.kinds:
-        check_rates(subject, policy, outside)
-    outside &= position
-    if outside.any():
-        far = listed(compress(joints, outside))
-        text = f"actions within the table reach beyond the limits of {far}"
-        if limits_targets(subject):
-            policy.note("action.reach", "", f"{text}; joint_limits cuts them off")
-        else:
-            policy.result.find(
-                "action.reach",
-                f"policy {policy.key!r}",
-                f"{text}, and no joint_limits is in safety:",
-                "add joint_limits to safety",
-                subject.document.where("safety"),
-            )
+    _reach(subject, policy, outside)
 
 
-def check_timing(subject: Subject, result: CheckResult) -> None:
-    """Add the table of rates; an implausible period or command is a finding."""
-    program = subject.program
-    rows = [["workflow", f"{program.period:g}", f"{1.0 / program.period:g}", "each tick"]]
-    policies = subject.policy_results(result)
-    for policy in policies:
-        key, period = policy.key, policy.contract.period
-        n = round(period / program.period)
-        often = "each tick" if n == 1 else f"every {n} ticks"
-        rows.append([f"policy {key}", f"{period:g}", f"{1.0 / period:g}", often])
-        if not 0.002 <= period <= 0.1:
+_KINDS: tuple[tuple[ActionKind, str, str, type], ...] = (
+    ("position", "joint_pos_target", "joint", JointLimits),
+    ("velocity", "joint_vel_target", "velocity", VelocityLimits),
+    ("torque", "joint_effort_ff", "effort", EffortLimits),
+)
+"""Of a target: its state, and the block that limits it, NAME_limits."""
+
+
+def _reach(subject: Subject, policy: PolicyResult, outside: NDArray[np.bool_]) -> None:
+    """Find targets that are not sent (a joint would stand still), and those that nothing limits."""
+    action, program, where = policy.contract.action, subject.program, subject.document.where
+    for kind, state, limits, block in _KINDS:
+        own = action.of_kind(kind)
+        sent = not program.has_platform or state in program.platform.facts.reads
+        if action.kinds and own.any() and not sent:
             policy.find(
-                "timing.period",
-                "period",
-                f"{period:g} s ({1.0 / period:g} Hz)",
-                "give the control period in seconds: 0.02 for 50 Hz",
+                "action.unsent",
+                "",
+                f"it gives {listed(compress(action.joints, own))} a {kind}, and platform "
+                f"{program.platform.facts.name!r} does not send {state}",
+                where=where("platform"),
             )
-        check_clock(policy)
-    info = info_of(program.platform)
-    if "physics_step_s" in info:
-        step, often = float(info["physics_step_s"]), f"{info['physics_steps_per_tick']} a tick"
-        rows.append(["physics", f"{step:g}", f"{1.0 / step:g}", often])
-    result.table("Timing", ["who", "period [s]", "rate [Hz]", "runs"], rows)
-    platform = subject.platform
-    told = subject.live  # by the runner
-    if program.pacing.trigger == "state" and not subject.waits and not told:
-        result.find(
-            "timing.trigger",
-            f"platform {platform.name!r}",
-            "it cannot tell when its data arrive",
-            "set pacing.trigger: deadline",
-            subject.document.where("pacing", "trigger"),
+        far = outside & own
+        if not far.any():
+            continue
+        text = (
+            f"actions within the table reach beyond the {limits} limits of "
+            f"{listed(compress(action.joints, far))}"
         )
-    catching_up = subject.document.get("pacing", {}).get("overrun") == "catch_up"
-    if catching_up and not platform.simulated and not told:
-        result.find(
-            "timing.catch_up",
-            f"platform {platform.name!r}",
-            "catch_up would send old commands in one go to a robot",
-            "set pacing.overrun: skip",
-            subject.document.where("pacing", "overrun"),
-        )
-    for policy in policies:
-        _commands(subject, policy)
-
-
-def check_commands(subject: Subject, result: CheckResult) -> None:
-    """Note what is commanded without a bound of its own: cautious ones hold then."""
-    open_ended = [each for each in subject.program.command_bounds if not each.given]
-    if open_ended:
-        held = ", ".join(f"{b.axis} to {span(b.low, b.high, '…')} {b.unit}" for b in open_ended)
-        result.note(
-            "command.bounds",
-            "velocity_command",
-            f"neither policy nor robot file says how much may be commanded: bounded are {held}",
-            "give command_ranges in policy.yaml (lin_vel_x, lin_vel_y, ang_vel_z), or in the robot "
-            "file (vx, vy, wz)",
-            subject.robot.path,
+        if has_limits(subject, block):
+            policy.note("action.reach", "", f"{text}; {limits}_limits cuts them off")
+            continue
+        policy.find(
+            "action.reach",
+            "",
+            f"{text}, and no {limits}_limits is in safety:",
+            f"add {limits}_limits to safety",
+            where("safety"),
         )
 
 
-def _commands(subject: Subject, policy: PolicyResult) -> None:
-    document = subject.document
-    for i, item in enumerate(document.get("commands", [])):
-        options = item.get("velocity_command") if isinstance(item, dict) else None
-        for vector in _vectors(options):
-            for axis, value in zip(_AXES, vector):
-                low, high = policy.contract.command_ranges.get(axis, (-np.inf, np.inf))
-                if not low - 1e-6 <= value <= high + 1e-6:
-                    policy.result.find(
-                        "command.range",
-                        "velocity_command",
-                        f"{axis} {figure(value)} is outside [{span(low, high, ', ')}], for which "
-                        f"policy {policy.key!r} was trained",
-                        "command less",
-                        document.where("commands", i),
-                    )
-
-
-def _vectors(options: Any) -> list[list[float]]:
-    """Return all commands that a `velocity_command` block is going to give."""
-    if not isinstance(options, dict):
-        return []
-    constant, schedule = options.get("constant"), options.get("schedule")
-    found = [constant] if isinstance(constant, list) else []
-    if isinstance(schedule, list):
-        found += [row[1:] for row in schedule if isinstance(row, list)]
-    return [[float(v) for v in vector] for vector in found]
+def check_fed(subject: Subject, result: CheckResult) -> None:
+    """Find blocks whose torques a platform leaves out, such as `gravity`: the arms would sag."""
+    platform, state = subject.program.platform, "joint_effort_ff"
+    if not subject.program.has_platform or state in platform.facts.reads:
+        return
+    for block in subject.blocks:
+        if block.stage is Stage.FLOW and state in block.amends:
+            result.find(
+                "action.unsent",
+                f"block {block.name!r}",
+                f"it adds torques, and platform {platform.facts.name!r} does not send {state}",
+                where=block.where,
+            )

@@ -1,37 +1,50 @@
-"""`check_workflow`: all checks of a workflow before a motor moves, for `unicon check` and CI."""
+"""All checks of a workflow before a motor moves: `check_workflow` for `unicon check` and CI.
+
+`refuse_errors` is for command and node: what `unicon check` calls an error does not run.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from unicon_core.check.action import check_action, check_commands, check_timing
-from unicon_core.check.action_rates import check_fed
-from unicon_core.check.files import check_files, check_robot
+from unicon_core.check.action import check_action, check_fed
+from unicon_core.check.files import check_bodies, check_files, check_reach, check_robot, check_seen
 from unicon_core.check.gains import check_gains, check_held, check_limits
-from unicon_core.check.graph import check_blocks, check_memory, prove_memory
+from unicon_core.check.graph import (
+    check_blocks,
+    check_keys,
+    check_memory,
+    check_parts,
+    prove_memory,
+)
 from unicon_core.check.joints import check_joints
 from unicon_core.check.observation import check_frames, check_observation
 from unicon_core.check.order import check_order
-from unicon_core.check.parts import check_keys, check_parts
 from unicon_core.check.pose import check_pose
-from unicon_core.check.reach import check_bodies, check_reach
 from unicon_core.check.result import CheckResult
-from unicon_core.check.safety import check_safety
-from unicon_core.check.seen import check_seen
-from unicon_core.check.start import check_gates, check_start
-from unicon_core.check.subject import Subject, build_subject
+from unicon_core.check.rules import CODES, FIRM
+from unicon_core.check.safety import check_gates, check_safety, check_start
+from unicon_core.check.subject import Subject, build_subject, declared_platform
+from unicon_core.check.timing import check_commands, check_timing
 from unicon_core.errors import (
+    CheckError,
     MissingDependencyError,
     ModelError,
     PlatformError,
     PolicyError,
     RobotError,
     UniconError,
+    WorkflowError,
+    alternatives,
 )
 from unicon_core.workflow import Hook
 from unicon_core.workflow.document import WorkflowDocument, load_document
+
+if TYPE_CHECKING:
+    from unicon_core.workflow import Program
+
 
 Check = Callable[[Subject, CheckResult], None]
 
@@ -107,7 +120,7 @@ def check_workflow(
     finally:
         subject.program.close()
     if twin:
-        from unicon_core.check.twin import check_twin
+        from unicon_core.check.twin.check import check_twin
 
         check_twin(document, subject.program.platform, settings, result)
     return result
@@ -132,3 +145,64 @@ def check_section(document: WorkflowDocument, result: CheckResult) -> dict[str, 
     if settings.get("accept") is not None:
         result.accept(settings["accept"], document.where("check", "accept"))
     return settings
+
+
+TOLD = {
+    "safety.none": "commands are sent as they are, also those that are not finite or beyond the "
+    "limits of a joint",
+    "safety.less": "",
+    "safety.remote": "",
+    "joints.welded": "",
+    "model.meshes": "",
+    "reach.apart": "",
+    "start.gates": "the robot is moved whatever it tells of itself",
+}
+"""Notes that every start tells, and what each means where its evidence does not say it."""
+
+
+def refuse_errors(program: Program, force: Iterable[str] = ()) -> list[str]:
+    """Check a workflow that was built to run; a simulator is left as it was.
+
+    The static checks of `unicon check` take the workflow as it is: 20 to 50 ms, once.
+
+    Args:
+        program: built, not yet ticked; `forced` is set in it.
+        force: codes of errors to go on with.
+
+    Returns:
+        Warnings to be told at every start: errors that are forced or accepted, a workflow without
+        safety blocks or gates, and safety blocks that a robot does not have.
+
+    Raises:
+        WorkflowError: an unknown code.
+        CheckError: errors that are not forced; all are named.
+    """
+    forced = list(dict.fromkeys(force))
+    for code in forced:
+        if code not in CODES:
+            raise WorkflowError(
+                f"force: no finding has the code {code!r}; {alternatives(code, CODES)}"
+            )
+        if code in FIRM:
+            raise WorkflowError(f"force: a run cannot begin with {code!r}; mend what it finds")
+    document = program.document
+    result = CheckResult(program.name)
+    check_section(document, result)
+    facts = declared_platform(document) if program.has_platform else (program.platform.facts, True)
+    static_checks(Subject(document, program, *facts, live=True), result)
+    errors = [found for found in result.findings if found.code not in forced]
+    if errors:
+        codes = " ".join(
+            f"--force {code}" for code in dict.fromkeys(e.code for e in errors) if code not in FIRM
+        )
+        risk = f" or go on at your own risk with {codes}" if codes else ""
+        raise CheckError(
+            f"workflow {program.name!r} is not run, mend it{risk}:",
+            [str(found) for found in errors],
+        )
+    told = [f"forced: {found}" for found in result.findings]
+    told += [f"accepted by the workflow: {found}" for found in result.waived]
+    decided = dict.fromkeys(found.code for found in [*result.findings, *result.waived])
+    program.forced = tuple(decided)
+    notes = [note for note in result.notes if note.code in TOLD]
+    return told + [f"{note.culprit}: {TOLD[note.code] or note.evidence}" for note in notes]

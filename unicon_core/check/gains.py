@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import compress
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.check.mirror import check_mirrored
 from unicon_core.check.model_facts import ModelJoints, model_joints
+from unicon_core.check.order import check_mirrored
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import Subject, listed
 from unicon_core.errors import MissingDependencyError, ModelError
-from unicon_core.figures import figure, span
+from unicon_core.figures import figure, figures, spans
 from unicon_core.models.find import model_of
 from unicon_core.models.load import load_model
 from unicon_core.platforms.platform import info_of
@@ -42,10 +43,6 @@ PASSIVE = 0.01
 mujoco_playground, 0.02 to 0.06 in contracts that give a damping."""
 
 
-def _numbers(values: NDArray[np.floating[Any]]) -> list[str]:
-    return [figure(value, ".4g") for value in values]
-
-
 def check_gains(subject: Subject, result: CheckResult) -> None:
     """Add one table of gains for each policy, and its findings."""
     model = model_joints(subject.model)
@@ -69,32 +66,30 @@ def check_held(subject: Subject, result: CheckResult) -> None:
     one where the model says that they swing faster than the ticks follow.
     """
     robot = subject.robot
-    sets: dict[bytes, tuple[str, Any, Any, Any]] = {}
-
-    def add(culprit: str, kp: NDArray[np.float32], kd: NDArray[np.float32], where: Any) -> None:
-        sets.setdefault(kp.tobytes() + kd.tobytes(), (culprit, kp, kd, where))
-
-    add(f"robot {robot.name}, gains", robot.joint_stiffness, robot.joint_damping, robot.path)
+    own = robot.joint_stiffness, robot.joint_damping
+    sets: list[tuple[str, Any, Any]] = [(f"robot {robot.name}", own, robot.path)]
     for block in subject.blocks:
         gains = getattr(block.tick, "gains", None)
         if gains is not None and len(gains[0]) == robot.num_joints:  # not of a member
-            add(f"block {block.name!r}, gains", gains[0], gains[1], block.where)
-    for each in sets.values():
-        _held(subject, result, *each)
+            sets.append((f"block {block.name!r}", gains, block.where))
+    seen: set[bytes] = set()
+    for culprit, gains, where in sets:
+        key = gains[0].tobytes() + gains[1].tobytes()
+        if key not in seen:
+            seen.add(key)
+            _held(subject, result, f"{culprit}, gains", gains, where)
 
 
 def _held(
     subject: Subject,
     result: CheckResult,
     culprit: str,
-    stiffness: NDArray[np.float32],
-    damping: NDArray[np.float32],
+    gains: tuple[NDArray[np.float32], NDArray[np.float32]],
     where: Any,
 ) -> None:
     robot = subject.robot
     kp, kd, effort, speed = (
-        values.astype(np.float64)
-        for values in (stiffness, damping, robot.effort_limit, robot.velocity_limit)
+        values.astype(np.float64) for values in (*gains, robot.effort_limit, robot.velocity_limit)
     )
     with np.errstate(divide="ignore", invalid="ignore"):  # nothing below compares with an unknown
         error, rate = effort / kp, effort / kd
@@ -120,8 +115,7 @@ def _held(
         f"{robot.joint_names[i]}: {figure(kp[i])} N·m/rad and {figure(kd[i])} N·m·s/rad reach its "
         f"effort limit of {effort[i]:g} N·m within {error[i]:.2g} rad or {rate[i]:.2g} rad/s"
         f"{swings} ({hard.size} joints)",
-        f"correct stiffness and damping, or joints.effort in {robot.path.name}",
-        where,
+        where=where,
     )
 
 
@@ -141,17 +135,17 @@ def _table(robot: Robot, policy: PolicyResult, model: ModelJoints | None) -> Non
     own = joint_index(contract.joints, robot.joint_names)
     kp, kd = gains = np.array([contract.stiffness, contract.damping], np.float64)
     known = np.array([robot.joint_stiffness[own], robot.joint_damping[own]], np.float64)
-    columns = {"kp policy": kp, "kp robot": known[0]}
+    shown = {"kp policy": kp, "kp robot": known[0]}
     if model is not None:
-        columns["kp model"] = model.stiffness[own]
-    columns |= {"kd policy": kd, "kd robot": known[1]}
+        shown["kp model"] = model.stiffness[own]
+    shown |= {"kd policy": kd, "kd robot": known[1]}
     if model is not None:
-        columns |= {"kd model": model.damping[own], "passive": model.passive[own]}
+        shown |= {"kd model": model.damping[own], "passive": model.passive[own]}
     same = np.all(np.isclose(gains, known, rtol=0.02), axis=0) | np.isnan(known).any(axis=0)
-    marks = ["" if fits else "≠" for fits in same]
-    rows = zip(contract.joints, *map(_numbers, columns.values()), marks)
-    title = f"Gains of policy {policy.key} [N·m/rad, N·m·s/rad]"
-    policy.result.table(title, ["joint", *columns, ""], rows)
+    columns: dict[str, Sequence[str]] = {"joint": contract.joints}
+    columns |= {name: figures(values, ".4g") for name, values in shown.items()}
+    columns[""] = ["" if fits else "≠" for fits in same]
+    policy.result.columns(f"Gains of policy {policy.key} [N·m/rad, N·m·s/rad]", columns)
     if not same.all():
         policy.note(
             "gains.differ",
@@ -207,13 +201,7 @@ def _plausible(robot: Robot, policy: PolicyResult, passive: NDArray[np.float64])
             evidence += "; the model's joints damp themselves, a motor has to be told"
             policy.note("gains.damping", "damping", evidence)
         else:
-            policy.find(
-                "gains.damping",
-                "damping",
-                evidence,
-                "give the damping that it was trained with (some exporters write 0 for built-in "
-                "servos)",
-            )
+            policy.find("gains.damping", "damping", evidence)
     effort = robot.effort_limit[own]
     hard = np.flatnonzero(kp * SOFTEST_LIMIT > effort)  # false where the effort is not known
     if hard.size:
@@ -223,7 +211,6 @@ def _plausible(robot: Robot, policy: PolicyResult, passive: NDArray[np.float64])
             "stiffness",
             f"{joints[i]}: {kp[i]:g} N·m/rad reaches its effort limit of {effort[i]:g} "
             f"N·m within {effort[i] / kp[i]:.2g} rad ({hard.size} joints)",
-            f"correct stiffness, or joints.effort in {robot.path.name}",
         )
     action = policy.contract.action
     turned = dict(zip(action.joints, ~action.of_kind("position")))  # they need no stiffness
@@ -236,7 +223,6 @@ def _plausible(robot: Robot, policy: PolicyResult, passive: NDArray[np.float64])
             "stiffness and damping",
             f"damping is greater than stiffness at {stiffer.size} of {len(kp)} joints "
             f"({joints[i]}: kp {figure(kp[i])}, kd {kd[i]:g})",
-            "exchange stiffness and damping",
         )
 
 
@@ -246,24 +232,25 @@ def check_limits(subject: Subject, result: CheckResult) -> None:
     lower, upper, effort = (
         limit.astype(np.float64) for limit in (robot.lower, robot.upper, robot.effort_limit)
     )
-    columns = {
-        "position [rad]": _spans(lower, upper),
-        "velocity [rad/s]": _numbers(robot.velocity_limit),
-        "effort [N·m]": _numbers(effort),
+    columns: dict[str, Sequence[str]] = {
+        "joint": robot.joint_names,
+        "position [rad]": spans(lower, upper, ".4g"),
+        "velocity [rad/s]": figures(robot.velocity_limit, ".4g"),
+        "effort [N·m]": figures(effort, ".4g"),
     }
     title = f"Limits of robot {robot.name}"
     if model is None:
-        result.table(title, ["joint", *columns], zip(robot.joint_names, *columns.values()))
+        result.columns(title, columns)
         return
     # False where one is unknown.
     ranges = (np.abs(model.lower - lower) > 0.02) | (np.abs(model.upper - upper) > 0.02)
     efforts = np.isfinite(model.effort) & (np.abs(model.effort - effort) > 0.02 * effort)
     columns |= {
-        "position, model": _spans(model.lower, model.upper),
-        "effort, model": _numbers(model.effort),
+        "position, model": spans(model.lower, model.upper, ".4g"),
+        "effort, model": figures(model.effort, ".4g"),
         "": ["≠" if other else "" for other in ranges | efforts],
     }
-    result.table(title, ["joint", *columns], zip(robot.joint_names, *columns.values()))
+    result.columns(title, columns)
     if ranges.any():
         result.note(
             "limits.differ",
@@ -289,10 +276,5 @@ def check_limits(subject: Subject, result: CheckResult) -> None:
             f"robot {robot.name}, effort of {robot.joint_names[j]}",
             f"the robot file says {effort[j]:g} N·m and the model {model.effort[j]:g} "
             f"({len(far)} joints differ by more than {EFFORT_FACTOR:g} times)",
-            "correct joints.effort, or choose the model of this robot",
-            robot.path,
+            where=robot.path,
         )
-
-
-def _spans(lower: NDArray[np.float64], upper: NDArray[np.float64]) -> list[str]:
-    return [span(*limits, form=".4g") for limits in zip(lower, upper)]

@@ -65,8 +65,7 @@ def check_joints(subject: Subject, result: CheckResult) -> None:
                 f"robot {each.name}, transport.motors",
                 f"{len(slots)} motor slots, {len(set(slots))} of them different, for "
                 f"{count} joints",
-                "give one slot for each joint, in the order of joints",
-                each.path,
+                where=each.path,
             )
 
 
@@ -85,8 +84,7 @@ def _seen(subject: Subject, result: CheckResult) -> None:
                 "joints.seen",
                 f"policy {keys[id(tick.contract)]!r}",
                 f"sees {listed(seen)}, which others move: most policies fall by that",
-                "hide them: sees_default_for: [GROUP]; accept it where the policy was trained so",
-                block.where,
+                where=block.where,
             )
 
 

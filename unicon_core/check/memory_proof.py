@@ -67,9 +67,9 @@ def prove(block: Block, states: States, ticks: int = TICKS, seed: int = 0) -> Pr
                 return Proof(trouble=why)
         _run(block, states, inputs, range(ticks))
         middle, remembered = states.snapshot(), memory.take()
-        before = _walk(block.tick, states)
+        before = _Walker(block.tick, states).places
         first = _run(block, states, inputs, range(ticks, 2 * ticks))
-        changed = _changed(before, _walk(block.tick, states))
+        changed = _changed(before, _Walker(block.tick, states).places)
         states.restore(middle)
         memory.put_back(remembered)
         _spoil(changed)
@@ -151,53 +151,47 @@ def _spoil(changed: list[_Place]) -> None:
             array[moved] = np.nan if array.dtype.kind == "f" else 77
 
 
-def _walk(root: Any, states: States) -> dict[str, _Place]:
-    """Return what a block can change without declaring it, by path."""
-    walker = _Walker(holder_of(root), states)
-    walker.follow(root, "")
-    return walker.places
-
-
 class _Walker:
-    def __init__(self, holder: Any, states: States) -> None:
+    """What a block can change without declaring it: `places`, by path."""
+
+    def __init__(self, root: Any, states: States) -> None:
         self.places: dict[str, _Place] = {}
         self._states = states.buffer
-        self._seen: dict[int, Any] = {id(states): states}
-        self._todo: deque[tuple[str, Any]] = deque()
-        self._module = _package(holder)
-
-    def follow(self, root: Any, path: str) -> None:
-        self._todo.append((path, root))
-        while self._todo and len(self._seen) < MOST:
+        self._module = _package(holder_of(root))
+        self._todo: deque[tuple[str, Any]] = deque([("", root)])
+        seen: dict[int, Any] = {id(states): states}
+        while self._todo and len(seen) < MOST:
             path, value = self._todo.popleft()
-            if id(value) in self._seen:
-                continue
-            self._seen[id(value)] = value
-            for name, each in self._parts(value, path):
-                self._take(name, each)
+            if id(value) not in seen:
+                seen[id(value)] = value
+                for name, each in self._parts(value, path):
+                    self._take(name, each)
 
     def _take(self, path: str, value: Any) -> None:
         if isinstance(value, np.ndarray):
             if not np.may_share_memory(value, self._states) and not value.dtype.hasobject:
                 self.places[path] = _Place(path, value.tobytes(), value)
-        elif isinstance(value, (*_ATOMS, np.generic, Enum)):
-            self.places[path] = _Place(path, (type(value), repr(value)))
+            return
+        shown: Any
+        if isinstance(value, (*_ATOMS, np.generic, Enum)):
+            shown = type(value), repr(value)
         elif isinstance(value, np.random.Generator):
-            self.places[path] = _Place(path, repr(value.bit_generator.state))
+            shown = repr(value.bit_generator.state)
         elif isinstance(value, random.Random):
-            self.places[path] = _Place(path, value.getstate())
-        elif isinstance(value, GeneratorType):
-            frame = value.gi_frame
-            self.places[path] = _Place(path, None if frame is None else frame.f_lasti)
-            self._todo.append((path, value))
-        elif hasattr(type(value), "__next__"):
-            self.places[path] = _Place(path, repr(value.__reduce__()))
+            shown = value.getstate()
+        elif hasattr(type(value), "__next__") and not isinstance(value, GeneratorType):
+            shown = repr(value.__reduce__())
         elif hasattr(value, "cache_info"):
-            self.places[path] = _Place(path, repr(value.cache_info()))
+            shown = repr(value.cache_info())
         else:
-            if isinstance(value, (list, dict, set, deque, bytearray)):
-                self.places[path] = _Place(path, len(value))
             self._todo.append((path, value))
+            if isinstance(value, GeneratorType):
+                shown = value.gi_frame and value.gi_frame.f_lasti
+            elif isinstance(value, (list, dict, set, deque, bytearray)):
+                shown = len(value)
+            else:
+                return
+        self.places[path] = _Place(path, shown)
 
     def _parts(self, value: Any, path: str) -> Iterator[tuple[str, Any]]:
         if isinstance(value, partial):

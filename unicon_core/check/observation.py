@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import Subject
 from unicon_core.figures import figure, span
+from unicon_core.platforms.kit.base import rotation
 from unicon_core.platforms.platform import info_of
 from unicon_core.policies import PolicyContract, TermSlice, term_slices
 from unicon_core.policies.hints import Feed
@@ -143,7 +144,6 @@ def _term(subject: Subject, policy: PolicyResult, part: TermSlice) -> None:
             "observation.scale",
             culprit,
             "scale is 0: the network would not see it",
-            "give the scale that it was trained with, or leave the term out",
         )
     for odd, hint in (
         ((part.scale < 0.0) & (term.state in SIGNED), "was it trained with the other sign?"),
@@ -164,7 +164,6 @@ def _term(subject: Subject, policy: PolicyResult, part: TermSlice) -> None:
             "observation.clip",
             culprit,
             f"it is clipped to {span(part.low.max(), part.high.min())}",
-            "give the lowest value first and a greater one second",
         )
     if term.state == "base_quat" and term.index is None:
         policy.note(
@@ -207,17 +206,14 @@ def check_frames(subject: Subject, result: CheckResult) -> None:
     if not subject.platform.simulated:
         return
     subject.program.platform.recv()
-    w, x, y, z = (float(v) for v in states["base_quat"].reshape(-1, 4)[0])
-    down = np.array([2 * (w * y - x * z), -2 * (y * z + w * x), -(w * w - x * x - y * y + z * z)])
-    gravity = states["projected_gravity"].reshape(-1, 3)[0]
-    length = w * w + x * x + y * y + z * z
-    if abs(length - 1.0) > 1e-3 or not np.allclose(down, gravity, atol=5e-3):
+    quat = states["base_quat"].reshape(-1, 4)[0].astype(np.float64)
+    down, gravity = -rotation(quat)[2], states["projected_gravity"].reshape(-1, 3)[0]
+    if abs(quat @ quat - 1.0) > 1e-3 or not np.allclose(down, gravity, atol=5e-3):
         result.find(
             "observation.frame",
             f"platform {subject.platform.name!r}",
-            f"base_quat {_vector((w, x, y, z))} puts gravity at {_vector(down)} and "
+            f"base_quat {_vector(quat)} puts gravity at {_vector(down)} and "
             f"projected_gravity says {_vector(gravity)}",
-            "deliver base_quat as w, x, y, z of length 1, base to world",
         )
 
 

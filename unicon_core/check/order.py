@@ -1,19 +1,96 @@
-"""Orders of joints: which one the figures of a contract fit, where they do not fit its names."""
+"""Orders of joints: mirror images told from names, and which order a contract's figures fit."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from itertools import chain, combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.check.mirror import odd_pairs
 from unicon_core.check.model_facts import joint_depths
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import Subject, listed
+from unicon_core.figures import figure
 from unicon_core.models.loaded import LoadedModel
 from unicon_core.robots import Robot, joint_index
+
+ROUNDING = 0.02
+"""Relative difference by which mirrored figures may differ (exports round to 3 decimals)."""
+
+# Unitree, Fourier, AgiBot, Booster (left_…), quadrupeds (FL_…), short forms (l_…, …_l).
+_SIDES = (
+    (r"(^|_)left(?=_|$)", r"\g<1>right"),
+    (r"(^|_)Left(?=_|$)", r"\g<1>Right"),
+    (r"(^|_)LEFT(?=_|$)", r"\g<1>RIGHT"),
+    (r"(^|_)([FRHM])L(?=_|$)", r"\g<1>\g<2>R"),
+    (r"(^|_)L([FHMR])(?=_|$)", r"\g<1>R\g<2>"),
+    (r"(^|_)l(?=_|$)", r"\g<1>r"),
+    (r"(^|_)L(?=_|$)", r"\g<1>R"),
+)
+
+
+def mirror_pairs(names: Sequence[str]) -> list[tuple[str, str]]:
+    """Return pairs (left, right) of joints, in the order of the left ones.
+
+    Args:
+        names: joint names in any order.
+    """
+    known = set(names)
+    pairs = []
+    for name in names:
+        for pattern, other in _SIDES:
+            right = re.sub(pattern, other, name, count=1)
+            if right != name and right in known:
+                pairs.append((name, right))
+                break
+    return pairs
+
+
+def odd_pairs(
+    joints: Sequence[str], values: NDArray[np.float32], tolerance: float | None = None
+) -> list[tuple[str, str]]:
+    """Return the pairs (left, right) whose values are not the same size; as `check_mirrored`."""
+    sides = dict(zip(joints, map(float, values)))
+    limits = (ROUNDING, 1e-6) if tolerance is None else (0.0, tolerance)
+    return [
+        (left, right)
+        for left, right in mirror_pairs(joints)
+        if not np.isclose(abs(sides[left]), abs(sides[right]), *limits)
+    ]
+
+
+def check_mirrored(
+    policy: PolicyResult,
+    code: str,
+    what: str,
+    joints: Sequence[str],
+    values: NDArray[np.float32],
+    tolerance: float | None = None,
+) -> None:
+    """Find values that are not the same size on both sides: they are in another order.
+
+    Args:
+        policy: is added to.
+        code: of the finding.
+        what: the values are in the contract.
+        joints: whose values they are.
+        values: one for each joint.
+        tolerance: by which sides may differ; None for `ROUNDING` of the figure.
+    """
+    sides = dict(zip(joints, map(float, values)))
+    odd = odd_pairs(joints, values, tolerance)
+    if odd:
+        left, right = odd[0]
+        more = f" (and {len(odd) - 1} more pairs)" if len(odd) > 1 else ""
+        policy.find(
+            code,
+            what,
+            f"{left} has {figure(sides[left])} and {right} has {figure(sides[right])}{more}",
+            f"bring {what} into the order of joints: {listed(joints, 3)}",
+        )
+
 
 POSE_TOLERANCE = 0.02
 """In [rad] or [m]: by how much a pose may differ between sides."""
@@ -40,7 +117,9 @@ def other_order(depths: Sequence[int]) -> NDArray[np.intp]:
 def joint_orders(
     joints: Sequence[str], robot: Robot, depths: Sequence[int]
 ) -> dict[str, list[str]]:
-    """Return other orders in which the same joints may have been meant, the likeliest first.
+    """Return orders in which the same joints may have been meant, the likeliest first.
+
+    Some may be the given one.
 
     Args:
         joints: in the given order.
@@ -49,17 +128,12 @@ def joint_orders(
     """
     limb_by_limb = [name for name in robot.joint_names if name in joints]
     by_depth, other = dict(zip(joints, depths)), other_order(depths)
-    orders = {
+    return {
         "the joint order of the other kind of simulator": [joints[i] for i in other],
         "that order undone": [joints[i] for i in np.argsort(other)],
         "the robot's joint order": limb_by_limb,
         "a breadth-first joint order": sorted(limb_by_limb, key=lambda name: by_depth[name]),
         "the reversed joint order": list(joints[::-1]),
-    }
-    return {
-        name: order
-        for name, order in orders.items()
-        if len(order) == len(joints) and tuple(order) != tuple(joints)
     }
 
 

@@ -1,4 +1,4 @@
-"""The default pose: within limits, the same on both sides, feet on the ground."""
+"""The default pose: within limits, the same on both sides, feet on the ground, which they touch."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.check.collision import check_collision
-from unicon_core.check.mirror import check_mirrored, mirror_pairs
+from unicon_core.check.order import check_mirrored, mirror_pairs
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import Subject, listed
-from unicon_core.figures import figure, span
-from unicon_core.models.posed import PosedModel, foot_geoms
+from unicon_core.figures import figure, figures, span, spans
+from unicon_core.models.loaded import LoadedModel
+from unicon_core.models.posed import PosedModel, foot_bodies, foot_geoms
+from unicon_core.models.touching import floors, on_floor
 from unicon_core.platforms.platform import Resettable
 from unicon_core.robots import Robot, joint_index
 
@@ -62,18 +63,14 @@ def _limits(robot: Robot, policy: PolicyResult) -> None:
     )
     outside = (pose < lower - 1e-4) | (pose > upper + 1e-4)
     far = np.abs(pose - own) > 0.3
-    rows = [
-        [
-            name,
-            figure(pose[i]),
-            figure(own[i]),
-            span(lower[i], upper[i], form=".4g"),
-            "outside" if outside[i] else "≠" if far[i] else "",
-        ]
-        for i, name in enumerate(joints)
-    ]
-    columns = ["joint", "policy [rad]", "robot [rad]", "limits [rad]", ""]
-    policy.result.table(f"Default pose of policy {policy.key}", columns, rows)
+    columns = {
+        "joint": joints,
+        "policy [rad]": figures(pose),
+        "robot [rad]": figures(own),
+        "limits [rad]": spans(lower, upper, ".4g"),
+        "": ["outside" if out else "≠" if off else "" for out, off in zip(outside, far)],
+    }
+    policy.result.columns(f"Default pose of policy {policy.key}", columns)
     wrong = np.flatnonzero(outside)
     if wrong.size:
         i = wrong[0]
@@ -82,7 +79,6 @@ def _limits(robot: Robot, policy: PolicyResult) -> None:
             "default_joint_pos",
             f"{joints[i]} is {figure(pose[i])} rad, its limits are "
             f"[{span(lower[i], upper[i], ', ', '.4g')}] ({wrong.size} joints)",
-            "correct the pose, its order or its unit (degrees?)",
         )
     if far.any():
         policy.note(
@@ -111,8 +107,7 @@ def _feet(robot: Robot, policy: PolicyResult, posed: PosedModel) -> None:
     heights = posed.heights()
 
     def wrong(what: str) -> None:
-        remedy = "correct the pose, its order, signs or unit"
-        policy.find("pose.feet", "default_joint_pos", what, remedy)
+        policy.find("pose.feet", "default_joint_pos", what)
 
     geoms = [geom for group in feet.values() for geom in group]
     parts = {foot: [heights[g] for g in group if g in heights] for foot, group in feet.items()}
@@ -197,4 +192,39 @@ def _start(subject: Subject, result: CheckResult, posed: PosedModel) -> None:
         what,
         f"{change} initial_height, or leave it out and give initial_pose",
         subject.document.where("scene"),
+    )
+
+
+def check_collision(loaded: LoadedModel, robot: Robot, result: CheckResult, where: Any) -> None:
+    """Find a robot that would fall through the floor; note meshes that are absent.
+
+    Args:
+        loaded: the model that is simulated.
+        robot: the robot.
+        result: is added to.
+        where: `file:line` of what chose the model.
+    """
+    for path, line in loaded.absent.items():
+        result.note("model.meshes", f"model {path}", line, "add the files", where)
+    if loaded.base is None or not floors(loaded.model):
+        return
+    touching, model = on_floor(loaded), loaded.model
+    geoms = foot_geoms(model, robot.feet) if robot.walks else {}
+    bodies = foot_bodies(model, robot.feet) if robot.walks else {}
+    lost = {foot: loaded.absent_shapes.get(model.body(i).name, []) for foot, i in bodies.items()}
+    feet = [foot for foot in bodies if foot in geoms or lost[foot]]  # else its shape may be another
+    blind = [foot for foot in feet if not {*geoms.get(foot, ())} & {*touching}]
+    if not touching:
+        what = "nothing of the robot collides with the floor: it falls through"
+    elif feet and len(blind) == len(feet):
+        what = f"its feet ({listed(blind)}) do not collide with the floor: it sinks to its shins"
+    else:
+        return
+    files = dict.fromkeys(file for foot in blind for file in lost[foot])
+    what += f"; mesh files that are their shapes are absent: {listed(files)}" if files else ""
+    result.find(
+        "model.collision",
+        f"model {loaded.path}, collision geometry",
+        what,
+        where=where,
     )

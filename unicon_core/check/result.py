@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
@@ -112,12 +112,22 @@ class CheckResult:
         code: str,
         culprit: str,
         evidence: str,
-        remedy: str,
+        remedy: str | None = None,
         where: Any = "",
         *,
         error: bool = True,
     ) -> None:
-        """Add what fails the check, or a note where the workflow accepts it or it may be right."""
+        """Add what fails the check, or a note where the workflow accepts it or it may be right.
+
+        Args:
+            code: of its rule.
+            culprit: who is to blame.
+            evidence: what was seen, with numbers.
+            remedy: what to do; None for the rule's.
+            where: `file:line` or a file.
+            error: False where it may be right.
+        """
+        remedy = CODES[code].remedy if remedy is None else remedy
         if code in self.accepted:
             if error:
                 self.waived.append(Finding(code, culprit, evidence, "", str(where)))
@@ -147,6 +157,12 @@ class CheckResult:
     ) -> None:
         """Add a table."""
         self.sections.append(Section(title, tuple(columns), tuple(map(tuple, rows)), tuple(lines)))
+
+    def columns(
+        self, title: str, columns: Mapping[str, Iterable[str]], lines: Iterable[str] = ()
+    ) -> None:
+        """Add a table of columns by their names."""
+        self.table(title, list(columns), zip(*columns.values()), lines)
 
     def sort(self) -> None:
         """Bring what explains other findings to the front, else leave the order as it is."""
@@ -212,10 +228,19 @@ class PolicyResult:
     key: str
     contract: PolicyContract
 
-    def find(self, code: str, part: str, evidence: str, remedy: str, *, error: bool = True) -> None:
+    def find(
+        self,
+        code: str,
+        part: str,
+        evidence: str,
+        remedy: str | None = None,
+        where: str = "",
+        *,
+        error: bool = True,
+    ) -> None:
         """Add what fails the check; as `CheckResult.find`, with a part of the contract or ""."""
-        where = self.contract.path
-        self.result.find(code, self._culprit(part), evidence, remedy, where, error=error)
+        place = where or self.contract.path
+        self.result.find(code, self._culprit(part), evidence, remedy, place, error=error)
 
     def note(self, code: str, part: str, evidence: str) -> None:
         """Add what is worth knowing."""

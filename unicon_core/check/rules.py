@@ -8,11 +8,8 @@ sides and feet in the air.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
 
-from unicon_core.check.rule_table import TABLE, Row
-
-Need = Literal["document", "robot", "policy", "model", "platform", "rollout", "live"]
+from unicon_core.check.rule_table import TABLE
 
 
 @dataclass(frozen=True)
@@ -21,8 +18,9 @@ class Rule:
 
     Attributes:
         code: names it, for `accept`, `--force` and `unicon explain`.
-        needs: what it looks at, beside the workflow; `live` is the data of the running robot, which
-            gates and `unicon preflight` have.
+        needs: what it looks at, beside the workflow: document, robot, policy, model, platform,
+            rollout, or `live`, the data of the running robot, which gates and `unicon preflight`
+            have.
         what: is wrong, in one line.
         why: it matters.
         remedy: what to do about it.
@@ -31,30 +29,29 @@ class Rule:
     """
 
     code: str
-    needs: tuple[Need, ...]
+    needs: tuple[str, ...]
     what: str
     why: str
     remedy: str
-    severity: Literal["error", "note", "either"] = "error"
+    severity: str = "error"
     firm: bool = False
 
     def text(self) -> str:
         """Return the rule for a terminal."""
         kinds = {"error": "error", "note": "note", "either": "error or note, by what is seen"}
         kind = kinds[self.severity] + (", cannot be accepted or forced" if self.firm else "")
-        lines = [f"{self.code}: {self.what}", f"  kind    {kind}"]
-        lines += [f"  looks at {', '.join(self.needs)}", f"  why     {self.why}"]
-        return "\n".join([*lines, f"  remedy  {self.remedy}"])
+        return (
+            f"{self.code}: {self.what}\n  kind    {kind}\n  looks at {', '.join(self.needs)}\n"
+            f"  why     {self.why}\n  remedy  {self.remedy}"
+        )
 
 
-def _rule(row: Row) -> Rule:
-    code, needs, severity, what, why, remedy = row
-    kind: Any = "error" if severity == "firm" else severity
-    seen: Any = tuple(needs.split())
-    return Rule(code, seen, what, why, remedy, kind, severity == "firm")
-
-
-RULES = tuple(map(_rule, TABLE))
+RULES = tuple(
+    Rule(
+        code, tuple(needs.split()), what, why, remedy, kind.replace("firm", "error"), kind == "firm"
+    )
+    for code, needs, kind, what, why, remedy in TABLE
+)
 
 CODES = {rule.code: rule for rule in RULES}
 """Code to rule. A workflow accepts one with `check: {accept: [CODE]}`: it is then a note."""

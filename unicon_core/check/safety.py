@@ -1,16 +1,22 @@
-"""What stands between the flow and the motors, and whether it looks at every command."""
+"""How a run begins, what stands between flow and motors, and whether it sees every command."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-from unicon_core.blocks.safety.limits import JointLimits
+import numpy as np
+
+from unicon_core.blocks.postures import Pose
 from unicon_core.blocks.safety.stops import Finite, RemoteStop
 from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject, listed
 from unicon_core.flow import Block, Chain, Every, Loop, Node, Switch, When, blocks_of
-from unicon_core.flow.nodes import children_of
+from unicon_core.flow.nodes import children_of, chooser_of
 from unicon_core.flow.stage import Stage
+from unicon_core.policies import PolicyContract
+from unicon_core.policies.controller import controller_contract
+from unicon_core.robots import joint_index
+from unicon_core.workflow.platform_use import read_platforms
 
 TARGET = "joint_pos_target"
 """What limits are for."""
@@ -18,16 +24,11 @@ GIVEN = ("tick", "velocity_command")
 """What the runner and people write, beside platform and blocks."""
 
 
-def limits_targets(subject: Subject) -> bool:
-    """Whether the targets that are sent are held within the limits of the joints.
+def has_limits(subject: Subject, limits: type) -> bool:
+    """Whether a safety block of this class amends what is sent.
 
     A part without the platform sends nothing: the first part's blocks do.
     """
-    return has_limits(subject, JointLimits)
-
-
-def has_limits(subject: Subject, limits: type) -> bool:
-    """Whether a safety block of this class amends what is sent; see `limits_targets`."""
     return not subject.program.has_platform or any(
         isinstance(block.tick, limits) and set(block.amends) & _sent(subject)
         for block in _safety(subject)
@@ -59,8 +60,7 @@ def check_safety(subject: Subject, result: CheckResult) -> None:
                 "safety.partial",
                 f"safety block {block.name!r}",
                 f"it stands under {under!r}, so it does not run in every tick",
-                "write it into safety: by itself, or take it out",
-                block.where or where,
+                where=block.where or where,
             )
     _check_remote(subject, result, blocks)
     told = {*subject.program.platform.facts.writes, *GIVEN, *subject.written}
@@ -71,8 +71,7 @@ def check_safety(subject: Subject, result: CheckResult) -> None:
                 "safety.partial",
                 f"safety block {block.name!r}",
                 blind,
-                "correct its states:, or take it out of safety:",
-                block.where or where,
+                where=block.where or where,
             )
 
 
@@ -121,9 +120,9 @@ def _conditional(node: Node, under: str) -> Iterator[tuple[Block, str]]:
         or (isinstance(node, Loop) and node.until is not None)
     )
     chosen = type(node).__name__.lower() if chooses and not under else under
-    choosers = [getattr(node, name, None) for name in ("predicate", "selector", "until")]
+    chooser = chooser_of(node)
     for child in children_of(node):
-        if not any(child is chooser for chooser in choosers):
+        if child is not chooser:
             yield from _conditional(child, chosen)
 
 
@@ -142,3 +141,60 @@ def _blind(block: Block, sent: set[str], told: set[str]) -> str:
     if silent and (clamps or len(silent) == len(block.reads)):
         return f"nothing writes {listed(silent)}, which it reads"
     return ""
+
+
+STEP = 0.3
+"""In [rad]: a servo that is given a target farther away than this moves with a jerk."""
+
+
+def check_start(subject: Subject, result: CheckResult) -> None:
+    """A policy, or another controller, that takes over a robot which lies."""
+    contracts = ((isinstance(b.tick, Pose), controller_contract(b)) for b in subject.blocks)
+    posed, contract = next((found for found in contracts if any(found)), (False, None))
+    if posed or contract is None:
+        return
+    robot = subject.robot
+    own = joint_index(contract.joints, robot.joint_names)
+    way = np.abs(contract.default_joint_pos - robot.rest_joint_pos[own])
+    if np.isnan(way).all():
+        where = "nobody knows how far from where it is"
+    elif np.nanmax(way) > STEP:
+        i = int(np.nanargmax(way))
+        where = f"{contract.joints[i]} {way[i]:.2g} rad from where it is when the robot lies"
+    else:
+        return
+    result.find(
+        "pose.start",
+        f"{'policy' if isinstance(contract, PolicyContract) else 'controller'} {contract.name!r}",
+        f"it is the first to move the robot, and its default pose is {where}: the motors would "
+        "make a step",
+        where=subject.document.where("flow"),
+        # With an approach nothing is a step: a robot is brought there slowly before.
+        error=not (subject.platform.simulated or subject.program.start.fade_in),
+    )
+
+
+def check_gates(subject: Subject, result: CheckResult) -> None:
+    """A robot that begins to move and nobody has looked at it, or outlives who ticks."""
+    if subject.platform.simulated or not subject.program.has_platform:
+        return
+    for use in {u.path: u for u in read_platforms(subject.document).values()}.values():
+        if use.child is not None:
+            continue
+        result.note(
+            "start.watchdog",
+            f"{'.'.join(use.path)}: {use.name}",
+            "it runs in the process that ticks: where that is killed or hangs for ever, nothing of "
+            "ours damps the robot",
+            f"{use.path[-1]}: {{child: {use.name}}}",
+            subject.document.where(*use.path),
+        )
+    if subject.program.start.gates:
+        return
+    result.note(
+        "start.gates",
+        "start: {gates: false}",
+        "nobody asks whether data come, are plausible and of this robot before it is moved",
+        "",
+        subject.document.where("start", "gates"),
+    )

@@ -7,7 +7,7 @@ from contextlib import suppress
 import numpy as np
 import pytest
 
-from unicon_core.conformance.rig import TIMESTEP, Build, Case, Rig
+from unicon_core.conformance.rig import STAND, TIMESTEP, Build, Case, Rig
 from unicon_core.errors import Fault, PlatformError
 from unicon_core.platforms.platform import SIMULATED, Pushable, Resettable
 
@@ -123,7 +123,7 @@ class Contract(Case):
     def test_commands_come_late_by_the_scenes_delay(self, rig: Build) -> None:
         moved = {}
         for delay in (0, 3):
-            it = rig(floating=False, delay=delay, model={"gravity": 0.0})
+            it = rig(**STAND, delay=delay)
             it.run(1)
             it.command(joint_effort_ff={"yaw": 0.1})
             moved[delay] = it.run(8)["joint_vel"][:, it.joint("yaw")]
@@ -134,7 +134,7 @@ class Contract(Case):
         speeds = {}
         for delay in (0.0, 0.004):
             joints = {"yaw": {"delay": delay}}
-            it = rig(floating=False, model={"gravity": 0.0}, joints=joints)
+            it = rig(**STAND, joints=joints)
             it.run(1)
             it.command(joint_effort_ff={"yaw": 0.1, "right": 0.1})
             speeds[delay] = it.run(1)["joint_vel"][-1]
@@ -148,7 +148,7 @@ class Contract(Case):
             joints = {"yaw": {"strength": strength}}
             it = rig(floating=False, steps=1, effort=0.4, joints=joints)
             it.command(joint_pos_target={"yaw": 100.0}, joint_stiffness=100.0)
-            efforts.append(it.run(3)["joint_effort"][-1][it.joint("yaw")])
+            efforts.append(it.after(3, "joint_effort", "yaw"))
         assert efforts == pytest.approx([0.4, 0.1], rel=0.01)
 
     def test_a_push_is_along_the_worlds_axes_and_at_once(self, rig: Build) -> None:

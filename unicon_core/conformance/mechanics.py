@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -12,6 +10,7 @@ from unicon_core.conformance.rig import (
     FRICTION,
     IMU_POSITION,
     JOINTS,
+    STAND,
     TIMESTEP,
     Array,
     Build,
@@ -58,7 +57,7 @@ class Mechanics(Case):
 
     @pytest.mark.parametrize("name", JOINTS)
     def test_a_torque_turns_its_own_joint_its_own_way(self, rig: Build, name: str) -> None:
-        it = rig(floating=False, steps=1, model={"gravity": 0.0})
+        it = rig(**STAND, steps=1)
         it.command(joint_effort_ff={name: 0.2})
         told = it.run(5)
         speeds = told["joint_vel"][-1]
@@ -70,7 +69,7 @@ class Mechanics(Case):
         assert turned[it.joint(name)] > 0.0
 
     def test_torque_over_inertia_is_acceleration(self, rig: Build) -> None:
-        it = rig(floating=False, steps=1, model={"gravity": 0.0})
+        it = rig(**STAND, steps=1)
         it.command(joint_effort_ff={"yaw": 0.1})
         told = it.run(40)
         speed = told["joint_vel"][-1][it.joint("yaw")]
@@ -83,7 +82,8 @@ class Mechanics(Case):
         told = it.run(100)
         steps = np.diff(told["joint_pos"], axis=0)
         between = 0.5 * (told["joint_vel"][1:] + told["joint_vel"][:-1]) * TIMESTEP
-        assert np.abs(steps - between).max() < 0.5 * TIMESTEP * _change(told["joint_vel"]) + 1e-6
+        change = np.abs(np.diff(told["joint_vel"], axis=0)).max()
+        assert np.abs(steps - between).max() < 0.5 * TIMESTEP * change + 1e-6
 
     def test_holding_a_limb_takes_its_weight(self, rig: Build) -> None:
         it = rig(floating=False, initial_pose={"left": 0.6, "knee": 0.7})
@@ -198,7 +198,7 @@ class Mechanics(Case):
         assert ends[0] == pytest.approx(ends[1], rel=20 * self.near, abs=20 * self.near)
 
     def test_torques_stay_within_the_limits_of_effort(self, rig: Build) -> None:
-        it = rig(floating=False, steps=1, effort=0.5, model={"gravity": 0.0})
+        it = rig(**STAND, steps=1, effort=0.5)
         it.command(joint_pos_target={"yaw": 100.0}, joint_stiffness=1000.0)
         told = it.run(10)
         yaw = it.joint("yaw")
@@ -210,35 +210,31 @@ class Mechanics(Case):
         it = rig(floating=False, steps=1, model=model)
         for target, torque in ((100.0, 0.2), (-100.0, -0.3)):
             it.command(joint_pos_target={"yaw": target}, joint_stiffness=1000.0)
-            found = it.run(3)["joint_effort"][-1][it.joint("yaw")]
+            found = it.after(3, "joint_effort", "yaw")
             assert found == pytest.approx(torque, rel=1e-3)
 
     def test_a_velocity_is_followed_by_damping_alone(self, rig: Build) -> None:
-        it = rig(floating=False, model={"gravity": 0.0})
+        it = rig(**STAND)
         it.command(joint_vel_target={"yaw": 2.0}, joint_damping={"yaw": 1.0})
-        assert it.run(20)["joint_vel"][-1][it.joint("yaw")] == pytest.approx(2.0, rel=0.02)
+        assert it.after(20, "joint_vel", "yaw") == pytest.approx(2.0, rel=0.02)
 
     # Joints and contacts as the model has them
 
     def test_passive_damping_acts_if_kept(self, rig: Build) -> None:
         speeds = {}
         for word in ("keep", "replace"):
-            it = self._passive(rig, word, 'damping="0.05"')
-            speeds[word] = it.run(10)["joint_vel"][-1][it.joint("yaw")]
+            model = {"gravity": 0.0, "joint": 'damping="0.05"'}
+            it = rig(floating=False, model=model, options={"passive": word})
+            it.command(joint_effort_ff={"yaw": 0.1})
+            speeds[word] = it.after(10, "joint_vel", "yaw")
         time = YAW_INERTIA / 0.05
         kept = 0.1 / 0.05 * (1.0 - np.exp(-0.1 / time))
         assert speeds["keep"] == pytest.approx(kept, rel=0.02)
         assert speeds["replace"] == pytest.approx(0.1 / YAW_INERTIA * 0.1, rel=0.01)
 
-    def _passive(self, rig: Build, word: str, joint: str) -> Any:
-        model = {"gravity": 0.0, "joint": joint}
-        it = rig(floating=False, model=model, options={"passive": word})
-        it.command(joint_effort_ff={"yaw": 0.1})
-        return it
-
     def test_dry_friction_holds_and_brakes(self, rig: Build) -> None:
         joints = {"yaw": {"friction": 0.06}, "knee": {"friction": 0.3}}
-        it = rig(floating=False, model={"gravity": 0.0}, joints=joints)
+        it = rig(**STAND, joints=joints)
         it.command(joint_effort_ff={"yaw": 0.1, "knee": 0.2})
         told = it.run(10)["joint_vel"][-1]
         assert told[it.joint("yaw")] == pytest.approx(0.04 / YAW_INERTIA * 0.1, rel=0.06)
@@ -247,7 +243,7 @@ class Mechanics(Case):
     def test_armature_is_inertia_or_left_out_with_a_note(self, rig: Build) -> None:
         it = rig(floating=False, model={"gravity": 0.0, "joint": 'armature="0.008"'})
         it.command(joint_effort_ff={"yaw": 0.1})
-        speed = it.run(10)["joint_vel"][-1][it.joint("yaw")]
+        speed = it.after(10, "joint_vel", "yaw")
         noted = any("armature" in note for note in it.platform.facts.notes)
         whole = YAW_INERTIA + 0.008 * (not noted)
         assert speed == pytest.approx(0.1 / whole * 0.1, rel=0.01)
@@ -256,7 +252,7 @@ class Mechanics(Case):
     def test_joints_stop_at_their_limits(self, rig: Build) -> None:
         it = rig(floating=False, model={"gravity": 0.0, "lower": -0.3, "upper": 0.3})
         it.command(joint_effort_ff={"yaw": 0.1}, joint_damping=0.02)
-        told = it.run(100)["joint_pos"][-1][it.joint("yaw")]
+        told = it.after(100, "joint_pos", "yaw")
         assert 0.25 < told < 0.35
 
     def test_a_box_slides_as_far_as_its_friction_lets_it(self, rig: Build) -> None:
@@ -269,11 +265,6 @@ class Mechanics(Case):
         distance = 1.0 / (2 * FRICTION * 9.81)
         assert np.hypot(*(end - start)[:2]) == pytest.approx(distance, rel=0.2)
         assert end[1] - start[1] == pytest.approx(0.8 * distance, rel=0.3)
-
-
-def _change(values: Array) -> float:
-    """Return the largest change from row to row."""
-    return float(np.abs(np.diff(values, axis=0)).max())
 
 
 def _apart(differences: Array, values: Array) -> float:

@@ -42,6 +42,9 @@ FRICTION = 0.5
 IMU_POSITION = (0.05, 0.02, 0.03)
 """On the base in [m]."""
 
+STAND: Mapping[str, Any] = {"floating": False, "model": {"gravity": 0.0}}
+"""Of a robot whose joints alone move."""
+
 _ROBOT = """\
 schema: unicon.robot/1
 name: probe
@@ -151,9 +154,8 @@ class Rig:
             "height": 2.0,
             "quat": "1 0 0 0",
         } | dict(model or {})
-        limits = {key: says[key] for key in ("lower", "upper")}
         file, path = folder / "probe.yaml", folder / "probe.xml"
-        joints = "\n".join(_JOINT.format(name=name, effort=effort, **limits) for name in order)
+        joints = "\n".join(_JOINT.format(name=name, effort=effort, **says) for name in order)
         kind, feet = ("quadruped", "feet: [box]\n") if floating else ("arm", "")
         robot = _ROBOT.format(kind=kind, joints=joints, imu=list(IMU_POSITION), feet=feet)
         file.write_text(robot, encoding="utf-8")
@@ -210,6 +212,10 @@ class Rig:
             for name, row in rows.items():
                 row.append(np.array(self.states[name], np.float64))
         return {name: np.array(row) for name, row in rows.items()}
+
+    def after(self, ticks: int, state: str, joint: str) -> float:
+        """Tick; return what was measured of a joint in the end."""
+        return float(self.run(ticks)[state][-1][self.joint(joint)])
 
     def joint(self, name: str) -> int:
         """Return where a joint stands in the robot's order."""

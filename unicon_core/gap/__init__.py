@@ -5,12 +5,17 @@ axes may stand in front, (b, n, d); then so does the result's. Whoever has recor
 (`unicon analyze`), brings them to one rate and cuts them.
 """
 
-from unicon_core.gap.affine import Affine, affine
 from unicon_core.gap.alignment import Aligned, aligned_mse, shift_losses
-from unicon_core.gap.matching import Matching, match_elements
-from unicon_core.gap.squared import mse, rmse, unfolded_mse
+from unicon_core.gap.distances import (
+    chamfer,
+    mse,
+    rmse,
+    spectral_distance,
+    unfolded_mse,
+    wasserstein,
+)
+from unicon_core.gap.elements import Affine, Matching, affine, match_elements
 from unicon_core.gap.strain import Load, Warming, compare, fall_time, load, warming
-from unicon_core.gap.timeless import chamfer, spectral_distance, wasserstein
 
 __all__ = [
     "Affine",

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from unicon_core.errors import UniconError
-from unicon_core.gap.trajectories import Array, two
+from unicon_core.gap.trajectories import Array, Ints, two
 
 CANDIDATES = 16
 """Shifts that are compared once more, to the last bit, where rounding hides which is best."""
@@ -47,13 +47,13 @@ class Aligned:
     """
 
     loss: Array
-    shift: NDArray[np.int64]
-    overlap: NDArray[np.int64]
+    shift: Ints
+    overlap: Ints
 
 
 def admissible_shifts(
     n: int, m: int, max_shift: int | None = None, min_overlap: float = 0.5
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+) -> tuple[Ints, Ints]:
     """Return the shifts j that leave enough pairs real[i + j], sim[i], and how many each leaves.
 
     Args:
@@ -103,9 +103,7 @@ def aligned_mse(
     return Aligned(2.0 * means, shifts[best], overlaps[best])
 
 
-def smallest_means(
-    a: Array, b: Array, shifts: NDArray[np.int64], overlaps: NDArray[np.int64]
-) -> tuple[Array, NDArray[np.int64]]:
+def smallest_means(a: Array, b: Array, shifts: Ints, overlaps: Ints) -> tuple[Array, Ints]:
     """Return the smallest mean of ‖a[i + j] − b[i]‖² over all pairs, and the index of its shift.
 
     Args:
@@ -134,7 +132,7 @@ def shift_losses(
     sim: ArrayLike,
     max_shift: int | None = None,
     min_overlap: float = 0.5,
-) -> tuple[NDArray[np.int64], Array]:
+) -> tuple[Ints, Array]:
     """Return every admissible shift and the loss there, to be drawn.
 
     The smallest is `aligned_mse`'s, up to a rounding error of 1e-13 of the signals' energy.
@@ -157,7 +155,7 @@ def shift_losses(
     return shifts, np.maximum(2.0 * means[0], 0.0)
 
 
-def correlations(a: Array, b: Array, shifts: NDArray[np.int64], summed: bool = False) -> Array:
+def correlations(a: Array, b: Array, shifts: Ints, summed: bool = False) -> Array:
     """Return Σ_i a[i + j] b[i] over the overlap, for consecutive shifts j.
 
     The error of each element stays below some 1e-14 √(Σa² Σb²).
@@ -173,7 +171,9 @@ def correlations(a: Array, b: Array, shifts: NDArray[np.int64], summed: bool = F
     """
     n, m = a.shape[-2], b.shape[-2]
     # So much room that no wanted shift meets the one that is a whole transform away.
-    size = _quick_size(max(int(shifts[-1]) + m, n - int(shifts[0])))
+    least = max(int(shifts[-1]) + m, n - int(shifts[0]))
+    # The smallest 2^p, 3·2^p or 5·2^p that is not below: quick to transform.
+    size = min(factor << max(0, math.ceil(math.log2(least / factor))) for factor in (1, 3, 5))
     if not summed:
         product = _cross_spectrum(a, b, size)
     else:  # an element after the other: a transform of 300,000 × 30 samples takes 300 MB
@@ -190,9 +190,7 @@ def _cross_spectrum(a: Array, b: Array, size: int) -> NDArray[np.complex128]:
     return product
 
 
-def _mean_squares(
-    a: Array, b: Array, shifts: NDArray[np.int64], overlaps: NDArray[np.int64]
-) -> tuple[Array, Array]:
+def _mean_squares(a: Array, b: Array, shifts: Ints, overlaps: Ints) -> tuple[Array, Array]:
     """Return the mean of ‖a[i + j] − b[i]‖² at each shift and the bound of its rounding error.
 
     Σ‖a − b‖² = Σ‖a‖² + Σ‖b‖² − 2 Σ a·b; the sums of squares are differences of cumulative ones.
@@ -218,9 +216,7 @@ def _mean_squares(
     return means, 64.0 * np.finfo(np.float64).eps * energy / overlaps
 
 
-def _smallest(
-    a: Array, b: Array, shifts: NDArray[np.int64], means: Array, errors: Array
-) -> tuple[float, int]:
+def _smallest(a: Array, b: Array, shifts: Ints, means: Array, errors: Array) -> tuple[float, int]:
     """Return the smallest mean of squares, directly computed, and the index of its shift.
 
     Args:
@@ -232,20 +228,10 @@ def _smallest(
     """
     possible = np.flatnonzero(means - errors <= np.min(means + errors))
     order = np.argsort(np.abs(shifts[possible]), kind="stable")
-    found = [
-        (float(np.einsum("nd,nd->", x, x)) / len(x), int(index))
-        for index in possible[order][:CANDIDATES]
-        for x in [_differences(a, b, int(shifts[index]))]
-    ]
+    found = []
+    for index in possible[order][:CANDIDATES]:
+        shift = int(shifts[index])
+        begin, end = max(0, -shift), min(len(b), len(a) - shift)
+        apart = a[begin + shift : end + shift] - b[begin:end]
+        found.append((float(np.einsum("nd,nd->", apart, apart)) / len(apart), int(index)))
     return min(found, key=lambda pair: pair[0])
-
-
-def _differences(a: Array, b: Array, shift: int) -> Array:
-    """Return a[i + shift] − b[i] over the overlap, shape (…, overlap, d)."""
-    begin, end = max(0, -shift), min(b.shape[-2], a.shape[-2] - shift)
-    return a[..., begin + shift : end + shift, :] - b[..., begin:end, :]
-
-
-def _quick_size(least: int) -> int:
-    """Return the smallest 2^p, 3·2^p or 5·2^p that is not below: quick to transform."""
-    return min(factor << max(0, math.ceil(math.log2(least / factor))) for factor in (1, 3, 5))

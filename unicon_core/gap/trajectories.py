@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from unicon_core.errors import UniconError
 
 Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 LARGEST = 1e100
 """Of an element: its square, summed over any recording, is still a number."""
@@ -40,9 +40,10 @@ def one(values: ArrayLike, name: str) -> Array:
     # One pass for all that is well: NaN compares as False.
     if not (np.max(np.abs(array)) < LARGEST):
         bad = tuple(int(i) for i in np.argwhere(~(np.abs(array) < LARGEST))[0])
+        of = f" of trajectory {bad[:-2] if len(bad) > 3 else bad[0]}" if len(bad) > 2 else ""
         raise UniconError(
             f"gap: {name} is {array[bad]} in sample {bad[-2]}, element {bad[-1]}"
-            f"{_of_batch(bad)}; leave such samples out, or fill them in"
+            f"{of}; leave such samples out, or fill them in"
         )
     return array
 
@@ -89,7 +90,3 @@ def refuse_period(period: float) -> None:
     """
     if not 0.0 < period < math.inf:
         raise UniconError(f"gap: period is {period}; give a time > 0 in [s]")
-
-
-def _of_batch(index: Sequence[int]) -> str:
-    return f" of trajectory {index[:-2] if len(index) > 3 else index[0]}" if len(index) > 2 else ""

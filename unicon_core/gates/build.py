@@ -10,10 +10,8 @@ from unicon_core.blocks.safety.stuck import ImuStop
 from unicon_core.bounds import POSITION
 from unicon_core.flow import Block, blocks_of
 from unicon_core.flow.stage import Stage
-from unicon_core.gates.data import Changing, Rate, Told
-from unicon_core.gates.gate import Heeding, Passing, StartGate
-from unicon_core.gates.imu import Imu
-from unicon_core.gates.standing import Alone, NoCommand, Variant
+from unicon_core.gates.data import Changing, Imu, Rate, Told
+from unicon_core.gates.gate import Alone, Heeding, NoCommand, Passing, StartGate, Variant
 from unicon_core.platforms.joined import members_of
 from unicon_core.platforms.platform import (
     CountsArrivals,
@@ -21,7 +19,7 @@ from unicon_core.platforms.platform import (
     ReportsVariant,
     SeesCommanders,
 )
-from unicon_core.robots import Robot, robot_files
+from unicon_core.robots import robot_files
 from unicon_core.states.standard import JOINT_STATES
 from unicon_core.workflow.program_data import ProgramData
 
@@ -81,12 +79,13 @@ def _gates(program: ProgramData) -> list[StartGate]:
     if "joint_pos" in told:
         lower = np.nan_to_num(robot.lower, nan=-POSITION) - np.float32(MARGIN)
         upper = np.nan_to_num(robot.upper, nan=POSITION) + np.float32(MARGIN)
+        files = dict.fromkeys(path.name for path in robot_files(robot).values())
         gates.append(
             Heeding(
                 "posture",
                 f"every joint is within its limits, or {MARGIN} rad beyond",
                 RangeStop(states, robot, {"joint_pos": (lower, upper)}),
-                f"move it there by hand, calibrate its encoder, or correct {_names(robot)}",
+                f"move it there by hand, calibrate its encoder, or correct {' or '.join(files)}",
             )
         )
     gates += _tilt(program, told)
@@ -100,10 +99,6 @@ def _gates(program: ProgramData) -> list[StartGate]:
     if program.command_bounds:
         gates.append(NoCommand(states["velocity_command"]))
     return gates
-
-
-def _names(robot: Robot) -> str:
-    return " or ".join(dict.fromkeys(path.name for path in robot_files(robot).values()))
 
 
 def _stops(program: ProgramData, measured: set[str]) -> list[StartGate]:

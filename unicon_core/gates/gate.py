@@ -1,11 +1,19 @@
-"""StartGate: the contract of a gate, for runner, preflight and whoever writes one of his own."""
+"""StartGate: the contract of a gate; those that ask another's stop, and those on how things stand.
+
+For runner, preflight and whoever writes a gate of his own. How things stand is the robot's variant,
+who else commands it, and whether a command would move it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Protocol
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
+
+from numpy.typing import NDArray
 
 from unicon_core.errors import Fault
+from unicon_core.figures import figure
+from unicon_core.robots import Robot
 
 
 class StartGate(Protocol):
@@ -79,3 +87,82 @@ class Passing:
     def __call__(self) -> str:
         """Hold."""
         return ""
+
+
+class Variant:
+    """Gate `variant`: the robot says of itself what the robot file says of it.
+
+    Args:
+        told: what the robot reports, as of `ReportsVariant`.
+        robot: the robot file.
+    """
+
+    name = "variant"
+
+    def __init__(self, told: Callable[[], Mapping[str, Any]], robot: Robot) -> None:
+        self._told, self._robot = told, robot
+        self.about = f"what the robot reports of itself is what {robot.path.name} says"
+
+    def __call__(self) -> str:
+        """Compare.
+
+        Raises:
+            Fault: it is another variant.
+        """
+        told = self._told()
+        if not told:
+            return "the robot has not reported its variant yet; see whether its driver is on"
+        for key, value in told.items():
+            expected = self._robot.transport.get(key)
+            if expected is not None and value != expected:
+                raise Fault(
+                    f"the robot reports {key} {value!r}, and {self._robot.path.name} is of "
+                    f"{key} {expected!r}: limits, gains and joints may be others; choose the "
+                    "robot file of this variant"
+                )
+        return ""
+
+
+class Alone:
+    """Gate `commanders`: nobody else sends where the robot takes its commands.
+
+    Args:
+        commanders: where that is, and how many others send there, as of `SeesCommanders`.
+    """
+
+    name = "commanders"
+
+    def __init__(self, commanders: Callable[[], Mapping[str, int]]) -> None:
+        self._commanders = commanders
+        self.about = f"nobody else sends to {', '.join(commanders())}"
+
+    def __call__(self) -> str:
+        """Count them."""
+        for where, count in self._commanders().items():
+            if count:
+                return f"{count} others send to {where}; end them, one alone may command a robot"
+        return ""
+
+
+class NoCommand:
+    """Gate `command`: the velocity command is zero.
+
+    Args:
+        command: vx, vy [m/s] and wz [rad/s], shape (..., 3).
+    """
+
+    name = "command"
+    about = "velocity_command is zero"
+
+    def __init__(self, command: NDArray[Any]) -> None:
+        self._command = command
+
+    def __call__(self) -> str:
+        """Look."""
+        if not self._command.any():
+            return ""
+        vx, vy, wz = (figure(v, ".3g") for v in self._command.reshape(-1, 3)[0])
+        return (
+            f"velocity_command is vx {vx} m/s, vy {vy} m/s, wz {wz} rad/s, and a robot "
+            "begins at zero; let go of the stick, or stop whoever publishes it"
+        )

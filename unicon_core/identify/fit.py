@@ -17,14 +17,16 @@ from numpy.typing import NDArray
 from unicon_core.errors import UniconError, alternatives
 from unicon_core.gap import aligned_mse
 from unicon_core.identify.found import Fit, Parameter
-from unicon_core.identify.motion import Motion
-from unicon_core.identify.replays import Joints, Replays
+from unicon_core.identify.replays import Motion, Replays
 from unicon_core.models.load import load_model
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.robots import Robot
 from unicon_core.robots.poses import JOINT_PHYSICS, joint_physics, joints_like
 
 Float = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Normal = tuple[Float, Float, float]
+"""The curvature (p, p), what the answers ask for (p,), and the noise in [rad]."""
 
 # What a figure is varied by for its derivative, and how far off it may well be beforehand: the
 # latter holds those at the model's that the motion says nothing of.
@@ -145,8 +147,9 @@ class _Search:
         for rounds in range(1, ROUNDS + 1):
             slopes = self._slopes(at, now)
             known = int(free.sum())
-            free |= self._telling(now, slopes, weights, free) & ~barred
-            tried = self._candidates(at, now, slopes, weights, free)
+            normal = self._normal(now, slopes, weights)
+            free |= self._telling(normal, free) & ~barred
+            tried = self._candidates(at, normal, free)
             answers = self._replay(tried)
             costs = [self._cost(a, x, weights) for a, x in zip(answers, tried)]
             best, old = int(np.argmin(costs)), self._cost(now, at, weights)
@@ -170,13 +173,12 @@ class _Search:
         return self._fit(at, deviations, free, first, now, rounds)
 
     def _replay(self, points: Sequence[Float]) -> list[Float]:
-        return self._replays([self._joints(point) for point in points])
-
-    def _joints(self, point: Float) -> Joints:
-        said: dict[str, dict[str, float]] = {}
-        for (i, word), value in zip(self._keys, point):
-            said.setdefault(self._robot.joint_names[i], {})[word] = float(value)
-        return said
+        sets: list[dict[str, dict[str, float]]] = []
+        for point in points:
+            sets.append({})
+            for (i, word), value in zip(self._keys, point):
+                sets[-1].setdefault(self._robot.joint_names[i], {})[word] = float(value)
+        return self._replays(sets)
 
     def _slopes(self, at: Float, now: Float) -> Float:
         """Return the derivatives of every answer, shape (w, l, n, p)."""
@@ -192,23 +194,20 @@ class _Search:
                 slopes[:, :, own, k] = (answer - now)[:, :, own] / steps[k]
         return slopes
 
-    def _normal(self, now: Float, slopes: Float, weights: Float) -> tuple[Float, Float, float]:
-        """Return the curvature (p, p), what the answers ask for (p,), and the noise in [rad]."""
+    def _normal(self, now: Float, slopes: Float, weights: Float) -> Normal:
         residual, slopes = self._aligned(now, slopes)
         root = np.sqrt(weights)[self._fitted, None, None]
         rows = (slopes[self._fitted] * root[..., None]).reshape(-1, slopes.shape[-1])
         asked = rows.T @ (residual[self._fitted] * root).reshape(-1)
         return rows.T @ rows, asked, self._noise(residual, weights)
 
-    def _telling(
-        self, now: Float, slopes: Float, weights: Float, free: NDArray[np.bool_]
-    ) -> NDArray[np.bool_]:
+    def _telling(self, normal: Normal, free: Mask) -> Mask:
         """Return the figures that would explain more than noise does, beside those that are free.
 
         With all of them free a run of seconds would be explained by many that are as they should
         be. Of those that tell, the best is taken, and what tells half as much.
         """
-        curvature, asked, noise = self._normal(now, slopes, weights)
+        curvature, asked, noise = normal
         curvature = curvature + np.diag((noise / self._prior) ** 2)
         gains = np.zeros(len(asked))
         some = np.flatnonzero(free)
@@ -218,15 +217,13 @@ class _Search:
             gains[k] = left**2 / (curvature[k, k] - across @ curvature[some, k])
         # Within a window the noise is one: its ticks count as one sample.
         enough = TELLS * noise**2 * self._motion.length
-        found: NDArray[np.bool_] = (gains > enough) & (gains >= 0.5 * gains.max())
+        found: Mask = (gains > enough) & (gains >= 0.5 * gains.max())
         return found
 
-    def _candidates(
-        self, at: Float, now: Float, slopes: Float, weights: Float, free: NDArray[np.bool_]
-    ) -> list[Float]:
-        curvature, asked, noise = self._normal(now, slopes, weights)
+    def _candidates(self, at: Float, normal: Normal, free: Mask) -> list[Float]:
+        curvature, asked, noise = normal
         ridge = (noise / self._prior) ** 2
-        asked += ridge * (self._begin - at)
+        asked = asked + ridge * (self._begin - at)
         some, found = np.flatnonzero(free), []
         for damping in DAMPINGS:
             matrix = curvature + np.diag(ridge + damping * (np.diag(curvature) + ridge))
@@ -271,7 +268,7 @@ class _Search:
         squares = float(((residual**2).sum(axis=(1, 2)) * weights)[self._fitted].sum())
         return squares + noise**2 * float((((at - self._begin) / self._prior) ** 2).sum())
 
-    def _losses(self, now: Float, windows: NDArray[np.bool_]) -> tuple[Float, NDArray[np.int64]]:
+    def _losses(self, now: Float, windows: Mask) -> tuple[Float, NDArray[np.int64]]:
         """Return each joint's aligned MSE [rad²] over windows, and its shift, shape (n,).
 
         Of all shifts within a window the one that suits all windows together.
@@ -280,12 +277,10 @@ class _Search:
         found = aligned_mse(real, sim, max_shift=self._shift)
         return found.loss / real.shape[-1], found.shift
 
-    def _loss(self, now: Float, windows: NDArray[np.bool_]) -> float:
+    def _loss(self, now: Float, windows: Mask) -> float:
         return float(self._losses(now, windows)[0].mean())
 
-    def _deviations(
-        self, now: Float, slopes: Float, weights: Float, free: NDArray[np.bool_]
-    ) -> Float:
+    def _deviations(self, now: Float, slopes: Float, weights: Float, free: Mask) -> Float:
         """Return half of the 95 % interval of each free figure, 0 of the others.
 
         The scatter of the windows tells it (sandwich), since what is left within one is no white
@@ -308,7 +303,7 @@ class _Search:
         self,
         at: Float,
         deviations: Float,
-        free: NDArray[np.bool_],
+        free: Mask,
         first: Float,
         now: Float,
         rounds: int,

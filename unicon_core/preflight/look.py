@@ -1,4 +1,7 @@
-"""`look`: receives from a live platform for some seconds and says what it saw; it sends nothing."""
+"""`look`: receives from a live platform for some seconds and says what it saw; it sends nothing.
+
+Beside what the gates say: how often frames come, where the flow begins, what it would send first.
+"""
 
 from __future__ import annotations
 
@@ -8,19 +11,25 @@ import shutil
 import time
 
 import numpy as np
+from numpy.typing import NDArray
 
+from unicon_core.blocks.approach import Target
 from unicon_core.errors import Fault, UniconError
 from unicon_core.figures import figure
 from unicon_core.flow import Node, Zip, compile_graph
 from unicon_core.flow.stage import Stage
+from unicon_core.gates.beginning import beginning, first_command
 from unicon_core.gates.data import Rate
-from unicon_core.gates.standing import Alone
+from unicon_core.gates.gate import Alone
 from unicon_core.platforms.joined import members_of
-from unicon_core.platforms.platform import Platform, ReportsVariant, SeesCommanders, info_of
-from unicon_core.preflight.first import tell_first_command
-from unicon_core.preflight.frames import tell_frames
+from unicon_core.platforms.platform import (
+    CountsArrivals,
+    ReportsVariant,
+    SeesCommanders,
+    WaitsForData,
+    info_of,
+)
 from unicon_core.preflight.result import PreflightResult
-from unicon_core.robots import Robot
 from unicon_core.signals import SIGNALS
 from unicon_core.workflow import Program
 
@@ -137,25 +146,20 @@ class _Gaps:
 def _of_robot(program: Program, result: PreflightResult) -> None:
     """What was opened: protocol, map, topics, variant."""
     for member, platform, robot in members_of(program.platform, program.robot):
-        _of_member(member, platform, robot, result)
-
-
-def _of_member(member: str, platform: Platform, robot: Robot, result: PreflightResult) -> None:
-    info = dict(info_of(platform))
-    protocol = robot.transport.get("protocol")
-    told = f"{robot.path.name}, protocol {protocol}"
-    told += f", map {info['map']}" if info.get("map") else ""
-    result.add("robot", None, f"{member}: {told}" if member else told)
-    for topic, count in dict(info.get("received") or {}).items():
-        result.add("received", None, f"{topic}: {count} messages taken")
-    for note in info.get("notes") or ():
-        result.add("platform", None, str(note))
-    if isinstance(platform, ReportsVariant):
-        reported = ", ".join(f"{key} {value}" for key, value in platform.variant().items())
-        result.add("reported", None, reported or "nothing yet")
-    elif "mode_machine" in robot.transport:
-        mode = robot.transport["mode_machine"]
-        result.add("reported", None, f"no variant; the robot file is of mode_machine {mode}")
+        info = dict(info_of(platform))
+        told = f"{robot.path.name}, protocol {robot.transport.get('protocol')}"
+        told += f", map {info['map']}" if info.get("map") else ""
+        result.add("robot", None, f"{member}: {told}" if member else told)
+        for topic, count in dict(info.get("received") or {}).items():
+            result.add("received", None, f"{topic}: {count} messages taken")
+        for note in info.get("notes") or ():
+            result.add("platform", None, str(note))
+        if isinstance(platform, ReportsVariant):
+            reported = ", ".join(f"{key} {value}" for key, value in platform.variant().items())
+            result.add("reported", None, reported or "nothing yet")
+        elif "mode_machine" in robot.transport:
+            mode = robot.transport["mode_machine"]
+            result.add("reported", None, f"no variant; the robot file is of mode_machine {mode}")
 
 
 def _imu(program: Program) -> str:
@@ -199,3 +203,110 @@ def _around(program: Program, result: PreflightResult) -> None:
     if free < FREE_BYTES:
         told += f", {FREE_BYTES / 1e9:.1f} GB are advised; make room, or record elsewhere"
     result.add("disk", free >= FREE_BYTES, told)
+
+
+Float = NDArray[np.float32]
+
+
+def tell_first_command(program: Program, result: PreflightResult) -> None:
+    """Add where the flow begins and what it would send first; nothing is sent.
+
+    Args:
+        program: whose platform has been received from.
+        result: is added to.
+    """
+    measured = np.array(program.states["joint_pos"])
+    try:
+        begins, first = beginning(program), first_command(program)
+        entry = _entered(program, begins)
+    except Exception as error:  # of a block, which may raise anything
+        kind = "" if isinstance(error, (UniconError, Fault)) else f"{type(error).__name__}: "
+        result.add("first command", False, f"{kind}{error}; nothing would be sent")
+        return
+    way, joint = _farthest(program, begins, measured)
+    approach = f"{begins.source}, {way:.2f} rad away ({joint})"
+    speed = program.start.approach
+    if not program.platform.facts.simulated and way > 0.0:
+        approach += f": an approach of {way / speed:.1f} s at {speed:g} rad/s"
+    result.add("begins at", None, approach)
+    result.first_command = _distances(program, first, measured)
+    result.first_step = _distances(program, entry, begins.joint_pos)
+    size, joint = _farthest(program, first, measured)
+    gain = first.stiffness[program.robot.joint_names.index(joint)]
+    told = f"of the flow from here: {size:.2f} rad away ({joint}) at {gain:g} N·m/rad"
+    if way > 0.0:
+        size, joint = _farthest(program, entry, begins.joint_pos)
+        told += f"; from where it begins: {size:.2f} rad ({joint})"
+    finite = all(np.isfinite(command.joint_pos).all() for command in (first, entry))
+    result.add("first command", finite, told + ("" if finite else "; mend the flow"))
+
+
+def _entered(program: Program, at: Target) -> Target:
+    """Return the first command as it is where the approach has ended, at rest there."""
+    states = program.states
+    before = states.snapshot()
+    try:
+        states["joint_pos"][...] = at.joint_pos
+        states["joint_vel"][...] = 0.0
+        return first_command(program)
+    finally:
+        states.restore(before)
+
+
+def _distances(program: Program, target: Target, origin: Float) -> dict[str, float]:
+    away = np.round(np.abs(target.joint_pos - origin).astype(float), 6).tolist()
+    return dict(zip(program.robot.joint_names, away))
+
+
+def _farthest(program: Program, target: Target, origin: Float) -> tuple[float, str]:
+    """Return the largest distance in [rad] and its joint; one that is not finite is the largest."""
+    away = np.abs(target.joint_pos - origin)
+    worst = int(np.argmax(np.nan_to_num(away, nan=np.inf)))
+    return float(away[worst]), program.robot.joint_names[worst]
+
+
+SECONDS = 0.5
+"""For so long they are counted."""
+SHARE = 0.5
+"""Of the promise that must be kept: a network that loses a few, or a busy machine, is no reason."""
+LOOKING = 0.001
+"""Between two looks at a platform that cannot wait for them, [s]."""
+
+
+def tell_frames(program: Program, result: PreflightResult) -> None:
+    """Add how often frames come, beside what the robot file promises (`transport.rate_hz`).
+
+    The gate `rate` is content with new data in every tick, and a tick may be ten times slower than
+    the robot is: this sees a robot in a slow mode, or a network that loses most of it. A platform
+    that does not declare the robot's protocol, such as one over topics, has another rate.
+
+    Args:
+        program: whose platform has been received from.
+        result: is added to.
+
+    Raises:
+        Fault: of the platform.
+    """
+    platform, transport = program.platform, program.robot.transport
+    promised = transport.get("rate_hz")
+    if not isinstance(platform, CountsArrivals) or not isinstance(promised, (int, float)):
+        return
+    if transport.get("protocol") not in platform.facts.protocols:
+        return
+    platform.recv()  # what had come before
+    count, begun = platform.arrivals(), time.perf_counter()
+    while time.perf_counter() - begun < SECONDS:
+        if isinstance(platform, WaitsForData):
+            platform.wait(LOOKING)
+        else:
+            time.sleep(LOOKING)
+        platform.recv()
+    hz = (platform.arrivals() - count) / (time.perf_counter() - begun)
+    told = f"{hz:.3g} frames a second, {promised:g} are promised"
+    good = hz >= SHARE * promised
+    if not good:
+        told += (
+            f"; see whether the robot is in another mode and the network loses frames, or correct "
+            f"rate_hz of {program.robot.path.name}"
+        )
+    result.add("frames", good, told)

@@ -10,8 +10,7 @@ from unicon_core.blocks.approach import Approach
 from unicon_core.errors import Fault
 from unicon_core.flow import Deferred, Node, Zip, as_block
 from unicon_core.gates.beginning import beginning
-from unicon_core.gates.gate import StartGate
-from unicon_core.gates.standing import Alone
+from unicon_core.gates.gate import Alone, StartGate
 from unicon_core.platforms.joined import members_of
 from unicon_core.platforms.platform import Prepares, SeesCommanders
 from unicon_core.runtime.options import RunOptions

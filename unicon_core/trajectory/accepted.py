@@ -46,11 +46,11 @@ class Refusal(Exception):
     """A trajectory that is not played.
 
     Args:
-        code: of the action's result.
         reason: one line.
+        code: of the action's result.
     """
 
-    def __init__(self, code: Code, reason: str) -> None:
+    def __init__(self, reason: str, code: Code = Code.INVALID_GOAL) -> None:
         super().__init__(reason)
         self.code, self.reason = code, reason
 
@@ -138,26 +138,22 @@ def accepted(points: Points, limits: Limits, start: Start) -> Spline:
     return spline
 
 
-def _bad(reason: str, code: Code = Code.INVALID_GOAL) -> Refusal:
-    return Refusal(code, reason)
-
-
 def _places(points: Points, limits: Limits) -> NDArray[np.intp]:
     """Return where the joints of a trajectory stand in the robot's order, shape (k,)."""
     names = list(points.joints)
     if not names:
-        raise _bad("the trajectory names no joints", Code.INVALID_JOINTS)
+        raise Refusal("the trajectory names no joints", Code.INVALID_JOINTS)
     own = {name: i for i, name in enumerate(limits.joints)}
     for name in names:
         if name not in own:
             known = alternatives(name[:60], limits.joints, limit=6)
-            raise _bad(f"the robot has no joint {name[:60]!r}; {known}", Code.INVALID_JOINTS)
+            raise Refusal(f"the robot has no joint {name[:60]!r}; {known}", Code.INVALID_JOINTS)
     if len(set(names)) != len(names):
         twice = next(name for name in names if names.count(name) > 1)
-        raise _bad(f"joint {twice!r} stands twice in the trajectory", Code.INVALID_JOINTS)
+        raise Refusal(f"joint {twice!r} stands twice in the trajectory", Code.INVALID_JOINTS)
     if not limits.partial and len(names) < len(own):
         lacking = [name for name in limits.joints if name not in names]
-        raise _bad(
+        raise Refusal(
             f"the trajectory lacks joint {lacking[0]!r} ({len(lacking)} joints); name all, or say "
             "missing: hold in the map",
             Code.INVALID_JOINTS,
@@ -168,35 +164,37 @@ def _places(points: Points, limits: Limits) -> NDArray[np.intp]:
 def _times(points: Points) -> Float:
     """Return when each point is to be reached, from now in [s], shape (m,)."""
     if not points.times:
-        raise _bad("the trajectory has no points")
+        raise Refusal("the trajectory has no points")
     if len(points.times) > MOST_POINTS:
-        raise _bad(f"the trajectory has {len(points.times)} points; at most {MOST_POINTS} are read")
+        raise Refusal(
+            f"the trajectory has {len(points.times)} points; at most {MOST_POINTS} are read"
+        )
     times = np.array(points.times, np.float64)
     if not np.isfinite(times).all() or times[0] < 0.0:
-        raise _bad(f"the first point has the time {times[0]:g} s; give 0 or more")
+        raise Refusal(f"the first point has the time {times[0]:g} s; give 0 or more")
     falling = np.flatnonzero(np.diff(times) <= 0.0)
     if len(falling):
         i = int(falling[0])
-        raise _bad(
+        raise Refusal(
             f"times of points have to increase: point {i} is at {times[i]:g} s, point {i + 1} at "
             f"{times[i + 1]:g} s"
         )
     wait = points.wait or 0.0
     if not wait <= FARTHEST:
-        raise _bad(
+        raise Refusal(
             f"the trajectory begins {wait:g} s from now; at most {FARTHEST:g} are waited. Stamps "
             "are of /clock where a simulator runs (use_sim_time), else of the wall clock; 0 is now"
         )
     times += wait
     if not times[-1] > 0.0:
-        raise _bad(
+        raise Refusal(
             f"the trajectory ended {-times[-1]:g} s ago"
             if points.wait is not None
             else "the trajectory ends at 0 s: its joints would have to jump; give it a time",
             Code.INVALID_GOAL if points.wait is None else Code.OLD_HEADER_TIMESTAMP,
         )
     if times[-1] > LONGEST:
-        raise _bad(f"the trajectory takes {times[-1]:g} s; at most {LONGEST:g} are played")
+        raise Refusal(f"the trajectory takes {times[-1]:g} s; at most {LONGEST:g} are played")
     return times
 
 
@@ -218,23 +216,23 @@ def _filled(
         said = np.array([len(given) > 0 or what == "positions" for given in rows], np.bool_)
         if what == "effort" and said.any():
             i = int(said.argmax())
-            raise _bad(f"point {i} has efforts, which are not followed; leave them empty")
+            raise Refusal(f"point {i} has efforts, which are not followed; leave them empty")
         for i, given in enumerate(rows):
             if said[i] and len(given) != len(place):
-                raise _bad(f"point {i} has {len(given)} {what} for {len(place)} joints")
+                raise Refusal(f"point {i} has {len(given)} {what} for {len(place)} joints")
         if said.any():
             values = np.array([given for given, there in zip(rows, said) if there], np.float64)
             if not np.isfinite(values).all():
                 row, column = np.argwhere(~np.isfinite(values))[0]
                 i, name = int(np.flatnonzero(said)[row]), points.joints[int(column)]
-                raise _bad(f"point {i} has {what} that are not finite ({name})")
+                raise Refusal(f"point {i} has {what} that are not finite ({name})")
             full[np.ix_(said, place)] = values
             full[np.ix_(said, held)] = start.target[held] if what == "positions" else 0.0
         found.append(full)
     last = found[1][-1, place]
     if np.abs(last).max() > ROUNDING:
         joint = points.joints[int(np.nanargmax(np.abs(last)))]
-        raise _bad(f"the last point has a velocity ({joint}); a trajectory ends at rest")
+        raise Refusal(f"the last point has a velocity ({joint}); a trajectory ends at rest")
     return found[0], found[1], found[2]
 
 
@@ -243,7 +241,7 @@ def _begins_here(first: Float, limits: Limits, place: NDArray[np.intp], start: S
     off = np.fmin(np.abs(first - start.target), np.abs(first - start.measured))[place]
     if off.max() > limits.start:
         worst = int(place[int(off.argmax())])
-        raise _bad(
+        raise Refusal(
             f"the first point, at 0 s, is {off.max():.3f} rad from where {limits.joints[worst]} is "
             f"({start.target[worst]:.3f} rad); allowed are {limits.start:g} (start_tolerance): "
             "begin where the robot is, or give the first point a time"
@@ -261,7 +259,7 @@ def _within_limits(spline: Spline, limits: Limits, place: NDArray[np.intp], star
         i, k, j = np.unravel_index(int(beyond.argmax()), beyond.shape)
         joint = int(place[int(j)])
         at = spline.times[i] + float(shares[k]) * (spline.times[i + 1] - spline.times[i])
-        raise _bad(
+        raise Refusal(
             f"{limits.joints[joint]} would be at {positions[i, k, joint]:.3f} rad after {at:.3g} "
             f"s; allowed are {limits.lower[joint]:.3f} to {limits.upper[joint]:.3f}"
         )
@@ -273,7 +271,7 @@ def _within_limits(spline: Spline, limits: Limits, place: NDArray[np.intp], star
         i, k, j = np.unravel_index(int(over.argmax()), over.shape)
         joint = int(place[int(j)])
         to = f"from {spline.times[i]:.3g} to {spline.times[i + 1]:.3g} s"
-        raise _bad(
+        raise Refusal(
             f"{limits.joints[joint]} would have to move at {abs(speeds[i, k, joint]):.3g} rad/s "
             f"{to}; allowed are {limits.speed[joint]:.3g}: give it more time"
         )

@@ -115,9 +115,7 @@ class Player:
             Refusal: it is not one to be followed; the other goes on.
         """
         if not self._followed:
-            raise Refusal(
-                Code.INVALID_GOAL, "the flow does not follow joint commands now (forward_command)"
-            )
+            raise Refusal("the flow does not follow joint commands now (forward_command)")
         target = self._target().astype(np.float64)
         velocity = self.desired[1].copy() if self.playing else np.zeros_like(target)
         spline = accepted(

@@ -1,7 +1,7 @@
 """Our side of a field: arrays, element names, variables and conversions, resolved once at build.
 
-Shared by encoders and decoders. A `Bound` names the flat view of a state and which of its
-elements take part, in message order.
+Shared by encoders and decoders, as is what numbers of a type can hold. A `Bound` names the flat
+view of a state and which of its elements take part, in message order.
 """
 
 from __future__ import annotations
@@ -67,12 +67,11 @@ def bind_state(field: FieldSpec, arrays: Arrays, names: Names) -> Bound:
         raise field.state_error(
             f"no state {name!r}; {alternatives(name, arrays)}; write ={name} for the text"
         )
-    if array.dtype.kind not in _KINDS or not array.dtype.isnative or array.dtype.itemsize > 8:
+    kind, size = array.dtype.kind, array.dtype.itemsize
+    if kind not in _KINDS or not array.dtype.isnative or size > 8 or (kind == "f" and size < 4):
         raise field.state_error(
             f"state {name!r} has dtype {array.dtype}; use bool, native integers, float32 or float64"
         )
-    if array.dtype == np.float16:
-        raise field.state_error(f"state {name!r} has dtype float16; use float32 or float64")
     flat = array.reshape(-1)
     if array.size and not np.may_share_memory(flat, array):
         raise field.state_error(
@@ -168,3 +167,13 @@ def _select(field: FieldSpec, size: int, names: tuple[str, ...] | None) -> tuple
             f"{field.source} is out of range; state {name!r} has {count_of(size)}"
         )
     return tuple(range(start, stop))
+
+
+SINGLE_MAX = float(np.finfo(np.float32).max)
+DOUBLE_MAX = float(np.finfo(np.float64).max)
+
+
+def limits(dtype: np.dtype[Any] | str) -> tuple[int, int]:
+    """Return the smallest and largest integer of a dtype."""
+    info = np.iinfo(dtype)
+    return int(info.min), int(info.max)

@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_msgs_map.codec.binding import Bound, Conversion
-from unicon_msgs_map.codec.ranges import SINGLE_MAX, limits
+from unicon_msgs_map.codec.binding import SINGLE_MAX, Conversion, limits
 from unicon_msgs_map.codec.targets import Target
 from unicon_msgs_map.errors import count_of
 from unicon_msgs_map.layout.messages import Primitive
@@ -87,9 +86,16 @@ def select(found: Found, spec: SubscribeSpec, targets: list[Target], stamp: list
                 f"{target.field.path} lacks {_named(target, absent)}, "
                 "and missing: error is declared"
             )
-        pairs = [(place, rank) for place, rank in zip(places, ranks) if rank is not None]
-        carried += len(pairs)
-        runs += _runs(found.order, target, bound, pairs)
+        alike: dict[Primitive | None, list[tuple[int, int, int]]] = {}
+        for (offset, primitive), rank in zip(places, ranks):
+            if rank is not None:
+                carried += 1
+                alike.setdefault(primitive, []).append((bound.elements[rank], rank, offset))
+        for primitive, members in alike.items():
+            elements, own, offsets = zip(*sorted(members))
+            there = offsets, elements, own, bound.flat, bound.conversion
+            kind = "number" if primitive else "time"
+            runs.append(Run(kind, target, found.order, primitive, *there))
         if absent and spec.missing == "zero":
             elements = tuple(bound.elements[k] for k in absent)
             runs.append(Run("zero", target, found.order, elements=elements, flat=bound.flat))
@@ -160,24 +166,6 @@ def _ranks(found: Found, spec: SubscribeSpec, target: Target, count: int) -> lis
     if count > ours and spec.extra == "error":
         raise Rejected(f"{path} has {count_of(count)}, not {ours}, and extra: error is declared")
     return [k if k < ours else None for k in range(count)]
-
-
-def _runs(
-    order: str,
-    target: Target,
-    bound: Bound,
-    pairs: list[tuple[tuple[int, Primitive | None], int]],
-) -> list[Run]:
-    groups: dict[Primitive | None, list[tuple[int, int, int]]] = {}
-    for (offset, primitive), rank in pairs:
-        groups.setdefault(primitive, []).append((bound.elements[rank], rank, offset))
-    runs = []
-    for primitive, members in groups.items():
-        elements, ranks, offsets = zip(*sorted(members))
-        kind, flat = "number" if primitive else "time", bound.flat
-        run = Run(kind, target, order, primitive, offsets, elements, ranks, flat, bound.conversion)
-        runs.append(run)
-    return runs
 
 
 def _require(found: Found, target: Target, runs: list[Run]) -> None:

@@ -12,13 +12,12 @@ import numpy as np
 from unicon_msgs_map.codec.binding import Arrays, Names, Variables
 from unicon_msgs_map.codec.careful import Rejected
 from unicon_msgs_map.codec.layouts import Layouts
-from unicon_msgs_map.codec.targets import Target, bind_targets
-from unicon_msgs_map.layout.messages import Struct
+from unicon_msgs_map.codec.targets import bind_targets
 from unicon_msgs_map.layout.walker import Malformed
 from unicon_msgs_map.spec import SubscribeSpec
 
 
-class Decoder:
+class Decoder(Layouts):
     """State arrays from one message type; make it with `Decoder.build`.
 
     Attributes:
@@ -28,16 +27,8 @@ class Decoder:
         last_error: why the last refused message was refused; empty if none was.
     """
 
-    __slots__ = ("_fast", "_layouts", "_targets", "last_error", "received", "rejected", "spec")
-
-    def __init__(self, spec: SubscribeSpec, message: Struct, targets: list[Target]) -> None:
-        self.spec = spec
-        self.received = 0
-        self.rejected = 0
-        self.last_error = ""
-        self._targets = targets
-        self._layouts = Layouts(spec, message, targets)
-        self._fast = self._layouts.fast
+    received = rejected = 0
+    last_error = ""
 
     @classmethod
     def build(
@@ -67,29 +58,12 @@ class Decoder:
     @property
     def stamp_ns(self) -> int:
         """Stamp of the last accepted message in [ns]; 0 where the type carries none."""
-        return self._layouts.stamp[0]
-
-    @property
-    def derived(self) -> int:
-        """Number of times that a layout was derived anew."""
-        return self._layouts.derived
+        return self.stamp[0]
 
     def elements(self, state: str) -> set[int]:
         """Return which elements of a state, in C order, a message may write."""
-        bounds = [target.bound for target in self._targets if target.bound is not None]
+        bounds = [target.bound for target in self.targets if target.bound is not None]
         return {e for bound in bounds if bound.field.source.name == state for e in bound.elements}
-
-    def need_orientation(self, state: str) -> None:
-        """Refuse messages without an orientation from now on.
-
-        A robot that balances by one that is not there would be blind: a quaternion whose norm is
-        not 1, or an Imu that says it has none (-1 in `orientation_covariance`).
-
-        Args:
-            state: that the quaternion is written to.
-        """
-        self._layouts.need_orientation(state)
-        self._fast = self._layouts.fast
 
     def decode(self, raw: bytes) -> bool:
         """Write the states that a message carries.
@@ -102,7 +76,7 @@ class Decoder:
             and `last_error` describes it. Never raises on any bytes.
         """
         try:
-            if self._fast(raw):
+            if self.fast(raw):
                 self.received += 1
                 return True
         except FloatingPointError:  # somebody's np.seterr: a subnormal in a cast, nothing wrong
@@ -116,18 +90,16 @@ class Decoder:
         Where the map says `on_timeout: unset`, to NaN.
         """
         value = float("nan") if self.spec.on_timeout == "unset" else 0
-        for target in self._targets:
+        for target in self.targets:
             if target.bound is not None and not target.is_time:
                 target.bound.flat[list(target.bound.elements)] = value
 
     def _decode(self, raw: bytes) -> bool:
         try:
-            self._layouts.read(bytes(raw))
+            self.read(bytes(raw))
         except (Malformed, Rejected) as error:
             self.rejected += 1
             self.last_error = f"{self.spec.topic} ({self.spec.type}): {error}"
             return False
-        finally:
-            self._fast = self._layouts.fast
         self.received += 1
         return True

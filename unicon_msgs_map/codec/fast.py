@@ -29,8 +29,7 @@ import numpy as np
 from unicon_core.generated import define
 from unicon_msgs_map.codec.bulk import castable, read_in_bulk
 from unicon_msgs_map.codec.careful import Run
-from unicon_msgs_map.codec.code import Code
-from unicon_msgs_map.codec.scalars import Scalars
+from unicon_msgs_map.codec.scalars import Code
 from unicon_msgs_map.layout.messages import Primitive
 
 SCALAR_LIMIT = 8  # numbers of one field that are still read one by one
@@ -80,14 +79,13 @@ def compile_fast(
         loose: compare structural bytes only, not the padding between them.
     """
     code = Code(raw, order, reject)
-    scalars = Scalars(code)
     bulk: dict[Primitive, list[Run]] = {}
     for number, run in enumerate(runs):
         many = run.kind == "number" and len(run.offsets) > SCALAR_LIMIT
         if many and run.primitive is not None and castable(run):
             bulk.setdefault(run.primitive, []).append(run)
         else:
-            scalars.add(number, run)
+            code.add(number, run)
     for number, (primitive, members) in enumerate(bulk.items()):
         read_in_bulk(code, number, primitive, members)
     guards = hard if loose else _bridged(hard, sorted(o for r in runs for o in r.offsets))

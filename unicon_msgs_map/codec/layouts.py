@@ -38,6 +38,8 @@ class Layouts:
         targets: what it writes and requires.
 
     Attributes:
+        spec: the mapping entry.
+        targets: what it writes and requires.
         fast: the fast path of the last layout.
         derived: number of times that a layout was derived anew.
         stamp: one element, stamp of the last message in [ns].
@@ -45,7 +47,7 @@ class Layouts:
     """
 
     def __init__(self, spec: SubscribeSpec, message: Struct, targets: list[Target]) -> None:
-        self._spec, self._message, self._targets = spec, message, targets
+        self.spec, self._message, self.targets = spec, message, targets
         self.fast: Callable[[bytes], bool | None] = _miss
         self.derived = 0
         self.stamp = [0]
@@ -60,9 +62,16 @@ class Layouts:
             self._want.add(STAMP, stamp, message)
 
     def need_orientation(self, state: str) -> None:
-        """Refuse messages that have no orientation for a state from now on."""
+        """Refuse messages without an orientation from now on.
+
+        A robot that balances by one that is not there would be blind: a quaternion whose norm is
+        not 1, or an Imu that says it has none (-1 in `orientation_covariance`).
+
+        Args:
+            state: that the quaternion is written to.
+        """
         self._orientation = state
-        if self._spec.type == IMU:
+        if self.spec.type == IMU:
             self._want.add(COVARIANCE, parse_path("orientation_covariance[0]"), self._message)
         self.kept.clear()
         self.fast = _miss
@@ -81,13 +90,13 @@ class Layouts:
                 break
         else:
             found = walk(raw, self._message, self._want)
-            runs = select(found, self._spec, self._targets, self.stamp)
+            runs = select(found, self.spec, self.targets, self.stamp)
             if self._orientation:
                 runs += orientation(found, runs, self._orientation)
             self._remember(raw, found, runs)
             done = self.fast(raw)
         if not done:
-            apply(raw, runs, self._spec.nonfinite)
+            apply(raw, runs, self.spec.nonfinite)
 
     def _remember(self, raw: bytes, found: Found, runs: list[Run]) -> None:
         self.derived += 1
@@ -97,7 +106,7 @@ class Layouts:
             # Only padding or unread bytes differ: from now on they are not compared.
             self._loose = True
             self.kept.clear()
-        reject = self._spec.nonfinite == "reject"
+        reject = self.spec.nonfinite == "reject"
         self.fast = compile_fast(raw, found.order, hard, runs, reject, self._loose)
         self.kept.insert(0, _Layout(len(raw), structure, self.fast, runs))
         del self.kept[KEPT_LAYOUTS:]

@@ -15,7 +15,7 @@ from unicon_msgs_map.codec.binding import (
     bind_variable,
     message_order,
 )
-from unicon_msgs_map.codec.constants import constant
+from unicon_msgs_map.codec.placing import constant
 from unicon_msgs_map.errors import MapStateError, count_of
 from unicon_msgs_map.layout.check import resolve
 from unicon_msgs_map.layout.messages import Array, Primitive, String, Struct, TypeRef

@@ -67,41 +67,22 @@ def resolve(field: FieldSpec, message: Struct, *, receive: bool) -> TypeRef:
     for number, (name, selector) in enumerate(field.steps):
         if not isinstance(owner, Struct):
             raise field.type_error(f"{field.steps[number - 1][0]} has no fields below it")
-        kind = field_type(field, owner, name, selector, last=number == len(field.steps) - 1)
-        if isinstance(kind, Array) and selector is not None:
-            _check_selector(field, owner, name, selector, kind, receive=receive)
-            kind = kind.item
+        if name not in owner.fields:
+            known = alternatives(name, owner.fields)
+            raise field.type_error(f"{owner.name} has no field {name!r}; {known}")
+        kind = owner.fields[name]
+        if isinstance(kind, Array):
+            if selector is not None:
+                _check_selector(field, owner, name, selector, kind, receive=receive)
+                kind = kind.item
+            elif number < len(field.steps) - 1:
+                raise field.type_error(
+                    f"{name} of {owner.name} is an array; select elements, as in {name}[0] or "
+                    f"{name}[:12]"
+                )
+        elif selector is not None:
+            raise field.type_error(f"{name} of {owner.name} is not an array; drop the [...]")
         owner = kind
-    return kind
-
-
-def field_type(
-    field: FieldSpec, owner: Struct, name: str, selector: Selector | None, *, last: bool
-) -> TypeRef:
-    """Return the type that one step of a path leads to, before elements are selected.
-
-    Args:
-        field: the field, for its messages.
-        owner: where the step begins.
-        name: of the step.
-        selector: of the step.
-        last: whether the path ends with it.
-
-    Raises:
-        MessageTypeError: no such field, or elements are selected where there are none, or not
-            selected where there are some.
-    """
-    kind = owner.fields.get(name)
-    if kind is None:
-        known = list(owner.fields)
-        raise field.type_error(f"{owner.name} has no field {name!r}; {alternatives(name, known)}")
-    is_array = isinstance(kind, Array)
-    if is_array and selector is None and not last:
-        raise field.type_error(
-            f"{name} of {owner.name} is an array; select elements, as in {name}[0] or {name}[:12]"
-        )
-    if selector is not None and not is_array:
-        raise field.type_error(f"{name} of {owner.name} is not an array; drop the [...]")
     return kind
 
 

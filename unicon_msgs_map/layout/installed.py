@@ -1,10 +1,16 @@
-"""Message definitions of installed packages: `share/PACKAGE/msg/NAME.msg` of the ament prefixes."""
+"""Where message definitions come from: Jazzy's as plain data, and those of installed packages.
+
+Installed are `share/PACKAGE/msg/NAME.msg` of the ament prefixes.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import json
+from collections.abc import Iterable, Mapping
+from functools import cache
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 from unicon_core.errors import alternatives
 from unicon_core.packages import share_folder, shares
@@ -43,3 +49,16 @@ def unknown_type(full: str, known: Iterable[str]) -> MessageTypeError:
 def _folder(package: str) -> Path | None:
     share = share_folder(package)
     return share / "msg" if share is not None and (share / "msg").is_dir() else None
+
+
+FILE = "jazzy.json"
+"""In the folder `msg`. Names, types, bounds and constants of ROS's common interfaces, as rosbags
+0.11 tells them; `UNICON_WRITE_GOLDEN=1 pytest test/map/test_map_ready_made.py` writes it anew."""
+
+
+@cache
+def ready_made() -> Mapping[str, Any]:
+    """Return name to (constants, fields), laid out as rosbags' `fielddefs`; read in 2 ms."""
+    file = resources.files("unicon_msgs_map").joinpath("msg").joinpath(FILE)
+    types: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    return types

@@ -19,8 +19,7 @@ from typing import Any
 
 from unicon_core.errors import alternatives
 from unicon_msgs_map.errors import MapDependencyError, MessageTypeError
-from unicon_msgs_map.layout.installed import installed_files, unknown_type
-from unicon_msgs_map.layout.ready_made import ready_made
+from unicon_msgs_map.layout.installed import installed_files, ready_made, unknown_type
 
 DEFAULT_DISTRO = "jazzy"
 

@@ -141,9 +141,13 @@ class _Walker:
     def numbers(self, kind: Primitive, at: int, count: int, want: Want | None) -> int:
         at += -(at - 4) % kind.size
         end = self.need(at, count * kind.size, kind.name)
-        if want is not None:
-            for number in want.ends:
-                self.found.numbers.setdefault(number, []).append((at, kind, count))
+        wanted = [(want, 0, count)] if want else []
+        if want:
+            wanted += [(below, *_range(selector, count)) for selector, below in want.items]
+        for each, start, stop in wanted:
+            for number in each.ends if start < stop else ():
+                run = (at + start * kind.size, kind, stop - start)
+                self.found.numbers.setdefault(number, []).append(run)
         return end
 
     def string(self, kind: String, at: int, want: Want | None) -> int:
@@ -187,7 +191,7 @@ class _Walker:
             self.empty += isinstance(item, Primitive) and item.size == 8
             return at
         if isinstance(item, Primitive):
-            return self.primitives(item, at, count, want)
+            return self.numbers(item, at, count, want)
         if want is None:
             return self.skip(item, at, count)
         matched: set[int] = set()
@@ -197,33 +201,20 @@ class _Walker:
             at = [self.any(item, at, each) for each in wants][-1]
         return at
 
-    def primitives(self, item: Primitive, at: int, count: int, want: Want | None) -> int:
-        at += -(at - 4) % item.size
-        end = self.numbers(item, at, count, want)
-        for selector, below in want.items if want else ():
-            start, stop = _range(selector, count)
-            if start < stop:
-                for number in below.ends:
-                    run = (at + start * item.size, item, stop - start)
-                    self.found.numbers.setdefault(number, []).append(run)
-        return end
-
     def below(
         self, want: Want, item: TypeRef, at: int, index: int, matched: set[int]
     ) -> list[Want | None]:
         wants: list[Want | None] = [Want(ends=want.ends)] if want.ends else []
         for selector, inner in want.items:
             if isinstance(selector, Key):
-                if self.key(item, at, selector):
-                    if id(inner) in matched:
-                        raise Malformed(f"two elements have {selector.field} {selector.value!r}")
-                    matched.add(id(inner))
-                    wants.append(inner)
-            elif isinstance(selector, int):
-                if selector == index:
-                    wants.append(inner)
-            elif selector[0] <= index and (selector[1] is None or index < selector[1]):
-                wants.append(inner)
+                if not self.key(item, at, selector):
+                    continue
+                if id(inner) in matched:
+                    raise Malformed(f"two elements have {selector.field} {selector.value!r}")
+                matched.add(id(inner))
+            elif index not in range(*_range(selector, index + 1)):
+                continue
+            wants.append(inner)
         return wants
 
     def key(self, item: TypeRef, at: int, key: Key) -> bool:

@@ -105,8 +105,12 @@ def _composed(
     keys, found = top.parts(), dict[Any, _Node]()
     for entry in _included_names(keys):
         other = _included(entry, folder, above, left).parts()
-        if "typestore" not in keys and "typestore" in found and "typestore" in other:
-            _same_typestore(found["typestore"], other["typestore"], top)
+        both = [each["typestore"].value for each in (found, other) if "typestore" in each]
+        if "typestore" not in keys and len(both) > 1 and both[0] != both[1]:
+            raise top.fail(
+                f"included maps have the typestores {both[0]!r} and {both[1]!r}; "
+                "say typestore: NAME in this map"
+            )
         for key, node in other.items():
             if key not in _OWN:
                 found[key] = _added(key, found.get(key), node, own=False)
@@ -137,14 +141,6 @@ def _included(entry: _Node, folder: Path, above: tuple[Path, ...], left: Iterato
         raise entry.fail(f"include {name!r} leads back to {path}; a map cannot include itself")
     text = read_text(path, MapFileError)
     return _composed(text, str(path), path.parent, (*above, path), left)
-
-
-def _same_typestore(one: _Node, other: _Node, top: _Node) -> None:
-    if one.value != other.value:
-        raise top.fail(
-            f"included maps have the typestores {one.value!r} and {other.value!r}; "
-            "say typestore: NAME in this map"
-        )
 
 
 def _from(folder: Path, path: _Node) -> _Node:

@@ -21,7 +21,7 @@ from unicon_core.gap import (
     warming,
     wasserstein,
 )
-from unicon_core.gap.affine import windows
+from unicon_core.gap.elements import windows
 from unicon_core.gap.trajectories import Array
 from unicon_core.page import plain
 from unicon_ros.analysis.together import Together

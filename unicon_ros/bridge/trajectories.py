@@ -17,8 +17,8 @@ import numpy as np
 from unicon_core.blocks.forward_command import ForwardCommand
 from unicon_core.errors import UniconError
 from unicon_core.flow import Block
-from unicon_core.trajectory import Ending, Limits, Player, Points, Refusal, Tolerances
-from unicon_core.trajectory.accepted import Code
+from unicon_core.trajectory.accepted import Code, Limits, Points, Refusal
+from unicon_core.trajectory.player import Ending, Player, Tolerances
 from unicon_core.workflow import Program
 from unicon_core.workflow.program_data import ProgramData
 from unicon_msgs_map.spec import TrajectorySpec
@@ -252,12 +252,11 @@ class Trajectories:
         for each in tolerances:
             if each.name not in joints:
                 raise Refusal(
-                    Code.INVALID_JOINTS, f"there is a tolerance of {each.name[:60]!r}, which the "
-                    "robot has not"
-                )  # fmt: skip
+                    f"there is a tolerance of {each.name[:60]!r}, which the robot has not",
+                    Code.INVALID_JOINTS,
+                )
             if each.velocity > 0.0 or each.acceleration > 0.0 or not np.isfinite(each.position):
                 raise Refusal(
-                    Code.INVALID_GOAL,
                     f"tolerances of {each.name}: positions alone are compared; give a number "
                     "there, and 0 for velocity and acceleration",
                 )

@@ -113,7 +113,7 @@ def _looked(
 def _static(program: Program, result: PreflightResult) -> None:
     """What `unicon run` would refuse, and what it would tell at its start."""
     from unicon_core.check import refuse_errors
-    from unicon_core.check.seen import little_seen
+    from unicon_core.check.files import little_seen
 
     try:
         told = refuse_errors(program)

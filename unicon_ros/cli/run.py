@@ -85,7 +85,7 @@ def _run(
     arguments: argparse.Namespace, document: WorkflowDocument, console: Console, guard: Guard
 ) -> _Ended:
     from unicon_core.check import refuse_errors
-    from unicon_core.check.seen import little_seen
+    from unicon_core.check.files import little_seen
     from unicon_core.runtime import Runner, RunOptions
     from unicon_core.runtime.options import never_ends
     from unicon_core.workflow import Program

@@ -8,15 +8,23 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from unicon_core.check.collision import check_collision
+from unicon_core.check.pose import check_collision
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import listed, on_platform
-from unicon_core.check.twin.evidence import evident_changes, find_pressing
 from unicon_core.check.twin.measures import Measures
-from unicon_core.check.twin.perturb import Change, perturbations
-from unicon_core.check.twin.ranking import FOLLOWS, MENDED, SLIGHT, Compared, Tried, chosen, poor
+from unicon_core.check.twin.perturb import GAIT, Change, perturbations, rivals
+from unicon_core.check.twin.ranking import (
+    FOLLOWS,
+    MENDED,
+    SLIGHT,
+    Compared,
+    Tried,
+    chosen,
+    evident_changes,
+    find_pressing,
+    poor,
+)
 from unicon_core.check.twin.repair import repairs
-from unicon_core.check.twin.rivals import GAIT, rivals
 from unicon_core.check.twin.session import TwinBlindError, TwinSession
 from unicon_core.errors import UniconError
 from unicon_core.figures import figure
@@ -98,7 +106,7 @@ class _Twin:
     def check(self) -> None:
         session, result = self.session, self.result
         given = session.run(self.seconds)
-        self.add("as given", given)
+        self.rows.append(_row("as given", given))
         suspects: list[tuple[PolicyResult, Change, Measures]] = []
         for key, contract in session.contracts.items():
             if key in session.called:
@@ -113,7 +121,7 @@ class _Twin:
                     self.rows.append([name, f"not tried: {broken.reason}", *[""] * 4])
                     continue
                 measures = self.run(policy, broken, self.seconds)
-                self.add(name, measures)
+                self.rows.append(_row(name, measures))
                 if measures.score >= given.score - MARGIN:
                     suspects.append((policy, broken, measures))
         self.verdict(given)
@@ -137,7 +145,7 @@ class _Twin:
             found = self.mend(given, MARGIN, self.seconds)  # the first seconds were good
             if found:
                 best = found[0]
-                self.add(f"mended: {best.change.name}", best.measures)
+                self.rows.append(_row(f"mended: {best.change.name}", best.measures))
                 self.better(best.policy, best.change, self.compared(best.policy, best.change))
         resting = [broken.name for _, broken, measures in suspects if measures.rests]
         if given.rests and resting:
@@ -164,7 +172,6 @@ class _Twin:
                 broken.culprit,
                 f"with {broken.name} it does as well as with the given contract: {scores}; "
                 + ("yours is suspect" if suspicious else "the twin does not tell which is right"),
-                f"compare {broken.culprit} with the training side",
                 error=suspicious,
             )
 
@@ -179,7 +186,7 @@ class _Twin:
             "twin.suspect",
             change.culprit,
             f"with {change.name} it {how} with the given contract: {compared}",
-            change.remedy or f"compare {change.culprit} with the training side",
+            change.remedy or None,
             error=error,
         )
 
@@ -191,9 +198,6 @@ class _Twin:
         return Compared(
             self.walked, tuple(self.run(policy, change, self.seconds, c) for c in commands)
         )
-
-    def add(self, name: str, measures: Measures) -> None:
-        self.rows.append(_row(name, measures))
 
     def verdict(self, given: Measures) -> None:
         """Findings of the given contract: a fall, or a command that is not followed."""
@@ -210,7 +214,7 @@ class _Twin:
         found = self.mend(given)
         if found:
             policy, repair, mended = found[0].policy, found[0].change, found[0].measures
-            self.add(f"mended: {repair.name}", mended)
+            self.rows.append(_row(f"mended: {repair.name}", mended))
             others = dict.fromkeys(t.change.culprit for t in found[1:])
             others.pop(repair.culprit, None)
             also = f"; as well with another {listed(others, 2)}" if others else ""
@@ -220,7 +224,7 @@ class _Twin:
                 repair.culprit,
                 f"{what} (score {given.score:.2f}); with {repair.name} it {mended.outcome()} "
                 f"(score {mended.score:.2f}){because}{also}",
-                repair.remedy or f"compare {repair.culprit} with the training side",
+                repair.remedy or None,
             )
         elif not self.policies:
             self.result.find(code, "flow", what, "change the flow, or its gains", self.where)
@@ -311,15 +315,7 @@ class _Twin:
         seconds: float,
         command: tuple[float, float, float] | None = None,
     ) -> Measures:
-        return self.session_of(policy, change).run(
-            seconds,
-            policy.key,
-            change.contract,
-            unlimited=change.unlimited,
-            undamped=change.undamped,
-            locked=change.locked,
-            command=command,
-        )
+        return self.session_of(policy, change).run(seconds, policy.key, change, command)
 
     def session_of(self, policy: PolicyResult, change: Change) -> TwinSession:
         """Return the session, or one whose policy has another period."""

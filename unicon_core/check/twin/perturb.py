@@ -3,17 +3,20 @@
 Each is a fault that users of deployment tools met: observation scales left out, left and right
 exchanged, gravity upside down, the joint order of another simulator, gains in another order. A
 contract that is as good when it is broken like that was probably not right before.
+
+`rivals` are those under which a walk does not fall: a policy that was trained over varied robots
+bears half and twice its damping, period and gait clock. Where one of them walks clearly better it
+is a finding; where none does, the walk says nothing about them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from unicon_core.check.mirror import mirror_pairs
-from unicon_core.check.order import other_order
+from unicon_core.check.order import mirror_pairs, other_order
 from unicon_core.policies.contract import ObservationTerm, PolicyContract
 from unicon_core.robots import joint_index
 
@@ -48,6 +51,10 @@ class Change:
     varied: bool = False
     evidence: str = ""
     remedy: str = ""
+
+
+AS_GIVEN = Change("", "", None)
+"""Nothing is changed."""
 
 
 def perturbations(contract: PolicyContract, depths: Sequence[int]) -> list[Change]:
@@ -219,3 +226,25 @@ def _gains(contract: PolicyContract, depths: Sequence[int]) -> Change:
             broken = replace(contract, stiffness=stiffness, damping=damping)
             return Change(name, culprit, broken, varied=True)
     return Change(name, culprit, None, "all joints have the same gains")
+
+
+GAIT = "phase.period"
+"""Culprit of a clock that is too fast or too slow. With one too fast a policy may follow its
+command as well, in more and quicker steps: the rate of its targets tells."""
+
+
+def rivals(contract: PolicyContract) -> Iterator[Change]:
+    """Yield the contract with half and twice its damping, its period and that of its gait clock.
+
+    Args:
+        contract: the given one.
+    """
+    for factor in (0.5, 2.0):
+        softer = replace(contract, damping=contract.damping * np.float32(factor))
+        yield Change(f"damping times {factor:g}", "damping", softer)
+        slower = replace(contract, period=contract.period * factor)
+        yield Change(f"a period of {slower.period:g} s", "period", slower)
+        if contract.phase is not None:
+            clock = replace(contract.phase, period=contract.phase.period * factor)
+            what = f"a gait clock of {clock.period:g} s"
+            yield Change(what, GAIT, replace(contract, phase=clock))

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from unicon_core.check.model_facts import joint_depths
 from unicon_core.check.twin.measures import JUDGED, Measures, Recorder
+from unicon_core.check.twin.perturb import AS_GIVEN, Change
 from unicon_core.errors import Fault, PlatformError, UniconError
 from unicon_core.flow import Block, Stage
 from unicon_core.models.find import model_of
@@ -180,11 +181,7 @@ class TwinSession:
         self,
         seconds: float,
         key: str = "",
-        contract: PolicyContract | None = None,
-        *,
-        unlimited: bool = False,
-        undamped: bool = False,
-        locked: Sequence[str] = (),
+        change: Change = AS_GIVEN,
         command: Sequence[float] | None = None,
     ) -> Measures:
         """Run from the beginning.
@@ -193,28 +190,26 @@ class TwinSession:
             seconds: of simulated time from the policy's first call; a flow without policy runs
                 to its end.
             key: a policy under `policies:` whose contract is exchanged.
-            contract: in place of the given one.
-            unlimited: without limits of effort, where the simulator lifts them.
-            undamped: without the joints' own damping, where the simulator leaves it out.
-            locked: joints that stand still, where the simulator holds them.
+            change: its contract in place of the given one, and what is to be otherwise in the
+                simulator, where that can do so.
             command: vx, vy [m/s], wz [rad/s] in place of the session's.
         """
-        program, robot = self.program, self.program.robot
+        program, platform = self.program, self.program.platform
         self._asked = None if command is None else np.array(command, np.float32)
-        counted = self._exchange(key, contract)
+        counted = self._exchange(key, change.contract)
         runner = Runner(program, RunOptions(speed="max", warn=lambda text: None))
         recorder = Recorder(
-            program.states, robot, self._effort, program.period, self._motion_error()
+            program.states, program.robot, self._effort, program.period, self._motion_error()
         )
         longest, walked = round(_LONGEST / program.period), round(seconds / program.period)
         fault, begun = "", 0
         changed: AbstractContextManager[None] = nullcontext()
-        if unlimited and isinstance(program.platform, Unlimited):
-            changed = program.platform.unlimited()
-        elif undamped and isinstance(program.platform, Undamped):
-            changed = program.platform.undamped()
-        elif locked and isinstance(program.platform, Locks):
-            changed = program.platform.locked([robot.joint_names.index(name) for name in locked])
+        if change.unlimited and isinstance(platform, Unlimited):
+            changed = platform.unlimited()
+        elif change.undamped and isinstance(platform, Undamped):
+            changed = platform.undamped()
+        elif change.locked and isinstance(platform, Locks):
+            changed = platform.locked([*map(program.robot.joint_names.index, change.locked)])
         try:
             # A broken contract may well send numbers of any size.
             with changed, np.errstate(over="ignore", invalid="ignore"):
