@@ -13,12 +13,12 @@ import os
 import struct
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.errors import MissingDependencyError, UniconError, alternatives, one_line
+from unicon_core.errors import UniconError, alternatives, imported, one_line
 from unicon_ros.bridge.images import JPEG, STAMP, FrameMessage, jpeg_message
 from unicon_ros.recording.background import calm
 from unicon_ros.recording.tick_message import FRAMES
@@ -176,13 +176,7 @@ class _Jpeg:
     """Makes a JPEG of a picture, in its place. Pillow does so without Python's lock into a file."""
 
     def __init__(self, message: FrameMessage, quality: int) -> None:
-        try:
-            from PIL import Image
-        except ModuleNotFoundError as error:
-            raise MissingDependencyError(
-                "--record-jpeg", "pillow", "pip install 'unicon_ros[lerobot]'"
-            ) from error
-        self._image: Any = Image
+        self._image = imported("PIL.Image", "--record-jpeg", "lerobot", "pillow")
         self._from, self._quality = message, quality
         self._to = jpeg_message(0, message.frame_id)
         self._file: BinaryIO = os.fdopen(os.memfd_create("jpeg"), "r+b")

@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from unicon_core.errors import MissingDependencyError, UniconError
+from unicon_core.errors import UniconError, imported
 from unicon_core.flow import Block, Stage
 from unicon_core.memory import Snapshot
 from unicon_core.runtime.tick_ring import HEAD, KeptMemory, TickRing
@@ -68,12 +68,7 @@ class Recording:
         frames: Sequence[str] = (),
         jpeg: int = 0,
     ) -> None:
-        try:
-            import rosbags  # noqa: F401  (the texts of the message types are its)
-        except ModuleNotFoundError as error:
-            raise MissingDependencyError(
-                "--record", "rosbags", "pip install 'unicon_ros[bags]'"
-            ) from error
+        imported("rosbags", "--record", "bags")  # the texts of the message types are its
         if not 0 <= jpeg <= 100:
             raise UniconError(f"{jpeg} is not a quality of a JPEG; give 1 to 100, or 0 for none")
         self._path, self._map_name, self._session = path, map_name, session

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import builtins
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -322,24 +322,13 @@ def test_missing_weights_beside_the_network_are_named(tmp_path: Path) -> None:
     )
 
 
-def without(monkeypatch: pytest.MonkeyPatch, package: str) -> None:
-    real = builtins.__import__
-
-    def blocked(name: str, *args: Any, **kwargs: Any) -> Any:
-        if name.split(".")[0] == package:
-            raise ImportError(name)
-        return real(name, *args, **kwargs)
-
-    monkeypatch.setattr(builtins, "__import__", blocked)
-
-
 def test_without_onnxruntime_the_install_command_is_given(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     contract = load_policy(write_toy(tmp_path))
     machine = robot()
     states = states_of(contract, machine)
-    without(monkeypatch, "onnxruntime")
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
     with pytest.raises(MissingDependencyError) as caught:
         Policy(contract, states, machine)
     assert str(caught.value) == (
@@ -358,7 +347,7 @@ def test_torchscript_without_torch_gives_the_install_command(
         contract, inputs={"observation": "observation"}, outputs={"action": "action"}
     )
     machine = robot()
-    without(monkeypatch, "torch")
+    monkeypatch.setitem(sys.modules, "torch", None)
     with pytest.raises(MissingDependencyError) as caught:
         Policy(contract, states_of(contract, machine), machine)
     assert (

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.errors import MissingDependencyError
+from unicon_core.errors import imported
 from unicon_core.ik.chain import Chain
 from unicon_core.ik.tasks import Pose, Settings, Tasks, Weights
 from unicon_core.models.loaded import import_mujoco
@@ -226,13 +226,7 @@ class Quadratic:
     """
 
     def __init__(self, size: int) -> None:
-        try:
-            import daqp
-        except ModuleNotFoundError as error:
-            raise MissingDependencyError(
-                "block 'reach'", "daqp", "pip install 'unicon_ros[ik]'"
-            ) from error
-        self._solve: Any = daqp.solve
+        self._solve: Any = imported("daqp", "block 'reach'", "ik").solve
         most = size + MOST_ROWS
         self.square, self.slope = np.zeros((size, size)), np.zeros(size)
         self.rows = np.zeros((MOST_ROWS, size))

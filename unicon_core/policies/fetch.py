@@ -22,7 +22,7 @@ from urllib.parse import unquote, urlsplit
 
 import yaml
 
-from unicon_core.errors import MissingDependencyError, PolicyError, alternatives
+from unicon_core.errors import PolicyError, alternatives, imported
 from unicon_core.located_yaml import read_yaml
 from unicon_core.policies.load import ImportReport, import_policy, refuse_to_replace
 from unicon_core.resources import sha256_of
@@ -184,12 +184,7 @@ def _file(url: str) -> _Fetched:
 
 
 def _hugging_face(url: str, into: Path, repo: str, revision: str | None, path: str) -> _Fetched:
-    try:
-        import huggingface_hub
-    except ImportError as error:
-        raise MissingDependencyError(
-            f"policies fetch {url}", "huggingface_hub", "pip install huggingface_hub"
-        ) from error
+    huggingface_hub = imported("huggingface_hub", f"policies fetch {url}")
     with _told(url, "huggingface_hub"):
         info = huggingface_hub.HfApi().model_info(repo, revision=revision)
         there = [str(file.rfilename) for file in info.siblings or ()]
@@ -206,12 +201,7 @@ def _hugging_face(url: str, into: Path, repo: str, revision: str | None, path: s
 
 
 def _wandb(url: str, into: Path, place: str, path: str) -> _Fetched:
-    try:
-        import wandb
-    except ImportError as error:
-        raise MissingDependencyError(
-            f"policies fetch {url}", "wandb", "pip install wandb"
-        ) from error
+    wandb = imported("wandb", f"policies fetch {url}")
     last = place.rpartition("/")[2]
     folder = into / last.partition(":")[0]
     with _told(url, "wandb"):

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.errors import MissingDependencyError, UniconError
+from unicon_core.errors import UniconError, imported
 from unicon_ros.recording.read import Record
 
 HEADS = ("stamp_ns", "tick", "phase", "ended")
@@ -95,13 +95,9 @@ def _csv(record: Record, path: Path, names: Sequence[str], moment: str) -> None:
 
 
 def _parquet(record: Record, path: Path, names: Sequence[str], moment: str) -> None:
-    try:
-        import pyarrow
-        from pyarrow import parquet
-    except ModuleNotFoundError as error:
-        raise MissingDependencyError(
-            "export to Parquet", "pyarrow", "pip install 'unicon_ros[parquet]'"
-        ) from error
+    pyarrow = imported("pyarrow", "export to Parquet", "parquet")
+    from pyarrow import parquet
+
     titles = [*HEADS, *(each for name in names for each in record.layout.elements(name))]
     writer = None
     try:

@@ -59,7 +59,7 @@ def require(what: str) -> None:
     Raises:
         MissingDependencyError: matplotlib is not installed.
     """
-    imported("matplotlib", what, "matplotlib", "plots")
+    imported("matplotlib", what, "plots")
 
 
 def drawn(fill: Callable[..., bool], *of: Any) -> Figure | None:

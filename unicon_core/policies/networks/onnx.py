@@ -9,7 +9,7 @@ from weakref import WeakValueDictionary
 
 from numpy.typing import NDArray
 
-from unicon_core.errors import MissingDependencyError, PolicyError
+from unicon_core.errors import MissingDependencyError, PolicyError, imported
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.networks.onnx_file import OnnxFile, read_onnx
 
@@ -63,12 +63,7 @@ def load_session(path: Path, provider: str = "cpu", threads: int = 1) -> Any:
         PolicyError: onnxruntime cannot load the model, or cannot run it there.
     """
     name, install = PROVIDERS[provider]
-    try:
-        import onnxruntime
-    except ImportError as error:
-        raise MissingDependencyError(
-            f"policy {path.name}", "onnxruntime", "pip install 'unicon_ros[sim]'"
-        ) from error
+    onnxruntime = imported("onnxruntime", f"policy {path.name}", "sim")
     available = onnxruntime.get_available_providers()
     if name not in available:
         there = [word for word, (full, _) in PROVIDERS.items() if full in available]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.errors import MissingDependencyError, PolicyError
+from unicon_core.errors import PolicyError, imported
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.networks.network import Tensor
 from unicon_core.policies.networks.torch_memory import TorchMemory
@@ -32,20 +32,13 @@ class TorchNetwork:
     """
 
     def __init__(self, contract: PolicyContract) -> None:
-        try:
-            import torch
-        except ImportError as error:
-            raise MissingDependencyError(
-                f"policy {contract.name} (TorchScript)",
-                "torch",
-                "pip install 'unicon_ros[torch]'",
-            ) from error
+        torch = imported("torch", f"policy {contract.name} (TorchScript)", "torch")
         if contract.recurrent:
             raise PolicyError(
                 f"policy {contract.name}: recurrent tensors cannot be named in TorchScript; "
                 "export it as ONNX"
             )
-        self._torch: Any = torch
+        self._torch = torch
         torch.set_num_threads(1 if contract.child is None else contract.child.threads)
         try:
             self._module = torch.jit.load(str(contract.model), map_location="cpu").eval()
