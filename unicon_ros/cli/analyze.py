@@ -9,7 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from unicon_core.errors import UniconError
+from unicon_core.errors import UniconError, cannot
 from unicon_core.page import write_file
 from unicon_ros.cli.console import note
 from unicon_ros.cli.options import argument, command, flag, positive, seconds
@@ -77,12 +77,8 @@ def _analyze(arguments: argparse.Namespace) -> int:
 
 def _folder(text: str) -> Path:
     folder = Path(text)
-    try:
+    with cannot(f"make the folder {folder}", "give another to --out"):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UniconError(
-            f"cannot make the folder {folder}: {error.strerror}; give another to --out"
-        ) from error
     return folder
 
 

@@ -155,7 +155,7 @@ def _export_dataset(arguments: argparse.Namespace) -> int:
 def _import(arguments: argparse.Namespace) -> int:
     from unicon_core.robots import load_robot
     from unicon_ros.recording.import_bag import MAP, import_bag
-    from unicon_ros.recording.import_npz import import_npz
+    from unicon_ros.recording.npz import import_npz
 
     source, out, rate = arguments.path, arguments.out, arguments.rate
     if out.suffix != ".mcap":

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import xml.etree.ElementTree as ET
 from contextlib import suppress
@@ -21,7 +20,7 @@ from unicon_core.models.find import find_model
 from unicon_core.models.joints import drives, is_simple
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, import_mujoco
-from unicon_core.page import write_file
+from unicon_core.page import refuse_existing, write_file
 from unicon_core.robots import Robot
 from unicon_core.robots.file import KINDS, SCHEMA, joint_bounds
 from unicon_core.robots.load import read_robot_file
@@ -70,16 +69,15 @@ def new_robot(model: str, out: str | None, kind: str | None = None) -> str:
 
     Raises:
         ModelError: there is no such model, or it has no joints.
-        RobotError: the file exists, or the model does not say the kind.
-        UniconError: the file cannot be written.
+        RobotError: the model does not say the kind.
+        UniconError: the file exists, or cannot be written.
     """
     path = find_model(model, Path.cwd())
     bare = load_model(path, _robot(path, (), "arm"), quiet=True)
     file = Path(out) if out else Path(f"{_name(bare)}.yaml")
     if file.suffix != ".yaml":
         raise RobotError(f"robots new: {file} is not a .yaml file; give --out NAME.yaml")
-    if os.path.lexists(file):  # a link that points nowhere too
-        raise RobotError(f"robots new: {file} exists; move it away, or give another --out FILE")
+    refuse_existing(file, "robots new: ")
     if kind is not None and kind not in KINDS:
         raise RobotError(
             f"robots new: --kind {kind} is none of {', '.join(KINDS)}; give one of them"

@@ -91,8 +91,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _play(arguments: argparse.Namespace) -> int:
-    from unicon_ros.replay.keys import HELP
-    from unicon_ros.replay.player import play
+    from unicon_ros.replay.player import HELP, play
 
     console, session, status = Console(), None, 1
     keys = console.terminal and sys.stdin is not None and sys.stdin.isatty()

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from unicon_core.errors import UniconError
+from unicon_core.errors import UniconError, cannot
 from unicon_core.signals import SIGNALS
 from unicon_ros.cli.console import Console, note
 from unicon_ros.cli.options import add_workflow, argument, command, positive, whole
@@ -93,16 +93,13 @@ def _new_folder(text: str) -> tuple[Path, Path]:
     folder = Path(text)
     if not text:  # as of a variable that is not set
         raise UniconError("--out has no name; give a folder")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / JSON).touch(exist_ok=False)
-    except FileExistsError as error:
-        what = "has a transfer already" if folder.is_dir() else "is not a folder"
-        raise UniconError(f"{folder} {what}; give another to --out") from error
-    except OSError as error:
-        raise UniconError(
-            f"cannot write in {folder}: {error.strerror}; give another to --out"
-        ) from error
+    with cannot(f"write in {folder}", "give another to --out"):
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            (folder / JSON).touch(exist_ok=False)
+        except FileExistsError as error:
+            what = "has a transfer already" if folder.is_dir() else "is not a folder"
+            raise UniconError(f"{folder} {what}; give another to --out") from error
     return folder, folder / JSON
 
 

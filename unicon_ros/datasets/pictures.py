@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import UniconError, imported
 from unicon_ros.recording import Record
-from unicon_ros.recording.frames import Frames
+from unicon_ros.recording.scan import Frames
 
 IMAGE, JPEG = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 RGB = "rgb8"

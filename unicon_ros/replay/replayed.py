@@ -27,8 +27,8 @@ from unicon_core.states.standard import COMMAND_STATES, GAIN_SCALE, GAIN_SCALE_S
 from unicon_core.workflow import Program, WorkflowDocument
 from unicon_core.workflow.program_memory import memory_of
 from unicon_ros.recording import Record
-from unicon_ros.replay.columns import Columns
-from unicon_ros.replay.stand_in import StandIn, recorded_facts
+from unicon_ros.replay.platform import StandIn, recorded_facts
+from unicon_ros.replay.series import Columns
 
 GIVEN = {"input": ("velocity_command",), "tuned": ("joint_stiffness", "joint_damping")}
 """What comes from outside where a record does not say it."""
