@@ -1,7 +1,8 @@
 """How processes end: with the one that started them, within a time, and what they said last.
 
-What --end-with does is SIGTERM, which damps, when the process that started the node ends. Launch leaves its processes running where it is killed or gets SIGTERM. The kernel tells a child of
-its parent's end, so nothing has to be asked while the node runs; where another process stands in
+What --end-with does is SIGTERM, which damps, when the process that started the node ends. Launch
+leaves its processes running where it is killed or gets SIGTERM. The kernel tells a child of its
+parent's end, so nothing has to be asked while the node runs; where another process stands in
 between (a launch prefix such as `xterm -e`), a thread waits for the end of the one further up.
 """
 

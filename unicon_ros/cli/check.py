@@ -1,10 +1,15 @@
-"""`unicon check WORKFLOW`: preflight; every finding with culprit, evidence and remedy."""
+"""`unicon check WORKFLOW`: preflight; every finding with culprit, evidence and remedy.
+
+`unicon explain [CODE]` tells what a finding means.
+"""
 
 from __future__ import annotations
 
 import argparse
 from typing import TYPE_CHECKING, Any
 
+from unicon_core.errors import UniconError, alternatives
+from unicon_ros.cli.console import print_table
 from unicon_ros.cli.options import add_workflow, argument, command, flag
 
 if TYPE_CHECKING:
@@ -13,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def add(commands: Any) -> None:
-    """Add the command to the parser."""
+    """Add the commands to the parser."""
     parser = command(commands, "check", check, "check a workflow before a motor moves")
     add_workflow(parser)
     flag(parser, "--twin", "also simulate it, and broken twins")
@@ -24,6 +29,15 @@ def add(commands: Any) -> None:
     )
     argument(parser, "--map", "MAP", "of that: name in config/maps/, or a path")
     argument(parser, "--json", "FILE", "write the findings as JSON")
+    parser = command(
+        commands,
+        "explain",
+        explain,
+        "what a finding means and what to do about it",
+        "What a finding of `unicon check` means, why it matters, and what to do.",
+    )
+    argument(parser, "code", "CODE", "of a finding; all unless given", nargs="?")
+    flag(parser, "--markdown", "all rules as a page")
 
 
 def check(arguments: argparse.Namespace) -> int:
@@ -59,3 +73,20 @@ def check(arguments: argparse.Namespace) -> int:
         result.sections.clear()
     print(result.text(terminal_width()))
     return 1 if result.findings else 0
+
+
+def explain(arguments: argparse.Namespace) -> int:
+    """Run the command."""
+    from unicon_core.check.rules import CODES, markdown
+
+    if arguments.markdown:
+        print(markdown(), end="")
+    elif arguments.code is None:
+        rows = [(code, rule.what) for code, rule in sorted(CODES.items())]
+        print_table(rows)
+    elif arguments.code in CODES:
+        print(CODES[arguments.code].text())
+    else:
+        known = alternatives(arguments.code, CODES, limit=len(CODES))
+        raise UniconError(f"explain: no finding has the code {arguments.code!r}; {known}")
+    return 0

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import re
 import xml.etree.ElementTree as ET
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 from unicon_core.check.model_facts import model_joints
@@ -34,6 +35,7 @@ _NAMELESS = "MuJoCo Model"
 """What MuJoCo calls a model that has no name."""
 _STANDING = re.compile(r"home|stand|default|init", re.IGNORECASE)
 _LEGS = {"humanoid": 2, "quadruped": 4}
+UNITS = "rad, rad/s, N·m, N·m/rad, N·m·s/rad; bring them into the vendor's motor order"
 _LYING = re.compile(r"rest|lie|lying|prone|crouch|sit", re.IGNORECASE)
 
 
@@ -341,43 +343,37 @@ def _models(model: str, path: Path, file: Path) -> tuple[dict[str, str], list[st
 
 
 def _text(facts: _Facts, models: dict[str, str]) -> str:
-    quoted = json.dumps  # a string of JSON is one of YAML
-    width = max(map(len, facts.joints)) + 1
-    rows = []
-    for i, name in enumerate(facts.joints):
-        said = (f"{key}: {_figure(values[i])}" for key, values in facts.figures.items())
-        rows.append(f"  - {{name: {name + ',':<{width}} {', '.join(said)}}}")
-    imu = "null"
+    dump = partial(yaml.safe_dump, sort_keys=False, allow_unicode=True, width=1000)
+    imu = None
     if facts.imu is not None:
         frame, position, quat = facts.imu
-        imu = f"{{frame: {frame}, position: {_list(position)}, quat: {_list(quat)}}}"
+        imu = {"frame": frame, "position": _list(position), "quat": _list(quat)}
     contacts = {"hand": "fingertips", "arm": "", "wheeled": ""}.get(facts.kind, "feet")
-    named = ", ".join(f"{kind}: {quoted(each)}" for kind, each in models.items())
-    lines = [
-        f"schema: {SCHEMA}",
-        f"name: {quoted(facts.name)}",
-        f"description: {quoted(f'{facts.name}, with {len(facts.joints)} joints, of its model')}",
-        "manufacturer: unknown",
-        f"kind: {facts.kind}",
-        f"models: {{{named}}}",
-        f"base_frame: {facts.base or 'base'}",
-        "joints: # rad, rad/s, N·m, N·m/rad, N·m·s/rad; bring them into the vendor's motor order",
-        *rows,
-        f"imu: {imu}",
-        *([f"{contacts}: [{', '.join(map(quoted, facts.feet))}]"] if contacts else []),
-        "transport: {protocol: null}",
-        "sources:",
-        *(f"  {group}: {quoted(text)}" for group, text in facts.sources.items()),
-        f"unknown: [{', '.join(_unknown(facts))}]",
-    ]
-    return "\n".join(lines) + "\n"
+    told = {
+        "schema": SCHEMA,
+        "name": facts.name,
+        "description": f"{facts.name}, with {len(facts.joints)} joints, of its model",
+        "manufacturer": "unknown",
+        "kind": facts.kind,
+        "models": models,
+        "base_frame": facts.base or "base",
+        "joints": [
+            {"name": name, **{key: _figure(values[i]) for key, values in facts.figures.items()}}
+            for i, name in enumerate(facts.joints)
+        ],
+        "imu": imu,
+        **({contacts: facts.feet} if contacts else {}),
+        "transport": {"protocol": None},
+        "unknown": _unknown(facts),
+    }
+    # A line for each joint, and for each source.
+    text = dump(told, default_flow_style=None).replace("\njoints:\n", f"\njoints: # {UNITS}\n")
+    return f"{text}{dump({'sources': facts.sources}, default_flow_style=False)}"
 
 
-def _figure(value: float) -> str:
-    if np.isinf(value):
-        return ".inf" if value > 0.0 else "-.inf"
-    return "null" if np.isnan(value) else repr(round(float(value), 6) + 0.0)
+def _figure(value: float) -> float | None:
+    return None if np.isnan(value) else round(float(value), 6) + 0.0
 
 
-def _list(values: Float) -> str:
-    return f"[{', '.join(map(_figure, values))}]"
+def _list(values: Float) -> list[float | None]:
+    return [*map(_figure, values)]

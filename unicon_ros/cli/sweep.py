@@ -223,21 +223,19 @@ def _progress(
         before: that were done by earlier runs.
     """
     done = fell = 0
-    began = following = time.monotonic()
+    began = time.monotonic()
     told = ""
 
     def show(figures: Mapping[str, Any], why_not: str) -> None:
-        nonlocal done, fell, following, told
+        nonlocal done, fell, told
         done += 1
         fell += bool(figures.get("fell"))
         if why_not and why_not != told:
             told = why_not
             console.say(f"each rollout is built anew, some 60 ms: {why_not}")
-        now = time.monotonic()
-        if not console.terminal or now < following:
+        if not console.due(EVERY):
             return
-        following = now + EVERY
-        rate = done / max(now - began, 1e-9)
+        rate = done / max(time.monotonic() - began, 1e-9)
         there = before + done
         left = f"{(whole - there) / rate:.0f} s"
         console.status({f"{there}/{whole}": f"{rate:.1f}/s", "fell": fell, "left": left})

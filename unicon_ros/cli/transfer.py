@@ -152,18 +152,15 @@ def _bar(console: Console, plan: Plan, done: int, name: str) -> Callable[[float]
         name: of the run.
     """
     whole = len(plan.seeds) * len(plan.platforms)
-    began = following = time.monotonic()
+    began = time.monotonic()
 
     def show(seconds: float) -> None:
-        nonlocal following
-        now = time.monotonic()
-        if not console.terminal or now < following:
+        if not console.due(EVERY):
             return
-        following = now + EVERY
         full = round(BAR * (done + min(seconds / plan.longest, 1.0)) / whole)
         doing = f"{seconds:.1f} s simulated" if seconds else "starting"
         what = f"[{'#' * full}{'.' * (BAR - full)}] {done}/{whole}"
-        console.status({what: f" {name}: {doing}, {now - began:.0f} s"})
+        console.status({what: f" {name}: {doing}, {time.monotonic() - began:.0f} s"})
 
     return show
 
