@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from unicon_core.errors import UniconError
 from unicon_core.resources import assets_roots
 from unicon_ros.cli.console import Console, note, print_json, print_table
-from unicon_ros.cli.options import argument, command, flag
+from unicon_ros.cli.options import argument, command, flag, option, several
 
 if TYPE_CHECKING:
     from unicon_core.workflow.document import WorkflowDocument
@@ -26,32 +26,6 @@ EVERY = 0.1
 """Of the progress line in [s]."""
 HEAD = ("asset", "kind", "MB", "licence", "at hand")
 COPYLEFT = ("GPL", "MPL")
-
-
-def add(commands: Any) -> None:
-    """Add the command to the parser."""
-    parser = commands.add_parser(
-        "assets",
-        help="list and fetch public models and policies",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
-    listing = command(verbs, "list", _list, "what there is, and what is at hand")
-    flag(listing, "--json", "print JSON")
-    fetching = command(verbs, "fetch", _fetch, "fetch assets into the user's cache")
-    fetching.add_argument("names", nargs="+", metavar="NAME")
-    argument(
-        fetching,
-        "--from",
-        "DIR|URL",
-        "a mirror, which has NAME/FILE, instead of GitHub",
-        dest="mirror",
-    )
-    path = command(verbs, "path", _path, "print the folder of an asset that is at hand")
-    path.add_argument("name", metavar="NAME")
-    verify = command(verbs, "verify", _verify, "compare files with their SHA-256")
-    argument(verify, "names", "NAME", "all that was fetched if none", nargs="*")
 
 
 def fetch_all(names: Sequence[str], mirror: str | None = None) -> int:
@@ -201,3 +175,39 @@ def _verify(arguments: argparse.Namespace) -> int:
     if not any(found.values()):
         print("nothing is at hand; see: unicon assets list")
     return 1 if bad else 0
+
+
+add = several(
+    "assets",
+    "list and fetch public models and policies",
+    __doc__,
+    "VERB",
+    command(
+        "list", _list, "what there is, and what is at hand", None, flag("--json", "print JSON")
+    ),
+    command(
+        "fetch",
+        _fetch,
+        "fetch assets into the user's cache",
+        None,
+        option("names", nargs="+", metavar="NAME"),
+        argument(
+            "--from", "DIR|URL", "a mirror, which has NAME/FILE, instead of GitHub", dest="mirror"
+        ),
+    ),
+    command(
+        "path",
+        _path,
+        "print the folder of an asset that is at hand",
+        None,
+        option("name", metavar="NAME"),
+    ),
+    command(
+        "verify",
+        _verify,
+        "compare files with their SHA-256",
+        None,
+        argument("names", "NAME", "all that was fetched if none", nargs="*"),
+    ),
+    formatter_class=argparse.RawDescriptionHelpFormatter,
+)

@@ -10,34 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 from unicon_core.errors import UniconError, alternatives
 from unicon_ros.cli.console import print_table
-from unicon_ros.cli.options import add_workflow, argument, command, flag
+from unicon_ros.cli.options import MAP, WORKFLOW, argument, command, flag
 
 if TYPE_CHECKING:
     from unicon_core.flow import Block, Stage
     from unicon_core.workflow import Program
-
-
-def add(commands: Any) -> None:
-    """Add the commands to the parser."""
-    parser = command(commands, "check", check, "check a workflow before a motor moves")
-    add_workflow(parser)
-    flag(parser, "--twin", "also simulate it, and broken twins")
-    flag(
-        parser,
-        "--ros",
-        "also check the message map that `run --ros` would use (default: what the workflow says)",
-    )
-    argument(parser, "--map", "MAP", "of that: name in config/maps/, or a path")
-    argument(parser, "--json", "FILE", "write the findings as JSON")
-    parser = command(
-        commands,
-        "explain",
-        explain,
-        "what a finding means and what to do about it",
-        "What a finding of `unicon check` means, why it matters, and what to do.",
-    )
-    argument(parser, "code", "CODE", "of a finding; all unless given", nargs="?")
-    flag(parser, "--markdown", "all rules as a page")
 
 
 def check(arguments: argparse.Namespace) -> int:
@@ -90,3 +67,34 @@ def explain(arguments: argparse.Namespace) -> int:
         known = alternatives(arguments.code, CODES, limit=len(CODES))
         raise UniconError(f"explain: no finding has the code {arguments.code!r}; {known}")
     return 0
+
+
+_check = command(
+    "check",
+    check,
+    "check a workflow before a motor moves",
+    None,
+    *WORKFLOW,
+    flag("--twin", "also simulate it, and broken twins"),
+    flag(
+        "--ros",
+        "also check the message map that `run --ros` would use (default: what the workflow says)",
+    ),
+    MAP,
+    argument("--json", "FILE", "write the findings as JSON"),
+)
+
+_explain = command(
+    "explain",
+    explain,
+    "what a finding means and what to do about it",
+    "What a finding of `unicon check` means, why it matters, and what to do.",
+    argument("code", "CODE", "of a finding; all unless given", nargs="?"),
+    flag("--markdown", "all rules as a page"),
+)
+
+
+def add(commands: Any) -> None:
+    """Add both commands to the parser."""
+    _check(commands)
+    _explain(commands)

@@ -16,7 +16,7 @@ from unicon_core.errors import CheckError, Fault, UniconError
 from unicon_core.latches import clearing
 from unicon_core.signals import SIGNALS
 from unicon_ros.cli.console import print_table, warn
-from unicon_ros.cli.options import add_workflow, argument, command, flag, positive
+from unicon_ros.cli.options import MAP, WORKFLOW, argument, command, flag, option, positive
 from unicon_ros.cli.run import uses_ros
 
 if TYPE_CHECKING:
@@ -32,27 +32,6 @@ QUESTION = (
     "Every joint of robot {robot} will move by {angle:g} rad, one after the other. It hangs on a "
     "gantry or lies, and nobody is near it. Type yes to go on: "
 )
-
-
-def add(commands: Any) -> None:
-    """Add the command to the parser."""
-    parser = command(
-        commands, "preflight", preflight, "look at the live robot, sending nothing", __doc__
-    )
-    add_workflow(parser)
-    argument(parser, "--seconds", "S", "receive for S seconds (3)", type=positive, default=3.0)
-    parser.add_argument(
-        "--ros",
-        action=argparse.BooleanOptionalAction,
-        default=None,
-        help="also open the node of a run, with its topics and ~/estop (default: what the "
-        "workflow says, else no)",
-    )
-    argument(parser, "--map", "MAP", "of that: name in config/maps/, or a path")
-    argument(parser, "--json", "FILE", "write all of it as JSON")
-    flag(parser, "--wiggle", "then move each joint a little, after a yes")
-    argument(parser, "--angle", "RAD", "of these moves (0.05)", type=positive, default=0.05)
-    flag(parser, "--yes", "do not ask before them")
 
 
 def preflight(arguments: argparse.Namespace) -> int:
@@ -198,3 +177,25 @@ def _agreed(robot: str, angle: float) -> bool:
             "--yes if the robot hangs or lies and nobody is near it"
         )
     return input(QUESTION.format(robot=robot, angle=angle)).strip().lower() == "yes"
+
+
+add = command(
+    "preflight",
+    preflight,
+    "look at the live robot, sending nothing",
+    __doc__,
+    *WORKFLOW,
+    argument("--seconds", "S", "receive for S seconds (3)", type=positive, default=3.0),
+    option(
+        "--ros",
+        action=argparse.BooleanOptionalAction,
+        default=None,
+        help="also open the node of a run, with its topics and ~/estop (default: what the "
+        "workflow says, else no)",
+    ),
+    MAP,
+    argument("--json", "FILE", "write all of it as JSON"),
+    flag("--wiggle", "then move each joint a little, after a yes"),
+    argument("--angle", "RAD", "of these moves (0.05)", type=positive, default=0.05),
+    flag("--yes", "do not ask before them"),
+)

@@ -14,7 +14,15 @@ from typing import TYPE_CHECKING, Any
 from unicon_core.errors import MissingDependencyError, UniconError
 from unicon_core.signals import SIGNALS
 from unicon_ros.cli.console import Console, note, warn
-from unicon_ros.cli.options import REPEATED, add_overrides, argument, command, flag, whole
+from unicon_ros.cli.options import (
+    FORCE,
+    OVERRIDES,
+    REPEATED,
+    argument,
+    command,
+    flag,
+    whole,
+)
 
 if TYPE_CHECKING:
     from unicon_ros.sweep.engines import Wish
@@ -29,65 +37,6 @@ EVERY = 0.5
 """Time in [s] between two status lines."""
 SHOWN = 5
 """Rows that `--dry` shows."""
-
-
-def add(commands: Any) -> None:
-    """Add the command to the parser."""
-    parser = command(
-        commands, "sweep", _sweep, "run a workflow thousands of times, varied", __doc__
-    )
-    argument(
-        parser,
-        "what",
-        "SWEEP.yaml | report FOLDER | compare A B",
-        "a sweep to run or to go on with; or what to do with folders of sweeps",
-        nargs="+",
-    )
-    add_overrides(parser)
-    argument(parser, "--out", "DIR", "folder of the results (default: NAME.sweep, here)")
-    argument(
-        parser,
-        "--workers",
-        "N",
-        "processes (default: one for each core)",
-        type=whole("a number", 1, MOST_WORKERS),
-    )
-    argument(
-        parser,
-        "--engine",
-        "NAME",
-        "local (processes here), batch (several rows side by side in each) or ray (a "
-        "cluster); the file's unless told, else local",
-    )
-    argument(
-        parser,
-        "--address",
-        "HOST:PORT",
-        "head node of a Ray cluster to join (default: a Ray of its own, here)",
-        default="",
-    )
-    argument(
-        parser,
-        "--batch",
-        "N",
-        "rows side by side in each process, with --engine batch (default: 4)",
-        type=whole("a number", 1, MOST_WORKERS),
-    )
-    argument(
-        parser,
-        "--gate",
-        "CONDITION",
-        "exit 1 where it does not hold, such as 'fall<0.01' (repeatable)",
-        **REPEATED,
-    )
-    argument(
-        parser,
-        "--force",
-        "CODE",
-        "go on with an error of `unicon check` of this code; may be repeated",
-        **REPEATED,
-    )
-    flag(parser, "--dry", "tell what would be run")
 
 
 def _sweep(arguments: argparse.Namespace) -> int:
@@ -259,3 +208,51 @@ def _ended(results: Results, gates: list[Gate]) -> int:
     if not all(results.holds(gate) for gate in gates):
         return 1
     return 3 if results.failed else 0
+
+
+add = command(
+    "sweep",
+    _sweep,
+    "run a workflow thousands of times, varied",
+    __doc__,
+    argument(
+        "what",
+        "SWEEP.yaml | report FOLDER | compare A B",
+        "a sweep to run or to go on with; or what to do with folders of sweeps",
+        nargs="+",
+    ),
+    OVERRIDES,
+    argument("--out", "DIR", "folder of the results (default: NAME.sweep, here)"),
+    argument(
+        "--workers",
+        "N",
+        "processes (default: one for each core)",
+        type=whole("a number", 1, MOST_WORKERS),
+    ),
+    argument(
+        "--engine",
+        "NAME",
+        "local (processes here), batch (several rows side by side in each) or ray (a "
+        "cluster); the file's unless told, else local",
+    ),
+    argument(
+        "--address",
+        "HOST:PORT",
+        "head node of a Ray cluster to join (default: a Ray of its own, here)",
+        default="",
+    ),
+    argument(
+        "--batch",
+        "N",
+        "rows side by side in each process, with --engine batch (default: 4)",
+        type=whole("a number", 1, MOST_WORKERS),
+    ),
+    argument(
+        "--gate",
+        "CONDITION",
+        "exit 1 where it does not hold, such as 'fall<0.01' (repeatable)",
+        **REPEATED,
+    ),
+    FORCE,
+    flag("--dry", "tell what would be run"),
+)

@@ -25,23 +25,6 @@ LINGER = 0.2
 """In [s], for the middleware to send what was published last."""
 
 
-def add(commands: Any) -> None:
-    """Add both commands to the parser."""
-    shared: dict[str, Any] = {
-        "description": __doc__,
-        "formatter_class": argparse.RawDescriptionHelpFormatter,
-    }
-    parser = command(commands, "pub", _pub, "publish a message to a topic", **shared)
-    argument(parser, "topic", "TOPIC", "such as cmd_vel, which is /cmd_vel")
-    argument(parser, "values", "VALUES", "fields as YAML; the others are zero")
-    argument(parser, "--type", "TYPE", "of the message; else what others use")
-    argument(parser, "--rate", "HZ", "10 unless given", type=positive, default=10.0)
-    argument(parser, "--duration", "S", "end after S seconds", type=positive)
-    flag(parser, "--once", "publish one message and end")
-    parser = command(commands, "call", _call, "call a service of type Trigger", **shared)
-    argument(parser, "service", "SERVICE", "of the node /unicon, such as stop; or /NAMESPACE/…")
-
-
 def filled(message: Any, values: Any, place: str = "") -> Any:
     """Set fields of a message and return it.
 
@@ -172,3 +155,33 @@ def _call(arguments: argparse.Namespace) -> int:
         return 0 if told.success else 1
     finally:
         own.close()
+
+
+_SHARED: dict[str, Any] = {"formatter_class": argparse.RawDescriptionHelpFormatter}
+_publishing = command(
+    "pub",
+    _pub,
+    "publish a message to a topic",
+    __doc__,
+    argument("topic", "TOPIC", "such as cmd_vel, which is /cmd_vel"),
+    argument("values", "VALUES", "fields as YAML; the others are zero"),
+    argument("--type", "TYPE", "of the message; else what others use"),
+    argument("--rate", "HZ", "10 unless given", type=positive, default=10.0),
+    argument("--duration", "S", "end after S seconds", type=positive),
+    flag("--once", "publish one message and end"),
+    **_SHARED,
+)
+_calling = command(
+    "call",
+    _call,
+    "call a service of type Trigger",
+    __doc__,
+    argument("service", "SERVICE", "of the node /unicon, such as stop; or /NAMESPACE/…"),
+    **_SHARED,
+)
+
+
+def add(commands: Any) -> None:
+    """Add both commands to the parser."""
+    _publishing(commands)
+    _calling(commands)
