@@ -19,9 +19,10 @@ from unicon_core.errors import UniconError, cannot
 from unicon_core.page import ROOM, refuse_existing
 from unicon_msgs_map import Qos
 from unicon_msgs_map.layout.messages import Messages, shared_messages
-from unicon_ros.recording import Background, McapFile, recover
+from unicon_ros.recording import McapFile, recover
+from unicon_ros.recording.background import Background, Write
 from unicon_ros.recording.bag_folder import BagFolder, Split
-from unicon_ros.recording.mcap_file import Buffer, Taken
+from unicon_ros.recording.mcap_file import Taken
 from unicon_ros.recording.records import Channel
 from unicon_ros.recording.recover import recover_aside
 from unicon_ros.recording.tick_message import Kept, tick_channel
@@ -106,7 +107,7 @@ class Recorder(Background):
         messages: Messages | None = None,
         qos: Qos | None = None,
         latched: bytes = b"",
-    ) -> Callable[[int, Buffer], bool]:
+    ) -> Write:
         """Add a topic, before `start`, and return what takes its messages: `write(stamp_ns, cdr)`.
 
         Args:
@@ -153,7 +154,7 @@ class Recorder(Background):
             known = shared_messages().definition(kind)
             return self.add_large(self._described(topic, known), nbytes)
 
-    def tick_channel(self, layout: Layout, kept: Kept) -> Callable[[int, Buffer], bool]:
+    def tick_channel(self, layout: Layout, kept: Kept) -> Write:
         """Add the channel of ticks, before `start`, and return what takes them."""
         with self._writing():
             return self.add(tick_channel(self._file.channels + 1, layout, kept))

@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,10 @@ from unicon_ros.recording.records import (
     SCHEMA,
 )
 from unicon_ros.recording.tick_message import FRAMES, TOPIC
+
+Integers: TypeAlias = NDArray[np.int64]
+Bytes: TypeAlias = NDArray[np.uint8]
+Span: TypeAlias = tuple[int, int]
 
 _HEAD = CHUNK_HEAD.size - 9
 _BODY = MESSAGE_HEAD.size - 9
@@ -54,16 +58,16 @@ class Scan:
         ended: it has its end, so that nobody cut it off.
     """
 
-    data: NDArray[np.uint8]
+    data: Bytes
     facts: dict[str, str] = field(default_factory=dict)
     files: dict[str, bytes] = field(default_factory=dict)
     topics: dict[int, tuple[str, str]] = field(default_factory=dict)
     qos: dict[str, str] = field(default_factory=dict)
     counts: Counter[int] = field(default_factory=Counter)
-    ticks: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
-    sizes: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
-    frames: dict[str, NDArray[np.int64]] = field(default_factory=dict)
-    span: tuple[int, int] | None = None
+    ticks: Integers = field(default_factory=lambda: np.zeros(0, np.int64))
+    sizes: Integers = field(default_factory=lambda: np.zeros(0, np.int64))
+    frames: dict[str, Integers] = field(default_factory=dict)
+    span: Span | None = None
     ended: bool = False
 
     def messages(self) -> Counter[str]:
@@ -74,13 +78,13 @@ class Scan:
         return found
 
 
-def gather(data: NDArray[np.uint8], places: NDArray[np.int64], size: int) -> NDArray[np.uint8]:
+def gather(data: Bytes, places: Integers, size: int) -> Bytes:
     """Return the `size` bytes at each place, shape (places, size)."""
     if not size or not len(places):
         return np.zeros((len(places), size), np.uint8)
     # Items that overlap: one for each byte, so that a place is an index.
     items = np.ndarray((len(data) - size + 1,), f"V{size}", data, strides=(1,))
-    packed: NDArray[np.uint8] = items[places].view(np.uint8)
+    packed: Bytes = items[places].view(np.uint8)
     return packed.reshape(-1, size)
 
 
@@ -103,10 +107,10 @@ def scan(path: Path) -> Scan:
         raise ValueError("it does not begin as MCAP does")
     found = Scan(np.frombuffer(raw, np.uint8))
     torn = path.suffix == ".partial"
-    places: dict[str, list[NDArray[np.int64]]] = {}
+    places: dict[str, list[Integers]] = {}
     types: dict[int, str] = {}
-    chunk: tuple[int, int] | None = None  # whose message indexes follow
-    indexes: dict[int, tuple[int, int]] = {}
+    chunk: Span | None = None  # whose message indexes follow
+    indexes: dict[int, Span] = {}
 
     def settle() -> None:
         if chunk is not None:
@@ -159,9 +163,7 @@ def scan(path: Path) -> Scan:
     return found
 
 
-def _messages(
-    found: Scan, chunk: tuple[int, int], indexes: dict[int, tuple[int, int]]
-) -> Iterator[tuple[str, NDArray[np.int64]]]:
+def _messages(found: Scan, chunk: Span, indexes: dict[int, Span]) -> Iterator[tuple[str, Integers]]:
     """Count the messages of a chunk; yield where those of ticks and frames stand."""
     offsets: dict[int, Any] = {}
     if indexes:
@@ -260,16 +262,16 @@ class Frames:
     """
 
     type: str
-    handles: NDArray[np.int64]
-    stamps: NDArray[np.int64]
-    _places: Sequence[tuple[NDArray[np.uint8], int, int]]
+    handles: Integers
+    stamps: Integers
+    _places: Sequence[tuple[Bytes, int, int]]
 
     def message(self, index: int) -> memoryview:
         """Return a frame as it was: a whole message, CDR."""
         data, begin, length = self._places[index]
         return memoryview(data.data)[begin : begin + length]
 
-    def at(self, handles: NDArray[np.int64]) -> NDArray[np.int64]:
+    def at(self, handles: Integers) -> Integers:
         """Return for each handle the index of its frame, or of the newest one before it; else -1.
 
         Args:
@@ -287,7 +289,7 @@ def frames_in(name: str, scans: Sequence[Scan]) -> Frames | None:
         scans: of the files of one recording, in their order.
     """
     kind = ""
-    places: list[tuple[NDArray[np.uint8], int, int]] = []
+    places: list[tuple[Bytes, int, int]] = []
     heads: list[NDArray[np.void]] = []
     for scan in scans:
         begins = scan.frames.get(FRAMES + name)

@@ -6,11 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_core.page import write_file
 from unicon_core.runtime.statistics import TickStatistics
-from unicon_ros.report.drawing import INK, MARK, Pictures, as_png, curve, drawn, grid
+from unicon_ros.report.drawing import INK, MARK, Array, Pictures, as_png, curve, drawn, grid
 from unicon_ros.report.kept import Keeper
 
 MEASURED, COMMANDED, BAD = MARK, "#e07b00", "#d62728"
@@ -84,7 +83,7 @@ def _shade(axes: Any, keeper: Keeper) -> None:
         axes.axvspan(begin, end, color="0.5", alpha=0.2, label="other phase")
 
 
-def _one(keeper: Keeper, name: str, k: int) -> tuple[NDArray[Any], NDArray[Any]]:
+def _one(keeper: Keeper, name: str, k: int) -> tuple[Array, Array]:
     """Return times and values of one element of a state."""
     time, values = keeper.curve(name)
     return time, values[:, k]
@@ -142,7 +141,7 @@ def beyond(keeper: Keeper) -> list[str]:
     return said
 
 
-def _too_strong(torque: NDArray[Any], limit: NDArray[Any]) -> NDArray[np.bool_]:
+def _too_strong(torque: Array, limit: Array) -> Array:
     """Return where a torque is more than its limit, not by the rounding of a float32 alone."""
     return np.asarray(torque > limit * (1.0 + ROUNDING))
 
@@ -189,7 +188,7 @@ def _ranges(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
     return True
 
 
-def _peaks(keeper: Keeper) -> NDArray[Any] | None:
+def _peaks(keeper: Keeper) -> Array | None:
     """Return the largest torque of each joint, [N·m]; None where nobody tells one."""
     if not keeper.has("joint_effort") or not np.isfinite(keeper.robot.effort_limit).any():
         return None
@@ -257,10 +256,10 @@ def _timing(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
     rows = statistics.kept()
     if not len(rows):
         return False
-    busy: NDArray[Any] = statistics.durations_us()
+    busy: Array = statistics.durations_us()
     parts = [("busy", busy, MEASURED, "from recv to the end of send")]
     if keeper.paced:
-        late: NDArray[Any] = (rows[:, 2] - rows[:, 0]) * 1e-3
+        late: Array = (rows[:, 2] - rows[:, 0]) * 1e-3
         parts.append(("late", late, COMMANDED, "from the deadline to the begin of the tick"))
     if len(rows) < statistics.count:
         figure.suptitle(f"the last {len(rows):,} of {statistics.count:,} ticks")
