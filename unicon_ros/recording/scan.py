@@ -238,7 +238,7 @@ def _attachment(raw: memoryview) -> tuple[str, bytes]:
     return name, data
 
 
-_HEAD = np.dtype(
+_FRAME = np.dtype(
     [
         ("opcode", "u1"),
         ("length", "<u8"),
@@ -298,7 +298,7 @@ def frames_in(name: str, scans: Sequence[Scan]) -> Frames | None:
         kind = next(kind for topic, kind in scan.topics.values() if topic == FRAMES + name)
         size = MESSAGE_HEAD.size
         raw = [scan.data[at - size : at] for at in begins.tolist()]
-        found = np.concatenate(raw or [np.zeros(0, np.uint8)]).view(_HEAD)
+        found = np.concatenate(raw or [np.zeros(0, np.uint8)]).view(_FRAME)
         heads.append(found)
         lengths = (found["length"] - np.uint64(size - 9)).tolist()
         places += [(scan.data, at, length) for at, length in zip(begins.tolist(), lengths)]
