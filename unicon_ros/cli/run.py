@@ -312,8 +312,8 @@ def _write(arguments: argparse.Namespace, ended: _Ended) -> tuple[list[str], lis
     written: list[str] = []
     problems: list[str] = []
     told = partial(report.write, arguments.report)
-    if ended.pictured is not None and ended.pictured.page is not None:
-        told = partial(ended.pictured.page.write, report)
+    if ended.pictured is not None and ended.pictured.page:
+        told = partial(ended.pictured.write, report)
     trace = partial(runner.statistics.write_trace, arguments.trace, f"unicon {report.workflow}")
     for name, path, write, hint in (
         ("trace", arguments.trace, trace, " (open it in ui.perfetto.dev)"),

@@ -235,6 +235,7 @@ class McapFile:
 
     def discard(self) -> None:
         """Close and delete it."""
+        self.size = 0
         try:
             with suppress(OSError):
                 os.unlink(self.partial.name, dir_fd=self._folder)
