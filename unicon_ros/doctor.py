@@ -161,7 +161,8 @@ def _robots() -> Iterator[_Row]:
         own = _source_of(address)
         near = own and ipaddress.IPv4Address(address) in ipaddress.ip_network(f"{own}/24", False)
         said = f"{address} from {own}" if near else f"{address}: no interface is on its network"
-        remedy = f"give an interface an address there: ip addr add {_beside(address)}/24 dev NAME"
+        beside = f"{address.rpartition('.')[0]}.222"  # which vendors' examples use as well
+        remedy = f"give an interface an address there: ip addr add {beside}/24 dev NAME"
         yield ", ".join(names), said, "" if near else remedy, "note"
 
 
@@ -172,11 +173,6 @@ def _source_of(address: str) -> str:
             return str(asked.getsockname()[0])
         except OSError:
             return ""
-
-
-def _beside(address: str) -> str:
-    """Return an address on the network of another, which vendors' examples use as well."""
-    return f"{address.rpartition('.')[0]}.222"
 
 
 def _time() -> Iterator[_Row]:

@@ -133,7 +133,8 @@ class _Stream:
 
     def __init__(self, recorder: Recorder, name: str, source: FrameSource, jpeg: int) -> None:
         self.ring, message = source.ring, source.message
-        self._jpeg = _Jpeg(message, jpeg) if jpeg and _is_color(message) else None
+        colour = message.dtype == "|u1" and len(message.shape) == 3  # 8 bits for each of three
+        self._jpeg = _Jpeg(message, jpeg) if jpeg and colour else None
         self._cut = message.offset if message.type == JPEG else 0
         kind = message.type if self._jpeg is None else JPEG
         self.large: Large = recorder.large_channel(FRAMES + name, kind, self.ring.nbytes)
@@ -165,11 +166,6 @@ class _Stream:
                 continue
             self.large.put(length, handle, now, stamp_ns)
         self.seen = latest
-
-
-def _is_color(message: FrameMessage) -> bool:
-    """Tell whether frames are pictures of 8 bits for red, green and blue."""
-    return message.dtype == "|u1" and len(message.shape) == 3
 
 
 class _Jpeg:

@@ -9,8 +9,7 @@ from __future__ import annotations
 import struct
 import time
 from collections.abc import Callable
-from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from unicon_core.errors import UniconError
 from unicon_core.flow import Block
@@ -150,7 +149,8 @@ class RecordedTopics:
         return write
 
     def _tap(self, topic: str, spec: TopicSpec) -> Callable[[bytes], object]:
-        return partial(_stamped, self._channel(topic, spec), self.now)
+        write, now = self._channel(topic, spec), self.now
+        return lambda raw: write(now(), raw)
 
     def _encode(
         self, topic: str, encoder: Encoder, prepare: Callable[[], None] | None = None
@@ -187,10 +187,6 @@ class RecordedTopics:
             if tick % every == 0:
                 write(self.now(), encode())
         self._tick = tick + 1
-
-
-def _stamped(write: Any, now: Callable[[], int], raw: bytes) -> None:
-    write(now(), raw)
 
 
 def string_message(text: str) -> bytes:

@@ -11,26 +11,23 @@ import os
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import yaml
 
 from unicon_core.errors import UniconError, cannot
 from unicon_core.page import ROOM, refuse_existing
+from unicon_core.states import Layout
 from unicon_msgs_map import Qos
-from unicon_msgs_map.layout.messages import Messages, shared_messages
+from unicon_msgs_map.layout.messages import MessageDefinition, Messages, shared_messages
 from unicon_ros.recording import McapFile, recover
 from unicon_ros.recording.background import Background, Write
 from unicon_ros.recording.bag_folder import BagFolder, Split
+from unicon_ros.recording.large import Large
 from unicon_ros.recording.mcap_file import Taken
 from unicon_ros.recording.records import Channel
 from unicon_ros.recording.recover import recover_aside
 from unicon_ros.recording.tick_message import Kept, tick_channel
-
-if TYPE_CHECKING:
-    from unicon_core.states import Layout
-    from unicon_msgs_map.layout.messages import MessageDefinition
-    from unicon_ros.recording.large import Large
 
 
 class Recorder(Background):

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from unicon_core.workflow import Program
     from unicon_ros.bridge import RosSession
     from unicon_ros.recorded_frames import RecordedFrames
-    from unicon_ros.recorded_topics import RecordedTopics
 
 
 @dataclass(eq=False)
@@ -110,18 +109,15 @@ class Recording:
             names = (self.namespace, self.frame_prefix)
             topics = RecordedTopics(recorder, program, self.map_name, self.session, *names)
             if self.frames:
-                self._add_frames(recorder, program, topics)
+                from unicon_ros.recorded_frames import RecordedFrames, chosen_sources
+
+                sources = chosen_sources(program, self.frames)
+                self._frames = RecordedFrames(recorder, sources, topics.now, self.jpeg, self.warn)
         except BaseException:
             recorder.close()
             raise
         self._recorder, topics.block.close = recorder, self._close
         return {Stage.OBSERVE: [topics.block]}
-
-    def _add_frames(self, recorder: Recorder, program: Program, topics: RecordedTopics) -> None:
-        from unicon_ros.recorded_frames import RecordedFrames, chosen_sources
-
-        sources = chosen_sources(program, self.frames)
-        self._frames = RecordedFrames(recorder, sources, topics.now, self.jpeg, self.warn)
 
     def _close(self) -> None:
         assert self._recorder is not None

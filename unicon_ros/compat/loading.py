@@ -67,11 +67,16 @@ def fast_dds_profiles() -> str | None:
 
 def is_fast_dds() -> bool:
     """Tell whether rclpy uses Fast DDS."""
+    return middleware().startswith("rmw_fastrtps")
+
+
+def middleware() -> str:
+    """Return the middleware that rclpy uses, such as `rmw_fastrtps_cpp`; "" without rclpy."""
     try:
         from rclpy.utilities import get_rmw_implementation_identifier
     except ImportError:
-        return False
-    return str(get_rmw_implementation_identifier()).startswith("rmw_fastrtps")
+        return ""
+    return str(get_rmw_implementation_identifier())
 
 
 def message_class(name: str) -> Any:

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 from unicon_msgs_map import Messages
 from unicon_msgs_map.errors import MapError
 from unicon_msgs_map.layout.described import described, rihs01
-from unicon_ros.compat.loading import fast_dds_profiles, message_class
+from unicon_ros.compat.loading import fast_dds_profiles, message_class, middleware
 
 _ANY_C, _FAST_C = b"rosidl_typesupport_c", b"rosidl_typesupport_fastrtps_c"
 _MEMBERS_C = b"rosidl_typesupport_introspection_c"
@@ -57,7 +57,7 @@ def bytes_class(name: str, messages: Messages) -> Any:
     return made
 
 
-def _structure(name: str, **fields: Any) -> Any:
+def _structure(name: str, /, **fields: Any) -> Any:
     """Return a C structure: its fields' names and types, in their order."""
     return type(name, (ctypes.Structure,), {"_fields_": [*fields.items()]})
 
@@ -142,12 +142,9 @@ def _template() -> _Template | None:
 
 def _known_middleware() -> bool:
     """Tell whether the middleware is rmw_fastrtps_cpp upon Fast DDS 2."""
-    from rclpy.utilities import get_rmw_implementation_identifier
-
     # Kilted's Fast DDS 3 tells peers the type object, which would have to be a whole one.
-    if get_rmw_implementation_identifier() != "rmw_fastrtps_cpp":
-        return False
-    return fast_dds_profiles() == "FASTRTPS_DEFAULT_PROFILES_FILE"
+    older = fast_dds_profiles() == "FASTRTPS_DEFAULT_PROFILES_FILE"
+    return older and middleware() == "rmw_fastrtps_cpp"
 
 
 def _pointers(at: int, count: int) -> tuple[int, ...]:

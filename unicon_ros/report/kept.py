@@ -36,6 +36,7 @@ class Keeper:
         ticks: that were kept, of all phases.
         phases: (number of the tick at which it began, phase), in order.
         told: the states that the platform or a block writes.
+        statistics: of the run, once it is attached.
 
     Raises:
         MissingDependencyError: matplotlib is not installed: said before the run, not after it.
@@ -91,7 +92,8 @@ class Keeper:
 
     def attach(self, runner: Runner) -> None:
         """Get to know the runner, whose phases are kept, and who writes what."""
-        self._runner, self.told = runner, told_states(runner.program)
+        self._runner, self.statistics = runner, runner.statistics
+        self.told = told_states(runner.program)
 
     def _halve(self) -> None:
         """Let each row stand for twice as many ticks; a millisecond, once in that many ticks."""

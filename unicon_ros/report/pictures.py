@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from unicon_core.page import write_file
-from unicon_core.runtime.statistics import TickStatistics
 from unicon_ros.report.drawing import INK, MARK, Array, Pictures, as_png, curve, drawn, grid
 from unicon_ros.report.kept import Keeper
 
@@ -89,7 +88,7 @@ def _one(keeper: Keeper, name: str, k: int) -> tuple[Array, Array]:
     return time, values[:, k]
 
 
-def _base(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
+def _base(figure: Any, keeper: Keeper) -> bool:
     """Path, and velocities as commanded and as they were."""
     if not any(keeper.has(state) for _, _, state in _SPEEDS):
         return False
@@ -146,7 +145,7 @@ def _too_strong(torque: Array, limit: Array) -> Array:
     return np.asarray(torque > limit * (1.0 + ROUNDING))
 
 
-def _ranges(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
+def _ranges(figure: Any, keeper: Keeper) -> bool:
     """How much of its range each joint used, and of its torque."""
     robot = keeper.robot
     if not keeper.has("joint_pos"):
@@ -195,7 +194,7 @@ def _peaks(keeper: Keeper) -> Array | None:
     return keeper.largest("joint_effort")
 
 
-def _joints(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
+def _joints(figure: Any, keeper: Keeper) -> bool:
     """Positions over time between their limits, targets behind them."""
     robot = keeper.robot
     if not keeper.has("joint_pos"):
@@ -234,7 +233,7 @@ def _once(*all_axes: Any) -> tuple[list[Any], list[str]]:
     return list(by_label.values()), list(by_label)
 
 
-def _torque(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
+def _torque(figure: Any, keeper: Keeper) -> bool:
     """Torque over time of the joints that came nearest to their effort limit."""
     peaks, robot = _peaks(keeper), keeper.robot
     if peaks is None:
@@ -251,8 +250,9 @@ def _torque(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
     return True
 
 
-def _timing(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
+def _timing(figure: Any, keeper: Keeper) -> bool:
     """How long ticks took, how late they began, and both over the run."""
+    statistics = keeper.statistics
     rows = statistics.kept()
     if not len(rows):
         return False

@@ -70,7 +70,7 @@ class Pictured(Keeper):
             "<h2>Run</h2>",
             pairs(self._about(report)),
         ]
-        for name, shown in drawings(PICTURES, self, self._run.statistics):
+        for name, shown in drawings(PICTURES, self):
             parts.append(shown)
             if name == "ranges":
                 parts += ["<h2>Every joint</h2>", self._joints()]
