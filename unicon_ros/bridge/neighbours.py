@@ -53,7 +53,10 @@ class Neighbours:
         incoming = self.incoming
         for _ in range(min(AT_ONCE, len(incoming))):
             self._next = (self._next + 1) % len(incoming)
-            self._types(incoming[self._next])
+            topic = incoming[self._next]
+            if self._changed(topic.topic):
+                told = other_types(self.node, topic.topic, topic.spec.type)
+                self._tell(topic.topic, told)
 
     def _names(self) -> None:
         name, space = self.node.get_name(), self.node.get_namespace()
@@ -82,11 +85,6 @@ class Neighbours:
             if others
             else "",
         )
-
-    def _types(self, topic: TopicIn) -> None:
-        if self._changed(topic.topic):
-            kind = topic.spec.type
-            self._tell(topic.topic, other_types(self.node, topic.topic, kind))
 
     def _changed(self, topic: str) -> bool:
         """Return whether the number of publishers is another one than at the last look."""

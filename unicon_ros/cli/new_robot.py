@@ -6,7 +6,6 @@ import re
 import xml.etree.ElementTree as ET
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -343,7 +342,7 @@ def _models(model: str, path: Path, file: Path) -> tuple[dict[str, str], list[st
 
 
 def _text(facts: _Facts, models: dict[str, str]) -> str:
-    dump = partial(yaml.safe_dump, sort_keys=False, allow_unicode=True, width=1000)
+    form: dict[str, Any] = {"sort_keys": False, "allow_unicode": True, "width": 1000}
     imu = None
     if facts.imu is not None:
         frame, position, quat = facts.imu
@@ -367,8 +366,9 @@ def _text(facts: _Facts, models: dict[str, str]) -> str:
         "unknown": _unknown(facts),
     }
     # A line for each joint, and for each source.
-    text = dump(told, default_flow_style=None).replace("\njoints:\n", f"\njoints: # {UNITS}\n")
-    return f"{text}{dump({'sources': facts.sources}, default_flow_style=False)}"
+    text = str(yaml.safe_dump(told, default_flow_style=None, **form))
+    sources = yaml.safe_dump({"sources": facts.sources}, default_flow_style=False, **form)
+    return text.replace("\njoints:\n", f"\njoints: # {UNITS}\n") + str(sources)
 
 
 def _figure(value: float) -> float | None:

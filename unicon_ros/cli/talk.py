@@ -84,7 +84,12 @@ def _pub(arguments: argparse.Namespace) -> int:
     own = OwnNode("unicon_pub", None, ())
     try:
         topic = own.node.resolve_topic_name(arguments.topic)
-        kind = arguments.type or _waited(lambda: _types(own.node, topic), topic)
+
+        def used() -> str:
+            there = own.node.get_topic_names_and_types()
+            return next((types[0] for name, types in there if name == topic), "")
+
+        kind = arguments.type or _waited(used, topic)
         message_class = compat.message_class(kind)
         if message_class is None:
             raise UniconError(f"type {kind} is not installed; give --type PACKAGE/msg/NAME")
@@ -105,10 +110,6 @@ def _pub(arguments: argparse.Namespace) -> int:
         return 0
     finally:
         own.close()
-
-
-def _types(node: Any, topic: str) -> str:
-    return next((types[0] for name, types in node.get_topic_names_and_types() if name == topic), "")
 
 
 def _waited(look: Callable[[], Any], topic: str) -> Any:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,7 +66,8 @@ def verify(record: Record, document: WorkflowDocument) -> Verdict:
         f"what {name!r} remembered is left out: there is no such block here"
         for name in sorted(replayed.homeless)
     ]
-    unproven = {name: why for each in record.memories for name, why in _unproven(each)}
+    lacking = [each.get("unproven") for each in record.memories]
+    unproven = {n: why for each in lacking if isinstance(each, dict) for n, why in each.items()}
     notes += [
         f"the record lacks the memory of block {name!r} ({why}); unicon check names it"
         for name, why in unproven.items()
@@ -94,12 +93,6 @@ def verify(record: Record, document: WorkflowDocument) -> Verdict:
         tuple(notes),
         "" if replayed.fault is None else _fault(record, replayed.fault),
     )
-
-
-def _unproven(memory: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return blocks whose memory a record lacks, and why."""
-    found = memory.get("unproven")
-    return [(str(name), str(why)) for name, why in found.items()] if isinstance(found, dict) else []
 
 
 def _fault(record: Record, again: str) -> str:

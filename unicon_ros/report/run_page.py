@@ -5,7 +5,6 @@ from __future__ import annotations
 import html
 import json
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -206,7 +205,10 @@ class Pictured(Keeper):
             "SHA-256 of the commands": report.sha256_commands,
             "layout of the states": facts["layout_hash"],
             "versions": ", ".join(f"{name} {version}" for name, version in versions.items()),
-            **dict(_extra(report)),
+            **{
+                key.replace("_", " "): value if isinstance(value, str) else json.dumps(value)
+                for key, value in report.extra.items()
+            },
         }
 
 
@@ -216,8 +218,3 @@ def _title(report: Report) -> str:
 
 def _times(us: dict[str, float]) -> str:
     return ", ".join(f"{name} {us.get(name, 0.0):,.0f} µs" for name in ("p50", "p99", "max"))
-
-
-def _extra(report: Report) -> Iterator[tuple[str, str]]:
-    for key, value in report.extra.items():
-        yield key.replace("_", " "), value if isinstance(value, str) else json.dumps(value)
