@@ -134,7 +134,9 @@ class FaultRecord:
         assert self._runner is not None
         ring.freeze()  # where nobody did: damped in the middle of a tick
         folder.mkdir(parents=True, exist_ok=True)
-        _recover(folder)
+        for rest in folder.glob("fault-*.mcap.partial"):  # what a killed process left
+            with suppress(UniconError, OSError):  # another process writes it, or it is rubble
+                recover(rest)
         file = _new_file(folder, report.workflow)
         try:
             file.begin()
@@ -196,13 +198,6 @@ def _new_file(folder: Path, workflow: str) -> McapFile:
             if not path.exists():
                 return file
             file.discard()  # that run had it until now, and has given it this name
-
-
-def _recover(folder: Path) -> None:
-    """Finish what a killed process left."""
-    for rest in folder.glob("fault-*.mcap.partial"):
-        with suppress(UniconError, OSError):  # another process writes it, or it is rubble
-            recover(rest)
 
 
 def _prune(folder: Path, newest: Path) -> None:

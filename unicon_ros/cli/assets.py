@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from unicon_core.errors import UniconError
 from unicon_core.resources import assets_roots
 from unicon_ros.cli.console import Console, note, print_json, print_table
-from unicon_ros.cli.options import argument, command, flag, option, several
+from unicon_ros.cli.options import EXAMPLES, argument, command, flag, option, several
 
 if TYPE_CHECKING:
     from unicon_core.workflow.document import WorkflowDocument
@@ -209,5 +209,5 @@ add = several(
         None,
         argument("names", "NAME", "all that was fetched if none", nargs="*"),
     ),
-    formatter_class=argparse.RawDescriptionHelpFormatter,
+    **EXAMPLES,
 )

@@ -6,11 +6,11 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from unicon_core.errors import UniconError, alternatives
 from unicon_ros.cli.console import print_table
-from unicon_ros.cli.options import MAP, WORKFLOW, argument, command, flag
+from unicon_ros.cli.options import MAP, WORKFLOW, argument, command, flag, together
 
 if TYPE_CHECKING:
     from unicon_core.flow import Block, Stage
@@ -69,32 +69,27 @@ def explain(arguments: argparse.Namespace) -> int:
     return 0
 
 
-_check = command(
-    "check",
-    check,
-    "check a workflow before a motor moves",
-    None,
-    *WORKFLOW,
-    flag("--twin", "also simulate it, and broken twins"),
-    flag(
-        "--ros",
-        "also check the message map that `run --ros` would use (default: what the workflow says)",
+add = together(
+    command(
+        "check",
+        check,
+        "check a workflow before a motor moves",
+        None,
+        *WORKFLOW,
+        flag("--twin", "also simulate it, and broken twins"),
+        flag(
+            "--ros",
+            "also check the message map that `run --ros` would use (default: what the workflow says)",
+        ),
+        MAP,
+        argument("--json", "FILE", "write the findings as JSON"),
     ),
-    MAP,
-    argument("--json", "FILE", "write the findings as JSON"),
+    command(
+        "explain",
+        explain,
+        "what a finding means and what to do about it",
+        "What a finding of `unicon check` means, why it matters, and what to do.",
+        argument("code", "CODE", "of a finding; all unless given", nargs="?"),
+        flag("--markdown", "all rules as a page"),
+    ),
 )
-
-_explain = command(
-    "explain",
-    explain,
-    "what a finding means and what to do about it",
-    "What a finding of `unicon check` means, why it matters, and what to do.",
-    argument("code", "CODE", "of a finding; all unless given", nargs="?"),
-    flag("--markdown", "all rules as a page"),
-)
-
-
-def add(commands: Any) -> None:
-    """Add both commands to the parser."""
-    _check(commands)
-    _explain(commands)

@@ -14,6 +14,8 @@ from unicon_ros.view import LOCAL, PORT, SINKS
 Adder: TypeAlias = Callable[[Any], object]
 """Adds a command to the commands, or an argument to a parser or a group of its arguments."""
 
+EXAMPLES: dict[str, Any] = {"formatter_class": argparse.RawDescriptionHelpFormatter}
+"""Settings of a command whose description has lines that stay as they are."""
 REPEATED: dict[str, Any] = {"action": "append", "default": []}
 """Settings of an option that may be given several times."""
 
@@ -55,6 +57,11 @@ def several(
         _add_all(parser.add_subparsers(dest=name, metavar=metavar, required=True), commands)
 
     return add
+
+
+def together(*commands: Adder) -> Adder:
+    """Return what adds all of some commands."""
+    return lambda parsers: _add_all(parsers, commands)
 
 
 def option(name: str, **settings: Any) -> Adder:

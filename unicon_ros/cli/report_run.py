@@ -12,7 +12,7 @@ import sys
 from pathlib import Path
 
 from unicon_core.errors import UniconError
-from unicon_ros.cli.options import argument, command, flag
+from unicon_ros.cli.options import EXAMPLES, argument, command, flag
 
 
 def _report_run(arguments: argparse.Namespace) -> int:
@@ -68,5 +68,5 @@ add = command(
     argument("--verify", "FILE", "check the signature of a report", type=Path),
     argument("--allowed-signers", "FILE", "of --verify: keys that count, OpenSSH's", type=Path),
     argument("--bag", "BAG", "of --verify: its recording", type=Path),
-    formatter_class=argparse.RawDescriptionHelpFormatter,
+    **EXAMPLES,
 )

@@ -17,7 +17,7 @@ from typing import Any
 
 from unicon_core.errors import UniconError, alternatives
 from unicon_core.signals import SIGNALS
-from unicon_ros.cli.options import argument, command, flag, positive
+from unicon_ros.cli.options import EXAMPLES, argument, command, flag, positive, together
 
 PATIENCE = 5.0
 """In [s], for somebody to be there, and for an answer."""
@@ -158,31 +158,26 @@ def _call(arguments: argparse.Namespace) -> int:
         own.close()
 
 
-_SHARED: dict[str, Any] = {"formatter_class": argparse.RawDescriptionHelpFormatter}
-_publishing = command(
-    "pub",
-    _pub,
-    "publish a message to a topic",
-    __doc__,
-    argument("topic", "TOPIC", "such as cmd_vel, which is /cmd_vel"),
-    argument("values", "VALUES", "fields as YAML; the others are zero"),
-    argument("--type", "TYPE", "of the message; else what others use"),
-    argument("--rate", "HZ", "10 unless given", type=positive, default=10.0),
-    argument("--duration", "S", "end after S seconds", type=positive),
-    flag("--once", "publish one message and end"),
-    **_SHARED,
+add = together(
+    command(
+        "pub",
+        _pub,
+        "publish a message to a topic",
+        __doc__,
+        argument("topic", "TOPIC", "such as cmd_vel, which is /cmd_vel"),
+        argument("values", "VALUES", "fields as YAML; the others are zero"),
+        argument("--type", "TYPE", "of the message; else what others use"),
+        argument("--rate", "HZ", "10 unless given", type=positive, default=10.0),
+        argument("--duration", "S", "end after S seconds", type=positive),
+        flag("--once", "publish one message and end"),
+        **EXAMPLES,
+    ),
+    command(
+        "call",
+        _call,
+        "call a service of type Trigger",
+        __doc__,
+        argument("service", "SERVICE", "of the node /unicon, such as stop; or /NAMESPACE/…"),
+        **EXAMPLES,
+    ),
 )
-_calling = command(
-    "call",
-    _call,
-    "call a service of type Trigger",
-    __doc__,
-    argument("service", "SERVICE", "of the node /unicon, such as stop; or /NAMESPACE/…"),
-    **_SHARED,
-)
-
-
-def add(commands: Any) -> None:
-    """Add both commands to the parser."""
-    _publishing(commands)
-    _calling(commands)

@@ -13,6 +13,9 @@ from typing import Any
 
 from unicon_core.errors import UniconError
 
+Leave = Callable[[], None]
+"""Lets an entity go, before it is destroyed."""
+
 
 def polled_group() -> Any:
     """Return a callback group that keeps executors from taking messages that the tick polls.
@@ -35,7 +38,7 @@ def polled_group() -> Any:
     return PolledGroup()
 
 
-def raw_publish(publisher: Any) -> tuple[Callable[[bytes], object], Callable[[], None]]:
+def raw_publish(publisher: Any) -> tuple[Callable[[bytes], object], Leave]:
     """Return a function that publishes serialized bytes, and one that lets the publisher go.
 
     `handle.publish_raw` with the handle entered once takes 3 µs where `publish(bytes)`, which
@@ -58,7 +61,7 @@ def wait_for_readers(publisher: Any, timeout: float) -> None:
         wait(Duration(nanoseconds=round(timeout * 1e9)))
 
 
-def raw_take(subscription: Any) -> tuple[Callable[[], bytes | None] | None, Callable[[], None]]:
+def raw_take(subscription: Any) -> tuple[Callable[[], bytes | None] | None, Leave]:
     """Return a function that takes one serialized message or None, and one that lets go.
 
     There is no public way to poll: where the private one is missing the first function is None,
@@ -74,7 +77,7 @@ def raw_take(subscription: Any) -> tuple[Callable[[], bytes | None] | None, Call
     return take and poll, leave
 
 
-def request_take(service: Any) -> tuple[Callable[[], Any] | None, Callable[[], None]]:
+def request_take(service: Any) -> tuple[Callable[[], Any] | None, Leave]:
     """Return a function that takes one request's header or None, and one that lets go.
 
     For services whose requests say nothing but that they came. A request is given once, here or to
@@ -86,7 +89,7 @@ def request_take(service: Any) -> tuple[Callable[[], Any] | None, Callable[[], N
     return take and (lambda: take(request)[1]), leave
 
 
-def requests_take(service: Any) -> tuple[Callable[[], Any] | None, Callable[[], None]]:
+def requests_take(service: Any) -> tuple[Callable[[], Any] | None, Leave]:
     """Return a function that takes one request and its header, or None, and one that lets go.
 
     As `request_take`, for requests that say something.
@@ -101,7 +104,7 @@ def requests_take(service: Any) -> tuple[Callable[[], Any] | None, Callable[[], 
     return take and poll, leave
 
 
-def _entered(entity: Any, method: str) -> tuple[Any, Callable[[], None]]:
+def _entered(entity: Any, method: str) -> tuple[Any, Leave]:
     """Enter an entity's handle once; return a private method of it, or None, and the way out."""
     handle = getattr(entity, "handle", None)
     found = getattr(handle, method, None)
