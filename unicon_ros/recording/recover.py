@@ -59,10 +59,6 @@ def salvage(file: McapFile, most: int | None = None) -> None:
     position = len(MAGIC)
     if file.read(position, 0) != MAGIC:
         raise ValueError
-    schemas: list[bytes] = []
-    channels: list[bytes] = []
-    chunks: list[Chunk] = []
-    others: list[bytes] = []
     whole = 0
     while True:
         head = file.read(9, position)
@@ -78,15 +74,16 @@ def salvage(file: McapFile, most: int | None = None) -> None:
             chunk = _chunk(file, record, position)
             if chunk is None:
                 break
-            chunks.append(chunk)
+            file.chunks.append(chunk)
+            file.messages += sum(chunk.counts.values())
             position += chunk.indexes_length
         elif opcode in (ATTACHMENT, METADATA):
             try:
-                others.append(index_of(record, position))
+                file.others.append(index_of(record, position))
             except struct.error:
                 break
         elif opcode != HEADER:
-            (schemas if opcode == SCHEMA else channels).append(record)
+            (file.schemas if opcode == SCHEMA else file.topics).append(record)
         position += len(record)
         whole = position
     if not whole:
@@ -97,7 +94,7 @@ def salvage(file: McapFile, most: int | None = None) -> None:
             f"{most / 1e6:.0f} MB stand behind that; rename it to end in .mcap, and unicon bag "
             "recover finishes a copy of what is before"
         )
-    file.adopt(whole, schemas, channels, chunks, others)
+    file.cut(whole)
 
 
 def _chunk(file: McapFile, record: bytes, start: int) -> Chunk | None:

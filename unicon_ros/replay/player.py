@@ -151,10 +151,6 @@ def play(
         program.close()
 
 
-def _nothing() -> None:
-    """Do nothing: all is recorded."""
-
-
 def _described(
     record: Record, path: Path, rate: float, *, loop: bool, start: float
 ) -> dict[str, Any]:
@@ -182,6 +178,6 @@ def _described(
         "pacing": {"overrun": "catch_up"},
         "num_robots": layout.num_robots,
         "states": {name: layout.specs[name].to_dict() for name in own},
-        "flow": Block("nothing", _nothing, endless=True),
+        "flow": Block("nothing", bool, endless=True),
         "safety": "none",  # recorded commands go nowhere, and there may be none
     }
