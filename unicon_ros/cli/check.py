@@ -79,7 +79,8 @@ add = together(
         flag("--twin", "also simulate it, and broken twins"),
         flag(
             "--ros",
-            "also check the message map that `run --ros` would use (default: what the workflow says)",
+            "also check the message map that `run --ros` would use (default: what the workflow "
+            "says)",
         ),
         MAP,
         argument("--json", "FILE", "write the findings as JSON"),
