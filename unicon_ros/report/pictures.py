@@ -44,17 +44,10 @@ def write_overview(path: str | Path, keeper: Keeper, title: str) -> None:
 def _overview(figure: Any, keeper: Keeper) -> bool:
     from matplotlib import colormaps
 
-    figure.set_size_inches(11.0, 7.5)
-    path, speeds, joints = figure.subplot_mosaic(
-        [["path", "speeds"], ["joints", "joints"]], height_ratios=[1.2, 1.0]
-    ).values()
-    _path(path, keeper)
-    for k, (name, unit, state) in enumerate(_SPEEDS):
-        curve(speeds, *_one(keeper, state, k), f"C{k}", f"{name} [{unit}]")
-        command = _one(keeper, "velocity_command", k)
-        curve(speeds, *command, f"C{k}", linestyle="--", linewidth=1.5)
-    speeds.set(title="velocity: measured, dashed as commanded", xlabel="time [s]")
-    speeds.legend(loc="upper right")
+    figure.set_size_inches(11.0, 9.0)
+    above, below = figure.subfigures(2, 1, height_ratios=[1.2, 1.0])
+    _moved(above, keeper)
+    joints = below.subplots()
     names = keeper.robot.joint_names
     # Matplotlib's own ten colours repeat: two joints would look like one.
     joints.set_prop_cycle(color=colormaps["turbo"](np.linspace(0.0, 1.0, len(names))))
@@ -89,11 +82,15 @@ def _one(keeper: Keeper, name: str, k: int) -> tuple[Array, Array]:
 
 
 def _base(figure: Any, keeper: Keeper) -> bool:
+    figure.set_size_inches(12.0, 5.2)
+    return _moved(figure, keeper)
+
+
+def _moved(figure: Any, keeper: Keeper) -> bool:
     """Path, and velocities as commanded and as they were."""
     if not any(keeper.has(state) for _, _, state in _SPEEDS):
         return False
     placed = keeper.has("base_pos_w")
-    figure.set_size_inches(12.0, 5.2)
     layout = [["path", name][not placed :] for name, *_ in _SPEEDS]
     axes = figure.subplot_mosaic(layout, width_ratios=[1.0, 1.3][not placed :])
     if placed:
