@@ -201,14 +201,8 @@ def _new_file(folder: Path, workflow: str) -> McapFile:
 
 
 def _prune(folder: Path, newest: Path) -> None:
-    def written(path: Path) -> int:
-        """Names of one second are used again once their records were cleared away."""
-        try:
-            return path.stat().st_mtime_ns
-        except OSError:  # another run clears up as well
-            return 0
-
-    records = sorted((p for p in folder.glob("fault-*.mcap") if p != newest), key=written)
-    for path in records[: max(len(records) - KEPT + 1, 0)]:
-        with suppress(OSError):
-            path.unlink()
+    with suppress(OSError):  # another run clears up as well
+        # By their age: names of one second are used again once their records were cleared away.
+        records = [(p.stat().st_mtime_ns, p) for p in folder.glob("fault-*.mcap") if p != newest]
+        for _, path in sorted(records)[: max(len(records) - KEPT + 1, 0)]:
+            path.unlink(missing_ok=True)
