@@ -45,15 +45,13 @@ def _sweep(arguments: argparse.Namespace) -> int:
     Exit status: 0; 1 where a gate is broken, or for bad input; 3 where a row has no result.
     """
     from unicon_ros.sweep.gate import read_gate
+    from unicon_ros.sweep.results import Results
 
     what, gates = arguments.what, [read_gate(text) for text in arguments.gate]
     if what[0] == REPORT and len(what) == 2:
-        from unicon_ros.sweep.results import Results
-
         return _ended(Results(Path(what[1])), gates)
     if what[0] == COMPARE and len(what) == 3:
         from unicon_ros.sweep.compare import comparison
-        from unicon_ros.sweep.results import Results
 
         print(comparison(Results(Path(what[1])), Results(Path(what[2]))))
         return 0
