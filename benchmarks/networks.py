@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.errors import MissingDependencyError
+from unicon_core.errors import imported
 from unicon_core.policies import PolicyContract, load_policy
 from unicon_core.robots import Robot
 
@@ -42,11 +42,9 @@ def random_policy(
     Raises:
         MissingDependencyError: the package onnx, which writes the file, is absent.
     """
-    try:
-        import onnx
-        from onnx import TensorProto, helper, numpy_helper
-    except ModuleNotFoundError as error:
-        raise MissingDependencyError("unicon bench", "onnx", "pip install onnx") from error
+    onnx = imported("onnx", "unicon bench")
+    from onnx import TensorProto, helper, numpy_helper
+
     n = robot.num_joints
     sizes = [(9 + 3 * n) * history, *HIDDEN, n]
     random = np.random.default_rng(0)

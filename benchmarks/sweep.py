@@ -20,7 +20,7 @@ from benchmarks.samples import Samples
 from unicon_core.resources import same_modules
 from unicon_core.signals import SIGNALS
 from unicon_ros.bench.report import Bench
-from unicon_ros.end_with import die_with_parent
+from unicon_ros.ending import die_with_parent
 
 ROLLOUTS = 2000
 """In all rounds together, of each side."""

@@ -20,7 +20,8 @@ with several mistakes has `problems`, and a line for each.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from importlib import import_module
 from typing import Any
 
@@ -124,23 +125,41 @@ class MissingDependencyError(UniconError):
         self.package = package
 
 
-def imported(name: str, what: str, package: str, extra: str) -> Any:
+def imported(name: str, what: str, extra: str = "", package: str = "") -> Any:
     """Return an optional module.
 
     Args:
         name: of the module.
         what: who needs it, such as `"--picture"`.
-        package: the distribution's name.
-        extra: of `unicon_ros`, which installs it.
+        extra: of `unicon_ros`, which installs it; "" where pip installs the package by itself.
+        package: the distribution's name, where it is not that of the module's first part.
 
     Raises:
         MissingDependencyError: it is not installed.
     """
     try:
         return import_module(name)
-    except ModuleNotFoundError as error:
-        install = f"pip install 'unicon_ros[{extra}]'"
-        raise MissingDependencyError(what, package, install) from error
+    except ImportError as error:
+        package = package or name.partition(".")[0]
+        install = f"'unicon_ros[{extra}]'" if extra else package
+        raise MissingDependencyError(what, package, f"pip install {install}") from error
+
+
+@contextmanager
+def cannot(what: str, remedy: str) -> Iterator[None]:
+    """Turn an error of the system that is raised inside into one line: `cannot WHAT: why; REMEDY`.
+
+    Args:
+        what: is done there, such as `"write FILE"`.
+        remedy: what to do.
+
+    Raises:
+        UniconError: in the place of an OSError.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise UniconError(f"cannot {what}: {error.strerror or error}; {remedy}") from error
 
 
 class Fault(Exception):

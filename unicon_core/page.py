@@ -15,8 +15,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from unicon_core.errors import UniconError
+from unicon_core.errors import UniconError, cannot
 
+ROOM = "give a path in a writable folder with room"
+"""The remedy where a file cannot be written."""
 _STYLE = """
 :root { color-scheme: light dark; --text: #222; --pale: #666; --line: #ddd; --box: #f2f5fb;
         --mark: #1f4e9c; --page: #fff; --card: #fff; --flow: #f8fafc; --edge: #9ca3af;
@@ -151,6 +153,20 @@ def refuse_unwritable(path: Path) -> None:
         raise UniconError(f"cannot write {path}: {why}; give a path in a writable folder")
 
 
+def refuse_existing(path: Path, what: str = "") -> None:
+    """Refuse to write where something is, be it a link that points nowhere.
+
+    Args:
+        path: that is to be written.
+        what: stands before it in the message, such as `"recording "`.
+
+    Raises:
+        UniconError: it exists.
+    """
+    if os.path.lexists(path):
+        raise UniconError(f"{what}{path} exists; move it away or give another name")
+
+
 def write_file(path: Path, content: bytes, folders: bool = False) -> None:
     """Write a file so that nobody ever sees half of it, with `folders` made as needed.
 
@@ -158,17 +174,16 @@ def write_file(path: Path, content: bytes, folders: bool = False) -> None:
         UniconError: it cannot be written.
     """
     half = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
+    with cannot(f"write {path}", ROOM):
         if path.exists() and not path.is_file():  # a device, which stays one
             path.write_bytes(content)
             return
-        if folders:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        half.write_bytes(content)
-        half.replace(path)
-    except OSError as error:
-        with suppress(OSError):
-            half.unlink(missing_ok=True)
-        raise UniconError(
-            f"cannot write {path}: {error.strerror}; give a path in a writable folder with room"
-        ) from error
+        try:
+            if folders:
+                path.parent.mkdir(parents=True, exist_ok=True)
+            half.write_bytes(content)
+            half.replace(path)
+        except OSError:
+            with suppress(OSError):
+                half.unlink(missing_ok=True)
+            raise

@@ -86,11 +86,11 @@ def examine() -> Iterator[Finding]:
             yield Finding(area, "", "warning", f"{type(error).__name__}: {error}", "report this")
 
 
-_Row = tuple[str, str, str, str]
+_Rows = Iterator[tuple[str, str, str, str]]
 """Name, what was found, the remedy, and the level where there is one."""
 
 
-def _python() -> Iterator[_Row]:
+def _python() -> _Rows:
     version, least = platform.python_version(), ".".join(map(str, OLDEST))
     remedy = f"install Python {least} or newer" if sys.version_info < OLDEST else ""
     yield "Python", f"{version}, {sys.executable}", remedy, "error"
@@ -103,7 +103,7 @@ def _python() -> Iterator[_Row]:
     yield "C compiler", compiler or "none", remedy, "note"
 
 
-def _packages() -> Iterator[_Row]:
+def _packages() -> _Rows:
     for module, extra in PACKAGES.items():
         if find_spec(module) is None:
             yield module, "not installed", f"pip install 'unicon_ros[{extra}]'", "note"
@@ -115,7 +115,7 @@ def _packages() -> Iterator[_Row]:
         yield module, version, "", "ok"
 
 
-def _ros() -> Iterator[_Row]:
+def _ros() -> _Rows:
     there = find_spec("rclpy") is not None
     sourced = os.environ.get("ROS_DISTRO", "") or ("as wheels" if there else "not at hand")
     remedy = "" if there else "for --ros: source an installation, or pip install 'unicon_ros[ros]'"
@@ -132,7 +132,7 @@ def _ros() -> Iterator[_Row]:
     yield "discovery", reach, "", "ok"
 
 
-def _network() -> Iterator[_Row]:
+def _network() -> _Rows:
     for _, name in socket.if_nameindex():
         flags = flags_of(name)
         try:
@@ -146,7 +146,7 @@ def _network() -> Iterator[_Row]:
         yield name, said, remedy, "warning"
 
 
-def _robots() -> Iterator[_Row]:
+def _robots() -> _Rows:
     """Which interface reaches the addresses that robot files have."""
     from unicon_core.resources import list_config
     from unicon_core.robots import load_robot
@@ -161,7 +161,8 @@ def _robots() -> Iterator[_Row]:
         own = _source_of(address)
         near = own and ipaddress.IPv4Address(address) in ipaddress.ip_network(f"{own}/24", False)
         said = f"{address} from {own}" if near else f"{address}: no interface is on its network"
-        remedy = f"give an interface an address there: ip addr add {_beside(address)}/24 dev NAME"
+        beside = f"{address.rpartition('.')[0]}.222"  # which vendors' examples use as well
+        remedy = f"give an interface an address there: ip addr add {beside}/24 dev NAME"
         yield ", ".join(names), said, "" if near else remedy, "note"
 
 
@@ -174,12 +175,7 @@ def _source_of(address: str) -> str:
             return ""
 
 
-def _beside(address: str) -> str:
-    """Return an address on the network of another, which vendors' examples use as well."""
-    return f"{address.rpartition('.')[0]}.222"
-
-
-def _time() -> Iterator[_Row]:
+def _time() -> _Rows:
     source = _text(Path("/sys/devices/system/clocksource/clocksource0/current_clocksource"))
     slow = source in ("hpet", "acpi_pm")  # each look at them takes 1 µs and more
     remedy = "let the kernel use tsc or the hypervisor's clock: clocksource=tsc" if slow else ""
@@ -192,7 +188,7 @@ def _time() -> Iterator[_Row]:
         yield "clock of the day", "nothing is known to synchronise it", remedy, "note"
 
 
-def _scheduling() -> Iterator[_Row]:
+def _scheduling() -> _Rows:
     cores = len(os.sched_getaffinity(0))
     remedy = "" if cores > 1 else "ROS and the tick share one: give it two"
     yield "cores", f"{cores} of {os.cpu_count()}", remedy, "warning"
@@ -229,7 +225,7 @@ def _stolen() -> float:
     return int(fields[8]) / os.sysconf("SC_CLK_TCK") if len(fields) > 8 else 0.0
 
 
-def _left() -> Iterator[_Row]:
+def _left() -> _Rows:
     """What runs have left: latches, and shared memory of those that died."""
     from unicon_core.latches import clearing, latches
     from unicon_core.states.backends.shm.files import segments
@@ -248,7 +244,7 @@ def _left() -> Iterator[_Row]:
     yield "shared memory of Fast DDS", f"{files} files", remedy, "note"
 
 
-def _disks() -> Iterator[_Row]:
+def _disks() -> _Rows:
     from unicon_core.assets.manifest import asset_folder, load_assets, named
     from unicon_core.resources import assets_cache, assets_roots, user_folder
 

@@ -134,7 +134,9 @@ class FaultRecord:
         assert self._runner is not None
         ring.freeze()  # where nobody did: damped in the middle of a tick
         folder.mkdir(parents=True, exist_ok=True)
-        _recover(folder)
+        for rest in folder.glob("fault-*.mcap.partial"):  # what a killed process left
+            with suppress(UniconError, OSError):  # another process writes it, or it is rubble
+                recover(rest)
         file = _new_file(folder, report.workflow)
         try:
             file.begin()
@@ -198,22 +200,9 @@ def _new_file(folder: Path, workflow: str) -> McapFile:
             file.discard()  # that run had it until now, and has given it this name
 
 
-def _recover(folder: Path) -> None:
-    """Finish what a killed process left."""
-    for rest in folder.glob("fault-*.mcap.partial"):
-        with suppress(UniconError, OSError):  # another process writes it, or it is rubble
-            recover(rest)
-
-
 def _prune(folder: Path, newest: Path) -> None:
-    def written(path: Path) -> int:
-        """Names of one second are used again once their records were cleared away."""
-        try:
-            return path.stat().st_mtime_ns
-        except OSError:  # another run clears up as well
-            return 0
-
-    records = sorted((p for p in folder.glob("fault-*.mcap") if p != newest), key=written)
-    for path in records[: max(len(records) - KEPT + 1, 0)]:
-        with suppress(OSError):
-            path.unlink()
+    with suppress(OSError):  # another run clears up as well
+        # By their age: names of one second are used again once their records were cleared away.
+        records = [(p.stat().st_mtime_ns, p) for p in folder.glob("fault-*.mcap") if p != newest]
+        for _, path in sorted(records)[: max(len(records) - KEPT + 1, 0)]:
+            path.unlink(missing_ok=True)

@@ -52,7 +52,7 @@ def fit_record(
         UniconError: the record lacks something, or is of another robot.
     """
     said, folder = _workflow(record)
-    robot = robot or _robot(record, where, said, folder)
+    robot = robot or _robot(record, said)
     specs = record.layout.specs
     names = specs["joint_pos"].names if "joint_pos" in specs else ()
     if tuple(names) != robot.joint_names:
@@ -111,19 +111,13 @@ def _workflow(record: Record) -> tuple[dict[str, Any], Path | None]:
     return (said if isinstance(said, dict) else {}), (Path(path).parent if path else None)
 
 
-def _robot(record: Record, where: str, said: dict[str, Any], folder: Path | None) -> Robot:
+def _robot(record: Record, said: dict[str, Any]) -> Robot:
     if isinstance(said.get("robot"), dict):
         raise UniconError(
             f"{record.facts.get('robot')} is made of {', '.join(map(str, said['robot']))}, and an "
             "overlay extends one file: record a run of that robot alone"
         )
-    if not said.get("robot"):
+    try:
         return load_robot(robot_of(record))
-    text = str(said["robot"])
-    beside = (folder or Path()) / text
-    if "/" in text and not beside.is_file() and not Path(text).is_file():
-        raise UniconError(
-            f"{where} is of robot {text}, which was in {folder} where it was recorded and is not "
-            "there now; give the robot with --robot"
-        )
-    return load_robot(beside if "/" in text and beside.is_file() else text)
+    except UniconError as error:
+        raise UniconError(f"{error}; give the robot with --robot") from error

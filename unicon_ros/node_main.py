@@ -14,7 +14,7 @@ from unicon_core.errors import UniconError
 from unicon_core.outlet import open_standard_files, relayed_stderr
 from unicon_core.signals import SIGNALS, Interrupted
 from unicon_ros import compat
-from unicon_ros.end_with import end_with
+from unicon_ros.ending import end_with
 
 USAGE = """\
 usage: unicon_node [--end-with PID|parent|nobody] --ros-args -p workflow:=NAME [-p name:=value …]

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from typing import Any
 
+Row = tuple[str, Any, str]
+"""Name, default and description of a parameter."""
+
 NO_LIMIT = 100.0
 """A command limit from here on does nothing, [m/s] and [rad/s]."""
 
-FRAMES: tuple[tuple[str, Any, str], ...] = (
+FRAMES: tuple[Row, ...] = (
     ("publish_link_tf", True, "publish the links' transforms on /tf and /tf_static"),
     ("publish_base_footprint", True, "publish base_footprint, level below the base, on /tf"),
     ("publish_robot_description", True, "publish the URDF on robot_description"),
 )
 """Those that `unicon run --ros` has too, after --ros-args."""
 
-INTROSPECTION: tuple[tuple[str, Any, str], ...] = (
+INTROSPECTION: tuple[Row, ...] = (
     (
         "debug_states",
         [""],
@@ -24,7 +27,7 @@ INTROSPECTION: tuple[tuple[str, Any, str], ...] = (
 )
 """These too."""
 
-AT_CONFIGURE: tuple[tuple[str, Any, str], ...] = (
+AT_CONFIGURE: tuple[Row, ...] = (
     ("workflow", "", "name in config/workflows/ or path of the workflow"),
     ("map", "", "name in config/maps/ or path of the message map; empty: the workflow's"),
     ("robot", "", "robot file in place of the workflow's"),
@@ -43,7 +46,7 @@ AT_CONFIGURE: tuple[tuple[str, Any, str], ...] = (
     *INTROSPECTION,
 )
 """Name, default and description of those that take effect when the node is configured."""
-AT_ONCE: tuple[tuple[str, Any, str], ...] = (
+AT_ONCE: tuple[Row, ...] = (
     ("autostart", True, "configure and activate at start"),
     ("exit_on_fault", False, "end the process with status 3 after a fault"),
     ("stiffness_scale", 1.0, "factor of all joint stiffnesses, at once"),

@@ -18,6 +18,7 @@ from unicon_ros.bridge.bindings import checked_prefix
 from unicon_ros.bridge.declare import declare, fitted
 from unicon_ros.bridge.tuning import Tuning
 from unicon_ros.parameter_table import DECLARED, RANGES, WORDS
+from unicon_ros.recording.bag_folder import Split
 
 DEFAULTS = {name: value for name, value, _ in DECLARED}
 FOREIGN = ("qos_overrides.", "start_type_description_service", "use_sim_time", "bond")
@@ -45,12 +46,6 @@ def _code(code: str) -> None:
         raise UniconError(f"no finding has the code {code!r}; {alternatives(code, CODES)}")
 
 
-def _split(text: str) -> None:
-    from unicon_ros.recording.bag_folder import Split
-
-    Split.of(text)
-
-
 CHECKS: dict[str, Callable[[str], object]] = {
     "workflow": lambda name: find_config("workflows", name),
     "map": _beside("maps"),
@@ -59,7 +54,7 @@ CHECKS: dict[str, Callable[[str], object]] = {
     "overrides": split_setting,
     "force": _code,
     "frame_prefix": checked_prefix,
-    "record_split": _split,
+    "record_split": Split.of,
 }
 """What can be known of a text when it is set; the rest shows when the node is configured."""
 

@@ -13,12 +13,12 @@ import os
 import struct
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.errors import MissingDependencyError, UniconError, alternatives, one_line
+from unicon_core.errors import UniconError, alternatives, imported, one_line
 from unicon_ros.bridge.images import JPEG, STAMP, FrameMessage, jpeg_message
 from unicon_ros.recording.background import calm
 from unicon_ros.recording.tick_message import FRAMES
@@ -133,7 +133,8 @@ class _Stream:
 
     def __init__(self, recorder: Recorder, name: str, source: FrameSource, jpeg: int) -> None:
         self.ring, message = source.ring, source.message
-        self._jpeg = _Jpeg(message, jpeg) if jpeg and _is_color(message) else None
+        colour = message.dtype == "|u1" and len(message.shape) == 3  # 8 bits for each of three
+        self._jpeg = _Jpeg(message, jpeg) if jpeg and colour else None
         self._cut = message.offset if message.type == JPEG else 0
         kind = message.type if self._jpeg is None else JPEG
         self.large: Large = recorder.large_channel(FRAMES + name, kind, self.ring.nbytes)
@@ -167,22 +168,11 @@ class _Stream:
         self.seen = latest
 
 
-def _is_color(message: FrameMessage) -> bool:
-    """Tell whether frames are pictures of 8 bits for red, green and blue."""
-    return message.dtype == "|u1" and len(message.shape) == 3
-
-
 class _Jpeg:
     """Makes a JPEG of a picture, in its place. Pillow does so without Python's lock into a file."""
 
     def __init__(self, message: FrameMessage, quality: int) -> None:
-        try:
-            from PIL import Image
-        except ModuleNotFoundError as error:
-            raise MissingDependencyError(
-                "--record-jpeg", "pillow", "pip install 'unicon_ros[lerobot]'"
-            ) from error
-        self._image: Any = Image
+        self._image = imported("PIL.Image", "--record-jpeg", "lerobot", "pillow")
         self._from, self._quality = message, quality
         self._to = jpeg_message(0, message.frame_id)
         self._file: BinaryIO = os.fdopen(os.memfd_create("jpeg"), "r+b")

@@ -9,8 +9,7 @@ from __future__ import annotations
 import struct
 import time
 from collections.abc import Callable
-from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from unicon_core.errors import UniconError
 from unicon_core.flow import Block
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
     from unicon_msgs_map.spec import TopicSpec
     from unicon_ros.bridge import RosSession
     from unicon_ros.recorder import Recorder
-    from unicon_ros.recording.mcap_file import Buffer
+    from unicon_ros.recording.background import Write
 
 
 class RecordedTopics:
@@ -60,9 +59,9 @@ class RecordedTopics:
         self._namespace = namespace.strip("/")
         self._simulated = program.platform.facts.simulated
         self._stamp = program.states["stamp_ns"].reshape(-1)
-        self._writes: dict[tuple[str, str], Callable[[int, Buffer], bool]] = {}
-        self._latched: list[tuple[Callable[[int, Buffer], bool], bytes]] = []
-        self._due: list[tuple[int, Callable[[], bytes], Callable[[int, Buffer], bool]]] = []
+        self._writes: dict[tuple[str, str], Write] = {}
+        self._latched: list[tuple[Write, bytes]] = []
+        self._due: list[tuple[int, Callable[[], bytes], Write]] = []
         self._reads: set[str] = set()
         self._tick = 0
         taken = self._passing()
@@ -141,7 +140,7 @@ class RecordedTopics:
 
     # -- helpers --------------------------------------------------------------------------------
 
-    def _channel(self, topic: str, spec: TopicSpec) -> Callable[[int, Buffer], bool]:
+    def _channel(self, topic: str, spec: TopicSpec) -> Write:
         """Return what takes messages of a topic; several publishers share one."""
         write = self._writes.get((topic, spec.type))
         if write is None:
@@ -150,7 +149,8 @@ class RecordedTopics:
         return write
 
     def _tap(self, topic: str, spec: TopicSpec) -> Callable[[bytes], object]:
-        return partial(_stamped, self._channel(topic, spec), self.now)
+        write, now = self._channel(topic, spec), self.now
+        return lambda raw: write(now(), raw)
 
     def _encode(
         self, topic: str, encoder: Encoder, prepare: Callable[[], None] | None = None
@@ -187,10 +187,6 @@ class RecordedTopics:
             if tick % every == 0:
                 write(self.now(), encode())
         self._tick = tick + 1
-
-
-def _stamped(write: Any, now: Callable[[], int], raw: bytes) -> None:
-    write(now(), raw)
 
 
 def string_message(text: str) -> bytes:

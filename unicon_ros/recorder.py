@@ -9,24 +9,25 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
-from unicon_core.errors import UniconError
+import yaml
+
+from unicon_core.errors import UniconError, cannot
+from unicon_core.page import ROOM, refuse_existing
+from unicon_core.states import Layout
 from unicon_msgs_map import Qos
-from unicon_msgs_map.layout.messages import Messages, shared_messages
-from unicon_ros.recording import Background, McapFile, recover
+from unicon_msgs_map.layout.messages import MessageDefinition, Messages, shared_messages
+from unicon_ros.recording import McapFile, recover
+from unicon_ros.recording.background import Background, Write
 from unicon_ros.recording.bag_folder import BagFolder, Split
-from unicon_ros.recording.mcap_file import Buffer, Taken
-from unicon_ros.recording.offered_qos import offered_qos
+from unicon_ros.recording.large import Large
+from unicon_ros.recording.mcap_file import Taken
 from unicon_ros.recording.records import Channel
 from unicon_ros.recording.recover import recover_aside
 from unicon_ros.recording.tick_message import Kept, tick_channel
-
-if TYPE_CHECKING:
-    from unicon_core.states import Layout
-    from unicon_msgs_map.layout.messages import MessageDefinition
-    from unicon_ros.recording.large import Large
 
 
 class Recorder(Background):
@@ -58,21 +59,18 @@ class Recorder(Background):
                 f"recording {path} is split into files of a folder: give a name without .mcap"
             )
         self._clear(warn)
-        if os.path.lexists(self.path):  # a link that points nowhere too
-            raise UniconError(f"recording {path} exists; move it away or give another name")
+        refuse_existing(self.path, "recording ")
         super().__init__(self._create(), warn, patient)
 
     def _clear(self, warn: Callable[[str], None]) -> None:
         """Move what an earlier run was cut off at out of the way."""
         rest = self.path.with_name(f"{self.path.name}.partial")
         found = None
-        try:
+        with self._writing():
             if self._folder and self.path.is_dir():
                 found = recover_aside(self.path)
             elif not self._folder and rest.exists() and not os.path.lexists(self.path):
                 found = recover(rest)
-        except OSError as error:
-            raise self._cannot(error) from error
         if found is not None:
             warn(
                 f"an earlier run was cut off while it recorded to {self.path}; its "
@@ -81,27 +79,23 @@ class Recorder(Background):
 
     def _create(self) -> McapFile | BagFolder:
         file: McapFile | BagFolder
-        try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            file = BagFolder(self.path, self._split) if self._folder else McapFile(self.path)
-        except Taken:
-            raise UniconError(
-                f"recording {self.path} is being written by another run; give another name"
-            ) from None
-        except OSError as error:
-            raise self._cannot(error) from error
-        try:
-            file.begin()
-        except OSError as error:
-            file.discard()
-            raise self._cannot(error) from error
+        with self._writing():
+            try:
+                self.path.parent.mkdir(parents=True, exist_ok=True)
+                file = BagFolder(self.path, self._split) if self._folder else McapFile(self.path)
+            except Taken:
+                raise UniconError(
+                    f"recording {self.path} is being written by another run; give another name"
+                ) from None
+            try:
+                file.begin()
+            except OSError:
+                file.discard()
+                raise
         return file
 
-    def _cannot(self, error: OSError) -> UniconError:
-        return UniconError(
-            f"cannot record to {self.path}: {error.strerror}; give a path in a writable folder "
-            "with room"
-        )
+    def _writing(self) -> AbstractContextManager[None]:
+        return cannot(f"record to {self.path}", ROOM)
 
     def channel(
         self,
@@ -110,7 +104,7 @@ class Recorder(Background):
         messages: Messages | None = None,
         qos: Qos | None = None,
         latched: bytes = b"",
-    ) -> Callable[[int, Buffer], bool]:
+    ) -> Write:
         """Add a topic, before `start`, and return what takes its messages: `write(stamp_ns, cdr)`.
 
         Args:
@@ -128,10 +122,8 @@ class Recorder(Background):
         channel = self._described(topic, known, offered_qos(qos) if qos is not None else "")
         if latched and isinstance(self._file, BagFolder):
             self._file.latch(channel.number, latched)
-        try:
+        with self._writing():
             return self.add(channel)
-        except OSError as error:
-            raise self._cannot(error) from error
 
     def _described(self, topic: str, known: MessageDefinition, qos: str = "") -> Channel:
         return Channel(
@@ -155,15 +147,46 @@ class Recorder(Background):
         Raises:
             UniconError: it cannot be written.
         """
-        try:
+        with self._writing():
             known = shared_messages().definition(kind)
             return self.add_large(self._described(topic, known), nbytes)
-        except OSError as error:
-            raise self._cannot(error) from error
 
-    def tick_channel(self, layout: Layout, kept: Kept) -> Callable[[int, Buffer], bool]:
+    def tick_channel(self, layout: Layout, kept: Kept) -> Write:
         """Add the channel of ticks, before `start`, and return what takes them."""
-        try:
+        with self._writing():
             return self.add(tick_channel(self._file.channels + 1, layout, kept))
-        except OSError as error:
-            raise self._cannot(error) from error
+
+
+# Values of rmw/types.h.
+_HISTORY = {"keep_last": 1, "keep_all": 2}
+_RELIABILITY = {"reliable": 1, "best_effort": 2}
+_DURABILITY = {"transient_local": 1, "volatile": 2}
+_LIVELINESS = {"automatic": 1, "manual_by_topic": 3}
+_FOREVER = (1 << 63) - 1
+"""In [ns]; RMW_DURATION_INFINITE."""
+
+
+def offered_qos(qos: Qos) -> str:
+    """Return `offered_qos_profiles` of a topic: YAML, a list of one profile.
+
+    Args:
+        qos: of the publisher, or of the subscription that heard it.
+    """
+    profile = {
+        "history": _HISTORY[qos.history],
+        "depth": qos.depth,
+        "reliability": _RELIABILITY[qos.reliability],
+        "durability": _DURABILITY[qos.durability],
+        "deadline": _time(qos.deadline),
+        "lifespan": _time(qos.lifespan),
+        "liveliness": _LIVELINESS[qos.liveliness],
+        "liveliness_lease_duration": _time(qos.liveliness_lease),
+        "avoid_ros_namespace_conventions": False,
+    }
+    return str(yaml.safe_dump([profile], sort_keys=False))
+
+
+def _time(seconds: float | None) -> dict[str, Any]:
+    """Return a time in [s] in the words of rosbag2; None is for ever."""
+    sec, nsec = divmod(_FOREVER if seconds is None else round(seconds * 1e9), 10**9)
+    return {"sec": sec, "nsec": nsec}

@@ -6,11 +6,12 @@ import base64
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from unicon_core.errors import MissingDependencyError, UniconError
+from unicon_core.errors import UniconError, imported
 from unicon_core.flow import Block, Stage
 from unicon_core.memory import Snapshot
 from unicon_core.runtime.tick_ring import HEAD, KeptMemory, TickRing
@@ -25,9 +26,9 @@ if TYPE_CHECKING:
     from unicon_core.workflow import Program
     from unicon_ros.bridge import RosSession
     from unicon_ros.recorded_frames import RecordedFrames
-    from unicon_ros.recorded_topics import RecordedTopics
 
 
+@dataclass(eq=False)
 class Recording:
     """Records the messages of a run, what came in and what goes out, and every state of every tick.
 
@@ -55,34 +56,26 @@ class Recording:
         UniconError: nothing can be split so, or that is not a quality.
     """
 
-    def __init__(
-        self,
-        path: str | Path,
-        map_name: str | None = None,
-        session: RosSession | None = None,
-        warn: Callable[[str], None] = print,
-        patient: bool = False,
-        split: str = "",
-        namespace: str = "",
-        frame_prefix: str = "",
-        frames: Sequence[str] = (),
-        jpeg: int = 0,
-    ) -> None:
-        try:
-            import rosbags  # noqa: F401  (the texts of the message types are its)
-        except ModuleNotFoundError as error:
-            raise MissingDependencyError(
-                "--record", "rosbags", "pip install 'unicon_ros[bags]'"
-            ) from error
-        if not 0 <= jpeg <= 100:
-            raise UniconError(f"{jpeg} is not a quality of a JPEG; give 1 to 100, or 0 for none")
-        self._path, self._map_name, self._session = path, map_name, session
-        self._namespace, self._frame_prefix = namespace, frame_prefix
-        self._warn, self._patient = warn, patient
-        self._split = Split.of(split) if split else None
+    path: str | Path
+    map_name: str | None = None
+    session: RosSession | None = None
+    warn: Callable[[str], None] = print
+    patient: bool = False
+    split: str = ""
+    namespace: str = ""
+    frame_prefix: str = ""
+    frames: Sequence[str] = ()
+    jpeg: int = 0
+
+    def __post_init__(self) -> None:
+        imported("rosbags", "--record", "bags")  # the texts of the message types are its
+        if not 0 <= self.jpeg <= 100:
+            raise UniconError(
+                f"{self.jpeg} is not a quality of a JPEG; give 1 to 100, or 0 for none"
+            )
+        self._split = Split.of(self.split) if self.split else None
         self._recorder: Recorder | None = None
         self._ticks: RecordedTicks | None = None
-        self._wanted, self._jpeg = tuple(frames), jpeg
         self._frames: RecordedFrames | None = None
         self._statistics: TickStatistics | None = None
 
@@ -97,7 +90,7 @@ class Recording:
     def summary(self) -> str:
         """Return what became of it, for the end of a run."""
         counts = self.counts()
-        text = f"{self._path}: {counts['messages']} messages"
+        text = f"{self.path}: {counts['messages']} messages"
         if counts["dropped"]:
             text += f", {counts['dropped']} lost"
         for name, frames in counts.get("frames", {}).items():
@@ -108,26 +101,23 @@ class Recording:
     def hook(self, program: Program) -> dict[Stage, list[Block]]:
         """Return the block that records."""
         # A robot does not wait for a disk, however its run is paced.
-        patient = self._patient and program.platform.facts.simulated
+        patient = self.patient and program.platform.facts.simulated
         from unicon_ros.recorded_topics import RecordedTopics
 
-        recorder = Recorder(self._path, self._warn, patient, self._split)
+        recorder = Recorder(self.path, self.warn, patient, self._split)
         try:
-            names = (self._namespace, self._frame_prefix)
-            topics = RecordedTopics(recorder, program, self._map_name, self._session, *names)
-            if self._wanted:
-                self._add_frames(recorder, program, topics)
+            names = (self.namespace, self.frame_prefix)
+            topics = RecordedTopics(recorder, program, self.map_name, self.session, *names)
+            if self.frames:
+                from unicon_ros.recorded_frames import RecordedFrames, chosen_sources
+
+                sources = chosen_sources(program, self.frames)
+                self._frames = RecordedFrames(recorder, sources, topics.now, self.jpeg, self.warn)
         except BaseException:
             recorder.close()
             raise
         self._recorder, topics.block.close = recorder, self._close
         return {Stage.OBSERVE: [topics.block]}
-
-    def _add_frames(self, recorder: Recorder, program: Program, topics: RecordedTopics) -> None:
-        from unicon_ros.recorded_frames import RecordedFrames, chosen_sources
-
-        sources = chosen_sources(program, self._wanted)
-        self._frames = RecordedFrames(recorder, sources, topics.now, self._jpeg, self._warn)
 
     def _close(self) -> None:
         assert self._recorder is not None

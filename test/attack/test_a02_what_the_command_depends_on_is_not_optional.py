@@ -76,7 +76,7 @@ def test_an_imu_that_nobody_reads_stays_optional(tmp_path: Path) -> None:
     assert report.faults == []
     platform = run.program.platform
     assert [topic.topic for topic in platform._needed] == ["/joint_states"]
-    assert [topic.topic for topic in platform._in] == ["/joint_states", "/imu/data"]
+    assert [topic.topic for topic in platform.incoming] == ["/joint_states", "/imu/data"]
 
 
 def test_a_map_that_writes_half_of_what_is_read_is_refused(tmp_path: Path) -> None:

@@ -139,7 +139,7 @@ def test_a_publication_that_fails_at_the_end_does_not_keep_the_rest_open(
         def broken() -> None:
             raise RuntimeError("no memory left")
 
-        platform._out[0]._encode = broken
+        platform.outgoing[0]._encode = broken
         runner.close()
         assert runner.faults[0].startswith("closing: RuntimeError: no memory left")
         assert not platform._own.context.ok()  # let go all the same
@@ -150,7 +150,7 @@ def test_a_close_in_the_middle_of_a_send_has_the_last_word(tmp_path: Path, gains
     with robot("none", 0.0) as peer:
         path = behind_topics(tmp_path, "finite", map=gains, damping=0.5)
         workflow, runner = ticked(path, peer)
-        (out,) = workflow.platform._out
+        (out,) = workflow.platform.outgoing
         encode = out._encode
 
         def interrupted() -> bytes:

@@ -83,7 +83,7 @@ def test_sensors_that_cannot_be_taken_any_more_are_a_fault(
         try:
             for _ in range(20):
                 runner.tick(0)
-            workflow.platform._in[number]._take = Broken()
+            workflow.platform.incoming[number]._take = Broken()
             end = time.monotonic() + 5.0
             with pytest.raises(Fault) as fault:  # noqa: PT012
                 while time.monotonic() < end:

@@ -27,7 +27,7 @@ def test_five_commands_in_a_row_that_are_not_published_are_a_fault(tmp_path: Pat
         workflow = load_workflow(behind_topics(tmp_path, "finite"))
         runner = Runner(workflow)
         try:
-            (out,) = workflow.platform._out
+            (out,) = workflow.platform.outgoing
             publish = out._publish
             runner.tick(0)
             out._publish = refused

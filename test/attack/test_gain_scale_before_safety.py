@@ -85,7 +85,7 @@ def test_a_check_below_a_condition_sees_the_scaled_gains(tmp_path: Path, safety:
     runner = Runner(built(tmp_path, tuning, safety), RunOptions(speed="max"))
     for _ in range(8):
         runner.tick(0)
-    tuning.stiffness_scale = float("nan")
+    tuning.scales[0] = float("nan")
     with pytest.raises(Fault, match="joint_stiffness") as fault:
         runner.tick(0)
     runner.close()
@@ -103,12 +103,12 @@ def test_scales_do_not_add_up_where_gains_are_not_written_in_every_tick(
     runner.tick(0)
     plain = [array.copy() for array in gains]
     for scales in ((1.5, 2.0), (2.0, 1.0), (0.0, 0.5)):
-        tuning.stiffness_scale, tuning.damping_scale = scales
+        tuning.scales[0], tuning.scales[1] = scales
         for _ in range(9):
             runner.tick(0)
             for array, before, scale in zip(gains, plain, scales):
                 np.testing.assert_allclose(array, before * scale, rtol=1e-6)
-    tuning.stiffness_scale = tuning.damping_scale = 1.0
+    tuning.scales[0] = tuning.scales[1] = 1.0
     runner.tick(0)
     for array, before in zip(gains, plain):
         np.testing.assert_array_equal(array, before)
@@ -169,7 +169,7 @@ def test_the_node_refuses_scales_that_ring_and_numbers_that_are_none(node: Any) 
     for name in ("stiffness_scale", "damping_scale", "max_vx", "rate"):
         for value in (float("nan"), float("inf"), -1.0):
             assert given(**{name: value}), (name, value)
-    assert (tuning.stiffness_scale, tuning.damping_scale) == (1.0, 0.5)
+    assert tuple(tuning.scales) == (1.0, 0.5)
 
 
 @pytest.mark.ros

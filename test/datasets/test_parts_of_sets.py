@@ -16,7 +16,7 @@ from unicon_ros.bridge.images import frame_message, jpeg_message
 from unicon_ros.datasets.episodes import _stretches, rate_of, sampled
 from unicon_ros.datasets.pictures import IMAGE, JPEG, Pictures, png
 from unicon_ros.datasets.statistics import joined, of_pictures, of_values
-from unicon_ros.recording.frames import Frames
+from unicon_ros.recording.scan import Frames
 
 
 def record(steps_ns: list[int], period: float = 0.01, missing: frozenset[int] = frozenset()) -> Any:

@@ -204,7 +204,7 @@ def tunes(stiffness: float, damping: float = 1.0) -> Mishap:
         tuning = Tuning()
 
         def act(program: Program, first: bool) -> None:
-            tuning.stiffness_scale, tuning.damping_scale = stiffness, damping
+            tuning.scales[0], tuning.scales[1] = stiffness, damping
 
         blocks: dict[Stage, list[Block]] = {k: list(v) for k, v in tuning.hook(program).items()}
         for stage, own in acts(act, stage=Stage.INPUT)(program).items():

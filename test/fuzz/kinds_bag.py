@@ -20,8 +20,8 @@ from unicon_ros.fault_record import FaultRecord
 from unicon_ros.recording import open_record
 from unicon_ros.recording.export import export
 from unicon_ros.recording.import_bag import import_bag
-from unicon_ros.recording.import_npz import import_npz
 from unicon_ros.recording.info import info_of, info_text
+from unicon_ros.recording.npz import import_npz
 from unicon_ros.run_recording import Recording
 
 __all__ = ["bags", "replays"]

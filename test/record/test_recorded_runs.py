@@ -265,7 +265,7 @@ def scaled_from_outside(file: Path, declared: bool) -> Record:
             nonlocal tick
             tick += 1
             scales = (1.3, 0.9) if tick > 60 else (1.0, 1.0)
-            tuning.stiffness_scale, tuning.damping_scale = scales
+            tuning.scales[0], tuning.scales[1] = scales
 
         stages = {stage: list(blocks) for stage, blocks in tuning.hook(program).items()}
         stages[Stage.INPUT].append(Block("turn", turn))

@@ -25,9 +25,8 @@ from unicon_ros.cli.main import main
 from unicon_ros.recording import open_record
 from unicon_ros.recording.info import info_of, info_text
 from unicon_ros.replay import verify, workflow_of
-from unicon_ros.replay.keys import LEFT, RIGHT, Keys
 from unicon_ros.replay.platform import TARGET, ReplayPlatform
-from unicon_ros.replay.player import play
+from unicon_ros.replay.player import LEFT, RIGHT, Keys, play
 from unicon_ros.replay.workflow import others, versions
 
 BLOCK = "unicon_ros.replay.commands:recorded"

@@ -30,7 +30,7 @@ from unicon_ros import fault_record
 from unicon_ros.cli.main import main
 from unicon_ros.fault_record import FaultRecord
 from unicon_ros.run_recording import Recording
-from unicon_ros.run_report.level import HERE
+from unicon_ros.run_report.figures import HERE
 from unicon_ros.run_report.report import report_of
 
 keygen = pytest.mark.skipif(

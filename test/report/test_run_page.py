@@ -23,9 +23,8 @@ from unicon_core.workflow import Program
 from unicon_ros.cli.main import main
 from unicon_ros.report import kept
 from unicon_ros.report.drawing import drawings
-from unicon_ros.report.kept import Keeper
 from unicon_ros.report.pictures import PICTURES
-from unicon_ros.report.run_page import RunPage
+from unicon_ros.report.run_page import Pictured
 
 RUN = ["run", "go2_walk", "--no-ros", "--speed", "max", "--quiet"]
 LARGEST = 2_000_000
@@ -108,9 +107,9 @@ def load() -> Any:
     return load_document("go2_walk")
 
 
-def built(tick: Any) -> tuple[Program, Keeper]:
+def built(tick: Any, page: str | Path = "") -> tuple[Program, Pictured]:
     """Return a robot of which a function ticks beside what holds its joints."""
-    keeper = Keeper("test")
+    keeper = Pictured(None, page)
     flow = Loop(Zip(block("hold"), tick))
     hooks = [keeper.hook]
     return Program(robot="go2", platform="fake", rate=500, flow=flow, hooks=hooks), keeper
@@ -118,15 +117,14 @@ def built(tick: Any) -> tuple[Program, Keeper]:
 
 def ran(path: Path, tick: Any, ticks: int, pictures: str = "") -> tuple[Page, Report, str]:
     """Run it, and return its page; with these pictures alone, as drawing takes its time."""
-    program, keeper = built(tick)
+    program, keeper = built(tick, path)
     runner = Runner(program, RunOptions(duration=ticks * program.period, speed="max"))
     keeper.attach(runner)
-    page = RunPage(path, keeper, runner)
     report = runner.run()
     with pytest.MonkeyPatch.context() as patch:
         some = {name: PICTURES[name] for name in pictures.split()}
         patch.setattr("unicon_ros.report.run_page.PICTURES", some)
-        page.write(report)
+        keeper.write(report)
     text = path.read_text("utf-8")
     assert len(text) < LARGEST
     return read_page(text), report, text
@@ -216,10 +214,10 @@ def test_a_fault_says_where_its_ticks_are(tmp_path: Path) -> None:
 
     _, report, _ = ran(tmp_path / "run.html", fallen, 3)
     report.extra["fault_record"] = "faults/x.mcap"
-    program, keeper = built(fallen)
+    program, keeper = built(fallen, tmp_path / "2.html")
     runner = Runner(program, RunOptions(speed="max"))
     keeper.attach(runner)
-    RunPage(tmp_path / "2.html", keeper, runner).write(report)  # and of a run that never ticked
+    keeper.write(report)  # and of a run that never ticked
     runner.close()
     page = read_page((tmp_path / "2.html").read_text("utf-8"))
     assert "The last ticks before the fault are in faults/x.mcap" in page.text

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from unicon_core.runtime import Pacing
-from unicon_ros.bridge import slack, stamps
+from unicon_ros.bridge import bindings, slack
+from unicon_ros.bridge.bindings import WallStamp
 from unicon_ros.bridge.slack import SlackServer
-from unicon_ros.bridge.stamps import WallStamp
 from unicon_ros.compat import Piece, services
 from unicon_ros.controls import Controls
 
@@ -71,7 +71,7 @@ class Services:
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     made = Clock()
     monkeypatch.setattr(slack, "time", made)
-    monkeypatch.setattr(stamps, "time", made)
+    monkeypatch.setattr(bindings, "time", made)
     return made
 
 

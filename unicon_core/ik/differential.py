@@ -226,7 +226,7 @@ class Quadratic:
     """
 
     def __init__(self, size: int) -> None:
-        self._solve = imported("daqp", "block 'reach'", "daqp", "ik").solve
+        self._solve: Any = imported("daqp", "block 'reach'", "ik").solve
         most = size + MOST_ROWS
         self.square, self.slope = np.zeros((size, size)), np.zeros(size)
         self.rows = np.zeros((MOST_ROWS, size))

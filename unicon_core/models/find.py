@@ -9,7 +9,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Protocol, runtime_checkable
 
-from unicon_core.errors import MissingDependencyError, ModelError, alternatives, one_line
+from unicon_core.errors import MissingDependencyError, ModelError, alternatives, imported, one_line
 from unicon_core.resources import find_resource
 from unicon_core.robots import Robot
 from unicon_core.robots.robot import MODEL_FORMATS
@@ -114,10 +114,7 @@ def find_model(reference: str | Path, relative_to: Path | None = None) -> Path:
 
 
 def _description(name: str, what: str) -> ModuleType:
-    try:
-        package = import_module(_PACKAGE)
-    except ImportError as error:
-        raise MissingDependencyError(what, _PACKAGE, f"pip install {_PACKAGE}") from error
+    package = imported(_PACKAGE, what)
     try:
         return import_module(f"{_PACKAGE}.{name}")
     except ModuleNotFoundError as error:

@@ -15,7 +15,6 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from importlib import import_module
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import Any, TypeAlias
@@ -23,7 +22,7 @@ from urllib.parse import unquote, urlsplit
 
 import yaml
 
-from unicon_core.errors import MissingDependencyError, PolicyError, alternatives, one_line
+from unicon_core.errors import PolicyError, alternatives, imported, one_line
 from unicon_core.located_yaml import read_yaml
 from unicon_core.policies.contract import TORCHSCRIPT
 from unicon_core.policies.load import ImportReport, import_policy, refuse_to_replace
@@ -181,17 +180,8 @@ def _file(url: str) -> _Fetched:
     return path, path.resolve().as_uri()
 
 
-def _library(name: str, url: str) -> Any:
-    try:
-        return import_module(name)
-    except ImportError as error:
-        raise MissingDependencyError(
-            f"policies fetch {url}", name, f"pip install {name}"
-        ) from error
-
-
 def _hugging_face(url: str, into: Path, repo: str, revision: str | None, path: str) -> _Fetched:
-    huggingface_hub = _library("huggingface_hub", url)
+    huggingface_hub = imported("huggingface_hub", f"policies fetch {url}")
     with _told(url, "huggingface_hub"):
         info = huggingface_hub.HfApi().model_info(repo, revision=revision)
         there = [str(file.rfilename) for file in info.siblings or ()]
@@ -208,7 +198,7 @@ def _hugging_face(url: str, into: Path, repo: str, revision: str | None, path: s
 
 
 def _wandb(url: str, into: Path, place: str, path: str) -> _Fetched:
-    wandb = _library("wandb", url)
+    wandb = imported("wandb", f"policies fetch {url}")
     last = place.rpartition("/")[2]
     folder = into / last.partition(":")[0]
     with _told(url, "wandb"):

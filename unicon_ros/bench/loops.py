@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from unicon_core.errors import UniconError
 from unicon_core.signals import SIGNALS
 from unicon_ros.bench.pipelines.log import beside
-from unicon_ros.end_with import die_with_parent
+from unicon_ros.ending import die_with_parent
 
 LEASE = 9.0
 """s for which a loop may be held: after 10 participants with `config/dds/no_shared_memory.xml` take

@@ -38,7 +38,8 @@ def declare(node: Any, rows: Sequence[tuple[str, Any, str]]) -> None:
             descriptor.floating_point_range = [span]
         given = compat.parameter_given(node, name, default)
         value = fitted(given, default)
-        if type(value) is not type(default) or not all(isinstance(t, str) for t in _texts(value)):
+        texts = value if isinstance(value, list) else []
+        if type(value) is not type(default) or not all(isinstance(t, str) for t in texts):
             raise UniconError(f"parameter {name} is {given!r}; give {KINDS[type(default)]}")
         if value == []:  # has no type for rclpy; a list of an empty text means the same
             value = default
@@ -52,7 +53,3 @@ def fitted(value: Any, default: Any) -> Any:
     if isinstance(default, list) and (value is None or hasattr(value, "__len__")):
         return value if isinstance(value, str) else list(value or [])
     return value
-
-
-def _texts(value: Any) -> list[Any]:
-    return value if isinstance(value, list) else []

@@ -100,30 +100,30 @@ class Diagnostics:
         }
         for name, value in _recent_us(statistics, ticks).items():
             values[f"tick_{name}_us"] = f"{value:.1f}"
-        level, message = OK, "running" if runner.phase is Phase.RUN else runner.phase.value
+        message = "running" if runner.phase is Phase.RUN else runner.phase.value
         if runner.waits_for:
             message = f"waiting for {runner.waits_for}"
         values["phase"] = runner.phase.value
-        if overruns > 0.01 * max(ticks, 1):
-            level, message = WARN, f"{overruns} overruns in {seconds:.1f} s"
-        level, message = self._topics(values, seconds, level, message)
+        many = overruns > 0.01 * max(ticks, 1)
+        wrong = [f"{overruns} overruns in {seconds:.1f} s"] * many + self._topics(values, seconds)
         if "twin_gap" in runner.program.states:
-            level, message = _twin(runner, values, level, message)
+            wrong = [*_twin(runner, values), *wrong]
         for name in TEMPERATURES:
             if name in runner.program.states:
                 values[f"{name}_max"] = f"{float(runner.program.states[name].max()):.1f}"
-        return level, message, values
+        return (WARN, wrong[-1], values) if wrong else (OK, message, values)
 
-    def _topics(
-        self, values: dict[str, str], seconds: float, level: bytes, message: str
-    ) -> tuple[bytes, str]:
+    def _topics(self, values: dict[str, str], seconds: float) -> list[str]:
+        """Add what topics tell to the values; return what is wrong with them."""
+        wrong: list[str] = []
         for label, each in _labelled(self.outgoing, self.incoming):
             for name, count in each.events.counts().items():
                 values[f"{label} {name}"] = str(count)
             if each.events.trouble:
-                level, message = WARN, f"{each.topic}: {each.events.trouble}"
+                wrong.append(f"{each.topic}: {each.events.trouble}")
             passed = each.published if isinstance(each, TopicOut) else each.received
-            values[f"{label} hz"] = self._rate(label, passed, seconds)
+            before, self._counts[label] = self._counts.get(label, 0), passed
+            values[f"{label} hz"] = f"{max(passed - before, 0) / seconds:.2f}"
             if isinstance(each, TopicOut):
                 if each.failed:
                     values[f"{label} failed"] = str(each.failed)
@@ -131,17 +131,10 @@ class Diagnostics:
             rejected, last_error = each.decoder.rejected, each.decoder.last_error
             if rejected:
                 values[f"{label} rejected"] = f"{rejected}; {last_error}"
-                level, message = WARN, f"{each.topic}: messages were refused"
+                wrong.append(f"{each.topic}: messages were refused")
             if each.stale:
-                level, message = WARN, f"{each.topic}: no messages any more"
-        for text in self.neighbours.present.values() if self.neighbours is not None else ():
-            level, message = WARN, text
-        return level, message
-
-    def _rate(self, key: str, count: int, seconds: float) -> str:
-        before = self._counts.get(key, 0)
-        self._counts[key] = count
-        return f"{max(count - before, 0) / seconds:.2f}"
+                wrong.append(f"{each.topic}: no messages any more")
+        return wrong + ([] if self.neighbours is None else [*self.neighbours.present.values()])
 
     def close(self) -> None:
         """Tell how the run ended, where there was one, and destroy the publisher."""
@@ -169,17 +162,17 @@ def _labelled(
     return list(zip(labels, both))
 
 
-def _twin(runner: Runner, values: dict[str, str], level: bytes, message: str) -> tuple[bytes, str]:
-    """Tell how far the robot is from its live twin, joint by joint."""
+def _twin(runner: Runner, values: dict[str, str]) -> list[str]:
+    """Tell how far the robot is from its live twin, joint by joint; return what is wrong."""
     states, names = runner.program.states, runner.program.robot.joint_names
     gaps, lags = states["twin_gap"], states["twin_lag"]
     for name, gap, lag in zip(names, gaps, lags):
         values[f"twin {name}"] = f"gap {gap:.3f} rad, lag {lag * 1e3:+.0f} ms"
     flagged = [names[i] for i in np.flatnonzero(states["twin_flag"])]
-    if flagged and level == OK:
-        worst = names[int(np.argmax(gaps))]
-        return WARN, f"not as the twin: {', '.join(flagged)}; worst {worst}, {gaps.max():.2f} rad"
-    return level, message
+    if not flagged:
+        return []
+    worst = names[int(np.argmax(gaps))]
+    return [f"not as the twin: {', '.join(flagged)}; worst {worst}, {gaps.max():.2f} rad"]
 
 
 def _recent_us(statistics: TickStatistics, ticks: int) -> dict[str, float]:

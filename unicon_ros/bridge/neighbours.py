@@ -8,6 +8,7 @@ A look takes some 10 µs for each topic; the answers are rcl's own copy of the g
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from unicon_ros.bridge.topics_in import TopicIn
@@ -19,6 +20,7 @@ AT_ONCE = 8
 """Topics looked at in one go."""
 
 
+@dataclass(eq=False)
 class Neighbours:
     """Looks around for one node.
 
@@ -31,15 +33,12 @@ class Neighbours:
         present: what is told of and still so, by what it is of.
     """
 
-    def __init__(
-        self,
-        node: Any,
-        outgoing: Sequence[TopicOut],
-        incoming: Sequence[TopicIn],
-        warn: Callable[[str], None],
-    ) -> None:
-        self._node, self._warn = node, warn
-        self._outgoing, self._incoming = outgoing, incoming
+    node: Any
+    outgoing: Sequence[TopicOut]
+    incoming: Sequence[TopicIn]
+    warn: Callable[[str], None]
+
+    def __post_init__(self) -> None:
         self._told: set[str] = set()
         self._counts: dict[str, int] = {}
         self._next = 0
@@ -48,18 +47,21 @@ class Neighbours:
     def look(self) -> None:
         """Look at names, clock and some of the topics; about once a second, outside of ticks."""
         self._names()
-        for out in self._outgoing:
+        for out in self.outgoing:
             if out.spec.topic == CLOCK:
                 self._clock(out.topic)
-        incoming = self._incoming
+        incoming = self.incoming
         for _ in range(min(AT_ONCE, len(incoming))):
             self._next = (self._next + 1) % len(incoming)
-            self._types(incoming[self._next])
+            topic = incoming[self._next]
+            if self._changed(topic.topic):
+                told = other_types(self.node, topic.topic, topic.spec.type)
+                self._tell(topic.topic, told)
 
     def _names(self) -> None:
-        name, space = self._node.get_name(), self._node.get_namespace()
-        there = self._node.get_node_names_and_namespaces().count((name, space))
-        full = self._node.get_fully_qualified_name()
+        name, space = self.node.get_name(), self.node.get_namespace()
+        there = self.node.get_node_names_and_namespaces().count((name, space))
+        full = self.node.get_fully_qualified_name()
         self._tell(
             "name",
             f"there are {there} nodes {full} in this ROS domain: whoever calls a service or sets a "
@@ -72,8 +74,8 @@ class Neighbours:
     def _clock(self, topic: str) -> None:
         if not self._changed(topic):
             return
-        others = self._publishers(topic)
-        ours = (self._node.get_fully_qualified_name(), "rosgraph_msgs/msg/Clock")
+        others = _publishers(self.node, topic)
+        ours = (self.node.get_fully_qualified_name(), "rosgraph_msgs/msg/Clock")
         if ours in others:
             others.remove(ours)
         self._tell(
@@ -84,20 +86,12 @@ class Neighbours:
             else "",
         )
 
-    def _types(self, topic: TopicIn) -> None:
-        if self._changed(topic.topic):
-            kind = topic.spec.type
-            self._tell(topic.topic, other_types(self._node, topic.topic, kind))
-
     def _changed(self, topic: str) -> bool:
         """Return whether the number of publishers is another one than at the last look."""
-        count = self._node.count_publishers(topic)
+        count = self.node.count_publishers(topic)
         before = self._counts.get(topic, 0)
         self._counts[topic] = count
         return bool(count != before)
-
-    def _publishers(self, topic: str) -> list[tuple[str, str]]:
-        return _publishers(self._node, topic)
 
     def _tell(self, what: str, text: str) -> None:
         if not text:
@@ -107,7 +101,7 @@ class Neighbours:
         key = "name" if what == "name" else text
         if key not in self._told:
             self._told.add(key)
-            self._warn(text)
+            self.warn(text)
 
 
 def other_types(node: Any, topic: str, kind: str) -> str:

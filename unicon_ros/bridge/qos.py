@@ -45,6 +45,7 @@ def qos_profile(qos: Qos) -> Any:
     return ros.QoSProfile(**values)
 
 
+@dataclass(eq=False)
 class QosEvents:
     """The events of one topic.
 
@@ -58,20 +59,16 @@ class QosEvents:
         theirs: returns what a peer has for a policy, if that is known.
     """
 
-    def __init__(
-        self,
-        topic: str,
-        qos: Qos,
-        own: str,
-        passed: Callable[[], int],
-        warn: Callable[[str], None],
-        *,
-        remedy: str = REMEDY,
-        theirs: Callable[[str], str] = lambda _: "",
-    ) -> None:
-        self._remedy, self._theirs = remedy, theirs
-        self._topic, self._qos, self._own = topic, qos, own
-        self._passed, self._warn = passed, warn
+    topic: str
+    qos: Qos
+    own: str
+    passed: Callable[[], int]
+    warn: Callable[[str], None]
+    remedy: str = REMEDY
+    theirs: Callable[[str], str] = lambda _: ""
+
+    def __post_init__(self) -> None:
+        qos = self.qos
         self._told: set[str] = set()
         self._alive = self._not_alive = 0  # publishers of a subscription
         self._callbacks: dict[str, Callable[[Any], None]] = {"incompatible_qos": self._incompatible}
@@ -83,14 +80,14 @@ class QosEvents:
                 f"{name} missed", f"{name} kept again", qos.deadline
             )
         if qos.liveliness != "automatic" or qos.liveliness_lease is not None:
-            ours, lease = own == "publisher", qos.liveliness_lease or 0.0
+            ours, lease = self.own == "publisher", qos.liveliness_lease or 0.0
             self._callbacks["liveliness"] = self._lost if ours else self._changed
             name = "our liveliness" if ours else "liveliness"
             self._episodes["liveliness"] = _Episode(f"{name} lost", f"{name} regained", lease)
 
     def watch(self, create: Callable[..., Any]) -> Any:
         """Return what `create(**options)` makes, with those of our events that can be had."""
-        made, lacking = compat.with_events(self._own, self._callbacks, create)
+        made, lacking = compat.with_events(self.own, self._callbacks, create)
         for name in lacking:
             del self._callbacks[name]
         declared = [name for name in lacking if self._episodes.pop(name, None) is not None]
@@ -113,17 +110,17 @@ class QosEvents:
         """Return how often what the map declares was broken, and who is alive, by name."""
         names = {"deadline": "deadlines missed", "liveliness": "liveliness lost"}
         found = {names[key]: episode.count for key, episode in self._episodes.items()}
-        if "liveliness" in self._episodes and self._own == "subscription":
+        if "liveliness" in self._episodes and self.own == "subscription":
             found["publishers alive"] = self._alive
         return found
 
     def settle(self) -> None:
         """Tell what is over by now; to be called about once a second, outside of the tick."""
         for key, episode in self._episodes.items():
-            if key == "liveliness" and self._own == "subscription":
+            if key == "liveliness" and self.own == "subscription":
                 well = self._alive > 0 and not self._not_alive
             else:
-                well = self._passed() != episode.passed
+                well = self.passed() != episode.passed
             calm = time.monotonic() - episode.at > max(CALM, 3.0 * episode.declared)
             if episode.lasts and well and calm:
                 episode.lasts = False
@@ -134,18 +131,18 @@ class QosEvents:
         if policy in self._told:
             return
         self._told.add(policy)
-        ours, theirs = getattr(self._qos, policy, None), self._theirs(policy)
+        ours, theirs = getattr(self.qos, policy, None), self.theirs(policy)
         both = [*([f"ours: {ours}"] if ours is not None else ()), *filter(None, [theirs])]
         said = f" ({', '.join(both)})" if both else ""
-        peer = "publisher" if self._own == "subscription" else "subscription"
+        peer = "publisher" if self.own == "subscription" else "subscription"
         self._say(
             f"a {peer} has an incompatible {policy}{said}, so nothing passes "
-            f"between us; {self._remedy.format(policy=policy)}"
+            f"between us; {self.remedy.format(policy=policy)}"
         )
 
     def _deadline_missed(self, event: Any) -> None:
         remedy = "raise the topic's rate"
-        if self._own == "subscription":
+        if self.own == "subscription":
             remedy = "see why its publisher is late"
         remedy += ", or qos.deadline in the message map"
         self._broken("deadline", event.total_count_change, remedy)
@@ -167,13 +164,13 @@ class QosEvents:
         self.settle()
         episode = self._episodes[key]
         episode.count += times
-        episode.at, episode.passed = time.monotonic(), self._passed()
+        episode.at, episode.passed = time.monotonic(), self.passed()
         if not episode.lasts:
             episode.lasts = True
             self._say(f"{episode.began} (so far: {episode.count}); {remedy}")
 
     def _say(self, text: str) -> None:
-        self._warn(f"topic {self._topic}: {text}")
+        self.warn(f"topic {self.topic}: {text}")
 
 
 @dataclass

@@ -77,6 +77,8 @@ class RosPlatform:
 
     Attributes:
         topics: full names of the topics that it reads and writes.
+        incoming: the topics that it hears.
+        outgoing: the topics of its commands; none where it is silent.
     """
 
     facts = Facts("ros", examine=examine_platform)
@@ -108,14 +110,14 @@ class RosPlatform:
         )
         group = compat.polled_group()
         self._warnings: list[str] = []
-        self._in: list[TopicIn] = []
-        self._out: list[TopicOut] = []
+        self.incoming: list[TopicIn] = []
+        self.outgoing: list[TopicOut] = []
         self._awaited: list[str] = []
         warn = self._warnings.append
         for decoder in decoders:
             message = message_class(decoder.spec)
             if message is not None:
-                self._in.append(TopicIn(own.node, decoder, message, False, group, warn))
+                self.incoming.append(TopicIn(own.node, decoder, message, False, group, warn))
         said: list[TopicSpec] = []
         for encoder in encoders:
             message, every = message_class(encoder.spec), encoder.spec.every(period)
@@ -123,15 +125,15 @@ class RosPlatform:
                 continue
             said.append(encoder.spec)
             if not silent:  # without a publisher nothing can be sent
-                self._out.append(TopicOut(own.node, encoder, message, every, 0, group, warn))
+                self.outgoing.append(TopicOut(own.node, encoder, message, every, 0, group, warn))
         self._commands = [own.node.resolve_topic_name(spec.topic) for spec in said]
-        self._needed = [topic for topic in self._in if not topic.spec.optional]
+        self._needed = [topic for topic in self.incoming if not topic.spec.optional]
         self._torques = any(EFFORT in spec.states for spec in said)
-        self._exchange = Exchange(path, states, [topic.decoder for topic in self._in], said)
-        if not all(topic.polled for topic in self._in):
+        self._exchange = Exchange(path, states, [topic.decoder for topic in self.incoming], said)
+        if not all(topic.polled for topic in self.incoming):
             raise PlatformError("this rclpy cannot be polled; use one of Humble, Jazzy or Kilted")
-        self.topics = (*(topic.topic for topic in self._in), *self._commands)
-        self._stamped = any("stamp_ns" in topic.spec.states for topic in self._in)
+        self.topics = (*(topic.topic for topic in self.incoming), *self._commands)
+        self._stamped = any("stamp_ns" in topic.spec.states for topic in self.incoming)
         self._gravity: Callable[[], None] | None = None
         if self._exchange.turned:
             self._gravity = projected_gravity(states[ORIENTATION], states["projected_gravity"])
@@ -143,7 +145,7 @@ class RosPlatform:
             {name: states[name] for name in COMMAND_STATES}, robot.joint_names
         )
         self._sent = LastSent(states)
-        self._wait_set = compat.ReusedWaitSet([self._in[0].subscription], own.context)
+        self._wait_set = compat.ReusedWaitSet([self.incoming[0].subscription], own.context)
         self._closed = False
 
     def connect(self) -> None:
@@ -155,10 +157,10 @@ class RosPlatform:
         end = time.monotonic() + self._patience
         while missing := self._missing():
             SIGNALS.check()
-            for topic in self._in:
+            for topic in self.incoming:
                 topic.poll()
             if time.monotonic() > end:
-                node, silent = self._own.node, [topic for topic in self._in if not topic.heard]
+                node, silent = self._own.node, [topic for topic in self.incoming if not topic.heard]
                 errors = [topic.decoder.last_error for topic in self._needed]
                 errors += [other_types(node, t.topic, t.spec.type) for t in silent]
                 said = "; ".join(each for each in dict.fromkeys([*self._warnings, *errors]) if each)
@@ -192,7 +194,7 @@ class RosPlatform:
             PlatformError: the map writes some elements of a state only, or messages do.
         """
         for name in self._exchange.wanted(states):
-            sources = [topic for topic in self._in if name in topic.spec.states]
+            sources = [topic for topic in self.incoming if name in topic.spec.states]
             for topic in sources:
                 if name == ORIENTATION:
                     topic.decoder.need_orientation(name)
@@ -206,7 +208,7 @@ class RosPlatform:
 
     def wait(self, timeout: float) -> bool:
         """Return True when the first topic of the map has a message, False after `timeout` [s]."""
-        first = self._in[0]
+        first = self.incoming[0]
         if first.prefetch():
             return True
         if not timeout:  # a look costs 1 µs, the wait set 10
@@ -214,19 +216,9 @@ class RosPlatform:
         self._wait_set.sleep(timeout)
         return first.prefetch()
 
-    @property
-    def incoming(self) -> Sequence[TopicIn]:
-        """The topics that it hears."""
-        return self._in
-
-    @property
-    def outgoing(self) -> Sequence[TopicOut]:
-        """The topics of its commands; none where it is silent."""
-        return self._out
-
     def arrivals(self) -> int:
         """Return how many messages of that topic have come so far."""
-        return self._in[0].received
+        return self.incoming[0].received
 
     def recv(self) -> bool | None:
         """Bring the latest messages into the states.
@@ -234,8 +226,8 @@ class RosPlatform:
         Raises:
             Fault: a topic that the robot needs was silent for its time-out.
         """
-        self._in[0].accept()
-        for topic in self._in[1:]:
+        self.incoming[0].accept()
+        for topic in self.incoming[1:]:
             topic.poll()
         for topic in self._needed:
             if topic.stale:
@@ -249,7 +241,7 @@ class RosPlatform:
     def warm_up(self) -> None:
         """Do what `send` does up to the publishing, to warm up."""
         self._finite()
-        for out in self._out:
+        for out in self.outgoing:
             out.warm_up()
 
     def send(self) -> bool | None:
@@ -261,7 +253,7 @@ class RosPlatform:
         self._finite()
         if self._torques:
             self._servo(*(self._states[name] for name in MEASURED))
-        for out in self._out:
+        for out in self.outgoing:
             out.tick()
             if out.failing >= SEND_FAILURES:
                 raise Fault(
@@ -278,9 +270,9 @@ class RosPlatform:
         self._closed = True
         with ExitStack() as rest:  # all of it, whatever fails
             rest.callback(self._own.close)
-            for topic in self._in:
+            for topic in self.incoming:
                 rest.callback(topic.close)
-            for said in self._out:
+            for said in self.outgoing:
                 rest.callback(said.close)
             rest.callback(self._wait_set.close)
             # A robot that got nothing of ours is somebody else's.
@@ -290,24 +282,24 @@ class RosPlatform:
                 again = partial(self._send_again, damping)
                 repeated(again, self._period, 0.0 if damped else self._damping)
                 self._servo.torque[...] = 0.0  # a controller of efforts keeps the last for ever
-                for out in self._out:
+                for out in self.outgoing:
                     out.flush()
 
     def _send_again(self, damping: Damping) -> None:
         damping()
         if self._torques:
-            for topic in self._in:
+            for topic in self.incoming:
                 topic.poll()
             self._servo(*(self._states[name] for name in MEASURED))
             if any(topic.stale for topic in self._needed):
                 self._servo.torque[...] = 0.0  # nothing damps a robot that is not seen
         self._states["stamp_ns"][...] += round(self._period * 1e9)  # or a reader takes it for old
-        for out in self._out:
+        for out in self.outgoing:
             out.now()
 
     def commanders(self) -> Mapping[str, int]:
         """Return the topics of the commands, with the number of others that publish there."""
-        own = {out.topic for out in self._out}
+        own = {out.topic for out in self.outgoing}
         count = self._own.node.count_publishers
         return {topic: count(topic) - (topic in own) for topic in self._commands}
 
@@ -316,8 +308,8 @@ class RosPlatform:
         return {
             "map": str(self._path),
             "topics": list(self.topics),
-            "received": {topic.topic: topic.received for topic in self._in},
-            "published": {out.topic: out.published for out in self._out},
+            "received": {topic.topic: topic.received for topic in self.incoming},
+            "published": {out.topic: out.published for out in self.outgoing},
             "notes": list(self._warnings),
         }
 

@@ -28,6 +28,7 @@ from unicon_msgs_map import Decoder, Encoder, MapStateError, load_map
 from unicon_msgs_map.spec import PublishSpec, SubscribeSpec, TopicSpec
 from unicon_ros import compat
 from unicon_ros.bridge.bindings import (
+    WallStamp,
     arrays_of,
     checked_prefix,
     names_of,
@@ -43,7 +44,6 @@ from unicon_ros.bridge.robot_frames import RobotFrames
 from unicon_ros.bridge.ros_platform import RosPlatform
 from unicon_ros.bridge.services import SERVICES, add_services, skill_handlers
 from unicon_ros.bridge.slack import SlackServer
-from unicon_ros.bridge.stamps import WallStamp
 from unicon_ros.bridge.topics_in import TopicIn
 from unicon_ros.bridge.topics_out import TopicOut
 from unicon_ros.controls import Controls

@@ -73,20 +73,20 @@ class TopicIn:
         self._contested = contested
         self._timeout_ns = 0 if spec.timeout is None else round(spec.timeout * 1e9)
         self._holds_when_stale = spec.on_timeout == "hold"
-        self._pending: bytes | None = None
+        pending: deque[bytes] = deque(maxlen=1)
         options: dict[str, Any] = {"raw": True, "callback_group": group}
         profile = qos_profile(spec.qos)
         self.events = QosEvents(spec.topic, spec.qos, "subscription", lambda: self.received, warn)
 
         def create(**events: Any) -> Any:
             return node.create_subscription(
-                message, spec.topic, self._called_back, profile, **options, **events
+                message, spec.topic, pending.append, profile, **options, **events
             )
 
         self.subscription = self.events.watch(create)
         take, self._release = compat.raw_take(self.subscription)
         self.polled = take is not None
-        self._take = self._take_pending if take is None else take
+        self._take = take or (lambda: pending.pop() if pending else None)
         if take is None:  # no way to poll: subscribe again where executors may call us
             node.destroy_subscription(self.subscription)
             del options["callback_group"]
@@ -231,13 +231,6 @@ class TopicIn:
             self.decoder.lapse()
         elif self._contested:
             self._decode(self._latest)
-
-    def _called_back(self, raw: bytes) -> None:
-        self._pending = raw
-
-    def _take_pending(self) -> bytes | None:
-        raw, self._pending = self._pending, None
-        return raw
 
     def close(self) -> None:
         """Destroy the subscription."""

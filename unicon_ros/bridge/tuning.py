@@ -42,47 +42,30 @@ class Tuning:
     """Numbers that are applied in every tick.
 
     Attributes:
-        stiffness_scale, damping_scale: factors of `joint_stiffness` and `joint_damping`.
+        scales: factors of `joint_stiffness` and `joint_damping`, shape (2,).
         command_limit: largest magnitude of vx, vy [m/s] and wz [rad/s], shape (3,).
     """
 
     def __init__(self) -> None:
-        self._scales: Any = memoryview(np.ones(2).data)
+        self.scales: Any = memoryview(np.ones(2).data)
         self.command_limit = np.full(3, NO_LIMIT)
-
-    @property
-    def stiffness_scale(self) -> float:
-        """See the class."""
-        return float(self._scales[0])
-
-    @stiffness_scale.setter
-    def stiffness_scale(self, scale: float) -> None:
-        self._scales[0] = scale
-
-    @property
-    def damping_scale(self) -> float:
-        """See the class."""
-        return float(self._scales[1])
-
-    @damping_scale.setter
-    def damping_scale(self, scale: float) -> None:
-        self._scales[1] = scale
 
     def values(self) -> dict[str, float]:
         """Return what the parameters are at present, by their names on `unicon_node`."""
         limits = zip(LIMITS, map(float, self.command_limit))
-        return {**dict(zip(SCALES, map(float, self._scales))), **dict(limits)}
+        return {**dict(zip(SCALES, map(float, self.scales))), **dict(limits)}
 
     def refusal(self, values: Mapping[str, float]) -> str:
         """Return why parameters cannot be set together with the present ones, or ""."""
         if values.keys().isdisjoint(SCALES):
             return ""
-        return too_little_damping(*(values.get(name, getattr(self, name)) for name in SCALES))
+        meant = {**self.values(), **values}
+        return too_little_damping(*(meant[name] for name in SCALES))
 
     def apply(self, values: Mapping[str, float]) -> None:
         """Set those of some parameters that are here."""
         for i, name in enumerate(SCALES):
-            self._scales[i] = values.get(name, self._scales[i])
+            self.scales[i] = values.get(name, self.scales[i])
         for i, name in enumerate(LIMITS):
             self.command_limit[i] = values.get(name, self.command_limit[i])
 
@@ -109,7 +92,7 @@ class Tuning:
 
         limits = {"each": each, "no": NO_LIMIT, "limited": limited}
         unscaled, scaled, changed = self._gain_scale(program)
-        scaling = {"scales": self._scales, "changed": changed, "scaled": scaled}
+        scaling = {"scales": self.scales, "changed": changed, "scaled": scaled}
         gains = ("joint_stiffness", "joint_damping")
         told = (GAIN_SCALE,) if _declared(program) else ()
         return {
@@ -164,7 +147,7 @@ class Tuning:
                     array[...] = kept
 
         def scaled() -> None:
-            scales = (self.stiffness_scale, self.damping_scale)
+            scales = tuple(self.scales)
             told[...] = scales
             changed[0] = changed[1] = scales != UNSCALED
             if changed[0]:

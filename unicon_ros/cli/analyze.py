@@ -9,36 +9,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from unicon_core.errors import UniconError
+from unicon_core.errors import UniconError, cannot
 from unicon_core.page import write_file
 from unicon_ros.cli.console import note
-from unicon_ros.cli.options import argument, command, flag, positive, seconds
-
-
-def add(commands: Any) -> None:
-    """Add the command to the parser."""
-    parser = command(
-        commands, "analyze", _analyze, "compare a real run with a simulated one", __doc__
-    )
-    argument(parser, "real", "REAL", "record (.mcap) or .npz of the robot")
-    argument(parser, "sim", "SIM", "record (.mcap) or .npz of the simulator", nargs="?")
-    argument(parser, "--out", "DIR", "folder for the report", required=True)
-    for who, side, run in (("real", "", "real"), ("sim", "sim-", "simulated")):
-        after = f"S seconds after the {run} run's first sample"
-        begin = {"type": seconds, "default": 0.0, "dest": f"{who}_from"}
-        end = {"type": seconds, "default": math.inf, "dest": f"{who}_to"}
-        argument(parser, f"--{side}from", "S", f"begin {after}", **begin)
-        argument(parser, f"--{side}to", "S", f"end {after}", **end)
-    argument(
-        parser,
-        "--max-shift",
-        "S",
-        "largest shift in time (default: any that leaves half of the shorter run)",
-        type=seconds,
-    )
-    argument(parser, "--rate", "HZ", "compare at this rate (default: the slower's)", type=positive)
-    flag(parser, "--whole", "compare what comes after a fall, too")
-    _add_fit(parser)
+from unicon_ros.cli.options import argument, command, flag, group, positive, seconds
 
 
 def _analyze(arguments: argparse.Namespace) -> int:
@@ -77,12 +51,8 @@ def _analyze(arguments: argparse.Namespace) -> int:
 
 def _folder(text: str) -> Path:
     folder = Path(text)
-    try:
+    with cannot(f"make the folder {folder}", "give another to --out"):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UniconError(
-            f"cannot make the folder {folder}: {error.strerror}; give another to --out"
-        ) from error
     return folder
 
 
@@ -95,24 +65,6 @@ def _size(path: Path) -> str:
 
 def _tell(text: str) -> None:
     note(f"unicon analyze: {text}")
-
-
-def _add_fit(parser: argparse.ArgumentParser) -> None:
-    """Add the options of a fit to those of `unicon analyze`."""
-    group = parser.add_argument_group("fit", "estimates joints of the simulator from REAL alone")
-    argument(
-        group,
-        "--fit",
-        "WORDS",
-        "write a robot overlay: strength, friction, armature, delay, or some of them, "
-        "separated by commas",
-        nargs="?",
-        const=True,  # all words, which are not known before NumPy is loaded
-    )
-    argument(group, "--fit-joints", "PATTERNS", "of these joints (default: all)", default="*")
-    argument(group, "--fit-window", "S", "of a replay (default: 0.2)", type=positive, default=0.2)
-    argument(group, "--robot", "ROBOT", "its file (default: the record's)")
-    argument(group, "--processes", "N", "at once (default: one for each core)", type=int, default=0)
 
 
 def _fit(arguments: argparse.Namespace, folder: Path) -> int:
@@ -175,3 +127,50 @@ def _fit(arguments: argparse.Namespace, folder: Path) -> int:
     earlier = f"; {path} is of an earlier fit" if path.exists() else ""
     print(f"overlay  {path if found.better else f'none{earlier}'}")
     return int(worse)
+
+
+add = command(
+    "analyze",
+    _analyze,
+    "compare a real run with a simulated one",
+    __doc__,
+    argument("real", "REAL", "record (.mcap) or .npz of the robot"),
+    argument("sim", "SIM", "record (.mcap) or .npz of the simulator", nargs="?"),
+    argument("--out", "DIR", "folder for the report", required=True),
+    *(
+        argument(
+            f"--{side}{word}",
+            "S",
+            f"{verb} S seconds after the {run} run's first sample",
+            type=seconds,
+            default=default,
+            dest=f"{who}_{word}",
+        )
+        for who, side, run in (("real", "", "real"), ("sim", "sim-", "simulated"))
+        for word, verb, default in (("from", "begin", 0.0), ("to", "end", math.inf))
+    ),
+    argument(
+        "--max-shift",
+        "S",
+        "largest shift in time (default: any that leaves half of the shorter run)",
+        type=seconds,
+    ),
+    argument("--rate", "HZ", "compare at this rate (default: the slower's)", type=positive),
+    flag("--whole", "compare what comes after a fall, too"),
+    group(
+        "fit",
+        "estimates joints of the simulator from REAL alone",
+        argument(
+            "--fit",
+            "WORDS",
+            "write a robot overlay: strength, friction, armature, delay, or some of them, "
+            "separated by commas",
+            nargs="?",
+            const=True,  # all words, which are not known before NumPy is loaded
+        ),
+        argument("--fit-joints", "PATTERNS", "of these joints (default: all)", default="*"),
+        argument("--fit-window", "S", "of a replay (default: 0.2)", type=positive, default=0.2),
+        argument("--robot", "ROBOT", "its file (default: the record's)"),
+        argument("--processes", "N", "at once (default: one for each core)", type=int, default=0),
+    ),
+)

@@ -9,16 +9,15 @@ unicon assets verify [NAME …]        compares files with the SHA-256 of config
 from __future__ import annotations
 
 import argparse
-import sys
-import time
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from unicon_core.errors import UniconError
 from unicon_core.resources import assets_roots
-from unicon_ros.cli.console import CLEAR, is_terminal, print_json, print_table
-from unicon_ros.cli.options import argument, command, flag
+from unicon_ros.cli.console import Console, note, print_json, print_table
+from unicon_ros.cli.options import EXAMPLES, argument, command, flag, option, several
 
 if TYPE_CHECKING:
     from unicon_core.workflow.document import WorkflowDocument
@@ -27,32 +26,6 @@ EVERY = 0.1
 """Of the progress line in [s]."""
 HEAD = ("asset", "kind", "MB", "licence", "at hand")
 COPYLEFT = ("GPL", "MPL")
-
-
-def add(commands: Any) -> None:
-    """Add the command to the parser."""
-    parser = commands.add_parser(
-        "assets",
-        help="list and fetch public models and policies",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
-    listing = command(verbs, "list", _list, "what there is, and what is at hand")
-    flag(listing, "--json", "print JSON")
-    fetching = command(verbs, "fetch", _fetch, "fetch assets into the user's cache")
-    fetching.add_argument("names", nargs="+", metavar="NAME")
-    argument(
-        fetching,
-        "--from",
-        "DIR|URL",
-        "a mirror, which has NAME/FILE, instead of GitHub",
-        dest="mirror",
-    )
-    path = command(verbs, "path", _path, "print the folder of an asset that is at hand")
-    path.add_argument("name", metavar="NAME")
-    verify = command(verbs, "verify", _verify, "compare files with their SHA-256")
-    argument(verify, "names", "NAME", "all that was fetched if none", nargs="*")
 
 
 def fetch_all(names: Sequence[str], mirror: str | None = None) -> int:
@@ -74,8 +47,16 @@ def fetch_all(names: Sequence[str], mirror: str | None = None) -> int:
 
     for asset in assets:
         introduce(asset)
-        with _Line(asset.name) as line:
-            got = fetch(asset, mirror=mirror, progress=line, waits=line.waits)
+        console = Console()
+        try:
+            got = fetch(
+                asset,
+                mirror=mirror,
+                progress=partial(_show, console, asset.name),
+                waits=partial(note, f"{asset.name}: another process fetches it; waiting"),
+            )
+        finally:
+            console.close()
         done = f"{got.fetched / 1e6:.1f} MB fetched" if got.fetched else "is there"
         print(f"  {done}: {got.folder}")
     return 0
@@ -116,31 +97,11 @@ def _strings(value: Any) -> Iterator[str]:
             yield from _strings(each)
 
 
-class _Line:
-    """The progress line, on a terminal alone."""
-
-    def __init__(self, name: str) -> None:
-        self._name, self._next, self._shown = name, 0.0, False
-
-    def __enter__(self) -> _Line:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._shown:
-            print(CLEAR, end="", file=sys.stderr, flush=True)
-
-    def __call__(self, file: str, done: int, size: int) -> None:
-        now = time.monotonic()
-        if now < self._next or not is_terminal():
-            return
-        self._next, self._shown = now + EVERY, True
+def _show(console: Console, name: str, file: str, done: int, size: int) -> None:
+    """Show how far the fetching of an asset is, on a terminal alone."""
+    if console.due(EVERY):
         bar = "█" * round(20 * done / max(size, 1))
-        line = f"{CLEAR}{self._name} {bar:<20} {done / 1e6:6.1f} of {size / 1e6:.1f} MB  {file}"
-        print(line, end="", file=sys.stderr, flush=True)
-
-    def waits(self) -> None:
-        """Say that another process is at it."""
-        print(f"{self._name}: another process fetches it; waiting", file=sys.stderr, flush=True)
+        console.status({name: f"{bar:<20} {done / 1e6:6.1f} of {size / 1e6:.1f} MB", file: ""})
 
 
 def _fetch(arguments: argparse.Namespace) -> int:
@@ -214,3 +175,39 @@ def _verify(arguments: argparse.Namespace) -> int:
     if not any(found.values()):
         print("nothing is at hand; see: unicon assets list")
     return 1 if bad else 0
+
+
+add = several(
+    "assets",
+    "list and fetch public models and policies",
+    __doc__,
+    "VERB",
+    command(
+        "list", _list, "what there is, and what is at hand", None, flag("--json", "print JSON")
+    ),
+    command(
+        "fetch",
+        _fetch,
+        "fetch assets into the user's cache",
+        None,
+        option("names", nargs="+", metavar="NAME"),
+        argument(
+            "--from", "DIR|URL", "a mirror, which has NAME/FILE, instead of GitHub", dest="mirror"
+        ),
+    ),
+    command(
+        "path",
+        _path,
+        "print the folder of an asset that is at hand",
+        None,
+        option("name", metavar="NAME"),
+    ),
+    command(
+        "verify",
+        _verify,
+        "compare files with their SHA-256",
+        None,
+        argument("names", "NAME", "all that was fetched if none", nargs="*"),
+    ),
+    **EXAMPLES,
+)

@@ -4,85 +4,11 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from unicon_core.errors import UniconError
 from unicon_ros.cli.console import note, print_json
-from unicon_ros.cli.options import argument, command, flag, positive
+from unicon_ros.cli.options import argument, command, flag, group, option, positive, several
 from unicon_ros.datasets import WRITERS
-
-
-def add(commands: Any) -> None:
-    """Add the command to the parser."""
-    parser = commands.add_parser(
-        "bag", help="look into recordings, mend and convert them", description=__doc__
-    )
-    kinds = parser.add_subparsers(dest="bag", metavar="WHAT", required=True)
-
-    info = command(kinds, "info", _info, "what is in it: topics, ticks, workflow, versions")
-    argument(info, "path", "BAG", "a file, or a bag folder", type=Path)
-    flag(info, "--json", "print all of it as JSON")
-
-    recover = command(kinds, "recover", _recover, "finish what a killed run left")
-    argument(recover, "path", "FILE.mcap.partial|FOLDER", "what it left", type=Path, nargs="+")
-
-    export = command(
-        kinds,
-        "export",
-        _export,
-        "write states to .npz, .csv or .parquet, or recordings as a data set",
-    )
-    argument(
-        export,
-        "paths",
-        "BAG",
-        "a recording or fault record, then the name of what is written, which ends in .npz, "
-        ".csv or .parquet; with --lerobot any number of recordings",
-        type=Path,
-        nargs="+",
-    )
-    argument(export, "--states", "STATE", "these alone", nargs="+", default=[])
-    export.add_argument(
-        "--moment", default="sent", help="received, input, tuned or sent (default: sent)"
-    )
-    _add_dataset_options(export)
-
-    read = command(kinds, "import", _import, "make a recording of ticks of a bag or an .npz")
-    argument(read, "path", "BAG", "a ROS bag, or an .npz of UniCon", type=Path)
-    argument(read, "out", "OUT.mcap", "the recording to write", type=Path)
-    read.add_argument("--robot", required=True, help="whose states they are: a name, or a file")
-    read.add_argument(
-        "--map", help="of a bag: the message map whose `subscribe` is meant (default: ros_robot)"
-    )
-    argument(read, "--joints", "JOINT", "of an .npz: its order of joints", nargs="+", default=[])
-    argument(read, "--rate", "HZ", "ticks a second (default: as it was recorded)", type=positive)
-
-
-def _add_dataset_options(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("data sets for learning")
-    flag(group, "--lerobot", "one LeRobot data set, format v3.0")
-    argument(group, "--out", "DIR", "folder of the data set", type=Path)
-    argument(group, "--fps", "N", "frames a second (default: the camera's)", type=int, default=0)
-    group.add_argument(
-        "--task", default="", help="what is done, in words (default: the workflow's name)"
-    )
-    argument(
-        group,
-        "--actions",
-        "STATE",
-        "states that make up the action (default: what was commanded)",
-        nargs="+",
-        default=[],
-    )
-    argument(group, "--cameras", "NAME", "pictures of these alone (default: all)", nargs="*")
-    argument(group, "--phases", "PHASE", "whose ticks (default: run)", nargs="+", default=["run"])
-    flag(group, "--no-video", "pictures in the Parquet files, as PNG or JPEG")
-    group.add_argument(
-        "--writer",
-        default="auto",
-        choices=WRITERS,
-        help="who writes: the package lerobot where it is installed (auto)",
-    )
 
 
 def _info(arguments: argparse.Namespace) -> int:
@@ -155,7 +81,7 @@ def _export_dataset(arguments: argparse.Namespace) -> int:
 def _import(arguments: argparse.Namespace) -> int:
     from unicon_core.robots import load_robot
     from unicon_ros.recording.import_bag import MAP, import_bag
-    from unicon_ros.recording.import_npz import import_npz
+    from unicon_ros.recording.npz import import_npz
 
     source, out, rate = arguments.path, arguments.out, arguments.rate
     if out.suffix != ".mcap":
@@ -173,3 +99,83 @@ def _import(arguments: argparse.Namespace) -> int:
         )
     print(f"{out}: {ticks} ticks")
     return 0
+
+
+add = several(
+    "bag",
+    "look into recordings, mend and convert them",
+    __doc__,
+    "WHAT",
+    command(
+        "info",
+        _info,
+        "what is in it: topics, ticks, workflow, versions",
+        None,
+        argument("path", "BAG", "a file, or a bag folder", type=Path),
+        flag("--json", "print all of it as JSON"),
+    ),
+    command(
+        "recover",
+        _recover,
+        "finish what a killed run left",
+        None,
+        argument("path", "FILE.mcap.partial|FOLDER", "what it left", type=Path, nargs="+"),
+    ),
+    command(
+        "export",
+        _export,
+        "write states to .npz, .csv or .parquet, or recordings as a data set",
+        None,
+        argument(
+            "paths",
+            "BAG",
+            "a recording or fault record, then the name of what is written, which ends in .npz, "
+            ".csv or .parquet; with --lerobot any number of recordings",
+            type=Path,
+            nargs="+",
+        ),
+        argument("--states", "STATE", "these alone", nargs="+", default=[]),
+        option("--moment", default="sent", help="received, input, tuned or sent (default: sent)"),
+        group(
+            "data sets for learning",
+            None,
+            flag("--lerobot", "one LeRobot data set, format v3.0"),
+            argument("--out", "DIR", "folder of the data set", type=Path),
+            argument("--fps", "N", "frames a second (default: the camera's)", type=int, default=0),
+            option(
+                "--task", default="", help="what is done, in words (default: the workflow's name)"
+            ),
+            argument(
+                "--actions",
+                "STATE",
+                "states that make up the action (default: what was commanded)",
+                nargs="+",
+                default=[],
+            ),
+            argument("--cameras", "NAME", "pictures of these alone (default: all)", nargs="*"),
+            argument("--phases", "PHASE", "whose ticks (default: run)", nargs="+", default=["run"]),
+            flag("--no-video", "pictures in the Parquet files, as PNG or JPEG"),
+            option(
+                "--writer",
+                default="auto",
+                choices=WRITERS,
+                help="who writes: the package lerobot where it is installed (auto)",
+            ),
+        ),
+    ),
+    command(
+        "import",
+        _import,
+        "make a recording of ticks of a bag or an .npz",
+        None,
+        argument("path", "BAG", "a ROS bag, or an .npz of UniCon", type=Path),
+        argument("out", "OUT.mcap", "the recording to write", type=Path),
+        option("--robot", required=True, help="whose states they are: a name, or a file"),
+        option(
+            "--map",
+            help="of a bag: the message map whose `subscribe` is meant (default: ros_robot)",
+        ),
+        argument("--joints", "JOINT", "of an .npz: its order of joints", nargs="+", default=[]),
+        argument("--rate", "HZ", "ticks a second (default: as it was recorded)", type=positive),
+    ),
+)

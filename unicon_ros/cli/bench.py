@@ -7,12 +7,11 @@ import sys
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import unicon_ros
 from unicon_core.errors import UniconError
 from unicon_core.page import write_file
-from unicon_ros.cli.options import argument, command, flag
+from unicon_ros.cli.options import argument, command, flag, option, several
 
 BENCHES = {
     "batch": "benchmarks.batch",
@@ -38,49 +37,20 @@ BENCHES = {
 CHECKOUT = Path(unicon_ros.__file__).resolve().parents[1]
 """Where this package lies; the benches that are not shipped lie beside it, in a checkout."""
 
-_OPTIONS: dict[str, dict[str, dict[str, Any]]] = {
-    "faults": {
-        "quick": {"action": "store_true", "help": "a handful of cases only"},
-        "only": {"help": "cases only whose group or name has this in it"},
-        "ticks": {"type": int, "metavar": "N", "help": "random ticks of each fault, 5 unless told"},
-        "document": {"help": "Markdown file whose rows of what was run are replaced"},
-    },
-    "latency": {
-        "rate": {"type": float, "help": "commands per second"},
-        "state_rate": {"type": float, "help": "states per second"},
-        "joints": {"type": int, "help": "number of joints"},
-        "seconds": {"type": float, "help": "measured time of a variant in a round"},
-    },
-    "record": {"seconds": {"type": float, "help": "time of a run, 10 s unless told"}},
-    "sweep": {"rollouts": {"type": int, "metavar": "N", "help": "of each side, 2,000 unless told"}},
-    "view": {
-        "seconds": {"type": float, "help": "time of a run, 10 s unless told"},
-        "sink": {"help": "word of --view, page unless told"},
-    },
-}
-"""Bench to its own options: name to what `add_argument` takes."""
-
-
-def add(commands: Any) -> None:
-    """Add the command to the parser."""
-    parser = command(commands, "bench", bench, "compare side by side", __doc__)
-    benches = parser.add_subparsers(dest="bench", metavar="NAME", required=True)
-    for name in BENCHES:
-        each = benches.add_parser(name, help=f"see {BENCHES[name]}")
-        argument(each, "--rounds", "N", "interleaved rounds", type=int)
-        argument(each, "--json", "FILE", "write the result as JSON")
-        argument(each, "--plot", "FILE.png", "plot the cases (needs matplotlib)")
-        flag(each, "--assert", "exit 1 where a ratio misses", dest="strict")
-        for option, settings in _OPTIONS.get(name, {}).items():
-            each.add_argument(f"--{option.replace('_', '-')}", **settings)
+SHARED = (
+    *("rounds", "json", "plot", "strict"),
+    *("command", "bench", "function", "quiet", "verbose"),
+)
+"""What is parsed of every bench."""
+_SECONDS = option("--seconds", type=float, help="time of a run, 10 s unless told")
 
 
 def bench(arguments: argparse.Namespace) -> int:
     """Run the command; exit status 0 when it ran, with `--assert` 1 where a ratio misses."""
     if arguments.rounds is not None and arguments.rounds < 1:
         raise UniconError(f"--rounds {arguments.rounds}: give a number >= 1")
-    given = {name: getattr(arguments, name) for name in _OPTIONS.get(arguments.bench, {})}
-    options = {name: value for name, value in given.items() if value is not None}
+    given = vars(arguments).items()
+    options = {name: each for name, each in given if name not in SHARED and each is not None}
     result = _module(arguments.bench).run(rounds=arguments.rounds, **options)
     print(result.table())
     if arguments.json:
@@ -112,3 +82,46 @@ def _module(name: str) -> ModuleType:
         )
     sys.path += [str(folder) for folder in folders]
     return import_module(module)
+
+
+_OPTIONS = {
+    "faults": (
+        flag("--quick", "a handful of cases only"),
+        option("--only", help="cases only whose group or name has this in it"),
+        argument("--ticks", "N", "random ticks of each fault, 5 unless told", type=int),
+        option("--document", help="Markdown file whose rows of what was run are replaced"),
+    ),
+    "latency": (
+        option("--rate", type=float, help="commands per second"),
+        option("--state-rate", type=float, help="states per second"),
+        option("--joints", type=int, help="number of joints"),
+        option("--seconds", type=float, help="measured time of a variant in a round"),
+    ),
+    "record": (_SECONDS,),
+    "sweep": (argument("--rollouts", "N", "of each side, 2,000 unless told", type=int),),
+    "view": (_SECONDS, option("--sink", help="word of --view, page unless told")),
+}
+"""Bench to its own options, which its `run` takes."""
+
+add = several(
+    "bench",
+    "compare side by side",
+    __doc__,
+    "NAME",
+    *(
+        command(
+            name,
+            bench,
+            f"see {module}",
+            None,
+            argument("--rounds", "N", "interleaved rounds", type=int),
+            argument("--json", "FILE", "write the result as JSON"),
+            argument("--plot", "FILE.png", "plot the cases (needs matplotlib)"),
+            option(
+                "--assert", action="store_true", help="exit 1 where a ratio misses", dest="strict"
+            ),
+            *_OPTIONS.get(name, ()),
+        )
+        for name, module in BENCHES.items()
+    ),
+)

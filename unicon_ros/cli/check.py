@@ -1,29 +1,20 @@
-"""`unicon check WORKFLOW`: preflight; every finding with culprit, evidence and remedy."""
+"""`unicon check WORKFLOW`: preflight; every finding with culprit, evidence and remedy.
+
+`unicon explain [CODE]` tells what a finding means.
+"""
 
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from unicon_ros.cli.options import add_workflow, argument, command, flag
+from unicon_core.errors import UniconError, alternatives
+from unicon_ros.cli.console import print_table
+from unicon_ros.cli.options import MAP, WORKFLOW, argument, command, flag, together
 
 if TYPE_CHECKING:
     from unicon_core.flow import Block, Stage
     from unicon_core.workflow import Program
-
-
-def add(commands: Any) -> None:
-    """Add the command to the parser."""
-    parser = command(commands, "check", check, "check a workflow before a motor moves")
-    add_workflow(parser)
-    flag(parser, "--twin", "also simulate it, and broken twins")
-    flag(
-        parser,
-        "--ros",
-        "also check the message map that `run --ros` would use (default: what the workflow says)",
-    )
-    argument(parser, "--map", "MAP", "of that: name in config/maps/, or a path")
-    argument(parser, "--json", "FILE", "write the findings as JSON")
 
 
 def check(arguments: argparse.Namespace) -> int:
@@ -59,3 +50,47 @@ def check(arguments: argparse.Namespace) -> int:
         result.sections.clear()
     print(result.text(terminal_width()))
     return 1 if result.findings else 0
+
+
+def explain(arguments: argparse.Namespace) -> int:
+    """Run the command."""
+    from unicon_core.check.rules import CODES, markdown
+
+    if arguments.markdown:
+        print(markdown(), end="")
+    elif arguments.code is None:
+        rows = [(code, rule.what) for code, rule in sorted(CODES.items())]
+        print_table(rows)
+    elif arguments.code in CODES:
+        print(CODES[arguments.code].text())
+    else:
+        known = alternatives(arguments.code, CODES, limit=len(CODES))
+        raise UniconError(f"explain: no finding has the code {arguments.code!r}; {known}")
+    return 0
+
+
+add = together(
+    command(
+        "check",
+        check,
+        "check a workflow before a motor moves",
+        None,
+        *WORKFLOW,
+        flag("--twin", "also simulate it, and broken twins"),
+        flag(
+            "--ros",
+            "also check the message map that `run --ros` would use (default: what the workflow "
+            "says)",
+        ),
+        MAP,
+        argument("--json", "FILE", "write the findings as JSON"),
+    ),
+    command(
+        "explain",
+        explain,
+        "what a finding means and what to do about it",
+        "What a finding of `unicon check` means, why it matters, and what to do.",
+        argument("code", "CODE", "of a finding; all unless given", nargs="?"),
+        flag("--markdown", "all rules as a page"),
+    ),
+)

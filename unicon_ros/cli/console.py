@@ -6,6 +6,7 @@ import argparse
 import json
 import os
 import sys
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -51,6 +52,15 @@ class Console:
         self.terminal = is_terminal()
         self._outlet = Outlet(to_stderr())
         self._shown = False
+        self._next = 0.0
+
+    def due(self, interval: float) -> bool:
+        """Return whether a terminal shows the status line, and it is as old as an interval, [s]."""
+        now = time.monotonic()
+        if not self.terminal or now < self._next:
+            return False
+        self._next = now + interval
+        return True
 
     def warn(self, message: str) -> None:
         """Say a warning, one line; dropped where nobody reads."""

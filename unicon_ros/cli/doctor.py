@@ -7,25 +7,12 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import asdict
-from typing import Any
 
 from unicon_core.aligned import aligned
 from unicon_ros.cli.console import print_json
 from unicon_ros.cli.options import command, flag
 
 MARKS = {"ok": "", "note": "·", "warning": "!", "error": "✗"}
-
-
-def add(commands: Any) -> None:
-    """Add the command to the parser."""
-    parser = command(
-        commands,
-        "doctor",
-        _doctor,
-        "examine this machine: packages, ROS, network, clock, permissions",
-        __doc__,
-    )
-    flag(parser, "--json", "print JSON")
 
 
 def _doctor(arguments: argparse.Namespace) -> int:
@@ -43,3 +30,12 @@ def _doctor(arguments: argparse.Namespace) -> int:
         worse = [each for each in found if each.level in ("warning", "error")]
         print(f"\n{len(worse)} of {len(found)} need a look" if worse else "\nnothing is wrong")
     return int(any(each.level == "error" for each in found))
+
+
+add = command(
+    "doctor",
+    _doctor,
+    "examine this machine: packages, ROS, network, clock, permissions",
+    __doc__,
+    flag("--json", "print JSON"),
+)

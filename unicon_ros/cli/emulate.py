@@ -13,76 +13,22 @@ from typing import TYPE_CHECKING, Any
 
 from unicon_core.errors import Fault, PlatformError, RobotError, UniconError, alternatives
 from unicon_ros.cli.console import note, warn
-from unicon_ros.cli.options import REPEATED, argument, command, flag, positive
+from unicon_ros.cli.options import (
+    REPEATED,
+    argument,
+    command,
+    exclusive,
+    flag,
+    group,
+    option,
+    positive,
+)
 
 if TYPE_CHECKING:
     from unicon_core.robots import Robot
     from unicon_ros.emulate.defects import Defects
 
 LOOPBACK = "127.0.0.1"
-
-
-def add(commands: Any) -> None:
-    """Add the command to the parser."""
-    parser = command(
-        commands, "emulate", emulate, "be a robot on loopback, in front of a simulator", __doc__
-    )
-    argument(parser, "robot", "ROBOT", "name in config/robots/, or a path")
-    argument(
-        parser,
-        "--model",
-        "FILE",
-        "MJCF or URDF, or `fake`: joints alone (default: the robot's own, if it is there)",
-    )
-    argument(
-        parser,
-        "--face",
-        "NAME",
-        "protocol, or module:function (default: transport.protocol of the robot file)",
-    )
-    argument(
-        parser,
-        "--set",
-        "OPTION=VALUE",
-        "an option of the face (repeatable)",
-        dest="options",
-        **REPEATED,
-    )
-    argument(parser, "--address", "IP", f"where it is served, of a face with one ({LOOPBACK})")
-    parser.add_argument("--seed", type=int, default=0, help="of posture and noise (0)")
-    parser.add_argument(
-        "--posture",
-        choices=("rest", "default", "random"),
-        default="rest",
-        help="it begins lying, on its legs, or in one drawn at random",
-    )
-    held = parser.add_mutually_exclusive_group()
-    flag(held, "--hang", "its base hangs on a gantry")
-    argument(
-        held,
-        "--let-go",
-        "S",
-        "a gantry holds it where it stands, and lets go S seconds after the first command",
-        type=positive,
-    )
-    flag(parser, "--still", "its sensors have no noise")
-    argument(parser, "--duration", "S", "end after S seconds", type=positive)
-    flag(parser, "--each", "say every command")
-    wrong = parser.add_argument_group("what is wrong with it, to see it found")
-    argument(wrong, "--swap", "JOINT", "their encoders", nargs=2, default=())
-    argument(wrong, "--dead", "JOINT", "its motor does nothing", **REPEATED)
-    argument(wrong, "--leave", "JOINT", "its motor leaves the commanded mode after a while")
-    argument(
-        wrong,
-        "--leave-after",
-        "S",
-        "so long after the first command (default %(default)s)",
-        type=positive,
-        default=3.0,
-    )
-    flag(wrong, "--imu-upside-down", "as it is mounted")
-    argument(wrong, "--rate", "HZ", "of its frames, less than usual", type=positive)
-    argument(wrong, "--variant", "N", "in place of the robot file's mode_machine", type=int)
 
 
 def emulate(arguments: argparse.Namespace) -> int:
@@ -176,3 +122,62 @@ def _defects(arguments: argparse.Namespace, robot: Robot) -> Defects:
         arguments.rate,
         leaves,
     )
+
+
+add = command(
+    "emulate",
+    emulate,
+    "be a robot on loopback, in front of a simulator",
+    __doc__,
+    argument("robot", "ROBOT", "name in config/robots/, or a path"),
+    argument(
+        "--model",
+        "FILE",
+        "MJCF or URDF, or `fake`: joints alone (default: the robot's own, if it is there)",
+    ),
+    argument(
+        "--face",
+        "NAME",
+        "protocol, or module:function (default: transport.protocol of the robot file)",
+    ),
+    argument(
+        "--set", "OPTION=VALUE", "an option of the face (repeatable)", dest="options", **REPEATED
+    ),
+    argument("--address", "IP", f"where it is served, of a face with one ({LOOPBACK})"),
+    option("--seed", type=int, default=0, help="of posture and noise (0)"),
+    option(
+        "--posture",
+        choices=("rest", "default", "random"),
+        default="rest",
+        help="it begins lying, on its legs, or in one drawn at random",
+    ),
+    exclusive(
+        flag("--hang", "its base hangs on a gantry"),
+        argument(
+            "--let-go",
+            "S",
+            "a gantry holds it where it stands, and lets go S seconds after the first command",
+            type=positive,
+        ),
+    ),
+    flag("--still", "its sensors have no noise"),
+    argument("--duration", "S", "end after S seconds", type=positive),
+    flag("--each", "say every command"),
+    group(
+        "what is wrong with it, to see it found",
+        None,
+        argument("--swap", "JOINT", "their encoders", nargs=2, default=()),
+        argument("--dead", "JOINT", "its motor does nothing", **REPEATED),
+        argument("--leave", "JOINT", "its motor leaves the commanded mode after a while"),
+        argument(
+            "--leave-after",
+            "S",
+            "so long after the first command (default %(default)s)",
+            type=positive,
+            default=3.0,
+        ),
+        flag("--imu-upside-down", "as it is mounted"),
+        argument("--rate", "HZ", "of its frames, less than usual", type=positive),
+        argument("--variant", "N", "in place of the robot file's mode_machine", type=int),
+    ),
+)

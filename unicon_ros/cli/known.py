@@ -22,44 +22,6 @@ if TYPE_CHECKING:
     Run = Callable[[argparse.Namespace], int]
 
 
-def add(commands: Any) -> None:
-    """Add the commands to the parser."""
-    for name, (run, what) in LISTS.items():
-        verbs = [f"unicon {verb} --help" for verb in VERBS if verb.startswith(name)]
-        also = f"See also: {', '.join(verbs)}." if verbs else ""
-        parser = command(commands, name, _listed(run, name), f"list the {what}", epilog=also)
-        argument(parser, "name", "NAME", "show this one in full", nargs="?")
-        flag(parser, "--json", "print the list as JSON")
-        if name == "policies":
-            argument(parser, "--robot", "ROBOT", "robot that orders the joints")
-    new, imported, fetched = (
-        command(commands, verb, run, what, what) for verb, (run, what) in VERBS.items()
-    )
-    argument(new, "model", "MODEL", "MJCF or URDF")
-    argument(new, "--out", "FILE", "where to write (default: NAME.yaml)")
-    argument(new, "--kind", "KIND", "what the robot is, where its model does not say")
-    argument(imported, "source", "FILE_OR_FOLDER", "what to read")
-    argument(
-        fetched,
-        "source",
-        "URL",
-        "hf://OWNER/REPO[@REV][/PATH], wandb://ENTITY/PROJECT/RUN or file:///PATH",
-    )
-    argument(fetched, "--sha256", "HEX", "of the network; another one is refused")
-    for parser in (imported, fetched):
-        argument(parser, "--out", "DIR", "where to write", required=True)
-        flag(parser, "--force", "replace a policy in DIR")
-        argument(parser, "--robot", "ROBOT", "robot that orders the joints")
-        argument(
-            parser,
-            "--joints",
-            "NAMES",
-            "in the training side's order, where the source does not say it: NAME,NAME…, a "
-            "file with a list, or '{from: model}' of ROBOT, or of some of its joints: "
-            "'{from: model, only: [PATTERN, …]}'",
-        )
-
-
 def _listed(function: Run, what: str) -> Run:
     """Return a command that refuses `--json` beside a name."""
 
@@ -242,3 +204,52 @@ VERBS = {
     "policies fetch": (_fetch, "fetch a policy from where it is published, and convert it"),
 }
 """Commands of two words, each with its own help: what runs it, and what it does."""
+
+_ROBOT = argument("--robot", "ROBOT", "robot that orders the joints")
+_OUT = (
+    argument("--out", "DIR", "where to write", required=True),
+    flag("--force", "replace a policy in DIR"),
+    _ROBOT,
+    argument(
+        "--joints",
+        "NAMES",
+        "in the training side's order, where the source does not say it: NAME,NAME…, a "
+        "file with a list, or '{from: model}' of ROBOT, or of some of its joints: "
+        "'{from: model, only: [PATTERN, …]}'",
+    ),
+)
+_TAKEN = {
+    "robots new": (
+        argument("model", "MODEL", "MJCF or URDF"),
+        argument("--out", "FILE", "where to write (default: NAME.yaml)"),
+        argument("--kind", "KIND", "what the robot is, where its model does not say"),
+    ),
+    "policies import": (argument("source", "FILE_OR_FOLDER", "what to read"), *_OUT),
+    "policies fetch": (
+        argument(
+            "source",
+            "URL",
+            "hf://OWNER/REPO[@REV][/PATH], wandb://ENTITY/PROJECT/RUN or file:///PATH",
+        ),
+        argument("--sha256", "HEX", "of the network; another one is refused"),
+        *_OUT,
+    ),
+}
+
+
+def add(commands: Any) -> None:
+    """Add the commands to the parser."""
+    for name, (run, what) in LISTS.items():
+        verbs = [f"unicon {verb} --help" for verb in VERBS if verb.startswith(name)]
+        command(
+            name,
+            _listed(run, name),
+            f"list the {what}",
+            None,
+            argument("name", "NAME", "show this one in full", nargs="?"),
+            flag("--json", "print the list as JSON"),
+            *[_ROBOT] * (name == "policies"),
+            epilog=f"See also: {', '.join(verbs)}." if verbs else "",
+        )(commands)
+    for verb, (run, what) in VERBS.items():
+        command(verb, run, what, what, *_TAKEN[verb])(commands)

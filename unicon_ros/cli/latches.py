@@ -3,28 +3,13 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
 
-from unicon_core.errors import UniconError
+from unicon_core.errors import UniconError, cannot
 from unicon_core.latches import Latched, latch_folder, latches
 from unicon_ros.cli.console import print_table
 from unicon_ros.cli.options import argument, command
 
 HEAD = ("node or robot", "domain", "latched", "since", "reason")
-
-
-def add(commands: Any) -> None:
-    """Add the command to the parser."""
-    parser = command(
-        commands, "latches", _latches, "list emergency stops that are latched, or let go", __doc__
-    )
-    argument(
-        parser,
-        "--clear",
-        "NAME",
-        "let go: the node NAME, such as /robot1/unicon, or the robot may be started again",
-    )
-    argument(parser, "--domain", "N", "of --clear: in this ROS domain", type=int)
 
 
 def _latches(arguments: argparse.Namespace) -> int:
@@ -61,10 +46,22 @@ def _clear(name: str, domain: int | None) -> int:
             f"no latch of {name!r} {where}in {latch_folder()}; latched: {known or 'nothing'}"
         )
     for path, each in chosen:
-        try:
+        with cannot(f"remove {path}", "do so by hand"):
             path.unlink(missing_ok=True)
-        except OSError as error:
-            raise UniconError(f"cannot remove {path}: {error.strerror}; do so by hand") from error
         print(f"{_said(each)}: {each.kind} cleared")
     print("a node that runs keeps its emergency stop until ~/clear_estop")
     return 0
+
+
+add = command(
+    "latches",
+    _latches,
+    "list emergency stops that are latched, or let go",
+    __doc__,
+    argument(
+        "--clear",
+        "NAME",
+        "let go: the node NAME, such as /robot1/unicon, or the robot may be started again",
+    ),
+    argument("--domain", "N", "of --clear: in this ROS domain", type=int),
+)

@@ -28,7 +28,6 @@ from unicon_ros.cli import (
     check,
     doctor,
     emulate,
-    explain,
     known,
     latches,
     preflight,
@@ -70,7 +69,6 @@ def _parser() -> argparse.ArgumentParser:
     for command in (
         run,
         check,
-        explain,
         preflight,
         emulate,
         schema,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import os
 import re
 import xml.etree.ElementTree as ET
 from contextlib import suppress
@@ -12,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 from unicon_core.check.model_facts import model_joints
@@ -20,7 +19,7 @@ from unicon_core.located_yaml import parse_yaml
 from unicon_core.models.find import find_model
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, drives, import_mujoco, is_simple
-from unicon_core.page import write_file
+from unicon_core.page import refuse_existing, write_file
 from unicon_core.robots import Robot
 from unicon_core.robots.file import KINDS, SCHEMA, joint_bounds
 from unicon_core.robots.load import read_robot_file
@@ -34,6 +33,7 @@ _NAMELESS = "MuJoCo Model"
 """What MuJoCo calls a model that has no name."""
 _STANDING = re.compile(r"home|stand|default|init", re.IGNORECASE)
 _LEGS = {"humanoid": 2, "quadruped": 4}
+UNITS = "rad, rad/s, N·m, N·m/rad, N·m·s/rad; bring them into the vendor's motor order"
 _LYING = re.compile(r"rest|lie|lying|prone|crouch|sit", re.IGNORECASE)
 
 
@@ -69,16 +69,15 @@ def new_robot(model: str, out: str | None, kind: str | None = None) -> str:
 
     Raises:
         ModelError: there is no such model, or it has no joints.
-        RobotError: the file exists, or the model does not say the kind.
-        UniconError: the file cannot be written.
+        RobotError: the model does not say the kind.
+        UniconError: the file exists, or cannot be written.
     """
     path = find_model(model, Path.cwd())
     bare = load_model(path, _robot(path, (), "arm"), quiet=True)
     file = Path(out) if out else Path(f"{_name(bare)}.yaml")
     if file.suffix != ".yaml":
         raise RobotError(f"robots new: {file} is not a .yaml file; give --out NAME.yaml")
-    if os.path.lexists(file):  # a link that points nowhere too
-        raise RobotError(f"robots new: {file} exists; move it away, or give another --out FILE")
+    refuse_existing(file, "robots new: ")
     if kind is not None and kind not in KINDS:
         raise RobotError(
             f"robots new: --kind {kind} is none of {', '.join(KINDS)}; give one of them"
@@ -341,43 +340,38 @@ def _models(model: str, path: Path, file: Path) -> tuple[dict[str, str], list[st
 
 
 def _text(facts: _Facts, models: dict[str, str]) -> str:
-    quoted = json.dumps  # a string of JSON is one of YAML
-    width = max(map(len, facts.joints)) + 1
-    rows = []
-    for i, name in enumerate(facts.joints):
-        said = (f"{key}: {_figure(values[i])}" for key, values in facts.figures.items())
-        rows.append(f"  - {{name: {name + ',':<{width}} {', '.join(said)}}}")
-    imu = "null"
+    form: dict[str, Any] = {"sort_keys": False, "allow_unicode": True, "width": 1000}
+    imu = None
     if facts.imu is not None:
         frame, position, quat = facts.imu
-        imu = f"{{frame: {frame}, position: {_list(position)}, quat: {_list(quat)}}}"
+        imu = {"frame": frame, "position": _list(position), "quat": _list(quat)}
     contacts = {"hand": "fingertips", "arm": "", "wheeled": ""}.get(facts.kind, "feet")
-    named = ", ".join(f"{kind}: {quoted(each)}" for kind, each in models.items())
-    lines = [
-        f"schema: {SCHEMA}",
-        f"name: {quoted(facts.name)}",
-        f"description: {quoted(f'{facts.name}, with {len(facts.joints)} joints, of its model')}",
-        "manufacturer: unknown",
-        f"kind: {facts.kind}",
-        f"models: {{{named}}}",
-        f"base_frame: {facts.base or 'base'}",
-        "joints: # rad, rad/s, N·m, N·m/rad, N·m·s/rad; bring them into the vendor's motor order",
-        *rows,
-        f"imu: {imu}",
-        *([f"{contacts}: [{', '.join(map(quoted, facts.feet))}]"] if contacts else []),
-        "transport: {protocol: null}",
-        "sources:",
-        *(f"  {group}: {quoted(text)}" for group, text in facts.sources.items()),
-        f"unknown: [{', '.join(_unknown(facts))}]",
-    ]
-    return "\n".join(lines) + "\n"
+    told = {
+        "schema": SCHEMA,
+        "name": facts.name,
+        "description": f"{facts.name}, with {len(facts.joints)} joints, of its model",
+        "manufacturer": "unknown",
+        "kind": facts.kind,
+        "models": models,
+        "base_frame": facts.base or "base",
+        "joints": [
+            {"name": name, **{key: _figure(values[i]) for key, values in facts.figures.items()}}
+            for i, name in enumerate(facts.joints)
+        ],
+        "imu": imu,
+        **({contacts: facts.feet} if contacts else {}),
+        "transport": {"protocol": None},
+        "unknown": _unknown(facts),
+    }
+    # A line for each joint, and for each source.
+    text = str(yaml.safe_dump(told, default_flow_style=None, **form))
+    sources = yaml.safe_dump({"sources": facts.sources}, default_flow_style=False, **form)
+    return text.replace("\njoints:\n", f"\njoints: # {UNITS}\n") + str(sources)
 
 
-def _figure(value: float) -> str:
-    if np.isinf(value):
-        return ".inf" if value > 0.0 else "-.inf"
-    return "null" if np.isnan(value) else repr(round(float(value), 6) + 0.0)
+def _figure(value: float) -> float | None:
+    return None if np.isnan(value) else round(float(value), 6) + 0.0
 
 
-def _list(values: Float) -> str:
-    return f"[{', '.join(map(_figure, values))}]"
+def _list(values: Float) -> list[float | None]:
+    return [*map(_figure, values)]

@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from unicon_core.errors import CheckError, Fault, UniconError
 from unicon_core.latches import clearing
+from unicon_core.signals import SIGNALS
 from unicon_ros.cli.console import print_table, warn
-from unicon_ros.cli.options import add_workflow, argument, command, flag, positive
+from unicon_ros.cli.options import MAP, WORKFLOW, argument, command, flag, option, positive
 from unicon_ros.cli.run import uses_ros
 
 if TYPE_CHECKING:
@@ -31,27 +34,6 @@ QUESTION = (
 )
 
 
-def add(commands: Any) -> None:
-    """Add the command to the parser."""
-    parser = command(
-        commands, "preflight", preflight, "look at the live robot, sending nothing", __doc__
-    )
-    add_workflow(parser)
-    argument(parser, "--seconds", "S", "receive for S seconds (3)", type=positive, default=3.0)
-    parser.add_argument(
-        "--ros",
-        action=argparse.BooleanOptionalAction,
-        default=None,
-        help="also open the node of a run, with its topics and ~/estop (default: what the "
-        "workflow says, else no)",
-    )
-    argument(parser, "--map", "MAP", "of that: name in config/maps/, or a path")
-    argument(parser, "--json", "FILE", "write all of it as JSON")
-    flag(parser, "--wiggle", "then move each joint a little, after a yes")
-    argument(parser, "--angle", "RAD", "of these moves (0.05)", type=positive, default=0.05)
-    flag(parser, "--yes", "do not ask before them")
-
-
 def preflight(arguments: argparse.Namespace) -> int:
     """Run the command; exit status 0 all in order, 1 something fails, 3 fault."""
     # Imported here so that `unicon --help` stays fast and free of optional packages.
@@ -64,7 +46,7 @@ def preflight(arguments: argparse.Namespace) -> int:
     if not SHORTEST <= arguments.seconds <= LONGEST:
         raise UniconError(f"--seconds {arguments.seconds:g}: give {SHORTEST:g} to {LONGEST:g}")
     document = load_document(arguments.workflow, arguments.overrides)
-    result = _looked(arguments, document, silent=True)
+    result = _looked(arguments, document)
     print(result.text(), flush=True)
     told = result.to_dict()
     status = 3 if result.fault else 0 if result.ok else 1
@@ -77,12 +59,24 @@ def preflight(arguments: argparse.Namespace) -> int:
     return status
 
 
-def _looked(
-    arguments: argparse.Namespace, document: WorkflowDocument, *, silent: bool
-) -> PreflightResult:
-    from unicon_core.preflight.look import look
-    from unicon_core.signals import SIGNALS
+@contextmanager
+def _opened(document: WorkflowDocument, **options: Any) -> Iterator[Program]:
+    """Build a program, which a second signal damps and the end of the block closes."""
     from unicon_core.workflow import Program
+
+    with SIGNALS.guard() as guard:
+        program = Program(document, **options)
+        guard.damp = program.damp_now
+        program.warn = warn
+        try:
+            yield program
+        finally:
+            program.close()
+            guard.damp = None
+
+
+def _looked(arguments: argparse.Namespace, document: WorkflowDocument) -> PreflightResult:
+    from unicon_core.preflight.look import look
 
     session: Any = None
     if uses_ros(arguments, document):
@@ -90,20 +84,13 @@ def _looked(
 
         session = RosSession(map=arguments.map or document.get("map"), warn=warn)
     try:
-        with SIGNALS.guard() as guard:
-            hooks = [] if session is None else [session.hook]
-            program = Program(document, hooks=hooks, silent=silent)
-            guard.damp = program.damp_now
-            try:
-                program.warn = warn
-                result = look(program, arguments.seconds)
-                _static(program, result)
-                _latched(document, program, result)
-                if session is not None:
-                    _estop(session, program, result)
-            finally:
-                program.close()
-                guard.damp = None
+        hooks = [] if session is None else [session.hook]
+        with _opened(document, hooks=hooks, silent=True) as program:
+            result = look(program, arguments.seconds)
+            _static(program, result)
+            _latched(document, program, result)
+            if session is not None:
+                _estop(session, program, result)
     finally:
         if session is not None:
             session.close()
@@ -155,28 +142,21 @@ def _wiggle(arguments: argparse.Namespace, document: WorkflowDocument, told: dic
     """Move each joint and tell what followed; exit status."""
     from unicon_core.preflight.look import look
     from unicon_core.preflight.wiggle import verdicts, wiggle
-    from unicon_core.signals import SIGNALS
-    from unicon_core.workflow import Program
 
     if not arguments.yes and not _agreed(str(told["robot"]), arguments.angle):
         print("no joint was moved")
         return 1
-    with SIGNALS.guard() as guard:
-        program = Program(document)
-        guard.damp = program.damp_now
-        program.warn = warn
-        try:
+    try:
+        with _opened(document) as program:
             again = look(program, SHORTEST)  # the yes may have taken its time
             if not again.ok:
                 print(again.text())
                 return 3 if again.fault else 1
             moved = wiggle(program, arguments.angle)
-        except Fault as fault:
-            print(f"fault: {fault}; the platform damped")
-            told["fault"] = str(fault)
-            return 3
-        finally:
-            program.close()
+    except Fault as fault:
+        print(f"fault: {fault}; the platform damped")
+        told["fault"] = str(fault)
+        return 3
     heads = ("moved", "followed", "by", "share", "verdict")
     print()
     print_table([heads, *verdicts(moved, arguments.angle)], underlined=True)
@@ -197,3 +177,25 @@ def _agreed(robot: str, angle: float) -> bool:
             "--yes if the robot hangs or lies and nobody is near it"
         )
     return input(QUESTION.format(robot=robot, angle=angle)).strip().lower() == "yes"
+
+
+add = command(
+    "preflight",
+    preflight,
+    "look at the live robot, sending nothing",
+    __doc__,
+    *WORKFLOW,
+    argument("--seconds", "S", "receive for S seconds (3)", type=positive, default=3.0),
+    option(
+        "--ros",
+        action=argparse.BooleanOptionalAction,
+        default=None,
+        help="also open the node of a run, with its topics and ~/estop (default: what the "
+        "workflow says, else no)",
+    ),
+    MAP,
+    argument("--json", "FILE", "write all of it as JSON"),
+    flag("--wiggle", "then move each joint a little, after a yes"),
+    argument("--angle", "RAD", "of these moves (0.05)", type=positive, default=0.05),
+    flag("--yes", "do not ask before them"),
+)

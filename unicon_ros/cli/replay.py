@@ -5,72 +5,46 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from functools import partial
-from typing import Any
 
 from unicon_core.errors import UniconError
 from unicon_ros.cli.console import Console, print_table
-from unicon_ros.cli.options import add_overrides, add_run_options, argument, flag, positive, seconds
+from unicon_ros.cli.options import (
+    OVERRIDES,
+    RUN_OPTIONS,
+    argument,
+    command,
+    exclusive,
+    flag,
+    positive,
+    seconds,
+)
 from unicon_ros.cli.run import close_session, ros_session, run_document
 
-
-def add(commands: Any) -> None:
-    """Add the command to the parser."""
-    parser = commands.add_parser("replay", help="run a recording again", description=__doc__)
-    argument(parser, "bag", "BAG", "record of a fault, or recording of a run")
-    argument(
-        parser,
-        "workflow",
-        "WORKFLOW",
-        "name in config/workflows/, or a path (default: the recorded one)",
-        nargs="?",
-    )
-    add_overrides(parser)
-    form = parser.add_mutually_exclusive_group()
-    flag(
-        form,
-        "--verify",
-        "compare every state of every tick with the recorded; exit status 1 where one differs",
-    )
-    flag(
-        form,
-        "--play",
-        "publish the recorded states to ROS topics, with /clock; nothing is computed",
-    )
-    argument(parser, "--start", "S", "leave S s out", type=seconds, default=0.0)
-    flag(parser, "--loop", "begin anew at the end")
-    argument(parser, "--rate", "X", "with --play: X times faster", type=positive)
-    add_run_options(parser)
-    parser.set_defaults(function=partial(replay, parser))
-
+OWN = ("bag", "verify", "play", "command", "function", "parser", "quiet", "verbose")
+"""What every form has."""
 
 PLAYS = ("start", "loop", "rate", "duration", "ros", "map", "namespace", "frame_prefix")
 """Options that go with `--play`, besides those of ROS."""
 
 
-def replay(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> int:
+def replay(arguments: argparse.Namespace) -> int:
     """Run the command; exit status 0 done or equal, 1 different, 3 fault."""
     if arguments.verify:
-        _refuse_others(parser, arguments, ("workflow", "overrides"), "--verify")
+        _refuse_others(arguments, ("workflow", "overrides"), "--verify")
         return _verify(arguments)
     if arguments.play:
-        _refuse_others(parser, arguments, (*PLAYS, "ros_args"), "--play")
+        _refuse_others(arguments, (*PLAYS, "ros_args"), "--play")
         return _play(arguments)
     if arguments.rate is not None:
         raise UniconError("replay: --rate goes with --play; a workflow has --speed")
     return _run(arguments)
 
 
-def _refuse_others(
-    parser: argparse.ArgumentParser,
-    arguments: argparse.Namespace,
-    known: Sequence[str],
-    form: str,
-) -> None:
+def _refuse_others(arguments: argparse.Namespace, known: Sequence[str], form: str) -> None:
     """Refuse what would be left alone in silence."""
-    own = ("bag", "verify", "play", "command", "function", "quiet", "verbose", *known)
+    own = (*OWN, *known)
     for name, value in vars(arguments).items():
-        if name not in own and value != parser.get_default(name):
+        if name not in own and value != arguments.parser.get_default(name):
             word = {"workflow": "WORKFLOW", "overrides": "--set"}.get(name)
             allowed = ", ".join(f"--{each.replace('_', '-')}" for each in known if each in PLAYS)
             raise UniconError(
@@ -91,8 +65,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _play(arguments: argparse.Namespace) -> int:
-    from unicon_ros.replay.keys import HELP
-    from unicon_ros.replay.player import play
+    from unicon_ros.replay.player import HELP, play
 
     console, session, status = Console(), None, 1
     keys = console.terminal and sys.stdin is not None and sys.stdin.isatty()
@@ -138,3 +111,34 @@ def _verify(arguments: argparse.Namespace) -> int:
     print_table(rows)
     print(count)
     return 0 if verdict.first is None else 1
+
+
+add = command(
+    "replay",
+    replay,
+    "run a recording again",
+    __doc__,
+    argument("bag", "BAG", "record of a fault, or recording of a run"),
+    argument(
+        "workflow",
+        "WORKFLOW",
+        "name in config/workflows/, or a path (default: the recorded one)",
+        nargs="?",
+    ),
+    OVERRIDES,
+    exclusive(
+        flag(
+            "--verify",
+            "compare every state of every tick with the recorded; exit status 1 where one differs",
+        ),
+        flag(
+            "--play",
+            "publish the recorded states to ROS topics, with /clock; nothing is computed",
+        ),
+    ),
+    argument("--start", "S", "leave S s out", type=seconds, default=0.0),
+    flag("--loop", "begin anew at the end"),
+    argument("--rate", "X", "with --play: X times faster", type=positive),
+    *RUN_OPTIONS,
+    lambda parser: parser.set_defaults(parser=parser),  # which knows what was not given
+)

@@ -10,31 +10,9 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import Any
 
 from unicon_core.errors import UniconError
-from unicon_ros.cli.options import argument, command, flag
-
-
-def add(commands: Any) -> None:
-    """Add the command to the parser."""
-    parser = command(
-        commands,
-        "report-run",
-        _report_run,
-        "report a run on hardware, without anybody's name, for the ledger of evidence",
-        __doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    path: dict[str, Any] = {"type": Path, "metavar": "FILE"}
-    argument(parser, "recording", "BAG", "of the run", nargs="?", type=Path)
-    flag(parser, "--hardware", "say that it was a robot of metal")
-    parser.add_argument("--out", **path, help="the report (default: ROBOT-DATE.yaml)")
-    flag(parser, "--force", "overwrite it")
-    argument(parser, "--sign", "KEY", "sign it with your SSH key, as FILE.sig", type=Path)
-    parser.add_argument("--verify", **path, help="check the signature of a report")
-    parser.add_argument("--allowed-signers", **path, help="of --verify: keys that count, OpenSSH's")
-    argument(parser, "--bag", "BAG", "of --verify: its recording", type=Path)
+from unicon_ros.cli.options import EXAMPLES, argument, command, flag
 
 
 def _report_run(arguments: argparse.Namespace) -> int:
@@ -75,3 +53,20 @@ def _verify(arguments: argparse.Namespace) -> int:
         print(f"{bag} is the recording of it")
     print(signed.signed_by(path, arguments.allowed_signers))
     return 0
+
+
+add = command(
+    "report-run",
+    _report_run,
+    "report a run on hardware, without anybody's name, for the ledger of evidence",
+    __doc__,
+    argument("recording", "BAG", "of the run", nargs="?", type=Path),
+    flag("--hardware", "say that it was a robot of metal"),
+    argument("--out", "FILE", "the report (default: ROBOT-DATE.yaml)", type=Path),
+    flag("--force", "overwrite it"),
+    argument("--sign", "KEY", "sign it with your SSH key, as FILE.sig", type=Path),
+    argument("--verify", "FILE", "check the signature of a report", type=Path),
+    argument("--allowed-signers", "FILE", "of --verify: keys that count, OpenSSH's", type=Path),
+    argument("--bag", "BAG", "of --verify: its recording", type=Path),
+    **EXAMPLES,
+)

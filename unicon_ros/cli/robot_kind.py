@@ -18,6 +18,8 @@ from unicon_core.errors import RobotError
 from unicon_core.models.loaded import free_joint, import_mujoco
 from unicon_core.robots.file import KINDS
 
+Joints = Sequence[int]
+
 _LEG = re.compile(
     r"hip|knee|ankle|thigh|calf|shank|abad|foot|toe|(^|_)u?leg(_|\d|$)|(^|_)(haa|[hkf]fe)(_|$)",
     re.IGNORECASE,
@@ -50,7 +52,7 @@ class _Limb:
     leggy: bool
 
 
-def wheels_of(model: Any, joints: Sequence[int]) -> set[str]:
+def wheels_of(model: Any, joints: Joints) -> set[str]:
     """Return the names of joints that are those of wheels.
 
     They turn without end and are alone in a limb, end one whose other joints have limits, or are
@@ -64,13 +66,13 @@ def wheels_of(model: Any, joints: Sequence[int]) -> set[str]:
     return {model.joint(limb.joints[0]).name for limb in limbs if limb.wheel}
 
 
-def legs_of(model: Any, joints: Sequence[int]) -> list[tuple[int, ...]]:
+def legs_of(model: Any, joints: Joints) -> list[tuple[int, ...]]:
     """Return the joints of each leg, tip first; see `kind_of`."""
     legs, _ = _legs(model, joints, _limbs(model, joints))
     return [leg.joints for leg in legs]
 
 
-def kind_of(model: Any, joints: Sequence[int], source: str) -> tuple[str, str]:
+def kind_of(model: Any, joints: Joints, source: str) -> tuple[str, str]:
     """Return the kind of a robot, and what in its model says so.
 
     Legs are the limbs that reach the ground where all joints are at 0, else those that are called
@@ -98,8 +100,9 @@ def kind_of(model: Any, joints: Sequence[int], source: str) -> tuple[str, str]:
     legs, said = _legs(model, joints, limbs)
     if (free or leggy) and len(legs) in (2, 4):
         return ("humanoid" if len(legs) == 2 else "quadruped"), f"{len(legs)} limbs {said}"
+    trunks = [*_parents(model, joints)[1].values()].count(0)  # moving bodies that hang on the base
     arms = any(_ARM.search(model.joint(joint).name) for joint in joints)
-    if not free and not leggy and (len(limbs) == 1 or arms or _trunks(model, joints) == 1):
+    if not free and not leggy and (len(limbs) == 1 or arms or trunks == 1):
         return "arm", "its base is fixed and nothing of it is a leg"
     raise RobotError(
         f"robots new: {source} does not say what it is: {len(limbs)} limbs, {len(down)} of them "
@@ -108,7 +111,7 @@ def kind_of(model: Any, joints: Sequence[int], source: str) -> tuple[str, str]:
     )
 
 
-def _down(model: Any, joints: Sequence[int], limbs: list[_Limb]) -> list[_Limb]:
+def _down(model: Any, joints: Joints, limbs: list[_Limb]) -> list[_Limb]:
     """Return the limbs that reach the ground."""
     own = model.body_rootid == model.body_rootid[model.jnt_bodyid[joints[0]]]
     low = min(limb.height for limb in limbs)
@@ -116,7 +119,7 @@ def _down(model: Any, joints: Sequence[int], limbs: list[_Limb]) -> list[_Limb]:
     return [limb for limb in limbs if limb.height <= near]
 
 
-def _legs(model: Any, joints: Sequence[int], limbs: list[_Limb]) -> tuple[list[_Limb], str]:
+def _legs(model: Any, joints: Joints, limbs: list[_Limb]) -> tuple[list[_Limb], str]:
     """Return the legs, and what makes them such."""
     legs = [limb for limb in _down(model, joints, limbs) if len(limb.joints) > 1]
     if len(legs) in (2, 4):
@@ -146,7 +149,7 @@ def _above(model: Any, body: int, moved: dict[int, list[int]]) -> int:
     return body
 
 
-def _parents(model: Any, joints: Sequence[int]) -> tuple[dict[int, list[int]], dict[int, int]]:
+def _parents(model: Any, joints: Joints) -> tuple[dict[int, list[int]], dict[int, int]]:
     """Return the joints of each body that has any, and the next such body above it, else 0."""
     moved: dict[int, list[int]] = {}
     for joint in joints:
@@ -154,12 +157,7 @@ def _parents(model: Any, joints: Sequence[int]) -> tuple[dict[int, list[int]], d
     return moved, {body: _above(model, int(model.body_parentid[body]), moved) for body in moved}
 
 
-def _trunks(model: Any, joints: Sequence[int]) -> int:
-    """Return how many moving bodies hang on the base."""
-    return list(_parents(model, joints)[1].values()).count(0)
-
-
-def _limbs(model: Any, joints: Sequence[int]) -> list[_Limb]:
+def _limbs(model: Any, joints: Joints) -> list[_Limb]:
     moved, parents = _parents(model, joints)
     lowest: dict[int, float] = {}
     for body, height in enumerate(_heights(model).tolist()):
@@ -187,7 +185,7 @@ def _limbs(model: Any, joints: Sequence[int]) -> list[_Limb]:
     return limbs
 
 
-def feet_of(model: Any, legs: Sequence[Sequence[int]]) -> list[str]:
+def feet_of(model: Any, legs: Sequence[Joints]) -> list[str]:
     """Return a name for the foot of each leg.
 
     Bodies, else sites, else geoms called feet, one for each leg; else geoms called by the corner;

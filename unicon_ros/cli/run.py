@@ -18,7 +18,12 @@ from unicon_core.outlet import relayed_stderr
 from unicon_core.page import refuse_unwritable
 from unicon_core.signals import SIGNALS, Guard
 from unicon_ros.cli.console import Console
-from unicon_ros.cli.options import add_run_options, add_workflow, command, view_options
+from unicon_ros.cli.options import (
+    RUN_OPTIONS,
+    WORKFLOW,
+    command,
+    view_options,
+)
 from unicon_ros.view import LOCAL
 
 if TYPE_CHECKING:
@@ -32,13 +37,6 @@ if TYPE_CHECKING:
 
 LOOK = 0.2
 """How long Enter is waited for before the phase is looked at, in [s]."""
-
-
-def add(commands: Any) -> None:
-    """Add the command to the parser."""
-    parser = command(commands, "run", run, "run a workflow", __doc__)
-    add_workflow(parser)
-    add_run_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -314,8 +312,8 @@ def _write(arguments: argparse.Namespace, ended: _Ended) -> tuple[list[str], lis
     written: list[str] = []
     problems: list[str] = []
     told = partial(report.write, arguments.report)
-    if ended.pictured is not None and ended.pictured.page is not None:
-        told = partial(ended.pictured.page.write, report)
+    if ended.pictured is not None and ended.pictured.page:
+        told = partial(ended.pictured.write, report)
     trace = partial(runner.statistics.write_trace, arguments.trace, f"unicon {report.workflow}")
     for name, path, write, hint in (
         ("trace", arguments.trace, trace, " (open it in ui.perfetto.dev)"),
@@ -341,3 +339,13 @@ def _write(arguments: argparse.Namespace, ended: _Ended) -> tuple[list[str], lis
     if ended.recording is not None:
         written.append(f"recording     {ended.recording.summary()}")
     return written, problems
+
+
+add = command(
+    "run",
+    run,
+    "run a workflow",
+    __doc__,
+    *WORKFLOW,
+    *RUN_OPTIONS,
+)

@@ -22,13 +22,6 @@ KINDS = {
 """Kind of document to its classes."""
 
 
-def add(commands: Any) -> None:
-    """Add the command to the parser."""
-    parser = command(commands, "schema", schema, "JSON Schema of documents, for editors", __doc__)
-    argument(parser, "kind", "KIND", f"one of {', '.join(KINDS)}", nargs="?")
-    argument(parser, "--out", "FOLDER", "write KIND.json, or all of them, there")
-
-
 def schema_of(kind: str) -> dict[str, Any]:
     """Return the JSON Schema of a kind of document.
 
@@ -60,3 +53,13 @@ def schema(arguments: argparse.Namespace) -> int:
         write_file(path, text.encode(), folders=True)
         print(path)
     return 0
+
+
+add = command(
+    "schema",
+    schema,
+    "JSON Schema of documents, for editors",
+    __doc__,
+    argument("kind", "KIND", f"one of {', '.join(KINDS)}", nargs="?"),
+    argument("--out", "FOLDER", "write KIND.json, or all of them, there"),
+)

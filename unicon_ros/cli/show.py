@@ -4,21 +4,9 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from unicon_ros.cli.console import print_table
-from unicon_ros.cli.options import add_workflow, argument, command, flag
-
-
-def add(commands: Any) -> None:
-    """Add the command to the parser."""
-    parser = command(commands, "show", show, "show graph and states", __doc__)
-    add_workflow(parser)
-    form = parser.add_mutually_exclusive_group()
-    flag(form, "--source", "the compiled step as Python")
-    flag(form, "--mermaid", "the graph as Mermaid")
-    argument(form, "--svg", "FILE", "the graph as SVG, written to FILE")
-    argument(form, "--html", "FILE", "all of it as one page, written to FILE")
+from unicon_ros.cli.options import WORKFLOW, argument, command, exclusive, flag
 
 
 def show(arguments: argparse.Namespace) -> int:
@@ -60,3 +48,18 @@ def show(arguments: argparse.Namespace) -> int:
     finally:
         program.close()
     return 0
+
+
+add = command(
+    "show",
+    show,
+    "show graph and states",
+    __doc__,
+    *WORKFLOW,
+    exclusive(
+        flag("--source", "the compiled step as Python"),
+        flag("--mermaid", "the graph as Mermaid"),
+        argument("--svg", "FILE", "the graph as SVG, written to FILE"),
+        argument("--html", "FILE", "all of it as one page, written to FILE"),
+    ),
+)

@@ -13,7 +13,13 @@ from unicon_core.aligned import number_text
 from unicon_core.errors import StateError
 from unicon_core.page import write_file
 from unicon_ros.cli.console import print_table
-from unicon_ros.cli.options import add_overrides, argument, command, flag, positive
+from unicon_ros.cli.options import (
+    OVERRIDES,
+    argument,
+    command,
+    flag,
+    positive,
+)
 
 if TYPE_CHECKING:
     from unicon_core.arrays import Array
@@ -31,23 +37,6 @@ OF_WATCH = ("rate", "duration", "csv")
 """Options that go with `--watch` alone."""
 
 HEAD = ("name", "process", "size", "group", "states", "bytes", "rate", "age")
-
-
-def add(commands: Any) -> None:
-    """Add the command to the parser."""
-    parser = command(
-        commands, "states", states, "look at the states that running processes share", __doc__
-    )
-    argument(parser, "name", "NAME", "show its states; all are listed", nargs="?")
-    argument(parser, "--watch", "STATE", "follow these states of NAME", nargs="+")
-    argument(parser, "--rate", "HZ", f"of --watch: looks a second ({RATE:g})", type=positive)
-    argument(parser, "--duration", "S", "of --watch: end after S seconds", type=positive)
-    flag(parser, "--csv", "of --watch: print CSV, in full precision")
-    argument(parser, "--json", "FILE", "write the list as JSON")
-    flag(parser, "--clean", "remove what writers that died have left")
-    argument(parser, "--header", "FILE.h", "write the states of workflow NAME as a header of C")
-    argument(parser, "--part", "PART", "of --header: one part's states", default="")
-    add_overrides(parser)
 
 
 def states(arguments: argparse.Namespace) -> int:
@@ -290,3 +279,21 @@ def _published(program: Program, part: str) -> Groups:
     if part:
         raise StateError(f"states: --part {part}: the workflow has no parts; leave it out")
     return groups_of(layout)
+
+
+add = command(
+    "states",
+    states,
+    "look at the states that running processes share",
+    __doc__,
+    argument("name", "NAME", "show its states; all are listed", nargs="?"),
+    argument("--watch", "STATE", "follow these states of NAME", nargs="+"),
+    argument("--rate", "HZ", f"of --watch: looks a second ({RATE:g})", type=positive),
+    argument("--duration", "S", "of --watch: end after S seconds", type=positive),
+    flag("--csv", "of --watch: print CSV, in full precision"),
+    argument("--json", "FILE", "write the list as JSON"),
+    flag("--clean", "remove what writers that died have left"),
+    argument("--header", "FILE.h", "write the states of workflow NAME as a header of C"),
+    argument("--part", "PART", "of --header: one part's states", default=""),
+    OVERRIDES,
+)

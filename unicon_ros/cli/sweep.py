@@ -14,7 +14,15 @@ from typing import TYPE_CHECKING, Any
 from unicon_core.errors import MissingDependencyError, UniconError
 from unicon_core.signals import SIGNALS
 from unicon_ros.cli.console import Console, note, warn
-from unicon_ros.cli.options import REPEATED, add_overrides, argument, command, flag, whole
+from unicon_ros.cli.options import (
+    FORCE,
+    OVERRIDES,
+    REPEATED,
+    argument,
+    command,
+    flag,
+    whole,
+)
 
 if TYPE_CHECKING:
     from unicon_ros.sweep.engines import Wish
@@ -31,80 +39,19 @@ SHOWN = 5
 """Rows that `--dry` shows."""
 
 
-def add(commands: Any) -> None:
-    """Add the command to the parser."""
-    parser = command(
-        commands, "sweep", _sweep, "run a workflow thousands of times, varied", __doc__
-    )
-    argument(
-        parser,
-        "what",
-        "SWEEP.yaml | report FOLDER | compare A B",
-        "a sweep to run or to go on with; or what to do with folders of sweeps",
-        nargs="+",
-    )
-    add_overrides(parser)
-    argument(parser, "--out", "DIR", "folder of the results (default: NAME.sweep, here)")
-    argument(
-        parser,
-        "--workers",
-        "N",
-        "processes (default: one for each core)",
-        type=whole("a number", 1, MOST_WORKERS),
-    )
-    argument(
-        parser,
-        "--engine",
-        "NAME",
-        "local (processes here), batch (several rows side by side in each) or ray (a "
-        "cluster); the file's unless told, else local",
-    )
-    argument(
-        parser,
-        "--address",
-        "HOST:PORT",
-        "head node of a Ray cluster to join (default: a Ray of its own, here)",
-        default="",
-    )
-    argument(
-        parser,
-        "--batch",
-        "N",
-        "rows side by side in each process, with --engine batch (default: 4)",
-        type=whole("a number", 1, MOST_WORKERS),
-    )
-    argument(
-        parser,
-        "--gate",
-        "CONDITION",
-        "exit 1 where it does not hold, such as 'fall<0.01' (repeatable)",
-        **REPEATED,
-    )
-    argument(
-        parser,
-        "--force",
-        "CODE",
-        "go on with an error of `unicon check` of this code; may be repeated",
-        **REPEATED,
-    )
-    flag(parser, "--dry", "tell what would be run")
-
-
 def _sweep(arguments: argparse.Namespace) -> int:
     """Run the command.
 
     Exit status: 0; 1 where a gate is broken, or for bad input; 3 where a row has no result.
     """
     from unicon_ros.sweep.gate import read_gate
+    from unicon_ros.sweep.results import Results
 
     what, gates = arguments.what, [read_gate(text) for text in arguments.gate]
     if what[0] == REPORT and len(what) == 2:
-        from unicon_ros.sweep.results import Results
-
         return _ended(Results(Path(what[1])), gates)
     if what[0] == COMPARE and len(what) == 3:
         from unicon_ros.sweep.compare import comparison
-        from unicon_ros.sweep.results import Results
 
         print(comparison(Results(Path(what[1])), Results(Path(what[2]))))
         return 0
@@ -223,21 +170,19 @@ def _progress(
         before: that were done by earlier runs.
     """
     done = fell = 0
-    began = following = time.monotonic()
+    began = time.monotonic()
     told = ""
 
     def show(figures: Mapping[str, Any], why_not: str) -> None:
-        nonlocal done, fell, following, told
+        nonlocal done, fell, told
         done += 1
         fell += bool(figures.get("fell"))
         if why_not and why_not != told:
             told = why_not
             console.say(f"each rollout is built anew, some 60 ms: {why_not}")
-        now = time.monotonic()
-        if not console.terminal or now < following:
+        if not console.due(EVERY):
             return
-        following = now + EVERY
-        rate = done / max(now - began, 1e-9)
+        rate = done / max(time.monotonic() - began, 1e-9)
         there = before + done
         left = f"{(whole - there) / rate:.0f} s"
         console.status({f"{there}/{whole}": f"{rate:.1f}/s", "fell": fell, "left": left})
@@ -261,3 +206,51 @@ def _ended(results: Results, gates: list[Gate]) -> int:
     if not all(results.holds(gate) for gate in gates):
         return 1
     return 3 if results.failed else 0
+
+
+add = command(
+    "sweep",
+    _sweep,
+    "run a workflow thousands of times, varied",
+    __doc__,
+    argument(
+        "what",
+        "SWEEP.yaml | report FOLDER | compare A B",
+        "a sweep to run or to go on with; or what to do with folders of sweeps",
+        nargs="+",
+    ),
+    OVERRIDES,
+    argument("--out", "DIR", "folder of the results (default: NAME.sweep, here)"),
+    argument(
+        "--workers",
+        "N",
+        "processes (default: one for each core)",
+        type=whole("a number", 1, MOST_WORKERS),
+    ),
+    argument(
+        "--engine",
+        "NAME",
+        "local (processes here), batch (several rows side by side in each) or ray (a "
+        "cluster); the file's unless told, else local",
+    ),
+    argument(
+        "--address",
+        "HOST:PORT",
+        "head node of a Ray cluster to join (default: a Ray of its own, here)",
+        default="",
+    ),
+    argument(
+        "--batch",
+        "N",
+        "rows side by side in each process, with --engine batch (default: 4)",
+        type=whole("a number", 1, MOST_WORKERS),
+    ),
+    argument(
+        "--gate",
+        "CONDITION",
+        "exit 1 where it does not hold, such as 'fall<0.01' (repeatable)",
+        **REPEATED,
+    ),
+    FORCE,
+    flag("--dry", "tell what would be run"),
+)

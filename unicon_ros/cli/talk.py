@@ -17,29 +17,12 @@ from typing import Any
 
 from unicon_core.errors import UniconError, alternatives
 from unicon_core.signals import SIGNALS
-from unicon_ros.cli.options import argument, command, flag, positive
+from unicon_ros.cli.options import EXAMPLES, argument, command, flag, positive, together
 
 PATIENCE = 5.0
 """In [s], for somebody to be there, and for an answer."""
 LINGER = 0.2
 """In [s], for the middleware to send what was published last."""
-
-
-def add(commands: Any) -> None:
-    """Add both commands to the parser."""
-    shared: dict[str, Any] = {
-        "description": __doc__,
-        "formatter_class": argparse.RawDescriptionHelpFormatter,
-    }
-    parser = command(commands, "pub", _pub, "publish a message to a topic", **shared)
-    argument(parser, "topic", "TOPIC", "such as cmd_vel, which is /cmd_vel")
-    argument(parser, "values", "VALUES", "fields as YAML; the others are zero")
-    argument(parser, "--type", "TYPE", "of the message; else what others use")
-    argument(parser, "--rate", "HZ", "10 unless given", type=positive, default=10.0)
-    argument(parser, "--duration", "S", "end after S seconds", type=positive)
-    flag(parser, "--once", "publish one message and end")
-    parser = command(commands, "call", _call, "call a service of type Trigger", **shared)
-    argument(parser, "service", "SERVICE", "of the node /unicon, such as stop; or /NAMESPACE/…")
 
 
 def filled(message: Any, values: Any, place: str = "") -> Any:
@@ -101,7 +84,12 @@ def _pub(arguments: argparse.Namespace) -> int:
     own = OwnNode("unicon_pub", None, ())
     try:
         topic = own.node.resolve_topic_name(arguments.topic)
-        kind = arguments.type or _waited(lambda: _types(own.node, topic), topic)
+
+        def used() -> str:
+            there = own.node.get_topic_names_and_types()
+            return next((types[0] for name, types in there if name == topic), "")
+
+        kind = arguments.type or _waited(used, topic)
         message_class = compat.message_class(kind)
         if message_class is None:
             raise UniconError(f"type {kind} is not installed; give --type PACKAGE/msg/NAME")
@@ -122,10 +110,6 @@ def _pub(arguments: argparse.Namespace) -> int:
         return 0
     finally:
         own.close()
-
-
-def _types(node: Any, topic: str) -> str:
-    return next((types[0] for name, types in node.get_topic_names_and_types() if name == topic), "")
 
 
 def _waited(look: Callable[[], Any], topic: str) -> Any:
@@ -172,3 +156,28 @@ def _call(arguments: argparse.Namespace) -> int:
         return 0 if told.success else 1
     finally:
         own.close()
+
+
+add = together(
+    command(
+        "pub",
+        _pub,
+        "publish a message to a topic",
+        __doc__,
+        argument("topic", "TOPIC", "such as cmd_vel, which is /cmd_vel"),
+        argument("values", "VALUES", "fields as YAML; the others are zero"),
+        argument("--type", "TYPE", "of the message; else what others use"),
+        argument("--rate", "HZ", "10 unless given", type=positive, default=10.0),
+        argument("--duration", "S", "end after S seconds", type=positive),
+        flag("--once", "publish one message and end"),
+        **EXAMPLES,
+    ),
+    command(
+        "call",
+        _call,
+        "call a service of type Trigger",
+        __doc__,
+        argument("service", "SERVICE", "of the node /unicon, such as stop; or /NAMESPACE/…"),
+        **EXAMPLES,
+    ),
+)

@@ -10,10 +10,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from unicon_core.errors import UniconError
+from unicon_core.errors import UniconError, cannot
 from unicon_core.signals import SIGNALS
 from unicon_ros.cli.console import Console, note
-from unicon_ros.cli.options import add_workflow, argument, command, positive, whole
+from unicon_ros.cli.options import WORKFLOW, argument, command, positive, whole
 
 if TYPE_CHECKING:
     from unicon_ros.transfer.plan import Plan
@@ -29,38 +29,6 @@ EVERY = 0.2
 JSON = "transfer.json"
 BAD = ("crashed", "timeout", "fault")
 """Outcomes of which the exit status tells."""
-
-
-def add(commands: Any) -> None:
-    """Add the command to the parser."""
-    parser = command(
-        commands, "transfer", _transfer, "run a workflow in several simulators and compare", __doc__
-    )
-    add_workflow(parser)
-    argument(
-        parser,
-        "--platforms",
-        "A,B,…",
-        "simulators; the others are compared with the first (default: all that are installed)",
-    )
-    argument(
-        parser,
-        "--seeds",
-        "N",
-        "runs of each platform, with N seeds of the scene's noise and pushes (default: 3; 1 "
-        "where the scene has neither)",
-        type=whole("a number", 1, MOST_SEEDS),
-    )
-    argument(parser, "--duration", "S", "end each run after S s", type=positive)
-    argument(
-        parser,
-        "--timeout",
-        "S",
-        f"end a run that takes S s of wall time (default: {TIMEOUT:g})",
-        type=positive,
-        default=TIMEOUT,
-    )
-    argument(parser, "--out", "DIR", "new folder for transfer.json, report.html and the runs")
 
 
 def _transfer(arguments: argparse.Namespace) -> int:
@@ -93,16 +61,13 @@ def _new_folder(text: str) -> tuple[Path, Path]:
     folder = Path(text)
     if not text:  # as of a variable that is not set
         raise UniconError("--out has no name; give a folder")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / JSON).touch(exist_ok=False)
-    except FileExistsError as error:
-        what = "has a transfer already" if folder.is_dir() else "is not a folder"
-        raise UniconError(f"{folder} {what}; give another to --out") from error
-    except OSError as error:
-        raise UniconError(
-            f"cannot write in {folder}: {error.strerror}; give another to --out"
-        ) from error
+    with cannot(f"write in {folder}", "give another to --out"):
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            (folder / JSON).touch(exist_ok=False)
+        except FileExistsError as error:
+            what = "has a transfer already" if folder.is_dir() else "is not a folder"
+            raise UniconError(f"{folder} {what}; give another to --out") from error
     return folder, folder / JSON
 
 
@@ -155,18 +120,15 @@ def _bar(console: Console, plan: Plan, done: int, name: str) -> Callable[[float]
         name: of the run.
     """
     whole = len(plan.seeds) * len(plan.platforms)
-    began = following = time.monotonic()
+    began = time.monotonic()
 
     def show(seconds: float) -> None:
-        nonlocal following
-        now = time.monotonic()
-        if not console.terminal or now < following:
+        if not console.due(EVERY):
             return
-        following = now + EVERY
         full = round(BAR * (done + min(seconds / plan.longest, 1.0)) / whole)
         doing = f"{seconds:.1f} s simulated" if seconds else "starting"
         what = f"[{'#' * full}{'.' * (BAR - full)}] {done}/{whole}"
-        console.status({what: f" {name}: {doing}, {now - began:.0f} s"})
+        console.status({what: f" {name}: {doing}, {time.monotonic() - began:.0f} s"})
 
     return show
 
@@ -201,3 +163,33 @@ def _write(result: dict[str, Any], out: Path | None) -> str:
     except UniconError as error:
         return str(error)
     return ""
+
+
+add = command(
+    "transfer",
+    _transfer,
+    "run a workflow in several simulators and compare",
+    __doc__,
+    *WORKFLOW,
+    argument(
+        "--platforms",
+        "A,B,…",
+        "simulators; the others are compared with the first (default: all that are installed)",
+    ),
+    argument(
+        "--seeds",
+        "N",
+        "runs of each platform, with N seeds of the scene's noise and pushes (default: 3; 1 "
+        "where the scene has neither)",
+        type=whole("a number", 1, MOST_SEEDS),
+    ),
+    argument("--duration", "S", "end each run after S s", type=positive),
+    argument(
+        "--timeout",
+        "S",
+        f"end a run that takes S s of wall time (default: {TIMEOUT:g})",
+        type=positive,
+        default=TIMEOUT,
+    ),
+    argument("--out", "DIR", "new folder for transfer.json, report.html and the runs"),
+)

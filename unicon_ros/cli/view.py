@@ -5,32 +5,21 @@ from __future__ import annotations
 import argparse
 import time
 from pathlib import Path
-from typing import Any
 
 from unicon_core.signals import SIGNALS
 from unicon_ros.cli.console import note
-from unicon_ros.cli.options import add_view_options, argument, command, positive, view_options
+from unicon_ros.cli.options import (
+    VIEW_OPTIONS,
+    argument,
+    command,
+    option,
+    positive,
+    view_options,
+)
 from unicon_ros.view import SINKS
 
 INTERVAL = 1.0 / 60.0
 """How often a sink looks, in [s]."""
-
-
-def add(commands: Any) -> None:
-    """Add the command to the parser."""
-    parser = command(commands, "view", _view, "look at a recording", __doc__)
-    argument(parser, "path", "BAG", "a recording, or a fault record", type=Path)
-    parser.add_argument(
-        "--in",
-        dest="sink",
-        choices=tuple(SINKS),
-        default="page",
-        help="where: a page in the browser (default), Foxglove, meshcat",
-    )
-    parser.add_argument(
-        "--speed", type=positive, default=1.0, help="of playing, where no slider is (default: 1)"
-    )
-    add_view_options(parser)
 
 
 def _view(arguments: argparse.Namespace) -> int:
@@ -64,3 +53,23 @@ def _view(arguments: argparse.Namespace) -> int:
     finally:
         sink.close()
     return 0
+
+
+add = command(
+    "view",
+    _view,
+    "look at a recording",
+    __doc__,
+    argument("path", "BAG", "a recording, or a fault record", type=Path),
+    option(
+        "--in",
+        dest="sink",
+        choices=tuple(SINKS),
+        default="page",
+        help="where: a page in the browser (default), Foxglove, meshcat",
+    ),
+    option(
+        "--speed", type=positive, default=1.0, help="of playing, where no slider is (default: 1)"
+    ),
+    *VIEW_OPTIONS,
+)

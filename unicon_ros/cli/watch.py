@@ -49,10 +49,10 @@ def watch(
     with SIGNALS.guard():
         for now in _looks(rate, end):
             # Asked before its last value is taken, so that this one is not lost.
-            alive = [each.watcher.alive() for each in watched.values()]
+            alive = [each.alive() for each in watched.values()]
             if writer != (writer := _writer(watched)):
                 note(f"unicon: {name}: process {writer} has taken over")
-            if sum(each.watcher.take() for each in watched.values()):  # all of them take
+            if sum(each.take() for each in watched.values()):  # all of them take
                 print_values()
                 sys.stdout.flush()
                 heard, told = now, False
@@ -65,7 +65,7 @@ def watch(
                 note(f"unicon: {name}: no new value for {SILENCE:g} s; process {writer} lives")
                 told = True
     for each in watched.values():
-        each.watcher.close()
+        each.close()
     return 0
 
 
@@ -83,16 +83,16 @@ def _layouts(name: str, chosen: Sequence[str]) -> dict[str, Layout]:
     return {group: layout for group, layout in segment.groups.items() if group in wanted}
 
 
-class _Watched:
-    """A group of which states are watched."""
+class _Watched(ShmWatcher):
+    """A group of which states are watched, with these."""
 
     def __init__(self, name: str, group: str, layout: Layout) -> None:
         self.states = States(layout)
-        self.watcher = ShmWatcher(name, group, self.states, layout)
+        super().__init__(name, group, self.states, layout)
 
 
 def _writer(watched: Mapping[str, _Watched]) -> int:
-    return next(iter(watched.values())).watcher.pid
+    return next(iter(watched.values())).pid
 
 
 def _looks(rate: float, end: float | None) -> Iterator[float]:
@@ -122,7 +122,7 @@ def _csv(watched: Mapping[str, _Watched], owner: Mapping[str, _Watched]) -> Call
     views = [each.states[state] for state, each in owner.items()]
 
     def values() -> None:
-        row: list[Any] = [each.watcher.stamp_ns for each in watched.values()]
+        row: list[Any] = [each.stamp_ns for each in watched.values()]
         for view in views:
             row += (view.view("uint8") if view.dtype == bool else view).reshape(-1).tolist()
         write(row)
@@ -140,7 +140,7 @@ def _text(owner: Mapping[str, _Watched]) -> Callable[[], None]:
 
     def values() -> None:
         nonlocal first_ns
-        newest = max(each.watcher.stamp_ns for each in owner.values())
+        newest = max(each.stamp_ns for each in owner.values())
         first_ns = first_ns or newest
         time_text = f"{(newest - first_ns) * 1e-9:9.3f}"
         for state, each in owner.items():

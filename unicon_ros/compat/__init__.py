@@ -4,17 +4,19 @@ Everything here has a public way to fall back to, so that a changed rclpy costs 
 Tried on Jazzy (rclpy 7.1); Humble's (3.3) and Kilted's (9.1) names are taken from their sources.
 """
 
-from unicon_ros.compat.events import incompatible_policy, with_events
 from unicon_ros.compat.loading import (
+    convert_parameters,
     fast_dds_profiles,
     import_rclpy,
     imported_first,
     message_class,
+    parameter_given,
+    parameters_given,
 )
 from unicon_ros.compat.made_types import bytes_class
-from unicon_ros.compat.parameters import convert_parameters, parameter_given, parameters_given
 from unicon_ros.compat.raw import (
     ReusedWaitSet,
+    incompatible_policy,
     polled_group,
     raw_publish,
     raw_take,
@@ -22,6 +24,7 @@ from unicon_ros.compat.raw import (
     requests_take,
     steady_timer,
     wait_for_readers,
+    with_events,
 )
 from unicon_ros.compat.services import Responses, Transitions
 from unicon_ros.compat.serving import Piece, Serving

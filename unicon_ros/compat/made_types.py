@@ -21,12 +21,11 @@ from typing import Any, NamedTuple
 from unicon_msgs_map import Messages
 from unicon_msgs_map.errors import MapError
 from unicon_msgs_map.layout.described import described, rihs01
-from unicon_ros.compat.loading import fast_dds_profiles, message_class
+from unicon_ros.compat.loading import fast_dds_profiles, message_class, middleware
 
 _ANY_C, _FAST_C = b"rosidl_typesupport_c", b"rosidl_typesupport_fastrtps_c"
 _MEMBERS_C = b"rosidl_typesupport_introspection_c"
 _POINTER = ctypes.c_void_p
-_FOLLOWING = ("following", _POINTER * 8)  # NULL: what a newer release may add, such as keys
 
 
 def bytes_class(name: str, messages: Messages) -> Any:
@@ -58,84 +57,46 @@ def bytes_class(name: str, messages: Messages) -> Any:
     return made
 
 
-class _Support(ctypes.Structure):
-    """`rosidl_message_type_support_t`."""
-
-    _fields_ = [
-        ("identifier", _POINTER),
-        ("data", _POINTER),
-        ("find", _POINTER),
-        ("hash", _POINTER),
-        ("description", _POINTER),
-        ("sources", _POINTER),
-        _FOLLOWING,
-    ]
+def _structure(name: str, /, **fields: Any) -> Any:
+    """Return a C structure: its fields' names and types, in their order."""
+    return type(name, (ctypes.Structure,), {"_fields_": [*fields.items()]})
 
 
-class _Callbacks(ctypes.Structure):
-    """`message_type_support_callbacks_t`."""
+_CHARS, _SIZE = ctypes.c_char_p, ctypes.c_size_t
+_FOLLOWING = _POINTER * 8  # NULL: what a newer release may add, such as keys
 
-    _fields_ = [
-        ("namespace", ctypes.c_char_p),
-        ("name", ctypes.c_char_p),
-        ("serialize", _POINTER),
-        ("deserialize", _POINTER),
-        ("size", _POINTER),
-        ("max_size", _POINTER),
-        _FOLLOWING,
-    ]
-
-
-class _Members(ctypes.Structure):
-    """`rosidl_typesupport_introspection_c__MessageMembers`, of a message with no field.
-
-    Fast DDS makes a type object of it, which it keeps to itself.
-    """
-
-    _fields_ = [
-        ("namespace", ctypes.c_char_p),
-        ("name", ctypes.c_char_p),
-        ("count", ctypes.c_uint32),
-        _FOLLOWING,
-    ]
-
-
-class _Hash(ctypes.Structure):
-    _fields_ = [("version", ctypes.c_uint8), ("value", ctypes.c_uint8 * 32)]
-
-
-class _Text(ctypes.Structure):
-    _fields_ = [
-        ("data", ctypes.c_char_p),
-        ("size", ctypes.c_size_t),
-        ("capacity", ctypes.c_size_t),
-    ]
-
-
-class _Sequence(ctypes.Structure):
-    _fields_ = [("data", _POINTER), ("size", ctypes.c_size_t), ("capacity", ctypes.c_size_t)]
-
-
-class _FieldType(ctypes.Structure):
-    _fields_ = [
-        ("type_id", ctypes.c_uint8),
-        ("capacity", ctypes.c_uint64),
-        ("string_capacity", ctypes.c_uint64),
-        ("nested_type_name", _Text),
-    ]
-
-
-class _Field(ctypes.Structure):
-    _fields_ = [("name", _Text), ("type", _FieldType), ("default", _Text)]
-
-
-class _Individual(ctypes.Structure):
-    _fields_ = [("type_name", _Text), ("fields", _Sequence)]
-
-
-class _Description(ctypes.Structure):
-    _fields_ = [("type", _Individual), ("referenced", _Sequence)]
-
+_Support = _structure(
+    "rosidl_message_type_support_t",
+    **dict.fromkeys(("identifier", "data", "find", "hash", "description", "sources"), _POINTER),
+    following=_FOLLOWING,
+)
+_NAMES = {"namespace": _CHARS, "name": _CHARS}
+_Callbacks = _structure(
+    "message_type_support_callbacks_t",
+    **_NAMES,
+    **dict.fromkeys(("serialize", "deserialize", "size", "max_size"), _POINTER),
+    following=_FOLLOWING,
+)
+_Members = _structure(
+    "rosidl_typesupport_introspection_c__MessageMembers",
+    **_NAMES,
+    count=ctypes.c_uint32,
+    following=_FOLLOWING,
+)
+"""Of a message with no field. Fast DDS makes a type object of it, which it keeps to itself."""
+_Hash = _structure("Hash", version=ctypes.c_uint8, value=ctypes.c_uint8 * 32)
+_Text = _structure("Text", data=_CHARS, size=_SIZE, capacity=_SIZE)
+_Sequence = _structure("Sequence", data=_POINTER, size=_SIZE, capacity=_SIZE)
+_FieldType = _structure(
+    "FieldType",
+    type_id=ctypes.c_uint8,
+    capacity=ctypes.c_uint64,
+    string_capacity=ctypes.c_uint64,
+    nested_type_name=_Text,
+)
+_Field = _structure("Field", name=_Text, type=_FieldType, default=_Text)
+_Individual = _structure("Individual", type_name=_Text, fields=_Sequence)
+_Description = _structure("Description", type=_Individual, referenced=_Sequence)
 
 _FIND = ctypes.CFUNCTYPE(_POINTER, _POINTER, ctypes.c_char_p)
 _TELL = ctypes.CFUNCTYPE(_POINTER, _POINTER)
@@ -181,12 +142,9 @@ def _template() -> _Template | None:
 
 def _known_middleware() -> bool:
     """Tell whether the middleware is rmw_fastrtps_cpp upon Fast DDS 2."""
-    from rclpy.utilities import get_rmw_implementation_identifier
-
     # Kilted's Fast DDS 3 tells peers the type object, which would have to be a whole one.
-    if get_rmw_implementation_identifier() != "rmw_fastrtps_cpp":
-        return False
-    return fast_dds_profiles() == "FASTRTPS_DEFAULT_PROFILES_FILE"
+    older = fast_dds_profiles() == "FASTRTPS_DEFAULT_PROFILES_FILE"
+    return older and middleware() == "rmw_fastrtps_cpp"
 
 
 def _pointers(at: int, count: int) -> tuple[int, ...]:
@@ -203,23 +161,23 @@ def _class(name: str, description: Any, digest: bytes, template: _Template) -> A
     package, _, short = name.split("/")
     keep: list[Any] = []
 
-    def text(words: str) -> _Text:
+    def text(words: str) -> Any:
         raw = words.encode()
         keep.append(raw)
         return _Text(raw, len(raw), len(raw) + 1)
 
-    def sequence(kind: Any, items: list[Any]) -> _Sequence:
+    def sequence(kind: Any, items: list[Any]) -> Any:
         array = (kind * len(items))(*items)
         keep.append(array)
         return _Sequence(ctypes.addressof(array) if items else None, len(items), len(items))
 
-    def field(each: Any) -> _Field:
+    def field(each: Any) -> Any:
         kind = each["type"]
         nested = text(kind["nested_type_name"])
         numbers = kind["type_id"], kind["capacity"], kind["string_capacity"]
         return _Field(text(each["name"]), _FieldType(*numbers, nested), text(""))
 
-    def individual(each: Any) -> _Individual:
+    def individual(each: Any) -> Any:
         fields = sequence(_Field, [field(one) for one in each["fields"]])
         return _Individual(text(each["type_name"]), fields)
 

@@ -1,13 +1,20 @@
-"""Messages as bytes, published, waited for and taken by the tick's thread, without an executor."""
+"""Messages as bytes, published, waited for and taken by the tick's thread, without an executor.
+
+And the QoS events of publishers and subscriptions, whose names differ between distributions.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import importlib
-from collections.abc import Callable, Sequence
+import itertools
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from unicon_core.errors import UniconError
+
+Leave = Callable[[], None]
+"""Lets an entity go, before it is destroyed."""
 
 
 def polled_group() -> Any:
@@ -31,7 +38,7 @@ def polled_group() -> Any:
     return PolledGroup()
 
 
-def raw_publish(publisher: Any) -> tuple[Callable[[bytes], object], Callable[[], None]]:
+def raw_publish(publisher: Any) -> tuple[Callable[[bytes], object], Leave]:
     """Return a function that publishes serialized bytes, and one that lets the publisher go.
 
     `handle.publish_raw` with the handle entered once takes 3 µs where `publish(bytes)`, which
@@ -54,7 +61,7 @@ def wait_for_readers(publisher: Any, timeout: float) -> None:
         wait(Duration(nanoseconds=round(timeout * 1e9)))
 
 
-def raw_take(subscription: Any) -> tuple[Callable[[], bytes | None] | None, Callable[[], None]]:
+def raw_take(subscription: Any) -> tuple[Callable[[], bytes | None] | None, Leave]:
     """Return a function that takes one serialized message or None, and one that lets go.
 
     There is no public way to poll: where the private one is missing the first function is None,
@@ -70,7 +77,7 @@ def raw_take(subscription: Any) -> tuple[Callable[[], bytes | None] | None, Call
     return take and poll, leave
 
 
-def request_take(service: Any) -> tuple[Callable[[], Any] | None, Callable[[], None]]:
+def request_take(service: Any) -> tuple[Callable[[], Any] | None, Leave]:
     """Return a function that takes one request's header or None, and one that lets go.
 
     For services whose requests say nothing but that they came. A request is given once, here or to
@@ -82,7 +89,7 @@ def request_take(service: Any) -> tuple[Callable[[], Any] | None, Callable[[], N
     return take and (lambda: take(request)[1]), leave
 
 
-def requests_take(service: Any) -> tuple[Callable[[], Any] | None, Callable[[], None]]:
+def requests_take(service: Any) -> tuple[Callable[[], Any] | None, Leave]:
     """Return a function that takes one request and its header, or None, and one that lets go.
 
     As `request_take`, for requests that say something.
@@ -97,7 +104,7 @@ def requests_take(service: Any) -> tuple[Callable[[], Any] | None, Callable[[], 
     return take and poll, leave
 
 
-def _entered(entity: Any, method: str) -> tuple[Any, Callable[[], None]]:
+def _entered(entity: Any, method: str) -> tuple[Any, Leave]:
     """Enter an entity's handle once; return a private method of it, or None, and the way out."""
     handle = getattr(entity, "handle", None)
     found = getattr(handle, method, None)
@@ -169,3 +176,48 @@ def steady_timer(node: Any, period_s: float, call: Callable[[], object], group: 
     from rclpy.clock import Clock, ClockType
 
     return node.create_timer(period_s, call, group, Clock(clock_type=ClockType.STEADY_TIME))
+
+
+def with_events(
+    kind: str, callbacks: Mapping[str, Callable[[Any], None]], create: Callable[..., Any]
+) -> tuple[Any, list[str]]:
+    """Return what `create(**options)` makes with event callbacks, and the names of those left out.
+
+    A middleware that lacks an event refuses the whole entity, without telling which event it was.
+    Humble has the classes in `rclpy.qos_event`, newer ones in `rclpy.event_handler`.
+
+    Args:
+        kind: `publisher` or `subscription`.
+        callbacks: by rclpy's names: `deadline`, `incompatible_qos`, `liveliness`, `message_lost`.
+        create: makes the entity; called anew with fewer events where it raises that one is lacked.
+    """
+    module = _event_module()
+    make = getattr(module, f"{kind.capitalize()}EventCallbacks", None)
+    lacked = getattr(module, "UnsupportedEventTypeError", ())
+    if make is None:
+        return create(), list(callbacks)
+    for number in range(len(callbacks), 0, -1):
+        for kept in itertools.combinations(callbacks, number):
+            try:
+                made = create(event_callbacks=make(**{name: callbacks[name] for name in kept}))
+            except lacked:
+                continue
+            return made, [name for name in callbacks if name not in kept]
+    return create(), list(callbacks)
+
+
+def _event_module() -> Any:
+    for name in ("rclpy.event_handler", "rclpy.qos_event"):
+        with contextlib.suppress(ImportError):
+            return importlib.import_module(name)
+    return None
+
+
+def incompatible_policy(event: Any) -> str:
+    """Return the name of the last incompatible QoS policy of an event, in lower case."""
+    try:
+        from rclpy.qos import qos_policy_name_from_kind
+
+        return str(qos_policy_name_from_kind(event.last_policy_kind)).lower()
+    except (ImportError, AttributeError, ValueError, TypeError):
+        return "quality of service"

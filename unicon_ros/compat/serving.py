@@ -275,7 +275,7 @@ def _waiting(executor: Any) -> Callable[[list[Any] | None], bool]:
 
     def serve(nodes: list[Any] | None) -> bool:
         try:
-            handler, _, _ = wait(0.0, nodes, _never)
+            handler, _, _ = wait(0.0, nodes, bool)
         except nothing:
             return False
         handler()
@@ -285,7 +285,3 @@ def _waiting(executor: Any) -> Callable[[list[Any] | None], bool]:
         return True
 
     return serve
-
-
-def _never() -> bool:
-    return False

@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.errors import MissingDependencyError, UniconError
+from unicon_core.errors import UniconError, imported
 from unicon_ros.recording import Record
-from unicon_ros.recording.frames import Frames
+from unicon_ros.recording.scan import Frames
 
 IMAGE, JPEG = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 RGB = "rgb8"
@@ -175,12 +175,9 @@ def _compressed(raw: memoryview, what: str) -> memoryview:
 
 
 def _pillow() -> Any:
-    try:
-        from PIL import Image
-    except ModuleNotFoundError as error:
-        raise MissingDependencyError(
-            "a data set of JPEGs", "pillow", "pip install 'unicon_ros[lerobot]'"
-        ) from error
+    imported("PIL", "a data set of JPEGs", "lerobot", "pillow")
+    from PIL import Image
+
     return Image
 
 

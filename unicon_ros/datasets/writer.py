@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.errors import MissingDependencyError
+from unicon_core.errors import imported
 from unicon_ros.datasets.episodes import Episode
 from unicon_ros.datasets.features import DEFAULTS, Feature, info_of
 from unicon_ros.datasets.files import CHUNK, Files, task_index, write_json
@@ -40,13 +40,9 @@ def import_pyarrow() -> Any:
     Raises:
         MissingDependencyError: it is not installed.
     """
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ModuleNotFoundError as error:
-        raise MissingDependencyError(
-            "a LeRobot data set", "pyarrow", "pip install 'unicon_ros[lerobot]'"
-        ) from error
+    imported("pyarrow", "a LeRobot data set", "lerobot")
+    import pyarrow.parquet
+
     return pyarrow
 
 

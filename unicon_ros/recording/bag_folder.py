@@ -108,7 +108,8 @@ class BagFolder:
         self._facts: list[bytes] = []
         self._latched: list[tuple[int, bytes]] = []
         self._done: list[BagFile] = []
-        self._messages = self._size = self._ticks = self.again = 0
+        self._files: list[McapFile] = []
+        self._ticks = self.again = 0
         self._began = 0  # time of the present file's first message in [ns]
         path.mkdir()
         try:
@@ -118,7 +119,8 @@ class BagFolder:
             raise
 
     def _opened(self, number: int) -> McapFile:
-        return McapFile(self.path / f"{self.path.name}_{number}.mcap")
+        self._files.append(McapFile(self.path / f"{self.path.name}_{number}.mcap"))
+        return self._files[-1]
 
     @property
     def channels(self) -> int:
@@ -128,12 +130,12 @@ class BagFolder:
     @property
     def messages(self) -> int:
         """Messages in whole chunks of all files."""
-        return self._messages + (self._file.messages if self._file is not None else 0)
+        return sum(file.messages for file in self._files)
 
     @property
     def size(self) -> int:
         """Length of all files in [bytes]."""
-        return self._size + (self._file.size if self._file is not None else 0)
+        return sum(file.size for file in self._files)
 
     @property
     def partial(self) -> Path:
@@ -196,16 +198,10 @@ class BagFolder:
         """Finish the present file; return how many messages that cost."""
         file = self._present()
         self._file = None
-        try:
-            lost = file.finish()
-        except OSError:
-            self._messages += file.messages  # which are in its partial file
-            raise
+        lost = file.finish()
         topics = {channel.number: channel.topic for channel in self._channels}
         counts = {topics[number]: count for number, count in file.counts().items()}
         self._done.append(BagFile(file.path.name, counts, file.span()))
-        self._messages += file.messages
-        self._size += file.size
         self._ticks += counts.get(TOPIC, 0)
         told = {each.topic: (each.type, each.qos) for each in self._channels}
         write_metadata(self.path, self._done, told)

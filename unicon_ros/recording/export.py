@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import os
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -12,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.errors import MissingDependencyError, UniconError
+from unicon_core.errors import UniconError, cannot, imported
+from unicon_core.page import refuse_existing
 from unicon_ros.recording.read import Record
 
 HEADS = ("stamp_ns", "tick", "phase", "ended")
@@ -39,19 +39,14 @@ def export(record: Record, path: Path, states: Sequence[str] = (), moment: str =
     if write is None:
         raise UniconError(f"cannot export to {path}; give a name that ends in {', '.join(FORMATS)}")
     record.need(moment, states)
-    if os.path.lexists(path):
-        raise UniconError(f"{path} exists; move it away or give another name")
+    refuse_existing(path)
     # The columns before the states have these names already.
     names = [name for name in states or record.kept[moment] if name not in HEADS]
     partial = path.with_name(f"{path.name}.partial")
     try:
-        write(record, partial, names, moment)
-        partial.replace(path)
-    except OSError as error:
-        reason = error.strerror or error
-        raise UniconError(
-            f"cannot write {path}: {reason}; make room or give another path"
-        ) from error
+        with cannot(f"write {path}", "make room or give another path"):
+            write(record, partial, names, moment)
+            partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)
     return len(record.ticks)
@@ -95,13 +90,9 @@ def _csv(record: Record, path: Path, names: Sequence[str], moment: str) -> None:
 
 
 def _parquet(record: Record, path: Path, names: Sequence[str], moment: str) -> None:
-    try:
-        import pyarrow
-        from pyarrow import parquet
-    except ModuleNotFoundError as error:
-        raise MissingDependencyError(
-            "export to Parquet", "pyarrow", "pip install 'unicon_ros[parquet]'"
-        ) from error
+    pyarrow = imported("pyarrow", "export to Parquet", "parquet")
+    from pyarrow import parquet
+
     titles = [*HEADS, *(each for name in names for each in record.layout.elements(name))]
     writer = None
     try:

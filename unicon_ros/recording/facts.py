@@ -13,7 +13,7 @@ import uuid
 from contextlib import suppress
 from importlib import metadata as packages
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import yaml
 
@@ -21,14 +21,11 @@ from unicon_core import __version__
 from unicon_core.flow import Stage
 from unicon_core.memory_json import to_json
 from unicon_core.robots import Robot, robot_files
+from unicon_core.runtime import Runner
 from unicon_core.runtime.tick_ring import PHASES, KeptMemory
+from unicon_core.states import Layout
+from unicon_core.workflow import Program
 from unicon_ros.recording.tick_message import Kept
-
-if TYPE_CHECKING:
-    from unicon_core.robots import Robot
-    from unicon_core.runtime import Runner
-    from unicon_core.states import Layout
-    from unicon_core.workflow import Program
 
 SCHEMA = "unicon.record/1"
 VERSIONS = (
@@ -84,6 +81,22 @@ def facts_of(runner: Runner, kept: Kept) -> dict[str, str]:
         }
         for name, contract in program.policies.items()
     }
+    facts = program.platform.facts
+    told = {
+        "overridden": document.overridden,
+        "options": options,
+        "dry": program.silent,
+        "platform_facts": {  # what a stand-in needs to be built into the same graph
+            "simulated": facts.simulated,
+            "reads": facts.reads,
+            "writes": facts.writes,
+            "silent": program.silent,
+        },
+        "outside": _outside(program),
+        "policies": policies,
+        "versions": versions_here(),
+        "system": system_here(),
+    }
     return layout_facts(program.states.layout, kept) | {
         "run": uuid.uuid4().hex,
         "period_s": repr(program.period),
@@ -91,18 +104,11 @@ def facts_of(runner: Runner, kept: Kept) -> dict[str, str]:
         "workflow_path": str(document.path),
         "workflow_file": _text_of(document.path),
         "workflow_effective": _yaml(document.values),
-        "overridden": json.dumps(document.overridden),
-        "options": json.dumps(options),
         "seed": str(scene.get("seed", 0) if isinstance(scene, dict) else 0),
         "part": program.part,
-        "dry": json.dumps(program.silent),
-        "platform": program.platform.facts.name,
-        "platform_facts": json.dumps(_platform_facts(program)),
-        "outside": json.dumps(_outside(program)),
+        "platform": facts.name,
         **robot_facts(program.robot),
-        "policies": json.dumps(policies),
-        "versions": json.dumps(versions_here()),
-        "system": json.dumps(system_here()),
+        **{name: json.dumps(value) for name, value in told.items()},
         "wall_ns": str(time.time_ns() - time.monotonic_ns()),  # of stamps, to be compared
     }
 
@@ -173,17 +179,6 @@ def _commit(git: Path) -> str:
         return head
     packed = re.search(rf"^(\w+) {re.escape(name)}$", _text_of(git / "packed-refs"), re.MULTILINE)
     return _text_of(git / name).strip() or (packed[1] if packed else "")
-
-
-def _platform_facts(program: Program) -> dict[str, Any]:
-    """Return what a stand-in needs to be built into the same graph."""
-    facts = program.platform.facts
-    return {
-        "simulated": facts.simulated,
-        "reads": facts.reads,
-        "writes": facts.writes,
-        "silent": program.silent,
-    }
 
 
 def _outside(program: Program) -> dict[str, list[str]]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.errors import MissingDependencyError, UniconError, one_line
+from unicon_core.errors import UniconError, imported, one_line
 from unicon_core.resources import find_config
 from unicon_core.robots import Robot
 from unicon_core.states import States
@@ -34,12 +34,7 @@ def open_bag(path: Path) -> Any:
         MissingDependencyError: rosbags is not installed.
         UniconError: it cannot be read.
     """
-    try:
-        from rosbags.highlevel import AnyReader
-    except ModuleNotFoundError as error:
-        raise MissingDependencyError(
-            "reading bags", "rosbags", "pip install 'unicon_ros[bags]'"
-        ) from error
+    any_reader = imported("rosbags.highlevel", "reading bags", "bags").AnyReader
     from rosbags.typesys import Stores, get_typestore
 
     if not os.path.exists(path):  # of a name that is too long, too
@@ -47,7 +42,7 @@ def open_bag(path: Path) -> Any:
     if not (path.is_file() or path.is_dir()):  # a pipe would never open
         raise UniconError(f"{path} is neither a file nor a folder; give a bag")
     try:
-        reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
+        reader = any_reader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
         reader.open()
     except Exception as error:  # whatever its storages raise
         raise UniconError(

@@ -11,7 +11,6 @@ import fcntl
 import os
 import zlib
 from collections import Counter
-from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TypeAlias
@@ -52,6 +51,7 @@ class McapFile:
         messages: in whole chunks.
         size: of the whole chunks and what stands before them in [bytes].
         again: messages that were in a file before this one: none.
+        schemas, topics, chunks, others: what the summary tells, as of `records.summary`.
 
     Raises:
         OSError: it cannot be written.
@@ -62,10 +62,10 @@ class McapFile:
         self.path = path
         self.partial = path.with_name(f"{path.name}.partial")
         self.messages = self.size = self.again = 0
-        self._schemas: list[bytes] = []
-        self._channels: list[bytes] = []
-        self._chunks: list[Chunk] = []
-        self._others: list[bytes] = []
+        self.schemas: list[bytes] = []
+        self.topics: list[bytes] = []
+        self.chunks: list[Chunk] = []
+        self.others: list[bytes] = []
         # Names are looked up in this folder even if it is moved or its path is taken away.
         self._folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
         self._file = -1
@@ -85,7 +85,7 @@ class McapFile:
     @property
     def channels(self) -> int:
         """Number of channels."""
-        return len(self._channels)
+        return len(self.topics)
 
     def begin(self) -> None:
         """Write the header, over whatever stands there."""
@@ -94,32 +94,18 @@ class McapFile:
         with suppress(OSError):  # some file systems do not sync folders
             os.fsync(self._folder)
 
-    def adopt(
-        self,
-        size: int,
-        schemas: Sequence[bytes],
-        channels: Sequence[bytes],
-        chunks: list[Chunk],
-        others: Sequence[bytes],
-    ) -> None:
-        """Go on with what stands there up to `size`; the rest is cut away."""
-        self._cut(size)
-        self._schemas, self._channels, self._chunks = list(schemas), list(channels), chunks
-        self._others = list(others)
-        self.messages = sum(sum(chunk.counts.values()) for chunk in chunks)
-
     def add(self, channel: Channel) -> None:
         """Add a topic."""
         schema, described = channel.schema(), channel.channel()
         self._append([schema, described])
-        self._schemas.append(schema)
-        self._channels.append(described)
+        self.schemas.append(schema)
+        self.topics.append(described)
 
     def add_record(self, written: bytes) -> None:
         """Add an attachment or metadata, as of `records.attachment` and `records.metadata`."""
         entry = index_of(written, self.size)
         self._append([written])
-        self._others.append(entry)
+        self.others.append(entry)
 
     def write(self, records: Buffer, rows: NDArray[np.void]) -> None:
         """Write messages as one chunk; after an error the file ends behind a whole one.
@@ -152,7 +138,7 @@ class McapFile:
         length = len(head) + len(records)
         chunk = Chunk(self.size, length, len(records), first, last, offsets, len(indexes), counts)
         self._append([head, records, indexes])
-        self._chunks.append(chunk)
+        self.chunks.append(chunk)
         self.messages += len(rows)
 
     def sync(self) -> None:
@@ -179,18 +165,18 @@ class McapFile:
         try:
             while True:
                 try:
-                    kinds = self._schemas, self._channels, self._chunks, self._others
+                    kinds = self.schemas, self.topics, self.chunks, self.others
                     self._append([summary(self.size, *kinds)])
                     os.fsync(self._file)
                     break
                 except OSError as error:
-                    if error.errno not in FULL or not self._chunks:
+                    if error.errno not in FULL or not self.chunks:
                         if not self.messages:  # nobody is helped by it
                             self.discard()
                         raise
-                    chunk = self._chunks.pop()
+                    chunk = self.chunks.pop()
                     self.messages -= sum(chunk.counts.values())
-                    self._cut(chunk.start)
+                    self.cut(chunk.start)
             name = (path or self.path).name
             try:
                 os.stat(name, dir_fd=self._folder)
@@ -216,25 +202,26 @@ class McapFile:
     def forget(self) -> int:
         """Close it, where it was deleted; return how many messages are lost with it."""
         lost, self.messages, self.size = self.messages, 0, 0
-        self._chunks.clear()
+        self.chunks.clear()
         self.leave()
         return lost
 
     def counts(self) -> Counter[int]:
         """Return the number of messages by that of their channel."""
         counts: Counter[int] = Counter()
-        for chunk in self._chunks:
+        for chunk in self.chunks:
             counts.update(chunk.counts)
         return counts
 
     def span(self) -> tuple[int, int] | None:
         """Return first and last time of the messages in [ns], None without any."""
-        if not self._chunks:
+        if not self.chunks:
             return None
-        return min(c.first for c in self._chunks), max(c.last for c in self._chunks)
+        return min(c.first for c in self.chunks), max(c.last for c in self.chunks)
 
     def discard(self) -> None:
         """Close and delete it."""
+        self.size = 0
         try:
             with suppress(OSError):
                 os.unlink(self.partial.name, dir_fd=self._folder)
@@ -259,11 +246,12 @@ class McapFile:
                     views[0] = views[0][written:]
         except OSError:
             with suppress(OSError):
-                self._cut(self.size)
+                self.cut(self.size)
             raise
         self.size = position
 
-    def _cut(self, size: int) -> None:
+    def cut(self, size: int) -> None:
+        """Let the file end behind `size` bytes, which are whole."""
         self.size = size
         os.ftruncate(self._file, size)
 

@@ -20,8 +20,7 @@ from unicon_core.errors import StateError, UniconError, alternatives
 from unicon_core.runtime.tick_ring import DONE, HEAD
 from unicon_core.states import Layout, States
 from unicon_ros.recording.facts import SCHEMA
-from unicon_ros.recording.frames import Frames, frames_in
-from unicon_ros.recording.scan import Scan, gather, scan
+from unicon_ros.recording.scan import Frames, Scan, frames_in, gather, scan
 from unicon_ros.recording.tick_message import FRAMES, Kept, Moment, kept_moments
 
 _T = TypeVar("_T")
@@ -84,7 +83,7 @@ class Record:
     _scans: Sequence[Scan]
     _begins: Sequence[int]
     _whole: Mapping[int, NDArray[np.uint8]]
-    _feeds: dict[tuple[int, str], tuple[States, Any]] = field(default_factory=dict)
+    _feeds: dict[tuple[int, str, bool], tuple[States, Any]] = field(default_factory=dict)
 
     @property
     def period(self) -> float:
@@ -205,49 +204,41 @@ class Record:
         Raises:
             StateError: no such moment.
         """
-        known = self._feeds.get((id(states), moment))
-        if known is None:
+        whole = self._whole.get(row) if moment == "received" else None
+        key = id(states), moment, whole is None
+        if key not in self._feeds:
             self.need(moment)
-            known = states, self._copies(moment, states)
-            self._feeds[id(states), moment] = known
-        whole, live = self._whole.get(row), states.buffer
-        if whole is not None and moment == "received":
-            for to, source in self._common(states, self.layout.slots):
-                live[to] = whole[source]
-            return
-        number = bisect_right(self._begins, row) - 1
-        found = self._scans[number]
-        data, at = found.data, int(found.ticks[row - self._begins[number]])
-        for to, begin, end in known[1]:
+            place = self._places[moment] if whole is None else None
+            self._feeds[key] = states, self._copies(place, states)
+        data, at, live = whole, 0, states.buffer
+        if data is None:
+            number = bisect_right(self._begins, row) - 1
+            found = self._scans[number]
+            data, at = found.data, int(found.ticks[row - self._begins[number]])
+        for to, begin, end in self._feeds[key][1]:
             live[to] = data[at + begin : at + end]
 
-    def _copies(self, moment: str, states: States) -> list[tuple[slice, int, int]]:
-        place = self._places[moment]
-        if states.layout.hash == self.layout.hash:
-            pairs = [(to, source) for source, to in place.copies(self.layout)]
+    def _copies(self, place: Moment | None, states: States) -> list[tuple[slice, int, int]]:
+        """Return to where in live states which bytes go: of a tick's moment, or of all states.
+
+        Of states that are of one shape and type in both.
+        """
+        mine = self.layout.slots
+        if place is None:
+            begins = {name: slot.offset for name, slot in mine.items()}
+        elif states.layout.hash == self.layout.hash:
+            return [(to, source.start, source.stop) for source, to in place.copies(self.layout)]
         else:
-            offsets = {name: place.begin + at for name, at in place.places.items()}
-            pairs = [
-                (to, slice(offsets[name], offsets[name] + to.stop - to.start))
-                for name, to in self._alike(states)
-                if name in offsets
-            ]
-        return [(to, source.start, source.stop) for to, source in pairs]
-
-    def _common(self, states: States, slots: Mapping[str, Any]) -> list[tuple[slice, slice]]:
+            begins = {name: place.begin + at for name, at in place.places.items()}
         return [
-            (to, slice(slots[name].offset, slots[name].offset + slots[name].nbytes))
-            for name, to in self._alike(states)
+            (
+                slice(slot.offset, slot.offset + slot.nbytes),
+                begins[name],
+                begins[name] + slot.nbytes,
+            )
+            for name, slot in states.layout.slots.items()
+            if name in begins and (mine[name].shape, mine[name].dtype) == (slot.shape, slot.dtype)
         ]
-
-    def _alike(self, states: States) -> list[tuple[str, slice]]:
-        """Return the states that are of one shape and type in both, and where they stand there."""
-        mine, found = self.layout.slots, []
-        for name, slot in states.layout.slots.items():
-            there = mine.get(name)
-            if there is not None and (there.shape, there.dtype) == (slot.shape, slot.dtype):
-                found.append((name, slice(slot.offset, slot.offset + slot.nbytes)))
-        return found
 
 
 def files_of(path: Path) -> list[Path]:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from unicon_core.errors import UniconError
+from unicon_core.errors import UniconError, cannot
 from unicon_ros.recording.bag_folder import BagFile, write_metadata
 from unicon_ros.recording.mcap_file import McapFile, Taken
 from unicon_ros.recording.read import files_of, missing
@@ -59,10 +59,6 @@ def salvage(file: McapFile, most: int | None = None) -> None:
     position = len(MAGIC)
     if file.read(position, 0) != MAGIC:
         raise ValueError
-    schemas: list[bytes] = []
-    channels: list[bytes] = []
-    chunks: list[Chunk] = []
-    others: list[bytes] = []
     whole = 0
     while True:
         head = file.read(9, position)
@@ -78,15 +74,16 @@ def salvage(file: McapFile, most: int | None = None) -> None:
             chunk = _chunk(file, record, position)
             if chunk is None:
                 break
-            chunks.append(chunk)
+            file.chunks.append(chunk)
+            file.messages += sum(chunk.counts.values())
             position += chunk.indexes_length
         elif opcode in (ATTACHMENT, METADATA):
             try:
-                others.append(index_of(record, position))
+                file.others.append(index_of(record, position))
             except struct.error:
                 break
         elif opcode != HEADER:
-            (schemas if opcode == SCHEMA else channels).append(record)
+            (file.schemas if opcode == SCHEMA else file.topics).append(record)
         position += len(record)
         whole = position
     if not whole:
@@ -97,7 +94,7 @@ def salvage(file: McapFile, most: int | None = None) -> None:
             f"{most / 1e6:.0f} MB stand behind that; rename it to end in .mcap, and unicon bag "
             "recover finishes a copy of what is before"
         )
-    file.adopt(whole, schemas, channels, chunks, others)
+    file.cut(whole)
 
 
 def _chunk(file: McapFile, record: bytes, start: int) -> Chunk | None:
@@ -170,40 +167,29 @@ def _recovered(
     final = path.with_name(path.name.removesuffix(".partial"))
     if final == path or not path.is_file():
         raise UniconError(_no_recording(given))
-    try:
-        file = McapFile(final)
-    except Taken:
-        raise UniconError(
-            f"recording {path} is being written by another run; let that end first, or give "
-            "another name"
-        ) from None
-    except OSError as error:
-        raise UniconError(
-            f"cannot recover {path}: {error.strerror}; move it away or give another name"
-        ) from error
-    try:
-        if not file.read(1, 0):  # killed before its first byte
-            file.discard()
-            return None
-        salvage(file, most)
-        if not file.messages:
-            file.discard()
-            return None
-        number, target = 0, final
-        while not final_name and (not number or target.exists()):
-            number += 1
-            target = final.with_name(f"{final.stem}.recovered-{number}.mcap")
-        file.finish(target)
-    except ValueError:
-        file.leave()
-        raise UniconError(_no_recording(given)) from None
-    except UniconError:
-        file.leave()
-        raise
-    except OSError as error:
-        raise UniconError(
-            f"cannot recover {path}: {error.strerror}; make room or give another name"
-        ) from error
+    with cannot(f"recover {path}", "make room, move it away or give another name"):
+        try:
+            file = McapFile(final)
+        except Taken:
+            raise UniconError(
+                f"recording {path} is being written by another run; let that end first, or give "
+                "another name"
+            ) from None
+        try:
+            if file.read(1, 0):  # else killed before its first byte
+                salvage(file, most)
+            if not file.messages:
+                file.discard()
+                return None
+            number, target = 0, final
+            while not final_name and (not number or target.exists()):
+                number += 1
+                target = final.with_name(f"{final.stem}.recovered-{number}.mcap")
+            file.finish(target)
+        except ValueError:
+            raise UniconError(_no_recording(given)) from None
+        finally:
+            file.leave()
     return target, file.messages
 
 
@@ -224,14 +210,12 @@ def _copied(path: Path) -> Path:
         raise UniconError(f"cannot read {path}: {error.strerror}") from error
     if begins != MAGIC[: len(begins)]:  # before terabytes of something else are copied
         raise UniconError(_no_recording(path))
-    try:
-        shutil.copyfile(path, partial)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise UniconError(f"cannot write {partial}: {error.strerror}; make room there") from error
-    except BaseException:  # Ctrl-C
-        partial.unlink(missing_ok=True)
-        raise
+    with cannot(f"write {partial}", "make room there"):
+        try:
+            shutil.copyfile(path, partial)
+        except BaseException:  # Ctrl-C, too
+            partial.unlink(missing_ok=True)
+            raise
     return partial
 
 
@@ -266,12 +250,8 @@ def recover_folder(folder: Path) -> list[tuple[Path, int]]:
         for topic, kind in found.topics.values():
             topics[topic] = (kind, found.qos[topic])
         files.append(BagFile(path.name, found.messages(), found.span))
-    try:
+    with cannot(f"write {folder / 'metadata.yaml'}", "make room there"):
         write_metadata(folder, files, topics)
-    except OSError as error:
-        raise UniconError(
-            f"cannot write {folder / 'metadata.yaml'}: {error.strerror}; make room there"
-        ) from error
     return [(folder / file.name, sum(file.counts.values())) for file in files]
 
 

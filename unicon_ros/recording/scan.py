@@ -1,4 +1,4 @@
-"""A look through an MCAP file of ours: where its ticks stand, and what goes along; for readers.
+"""A look through an MCAP file of ours: where ticks and frames stand, what goes along; for readers.
 
 The file is mapped, not read: a look costs a pass over its checksums, and no memory of its own.
 """
@@ -9,10 +9,10 @@ import mmap
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,10 @@ from unicon_ros.recording.records import (
     SCHEMA,
 )
 from unicon_ros.recording.tick_message import FRAMES, TOPIC
+
+Integers: TypeAlias = NDArray[np.int64]
+Bytes: TypeAlias = NDArray[np.uint8]
+Span: TypeAlias = tuple[int, int]
 
 _HEAD = CHUNK_HEAD.size - 9
 _BODY = MESSAGE_HEAD.size - 9
@@ -54,16 +58,16 @@ class Scan:
         ended: it has its end, so that nobody cut it off.
     """
 
-    data: NDArray[np.uint8]
+    data: Bytes
     facts: dict[str, str] = field(default_factory=dict)
     files: dict[str, bytes] = field(default_factory=dict)
     topics: dict[int, tuple[str, str]] = field(default_factory=dict)
     qos: dict[str, str] = field(default_factory=dict)
     counts: Counter[int] = field(default_factory=Counter)
-    ticks: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
-    sizes: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
-    frames: dict[str, NDArray[np.int64]] = field(default_factory=dict)
-    span: tuple[int, int] | None = None
+    ticks: Integers = field(default_factory=lambda: np.zeros(0, np.int64))
+    sizes: Integers = field(default_factory=lambda: np.zeros(0, np.int64))
+    frames: dict[str, Integers] = field(default_factory=dict)
+    span: Span | None = None
     ended: bool = False
 
     def messages(self) -> Counter[str]:
@@ -74,13 +78,13 @@ class Scan:
         return found
 
 
-def gather(data: NDArray[np.uint8], places: NDArray[np.int64], size: int) -> NDArray[np.uint8]:
+def gather(data: Bytes, places: Integers, size: int) -> Bytes:
     """Return the `size` bytes at each place, shape (places, size)."""
     if not size or not len(places):
         return np.zeros((len(places), size), np.uint8)
     # Items that overlap: one for each byte, so that a place is an index.
     items = np.ndarray((len(data) - size + 1,), f"V{size}", data, strides=(1,))
-    packed: NDArray[np.uint8] = items[places].view(np.uint8)
+    packed: Bytes = items[places].view(np.uint8)
     return packed.reshape(-1, size)
 
 
@@ -103,10 +107,10 @@ def scan(path: Path) -> Scan:
         raise ValueError("it does not begin as MCAP does")
     found = Scan(np.frombuffer(raw, np.uint8))
     torn = path.suffix == ".partial"
-    places: dict[str, list[NDArray[np.int64]]] = {}
+    places: dict[str, list[Integers]] = {}
     types: dict[int, str] = {}
-    chunk: tuple[int, int] | None = None  # whose message indexes follow
-    indexes: dict[int, tuple[int, int]] = {}
+    chunk: Span | None = None  # whose message indexes follow
+    indexes: dict[int, Span] = {}
 
     def settle() -> None:
         if chunk is not None:
@@ -159,9 +163,7 @@ def scan(path: Path) -> Scan:
     return found
 
 
-def _messages(
-    found: Scan, chunk: tuple[int, int], indexes: dict[int, tuple[int, int]]
-) -> Iterator[tuple[str, NDArray[np.int64]]]:
+def _messages(found: Scan, chunk: Span, indexes: dict[int, Span]) -> Iterator[tuple[str, Integers]]:
     """Count the messages of a chunk; yield where those of ticks and frames stand."""
     offsets: dict[int, Any] = {}
     if indexes:
@@ -234,3 +236,79 @@ def _attachment(raw: memoryview) -> tuple[str, bytes]:
     if struct.unpack_from("<I", raw, at + 8 + length)[0] != zlib.crc32(raw[:-4]):
         raise ValueError(f"{name} is damaged")
     return name, data
+
+
+_FRAME = np.dtype(
+    [
+        ("opcode", "u1"),
+        ("length", "<u8"),
+        ("channel", "<u2"),
+        ("handle", "<u4"),
+        ("log", "<u8"),
+        ("stamp", "<u8"),
+    ]
+)
+"""`MESSAGE_HEAD`; the sequence is the frame's handle, of which 32 bits are kept."""
+
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """The frames of one ring, by their handles. Their files are mapped: what is asked for is read.
+
+    Attributes:
+        type: message type of each.
+        handles: number of each, growing, shape (frames,).
+        stamps: when each was true in [ns], shape (frames,).
+    """
+
+    type: str
+    handles: Integers
+    stamps: Integers
+    _places: Sequence[tuple[Bytes, int, int]]
+
+    def message(self, index: int) -> memoryview:
+        """Return a frame as it was: a whole message, CDR."""
+        data, begin, length = self._places[index]
+        return memoryview(data.data)[begin : begin + length]
+
+    def at(self, handles: Integers) -> Integers:
+        """Return for each handle the index of its frame, or of the newest one before it; else -1.
+
+        Args:
+            handles: of ticks, shape (ticks,); 0 for none.
+        """
+        found = np.searchsorted(self.handles, handles, "right") - 1
+        return np.where(handles > 0, found, -1)
+
+
+def frames_in(name: str, scans: Sequence[Scan]) -> Frames | None:
+    """Return the frames of one ring, None where none were recorded.
+
+    Args:
+        name: of their handle without `_handle`.
+        scans: of the files of one recording, in their order.
+    """
+    kind = ""
+    places: list[tuple[Bytes, int, int]] = []
+    heads: list[NDArray[np.void]] = []
+    for scan in scans:
+        begins = scan.frames.get(FRAMES + name)
+        if begins is None:
+            continue
+        kind = next(kind for topic, kind in scan.topics.values() if topic == FRAMES + name)
+        size = MESSAGE_HEAD.size
+        raw = [scan.data[at - size : at] for at in begins.tolist()]
+        found = np.concatenate(raw or [np.zeros(0, np.uint8)]).view(_FRAME)
+        heads.append(found)
+        lengths = (found["length"] - np.uint64(size - 9)).tolist()
+        places += [(scan.data, at, length) for at, length in zip(begins.tolist(), lengths)]
+    if not places:
+        return None
+    head = np.concatenate(heads)
+    order = np.argsort(head["handle"], kind="stable")
+    return Frames(
+        kind,
+        head["handle"][order].astype(np.int64),
+        head["stamp"][order].astype(np.int64),
+        [places[row] for row in order.tolist()],
+    )

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from unicon_core.errors import UniconError
+from unicon_core.errors import UniconError, cannot
+from unicon_core.page import ROOM, refuse_existing
 from unicon_core.runtime.tick_ring import HEAD
 from unicon_core.states import Layout
 from unicon_ros.recording.facts import layout_facts
@@ -63,35 +64,24 @@ def write_ticks(
     Raises:
         UniconError: it exists, or cannot be written.
     """
-    if path.exists():
-        raise UniconError(f"{path} exists; move it away or give another name")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        file = McapFile(path)
-    except Taken:
-        raise UniconError(
-            f"{path} is being written by another process; give another name"
-        ) from None
-    except OSError as error:
-        raise _cannot(path, error) from error
-    try:
-        file.begin()
-        file.add_record(metadata("unicon", {**facts, **layout_facts(layout, kept)}))
-        file.add(tick_channel(1, layout, kept))
-        add_ticks(file, ticks)
-        if file.finish():
-            path.unlink()
-            raise UniconError(f"cannot write {path}: the medium is full; give a path with room")
-    except OSError as error:
-        file.discard()
-        raise _cannot(path, error) from error
-    except BaseException:
-        file.discard()
-        raise
+    refuse_existing(path)
+    with cannot(f"write {path}", ROOM):
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            file = McapFile(path)
+        except Taken:
+            raise UniconError(
+                f"{path} is being written by another process; give another name"
+            ) from None
+        try:
+            file.begin()
+            file.add_record(metadata("unicon", {**facts, **layout_facts(layout, kept)}))
+            file.add(tick_channel(1, layout, kept))
+            add_ticks(file, ticks)
+            if file.finish():
+                path.unlink()
+                raise UniconError(f"cannot write {path}: the medium is full; {ROOM}")
+        except BaseException:
+            file.discard()
+            raise
     return file.messages
-
-
-def _cannot(path: Path, error: OSError) -> UniconError:
-    return UniconError(
-        f"cannot write {path}: {error.strerror}; give a path in a writable folder with room"
-    )

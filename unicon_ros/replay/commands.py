@@ -14,7 +14,6 @@ from unicon_core.blocks.joint_command import robot_gains
 from unicon_core.errors import WorkflowError
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow.autowire import BuildContext
-from unicon_ros.recording import Record
 from unicon_ros.replay.series import Series, opened
 
 TARGET = "joint_pos_target"
@@ -71,11 +70,6 @@ class Recorded:
         self._tick = 0
 
 
-def _known(record: Record) -> frozenset[str]:
-    """Return what an imported record was told; all else in it was never commanded."""
-    return frozenset(map(str, record.told("imported_states", list)))
-
-
 def recorded(
     context: BuildContext,
     *,
@@ -106,7 +100,7 @@ def recorded(
                 f"recorded: {name!r} is not a command state; known: {', '.join(COMMAND_STATES)}"
             )
     record = opened(bag, context.relative_to)
-    there = _known(record)
+    there = record.told("imported_states", list)  # all else in it was never commanded
     wanted = [name for name in COMMAND_STATES if name in take and (not there or name in there)]
     series = Series(record, wanted, "sent", context.states, context.period, start)
     if TARGET not in series.names:

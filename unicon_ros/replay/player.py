@@ -6,6 +6,10 @@ bridge, services and frames are those of any run.
 
 from __future__ import annotations
 
+import os
+import select
+import sys
+import threading
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -20,12 +24,72 @@ from unicon_core.states.standard import HARDWARE_STATES, standard_states
 from unicon_core.workflow import Program
 from unicon_ros.controls import Controls
 from unicon_ros.recording import Record, open_record
-from unicon_ros.replay.keys import Keys
 from unicon_ros.replay.platform import TARGET, ReplayPlatform
 from unicon_ros.replay.workflow import robot_of
 
 if TYPE_CHECKING:
     from unicon_ros.bridge import RosSession
+
+HELP = "space: pause or go on, → ←: 5 s on or back, s: one tick, r: from the beginning, q: end"
+RIGHT, LEFT = b"\x1b[C", b"\x1b[D"
+LOOK = 0.2
+"""How long a key is waited for before the end is looked for, in [s]."""
+
+
+class Keys:
+    """Reads keys in a thread while it is entered; the terminal is then as it was.
+
+    Args:
+        controls: of the run.
+        seek: goes on by so many ticks.
+        ticks: of an arrow.
+    """
+
+    def __init__(self, controls: Controls, seek: Callable[[int], object], ticks: int) -> None:
+        self._controls, self._seek, self._ticks = controls, seek, ticks
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._read, name="keys", daemon=True)
+
+    def __enter__(self) -> Keys:
+        import termios
+        import tty
+
+        self._before = termios.tcgetattr(sys.stdin)
+        tty.setcbreak(sys.stdin)  # Ctrl-C stays a signal
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        import termios
+
+        self._over.set()
+        self._thread.join()
+        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, self._before)
+
+    def _read(self) -> None:
+        while not self._over.is_set():
+            if select.select([0], [], [], LOOK)[0]:
+                pressed = os.read(0, 64)
+                if not pressed:  # the terminal has gone
+                    return
+                self.press(pressed)
+
+    def press(self, pressed: bytes) -> None:
+        """Do what keys say."""
+        controls = self._controls
+        if pressed == b" ":
+            controls.start() if controls.paused else controls.pause()
+        elif pressed in (RIGHT, LEFT):
+            self._seek(self._ticks if pressed == RIGHT else -self._ticks)
+            if controls.paused:
+                controls.step()
+        elif pressed == b"s":
+            controls.step()
+        elif pressed == b"r":
+            controls.reset()
+        elif pressed == b"q":
+            controls.stop()
+
 
 SEEK = 5.0
 """By an arrow, of the record's time in [s]."""
@@ -87,10 +151,6 @@ def play(
         program.close()
 
 
-def _nothing() -> None:
-    """Do nothing: all is recorded."""
-
-
 def _described(
     record: Record, path: Path, rate: float, *, loop: bool, start: float
 ) -> dict[str, Any]:
@@ -118,6 +178,6 @@ def _described(
         "pacing": {"overrun": "catch_up"},
         "num_robots": layout.num_robots,
         "states": {name: layout.specs[name].to_dict() for name in own},
-        "flow": Block("nothing", _nothing, endless=True),
+        "flow": Block("nothing", bool, endless=True),
         "safety": "none",  # recorded commands go nowhere, and there may be none
     }

@@ -7,7 +7,7 @@ recv, what topics and parameters gave behind those. All else is computed again.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -27,8 +27,8 @@ from unicon_core.states.standard import COMMAND_STATES, GAIN_SCALE, GAIN_SCALE_S
 from unicon_core.workflow import Program, WorkflowDocument
 from unicon_core.workflow.program_memory import memory_of
 from unicon_ros.recording import Record
-from unicon_ros.replay.columns import Columns
-from unicon_ros.replay.stand_in import StandIn, recorded_facts
+from unicon_ros.replay.platform import StandIn, recorded_facts
+from unicon_ros.replay.series import Columns
 
 GIVEN = {"input": ("velocity_command",), "tuned": ("joint_stiffness", "joint_damping")}
 """What comes from outside where a record does not say it."""
@@ -42,7 +42,6 @@ class Replayed:
     Args:
         record: what was recorded.
         document: the workflow; its platform is not opened.
-        told: is called at the end of each tick, with its row.
 
     Attributes:
         program: what ticks.
@@ -60,10 +59,8 @@ class Replayed:
         UniconError: the program cannot be built, or the record is of another robot.
     """
 
-    def __init__(
-        self, record: Record, document: WorkflowDocument, told: Callable[[int], None]
-    ) -> None:
-        self.record, self._told = record, told
+    def __init__(self, record: Record, document: WorkflowDocument) -> None:
+        self.record = record
         facts, silent = recorded_facts(record)
         self._row, self._told_of = 0, -1
         self.scaled: dict[float, None] = {}
@@ -101,11 +98,14 @@ class Replayed:
         given = {*self.outside.get("input", ()), *self.outside.get("tuned", ())}
         self.beyond = {*self.outside.get("sent", ()), *(given - needed)}
 
-    def run(self, failed: Callable[[int, Exception], None]) -> int:
-        """Run all ticks that can be run, and return how many.
+    def ended(self, row: int) -> None:
+        """Take the end of a tick: its states are as the program has left them."""
 
-        Args:
-            failed: takes the row of a tick that raised, and what.
+    def failed(self, row: int, error: Exception) -> None:
+        """Take a tick that raised where the recorded one went on."""
+
+    def run(self) -> int:
+        """Run all ticks that can be run, and return how many.
 
         Raises:
             StateError: what the blocks remembered cannot be given to these.
@@ -139,13 +139,12 @@ class Replayed:
                 if self._told_of == row and not all(record.ended[row + 1 : row + 2]):
                     self.fault = one_line(error)  # found behind send, as in the run
                     break
-                failed(row, error)  # the recorded tick went on: it differs
+                self.failed(row, error)
         return ran
 
     def _fail_again(self, row: int, graph: CompiledGraph) -> None:
         """Run the tick in which the recorded fault was; nothing of it is compared."""
-        self._row, self.graph, self._told = row, graph, _quiet
-        self.fault = ""
+        self._row, self.graph, self.fault = row, graph, ""
         try:
             graph.step()
             graph.deferred()
@@ -248,7 +247,8 @@ class Replayed:
 
     def _sent(self) -> None:
         self._told_of = self._row
-        self._told(self._row)
+        if self.fault is None:
+            self.ended(self._row)
 
     # -- what was remembered --------------------------------------------------------------------
 

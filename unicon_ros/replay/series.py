@@ -1,20 +1,50 @@
-"""Series: states of a record as those of a program, tick by tick; for platform and block."""
+"""States of a record as those of a program, aligned by name.
+
+`Series` gives them tick by tick, for platform and block; `Columns` compares them, for replays.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import StateError, UniconError
 from unicon_core.runtime.phases import Phase
-from unicon_core.states import States
+from unicon_core.states import States, StateSpec
 from unicon_core.states.standard import JOINT_STATES
 from unicon_ros.recording import Record, open_record
-from unicon_ros.replay.alignment import elements, refuse_other_batch
+
+
+def refuse_other_batch(record: Record, states: States) -> None:
+    """Refuse a record of another number of robots than a program's.
+
+    Raises:
+        StateError: it is.
+    """
+    if record.layout.num_robots != states.num_robots:
+        raise StateError(
+            f"the record is of {record.layout.num_robots or 1} robots and the workflow of "
+            f"{states.num_robots or 1}; give the workflow the same num_robots"
+        )
+
+
+def elements(theirs: Sequence[str], ours: Sequence[str]) -> NDArray[np.intp] | None:
+    """Return which element of the record is each of ours, shape (n,); None where all are alike.
+
+    Args:
+        theirs: names of the record's elements, ours among them.
+        ours: names of the program's.
+    """
+    if tuple(theirs) == tuple(ours):
+        return None
+    places = {name: i for i, name in enumerate(theirs)}
+    return np.array([places[name] for name in ours], np.intp)
+
 
 MOVING = (Phase.RUN.value, Phase.SOFT.value)
 """Phases of a run in which its flow ticks."""
@@ -129,3 +159,82 @@ def _aligned(record: Record, name: str, moment: str, states: States) -> NDArray[
         values = values if order is None else values[..., order]
     same = values.shape[1:] == states[name].shape and values.dtype == states[name].dtype
     return values if same else None
+
+
+class Columns:
+    """What a record has of a program's states, elements in the program's order.
+
+    Args:
+        record: the record.
+        states: of the program.
+
+    Attributes:
+        names: states that both have with the same elements.
+        lacking: what is of one side alone, or of other sizes, one line each.
+
+    Raises:
+        StateError: the record is of a robot with other joints, or of another number of robots.
+    """
+
+    def __init__(self, record: Record, states: States) -> None:
+        self._record, self._states = record, states
+        refuse_other_batch(record, states)
+        self._index: dict[str, NDArray[np.intp] | None] = {}
+        self.lacking: list[str] = []
+        theirs, ours = record.layout.specs, states.layout.specs
+        _refuse_other_robot(record, theirs, ours)
+        for name, spec in ours.items():
+            if name not in theirs:
+                self.lacking.append(f"state {name!r} is not in the record")
+            elif (theirs[name].shape, theirs[name].dtype) != (spec.shape, spec.dtype):
+                self.lacking.append(
+                    f"state {name!r} is {theirs[name].dtype} of shape {theirs[name].shape} in the "
+                    f"record and {spec.dtype} of shape {spec.shape} here: it is not compared"
+                )
+            elif sorted(theirs[name].names) != sorted(spec.names):
+                self.lacking.append(f"state {name!r} has other elements in the record")
+            else:
+                self._index[name] = elements(theirs[name].names, spec.names)
+        self.lacking += [f"state {n!r} of the record is not here" for n in theirs if n not in ours]
+        self.names = tuple(self._index)
+        self._turned = [name for name, index in self._index.items() if index is not None]
+        self._partly = len(record.kept["received"]) < len(record.layout.slots)
+        self._kept: dict[tuple[str, str], NDArray[Any]] = {}
+
+    def column(self, name: str, moment: str) -> NDArray[Any]:
+        """Return a state of `names` in every tick, shape (ticks, …)."""
+        key = (name, moment)
+        if key not in self._kept:
+            values, index = self._record.states(name, moment), self._index[name]
+            self._kept[key] = values if index is None else np.ascontiguousarray(values[..., index])
+        return self._kept[key]
+
+    def kept(self, moment: str, names: Sequence[str]) -> list[str]:
+        """Return those of some states that the record has at a moment."""
+        return [name for name in names if name in self._record.kept[moment]]
+
+    def begin(self, row: int) -> None:
+        """Put states into the program as they were received in a tick."""
+        if row and self._partly:  # what did not come from outside is what the tick before left
+            self._record.feed("sent", row - 1, self._states)
+            self._align("sent", row - 1)
+        self._record.feed("received", row, self._states)
+        self._align("received", row)
+
+    def _align(self, moment: str, row: int) -> None:
+        for name in self._turned:
+            if name in self._record.kept[moment]:
+                self._states[name][...] = self.column(name, moment)[row]
+
+
+def _refuse_other_robot(
+    record: Record, theirs: Mapping[str, StateSpec], ours: Mapping[str, StateSpec]
+) -> None:
+    joints = [set(specs["joint_pos"].names) for specs in (theirs, ours) if "joint_pos" in specs]
+    if len(joints) == 2 and joints[0] != joints[1]:
+        odd = sorted(joints[0] ^ joints[1])
+        raise StateError(
+            f"the record is of robot {record.facts.get('robot', '?')} with {len(joints[0])} joints "
+            f"and the workflow's has {len(joints[1])}; joint {odd[0]!r} is of one alone: give a "
+            "workflow for the recorded robot"
+        )

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,20 +55,19 @@ def verify(record: Record, document: WorkflowDocument) -> Verdict:
     """
     if not record.ended.any():
         raise StateError("the record holds no tick that ended: there is nothing to compare")
-    comparison = _Comparison(record)
-    replayed = Replayed(record, document, comparison.look)
-    comparison.replayed = replayed
+    replayed = _Compared(record, document)
     program = replayed.program
     try:
         notes = others(record, program)
-        ticks = replayed.run(comparison.failed)
+        ticks = replayed.run()
     finally:
         program.close()
     notes += [
         f"what {name!r} remembered is left out: there is no such block here"
         for name in sorted(replayed.homeless)
     ]
-    unproven = {name: why for each in record.memories for name, why in _unproven(each)}
+    lacking = [each.get("unproven") for each in record.memories]
+    unproven = {n: why for each in lacking if isinstance(each, dict) for n, why in each.items()}
     notes += [
         f"the record lacks the memory of block {name!r} ({why}); unicon check names it"
         for name, why in unproven.items()
@@ -85,23 +82,17 @@ def verify(record: Record, document: WorkflowDocument) -> Verdict:
             f"the recorded gains are those of the workflow times {factors}: scaled from outside, "
             "as by stiffness_scale, or the workflow's are others; they are not compared"
         )
-    if comparison.first is not None:
+    if replayed.first is not None:
         notes += versions(record)
     return Verdict(
         ticks,
-        len(comparison.rows),
-        comparison.commands,
-        comparison.first,
+        len(replayed.rows),
+        replayed.commands,
+        replayed.first,
         program.period,
         tuple(notes),
         "" if replayed.fault is None else _fault(record, replayed.fault),
     )
-
-
-def _unproven(memory: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return blocks whose memory a record lacks, and why."""
-    found = memory.get("unproven")
-    return [(str(name), str(why)) for name, why in found.items()] if isinstance(found, dict) else []
 
 
 def _fault(record: Record, again: str) -> str:
@@ -114,22 +105,20 @@ def _fault(record: Record, again: str) -> str:
     return f"another fault than the recorded one came: {again}; recorded: {reason}"
 
 
-class _Comparison:
-    def __init__(self, record: Record) -> None:
-        self._record = record
-        self.replayed: Replayed | None = None
+class _Compared(Replayed):
+    """Compares all states at the end of each tick."""
+
+    def __init__(self, record: Record, document: WorkflowDocument) -> None:
         self.rows: set[int] = set()
         self.commands = 0
         self.first: Difference | None = None
+        super().__init__(record, document)
 
-    def look(self, row: int) -> None:
-        """Compare all states at the end of a tick."""
-        replayed = self.replayed
-        assert replayed is not None
-        states, columns = replayed.program.states, replayed.columns
-        beyond = replayed.beyond
-        if self._record.phases[row] == Phase.WAIT.value:  # gates mark what was measured
-            beyond = beyond.union(replayed.program.platform.facts.writes)
+    def ended(self, row: int) -> None:
+        """Compare all states."""
+        states, columns, beyond = self.program.states, self.columns, self.beyond
+        if self.record.phases[row] == Phase.WAIT.value:  # gates mark what was measured
+            beyond = beyond.union(self.program.platform.facts.writes)
         names = [
             name
             for name in columns.names
@@ -143,21 +132,18 @@ class _Comparison:
         if self.first is None:
 
             def recorded(name: str) -> NDArray[np.generic]:
-                value: NDArray[np.generic] = np.asarray(columns.column(name, "sent")[row])
-                return value
+                return np.asarray(columns.column(name, "sent")[row])
 
-            self.first = located(self._begun(row), names, recorded, states, replayed.graph)
+            self.first = located(self._begun(row), names, recorded, states, self.graph)
 
     def failed(self, row: int, error: Exception) -> None:
-        """Take a tick that raised where the recorded one did not."""
+        """Take a tick that raised where the recorded one did not: it differs."""
         self.rows.add(row)
         self.commands += 1
         if self.first is None:
             kind = "" if isinstance(error, Fault) else f"{type(error).__name__}: "
-            found = self._begun(row)
-            self.first = Difference(
-                found.row, found.tick, found.phase, fault=f"{kind}{' '.join(str(error).split())}"
-            )
+            fault = f"{kind}{' '.join(str(error).split())}"
+            self.first = replace(self._begun(row), fault=fault)
 
     def _begun(self, row: int) -> Difference:
-        return Difference(row, int(self._record.ticks[row]), self._record.phases[row])
+        return Difference(row, int(self.record.ticks[row]), self.record.phases[row])

@@ -16,7 +16,7 @@ from unicon_core.states.standard import GAIN_SCALE, GAIN_SCALE_SPEC, HARDWARE_ST
 from unicon_core.workflow import Program, WorkflowDocument, load_document
 from unicon_core.workflow.document import document_at
 from unicon_ros.recording import Record
-from unicon_ros.recording.facts import network_hash, robot_text, versions_here
+from unicon_ros.recording.facts import network_hash, robot_facts, versions_here
 
 
 def workflow_of(
@@ -143,14 +143,14 @@ def others(record: Record, program: Program) -> list[str]:
 
 
 def _other_robot(facts: Mapping[str, str], robot: Robot) -> list[str]:
-    found = []
-    if facts.get("robot_file") and facts["robot_file"] != robot_text(robot):
+    found, here = [], robot_facts(robot)
+    if facts.get("robot_file") and facts["robot_file"] != here["robot_file"]:
         where = " and ".join(map(str, robot_files(robot).values()))
         found.append(f"robot {robot.name}: {where} is not the recorded file")
     was = facts.get("robot_overlay")
     if was is None:  # of a version that did not write it
         return found
-    now = "" if robot.overlay is None else _text(robot.overlay)
+    now = here["robot_overlay"]
     if now != was:
         if not now:
             told = "the recorded one was extended by an overlay, and this one is not"
@@ -171,10 +171,3 @@ def versions(record: Record) -> list[str]:
         for name, was in recorded.items()
         if name in here and here[name] != was
     ]
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise UniconError(f"cannot read {path}: {error}") from error

@@ -28,6 +28,7 @@ POINTS = 1500
 ZOOM_S = 3.0
 """Length of the stretch that `zoomed` draws larger in [s]."""
 
+Array = NDArray[Any]
 Pictures = Mapping[str, tuple[Callable[..., bool], str, str]]
 """Name to what fills a figure, as of `drawn`, heading and caption, in the order of a page."""
 
@@ -59,7 +60,7 @@ def require(what: str) -> None:
     Raises:
         MissingDependencyError: matplotlib is not installed.
     """
-    imported("matplotlib", what, "matplotlib", "plots")
+    imported("matplotlib", what, "plots")
 
 
 def drawn(fill: Callable[..., bool], *of: Any) -> Figure | None:
@@ -114,9 +115,7 @@ def _short(way: re.Match[str]) -> str:
     return re.sub(r"(\.\d\d)\d+", r"\1", " ".join(way[0].split()))
 
 
-def envelope(
-    time: NDArray[Any], values: NDArray[Any], points: int = POINTS
-) -> tuple[NDArray[Any], NDArray[Any]]:
+def envelope(time: Array, values: Array, points: int = POINTS) -> tuple[Array, Array]:
     """Return a curve with few enough points that no peak is lost.
 
     Args:
@@ -134,8 +133,8 @@ def envelope(
 
 def curve(
     axes: Any,
-    time: NDArray[Any],
-    values: NDArray[Any],
+    time: Array,
+    values: Array,
     colour: str | None = None,
     label: Any = None,
     points: int = POINTS,
@@ -166,8 +165,8 @@ def grid(figure: Any, count: int, columns: int, height: float, **shared: Any) ->
 def zoomed(
     figure: Any,
     names: Sequence[str],
-    curves: Sequence[tuple[str, str, NDArray[Any]]],
-    squares: NDArray[Any],
+    curves: Sequence[tuple[str, str, Array]],
+    squares: Array,
     period: float,
     begin: float = 0.0,
     clock: str = "time [s]",

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_core.flow import Block, Stage
 from unicon_ros.bridge.bindings import told_states
-from unicon_ros.report.drawing import require
+from unicon_ros.report.drawing import Array, require
 
 if TYPE_CHECKING:
-    from unicon_core.robots import Robot
     from unicon_core.runtime import Runner
     from unicon_core.runtime.phases import Phase
     from unicon_core.workflow import Program
@@ -33,8 +31,12 @@ class Keeper:
 
     Attributes:
         stride: ticks that a row stands for.
+        robot: whose states they are.
+        period: of the ticks in [s].
+        ticks: that were kept, of all phases.
         phases: (number of the tick at which it began, phase), in order.
         told: the states that the platform or a block writes.
+        statistics: of the run, once it is attached.
 
     Raises:
         MissingDependencyError: matplotlib is not installed: said before the run, not after it.
@@ -46,14 +48,14 @@ class Keeper:
         self.phases: list[tuple[int, Phase]] = []
         self.told: frozenset[str] = frozenset()
         self._columns: dict[str, slice] = {}
-        self._count = self._row = self._in_row = 0
+        self.ticks = self._row = self._in_row = 0
         self._runner: Runner | None = None
         self._phase: Phase | None = None
 
     def hook(self, program: Program) -> dict[Stage, list[Block]]:
         """Return the block that keeps the states."""
         states = program.states
-        self._program, start = program, 0
+        self.robot, self.period, start = program.robot, program.period, 0
         views = {name: states[name] for name in STATES if name in states}
         if states.num_robots is not None:
             views = {name: view[0] for name, view in views.items()}
@@ -77,8 +79,8 @@ class Keeper:
             runner = self._runner
             if runner is not None and runner.phase is not self._phase:
                 self._phase = runner.phase
-                self.phases.append((self._count, self._phase))
-            self._count += 1
+                self.phases.append((self.ticks, self._phase))
+            self.ticks += 1
             self._in_row += 1
             if self._in_row == self.stride:
                 self._in_row = 0
@@ -90,7 +92,8 @@ class Keeper:
 
     def attach(self, runner: Runner) -> None:
         """Get to know the runner, whose phases are kept, and who writes what."""
-        self._runner, self.told = runner, told_states(runner.program)
+        self._runner, self.statistics = runner, runner.statistics
+        self.told = told_states(runner.program)
 
     def _halve(self) -> None:
         """Let each row stand for twice as many ticks; a millisecond, once in that many ticks."""
@@ -105,24 +108,9 @@ class Keeper:
     # -- for the pictures -----------------------------------------------------------------------
 
     @property
-    def robot(self) -> Robot:
-        """Whose states they are."""
-        return self._program.robot
-
-    @property
-    def period(self) -> float:
-        """Of the ticks in [s]."""
-        return self._program.period
-
-    @property
     def paced(self) -> bool:
         """Whether the clock paced the ticks, so that they may be late."""
         return self._runner is not None and self._runner.options.speed == "real"
-
-    @property
-    def ticks(self) -> int:
-        """Ticks that were kept, of all phases."""
-        return self._count
 
     @property
     def begin(self) -> int:
@@ -131,7 +119,7 @@ class Keeper:
 
     def spans(self) -> list[tuple[str, int, int]]:
         """Return each phase with the numbers of its first tick and of the one behind its last."""
-        ends = [*(tick for tick, _ in self.phases[1:]), self._count]
+        ends = [*(tick for tick, _ in self.phases[1:]), self.ticks]
         return [(phase.value, begin, end) for (begin, phase), end in zip(self.phases, ends)]
 
     def beside_the_run(self) -> list[tuple[float, float]]:
@@ -142,26 +130,25 @@ class Keeper:
             if phase != "run"
         ]
 
-    def time(self) -> NDArray[np.float64]:
+    def time(self) -> Array:
         """Return when each row begins in [s], shape (rows,)."""
         ticks = np.arange(self._used, dtype=np.float64) * self.stride
         return (ticks - self.begin) * self.period
 
-    def first(self, name: str) -> NDArray[np.float32]:
+    def first(self, name: str) -> Array:
         """Return the first values of a state in each row, shape (rows, elements)."""
         return self._of(name, 0)
 
-    def reached(self, name: str) -> tuple[NDArray[Any], NDArray[Any]]:
+    def reached(self, name: str) -> tuple[Array, Array]:
         """Return the lowest and the highest value of each element in the run, shape (elements,)."""
         return np.fmin.reduce(self._of(name, 1), axis=0), np.fmax.reduce(self._of(name, 2), axis=0)
 
-    def largest(self, name: str) -> NDArray[Any]:
+    def largest(self, name: str) -> Array:
         """Return the largest size of each element in the run, shape (elements,)."""
         low, high = self.reached(name)
-        sizes: NDArray[Any] = np.fmax(np.abs(low), np.abs(high))
-        return sizes
+        return np.asarray(np.fmax(np.abs(low), np.abs(high)))
 
-    def curve(self, name: str) -> tuple[NDArray[Any], NDArray[Any]]:
+    def curve(self, name: str) -> tuple[Array, Array]:
         """Return times in [s] and values of a state to draw, no peak lost."""
         time = self.time()
         if self.stride == 1:
@@ -186,10 +173,9 @@ class Keeper:
                 found[name] = float(self.time()[bad.argmax()])
         return found
 
-    def _of(self, name: str, which: int) -> NDArray[np.float32]:
+    def _of(self, name: str, which: int) -> Array:
         """Return the first (0), lowest (1) or highest (2) values of a state in each row."""
-        kept: NDArray[np.float32] = self._rows[: self._used, which, self._columns[name]]
-        return kept
+        return self._rows[: self._used, which, self._columns[name]]
 
     @property
     def _used(self) -> int:

@@ -6,11 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_core.page import write_file
-from unicon_core.runtime.statistics import TickStatistics
-from unicon_ros.report.drawing import INK, MARK, Pictures, as_png, curve, drawn, grid
+from unicon_ros.report.drawing import INK, MARK, Array, Pictures, as_png, curve, drawn, grid
 from unicon_ros.report.kept import Keeper
 
 MEASURED, COMMANDED, BAD = MARK, "#e07b00", "#d62728"
@@ -46,17 +44,10 @@ def write_overview(path: str | Path, keeper: Keeper, title: str) -> None:
 def _overview(figure: Any, keeper: Keeper) -> bool:
     from matplotlib import colormaps
 
-    figure.set_size_inches(11.0, 7.5)
-    path, speeds, joints = figure.subplot_mosaic(
-        [["path", "speeds"], ["joints", "joints"]], height_ratios=[1.2, 1.0]
-    ).values()
-    _path(path, keeper)
-    for k, (name, unit, state) in enumerate(_SPEEDS):
-        curve(speeds, *_one(keeper, state, k), f"C{k}", f"{name} [{unit}]")
-        command = _one(keeper, "velocity_command", k)
-        curve(speeds, *command, f"C{k}", linestyle="--", linewidth=1.5)
-    speeds.set(title="velocity: measured, dashed as commanded", xlabel="time [s]")
-    speeds.legend(loc="upper right")
+    figure.set_size_inches(11.0, 9.0)
+    above, below = figure.subfigures(2, 1, height_ratios=[1.2, 1.0])
+    _moved(above, keeper)
+    joints = below.subplots()
     names = keeper.robot.joint_names
     # Matplotlib's own ten colours repeat: two joints would look like one.
     joints.set_prop_cycle(color=colormaps["turbo"](np.linspace(0.0, 1.0, len(names))))
@@ -84,18 +75,22 @@ def _shade(axes: Any, keeper: Keeper) -> None:
         axes.axvspan(begin, end, color="0.5", alpha=0.2, label="other phase")
 
 
-def _one(keeper: Keeper, name: str, k: int) -> tuple[NDArray[Any], NDArray[Any]]:
+def _one(keeper: Keeper, name: str, k: int) -> tuple[Array, Array]:
     """Return times and values of one element of a state."""
     time, values = keeper.curve(name)
     return time, values[:, k]
 
 
-def _base(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
+def _base(figure: Any, keeper: Keeper) -> bool:
+    figure.set_size_inches(12.0, 5.2)
+    return _moved(figure, keeper)
+
+
+def _moved(figure: Any, keeper: Keeper) -> bool:
     """Path, and velocities as commanded and as they were."""
     if not any(keeper.has(state) for _, _, state in _SPEEDS):
         return False
     placed = keeper.has("base_pos_w")
-    figure.set_size_inches(12.0, 5.2)
     layout = [["path", name][not placed :] for name, *_ in _SPEEDS]
     axes = figure.subplot_mosaic(layout, width_ratios=[1.0, 1.3][not placed :])
     if placed:
@@ -142,12 +137,12 @@ def beyond(keeper: Keeper) -> list[str]:
     return said
 
 
-def _too_strong(torque: NDArray[Any], limit: NDArray[Any]) -> NDArray[np.bool_]:
+def _too_strong(torque: Array, limit: Array) -> Array:
     """Return where a torque is more than its limit, not by the rounding of a float32 alone."""
     return np.asarray(torque > limit * (1.0 + ROUNDING))
 
 
-def _ranges(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
+def _ranges(figure: Any, keeper: Keeper) -> bool:
     """How much of its range each joint used, and of its torque."""
     robot = keeper.robot
     if not keeper.has("joint_pos"):
@@ -189,14 +184,14 @@ def _ranges(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
     return True
 
 
-def _peaks(keeper: Keeper) -> NDArray[Any] | None:
+def _peaks(keeper: Keeper) -> Array | None:
     """Return the largest torque of each joint, [N·m]; None where nobody tells one."""
     if not keeper.has("joint_effort") or not np.isfinite(keeper.robot.effort_limit).any():
         return None
     return keeper.largest("joint_effort")
 
 
-def _joints(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
+def _joints(figure: Any, keeper: Keeper) -> bool:
     """Positions over time between their limits, targets behind them."""
     robot = keeper.robot
     if not keeper.has("joint_pos"):
@@ -235,7 +230,7 @@ def _once(*all_axes: Any) -> tuple[list[Any], list[str]]:
     return list(by_label.values()), list(by_label)
 
 
-def _torque(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
+def _torque(figure: Any, keeper: Keeper) -> bool:
     """Torque over time of the joints that came nearest to their effort limit."""
     peaks, robot = _peaks(keeper), keeper.robot
     if peaks is None:
@@ -252,15 +247,16 @@ def _torque(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
     return True
 
 
-def _timing(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
+def _timing(figure: Any, keeper: Keeper) -> bool:
     """How long ticks took, how late they began, and both over the run."""
+    statistics = keeper.statistics
     rows = statistics.kept()
     if not len(rows):
         return False
-    busy: NDArray[Any] = statistics.durations_us()
+    busy: Array = statistics.durations_us()
     parts = [("busy", busy, MEASURED, "from recv to the end of send")]
     if keeper.paced:
-        late: NDArray[Any] = (rows[:, 2] - rows[:, 0]) * 1e-3
+        late: Array = (rows[:, 2] - rows[:, 0]) * 1e-3
         parts.append(("late", late, COMMANDED, "from the deadline to the begin of the tick"))
     if len(rows) < statistics.count:
         figure.suptitle(f"the last {len(rows):,} of {statistics.count:,} ticks")

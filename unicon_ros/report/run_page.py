@@ -5,7 +5,6 @@ from __future__ import annotations
 import html
 import json
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -32,22 +31,24 @@ class Pictured(Keeper):
         page: path of the page, or "".
 
     Attributes:
-        page: of the run, once it is attached; None where none was asked for.
+        page: as given.
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
     """
 
-    def __init__(self, picture: str | None, page: str | None) -> None:
+    def __init__(self, picture: str | None, page: str | Path) -> None:
         super().__init__("--picture" if picture else "--report FILE.html")
-        self._picture, self._path = picture or "", page or ""
-        self.page: RunPage | None = None
+        self._picture, self.page = picture or "", page
 
     def attach(self, runner: Runner) -> None:
-        """Get to know the runner, before its first tick."""
+        """Get to know the runner, before its first tick: its files may be others later."""
         super().attach(runner)
-        if self._path:
-            self.page = RunPage(self._path, self, runner)
+        if self.page:
+            self._run = runner
+            self._facts = facts_of(runner, {})
+            self._begun = time.strftime("%Y-%m-%d %H:%M:%S %z")
+            self._phases = dict(describe(runner.program))
 
     def draw(self, report: Report) -> None:
         """Write the PNG.
@@ -56,27 +57,6 @@ class Pictured(Keeper):
             UniconError: it cannot be written.
         """
         write_overview(self._picture, self, _title(report))
-
-
-def _title(report: Report) -> str:
-    return f"{report.workflow} on {report.robot} ({report.platform})"
-
-
-class RunPage:
-    """Writes the page of a run.
-
-    Args:
-        path: of the page.
-        keeper: keeps the states of the run.
-        runner: of the run, before its first tick: its files may be others later.
-    """
-
-    def __init__(self, path: str | Path, keeper: Keeper, runner: Runner) -> None:
-        self.path = Path(path)
-        self._keeper, self._runner = keeper, runner
-        self._facts = facts_of(runner, {})
-        self._begun = time.strftime("%Y-%m-%d %H:%M:%S %z")
-        self._phases = dict(describe(runner.program))
 
     def write(self, report: Report) -> None:
         """Write the page, folders made as needed.
@@ -89,7 +69,7 @@ class RunPage:
             "<h2>Run</h2>",
             pairs(self._about(report)),
         ]
-        for name, shown in drawings(PICTURES, self._keeper, self._runner.statistics):
+        for name, shown in drawings(PICTURES, self):
             parts.append(shown)
             if name == "ranges":
                 parts += ["<h2>Every joint</h2>", self._joints()]
@@ -102,10 +82,10 @@ class RunPage:
             f'<p class="sub">unicon_ros {__version__}; all figures with all digits: '
             "--report FILE.json; every state of every tick: --record FILE.mcap</p>",
         ]
-        robots = self._runner.program.states.num_robots
+        robots = self._run.program.states.num_robots
         many = "" if robots is None else f"; the first of {robots} robots is shown"
         text = page(_title(report), f"begun {self._begun}{many}", parts)
-        write_file(self.path, text.encode(), folders=True)
+        write_file(Path(self.page), text.encode(), folders=True)
 
     def _said(self, report: Report) -> list[str]:
         """Return what stands out, most important first."""
@@ -120,11 +100,11 @@ class RunPage:
             )
         if report.fell:
             said.append(f"The base leaned by up to {report.tilt_deg:g}°, which counts as a fall.")
-        if past := beyond(self._keeper):
+        if past := beyond(self):
             more = f" and {len(past) - MOST_TOLD} more" if len(past) > MOST_TOLD else ""
             tripped = "" if report.faults else "; no safety block stopped the run for it"
             said.append(f"Beyond a limit: {'; '.join(past[:MOST_TOLD])}{more}{tripped}.")
-        for name, when in self._keeper.unfit().items():
+        for name, when in self.unfit().items():
             said.append(f"{name} was not a number, first at {when:.2f} s: a gap in the curves.")
         if report.ticks and report.overruns:
             worst = ", ".join(f"{name} ({n})" for name, n in report.overrun_blocks.items())
@@ -143,13 +123,13 @@ class RunPage:
 
     def _about(self, report: Report) -> dict[str, str]:
         late, busy = report.late_us, report.tick_us
-        period = self._runner.program.period
+        period = self.period
         about = {
             "ticks": f"{report.ticks:,} of {period * 1e3:g} ms ({1 / period:g} Hz), "
             f"{report.duration_s:.2f} s",
-            "wall time": f"{report.wall_text()}, speed {self._runner.options.speed}",
+            "wall time": f"{report.wall_text()}, speed {self._run.options.speed}",
             "tick busy": _times(busy),
-            **({"tick late": _times(late)} if self._keeper.paced else {}),
+            **({"tick late": _times(late)} if self.paced else {}),
             "overruns": f"{report.overruns}",
             "base": report.base_moved(),
             "safety": ", ".join(report.safety) or "none",
@@ -164,18 +144,17 @@ class RunPage:
         return about
 
     def _joints(self) -> str:
-        keeper = self._keeper
-        robot = keeper.robot
-        if not keeper.ticks:
+        robot = self.robot
+        if not self.ticks:
             return "<p>no tick was run</p>"
         heads = ["joint", "lowest\nrad", "highest\nrad", "lower limit\nrad", "upper limit\nrad"]
-        columns = [*keeper.reached("joint_pos"), robot.lower, robot.upper]
+        columns = [*self.reached("joint_pos"), robot.lower, robot.upper]
         for state, limit, unit, what in (
             ("joint_vel", robot.velocity_limit, "rad/s", "speed"),
             ("joint_effort", robot.effort_limit, "N·m", "torque"),
         ):
-            if keeper.has(state):
-                columns += [keeper.largest(state), limit]
+            if self.has(state):
+                columns += [self.largest(state), limit]
                 heads += [f"largest {what}\n{unit}", f"{what} limit\n{unit}"]
         rows = [
             [name, *(number(float(column[k])) for column in columns)]
@@ -184,7 +163,7 @@ class RunPage:
         return table(heads, rows)
 
     def _blocks(self, report: Report) -> str:
-        period = self._runner.program.period * 1e6
+        period = self.period * 1e6
         heads = ["block", "p50\nµs", "p99\nµs", "max\nµs"]
         heads += ["p50\n% of the period", "calls", "late ticks by it"]
         rows = [
@@ -200,15 +179,14 @@ class RunPage:
         return table(heads, rows)
 
     def _in_phases(self) -> str:
-        keeper = self._keeper
         rows = [
             [
                 phase,
-                f"{(begin - keeper.begin) * keeper.period:.2f}",
+                f"{(begin - self.begin) * self.period:.2f}",
                 str(end - begin),
                 self._phases.get(phase, ""),
             ]
-            for phase, begin, end in keeper.spans()
+            for phase, begin, end in self.spans()
         ]
         return table(["phase", "begins [s]", "ticks", "what it is"], rows, words=True)
 
@@ -220,21 +198,23 @@ class RunPage:
         return {
             "workflow": place(facts["workflow_path"]),
             "changed by --set": ", ".join(map(str, overridden)) or "nothing",
-            "robot file": place(self._runner.program.robot.path),
+            "robot file": place(self.robot.path),
             "seed": facts["seed"],
             **{f"policy {name}": place(each["model"]) for name, each in policies.items()},
             **{f"SHA-256 of {name}": each["sha256"] for name, each in policies.items()},
             "SHA-256 of the commands": report.sha256_commands,
             "layout of the states": facts["layout_hash"],
             "versions": ", ".join(f"{name} {version}" for name, version in versions.items()),
-            **dict(_extra(report)),
+            **{
+                key.replace("_", " "): value if isinstance(value, str) else json.dumps(value)
+                for key, value in report.extra.items()
+            },
         }
+
+
+def _title(report: Report) -> str:
+    return f"{report.workflow} on {report.robot} ({report.platform})"
 
 
 def _times(us: dict[str, float]) -> str:
     return ", ".join(f"{name} {us.get(name, 0.0):,.0f} µs" for name in ("p50", "p99", "max"))
-
-
-def _extra(report: Report) -> Iterator[tuple[str, str]]:
-    for key, value in report.extra.items():
-        yield key.replace("_", " "), value if isinstance(value, str) else json.dumps(value)

@@ -19,8 +19,7 @@ from unicon_core.workflow.registry import known
 from unicon_ros.recording import Record, open_record
 from unicon_ros.recording.facts import VERSIONS
 from unicon_ros.replay.workflow import recorded_workflow
-from unicon_ros.run_report.figures import faults_of, figures_of
-from unicon_ros.run_report.level import level_of
+from unicon_ros.run_report.figures import faults_of, figures_of, level_of
 
 SCHEMA = "unicon.run/1"
 OTHER = "other"

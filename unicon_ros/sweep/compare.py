@@ -33,7 +33,7 @@ def comparison(a: Results, b: Results) -> str:
         UniconError: there is nothing to compare.
         MissingDependencyError: scipy is not installed.
     """
-    stats = imported("scipy.stats", "unicon sweep compare", "scipy", "sweep")
+    stats = imported("scipy.stats", "unicon sweep compare", "sweep")
     for each in (a, b):
         if not each.good:
             raise UniconError(f"{each.path} has no rollout with a result; run it first")

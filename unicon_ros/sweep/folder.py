@@ -29,7 +29,7 @@ def require_pyarrow() -> None:
     Raises:
         MissingDependencyError: pyarrow is not installed.
     """
-    imported("pyarrow.parquet", "unicon sweep", "pyarrow", "sweep")
+    imported("pyarrow.parquet", "unicon sweep", "sweep")
 
 
 class Folder:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from unicon_ros.last_words import LOG_BYTES
+from unicon_ros.ending import LOG_BYTES
 from unicon_ros.sweep.piped import PipedProcess
 from unicon_ros.sweep.plan import Row
 from unicon_ros.sweep.pool import LOOK, ONE_THREAD, Pool, PoolWorker

@@ -14,8 +14,7 @@ from typing import Any
 
 from unicon_core.resources import same_modules
 from unicon_core.signals import signal_name
-from unicon_ros.end_with import die_with_parent
-from unicon_ros.last_words import last_words
+from unicon_ros.ending import die_with_parent, last_words
 
 
 class PipedProcess:

@@ -115,7 +115,7 @@ class Plan:
     @cached_property
     def _sobol(self) -> NDArray[np.float64]:
         """All points of a scrambled Sobol sequence, shape (points, parameters)."""
-        qmc = imported("scipy.stats", "sample: sobol", "scipy", "sweep").qmc
+        qmc = imported("scipy.stats", "sample: sobol", "sweep").qmc
         count = self.sweep.points
         bits = max(1, (count - 1).bit_length())
         random = np.random.default_rng(self.sweep.said.seed)

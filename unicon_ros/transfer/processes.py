@@ -17,7 +17,7 @@ from typing import Any
 from unicon_core.errors import UniconError
 from unicon_core.page import write_file
 from unicon_core.signals import SIGNALS, signal_name
-from unicon_ros.last_words import LOG_BYTES
+from unicon_ros.ending import LOG_BYTES
 from unicon_ros.sweep.piped import PipedProcess
 from unicon_ros.sweep.plan import Row
 from unicon_ros.sweep.pool import LOOK

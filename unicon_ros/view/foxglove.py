@@ -62,7 +62,7 @@ class Foxglove:
     def __init__(
         self, shown: Shown, source: Source, remote: Remote, options: Mapping[str, Any]
     ) -> None:
-        foxglove = imported("foxglove", "--view=foxglove", "foxglove-sdk", "foxglove")
+        foxglove = imported("foxglove", "--view=foxglove", "foxglove", "foxglove-sdk")
         websocket = foxglove.websocket
         self._sdk, self._shown, self._source, self._remote = websocket, shown, source, remote
         self._states = States(shown.layout)

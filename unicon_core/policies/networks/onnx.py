@@ -62,7 +62,7 @@ def load_session(path: Path, provider: str = "cpu", threads: int = 1) -> Any:
         PolicyError: onnxruntime cannot load the model, or cannot run it there.
     """
     name, install = PROVIDERS[provider]
-    onnxruntime = imported("onnxruntime", f"policy {path.name}", "onnxruntime", "sim")
+    onnxruntime = imported("onnxruntime", f"policy {path.name}", "sim")
     available = onnxruntime.get_available_providers()
     if name not in available:
         there = [word for word, (full, _) in PROVIDERS.items() if full in available]

@@ -31,13 +31,13 @@ class TorchNetwork:
     """
 
     def __init__(self, contract: PolicyContract) -> None:
-        torch = imported("torch", f"policy {contract.name} (TorchScript)", "torch", "torch")
+        torch = imported("torch", f"policy {contract.name} (TorchScript)", "torch")
         if contract.recurrent:
             raise PolicyError(
                 f"policy {contract.name}: recurrent tensors cannot be named in TorchScript; "
                 "export it as ONNX"
             )
-        self._torch: Any = torch
+        self._torch = torch
         torch.set_num_threads(1 if contract.child is None else contract.child.threads)
         try:
             self._module = torch.jit.load(str(contract.model), map_location="cpu").eval()

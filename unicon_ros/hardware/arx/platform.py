@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.errors import Fault, MissingDependencyError, PlatformError
+from unicon_core.errors import Fault, PlatformError, imported
 from unicon_core.platforms.kit.command import Command
 from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
@@ -37,13 +37,7 @@ def import_can() -> Any:
     Raises:
         MissingDependencyError: it is not installed.
     """
-    try:
-        import can
-    except ImportError as error:
-        raise MissingDependencyError(
-            "platform 'arx'", "python-can", "pip install 'unicon_ros[hw-arx]'"
-        ) from error
-    return can
+    return imported("can", "platform 'arx'", "hw-arx", "python-can")
 
 
 def open_bus(channel: str, interface: str) -> Any:

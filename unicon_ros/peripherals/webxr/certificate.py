@@ -11,11 +11,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from unicon_core.errors import MissingDependencyError, UniconError
+from unicon_core.errors import UniconError, imported
 from unicon_core.resources import user_folder
 
 _DAYS = 800
-_INSTALL = "pip install 'unicon_ros[webxr]'"
 
 
 def certificate(host: str) -> Path:
@@ -31,10 +30,7 @@ def certificate(host: str) -> Path:
         MissingDependencyError: `cryptography` is not installed.
         UniconError: it cannot be written.
     """
-    try:
-        from cryptography import x509
-    except ModuleNotFoundError as error:
-        raise MissingDependencyError("webxr over TLS", "cryptography", _INSTALL) from error
+    x509 = imported("cryptography.x509", "webxr over TLS", "webxr")
     folder = user_folder("webxr")
     if folder is None:
         raise UniconError("webxr: no home to keep a certificate in; set XDG_STATE_HOME")

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from unicon_core.errors import MissingDependencyError, UniconError
 from unicon_core.signals import SIGNALS
-from unicon_ros.last_words import last_words
+from unicon_ros.ending import last_words
 from unicon_ros.sweep.engine import Result
 from unicon_ros.sweep.on_ray.rehearsal import files_of
 from unicon_ros.sweep.on_ray.scratch import Scratch

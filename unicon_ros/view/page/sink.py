@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Mapping
 from typing import Any
 
-from unicon_core.errors import MissingDependencyError, UniconError
+from unicon_core.errors import UniconError, imported
 from unicon_ros.view import PORT
 from unicon_ros.view.front import check_reach, listening, refusal
 from unicon_ros.view.page.history import SECONDS, History
@@ -45,16 +45,10 @@ class Page:
     def __init__(
         self, shown: Shown, source: Source, remote: Remote, options: Mapping[str, Any]
     ) -> None:
-        try:
-            import rich
-            import viser
+        rich, viser = (imported(name, "--view", "view") for name in ("rich", "viser"))
+        from unicon_ros.view.page import link
+        from unicon_ros.view.page.scene import Stage
 
-            from unicon_ros.view.page import link
-            from unicon_ros.view.page.scene import Stage
-        except ModuleNotFoundError as error:
-            raise MissingDependencyError(
-                "--view", str(error.name), "pip install 'unicon_ros[view]'"
-            ) from error
         host, token = str(options.get("host", "127.0.0.1")), str(options.get("token", ""))
         check_reach(host, token)
         self._shown, self._source, self._remote, self._token = shown, source, remote, token

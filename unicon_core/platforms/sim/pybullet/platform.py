@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.errors import MissingDependencyError
+from unicon_core.errors import imported
 from unicon_core.models.urdf_write import physical_urdf
 from unicon_core.platforms.kit.quiet import quiet
 from unicon_core.platforms.kit.stepped import (
@@ -174,12 +174,9 @@ def make(
         passive: damping of the joints in the model: `keep` it beside that of the command, or
             `replace` it by that.
     """
-    try:
-        from pybullet_utils.bullet_client import BulletClient, pybullet
-    except ImportError as error:
-        install = "pip install 'unicon_ros[sim-pybullet]'"
-        raise MissingDependencyError("platform 'pybullet'", "pybullet", install) from error
+    what = "platform 'pybullet'", "sim-pybullet", "pybullet"
+    bullet = imported("pybullet_utils.bullet_client", *what)
     setup = setup_of(states, robot, period, scene, timestep, passive)
     with quiet():  # it says "argv[0]=" at each connection
-        clients = [BulletClient(pybullet.DIRECT) for _ in range(setup.num_robots)]
+        clients = [bullet.BulletClient(bullet.pybullet.DIRECT) for _ in range(setup.num_robots)]
     return PybulletPlatform(clients, setup)
