@@ -19,9 +19,9 @@ from unicon_ros.cli.options import REPEATED, add_overrides, argument, command, f
 if TYPE_CHECKING:
     from unicon_ros.sweep.engines import Wish
     from unicon_ros.sweep.folder import Folder
-    from unicon_ros.sweep.gate import Gate
     from unicon_ros.sweep.plan import Plan
     from unicon_ros.sweep.results import Results
+    from unicon_ros.sweep.sweep_file import Gate
 
 REPORT, COMPARE = "report", "compare"
 MOST_WORKERS = 1024
@@ -95,7 +95,7 @@ def _sweep(arguments: argparse.Namespace) -> int:
 
     Exit status: 0; 1 where a gate is broken, or for bad input; 3 where a row has no result.
     """
-    from unicon_ros.sweep.gate import read_gate
+    from unicon_ros.sweep.sweep_file import read_gate
 
     what, gates = arguments.what, [read_gate(text) for text in arguments.gate]
     if what[0] == REPORT and len(what) == 2:
@@ -103,8 +103,8 @@ def _sweep(arguments: argparse.Namespace) -> int:
 
         return _ended(Results(Path(what[1])), gates)
     if what[0] == COMPARE and len(what) == 3:
-        from unicon_ros.sweep.compare import comparison
         from unicon_ros.sweep.results import Results
+        from unicon_ros.sweep.summary import comparison
 
         print(comparison(Results(Path(what[1])), Results(Path(what[2]))))
         return 0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import struct
-import zlib
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -12,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.errors import MissingDependencyError, UniconError
+from unicon_core.errors import UniconError, imported
 from unicon_ros.recording import Record
 from unicon_ros.recording.frames import Frames
 
@@ -175,13 +174,7 @@ def _compressed(raw: memoryview, what: str) -> memoryview:
 
 
 def _pillow() -> Any:
-    try:
-        from PIL import Image
-    except ModuleNotFoundError as error:
-        raise MissingDependencyError(
-            "a data set of JPEGs", "pillow", "pip install 'unicon_ros[lerobot]'"
-        ) from error
-    return Image
+    return imported("PIL.Image", "a data set of pictures", "pillow", "lerobot")
 
 
 def _decoded(data: memoryview, what: str) -> NDArray[np.uint8]:
@@ -195,22 +188,14 @@ def _decoded(data: memoryview, what: str) -> NDArray[np.uint8]:
 
 
 def png(pixels: NDArray[np.uint8]) -> bytes:
-    """Return a picture as PNG (https://www.w3.org/TR/png-3/), each row less the one above it.
+    """Return a picture as PNG.
 
     Args:
         pixels: shape (height, width, 3).
+
+    Raises:
+        MissingDependencyError: Pillow is not installed.
     """
-    height, width, _ = pixels.shape
-    rows = np.empty((height, 1 + 3 * width), np.uint8)
-    rows[:, 0] = 2  # filter "Up"
-    flat = pixels.reshape(height, -1)
-    rows[0, 1:] = flat[0]
-    np.subtract(flat[1:], flat[:-1], out=rows[1:, 1:])
-
-    def chunk(kind: bytes, data: bytes) -> bytes:
-        crc = zlib.crc32(kind + data)
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", crc)
-
-    head = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-    parts = chunk(b"IHDR", head), chunk(b"IDAT", zlib.compress(rows.data, 1)), chunk(b"IEND", b"")
-    return b"\x89PNG\r\n\x1a\n" + b"".join(parts)
+    stream = io.BytesIO()
+    _pillow().fromarray(pixels).save(stream, "png", compress_level=1)
+    return stream.getvalue()

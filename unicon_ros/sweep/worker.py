@@ -1,4 +1,4 @@
-"""Worker: a process that runs rows of a sweep, one or some at a time (`python -m`, see `local`).
+"""Worker: a process that runs rows of a sweep, one or some at a time (`python -m`, see `engines`).
 
 It reads its task and then rows from one pipe, a line of JSON each, and writes a line of JSON for
 each row to another. What engines print goes to the log that its parent made. It has one thread, and

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import fcntl
 import importlib.util
 import os
 import secrets
 import select
+import shutil
 import socket
+import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
@@ -15,13 +18,10 @@ from pathlib import Path
 from unicon_core.errors import MissingDependencyError, UniconError
 from unicon_core.signals import SIGNALS
 from unicon_ros.last_words import last_words
-from unicon_ros.sweep.engine import Result
-from unicon_ros.sweep.on_ray.rehearsal import files_of
-from unicon_ros.sweep.on_ray.scratch import Scratch
-from unicon_ros.sweep.on_ray.shipment import manifest, pack
+from unicon_ros.sweep.on_ray.shipment import files_of, manifest, pack
 from unicon_ros.sweep.piped import PipedProcess, line_of
 from unicon_ros.sweep.plan import Plan, Row
-from unicon_ros.sweep.pool import LOOK
+from unicon_ros.sweep.pool import LOOK, Result
 
 JOIN_S, START_S = 60.0, 120.0
 """Wall time in [s] until a cluster takes us (1 s on two nodes), and until our own is up (5 s)."""
@@ -225,3 +225,41 @@ def _own_address() -> str:
         outward.connect(("8.8.8.8", 80))
         return str(outward.getsockname()[0])
     return "127.0.0.1"
+
+
+PREFIX, LOCK = "unicon_ray_", ".lock"
+
+
+class Scratch:
+    """A folder in that of temporary files; those of processes that have died are removed.
+
+    Its name is short: a name of a socket has 107 bytes at most on Linux, and Ray adds 70.
+
+    Attributes:
+        path: of the folder.
+    """
+
+    def __init__(self) -> None:
+        for old in Path(tempfile.gettempdir()).glob(f"{PREFIX}*"):
+            with suppress(OSError):
+                _remove_if_left(old)
+        self.path = Path(tempfile.mkdtemp(prefix=PREFIX))
+        self._lock = os.open(self.path / "new", os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        fcntl.flock(self._lock, fcntl.LOCK_EX)
+        os.rename(self.path / "new", self.path / LOCK)  # nobody sees it without its owner
+
+    def close(self) -> None:
+        """Remove it."""
+        shutil.rmtree(self.path, ignore_errors=True)
+        if self._lock >= 0:
+            os.close(self._lock)
+        self._lock = -1
+
+
+def _remove_if_left(folder: Path) -> None:
+    lock = os.open(folder / LOCK, os.O_WRONLY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        shutil.rmtree(folder, ignore_errors=True)
+    finally:
+        os.close(lock)

@@ -14,7 +14,7 @@ from typing import Any
 from unicon_core.errors import MissingDependencyError, UniconError
 from unicon_ros.view import PORT
 from unicon_ros.view.front import check_reach, listening, refusal
-from unicon_ros.view.page.history import SECONDS, History
+from unicon_ros.view.page.plots import SECONDS, History
 from unicon_ros.view.page.wheel import Wheel
 from unicon_ros.view.page.words import status_html, table
 from unicon_ros.view.shown import Shown
