@@ -27,7 +27,7 @@ from unicon_ros.bench import sdk
 from unicon_ros.bench.domains import free_domain, loopback_environment
 from unicon_ros.bench.loops import LEASE, SETTLE, Loop
 from unicon_ros.bench.report import Bench
-from unicon_ros.bench.rounds import Rows, add_cases, add_ratio, ratios, rounds_of, take_turns
+from unicon_ros.bench.rounds import Claim, Rows, add_ratios, add_rows, rounds_of, take_turns
 
 PIPELINES = "unicon_ros.bench.pipelines"
 SWEEPS = 2  # of all phases in one turn: 0.9 % of the rate
@@ -67,21 +67,20 @@ VARIANTS = (
     Variant("plain, fast robot", FAST, ("plain", "controller")),
     Variant("plain, EventsExecutor", FAST, ("plain", "events")),
     Variant(TRIGGERED, FAST, ("plain", "triggered")),
-    Variant("thread per bridge", FAST, ("threads", "")),
+    Variant("thread per bridge", FAST, ("plain", "threads")),
     Variant("unicon, free tick", FAST, ("unicon", "deadline")),
     Variant(ON_STATE, FAST, ("unicon", "state")),
     Variant(BEST_EFFORT, FAST, ("unicon", "state"), best_effort=True),
     Variant(SHARED_MEMORY, FAST, ("unicon", "state"), shared_memory=True),
     Variant(MIRROR_ALONE, ("plain", "observer"), ("plain", "mirror")),
     Variant(LOCAL, ("plain", "observer"), ("unicon", "local")),
-    Variant(OBSERVED, ("observer", ""), ("unicon", "local")),
+    Variant(OBSERVED, ("fast_robot", "observer"), ("unicon", "local")),
 )
 
 _OF_PLAIN_NODE = "mirror, of that of a plain node that publishes nothing else"
 _OF_ONE_WAY = "mirror to our own bridge, of plain's one-way"
 
-RATIOS: tuple[tuple[str, str, str, str, str, float | None], ...] = (
-    # name, row, its variant, row of the baseline, its variant, bar
+RATIOS: tuple[Claim, ...] = (
     ("end_to_end", "end_to_end", ON_STATE, "end_to_end", PLAIN, 0.25),
     ("end_to_end_best_effort", "end_to_end", BEST_EFFORT, "end_to_end", PLAIN, 0.2),
     ("end_to_end_triggered", "end_to_end", ON_STATE, "end_to_end", TRIGGERED, 0.7),
@@ -197,10 +196,9 @@ def _bench(results: list[dict[str, Rows]], options: _Options) -> Bench:
     if not results:
         return bench
     for variant in VARIANTS:
-        add_cases(bench, results, variant.name)
+        add_rows(bench, results, variant.name)
     beside_paper(bench, [variant.name for variant in VARIANTS])
-    for name, row, ours, base_row, base, bar in RATIOS:
-        add_ratio(bench, name, ratios(results, row, ours, base_row, base), bar)
+    add_ratios(bench, results, RATIOS)
     return bench
 
 

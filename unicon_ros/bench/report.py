@@ -6,7 +6,7 @@ import json
 import math
 import os
 import platform
-from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from unicon_core.aligned import aligned
 from unicon_core.errors import UniconError
-from unicon_core.page import write_file
+from unicon_core.page import plain, write_file
 from unicon_ros.report.drawing import as_png, require
 
 PACKAGES = ("numpy", "mujoco", "onnxruntime", "rosbags", "rclpy", "pyzmq", "numba", "daqp", "mink")
@@ -64,11 +64,8 @@ class Bench:
         self.cases[name] = {
             "p50": float(np.percentile(samples, 50)),
             "p99": float(np.percentile(samples, 99)),
-            "mean": float(samples.mean()),
-            "std": float(samples.std()),
-            "min": float(samples.min()),
-            "max": float(samples.max()),
-            "samples": int(samples.size),
+            **{key: float(getattr(samples, key)()) for key in ("mean", "std", "min", "max")},
+            "samples": samples.size,
         }
 
     def ratio(self, name: str, value: float, bar: float, *, at_least: bool = False) -> bool:
@@ -103,16 +100,15 @@ class Bench:
             "ratios": self.ratios,
             "facts": self.facts,
         }
-        return json.dumps(_finite(values), indent=2, ensure_ascii=False)
+        return json.dumps(plain(values), indent=2, ensure_ascii=False)
 
     def table(self) -> str:
         """Return cases and ratios as aligned text."""
         lines = [f"bench {self.name}: {self.rounds} rounds, {machine()}"]
         rows = [("case [µs]", "p50", "p99", "mean ± std", "samples")]
         for name, case in self.cases.items():
-            spread = f"{_number(case['mean'])} ± {_number(case['std'])}"
-            count = str(int(case["samples"]))
-            rows.append((name, _number(case["p50"]), _number(case["p99"]), spread, count))
+            p50, p99, mean, std = (_number(case[key]) for key in ("p50", "p99", "mean", "std"))
+            rows.append((name, p50, p99, f"{mean} ± {std}", str(case["samples"])))
         if self.cases:
             lines += ["", *aligned(rows, right=range(1, 5), underlined=False)]
         if self.facts:
@@ -148,21 +144,16 @@ def _package_versions() -> dict[str, str]:
     """Return the versions of Python and of those PACKAGES that are installed."""
     versions = {"python": platform.python_version()}
     for package in PACKAGES:
-        try:
+        with suppress(metadata.PackageNotFoundError):
             versions[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            continue
     return versions
 
 
 def _cpu() -> str:
-    try:
-        with open("/proc/cpuinfo", encoding="utf-8") as file:
-            for line in file:
-                if line.lower().startswith(("model name", "hardware")):
-                    return line.partition(":")[2].strip()
-    except OSError:
-        pass
+    with suppress(OSError), open("/proc/cpuinfo", encoding="utf-8") as file:
+        for line in file:
+            if line.lower().startswith(("model name", "hardware")):
+                return line.partition(":")[2].strip()
     return platform.processor() or platform.machine()
 
 
@@ -176,16 +167,6 @@ def _number(value: float) -> str:
     if not math.isfinite(value):
         return str(value)
     return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(item) for item in value]
-    if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
-    return value
 
 
 def plot(bench: Bench, path: Path) -> None:
@@ -222,16 +203,10 @@ def plot(bench: Bench, path: Path) -> None:
     axes.scatter(p50, labels, color=colours, zorder=3)
     axes.scatter(p99, labels, color=colours, marker="|", zorder=3)
     for place, value in enumerate(p50):
-        axes.annotate(
-            f"{value:,.0f}" if value >= 100 else f"{value:.3g}",
-            (value, place),
-            xytext=(0, 4),
-            textcoords="offset points",
-            ha="center",
-            fontsize=7,
-        )
-    axes.set_xscale("log")
-    axes.set_xlabel("µs (dot: p50, end of the line: p99), log scale")
+        look: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "fontsize": 7}
+        axes.annotate(_number(value), (value, place), xytext=(0, 4), **look)
+    label = "µs (dot: p50, end of the line: p99), log scale"
+    axes.set(xscale="log", xlabel=label)
     axes.set_title(f"unicon bench {bench.name}, {bench.rounds} rounds")
     axes.grid(alpha=0.3)
     write_file(path, as_png(figure))

@@ -1,4 +1,4 @@
-"""Engines are pools: they hand rows to workers, ahead of need, and have those of a lost one run again."""
+"""Engines are pools: they hand rows to workers, and have those of a worker that died run again."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Results: all rows of a sweep's folder, for gates, reports and comparisons; how sure a share is."""
+"""Results: all rows of a sweep's folder, for gates, reports and comparisons; chance in shares."""
 
 from __future__ import annotations
 
