@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from unicon_ros.bridge.camera_topics import CameraTopics
 from unicon_ros.peripherals.child import SLICE, Feed, Gone, end, serve
-from unicon_ros.peripherals.v4l2 import Capture, Frame, Kernel, System
+from unicon_ros.peripherals.v4l2 import Capture, Frame, Kernel
 from unicon_ros.peripherals.webcam import FORMATS, message_of
 
 BY_ID = Path("/dev/v4l/by-id")
@@ -158,11 +158,11 @@ def _path(given: str) -> str:
     return str(found[0])
 
 
-def _system(place: str | None) -> System:
+def _system(place: str | None) -> Kernel:
     if place is None:
         return Kernel()
     module, _, name = place.partition(":")
-    system: System = getattr(import_module(module), name)()
+    system: Kernel = getattr(import_module(module), name)()
     return system
 
 
