@@ -91,17 +91,16 @@ def _measure(bench: Bench, desk: Desk) -> None:
         each.take(sends, SAMPLES, SENDS)
         each.take(looks, SAMPLES, POLLS)
         _take_received(each, receive)
-    times.add_to(bench)
     few, many = (f"send JointState, {joints} joints" for joints in (FEW, MANY))
-    for name, one, other, bar in (
+    times.add_to(
+        bench,
         ("send", "send JointState: ours", "send JointState: new message", 0.3),
         ("receive", "receive JointState: ours", "receive JointState: typed", 0.3),
         ("imu_send", "send Imu: ours", "send Imu: new message", 0.5),
         ("odometry_send", "send Odom: ours", "send Odom: new message", 0.5),
         ("send_growth", many, few, 1.15),
         ("empty_poll", "empty poll: ours", "empty poll: spin_once(0)", 0.1),
-    ):
-        bench.ratio(name, times.ratio(one, other), bar)
+    )
     bench.facts["joints"] = JOINTS
 
 

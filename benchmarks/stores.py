@@ -104,10 +104,7 @@ def run(rounds: int | None = None, *, only: Callable[[str], bool] | None = None)
             for name, rows in zip(results, round_):
                 for row in TIMES:
                     samples.add(f"{name}: {row}", rows[row])
-    samples.add_to(bench)
-    for name, ours, theirs, bar in RATIOS:
-        if {ours, theirs} <= set(samples.names):
-            bench.ratio(name, samples.ratio(ours, theirs), bar)
+    samples.add_to(bench, *RATIOS)
     return bench
 
 

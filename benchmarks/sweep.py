@@ -141,10 +141,12 @@ def run(rounds: int | None = None, rollouts: int = ROLLOUTS) -> Bench:
             "way, sweep [m]": f"{sum(distances) / len(distances):.2f}",
             "way, bare [m]": f"{ways[-1]:.2f}",
         }
-    times.add_to(bench)
-    bench.ratio("cost", times.ratio("sweep", "bare"), BAR)
-    bench.ratio("cost_cpu", times.ratio("sweep, CPU", "bare, CPU"), BAR)
-    bench.ratio("batch_cpu", times.ratio("batch, CPU", "sweep, CPU"), BATCH_BAR)
+    times.add_to(
+        bench,
+        ("cost", "sweep", "bare", BAR),
+        ("cost_cpu", "sweep, CPU", "bare, CPU", BAR),
+        ("batch_cpu", "batch, CPU", "sweep, CPU", BATCH_BAR),
+    )
     return bench
 
 
