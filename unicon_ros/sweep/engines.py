@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
-import selectors
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any
 
@@ -105,7 +105,6 @@ class LocalEngine(Pool):
     ) -> None:
         super().__init__(workers, timeout, batch=batch)
         self._task, self._logs = task | {"batch": batch}, logs
-        self._selector = selectors.DefaultSelector()
 
     @property
     def pids(self) -> list[int]:
@@ -114,17 +113,12 @@ class LocalEngine(Pool):
 
     def start(self, name: int) -> PoolWorker:
         """Start a process."""
-        log = self._logs / f"worker_{name}.log"
-        return _Worker(name, self._task, log, self._selector)
+        return _Worker(name, self._task, self._logs / f"worker_{name}.log")
 
     def look(self) -> Iterable[PoolWorker]:
         """Return workers whose pipes have something."""
-        return [key.data for key, _ in self._selector.select(LOOK)]
-
-    def close(self) -> None:
-        """End all workers."""
-        super().close()
-        self._selector.close()
+        told = wait([worker.process.connection for worker in self._workers], LOOK)
+        return [each for each in self._workers if each.process.connection in told]
 
 
 class _Worker(PoolWorker):
@@ -134,18 +128,13 @@ class _Worker(PoolWorker):
         name: number of it.
         task: that it begins with.
         log: file for what it prints.
-        selector: to look at what it tells, until its end.
     """
 
-    def __init__(
-        self, name: int, task: dict[str, Any], log: Path, selector: selectors.BaseSelector
-    ) -> None:
+    def __init__(self, name: int, task: dict[str, Any], log: Path) -> None:
         super().__init__(name)
         self.log = str(log)
         self.process = PipedProcess("unicon_ros.sweep.worker", log, ONE_THREAD)
         self.process.write(task)
-        self._selector = selector
-        selector.register(self.process.results, selectors.EVENT_READ, self)
 
     def send(self, row: Row) -> None:
         """Bring it a row."""
@@ -165,6 +154,5 @@ class _Worker(PoolWorker):
 
     def end(self, why: str) -> str:
         """End it; return why it did, in words."""
-        self._selector.unregister(self.process.results)
         how = self.process.end()
         return how if why == "ended" else why

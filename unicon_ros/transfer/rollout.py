@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import re
-import select
 import sys
 import time
 from collections.abc import Callable
@@ -200,7 +199,7 @@ def _watched(process: PipedProcess, timeout: float, tell: Progress) -> dict[str,
     seconds, end = 0.0, time.monotonic() + timeout
     while not SIGNALS.asked and not process.over:
         tell(seconds)
-        if select.select([process.results], [], [], LOOK)[0]:
+        if process.connection.poll(LOOK):
             for told in process.heard():
                 if "error" in told:
                     return {"outcome": "refused", "text": told["error"]}

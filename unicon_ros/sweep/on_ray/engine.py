@@ -19,7 +19,7 @@ from unicon_core.errors import MissingDependencyError, UniconError
 from unicon_core.signals import SIGNALS
 from unicon_ros.last_words import last_words
 from unicon_ros.sweep.on_ray.shipment import files_of, manifest, pack
-from unicon_ros.sweep.piped import PipedProcess, line_of
+from unicon_ros.sweep.piped import PipedProcess
 from unicon_ros.sweep.plan import Plan, Row
 from unicon_ros.sweep.pool import LOOK, Result
 
@@ -102,20 +102,15 @@ class RayEngine:
         """Yield the result of each row; see `Engine`."""
         assert self._process is not None
         process, todo = self._process, iter(rows)
-        os.set_blocking(process.rows, False)
-        data, ready = b"", False
+        line, ready, more = process.connection, False, True
         patience = JOIN_S if self._address else START_S
         until = time.monotonic() + patience
         while not SIGNALS.asked:
-            if not data and process.rows >= 0:
-                if (row := next(todo, None)) is None:
-                    process.close_rows()
-                else:
-                    data = line_of({"index": row.index, "settings": row.settings})
-            writable = [process.rows] if data else []
-            told_any, takes, _ = select.select([process.results], writable, [], LOOK)
-            if takes:
-                data = _written(process, data)
+            told_any, takes, _ = select.select([line], [line] if more else [], [], LOOK)
+            if takes:  # {} says that no more comes
+                row = next(todo, None)
+                more = row is not None
+                process.write({"index": row.index, "settings": row.settings} if row else {})
             for told in process.heard() if told_any else ():
                 if "error" in told:
                     raise UniconError(str(told["error"]))
@@ -167,13 +162,6 @@ class RayEngine:
             self._process.end()
             self._process = None
         self._scratch.close()
-
-
-def _written(process: PipedProcess, data: bytes) -> bytes:
-    """Write what a pipe takes; return the rest."""
-    with suppress(BlockingIOError, BrokenPipeError):
-        return data[os.write(process.rows, data) :]
-    return data
 
 
 def environment_for(address: str) -> Mapping[str, str]:

@@ -22,7 +22,7 @@ from typing import Any
 from unicon_core.errors import UniconError
 from unicon_core.resources import assets_cache, assets_root, config_roots
 from unicon_ros.sweep.draws import setting_of
-from unicon_ros.sweep.piped import PipedProcess
+from unicon_ros.sweep.piped import Line, PipedProcess
 from unicon_ros.sweep.plan import Plan
 
 FILES = "files"
@@ -274,25 +274,18 @@ def to_ship(seen: Iterable[str]) -> list[str]:
 
 def main() -> int:
     """Rehearse, and tell."""
-    import json
-
-    from unicon_ros.sweep.piped import line_of
     from unicon_ros.sweep.worker import RowRunner
 
-    with os.fdopen(int(sys.argv[1]), "rb") as incoming:
-        task = json.loads(incoming.readline())
-        watch = _Watch()
-        told: dict[str, Any] = {}
-        try:
-            runner = RowRunner(task | {"duration": MOMENT})
-            for settings in task["rows"]:
-                runner(settings)
-        except UniconError as error:
-            told["error"] = str(error)
-        else:
-            told["files"] = to_ship({*watch.seen, *_modules()})
-    with os.fdopen(int(sys.argv[2]), "wb", buffering=0) as outgoing:
-        outgoing.write(line_of(told))
+    line, watch = Line(), _Watch()
+    task = line.read()
+    try:
+        runner = RowRunner(task | {"duration": MOMENT})
+        for settings in task["rows"]:
+            runner(settings)
+    except UniconError as error:
+        line.write({"error": str(error)})
+    else:
+        line.write({"files": to_ship({*watch.seen, *_modules()})})
     return 0
 
 
