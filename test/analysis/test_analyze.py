@@ -17,8 +17,8 @@ from replaying import cut_off
 
 from unicon_ros.analysis.comparison import Comparison, compare_runs
 from unicon_ros.analysis.pictures import PICTURES
-from unicon_ros.analysis.read import read_run
 from unicon_ros.analysis.report import findings_of
+from unicon_ros.analysis.run import read_run
 from unicon_ros.analysis.together import Options, bring_together
 from unicon_ros.cli.main import main
 

@@ -20,7 +20,7 @@ from pages import looked_at, read_page
 from benchmarks.networks import random_policy
 from unicon_core.errors import MissingDependencyError, UniconError
 from unicon_core.robots import load_robot
-from unicon_ros.analysis.read import read_run
+from unicon_ros.analysis.run import read_run
 from unicon_ros.cli.main import main
 from unicon_ros.sweep import pool
 from unicon_ros.sweep.engines import LocalEngine

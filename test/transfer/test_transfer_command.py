@@ -21,7 +21,7 @@ from pages import read_page
 
 from unicon_core.resources import sha256_of
 from unicon_core.robots import load_robot
-from unicon_ros.analysis.read import read_run
+from unicon_ros.analysis.run import read_run
 from unicon_ros.cli.main import main
 from unicon_ros.transfer.plan import make_plan, simulators
 from unicon_ros.transfer.report import PICTURES

@@ -93,20 +93,6 @@ RATIOS: tuple[Claim, ...] = (
 )
 
 
-@dataclass(frozen=True)
-class _Options:
-    rate: float
-    state_rate: float
-    joints: int
-    seconds: float
-    folder: Path
-
-    @property
-    def swept_rate(self) -> float:
-        """Return the rate at which a turn sees commands at all phases between two states."""
-        return self.rate * self.state_rate / (self.state_rate + SWEEPS / self.seconds)
-
-
 def run(
     rounds: int | None = None,
     *,
@@ -136,16 +122,22 @@ def run(
             f"most {longest:.2g}; for more samples raise --rounds"
         )
     rounds = rounds or ROUNDS
+    # So that a turn sees commands at all phases between two states.
+    swept = rate * state_rate / (state_rate + SWEEPS / seconds)
+    common = ["--rate", f"{swept}", "--state-rate", f"{state_rate}", "--joints", f"{joints}"]
     with tempfile.TemporaryDirectory() as folder:
-        options = _Options(rate, state_rate, joints, seconds, Path(folder))
+        logs = Path(folder)
         with SIGNALS.guard():  # Ctrl-C is looked for between turns
-            makers = {v.name: partial(_loop, v, i, options) for i, v in enumerate(VARIANTS)}
+            makers = {
+                variant.name: partial(_loop, variant, common, logs / f"{i}.npz")
+                for i, variant in enumerate(VARIANTS)
+            }
             whole, loops = take_turns(makers, rounds, seconds)
             results, official, lacking = rounds_of(whole, loops), [], sdk.unavailable()
             if not lacking and whole and not SIGNALS.asked:
-                rates = options.swept_rate, state_rate
-                official = sdk.measure(rounds, seconds, *rates, options.folder)
-    bench = _bench(results, options)
+                official = sdk.measure(rounds, seconds, swept, state_rate, logs)
+    figures = {"rate_hz": swept, "state_rate_hz": state_rate, "joints": joints, "seconds": seconds}
+    bench = _bench(results, figures)
     sdk.add(bench, official)
     if lacking:
         bench.facts["left out: SDK (sync), SDK (async)"] = lacking
@@ -157,14 +149,12 @@ def run(
     return bench
 
 
-def _loop(variant: Variant, number: int, options: _Options) -> Loop:
-    common = ["--rate", f"{options.swept_rate}", "--state-rate", f"{options.state_rate}"]
-    common += ["--joints", f"{options.joints}"]
-    common += ["--best-effort"] if variant.best_effort else []
+def _loop(variant: Variant, common: list[str], log: Path) -> Loop:
+    effort = ["--best-effort"] if variant.best_effort else []
 
     def command(pipeline: tuple[str, str]) -> list[str]:
         module, kind = pipeline
-        return [sys.executable, "-m", f"{PIPELINES}.{module}", "--variant", kind, *common]
+        return [sys.executable, "-m", f"{PIPELINES}.{module}", "--variant", kind, *common, *effort]
 
     environment = loopback_environment()
     if variant.shared_memory:
@@ -174,17 +164,14 @@ def _loop(variant: Variant, number: int, options: _Options) -> Loop:
         command(variant.measuring),
         None if variant.controller is None else command(variant.controller),
         environment,
-        options.folder / f"{number}.npz",
+        log,
     )
 
 
-def _bench(results: list[dict[str, Rows]], options: _Options) -> Bench:
+def _bench(results: list[dict[str, Rows]], figures: dict[str, float]) -> Bench:
     bench = Bench("latency", len(results))
     bench.facts.update(
-        rate_hz=options.swept_rate,
-        state_rate_hz=options.state_rate,
-        joints=options.joints,
-        seconds=options.seconds,
+        **figures,
         qos="reliable, keep last 1, unless the row says best effort; ours hear states with best "
         "effort, as platform ros does by itself",
         transports="Fast DDS defaults; our controllers UDP alone, as they do by themselves",

@@ -157,8 +157,7 @@ def _checked(plan: Plan, force: list[str]) -> str:
     """Refuse what `unicon check` calls an error; return the hash of the first row's program."""
     from unicon_core.check import refuse_errors
     from unicon_core.workflow import Program
-    from unicon_ros.sweep.figures import Reference
-    from unicon_ros.sweep.kept_states import columns_of
+    from unicon_ros.sweep.figures import Reference, columns_of
     from unicon_ros.sweep.warm import program_sha256
 
     program = Program(plan.document)

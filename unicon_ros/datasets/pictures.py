@@ -6,6 +6,7 @@ import io
 import struct
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -174,7 +175,8 @@ def _compressed(raw: memoryview, what: str) -> memoryview:
 
 
 def _pillow() -> Any:
-    return imported("PIL.Image", "a data set of pictures", "pillow", "lerobot")
+    imported("PIL", "a data set of pictures", "pillow", "lerobot")
+    return import_module("PIL.Image")
 
 
 def _decoded(data: memoryview, what: str) -> NDArray[np.uint8]:

@@ -44,8 +44,9 @@ def import_pyarrow() -> Any:
     Raises:
         MissingDependencyError: it is not installed.
     """
-    imported("pyarrow.parquet", "a LeRobot data set", "pyarrow", "lerobot")
-    return import_module("pyarrow")
+    pyarrow = imported("pyarrow", "a LeRobot data set", "pyarrow", "lerobot")
+    import_module("pyarrow.parquet")
+    return pyarrow
 
 
 class DatasetWriter:

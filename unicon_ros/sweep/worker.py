@@ -19,8 +19,7 @@ from unicon_core.policies.networks.onnx import share_sessions
 from unicon_core.runtime.rollouts import Lockstep, Look, Rollout
 from unicon_core.states import States
 from unicon_core.workflow import Program
-from unicon_ros.sweep.figures import FallLook, Reference, empty_row
-from unicon_ros.sweep.kept_states import Keeper
+from unicon_ros.sweep.figures import FallLook, Keeper, Reference, empty_row
 from unicon_ros.sweep.piped import Line
 from unicon_ros.sweep.plan import document_with
 from unicon_ros.sweep.warm import Kept, WarmPrograms

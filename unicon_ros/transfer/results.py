@@ -15,7 +15,7 @@ from unicon_core import __version__
 from unicon_core.aligned import aligned
 from unicon_core.errors import UniconError
 from unicon_core.page import plain
-from unicon_ros.analysis.read import read_run
+from unicon_ros.analysis.run import read_run
 from unicon_ros.bench.report import machine
 from unicon_ros.sweep.motion import apart
 from unicon_ros.transfer.plan import Plan

@@ -31,7 +31,7 @@ from unicon_core.states import States
 from unicon_core.workflow import Program
 from unicon_ros.last_words import LOG_BYTES
 from unicon_ros.recording.facts import versions_here
-from unicon_ros.sweep.kept_states import columns_of
+from unicon_ros.sweep.figures import columns_of
 from unicon_ros.sweep.motion import finite_rows
 from unicon_ros.sweep.piped import PipedProcess
 from unicon_ros.sweep.plan import Row
