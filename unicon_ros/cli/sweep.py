@@ -157,7 +157,8 @@ def _checked(plan: Plan, force: list[str]) -> str:
     """Refuse what `unicon check` calls an error; return the hash of the first row's program."""
     from unicon_core.check import refuse_errors
     from unicon_core.workflow import Program
-    from unicon_ros.sweep.figures import Reference, columns_of
+    from unicon_ros.analysis.run import read_run
+    from unicon_ros.sweep.figures import columns_of, reference_for
     from unicon_ros.sweep.warm import program_sha256
 
     program = Program(plan.document)
@@ -166,7 +167,7 @@ def _checked(plan: Plan, force: list[str]) -> str:
             warn(line)
         columns_of(program.states, plan.sweep.keep)
         if plan.sweep.reference is not None:
-            Reference(plan.sweep.reference).of(program.robot, program.period)
+            reference_for(read_run(plan.sweep.reference), program.robot, program.period)
         return program_sha256(program)
     finally:
         program.close()

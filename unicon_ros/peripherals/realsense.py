@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from importlib import import_module
+from pkgutil import resolve_name
 from typing import Any
 
 import numpy as np
@@ -142,7 +142,7 @@ class _RealSense:
         rs = self._rs = _library()
         options = feed.options
         self._feed, self._messages = feed, messages(feed.name, options)
-        find = _found if options["device"] is None else _function(options["device"])
+        find = _found if options["device"] is None else resolve_name(options["device"])
         self._context = rs.context()
         self._device = find(rs, self._context, options["serial"])
         (width, height), rate = options["size"], options["rate"]
@@ -311,12 +311,6 @@ def _found(rs: Any, context: Any, serial: str) -> Any:
             return device
     there = f"; there is {', '.join(known)}" if known else ""
     raise Gone(f"no RealSense{f' {serial}' if serial else ''} is connected{there}")
-
-
-def _function(place: str) -> Callable[..., Any]:
-    module, _, name = place.partition(":")
-    found: Callable[..., Any] = getattr(import_module(module), name)
-    return found
 
 
 def _pinhole(seen: Any) -> Intrinsics:

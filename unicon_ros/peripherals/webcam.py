@@ -12,8 +12,8 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Sequence
-from importlib import import_module
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 import numpy as np
@@ -188,7 +188,8 @@ class _Webcam:
         options = feed.options
         self._feed, self._size = feed, (options["size"][0], options["size"][1])
         self._message, self._ring = message_of(options), feed.rings[""]
-        system = _system(options["system"])
+        place = options["system"]
+        system = Kernel() if place is None else resolve_name(place)()
         path, self._told = _path(options["path"]), False
         letters, rate = FORMATS[options["format"]], options["rate"]
         self._capture = Capture(system, path, self._size, letters, rate)
@@ -272,14 +273,6 @@ def _path(given: str) -> str:
     if not found:
         raise Gone("no webcam is connected (no /dev/video*)")
     return str(found[0])
-
-
-def _system(place: str | None) -> Kernel:
-    if place is None:
-        return Kernel()
-    module, _, name = place.partition(":")
-    system: Kernel = getattr(import_module(module), name)()
-    return system
 
 
 if __name__ == "__main__":

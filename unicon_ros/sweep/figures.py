@@ -19,7 +19,7 @@ from unicon_core.robots import Robot, joint_index
 from unicon_core.runtime.rollouts import Rollout
 from unicon_core.states import States
 from unicon_core.workflow import Program
-from unicon_ros.analysis.run import FEWEST, Run, read_run
+from unicon_ros.analysis.run import FEWEST, Run
 from unicon_ros.sweep.motion import apart, finite_rows, moved
 
 
@@ -154,42 +154,33 @@ class FallLook:
         return self._leaning >= self._held
 
 
-class Reference:
-    """A run that joint positions are compared with.
+def reference_for(run: Run, robot: Robot, period: float) -> Run:
+    """Return a run to compare joint positions with, its joints in a robot's order.
 
     Args:
-        path: of the `.npz`.
+        run: as it was read.
+        robot: of the rollouts.
+        period: of their ticks in [s].
 
     Raises:
-        UniconError: it cannot be read.
+        UniconError: it is of another robot or another rate.
     """
-
-    def __init__(self, path: Path) -> None:
-        self._run = read_run(path)
-
-    def of(self, robot: Robot, period: float) -> Run:
-        """Return it with its joints in a robot's order.
-
-        Raises:
-            UniconError: it is of another robot or another rate.
-        """
-        run = self._run
-        own = float(np.median(np.diff(run.time)))
-        if abs(own - period) > 1e-3 * period:
-            raise UniconError(
-                f"{run.path} has {1 / own:.4g} samples a second and the workflow {1 / period:.4g} "
-                "ticks; record the reference at the workflow's rate"
-            )
-        positions = run.states["joint_pos"]
-        if run.joints:
-            positions = positions[:, joint_index(robot.joint_names, run.joints)]
-        if positions.shape[1] != robot.num_joints:
-            raise UniconError(
-                f"{run.path} has {positions.shape[1]} joints and {robot.name} {robot.num_joints}; "
-                "give a reference of this robot"
-            )
-        states = {k: v for k, v in run.states.items() if k == "projected_gravity"}
-        return replace(run, joints=robot.joint_names, states=states | {"joint_pos": positions})
+    own = float(np.median(np.diff(run.time)))
+    if abs(own - period) > 1e-3 * period:
+        raise UniconError(
+            f"{run.path} has {1 / own:.4g} samples a second and the workflow {1 / period:.4g} "
+            "ticks; record the reference at the workflow's rate"
+        )
+    positions = run.states["joint_pos"]
+    if run.joints:
+        positions = positions[:, joint_index(robot.joint_names, run.joints)]
+    if positions.shape[1] != robot.num_joints:
+        raise UniconError(
+            f"{run.path} has {positions.shape[1]} joints and {robot.name} {robot.num_joints}; "
+            "give a reference of this robot"
+        )
+    states = {k: v for k, v in run.states.items() if k == "projected_gravity"}
+    return replace(run, joints=robot.joint_names, states=states | {"joint_pos": positions})
 
 
 class Figures:

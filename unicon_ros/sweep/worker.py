@@ -19,7 +19,8 @@ from unicon_core.policies.networks.onnx import share_sessions
 from unicon_core.runtime.rollouts import Lockstep, Look, Rollout
 from unicon_core.states import States
 from unicon_core.workflow import Program
-from unicon_ros.sweep.figures import FallLook, Keeper, Reference, empty_row
+from unicon_ros.analysis.run import read_run
+from unicon_ros.sweep.figures import FallLook, Keeper, empty_row
 from unicon_ros.sweep.piped import Line
 from unicon_ros.sweep.plan import document_with
 from unicon_ros.sweep.warm import Kept, WarmPrograms
@@ -45,7 +46,7 @@ class RowRunner:
         self._said = said
         self._located = read_yaml(Path(task["workflow"]), WorkflowError)
         reference = task["reference"]
-        told = None if reference is None else Reference(Path(reference))
+        told = None if reference is None else read_run(Path(reference))
         self.batch = int(task.get("batch", 1))
         if self.batch > 1:
             share_sessions()
