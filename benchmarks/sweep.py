@@ -9,7 +9,6 @@ has everything in it: scene and program begun anew, safety, figures, the row wri
 from __future__ import annotations
 
 import os
-import resource
 import subprocess
 import sys
 import tempfile
@@ -27,6 +26,7 @@ from unicon_core.resources import same_modules
 from unicon_core.robots import joint_index
 from unicon_core.signals import SIGNALS
 from unicon_core.workflow import load_workflow
+from unicon_ros.bench.loops import cpu_ns
 from unicon_ros.bench.report import Bench
 from unicon_ros.end_with import die_with_parent
 
@@ -187,13 +187,7 @@ class _Bare:
 
 def _cpu(pids: list[int]) -> float:
     """Return seconds of CPU that some processes and this one have spent so far."""
-    ticks = os.sysconf("SC_CLK_TCK")
-    spent = 0.0
-    for pid in pids:
-        fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
-        spent += (int(fields[11]) + int(fields[12])) / ticks
-    own = resource.getrusage(resource.RUSAGE_SELF)
-    return spent + own.ru_utime + own.ru_stime
+    return 1e-9 * sum(map(cpu_ns, pids)) + time.process_time()
 
 
 def rollout_of(workflow: str, ticks: int) -> Callable[[], float]:
