@@ -31,6 +31,12 @@ PHYSICS_SIZES = (1, 4, 16, 64)
 MJX_TICKS = 20
 MJX_SIZES = (1, 16, 64)
 
+BARS = (
+    ("batch64", "per robot", 0.35),
+    ("batch64_physics", "with physics, per robot", 0.6),
+    ("batch64_mjx", "in MJX, per robot", 0.6),
+)
+
 _WORKFLOW = """\
 robot: go2
 platform: fake
@@ -61,13 +67,8 @@ def run(rounds: int | None = None) -> Bench:
         ("per robot", SIZES, TICKS, {}),
         ("with physics, per robot", PHYSICS_SIZES, PHYSICS_TICKS, _PHYSICS),
     ]
-    ratios = [
-        ("batch64", "per robot", 0.35),
-        ("batch64_physics", "with physics, per robot", 0.6),
-    ]
     if find_spec("mujoco.mjx") and find_spec("jax"):
         kinds.append(("in MJX, per robot", MJX_SIZES, MJX_TICKS, _PHYSICS | {"platform": "mjx"}))
-        ratios.append(("batch64_mjx", "in MJX, per robot", 0.6))
     else:
         bench.facts["MJX"] = "left out: pip install 'unicon_ros[sim-mjx]'"
     times = Samples()
@@ -87,8 +88,8 @@ def run(rounds: int | None = None) -> Bench:
                 times.add(name, np.array(took) / size)
         for runner, _, _ in runners.values():
             runner.close()
-    times.add_to(bench)
-    for name, kind, bar in ratios:
-        bench.ratio(name, times.ratio(f"{kind}, N = 64", f"{kind}, N = 1"), bar)
+    times.add_to(
+        bench, *((name, f"{kind}, N = 64", f"{kind}, N = 1", bar) for name, kind, bar in BARS)
+    )
     bench.facts["threads"] = len(shares(64))
     return bench

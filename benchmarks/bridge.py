@@ -10,9 +10,9 @@ in a row.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from benchmarks.samples import Samples, Step, timed
 from unicon_core.errors import UniconError
 from unicon_core.resources import find_config
-from unicon_core.states import States, StateSpec
+from unicon_core.states import States, standard_states
 from unicon_msgs_map import Decoder, Encoder, PublishSpec, SubscribeSpec, load_map
 from unicon_ros import compat
 from unicon_ros.bench.domains import stay_on_loopback
@@ -36,9 +36,7 @@ SAMPLES = 200  # of each case in each round
 SENDS = 20  # messages in one sample of a send: a clock reading costs 1 % of one then
 POLLS = 20  # empty looks in one sample
 
-
 JOINT_STATE = "sensor_msgs/msg/JointState"
-POLLED_JOINTS = 20
 WAIT = 5.0  # s for a reader and a writer of one process to find each other
 
 RECEIVED = 10
@@ -64,7 +62,7 @@ def run(rounds: int | None = None) -> Bench:
     other = rclpy.node.Node("bench_plain", context=context)
     executor = rclpy.executors.SingleThreadedExecutor(context=context)
     executor.add_node(other)
-    message = compat.message_class("sensor_msgs/msg/JointState")
+    message = compat.message_class(JOINT_STATE)
     other.create_subscription(message, "bench/silent", lambda m: None, 1)
     desk = Desk(node, executor)
     try:
@@ -93,35 +91,32 @@ def _measure(bench: Bench, desk: Desk) -> None:
         each.take(sends, SAMPLES, SENDS)
         each.take(looks, SAMPLES, POLLS)
         _take_received(each, receive)
-    times.add_to(bench)
-    ratio = times.ratio
-    bench.ratio("send", ratio("send JointState: ours", "send JointState: new message"), 0.3)
-    bench.ratio("receive", ratio("receive JointState: ours", "receive JointState: typed"), 0.3)
-    bench.ratio("imu_send", ratio("send Imu: ours", "send Imu: new message"), 0.5)
-    bench.ratio("odometry_send", ratio("send Odom: ours", "send Odom: new message"), 0.5)
     few, many = (f"send JointState, {joints} joints" for joints in (FEW, MANY))
-    bench.ratio("send_growth", ratio(many, few), 1.15)
-    bench.ratio("empty_poll", ratio("empty poll: ours", "empty poll: spin_once(0)"), 0.1)
+    times.add_to(
+        bench,
+        ("send", "send JointState: ours", "send JointState: new message", 0.3),
+        ("receive", "receive JointState: ours", "receive JointState: typed", 0.3),
+        ("imu_send", "send Imu: ours", "send Imu: new message", 0.5),
+        ("odometry_send", "send Odom: ours", "send Odom: new message", 0.5),
+        ("send_growth", many, few, 1.15),
+        ("empty_poll", "empty poll: ours", "empty poll: spin_once(0)", 0.1),
+    )
     bench.facts["joints"] = JOINTS
+
+
+Received = tuple[Step, Step]
+"""One way to receive: what makes a message arrive, and what is timed."""
 
 
 def _take_received(times: Samples, cases: dict[str, Received]) -> None:
     """Time one round of steps that take messages, each after they arrived, in turns."""
     taken = {name: np.zeros(SAMPLES) for name in cases}
     for i in range(SAMPLES):
-        for name, case in cases.items():
-            case.arrive()
-            taken[name][i] = timed(case.step) / RECEIVED
+        for name, (arrive, step) in cases.items():
+            arrive()
+            taken[name][i] = timed(step) / RECEIVED
     for name, values in taken.items():
         times.add(name, values)
-
-
-@dataclass
-class Received:
-    """One way to receive: what makes a message arrive, and what is timed."""
-
-    arrive: Step
-    step: Step
 
 
 class Desk:
@@ -163,20 +158,17 @@ class Desk:
         cases = {}
         for name, way in ways.items():
             topics = [self._name() for _ in range(RECEIVED)]
-            singles = [Received(self._feed(topic, source), way(topic)) for topic in topics]
-            for single in singles:
-                _until(partial(_arrives, single, states, source))
-            cases[name] = Received(
-                _all([single.arrive for single in singles]),
-                _all([single.step for single in singles]),
-            )
+            singles = [(self._feed(topic, source), way(topic)) for topic in topics]
+            for arrive, step in singles:
+                _meet(arrive, step, states, source)
+            arrive, step = map(_all, zip(*singles))
+            cases[name] = arrive, step
         return cases
 
     def poller(self) -> Step:
         """Return our look at a topic on which nothing comes."""
         spec = load_map(find_config("maps", "joint_state_in")).subscribe[0]
-        states = bench_states(POLLED_JOINTS)
-        return self._in(replace(spec, topic=self._name()), states, POLLED_JOINTS)
+        return self._in(replace(spec, topic=self._name()), bench_states(JOINTS), JOINTS)
 
     def _name(self) -> str:
         self._number += 1
@@ -242,7 +234,7 @@ def _published(topic: str) -> PublishSpec:
     return spec
 
 
-def _all(steps: list[Step]) -> Step:
+def _all(steps: Iterable[Step]) -> Step:
     def run() -> None:
         for step in steps:
             step()
@@ -250,39 +242,32 @@ def _all(steps: list[Step]) -> Step:
     return run
 
 
-def _until(passes: Callable[[], bool]) -> None:
+def _meet(arrive: Step, step: Step, states: States, source: States) -> None:
     """Try until a message gets through: reader and writer have found each other then."""
     end = time.monotonic() + WAIT
-    while not passes():
-        if time.monotonic() > end:
-            raise UniconError(f"no message came within {WAIT:g} s in this process; try again")
-
-
-def _arrives(case: Received, states: States, source: States) -> bool:
-    case.arrive()
-    time.sleep(0.01)
-    case.step()
-    return bool(states["joint_pos"][0] == source["joint_pos"][0])
+    while time.monotonic() < end:
+        arrive()
+        time.sleep(0.01)
+        step()
+        if states["joint_pos"][0] == source["joint_pos"][0]:
+            return
+    raise UniconError(f"no message came within {WAIT:g} s in this process; try again")
 
 
 def bench_states(joints: int) -> States:
     """Return the states that the messages carry, filled."""
-    specs = {name: StateSpec((joints,)) for name in ("joint_pos", "joint_vel", "joint_effort")}
-    specs |= {
-        "stamp_ns": StateSpec((), "int64"),
-        "base_quat": StateSpec((4,)),
-        "base_ang_vel": StateSpec((3,)),
-        "base_lin_acc": StateSpec((3,)),
-        "base_pos_w": StateSpec((3,)),
-        "base_lin_vel": StateSpec((3,)),
-    }
-    states = States(specs)
+    states = States(standard_states(joint_names(joints)))
     generator = np.random.default_rng(0)
-    for name in specs:
-        if name != "stamp_ns":
+    for name in states:
+        if states[name].dtype == np.float32:
             states[name][...] = generator.uniform(-1.0, 1.0, states[name].shape)
     states["stamp_ns"][...] = 1_234_567_890
     return states
+
+
+def joint_names(joints: int) -> list[str]:
+    """Return made-up names."""
+    return [f"joint_{i}" for i in range(joints)]
 
 
 def arrays_of(states: States) -> dict[str, NDArray[Any]]:
@@ -293,14 +278,14 @@ def arrays_of(states: States) -> dict[str, NDArray[Any]]:
 def variables_of(joints: int) -> dict[str, object]:
     """Return the `$variables` of the maps."""
     frames = {"base_frame": "base_link", "odom_frame": "odom", "imu_frame": "imu_link"}
-    return {"joint_names": [f"joint_{i}" for i in range(joints)], "robot": "bench", **frames}
+    return {"joint_names": joint_names(joints), "robot": "bench", **frames}
 
 
 def plain_sender(kind: str, states: States, joints: int) -> Callable[[], Any]:
     """Return what makes a new message of the states, as plain nodes do in each tick."""
     make = compat.message_class(kind)
     stamp_ns = states["stamp_ns"]
-    names = [f"joint_{i}" for i in range(joints)]
+    names = joint_names(joints)
     quat, turn = states["base_quat"], states["base_ang_vel"]
     # The default map's, made once.
     of_orientation, of_turn, of_acceleration = (
@@ -344,8 +329,7 @@ def plain_sender(kind: str, states: States, joints: int) -> Callable[[], Any]:
         message.pose.covariance = message.twist.covariance = of_truth
         return message
 
-    short = kind.rpartition("/")[2]
-    return {"JointState": joint_state, "Imu": imu, "Odometry": odometry}[short]
+    return {"JointState": joint_state, "Imu": imu, "Odometry": odometry}[kind.rpartition("/")[2]]
 
 
 def _fill(owner: Any, axes: str, values: NDArray[np.float32]) -> None:

@@ -106,12 +106,11 @@ def _observations(
     for _ in range(bench.rounds):
         for name, call in calls.items():  # each by itself, so that it is warm
             times.take({name: call}, WARM_CALLS // 20, 20)
-    times.add_to(bench)
-    for ratio, case in (
-        ("observation", "observation"),
-        ("observation_history6", "observation, history 6"),
-    ):
-        bench.ratio(ratio, times.ratio(f"{case}: fused", f"{case}: concatenate"), 0.35)
+    cases = {"observation": "observation", "observation_history6": "observation, history 6"}
+    times.add_to(
+        bench,
+        *((key, f"{case}: fused", f"{case}: concatenate", 0.35) for key, case in cases.items()),
+    )
 
 
 def _ticks(bench: Bench, robot: Robot, contract: PolicyContract) -> None:
@@ -120,8 +119,7 @@ def _ticks(bench: Bench, robot: Robot, contract: PolicyContract) -> None:
     for _ in range(bench.rounds):
         for name, loop in loops.items():
             times.add(name, loop(round(RATE * SECONDS)).took)
-    times.add_to(bench)
-    bench.ratio("policy_tick_p50", times.ratio(OURS, USUAL), 0.1)
+    times.add_to(bench, ("policy_tick_p50", OURS, USUAL, 0.1))
     bench.ratio("policy_tick_p99", times.ratio(OURS, USUAL, percent=99), 0.2)
 
 
@@ -135,8 +133,7 @@ def _memory(bench: Bench, robot: Robot, contract: PolicyContract, folder: Path) 
     times = Samples()
     for _ in range(bench.rounds):
         times.take(calls, WARM_CALLS // 20, 20)
-    times.add_to(bench)
-    bench.ratio("policy_recurrent", times.ratio("policy call, recurrent", "policy call"), 1.3)
+    times.add_to(bench, ("policy_recurrent", "policy call, recurrent", "policy call", 1.3))
 
 
 def _usual_loop(robot: Robot, contract: PolicyContract) -> Callable[[int], Paced]:

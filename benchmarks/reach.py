@@ -10,16 +10,26 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from importlib.util import find_spec
-from typing import Any, Protocol
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.samples import Samples, timed
-from unicon_core.ik.chain import Chain, Reaching, load_apart
+from unicon_core.ik.chain import (
+    CAPSULE,
+    FRAME,
+    Chain,
+    Pair,
+    Reaching,
+    add_reaching,
+    load_apart,
+)
 from unicon_core.ik.differential import Apart, DifferentialIk
 from unicon_core.ik.tasks import Pose, Settings, Weights
 from unicon_core.models.find import pick_model
+from unicon_core.models.loaded import import_mujoco
 from unicon_core.robots import Robot, load_robot
 from unicon_ros.bench.report import Bench
 
@@ -32,16 +42,9 @@ SETTLED = 50
 """Ticks after which hands are on their circles."""
 
 
-class _Way(Protocol):
-    """A way to move both arms: where they are commanded in [rad], a beginning, and a step."""
-
-    @property
-    def pos(self) -> Float: ...
-    def begin(self, pos: Float) -> None: ...
-    def __call__(self, targets: Sequence[Pose]) -> None: ...
-
-
 class _Ours:
+    """Both arms by our own inverse kinematics; the methods are those of `MinkArms`."""
+
     def __init__(self, robot: Robot, reaching: Reaching, rate: float, apart: float) -> None:
         moved = robot.group(MOVES)
         chain = Chain(reaching.loaded, robot, HANDS, moved)
@@ -100,21 +103,21 @@ def run(rounds: int | None = None) -> Bench:
     times, errors, nearest = Samples(), Samples(), Samples()
     ours: list[_Ours] = []
     for rate in RATES:
-        ways: dict[str, _Way] = {
-            "ours": _Ours(robot, bare, rate, 0.0),
-            "ours, apart": _Ours(robot, kept, rate, APART),
-        }
-        ours += [way for way in ways.values() if isinstance(way, _Ours)]
+        pair = _Ours(robot, bare, rate, 0.0), _Ours(robot, kept, rate, APART)
+        ways: dict[str, _Ours | MinkArms] = dict(zip(("ours", "ours, apart"), pair))
+        ours += pair
         if find_spec("mink"):
-            from benchmarks.mink_arms import MinkArms
-
             for name, pairs in (("mink", ()), ("mink, apart", kept.pairs)):
                 ways[name] = MinkArms(path, robot, HANDS, moved, rate, PERIOD, pairs, APART)
         for _ in range(bench.rounds):
             if rate == RATES[-1]:
                 _compare(ways, watch, "circles", "", times, errors, nearest)
             _compare(ways, watch, "crossing", f", {rate:g} rad/s", times, errors, nearest)
-    times.add_to(bench)
+    times.add_to(
+        bench,
+        ("ik", "circles: ours", "circles: mink", 0.5),
+        ("ik_apart", "circles: ours, apart", "circles: mink, apart", 0.5),
+    )
     for name in errors.names:
         of_all = 1e3 * errors.of(name)
         middle, most = np.percentile(of_all, 50), of_all.max()
@@ -122,10 +125,7 @@ def run(rounds: int | None = None) -> Bench:
     for name in nearest.names:
         bench.facts[f"{name}: least distance [mm]"] = round(1e3 * nearest.of(name).min(), 1)
     bench.facts["solver failures"] = sum(each.ik.failures for each in ours)
-    if find_spec("mink"):
-        bench.ratio("ik", times.ratio("circles: ours", "circles: mink"), 0.5)
-        bench.ratio("ik_apart", times.ratio("circles: ours, apart", "circles: mink, apart"), 0.5)
-    else:
+    if not find_spec("mink"):
         bench.facts["mink"] = "left out: pip install mink"
     closest = min(nearest.of(name).min() for name in nearest.names if "ours, apart" in name)
     bench.ratio("crossing_mm", 1e3 * float(closest), 10.0, at_least=True)
@@ -133,7 +133,7 @@ def run(rounds: int | None = None) -> Bench:
 
 
 def _compare(
-    ways: dict[str, _Way],
+    ways: dict[str, _Ours | MinkArms],
     watch: _Watch,
     motion: str,
     what: str,
@@ -169,3 +169,112 @@ def _targets(motion: str, tick: int, homes: Sequence[Any]) -> list[Pose]:
             place = (x, y * math.cos(angle), z)
         found.append((place, quat))
     return found
+
+
+class MinkArms:
+    """One step of mink in each call.
+
+    Args:
+        path: MJCF file of the robot, whose joints are called as in the robot file.
+        robot: whose arms they are.
+        effectors: names of its end effectors.
+        moved: places of the moved joints in the robot's order, shape (k,).
+        rate: largest speed of a joint in [rad/s].
+        period: of a step in [s].
+        pairs: of capsules that are kept apart; none for no such limit.
+        apart: distance that they keep in [m].
+
+    Attributes:
+        pos: where the moved joints are commanded, in [rad], shape (k,).
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        robot: Robot,
+        effectors: Sequence[str],
+        moved: NDArray[np.intp],
+        rate: float,
+        period: float,
+        pairs: Sequence[Pair] = (),
+        apart: float = 0.02,
+    ) -> None:
+        import mink
+
+        self._mink, self._period = mink, period
+        names = [robot.joint_names[i] for i in moved]
+        model = _arms_of(path, robot, effectors, names)
+        self._configuration = mink.Configuration(model)
+        self._tasks = [
+            mink.FrameTask(FRAME + name, "body", position_cost=1.0, orientation_cost=0.3)
+            for name in effectors
+        ]
+        posture = mink.PostureTask(model, cost=0.02, gain=0.01)
+        posture.set_target(model.qpos0)
+        self._all = [*self._tasks, posture]
+        self._limits = [
+            mink.ConfigurationLimit(model),
+            mink.VelocityLimit(model, dict.fromkeys(names, rate)),
+        ]
+        if pairs:
+            self._limits.append(
+                mink.CollisionAvoidanceLimit(
+                    model,
+                    [([CAPSULE + one], [CAPSULE + other]) for one, other in pairs],
+                    minimum_distance_from_collisions=apart,
+                    collision_detection_distance=0.08 + apart,
+                )
+            )
+        self._index = [int(model.joint(name).qposadr[0]) for name in names]
+        self.begin(robot.default_joint_pos[moved])
+
+    def begin(self, pos: NDArray[Any]) -> None:
+        """Begin where the moved joints are, in [rad], shape (k,)."""
+        start = np.zeros(len(self._index))
+        start[self._index] = pos
+        self._configuration.update(start)
+
+    @property
+    def pos(self) -> NDArray[np.float64]:
+        found: NDArray[np.float64] = self._configuration.q[self._index]
+        return found
+
+    def __call__(self, targets: Sequence[Pose]) -> None:
+        """Move on by one step towards a target of each end effector."""
+        mink, configuration = self._mink, self._configuration
+        for task, (position, quat) in zip(self._tasks, targets):
+            task.set_target(mink.SE3(np.array([*quat, *position])))
+        velocity = mink.solve_ik(
+            configuration, self._all, self._period, "daqp", damping=1e-4, limits=self._limits
+        )
+        configuration.integrate_inplace(velocity, self._period)
+
+
+def _arms_of(path: Path, robot: Robot, effectors: Sequence[str], names: Sequence[str]) -> Any:
+    """Return the model with some joints alone; the others stand at the default pose."""
+    mujoco = import_mujoco()
+    spec = mujoco.MjSpec.from_file(str(path))
+    add_reaching(spec, robot, effectors, path)
+    for geom in spec.geoms:
+        if geom.name.startswith(CAPSULE):  # mink leaves out what cannot touch
+            geom.contype = geom.conaffinity = 1
+    root = spec.worldbody.first_body()
+    root.pos, root.quat = [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]
+    for each in (*spec.actuators, *spec.sensors, *spec.keys):
+        spec.delete(each)
+    default = dict(zip(robot.joint_names, robot.default_joint_pos.tolist()))
+    for joint in list(spec.joints):
+        if joint.name in names:
+            continue
+        if joint.name in default:
+            _turn(mujoco, joint.parent, joint.axis, default[joint.name])
+        spec.delete(joint)
+    return spec.compile()
+
+
+def _turn(mujoco: Any, body: Any, axis: Any, angle: float) -> None:
+    """Turn a body about an axis of its own, as its joint at the body's origin would."""
+    turn, turned = np.zeros(4), np.zeros(4)
+    mujoco.mju_axisAngle2Quat(turn, np.asarray(axis, np.float64), angle)
+    mujoco.mju_mulQuat(turned, np.asarray(body.quat, np.float64), turn)
+    body.quat = turned

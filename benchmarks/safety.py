@@ -62,13 +62,12 @@ def run(rounds: int | None = None) -> Bench:
             restore()
             for runner in runners.values():
                 runner.close()
-    times.add_to(bench)
+    times.add_to(bench, ("safety", WITH, WITHOUT, 1.15))
     added = float(np.median(np.subtract(times.of(WITH), times.of(WITHOUT))))  # 10 ms apart
     bench.facts = {
         "blocks": ", ".join(programs[WITH].safety),
         "they add to a tick, median": f"{added:.1f} µs",
     }
-    bench.ratio("safety", times.ratio(WITH, WITHOUT), 1.15)
     return bench
 
 

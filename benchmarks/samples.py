@@ -47,10 +47,19 @@ class Samples:
         for name, values in times.items():
             self.add(name, values)
 
-    def add_to(self, bench: Bench) -> None:
-        """Add all cases to a benchmark."""
+    def add_to(self, bench: Bench, *claims: tuple[str, str, str, float]) -> None:
+        """Add all cases to a benchmark, and ratios of their medians.
+
+        Args:
+            bench: is added to.
+            claims: name, case, case of the baseline and bar of each ratio; left out where one of
+                the cases was not measured.
+        """
         for name in self.names:
             bench.case(name, self.of(name))
+        for name, case, base, bar in claims:
+            if {case, base} <= self._rounds.keys():
+                bench.ratio(name, self.ratio(case, base), bar)
 
     @property
     def names(self) -> list[str]:

@@ -84,20 +84,21 @@ def _zmq_sender(place: Path, states: States, address: str) -> Sender:
     return writer
 
 
-class _ShmReceiver:
-    def __init__(self, place: Path, states: States) -> None:
-        self._reader = _when_there(lambda: ShmReader(segment_name(place), GROUP, states))
-        self.close = self._reader.close
+class _Waiting:
+    """Waits for one of our readers, asleep."""
+
+    def __init__(self, reader: Any) -> None:
+        self._reader, self.close = reader, reader.close
 
     @property
     def starved(self) -> int:
-        return self._reader.starved
+        return getattr(self._reader, "starved", 0)
 
     def receive(self, timeout: float) -> bool:
-        return self._reader.wait(timeout) and self._reader.take()
+        return bool(self._reader.wait(timeout) and self._reader.take())
 
 
-class _ShmPoller(_ShmReceiver):
+class _Polling(_Waiting):
     def receive(self, timeout: float) -> bool:
         take, end = self._reader.take, time.monotonic() + timeout
         while not take():
@@ -107,16 +108,13 @@ class _ShmPoller(_ShmReceiver):
         return True
 
 
-class _ZmqReceiver:
-    starved = 0
+def _shm_reader(place: Path, states: States) -> ShmReader:
+    return _when_there(lambda: ShmReader(segment_name(place), GROUP, states))
 
-    def __init__(self, place: Path, states: States) -> None:
-        address = _when_there(place.with_suffix(".address").read_text)
-        self._reader = ZmqReader(address, GROUP, states.layout, states)
-        self.close = self._reader.close
 
-    def receive(self, timeout: float) -> bool:
-        return self._reader.wait(timeout) and self._reader.take()
+def _zmq_receiver(place: Path, states: States) -> _Waiting:
+    address = _when_there(place.with_suffix(".address").read_text)
+    return _Waiting(ZmqReader(address, GROUP, states.layout, states))
 
 
 class _DatagramSender:
@@ -317,10 +315,10 @@ class Way:
 
 
 WAYS: Mapping[str, Way] = {
-    "shm, sleeping": Way(_shm_sender, _ShmReceiver),
-    "shm, polling": Way(_shm_sender, _ShmPoller),
-    "zmq ipc": Way(partial(_zmq_sender, address="ipc://{place}"), _ZmqReceiver, ("zmq",)),
-    "zmq tcp": Way(partial(_zmq_sender, address="tcp://127.0.0.1:*"), _ZmqReceiver, ("zmq",)),
+    "shm, sleeping": Way(_shm_sender, lambda *of: _Waiting(_shm_reader(*of))),
+    "shm, polling": Way(_shm_sender, lambda *of: _Polling(_shm_reader(*of))),
+    "zmq ipc": Way(partial(_zmq_sender, address="ipc://{place}"), _zmq_receiver, ("zmq",)),
+    "zmq tcp": Way(partial(_zmq_sender, address="tcp://127.0.0.1:*"), _zmq_receiver, ("zmq",)),
     "unix datagram": Way(_DatagramSender, _DatagramReceiver),
     "rclpy, raw": Way(partial(RosSender, raw=True), partial(RosReceiver, raw=True), ("rclpy",)),
     "rclpy": Way(partial(RosSender, raw=False), partial(RosReceiver, raw=False), ("rclpy",)),

@@ -21,6 +21,7 @@ import os
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -31,13 +32,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.samples import Samples
-from benchmarks.store_ways import WAYS, segment_name
+from benchmarks.store_ways import WAYS, Receiver, Sender, group, segment_name
 from unicon_core.resources import same_modules
 from unicon_core.signals import SIGNALS
 from unicon_core.states import States, StateSpec
 from unicon_core.states.backends.shm import Segment, ShmWriter, remove_dead
 from unicon_ros.bench.domains import loopback_environment
 from unicon_ros.bench.loops import Loop, Slice
+from unicon_ros.bench.pipelines.log import Log, Stop, arguments
 from unicon_ros.bench.report import Bench
 from unicon_ros.bench.rounds import Rows, take_turns
 
@@ -102,10 +104,7 @@ def run(rounds: int | None = None, *, only: Callable[[str], bool] | None = None)
             for name, rows in zip(results, round_):
                 for row in TIMES:
                     samples.add(f"{name}: {row}", rows[row])
-    samples.add_to(bench)
-    for name, ours, theirs, bar in RATIOS:
-        if {ours, theirs} <= set(samples.names):
-            bench.ratio(name, samples.ratio(ours, theirs), bar)
+    samples.add_to(bench, *RATIOS)
     return bench
 
 
@@ -131,7 +130,7 @@ def _cores_awake() -> Iterator[None]:
 
 def _loop(name: str, place: Path) -> Loop:
     def command(side: str) -> list[str]:
-        module = "benchmarks.store_processes"
+        module = "benchmarks.stores"
         variant = ["--variant", f"{name}: {side}", "--state-rate", f"{RATE}"]
         return [sys.executable, "-m", module, *variant]
 
@@ -189,3 +188,55 @@ def _publish(name: str, rounds: int, samples: Samples) -> None:
             samples.take({PUBLISH: writer.publish, COPY: copy}, SAMPLES, REPEATS)
     finally:
         writer.close()
+
+
+LONGEST = 0.1  # s of one wait, so that SIGTERM is heard
+LARGEST = 1 << 24  # numbers that a float32 holds without loss
+
+
+def main() -> None:
+    """Write at `--state-rate`, or read, until SIGTERM."""
+    options = arguments()
+    stop = Stop()
+    name, _, side = options.variant.rpartition(": ")
+    way, states = WAYS[name], group()
+    # The log's own name leads to the place, and that of the writer's log begins as the reader's.
+    place = options.out.with_name(options.out.stem.partition("_")[0])
+    if side == "writer":
+        _write(way.sender(place, states), states, 1.0 / options.state_rate, options.out, stop)
+    else:
+        _read(way.receiver(place, states), states, options.out, stop)
+
+
+def _write(sender: Sender, states: object, period: float, out: Path, stop: Stop) -> None:
+    log = Log(out, "begin", "end")
+    data, number, stamp = (getattr(states, name) for name in ("data", "number", "stamp_ns"))
+    now, publish = time.time_ns, sender.publish
+    due = time.monotonic() + period
+    while not stop:
+        time.sleep(max(0.0, due - time.monotonic()))
+        due = max(due + period, time.monotonic())  # after a hold there is nothing to catch up
+        number += 1
+        data[:] = int(number) % LARGEST
+        begin = now()
+        stamp[...] = begin
+        publish()
+        log.add(begin, now())
+    log.save()
+    sender.close()
+
+
+def _read(receiver: Receiver, states: object, out: Path, stop: Stop) -> None:
+    log = Log(out, "stamp", "received", "number", "torn", "starved")
+    data, number, stamp = (getattr(states, name) for name in ("data", "number", "stamp_ns"))
+    while not stop:
+        if receiver.receive(LONGEST):
+            received = time.time_ns()
+            torn = bool(np.any(data != int(number) % LARGEST))
+            log.add(int(stamp), received, int(number), torn, receiver.starved)
+    log.save()
+    receiver.close()
+
+
+if __name__ == "__main__":
+    main()

@@ -16,9 +16,9 @@ from pages import read_page
 from replaying import cut_off
 
 from unicon_ros.analysis.comparison import Comparison, compare_runs
-from unicon_ros.analysis.findings import findings
 from unicon_ros.analysis.pictures import PICTURES
-from unicon_ros.analysis.read import read_run
+from unicon_ros.analysis.report import findings_of
+from unicon_ros.analysis.run import read_run
 from unicon_ros.analysis.together import Options, bring_together
 from unicon_ros.cli.main import main
 
@@ -83,7 +83,7 @@ def test_the_report_names_the_weak_motor_and_needs_nothing_beside_it(
 
 def test_runs_that_are_one_differ_in_nothing(tmp_path: Path) -> None:
     found = compared(tmp_path, walk(), walk())
-    assert findings(found) == ["No joint differs."]
+    assert findings_of(found) == ["No joint differs."]
     assert found.to_json()["shift_samples"] == 0
     for name, figures in found.to_json()["states"].items():
         assert set(figures.values()) == {0.0}, name
@@ -96,13 +96,13 @@ def test_joints_that_differ_alike_make_no_headline(tmp_path: Path) -> None:
     noise = np.random.default_rng(3).normal(0.0, 0.05, real["joint_pos"].shape)
     real["joint_pos"] = real["joint_pos"] + noise
     found = compared(tmp_path, real, sim)
-    headline = findings(found)[0]
+    headline = findings_of(found)[0]
     assert headline.startswith("No joint stands out: "), headline
     assert " differ alike, by 0.0" in headline
     assert "times as much as" not in headline
     assert "tracking error (Wasserstein-1)" in headline
     real["joint_pos"][:, CALF] += 0.1
-    assert findings(compared(tmp_path, real, sim))[0].startswith("RL_calf differs most, by 0.")
+    assert findings_of(compared(tmp_path, real, sim))[0].startswith("RL_calf differs most, by 0.")
 
 
 @pytest.mark.parametrize(
@@ -133,7 +133,7 @@ def test_each_fault_is_told_for_what_it_is(tmp_path: Path, fault: str, said: str
         real["projected_gravity"][200:] = [1.0, 0.0, 0.0]
         pos[200:] = 0.0
     found = compared(tmp_path, real, sim)
-    assert any(text.startswith(said) for text in findings(found)), findings(found)
+    assert any(text.startswith(said) for text in findings_of(found)), findings_of(found)
     if fault == "fall":
         assert int(found.together.aligned.overlap) == 200
         # A shift may hide a fall, which is one more reason to cut there.
@@ -146,7 +146,7 @@ def test_who_hardly_moves_is_not_judged(tmp_path: Path) -> None:
     real, sim = walk(seed=1), walk(seed=2)
     sim["joint_pos"] = 0.5 + 0.3 * np.exp(-np.arange(300) / 30.0)[:, None] * np.ones(12)
     real["joint_pos"] = 0.5 - 0.01 * sim["joint_pos"]
-    said = findings(compared(tmp_path, real, sim, Options(max_shift=0.0)))
+    said = findings_of(compared(tmp_path, real, sim, Options(max_shift=0.0)))
     assert not [text for text in said if text.startswith(("A sign", "Moves", "Later"))]
     [still] = [text for text in said if text.startswith("Hardly moves")]
     assert still.startswith(
@@ -188,7 +188,7 @@ def test_another_rate_and_another_clock_find_the_same_shift(tmp_path: Path) -> N
 
 
 def test_a_long_run_is_thinned_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("unicon_ros.analysis.resampling.LONGEST", 200)
+    monkeypatch.setattr("unicon_ros.analysis.together.LONGEST", 200)
     found = compared(tmp_path, walk(begin=0.3), walk())
     assert int(found.together.aligned.overlap) <= 201
     assert "200 samples are compared at most" in found.together.method

@@ -9,8 +9,7 @@ import pytest
 pytest.importorskip("mujoco")
 pytest.importorskip("onnxruntime")
 
-from benchmarks.bare_rollouts import rollout_of
-from benchmarks.sweep import _WORKFLOW
+from benchmarks.sweep import _WORKFLOW, rollout_of
 
 
 def test_it_walks_as_far_as_it_is_told_and_again_to_the_bit(tmp_path: Path) -> None:

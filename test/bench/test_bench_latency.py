@@ -57,9 +57,9 @@ def test_plain_and_our_own_pipelines_close_the_loop(monkeypatch: pytest.MonkeyPa
 def test_each_pipeline_is_shipped_beside_the_bench() -> None:
     from unicon_ros.bench.latency import PIPELINES, VARIANTS
 
-    modules = {side[0] for each in VARIANTS for side in (each.measuring, each.controller) if side}
-    assert "observer" in modules
-    assert not [name for name in modules if find_spec(f"{PIPELINES}.{name}") is None]
+    sides = {side for each in VARIANTS for side in (each.measuring, each.controller) if side}
+    assert ("fast_robot", "observer") in sides
+    assert not [name for name, _ in sides if find_spec(f"{PIPELINES}.{name}") is None]
 
 
 def test_turns_that_would_let_peers_take_each_other_for_dead_are_refused(

@@ -113,7 +113,7 @@ def test_a_picture_shows_dots_and_ranges_as_a_logarithmic_axis_has_no_zero(
     from matplotlib.figure import Figure
     from matplotlib.patches import Rectangle
 
-    from unicon_ros.bench.plot import plot
+    from unicon_ros.bench.report import plot
 
     bench = Bench("loops", 20)
     bench.case("plain", np.linspace(1000.0, 2000.0, 101))

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import store_processes, stores
+from benchmarks import stores
 from benchmarks.store_ways import WAYS, group
 from unicon_core.states.backends.shm import segments
 from unicon_ros.bench.report import Bench
@@ -113,6 +113,6 @@ def test_a_torn_value_would_be_told(tmp_path: Path) -> None:
             return self.left < 0
 
     receiver = Torn()
-    store_processes._read(receiver, states, log, Once())  # type: ignore[arg-type]
+    stores._read(receiver, states, log, Once())  # type: ignore[arg-type]
     assert receiver.closed
     assert np.load(log)["torn"].tolist() == [1, 1, 1]

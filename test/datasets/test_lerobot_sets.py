@@ -422,7 +422,7 @@ def test_what_is_missing_is_named(
         export_dataset(bags, tmp_path / "set", OWN)
     monkeypatch.undo()
     monkeypatch.setitem(sys.modules, "PIL", None)
-    with pytest.raises(UniconError, match="a data set of JPEGs needs pillow: pip install"):
+    with pytest.raises(UniconError, match="a data set of pictures needs pillow: pip install"):
         export_dataset(bags, tmp_path / "set", OWN)
     export_dataset(bags[1:], tmp_path / "set", OWN)  # raw pictures need none
 

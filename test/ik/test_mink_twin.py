@@ -19,7 +19,7 @@ HANDS = ("left_hand", "right_hand")
 
 
 def test_mink_brings_hands_to_the_same_places(g1: Robot, solved: Callable[..., Any]) -> None:
-    from benchmarks.mink_arms import MinkArms
+    from benchmarks.reach import MinkArms
 
     it = solved(g1, HANDS, ("arms",), apart=0.0)
     twin = MinkArms(pick_model(g1), g1, HANDS, it.moved, it.rate, it.period)

@@ -22,7 +22,7 @@ from unicon_core.errors import UniconError, WorkflowError
 from unicon_core.handles import FrameRing
 from unicon_core.robots import load_robot
 from unicon_core.states import States
-from unicon_core.workflow.autowire import BuildContext
+from unicon_core.workflow.autowire import BuildContext, read_options
 from unicon_ros.peripherals.livox.cloud import livox_message
 from unicon_ros.peripherals.livox.livox import livox
 from unicon_ros.peripherals.peripheral import Peripheral
@@ -35,6 +35,10 @@ HERE = f"127.84.{os.getpid() >> 8 & 0xFF}.{os.getpid() & 0xFE | 1}"
 THERE = HERE.replace("127.84", "127.85")
 
 
+def wrong(text: str, *_: str) -> WorkflowError:
+    return WorkflowError(f"livox{text}")
+
+
 class Rig:
     """The block with its states, and what it tells."""
 
@@ -42,7 +46,7 @@ class Rig:
         self.states, self.lines = States(livox.declares()), list[str]()  # type: ignore[attr-defined]
         context = BuildContext(self.states, load_robot("go2"), 0.005, tell=self.lines.append)
         options = {"lidar": THERE, "host": HERE} | options
-        self.block = livox(context, **options)
+        self.block = livox(context, **read_options(livox, options, wrong))
 
     @property
     def ring(self) -> FrameRing:
@@ -198,10 +202,10 @@ def test_a_port_that_is_taken_is_an_error() -> None:
     [
         ({"lidar": "scanner"}, "lidar is 'scanner'; give an IPv4 address"),
         ({"host": "::1"}, "host is '::1'; give an IPv4 address"),
-        ({"point_port": 80}, "point_port is 80; give 1024 to 65535"),
+        ({"point_port": 80}, "point_port is 80; write a whole number from 1024 to 65535"),
         ({"imu_port": 56301}, "are 56301; give two ports"),
-        ({"data_type": 4}, "data_type is 4; give 1, 2 or 3"),
-        ({"silence": float("nan")}, "silence is nan; give 0.05 to 10 s"),
+        ({"data_type": 4}, "data_type is 4; write 1 or 2 or 3"),
+        ({"silence": float("nan")}, "silence is nan; write a number from 0.05 to 10"),
     ],
 )
 def test_wrong_options_are_named(options: dict[str, Any], why: str) -> None:

@@ -26,8 +26,7 @@ from unicon_core.robots import load_robot
 from unicon_core.states import States
 from unicon_core.workflow.autowire import BuildContext
 from unicon_ros.peripherals.peripheral import Peripheral
-from unicon_ros.peripherals.realsense import messages, realsense
-from unicon_ros.peripherals.realsense_process import _found, _quaternion
+from unicon_ros.peripherals.realsense import _found, _quaternion, messages, realsense
 
 EVIDENCE = "vendor"
 """What these tests run against, the most that config/evidence.yaml may say by them."""

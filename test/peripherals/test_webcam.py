@@ -27,8 +27,7 @@ from unicon_ros.peripherals import v4l2
 from unicon_ros.peripherals.child import Gone
 from unicon_ros.peripherals.peripheral import Peripheral
 from unicon_ros.peripherals.v4l2 import Capture, Kernel
-from unicon_ros.peripherals.webcam import message_of, webcam
-from unicon_ros.peripherals.webcam_process import Rgb, _path
+from unicon_ros.peripherals.webcam import Rgb, _path, message_of, webcam
 
 EVIDENCE = "stand_in"
 """What these tests run against, the most that config/evidence.yaml may say by them."""

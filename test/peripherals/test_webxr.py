@@ -22,7 +22,7 @@ import yaml
 from unicon_core.errors import UniconError, WorkflowError
 from unicon_core.robots import load_robot
 from unicon_core.states import States
-from unicon_core.workflow.autowire import BuildContext
+from unicon_core.workflow.autowire import BuildContext, read_options
 from unicon_ros.peripherals.peripheral import Peripheral
 from unicon_ros.peripherals.webxr import frames
 from unicon_ros.peripherals.webxr.frames import Frame, Refused
@@ -119,13 +119,17 @@ def test_joints_are_those_of_the_standard() -> None:
     assert frames.JOINTS[24] == "pinky-finger-tip"
 
 
+def wrong(text: str, *_: str) -> WorkflowError:
+    return WorkflowError(f"webxr{text}")
+
+
 class Rig:
     """The block with its states, and what it tells."""
 
     def __init__(self, **options: Any) -> None:
         self.states, self.lines = States(webxr.declares()), list[str]()  # type: ignore[attr-defined]
         context = BuildContext(self.states, load_robot("go2"), 0.005, tell=self.lines.append)
-        self.block = webxr(context, **{"port": 0, **options})
+        self.block = webxr(context, **read_options(webxr, {"port": 0, **options}, wrong))
         assert isinstance(self.block.tick, Peripheral)
         self.address = str(self.block.tick.first["address"])
 
@@ -379,8 +383,8 @@ def test_a_port_that_is_taken_is_an_error(rig: Rig) -> None:
         ({"host": "0.0.0.0"}, "lets everybody in the network move the robot; give a token"),
         ({"host": "10.0.0.1", "token": "short"}, "too plain; give 12 or more"),
         ({"host": "10.0.0.1", "token": "a" * 20, "tls": False}, "leave tls out"),
-        ({"port": 70000}, "port is 70000"),
-        ({"stale": math.nan}, "stale is nan"),
+        ({"port": 70000}, "port is 70000; write a whole number from 0 to 65535"),
+        ({"stale": math.nan}, "stale is nan; write a number from 0.02 to 2"),
     ],
 )
 def test_wrong_options_are_named(options: dict[str, Any], why: str) -> None:

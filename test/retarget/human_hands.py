@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.copied_hand import bent
+from benchmarks.retarget import bent
 from unicon_core.models.quaternions import about, multiply, rotate
 from unicon_core.retarget.human_hand import CHAINS
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hands import HANDS
 
-from benchmarks.copied_hand import copied_hand, smooth_motion
+from benchmarks.retarget import copied_hand, smooth_motion
 from unicon_core.retarget.hand_model import HandModel
 from unicon_core.retarget.human_hand import HumanHand
 from unicon_core.retarget.retargeting import Retargeting

@@ -17,9 +17,8 @@ from unicon_core.policies.networks import onnx
 from unicon_core.policies.networks.onnx import OnnxNetwork, share_sessions
 from unicon_ros.cli.main import main
 from unicon_ros.sweep import pool
-from unicon_ros.sweep.engines import Wish, engine_of
+from unicon_ros.sweep.engines import LocalEngine, Wish, engine_of
 from unicon_ros.sweep.figures import COLUMNS
-from unicon_ros.sweep.local import LocalEngine
 from unicon_ros.sweep.plan import Plan, Row
 from unicon_ros.sweep.results import Results
 from unicon_ros.sweep.sweep_file import read_sweep

@@ -15,10 +15,9 @@ import pytest
 from unicon_core.errors import UniconError
 from unicon_ros.sweep import folder as folders
 from unicon_ros.sweep.figures import empty_row
-from unicon_ros.sweep.folder import JOURNAL, SWEEP, Folder, read_journal
+from unicon_ros.sweep.folder import JOURNAL, METADATA, SWEEP, Folder, read_journal
 from unicon_ros.sweep.plan import Plan
 from unicon_ros.sweep.results import Results
-from unicon_ros.sweep.shards import METADATA
 from unicon_ros.sweep.sweep_file import read_sweep
 
 pytest.importorskip("pyarrow")

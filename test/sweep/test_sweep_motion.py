@@ -10,8 +10,7 @@ import pytest
 
 from unicon_core.errors import UniconError
 from unicon_core.gap.trajectories import Array
-from unicon_ros.analysis.read import read_run
-from unicon_ros.analysis.run import Run
+from unicon_ros.analysis.run import Run, read_run
 from unicon_ros.sweep.motion import apart, finite_rows, moved
 
 PERIOD = 0.02

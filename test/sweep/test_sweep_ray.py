@@ -20,8 +20,8 @@ from unicon_ros.cli.main import main
 from unicon_ros.sweep.identity import code_sha256, versions
 from unicon_ros.sweep.on_ray import engine, shipment
 from unicon_ros.sweep.on_ray.driver import differs
-from unicon_ros.sweep.on_ray.rehearsal import files_of, rehearsed, to_ship
-from unicon_ros.sweep.on_ray.scratch import Scratch
+from unicon_ros.sweep.on_ray.engine import Scratch
+from unicon_ros.sweep.on_ray.shipment import files_of, rehearsed, to_ship
 from unicon_ros.sweep.plan import Plan
 from unicon_ros.sweep.sweep_file import read_sweep
 from unicon_ros.sweep.worker import RowRunner
@@ -266,7 +266,7 @@ def test_a_scratch_folder_outlives_its_owner_only_until_the_next(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    code = "import os\nfrom unicon_ros.sweep.on_ray.scratch import Scratch\nScratch()\n"
+    code = "import os\nfrom unicon_ros.sweep.on_ray.engine import Scratch\nScratch()\n"
     subprocess.run(
         [sys.executable, "-c", code + "os.kill(os.getpid(), 9)"],
         env=same_modules() | {"TMPDIR": str(tmp_path)}, check=False,

@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from unicon_ros.cli.main import main
-from unicon_ros.transfer.results import OUTCOMES, SCHEMA
-from unicon_ros.transfer.table import COLUMNS, heads
+from unicon_ros.transfer.results import COLUMNS, OUTCOMES, SCHEMA, heads
 
 TEXT = (Path(__file__).resolve().parents[2] / "docs" / "transfer.md").read_text("utf-8")
 

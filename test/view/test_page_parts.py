@@ -20,12 +20,13 @@ from unicon_core.states.standard import standard_states
 from unicon_ros.cli.main import _parser, main
 from unicon_ros.cli.options import view_options
 from unicon_ros.view.front import check_reach, listening, refusal
-from unicon_ros.view.page.history import SECONDS, History
 from unicon_ros.view.page.plots import (
     ALL,
     POINTS,
+    SECONDS,
     TIMES,
     VELOCITY,
+    History,
     Plot,
     choices,
     curves_of,

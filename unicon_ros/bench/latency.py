@@ -10,8 +10,12 @@ many short rounds: a machine's speed changes within seconds.
 from __future__ import annotations
 
 import os
+import re
+import shutil
+import subprocess
 import sys
 import tempfile
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -21,11 +25,9 @@ from unicon_core.signals import SIGNALS
 from unicon_ros import compat
 from unicon_ros.bench import sdk
 from unicon_ros.bench.domains import free_domain, loopback_environment
-from unicon_ros.bench.floor import c_level_floor
 from unicon_ros.bench.loops import LEASE, SETTLE, Loop
-from unicon_ros.bench.paper import beside_paper
 from unicon_ros.bench.report import Bench
-from unicon_ros.bench.rounds import Rows, add_cases, add_ratio, ratios, rounds_of, take_turns
+from unicon_ros.bench.rounds import Claim, Rows, add_ratios, add_rows, rounds_of, take_turns
 
 PIPELINES = "unicon_ros.bench.pipelines"
 SWEEPS = 2  # of all phases in one turn: 0.9 % of the rate
@@ -65,21 +67,20 @@ VARIANTS = (
     Variant("plain, fast robot", FAST, ("plain", "controller")),
     Variant("plain, EventsExecutor", FAST, ("plain", "events")),
     Variant(TRIGGERED, FAST, ("plain", "triggered")),
-    Variant("thread per bridge", FAST, ("threads", "")),
+    Variant("thread per bridge", FAST, ("plain", "threads")),
     Variant("unicon, free tick", FAST, ("unicon", "deadline")),
     Variant(ON_STATE, FAST, ("unicon", "state")),
     Variant(BEST_EFFORT, FAST, ("unicon", "state"), best_effort=True),
     Variant(SHARED_MEMORY, FAST, ("unicon", "state"), shared_memory=True),
     Variant(MIRROR_ALONE, ("plain", "observer"), ("plain", "mirror")),
     Variant(LOCAL, ("plain", "observer"), ("unicon", "local")),
-    Variant(OBSERVED, ("observer", ""), ("unicon", "local")),
+    Variant(OBSERVED, ("fast_robot", "observer"), ("unicon", "local")),
 )
 
 _OF_PLAIN_NODE = "mirror, of that of a plain node that publishes nothing else"
 _OF_ONE_WAY = "mirror to our own bridge, of plain's one-way"
 
-RATIOS: tuple[tuple[str, str, str, str, str, float | None], ...] = (
-    # name, row, its variant, row of the baseline, its variant, bar
+RATIOS: tuple[Claim, ...] = (
     ("end_to_end", "end_to_end", ON_STATE, "end_to_end", PLAIN, 0.25),
     ("end_to_end_best_effort", "end_to_end", BEST_EFFORT, "end_to_end", PLAIN, 0.2),
     ("end_to_end_triggered", "end_to_end", ON_STATE, "end_to_end", TRIGGERED, 0.7),
@@ -90,20 +91,6 @@ RATIOS: tuple[tuple[str, str, str, str, str, float | None], ...] = (
     (_OF_PLAIN_NODE, "mirror", LOCAL, "mirror", MIRROR_ALONE, None),
     (_OF_ONE_WAY, "mirror", OBSERVED, "one_way", PLAIN, None),
 )
-
-
-@dataclass(frozen=True)
-class _Options:
-    rate: float
-    state_rate: float
-    joints: int
-    seconds: float
-    folder: Path
-
-    @property
-    def swept_rate(self) -> float:
-        """Return the rate at which a turn sees commands at all phases between two states."""
-        return self.rate * self.state_rate / (self.state_rate + SWEEPS / self.seconds)
 
 
 def run(
@@ -135,16 +122,22 @@ def run(
             f"most {longest:.2g}; for more samples raise --rounds"
         )
     rounds = rounds or ROUNDS
+    # So that a turn sees commands at all phases between two states.
+    swept = rate * state_rate / (state_rate + SWEEPS / seconds)
+    common = ["--rate", f"{swept}", "--state-rate", f"{state_rate}", "--joints", f"{joints}"]
     with tempfile.TemporaryDirectory() as folder:
-        options = _Options(rate, state_rate, joints, seconds, Path(folder))
+        logs = Path(folder)
         with SIGNALS.guard():  # Ctrl-C is looked for between turns
-            makers = {v.name: partial(_loop, v, i, options) for i, v in enumerate(VARIANTS)}
+            makers = {
+                variant.name: partial(_loop, variant, common, logs / f"{i}.npz")
+                for i, variant in enumerate(VARIANTS)
+            }
             whole, loops = take_turns(makers, rounds, seconds)
             results, official, lacking = rounds_of(whole, loops), [], sdk.unavailable()
             if not lacking and whole and not SIGNALS.asked:
-                rates = options.swept_rate, state_rate
-                official = sdk.measure(rounds, seconds, *rates, options.folder)
-    bench = _bench(results, options)
+                official = sdk.measure(rounds, seconds, swept, state_rate, logs)
+    figures = {"rate_hz": swept, "state_rate_hz": state_rate, "joints": joints, "seconds": seconds}
+    bench = _bench(results, figures)
     sdk.add(bench, official)
     if lacking:
         bench.facts["left out: SDK (sync), SDK (async)"] = lacking
@@ -156,14 +149,12 @@ def run(
     return bench
 
 
-def _loop(variant: Variant, number: int, options: _Options) -> Loop:
-    common = ["--rate", f"{options.swept_rate}", "--state-rate", f"{options.state_rate}"]
-    common += ["--joints", f"{options.joints}"]
-    common += ["--best-effort"] if variant.best_effort else []
+def _loop(variant: Variant, common: list[str], log: Path) -> Loop:
+    effort = ["--best-effort"] if variant.best_effort else []
 
     def command(pipeline: tuple[str, str]) -> list[str]:
         module, kind = pipeline
-        return [sys.executable, "-m", f"{PIPELINES}.{module}", "--variant", kind, *common]
+        return [sys.executable, "-m", f"{PIPELINES}.{module}", "--variant", kind, *common, *effort]
 
     environment = loopback_environment()
     if variant.shared_memory:
@@ -173,17 +164,14 @@ def _loop(variant: Variant, number: int, options: _Options) -> Loop:
         command(variant.measuring),
         None if variant.controller is None else command(variant.controller),
         environment,
-        options.folder / f"{number}.npz",
+        log,
     )
 
 
-def _bench(results: list[dict[str, Rows]], options: _Options) -> Bench:
+def _bench(results: list[dict[str, Rows]], figures: dict[str, float]) -> Bench:
     bench = Bench("latency", len(results))
     bench.facts.update(
-        rate_hz=options.swept_rate,
-        state_rate_hz=options.state_rate,
-        joints=options.joints,
-        seconds=options.seconds,
+        **figures,
         qos="reliable, keep last 1, unless the row says best effort; ours hear states with best "
         "effort, as platform ros does by itself",
         transports="Fast DDS defaults; our controllers UDP alone, as they do by themselves",
@@ -195,10 +183,9 @@ def _bench(results: list[dict[str, Rows]], options: _Options) -> Bench:
     if not results:
         return bench
     for variant in VARIANTS:
-        add_cases(bench, results, variant.name)
+        add_rows(bench, results, variant.name)
     beside_paper(bench, [variant.name for variant in VARIANTS])
-    for name, row, ours, base_row, base, bar in RATIOS:
-        add_ratio(bench, name, ratios(results, row, ours, base_row, base), bar)
+    add_ratios(bench, results, RATIOS)
     return bench
 
 
@@ -207,3 +194,88 @@ def main() -> int:
     from unicon_ros.cli.main import main as unicon
 
     return unicon(["bench", "latency", *sys.argv[1:]])
+
+
+ROWS = {"Recv": "recv", "Send": "send", "End-to-end": "state_to_command"}
+"""The paper's row to ours."""
+
+DEFINITIONS = (
+    "Recv: time to obtain the latest states, here from their stamp on; Send: time to transmit the "
+    "command; End-to-end: from the stamp of the states to the send of the command that depends on "
+    "them (our state_to_command); mean ± std (p50, p99) in µs"
+)
+
+THEIRS = {
+    "SDK (sync)": "Recv 1261 ± 150, Send 1011 ± 72, End-to-end 1805 ± 1559",
+    "SDK (async)": "Recv –, Send 1001 ± 65, End-to-end 1447 ± 936",
+    "ROS 2": "Recv 50 ± 88, Send 587 ± 179, End-to-end 1658 ± 882",
+    "UniCon": "Recv 63 ± 15, Send 190 ± 45, End-to-end 732 ± 749",
+}
+"""The paper's table, on its machine; no p50 and p99 are told."""
+
+
+def beside_paper(bench: Bench, variants: Iterable[str]) -> None:
+    """Add the paper's table, and the same rows of variants that were measured, as facts.
+
+    Args:
+        bench: with the cases of the variants, each `VARIANT: ROW`.
+        variants: names; those without a command have no such rows and are left out.
+    """
+    bench.facts["the paper's rows"] = DEFINITIONS
+    for name, told in THEIRS.items():
+        bench.facts[f"paper, {name}"] = told
+    for name in variants:
+        if f"{name}: {ROWS['End-to-end']}" in bench.cases:
+            rows = [f"{word} {_told(bench, f'{name}: {row}')}" for word, row in ROWS.items()]
+            bench.facts[f"here, {name}"] = ", ".join(rows)
+
+
+def _told(bench: Bench, name: str) -> str:
+    case = bench.cases.get(name)
+    if case is None:
+        return "–"
+    numbers = {key: f"{case[key]:.{0 if case[key] >= 20.0 else 1}f}" for key in case}
+    return f"{numbers['mean']} ± {numbers['std']} ({numbers['p50']}, {numbers['p99']})"
+
+
+_LOOPBACK = (
+    '<CycloneDDS><Domain id="any"><General><Interfaces><NetworkInterface name="lo"/></Interfaces>'
+    "<AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto"
+    '</ParticipantIndex><Peers><Peer address="127.0.0.1"/></Peers></Discovery></Domain>'
+    "</CycloneDDS>"
+)
+_LINE = re.compile(r"size \d+ mean .* 50% ([\d.]+)us .* 99% ([\d.]+)us")
+
+
+def c_level_floor(domain: int, rate: float = 500.0) -> str | None:
+    """Return p50 and p99 of one hop in C as text, or None where `ddsperf` is not installed.
+
+    ddsperf sends pings of 512 bytes and halves their way there and back; its last second is taken.
+
+    Args:
+        domain: DDS domain of its own.
+        rate: pings per second.
+    """
+    if shutil.which("ddsperf") is None:
+        return None
+    environment = {**os.environ, "CYCLONEDDS_URI": _LOOPBACK}
+    common = ["ddsperf", "-i", str(domain)]
+    pong = subprocess.Popen(
+        [*common, "-D", "6", "pong", "waitset"],
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        ping = subprocess.run(
+            [*common, "-D", "4", "ping", f"{rate:g}Hz", "size", "512", "waitset"],
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=30,
+        )
+    finally:
+        pong.terminate()
+        pong.wait()
+    found = _LINE.findall(ping.stdout)
+    return f"p50 {found[-1][0]} µs, p99 {found[-1][1]} µs" if found else None

@@ -118,9 +118,9 @@ class Loop:
         self.let_go()
         time.sleep(SETTLE)
         both = self._processes[0].pid, self._processes[-1].pid
-        begin, cpu = time.time_ns(), [_cpu_ns(pid) for pid in both]
+        begin, cpu = time.time_ns(), [cpu_ns(pid) for pid in both]
         time.sleep(seconds)
-        end, used = time.time_ns(), [_cpu_ns(pid) - was for pid, was in zip(both, cpu)]
+        end, used = time.time_ns(), [cpu_ns(pid) - was for pid, was in zip(both, cpu)]
         self.hold()
         if any(process.poll() is not None for process in self._processes):
             raise UniconError(f"{self.name}: one of its processes has ended")
@@ -252,6 +252,6 @@ def _under_way(each: Slice, log: dict[str, Any]) -> NDArray[np.float64]:
     return latency[each.holds(log["received"]) & each.fresh(log["stamp"])]
 
 
-def _cpu_ns(process: int) -> int:
+def cpu_ns(process: int) -> int:
     """Return the CPU time of a process in [ns], all its threads: clock_getcpuclockid(3)."""
     return time.clock_gettime_ns((~process << 3) | 2)

@@ -1,4 +1,4 @@
-"""Bench: what every `unicon bench` writes, as JSON for tools and as a table for people."""
+"""Bench: what every `unicon bench` writes, as JSON for tools, as a table, and as a picture."""
 
 from __future__ import annotations
 
@@ -6,15 +6,19 @@ import json
 import math
 import os
 import platform
-from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib import metadata
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from unicon_core.aligned import aligned
+from unicon_core.errors import UniconError
+from unicon_core.page import plain, write_file
+from unicon_ros.report.drawing import as_png, require
 
 PACKAGES = ("numpy", "mujoco", "onnxruntime", "rosbags", "rclpy", "pyzmq", "numba", "daqp", "mink")
 """Packages whose version may move a number."""
@@ -60,11 +64,8 @@ class Bench:
         self.cases[name] = {
             "p50": float(np.percentile(samples, 50)),
             "p99": float(np.percentile(samples, 99)),
-            "mean": float(samples.mean()),
-            "std": float(samples.std()),
-            "min": float(samples.min()),
-            "max": float(samples.max()),
-            "samples": int(samples.size),
+            **{key: float(getattr(samples, key)()) for key in ("mean", "std", "min", "max")},
+            "samples": samples.size,
         }
 
     def ratio(self, name: str, value: float, bar: float, *, at_least: bool = False) -> bool:
@@ -99,16 +100,15 @@ class Bench:
             "ratios": self.ratios,
             "facts": self.facts,
         }
-        return json.dumps(_finite(values), indent=2, ensure_ascii=False)
+        return json.dumps(plain(values), indent=2, ensure_ascii=False)
 
     def table(self) -> str:
         """Return cases and ratios as aligned text."""
         lines = [f"bench {self.name}: {self.rounds} rounds, {machine()}"]
         rows = [("case [µs]", "p50", "p99", "mean ± std", "samples")]
         for name, case in self.cases.items():
-            spread = f"{_number(case['mean'])} ± {_number(case['std'])}"
-            count = str(int(case["samples"]))
-            rows.append((name, _number(case["p50"]), _number(case["p99"]), spread, count))
+            p50, p99, mean, std = (_number(case[key]) for key in ("p50", "p99", "mean", "std"))
+            rows.append((name, p50, p99, f"{mean} ± {std}", str(case["samples"])))
         if self.cases:
             lines += ["", *aligned(rows, right=range(1, 5), underlined=False)]
         if self.facts:
@@ -144,21 +144,16 @@ def _package_versions() -> dict[str, str]:
     """Return the versions of Python and of those PACKAGES that are installed."""
     versions = {"python": platform.python_version()}
     for package in PACKAGES:
-        try:
+        with suppress(metadata.PackageNotFoundError):
             versions[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            continue
     return versions
 
 
 def _cpu() -> str:
-    try:
-        with open("/proc/cpuinfo", encoding="utf-8") as file:
-            for line in file:
-                if line.lower().startswith(("model name", "hardware")):
-                    return line.partition(":")[2].strip()
-    except OSError:
-        pass
+    with suppress(OSError), open("/proc/cpuinfo", encoding="utf-8") as file:
+        for line in file:
+            if line.lower().startswith(("model name", "hardware")):
+                return line.partition(":")[2].strip()
     return platform.processor() or platform.machine()
 
 
@@ -174,11 +169,44 @@ def _number(value: float) -> str:
     return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"
 
 
-def _finite(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(item) for item in value]
-    if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
-    return value
+def plot(bench: Bench, path: Path) -> None:
+    """Write the picture.
+
+    Dots stand where a value is; the length of a bar would say nothing on a logarithmic axis, which
+    has no zero.
+
+    Args:
+        bench: what was measured; cases in other units than [µs] are left out.
+        path: of the PNG.
+
+    Raises:
+        MissingDependencyError: matplotlib is not installed.
+        UniconError: the benchmark's cases are not times, or the picture cannot be written.
+    """
+    require("--plot")
+    from matplotlib.figure import Figure
+
+    rows = {name: case for name, case in bench.cases.items() if "[" not in name}
+    if not all("p50" in case for case in rows.values()):
+        raise UniconError(f"bench {bench.name} measures no times to plot; leave --plot out")
+    if bench.name == "latency":
+        rows = {
+            name: case for name, case in rows.items() if name.endswith(("end_to_end", "mirror"))
+        }
+    figure = Figure(figsize=(9.0, 0.42 * len(rows) + 1.2), layout="constrained")
+    axes = figure.add_subplot()
+    labels = list(rows)[::-1]
+    p50 = [rows[label]["p50"] for label in labels]
+    p99 = [rows[label]["p99"] for label in labels]
+    colours = ["tab:blue" if "unicon" in label or "fused" in label else "0.65" for label in labels]
+    axes.hlines(labels, p50, p99, color=colours, linewidth=1.5)
+    axes.scatter(p50, labels, color=colours, zorder=3)
+    axes.scatter(p99, labels, color=colours, marker="|", zorder=3)
+    for place, value in enumerate(p50):
+        look: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "fontsize": 7}
+        axes.annotate(_number(value), (value, place), xytext=(0, 4), **look)
+    label = "µs (dot: p50, end of the line: p99), log scale"
+    axes.set(xscale="log", xlabel=label)
+    axes.set_title(f"unicon bench {bench.name}, {bench.rounds} rounds")
+    axes.grid(alpha=0.3)
+    write_file(path, as_png(figure))

@@ -6,11 +6,11 @@ Ratios are of one round each, with intervals over the rounds.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from unicon_core.signals import SIGNALS, Interrupted
 from unicon_ros.bench.loops import Loop, breathe
@@ -21,6 +21,9 @@ SEED = 0
 
 Rows = dict[str, NDArray[np.float64]]
 """What one variant gave in one round: row to samples."""
+
+Claim = tuple[str, str, str, str, str, float | None]
+"""Name of a ratio, row, its variant, row of the baseline, its variant, and bar; None: a fact."""
 
 UNITS = {"cpu": " [% of a core]", "lost": " [%]", "stale": " [%]"}
 """Units of rows that are not in µs."""
@@ -88,30 +91,15 @@ def rounds_of(whole: int, loops: Mapping[str, Loop]) -> list[dict[str, Rows]]:
     return [{name: each[i] for name, each in samples.items()} for i in range(whole)]
 
 
-def ratios(
-    results: list[dict[str, Rows]], row: str, ours: str, base_row: str, base: str
-) -> NDArray[np.float64]:
-    """Return the ratio of the means of each round that has both.
-
-    Means: latencies of an executor have several humps, between which a median jumps.
-    """
-    pairs = [
-        (r[ours][row], r[base][base_row])
-        for r in results
-        if row in r.get(ours, {}) and base_row in r.get(base, {})
-    ]
-    return np.array([np.mean(a) / np.mean(b) for a, b in pairs])
-
-
-def interval(ratios: NDArray[np.float64]) -> str:
+def interval(ratios: ArrayLike) -> str:
     """Return the 95 % bootstrap interval of the median over rounds."""
-    draws = np.random.default_rng(SEED).choice(ratios, (1000, len(ratios)))
+    draws = np.random.default_rng(SEED).choice(ratios, (1000, np.size(ratios)))
     low, high = np.percentile(np.median(draws, axis=1), [2.5, 97.5])
     return f"{low:.3g} to {high:.3g}"
 
 
-def add_cases(
-    bench: Bench, results: list[dict[str, Rows]], name: str, rows: Iterable[str] = ()
+def add_rows(
+    bench: Bench, results: list[dict[str, Rows]], name: str, rows: Sequence[str] = ()
 ) -> None:
     """Add the rows of a variant to a benchmark; those that are named, or all.
 
@@ -128,13 +116,22 @@ def add_cases(
             bench.case(f"{name}: {row}{UNITS.get(row, '')}", np.concatenate(parts))
 
 
-def add_ratio(bench: Bench, name: str, found: NDArray[np.float64], bar: float | None) -> None:
-    """Add the median of what `ratios` returned, with its interval; a fact where it has no bar."""
-    if not found.size:
-        return
-    value, between = float(np.median(found)), interval(found)
-    if bar is None:
-        bench.facts[name] = f"{value:.3g} ({between})"
-    else:
-        bench.ratio(name, value, bar)
-        bench.facts[f"{name}, 95 % interval"] = between
+def add_ratios(bench: Bench, results: list[dict[str, Rows]], claims: Iterable[Claim]) -> None:
+    """Add ratios, each the median over the rounds that have both sides, with its interval.
+
+    They are of means: latencies of an executor have several humps, between which a median jumps.
+    """
+    for name, row, ours, base_row, base, bar in claims:
+        found = [
+            np.mean(r[ours][row]) / np.mean(r[base][base_row])
+            for r in results
+            if row in r.get(ours, {}) and base_row in r.get(base, {})
+        ]
+        if not found:
+            continue
+        value, between = float(np.median(found)), interval(found)
+        if bar is None:
+            bench.facts[name] = f"{value:.3g} ({between})"
+        else:
+            bench.ratio(name, value, bar)
+            bench.facts[f"{name}, 95 % interval"] = between

@@ -20,7 +20,7 @@ from pathlib import Path
 from unicon_ros.bench.domains import loopback_environment
 from unicon_ros.bench.loops import Loop
 from unicon_ros.bench.report import Bench
-from unicon_ros.bench.rounds import Rows, add_cases, add_ratio, ratios, rounds_of, take_turns
+from unicon_ros.bench.rounds import Claim, Rows, add_ratios, add_rows, rounds_of, take_turns
 
 PIPELINES = "unicon_ros.bench.pipelines"
 CONTROLLER = Path(__file__).parent / "pipelines" / "unitree_sdk.py"
@@ -45,13 +45,8 @@ class SdkVariant:
     rate: float | None = None
     rows: tuple[str, ...] = ()
 
-    @property
-    def official(self) -> bool:
-        """Return whether it is the SDK's."""
-        return self.way in ("sync", "async")
 
-
-COST = "recv_and_send"
+COST, END = "recv_and_send", "end_to_end"
 SYNC, ASYNC = "SDK (sync)", "SDK (async)"
 FREE, ON_STATE = "unicon, unitree, free tick", "unicon, unitree, on state"
 SYNC_500, OURS_500 = "SDK (sync), G1 at 500 Hz", "unicon, unitree, G1 at 500 Hz"
@@ -65,14 +60,13 @@ VARIANTS = (
     SdkVariant(OURS_500, "g1_29dof", "deadline", 500.0, (COST,)),
 )
 
-RATIOS: tuple[tuple[str, str, str, str, float | None], ...] = (
-    # name, row, variant, that of the baseline, bar
-    ("unitree_recv_and_send", COST, OURS_500, SYNC_500, 0.2),
-    ("unitree, recv and send at 50 Hz, of SDK (sync)", COST, FREE, SYNC, None),
-    ("unitree, end to end, of SDK (sync)", "end_to_end", ON_STATE, SYNC, None),
-    ("unitree, end to end, of SDK (async)", "end_to_end", ON_STATE, ASYNC, None),
-    ("unitree, free tick, end to end, of SDK (sync)", "end_to_end", FREE, SYNC, None),
-    ("unitree, free tick, end to end, of SDK (async)", "end_to_end", FREE, ASYNC, None),
+RATIOS: tuple[Claim, ...] = (
+    ("unitree_recv_and_send", COST, OURS_500, COST, SYNC_500, 0.2),
+    ("unitree, recv and send at 50 Hz, of SDK (sync)", COST, FREE, COST, SYNC, None),
+    ("unitree, end to end, of SDK (sync)", END, ON_STATE, END, SYNC, None),
+    ("unitree, end to end, of SDK (async)", END, ON_STATE, END, ASYNC, None),
+    ("unitree, free tick, end to end, of SDK (sync)", END, FREE, END, SYNC, None),
+    ("unitree, free tick, end to end, of SDK (async)", END, FREE, END, ASYNC, None),
 )
 
 
@@ -130,16 +124,10 @@ def _loop(variant: SdkVariant, swept_rate: float, state_rate: float, log: Path) 
     common = ["--rate", f"{rate}", "--state-rate", f"{state_rate}"]
     environment = loopback_environment()
     kind = "hg" if variant.robot.startswith("g1") else "go"
-    if variant.official:
+    if variant.way in ("sync", "async"):
         python = os.environ["UNICON_UNITREE_PYTHON"]
-        start = [
-            "env",
-            f"PYTHONPATH={os.environ['UNICON_UNITREE_SDK']}",
-            python,
-            str(CONTROLLER),
-            "--variant",
-            f"{kind}:{variant.way}",
-        ]
+        path = f"PYTHONPATH={os.environ['UNICON_UNITREE_SDK']}"
+        start = ["env", path, python, str(CONTROLLER), "--variant", f"{kind}:{variant.way}"]
     else:
         ours = f"{variant.robot}:{variant.way}"
         start = [sys.executable, "-m", f"{PIPELINES}.unitree", "--variant", ours]
@@ -150,6 +138,5 @@ def _loop(variant: SdkVariant, swept_rate: float, state_rate: float, log: Path) 
 def add(bench: Bench, results: list[dict[str, Rows]]) -> None:
     """Add rows and ratios to a bench; `results` as `measure` returns them."""
     for variant in VARIANTS:
-        add_cases(bench, results, variant.name, variant.rows)
-    for name, row, ours, base, bar in RATIOS:
-        add_ratio(bench, name, ratios(results, row, ours, row, base), bar)
+        add_rows(bench, results, variant.name, variant.rows)
+    add_ratios(bench, results, RATIOS)

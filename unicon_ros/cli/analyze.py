@@ -25,8 +25,8 @@ def _analyze(arguments: argparse.Namespace) -> int:
         if arguments.sim is None:
             return status
     from unicon_ros.analysis.comparison import compare_runs
-    from unicon_ros.analysis.read import read_run
     from unicon_ros.analysis.report import write_report
+    from unicon_ros.analysis.run import read_run
     from unicon_ros.analysis.together import Options, bring_together
     from unicon_ros.report.drawing import require
 

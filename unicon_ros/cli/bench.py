@@ -56,7 +56,7 @@ def bench(arguments: argparse.Namespace) -> int:
     if arguments.json:
         write_file(Path(arguments.json), f"{result.to_json()}\n".encode())
     if arguments.plot:
-        from unicon_ros.bench.plot import plot
+        from unicon_ros.bench.report import plot
 
         plot(result, Path(arguments.plot))
     return 1 if arguments.strict and not result.holds else 0

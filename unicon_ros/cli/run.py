@@ -132,7 +132,7 @@ def _run(
             view.declare(document)
             viewers["view"] = view
         if arguments.metrics is not None:
-            from unicon_ros.view.metered import Metered
+            from unicon_ros.view.view import Metered
 
             viewers["metrics"] = Metered(arguments.metrics, session, console.warn)
         record = FaultRecord(arguments.faults, console.warn, recording)

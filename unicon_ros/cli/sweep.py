@@ -27,9 +27,9 @@ from unicon_ros.cli.options import (
 if TYPE_CHECKING:
     from unicon_ros.sweep.engines import Wish
     from unicon_ros.sweep.folder import Folder
-    from unicon_ros.sweep.gate import Gate
     from unicon_ros.sweep.plan import Plan
     from unicon_ros.sweep.results import Results
+    from unicon_ros.sweep.sweep_file import Gate
 
 REPORT, COMPARE = "report", "compare"
 MOST_WORKERS = 1024
@@ -44,14 +44,14 @@ def _sweep(arguments: argparse.Namespace) -> int:
 
     Exit status: 0; 1 where a gate is broken, or for bad input; 3 where a row has no result.
     """
-    from unicon_ros.sweep.gate import read_gate
     from unicon_ros.sweep.results import Results
+    from unicon_ros.sweep.sweep_file import read_gate
 
     what, gates = arguments.what, [read_gate(text) for text in arguments.gate]
     if what[0] == REPORT and len(what) == 2:
         return _ended(Results(Path(what[1])), gates)
     if what[0] == COMPARE and len(what) == 3:
-        from unicon_ros.sweep.compare import comparison
+        from unicon_ros.sweep.summary import comparison
 
         print(comparison(Results(Path(what[1])), Results(Path(what[2]))))
         return 0
@@ -104,8 +104,8 @@ def _checked(plan: Plan, force: list[str]) -> str:
     """Refuse what `unicon check` calls an error; return the hash of the first row's program."""
     from unicon_core.check import refuse_errors
     from unicon_core.workflow import Program
-    from unicon_ros.sweep.figures import Reference
-    from unicon_ros.sweep.kept_states import columns_of
+    from unicon_ros.analysis.run import read_run
+    from unicon_ros.sweep.figures import columns_of, reference_for
     from unicon_ros.sweep.warm import program_sha256
 
     program = Program(plan.document)
@@ -114,7 +114,7 @@ def _checked(plan: Plan, force: list[str]) -> str:
             warn(line)
         columns_of(program.states, plan.sweep.keep)
         if plan.sweep.reference is not None:
-            Reference(plan.sweep.reference).of(program.robot, program.period)
+            reference_for(read_run(plan.sweep.reference), program.robot, program.period)
         return program_sha256(program)
     finally:
         program.close()

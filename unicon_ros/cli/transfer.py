@@ -72,8 +72,7 @@ def _new_folder(text: str) -> tuple[Path, Path]:
 
 
 def _run(plan: Plan, folder: Path, out: Path | None) -> int:
-    from unicon_ros.transfer.results import Results
-    from unicon_ros.transfer.table import table
+    from unicon_ros.transfer.results import Results, table
 
     results = Results(plan, folder)
     console = Console()
@@ -135,7 +134,7 @@ def _bar(console: Console, plan: Plan, done: int, name: str) -> Callable[[float]
 
 def _all_runs(results: Results, console: Console, out: Path | None) -> None:
     """Run all."""
-    from unicon_ros.transfer.processes import run_one
+    from unicon_ros.transfer.rollout import run_one
 
     plan = results.plan
     _write(results.to_json(), out)  # whatever happens, it can be read

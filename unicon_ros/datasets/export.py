@@ -17,16 +17,16 @@ from unicon_core.errors import StateError, UniconError, alternatives, one_line
 from unicon_core.runtime.tick_ring import PHASES
 from unicon_ros.datasets.columns import (
     ACTION,
+    TICK,
     Column,
     default_actions,
     default_states,
+    features_of,
     made_columns,
 )
 from unicon_ros.datasets.episodes import Episode, episodes_of
-from unicon_ros.datasets.features import TICK, features_of
 from unicon_ros.datasets.fit import Wanted, cameras_of, fps_of, refuse_others
-from unicon_ros.datasets.package import PackageWriter, import_lerobot
-from unicon_ros.datasets.writer import DatasetWriter, import_pyarrow
+from unicon_ros.datasets.writer import DatasetWriter, PackageWriter, import_lerobot, import_pyarrow
 from unicon_ros.recording import Record, open_record
 
 

@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import io
-import struct
-import zlib
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from importlib import import_module
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.errors import UniconError, imported
+from unicon_core.errors import UniconError, imported, one_line
+from unicon_msgs_map.layout.messages import shared_messages
 from unicon_ros.recording import Record
 from unicon_ros.recording.scan import Frames
 
 IMAGE, JPEG = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 RGB = "rgb8"
-_FRAME = 12
-"""Where the header's frame_id stands in these messages: behind encapsulation and stamp."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,12 +44,12 @@ class Pictures:
         """
         raw = self.frames.message(index)
         if self.frames.type == IMAGE:
-            found = _image(raw, self.what)
-            seen: NDArray[np.uint8] = np.frombuffer(found.data, np.uint8)
+            found = _read(raw, IMAGE, self.what)
+            seen: NDArray[np.uint8] = found.data
             if len(seen) == found.height * found.width * 3:
                 seen = seen.reshape(found.height, found.width, 3)
         else:
-            seen = _decoded(_compressed(raw, self.what), self.what)
+            seen = _decoded(_read(raw, JPEG, self.what).data, self.what)
         if seen.shape != (self.height, self.width, 3):
             raise UniconError(
                 f"{self.what}: a picture has shape {seen.shape}, the first one ({self.height}, "
@@ -62,7 +60,7 @@ class Pictures:
     def encoded(self, index: int) -> bytes:
         """Return a picture as the bytes of a file: JPEG where it was recorded so, else PNG."""
         if self.frames.type == JPEG:
-            return bytes(_compressed(self.frames.message(index), self.what))
+            return bytes(_read(self.frames.message(index), JPEG, self.what).data)
         return png(self.rgb(index))
 
 
@@ -117,9 +115,9 @@ def pictures_of(
             continue
         raw, what = frames.message(0), f"{record.paths[0]}, camera {name!r}"
         if frames.type == JPEG:
-            height, width, _ = _decoded(_compressed(raw, what), what).shape
+            height, width, _ = _decoded(_read(raw, JPEG, what).data, what).shape
             found[name] = Pictures(frames, height, width, what)
-        elif (first := _image(raw, what)).encoding == RGB:
+        elif (first := _read(raw, IMAGE, what)).encoding == RGB:
             found[name] = Pictures(frames, first.height, first.width, what)
         else:
             others[name] = first.encoding
@@ -131,57 +129,22 @@ def sizes(pictures: Mapping[str, Pictures]) -> dict[str, tuple[int, int]]:
     return {name: (each.height, each.width) for name, each in pictures.items()}
 
 
-class _Image(NamedTuple):
-    """What is read of a sensor_msgs/Image."""
-
-    encoding: str
-    height: int
-    width: int
-    data: memoryview
-
-
-def _damaged(what: str, error: Exception) -> UniconError:
-    return UniconError(f"{what}: a picture is damaged: {error}; leave that camera out: --cameras")
-
-
-def _skipped(raw: memoryview, at: int) -> int:
-    """Return where what stands behind a text is aligned to 4 bytes."""
-    end = at + 4 + int(struct.unpack_from("<I", raw, at)[0])
-    return end + -end % 4
-
-
-def _image(raw: memoryview, what: str) -> _Image:
-    """Read a sensor_msgs/Image in little-endian CDR."""
+def _read(raw: memoryview, kind: str, what: str) -> Any:
+    """Return a message, read from CDR."""
     try:
-        at = _skipped(raw, _FRAME)
-        height, width, length = struct.unpack_from("<III", raw, at)
-        encoding = bytes(raw[at + 12 : at + 12 + length]).rstrip(b"\0").decode()
-        at += 12 + length + 1  # behind is_bigendian
-        at += -at % 4
-        _, length = struct.unpack_from("<II", raw, at)
-    except (struct.error, UnicodeDecodeError) as error:
-        raise _damaged(what, error) from error
-    return _Image(encoding, height, width, raw[at + 8 : at + 8 + length])
-
-
-def _compressed(raw: memoryview, what: str) -> memoryview:
-    """Return the data of a sensor_msgs/CompressedImage in little-endian CDR."""
-    try:
-        at = _skipped(raw, _skipped(raw, _FRAME))
-        (length,) = struct.unpack_from("<I", raw, at)
-    except struct.error as error:
-        raise _damaged(what, error) from error
-    return raw[at + 4 : at + 4 + length]
+        return shared_messages().store.deserialize_cdr(raw, kind)
+    except Exception as error:  # whatever rosbags raises for garbage
+        raise UniconError(
+            f"{what}: a picture is damaged: {one_line(error)}; leave that camera out: --cameras"
+        ) from error
 
 
 def _pillow() -> Any:
-    imported("PIL", "a data set of JPEGs", "lerobot", "pillow")
-    from PIL import Image
-
-    return Image
+    imported("PIL", "a data set of pictures", "lerobot", "pillow")
+    return import_module("PIL.Image")
 
 
-def _decoded(data: memoryview, what: str) -> NDArray[np.uint8]:
+def _decoded(data: NDArray[np.uint8], what: str) -> NDArray[np.uint8]:
     image = _pillow()
     try:
         return np.asarray(image.open(io.BytesIO(data)).convert("RGB"))
@@ -192,22 +155,14 @@ def _decoded(data: memoryview, what: str) -> NDArray[np.uint8]:
 
 
 def png(pixels: NDArray[np.uint8]) -> bytes:
-    """Return a picture as PNG (https://www.w3.org/TR/png-3/), each row less the one above it.
+    """Return a picture as PNG.
 
     Args:
         pixels: shape (height, width, 3).
+
+    Raises:
+        MissingDependencyError: Pillow is not installed.
     """
-    height, width, _ = pixels.shape
-    rows = np.empty((height, 1 + 3 * width), np.uint8)
-    rows[:, 0] = 2  # filter "Up"
-    flat = pixels.reshape(height, -1)
-    rows[0, 1:] = flat[0]
-    np.subtract(flat[1:], flat[:-1], out=rows[1:, 1:])
-
-    def chunk(kind: bytes, data: bytes) -> bytes:
-        crc = zlib.crc32(kind + data)
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", crc)
-
-    head = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-    parts = chunk(b"IHDR", head), chunk(b"IDAT", zlib.compress(rows.data, 1)), chunk(b"IEND", b"")
-    return b"\x89PNG\r\n\x1a\n" + b"".join(parts)
+    stream = io.BytesIO()
+    _pillow().fromarray(pixels).save(stream, "png", compress_level=1)
+    return stream.getvalue()

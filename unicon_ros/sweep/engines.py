@@ -1,16 +1,20 @@
-"""Engines by name, as `unicon sweep --engine` has them, and how each is made."""
+"""Engines by name, as `unicon sweep --engine` has them; those with processes of this machine."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from multiprocessing.connection import wait
 from pathlib import Path
+from typing import Any
 
 from unicon_core.errors import UniconError, alternatives
-from unicon_ros.sweep.engine import Engine
-from unicon_ros.sweep.local import LocalEngine
+from unicon_ros.ending import LOG_BYTES
 from unicon_ros.sweep.on_ray.engine import RayEngine, require_ray
-from unicon_ros.sweep.plan import Plan
+from unicon_ros.sweep.piped import PipedProcess
+from unicon_ros.sweep.plan import Plan, Row
+from unicon_ros.sweep.pool import LOOK, ONE_THREAD, Engine, Pool, PoolWorker
 from unicon_ros.sweep.sweep_file import SweepFile
 
 ENGINES = ("local", "batch", "ray")
@@ -83,3 +87,72 @@ def engine_of(plan: Plan, wish: Wish, left: int, folder: Path) -> Engine:
     count = min(wish.workers or len(os.sched_getaffinity(0)), left)
     batch = wish.batch or BATCH if wish.engine == "batch" else 1
     return LocalEngine(plan.task(folder), count, plan.sweep.said.timeout, folder, batch)
+
+
+class LocalEngine(Pool):
+    """Runs rows in processes.
+
+    Args:
+        task: as of `worker.RowRunner`.
+        workers: processes.
+        timeout: wall time in [s] that a row may take.
+        logs: folder for what engines print.
+        batch: rows that a process runs side by side; see `Lockstep`.
+    """
+
+    def __init__(
+        self, task: dict[str, Any], workers: int, timeout: float, logs: Path, batch: int = 1
+    ) -> None:
+        super().__init__(workers, timeout, batch=batch)
+        self._task, self._logs = task | {"batch": batch}, logs
+
+    @property
+    def pids(self) -> list[int]:
+        """Process ids of the workers that run."""
+        return [worker.process.pid for worker in self._workers]
+
+    def start(self, name: int) -> PoolWorker:
+        """Start a process."""
+        return _Worker(name, self._task, self._logs / f"worker_{name}.log")
+
+    def look(self) -> Iterable[PoolWorker]:
+        """Return workers whose pipes have something."""
+        told = wait([worker.process.connection for worker in self._workers], LOOK)
+        return [each for each in self._workers if each.process.connection in told]
+
+
+class _Worker(PoolWorker):
+    """One process.
+
+    Args:
+        name: number of it.
+        task: that it begins with.
+        log: file for what it prints.
+    """
+
+    def __init__(self, name: int, task: dict[str, Any], log: Path) -> None:
+        super().__init__(name)
+        self.log = str(log)
+        self.process = PipedProcess("unicon_ros.sweep.worker", log, ONE_THREAD)
+        self.process.write(task)
+
+    def send(self, row: Row) -> None:
+        """Bring it a row."""
+        self.process.write({"index": row.index, "settings": row.settings, "name": row.name})
+
+    def heard(self) -> Iterator[dict[str, Any]]:
+        """Yield what it has told."""
+        return self.process.heard()
+
+    def gone(self, timeout: float) -> str:
+        """Return why it is of no use any more, "" while it is."""
+        if self.process.over:
+            return "ended"
+        if self.process.log.stat().st_size > LOG_BYTES:
+            return f"printed more than {LOG_BYTES // 1_000_000} MB"
+        return self.late(timeout)
+
+    def end(self, why: str) -> str:
+        """End it; return why it did, in words."""
+        how = self.process.end()
+        return how if why == "ended" else why

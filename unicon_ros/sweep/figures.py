@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,13 +14,60 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import UniconError
 from unicon_core.gap.strain import LEANS
+from unicon_core.page import write_file
 from unicon_core.robots import Robot, joint_index
 from unicon_core.runtime.rollouts import Rollout
 from unicon_core.states import States
-from unicon_ros.analysis.read import read_run
+from unicon_core.workflow import Program
 from unicon_ros.analysis.run import FEWEST, Run
-from unicon_ros.sweep.kept_states import columns_of
 from unicon_ros.sweep.motion import apart, finite_rows, moved
+
+
+def columns_of(states: States, names: Iterable[str]) -> dict[str, slice]:
+    """Return where states lie in `Rollout.states`: name to columns.
+
+    Raises:
+        UniconError: there is no such state, or it is not of float32.
+    """
+    found = {}
+    for name in names:
+        view = states[name]
+        if view.dtype != np.float32:
+            raise UniconError(f"state {name!r} is {view.dtype}; float32 ones are kept alone")
+        start = states.offset(name)
+        found[name] = slice(start, start + view.size)
+    return found
+
+
+class Keeper:
+    """Writes the states of rollouts, a file each.
+
+    Args:
+        folder: that the files go to, made as needed.
+        names: of the states.
+    """
+
+    def __init__(self, folder: Path, names: Iterable[str]) -> None:
+        self._folder, self._names = folder, tuple(names)
+
+    def __call__(self, name: str, program: Program, rollout: Rollout) -> None:
+        """Write `NAME.npz`, whole or not at all: states as float32, shape (ticks, elements).
+
+        Raises:
+            UniconError: it cannot be written.
+        """
+        places = columns_of(program.states, self._names)
+        arrays: dict[str, Any] = {key: rollout.states[:, place] for key, place in places.items()}
+        arrays |= {"dt": program.period, "joint_names": np.array(program.robot.joint_names)}
+        arrays |= {"robot": program.robot.name, "workflow": program.name}
+        content = io.BytesIO()
+        np.savez(content, platform=program.platform.facts.name, **arrays)
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise UniconError(f"cannot write in {self._folder}: {error.strerror}") from error
+        write_file(self._folder / f"{name}.npz", content.getvalue())
+
 
 Array = NDArray[Any]
 
@@ -106,42 +154,33 @@ class FallLook:
         return self._leaning >= self._held
 
 
-class Reference:
-    """A run that joint positions are compared with.
+def reference_for(run: Run, robot: Robot, period: float) -> Run:
+    """Return a run to compare joint positions with, its joints in a robot's order.
 
     Args:
-        path: of the `.npz`.
+        run: as it was read.
+        robot: of the rollouts.
+        period: of their ticks in [s].
 
     Raises:
-        UniconError: it cannot be read.
+        UniconError: it is of another robot or another rate.
     """
-
-    def __init__(self, path: Path) -> None:
-        self._run = read_run(path)
-
-    def of(self, robot: Robot, period: float) -> Run:
-        """Return it with its joints in a robot's order.
-
-        Raises:
-            UniconError: it is of another robot or another rate.
-        """
-        run = self._run
-        own = float(np.median(np.diff(run.time)))
-        if abs(own - period) > 1e-3 * period:
-            raise UniconError(
-                f"{run.path} has {1 / own:.4g} samples a second and the workflow {1 / period:.4g} "
-                "ticks; record the reference at the workflow's rate"
-            )
-        positions = run.states["joint_pos"]
-        if run.joints:
-            positions = positions[:, joint_index(robot.joint_names, run.joints)]
-        if positions.shape[1] != robot.num_joints:
-            raise UniconError(
-                f"{run.path} has {positions.shape[1]} joints and {robot.name} {robot.num_joints}; "
-                "give a reference of this robot"
-            )
-        states = {k: v for k, v in run.states.items() if k == "projected_gravity"}
-        return replace(run, joints=robot.joint_names, states=states | {"joint_pos": positions})
+    own = float(np.median(np.diff(run.time)))
+    if abs(own - period) > 1e-3 * period:
+        raise UniconError(
+            f"{run.path} has {1 / own:.4g} samples a second and the workflow {1 / period:.4g} "
+            "ticks; record the reference at the workflow's rate"
+        )
+    positions = run.states["joint_pos"]
+    if run.joints:
+        positions = positions[:, joint_index(robot.joint_names, run.joints)]
+    if positions.shape[1] != robot.num_joints:
+        raise UniconError(
+            f"{run.path} has {positions.shape[1]} joints and {robot.name} {robot.num_joints}; "
+            "give a reference of this robot"
+        )
+    states = {k: v for k, v in run.states.items() if k == "projected_gravity"}
+    return replace(run, joints=robot.joint_names, states=states | {"joint_pos": positions})
 
 
 class Figures:

@@ -1,4 +1,4 @@
-"""Piped process: a module of ours that runs in another Python, with a line of JSON each way."""
+"""Piped process: a module of ours that runs in another Python, with JSON each way."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
+from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 from typing import Any
 
@@ -17,67 +18,73 @@ from unicon_core.signals import signal_name
 from unicon_ros.ending import die_with_parent, last_words
 
 
-class PipedProcess:
+class Line:
+    """One end of the line between a process and its parent.
+
+    Args:
+        connection: to the other end; by default that of a process which a `PipedProcess` has begun.
+
+    Attributes:
+        connection: the same, for whoever waits for it.
+        over: the other end is closed.
+    """
+
+    def __init__(self, connection: Connection | None = None) -> None:
+        self.connection = connection or Connection(int(sys.argv[1]))
+        self.over = False
+
+    def write(self, value: dict[str, Any]) -> None:
+        """Tell the other end something; one that has died does not mind."""
+        with suppress(ConnectionError):
+            self.connection.send_bytes(json.dumps(value, default=str).encode())
+
+    def read(self) -> dict[str, Any]:
+        """Return what the other end has told; wait until there is something, {} at its end."""
+        with suppress(EOFError, OSError):
+            value: dict[str, Any] = json.loads(self.connection.recv_bytes())
+            return value
+        self.over = True
+        return {}
+
+
+class PipedProcess(Line):
     """A process that ends with us; what it prints goes to a log.
 
     Args:
-        module: that it runs, with the numbers of two pipes: to read from and to write to.
+        module: that it runs, with the number of a descriptor: see `Line`.
         log: file for what it prints.
         environment: of it, besides ours.
 
     Attributes:
         pid: of it.
         log: the same.
-        results: descriptor to read from; see `heard`.
-        rows: descriptor to write to; see `write`.
-        over: it has closed its end.
     """
 
     def __init__(self, module: str, log: Path, environment: Mapping[str, str]) -> None:
-        self.log, self.over = log, False
-        self._heard = b""
-        theirs, self.rows = os.pipe()
-        self.results, told = os.pipe()
+        ours, theirs = Pipe()
+        super().__init__(ours)
+        self.log = log
         try:
-            with log.open("wb") as file:
+            with theirs, log.open("wb") as file:
                 self._process = subprocess.Popen(
-                    [sys.executable, "-m", module, str(theirs), str(told)],
+                    [sys.executable, "-m", module, str(theirs.fileno())],
                     stdin=subprocess.DEVNULL,
                     stdout=file,
                     stderr=file,
-                    pass_fds=[theirs, told],
+                    pass_fds=[theirs.fileno()],
                     env={**same_modules(), **environment},
                     start_new_session=True,  # Ctrl-C is ours
                     preexec_fn=die_with_parent if sys.platform == "linux" else None,
                 )
         except BaseException:
-            os.close(self.rows)
-            os.close(self.results)
+            ours.close()
             raise
-        finally:
-            os.close(theirs)
-            os.close(told)
         self.pid = self._process.pid
 
-    def write(self, value: dict[str, Any]) -> None:
-        """Tell it something; one that has died does not mind."""
-        data = line_of(value)
-        with suppress(BrokenPipeError):
-            while data:
-                data = data[os.write(self.rows, data) :]
-
     def heard(self) -> Iterator[dict[str, Any]]:
-        """Yield what it has told; wait until there is something, or its end."""
-        data = os.read(self.results, 1 << 16)
-        self.over = not data
-        *lines, self._heard = (self._heard + data).split(b"\n")
-        yield from map(json.loads, lines)
-
-    def close_rows(self) -> None:
-        """Tell it that no more comes."""
-        if self.rows >= 0:
-            os.close(self.rows)
-        self.rows = -1
+        """Yield what it has told by now, once there is something; nothing at its end."""
+        if told := self.read():
+            yield told
 
     def wait(self, patience: float, ask: bool) -> None:
         """Let it end by itself within a time in [s]; ask for it by SIGTERM."""
@@ -91,12 +98,6 @@ class PipedProcess:
         with suppress(ProcessLookupError):  # also what it started, and what is stopped
             os.killpg(self.pid, signal.SIGKILL)
         status = self._process.wait()
-        self.close_rows()
-        os.close(self.results)
+        self.connection.close()
         how = f"ended by {signal_name(-status)}" if status < 0 else f"exit status {status}"
         return f"{how}: {last_words(self.log)}"
-
-
-def line_of(value: dict[str, Any]) -> bytes:
-    """Return a value as it goes through a pipe."""
-    return (json.dumps(value, default=str) + "\n").encode()

@@ -1,4 +1,4 @@
-"""Results: all rows of a sweep's folder, for gates, reports and comparisons."""
+"""Results: all rows of a sweep's folder, for gates, reports and comparisons; chance in shares."""
 
 from __future__ import annotations
 
@@ -15,11 +15,38 @@ import numpy as np
 
 from unicon_core.errors import UniconError
 from unicon_ros.sweep.figures import COLUMNS
-from unicon_ros.sweep.folder import SWEEP, read_sweep_json, require_pyarrow
-from unicon_ros.sweep.gate import SHARES, Gate
-from unicon_ros.sweep.proportions import wilson
-from unicon_ros.sweep.shards import SETTINGS, VARIED, read_shards
-from unicon_ros.sweep.sweep_file import SCHEMA
+from unicon_ros.sweep.folder import (
+    SETTINGS,
+    SWEEP,
+    VARIED,
+    read_shards,
+    read_sweep_json,
+    require_pyarrow,
+)
+from unicon_ros.sweep.sweep_file import SCHEMA, SHARES, Gate
+
+Z95 = 1.959963984540054
+"""Of the normal distribution, for 95 %."""
+
+
+def wilson(hits: int, count: int) -> tuple[float, float]:
+    """Return Wilson's 95 % interval of a share (Wilson 1927); (0, 1) of nothing.
+
+    (p + z²/2n ± z √(p(1-p)/n + z²/4n²)) / (1 + z²/n); right for few hits too, where p ± z σ is not.
+
+    Args:
+        hits: how often it happened.
+        count: of how many.
+    """
+    if not count:
+        return 0.0, 1.0
+    p, z = hits / count, Z95
+    middle = p + z * z / (2 * count)
+    half = z * math.sqrt(p * (1 - p) / count + z * z / (4 * count * count))
+    whole = 1 + z * z / count
+    low = 0.0 if not hits else (middle - half) / whole
+    return low, 1.0 if hits == count else (middle + half) / whole
+
 
 FAILED = ("refused", "crashed")
 """Outcomes of rows without a result."""

@@ -21,8 +21,9 @@ from unicon_core.runtime.rollouts import Look, Rollouts
 from unicon_core.states import States
 from unicon_core.workflow import Program
 from unicon_core.workflow.document import WorkflowDocument
+from unicon_ros.analysis.run import Run
 from unicon_ros.recording.facts import network_hash, robot_text
-from unicon_ros.sweep.figures import Figures, Reference
+from unicon_ros.sweep.figures import Figures, reference_for
 from unicon_ros.sweep.plan import refuse_robot
 
 LookAt = Callable[[Program], Callable[[States], Look] | None]
@@ -74,7 +75,7 @@ class WarmPrograms:
         why_not: why a program could not begin anew, the last such reason; "" for none.
     """
 
-    def __init__(self, look: LookAt, reference: Reference | None, beside: int = 1) -> None:
+    def __init__(self, look: LookAt, reference: Run | None, beside: int = 1) -> None:
         self._look, self._reference, self._beside = look, reference, beside
         self._kept: list[Kept] = []
         self.built = 0
@@ -112,7 +113,7 @@ class WarmPrograms:
         try:
             rollouts = Rollouts(program, self._look(program), beside=self._beside > 1)
             told = self._reference
-            reference = None if told is None else told.of(program.robot, program.period)
+            reference = told and reference_for(told, program.robot, program.period)
             figures = Figures(program.states, program.robot, program.period, reference)
             facts = facts_of(program)
         except BaseException:

@@ -1,18 +1,14 @@
-"""Worker: a process that runs rows of a sweep, one or some at a time (`python -m`, see `local`).
+"""Worker: a process that runs rows of a sweep, one or some at a time (`python -m`, see `engines`).
 
-It reads its task and then rows from one pipe, a line of JSON each, and writes a line of JSON for
-each row to another. What engines print goes to the log that its parent made. It has one thread, and
-keeps models, networks and graphs from row to row.
+It reads its task and then rows from its parent, and tells it what became of each. What engines
+print goes to the log that its parent made. It has one thread, and keeps models, networks and graphs
+from row to row.
 """
 
 from __future__ import annotations
 
-import json
-import os
-import select
 import signal
 import sys
-from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -23,9 +19,9 @@ from unicon_core.policies.networks.onnx import share_sessions
 from unicon_core.runtime.rollouts import Lockstep, Look, Rollout
 from unicon_core.states import States
 from unicon_core.workflow import Program
-from unicon_ros.sweep.figures import FallLook, Reference, empty_row
-from unicon_ros.sweep.kept_states import Keeper
-from unicon_ros.sweep.piped import line_of
+from unicon_ros.analysis.run import read_run
+from unicon_ros.sweep.figures import FallLook, Keeper, empty_row
+from unicon_ros.sweep.piped import Line
 from unicon_ros.sweep.plan import document_with
 from unicon_ros.sweep.warm import Kept, WarmPrograms
 
@@ -50,7 +46,7 @@ class RowRunner:
         self._said = said
         self._located = read_yaml(Path(task["workflow"]), WorkflowError)
         reference = task["reference"]
-        told = None if reference is None else Reference(Path(reference))
+        told = None if reference is None else read_run(Path(reference))
         self.batch = int(task.get("batch", 1))
         if self.batch > 1:
             share_sessions()
@@ -137,62 +133,34 @@ class RowRunner:
 
 
 def serve(make: Callable[[dict[str, Any], Tell], RowRunner]) -> int:
-    """Run rows until the pipe ends.
+    """Run rows until the line ends.
 
     Args:
         make: makes what runs them, of the task.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's
-    incoming, outgoing = (int(text) for text in sys.argv[1:3])
-    rows = _Lines(incoming)
-    with os.fdopen(outgoing, "wb", buffering=0) as results:
-
-        def tell(value: dict[str, Any]) -> None:
-            results.write(line_of(value))
-
-        try:
-            if task := rows.next(wait=True):
-                _run(make(json.loads(task), tell), rows, tell)
-        except UniconError as error:
-            tell({"error": str(error)})
-            return 1
+    line = Line()
+    try:
+        if task := line.read():
+            _run(make(task, line.write), line)
+    except UniconError as error:
+        line.write({"error": str(error)})
+        return 1
     return 0
 
 
-def _run(runner: RowRunner, rows: _Lines, tell: Tell) -> None:
+def _run(runner: RowRunner, line: Line) -> None:
     """Run rows until none comes any more; each is told before the next one begins."""
-    while not rows.over or len(runner):
+    while not line.over or len(runner):
         for index, told in runner.tick():
-            tell(runner.counted(told) | {"index": index})
-        while len(runner) < runner.batch and (line := rows.next(wait=not len(runner))):
-            row = json.loads(line)
+            line.write(runner.counted(told) | {"index": index})
+        while not line.over and len(runner) < runner.batch:
+            # Waited for only where there is nothing else to do.
+            if not line.connection.poll(0 if len(runner) else None) or not (row := line.read()):
+                break
             refused = runner.begin(row["index"], row["settings"], row["name"])
             if refused is not None:
-                tell(runner.counted(refused) | {"index": row["index"]})
-
-
-class _Lines:
-    """Lines of a pipe, waited for only where there is nothing else to do.
-
-    Attributes:
-        over: nothing comes any more.
-    """
-
-    def __init__(self, pipe: int) -> None:
-        self._pipe, self._half = pipe, b""
-        self._lines: deque[bytes] = deque()
-        self.over = False
-
-    def next(self, wait: bool) -> bytes:
-        """Return the next line, b"" where none is there yet, or none will come."""
-        while not self._lines and not self.over:
-            if not wait and not select.select([self._pipe], [], [], 0)[0]:
-                return b""
-            data = os.read(self._pipe, 1 << 16)
-            self.over = not data
-            *lines, self._half = (self._half + data).split(b"\n")
-            self._lines.extend(lines)
-        return self._lines.popleft() if self._lines else b""
+                line.write(runner.counted(refused) | {"index": row["index"]})
 
 
 if __name__ == "__main__":

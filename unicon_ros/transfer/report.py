@@ -6,11 +6,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from unicon_core.page import findings, page, pairs, table, write_file
-from unicon_ros.report.drawing import drawings
-from unicon_ros.transfer.pictures import PICTURES, tracks_of
-from unicon_ros.transfer.results import OUTCOMES
-from unicon_ros.transfer.table import COLUMNS, cell, heads, row
+from unicon_ros.report.drawing import Pictures, curve, drawings, grid, zoomed
+from unicon_ros.transfer.results import COLUMNS, FACTORS, OUTCOMES, cell, heads, row
 
 _WORDS = {
     "runs": "how many of the runs that were asked for have come to an end",
@@ -110,3 +111,128 @@ def _engines(result: Mapping[str, Any]) -> str:
         notes = "".join(f"; {note}" for note in run["info"].get("notes", ()))
         facts[platform["platform"]] = f"{versions}; {told}{notes}"
     return "<h2>Engines</h2>" + pairs(facts) if facts else ""
+
+
+Tracks = Mapping[str, Mapping[str, NDArray[Any]]]
+"""Platform to name to states over time, of the first seed."""
+
+TOP = 6
+"""Joints whose curves are drawn."""
+SMOOTH_S = 0.4
+"""Over which speeds are averaged: longer than a step."""
+
+
+def tracks_of(result: Mapping[str, Any], folder: Path) -> dict[str, dict[str, NDArray[Any]]]:
+    """Read the states of each platform's first run."""
+    tracks = {}
+    for platform in result["platforms"]:
+        run = next((run for run in platform["runs"] if run["outcome"] == "ran"), None)
+        if run is None or run["finite_rows"] < 2:
+            continue
+        with np.load(folder / run["file"]) as archive:
+            count = run["finite_rows"]
+            states = {
+                name: archive[name]
+                for name in ("joint_names", "joint_pos", "base_pos_w", "velocity_command")
+            }
+        named = states.pop("joint_names")
+        tracks[platform["platform"]] = {n: rows[:count] for n, rows in states.items()} | {
+            "joint_names": named
+        }
+    return tracks
+
+
+def _figures(figure: Any, result: Mapping[str, Any], tracks: Tracks) -> bool:
+    shown = [p for p in result["platforms"] if p["runs_done"]]
+    keys = [k for k in COLUMNS if any(p["figures"][k]["mean"] is not None for p in shown)]
+    if not keys:
+        return False
+    every = grid(figure, len(keys), 4, 1.0 + 0.35 * len(shown), sharey=True)
+    names = [p["platform"] for p in shown]
+    for axes, key in zip(every, keys):
+        heading, unit, _ = COLUMNS[key]
+        factor = FACTORS.get(key, 1.0)
+        for place, platform in enumerate(shown):
+            told = platform["figures"][key]
+            if told["mean"] is None:
+                continue
+            low_high = None if told["std"] is None else factor * told["std"]
+            look = {"color": f"C{place % 10}", "alpha": 0.8, "capsize": 3, "ecolor": "0.5"}
+            axes.barh(place, factor * told["mean"], xerr=low_high, **look)
+        axes.set_title(f"{heading} [{unit}]")
+        axes.set_yticks(range(len(names)), names)
+        axes.locator_params(axis="x", nbins=5)
+    every[0].invert_yaxis()
+    return True
+
+
+def _paths(figure: Any, result: Mapping[str, Any], tracks: Tracks) -> bool:
+    if not tracks:
+        return False
+    figure.set_size_inches(12.0, 5.0)
+    left, right = figure.subplots(1, 2, width_ratios=[1.0, 1.4])
+    period = result["period_s"]
+    width = max(1, round(SMOOTH_S / period))
+    longest: NDArray[Any] = np.zeros((0, 3))
+    for place, (name, states) in enumerate(tracks.items()):
+        way, colour = states["base_pos_w"], f"C{place % 10}"
+        left.plot(way[:, 0], way[:, 1], color=colour, linewidth=1.2, label=name)
+        left.plot(way[-1:, 0], way[-1:, 1], "s", color=colour, markersize=5)
+        if len(way) > 2 * width:
+            moved = np.linalg.norm((way[width:] - way[:-width])[:, :2], axis=1)
+            time = period * (np.arange(len(moved)) + width / 2)
+            curve(right, time, moved / (width * period), colour)
+        if len(states["velocity_command"]) > len(longest):
+            longest = states["velocity_command"]
+    asked = np.linalg.norm(longest[:, :2], axis=1)
+    curve(right, period * np.arange(len(asked)), asked, "0.5", "commanded", linestyle="--")
+    left.set(xlabel="x [m]", ylabel="y [m]")
+    left.set_title("path of the base from above, its end as a square")
+    left.set_aspect("equal", adjustable="datalim")
+    right.set(xlabel="time [s]", ylabel="speed [m/s]")
+    right.set_title(f"speed of the base in the plane, over {SMOOTH_S:g} s")
+    left.legend()
+    right.legend(loc="upper right")
+    return True
+
+
+def _joints(figure: Any, result: Mapping[str, Any], tracks: Tracks) -> bool:
+    first = result["first"]
+    others = [name for name in tracks if name != first]
+    if first not in tracks or not others:
+        return False
+    reference = tracks[first]["joint_pos"]
+    squares = np.zeros(reference.shape)
+    for name in others:
+        count = min(len(reference), len(tracks[name]["joint_pos"]))
+        squares[:count] += (reference[:count] - tracks[name]["joint_pos"][:count]) ** 2
+    order = np.argsort(-squares.sum(axis=0))[:TOP]
+    curves = [
+        (name, f"C{place % 10}", states["joint_pos"][:, order])
+        for place, (name, states) in enumerate(tracks.items())
+    ]
+    names = tracks[first]["joint_names"][order].tolist()
+    zoomed(figure, names, curves, squares[:, order], result["period_s"])
+    return True
+
+
+PICTURES: Pictures = {
+    "figures": (
+        _figures,
+        "Figures",
+        "Mean of each platform; the whisker is the standard deviation over seeds, where there are "
+        "several.",
+    ),
+    "paths": (
+        _paths,
+        "The base",
+        "First run of each platform. Dashed: the commanded speed.",
+    ),
+    "joints": (
+        _joints,
+        "The joints that differ most",
+        "Joint positions of the first run of each platform, not shifted in time; on the right the "
+        "stretch that differs most (grey on the left).",
+    ),
+}
+"""Name to function, heading and caption, in the report's order."""

@@ -1,14 +1,19 @@
-"""Rollout: a row of a transfer in its process, timed (`python -m`, see `processes`).
+"""Rollout: a row of a transfer in a process of its own, timed; both ends of it (`python -m`).
 
 It is a sweep's row, with figures by the same code; besides, it tells what its simulator is, how
-long its ticks took, and how far it is meanwhile.
+long its ticks took, and how far it is meanwhile. An engine that crashes takes nothing else with it,
+and nothing is tried again.
 """
 
 from __future__ import annotations
 
+import json
+import re
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,17 +21,24 @@ import numpy as np
 from unicon_core.check import refuse_errors
 from unicon_core.errors import MissingDependencyError, UniconError
 from unicon_core.pacing import process_age_s
+from unicon_core.page import write_file
 from unicon_core.platforms.platform import info_of
 from unicon_core.runtime.report import Report
 from unicon_core.runtime.rollouts import Look, Rollout
 from unicon_core.runtime.statistics import percentiles
+from unicon_core.signals import SIGNALS, signal_name
 from unicon_core.states import States
 from unicon_core.workflow import Program
+from unicon_ros.ending import LOG_BYTES
 from unicon_ros.recording.facts import versions_here
-from unicon_ros.sweep.kept_states import columns_of
+from unicon_ros.sweep.figures import columns_of
 from unicon_ros.sweep.motion import finite_rows
+from unicon_ros.sweep.piped import PipedProcess
+from unicon_ros.sweep.plan import Row
+from unicon_ros.sweep.pool import LOOK
 from unicon_ros.sweep.warm import Kept
 from unicon_ros.sweep.worker import RowRunner, Tell, serve
+from unicon_ros.transfer.plan import Plan
 
 KEPT = (
     *("joint_pos", "joint_vel", "joint_pos_target", "joint_effort"),
@@ -128,6 +140,81 @@ class TimedRunner(RowRunner):
             "finite_rows": finite_rows(states),
         }
         return told
+
+
+Progress = Callable[[float], None]
+"""Takes the time in [s] that a run has simulated, 0 before its first tick; called often."""
+
+
+def run_one(plan: Plan, row: Row, folder: Path, tell: Progress) -> dict[str, Any]:
+    """Run a platform with a seed to its end, whatever that is.
+
+    Args:
+        plan: of the transfer.
+        row: one of it.
+        folder: where its files go: `PLATFORM/seed_K.npz`, `.json` and `.log`.
+        tell: called as it goes on.
+
+    Returns:
+        What the run told; `outcome` is `ran`, `missing` (not installed), `refused`, `crashed`,
+        `timeout` or `interrupted`, and `text` says why.
+
+    Raises:
+        UniconError: its files cannot be written.
+    """
+    platform, seed = row.values
+    files = folder / re.sub(r"[^\w.-]", "_", platform) / row.name
+    keep = {"folder": str(files.parent.absolute()), "states": KEPT}
+    try:
+        files.parent.mkdir(parents=True, exist_ok=True)
+        files.with_suffix(".npz").unlink(missing_ok=True)
+        process = PipedProcess("unicon_ros.transfer.rollout", files.with_suffix(".log"), {})
+    except OSError as error:
+        raise UniconError(
+            f"cannot write {error.filename or files}: {error.strerror}; give a writable folder "
+            "with room to --out"
+        ) from error
+    process.write(plan.task() | {"keep": keep})
+    process.write({"index": row.index, "settings": row.settings, "name": row.name})
+    told: dict[str, Any] = {}
+    try:
+        told = _watched(process, plan.timeout, tell)
+    finally:
+        how = process.end()
+    if SIGNALS.asked and not told:
+        told = {"outcome": "interrupted", "text": f"ended by {signal_name(SIGNALS.asked)}"}
+    elif not told:
+        told = {"outcome": "crashed", "text": how}
+    told = {"seed": seed} | told
+    if told["outcome"] == "ran":
+        told["file"] = str(files.with_suffix(".npz").relative_to(folder.parent))
+        told["log"] = ""
+        with suppress(UniconError):  # a full disk: the caller's own file tells
+            write_file(files.with_suffix(".json"), (json.dumps(told) + "\n").encode())
+    return told
+
+
+def _watched(process: PipedProcess, timeout: float, tell: Progress) -> dict[str, Any]:
+    """Wait for what a process tells of its row; return {} of one that ended, or was not awaited."""
+    seconds, end = 0.0, time.monotonic() + timeout
+    while not SIGNALS.asked and not process.over:
+        tell(seconds)
+        if process.connection.poll(LOOK):
+            for told in process.heard():
+                if "error" in told:
+                    return {"outcome": "refused", "text": told["error"]}
+                if "run" in told:
+                    return {"outcome": "ran", "text": "", **told["run"]}
+                if "row" in told:
+                    return {key: told["row"][key] for key in ("outcome", "text")}
+                seconds = told["at"]
+        if time.monotonic() > end:
+            text = f"no end within {timeout:g} s; it was ended (--timeout S)"
+            return {"outcome": "timeout", "text": text}
+        if process.log.stat().st_size > LOG_BYTES:
+            text = f"printed more than {LOG_BYTES // 1_000_000} MB"
+            return {"outcome": "crashed", "text": text}
+    return {}
 
 
 if __name__ == "__main__":

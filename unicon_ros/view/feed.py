@@ -34,83 +34,65 @@ FEWEST, LARGEST = 16, 32 << 20
 """Ticks in the ring at least, and its bytes at most beyond those."""
 
 
-class Feed:
-    """Fills the ring of a run.
+def _filling(
+    runner: Runner, cells: Sequence[Any], ring: FrameRing, driver: Driver, controls: Controls
+) -> Callable[[], None]:
+    """Return what copies a tick; all that it looks at is bound once.
 
     Args:
-        runner: whose ticks it takes.
-        variables: of the runner's graph that are the counters.
-
-    Attributes:
+        runner: whose ticks are copied.
+        cells: of its graph's variables that are the counters.
         ring: of ticks: `HEAD`, counters, states.
+        driver: tells whether a viewer drives.
+        controls: tell whether the simulator stands still.
     """
+    states = runner.program.states.buffer.data.cast("B")
+    program, statistics = runner.program, runner.statistics
+    head, table, memory, start = ring.parts()
+    slots, size, begin, number = ring.slots, ring.nbytes, ring.nbytes - len(states), 0
+    front = memoryview(bytearray(begin))  # filled here and copied: it stays warm, slots do not
+    words = front.cast("q")
+    words[_ROBOTS], words[_COUNTERS] = program.states.num_robots or 1, len(cells)
+    numbered = tuple(enumerate(cells, HEAD.size // words.itemsize))
+    tick = memoryview(program.states["tick"].reshape(-1).data)
+    rows = memoryview(statistics.rows.reshape(-1).data)
+    capacity, width = statistics.rows.shape
+    phases, phase, now = {p: n for n, p in enumerate(Phase)}, None, time.perf_counter_ns
+    often, left = max(1, round(RARELY / program.period)), 0
 
-    def __init__(self, runner: Runner, variables: Sequence[str]) -> None:
-        self._runner, self._cells = runner, runner.graph.cells(variables)
-        self._states = runner.program.states.buffer.data.cast("B")
-        size = HEAD.size + 8 * len(self._cells) + len(self._states)
-        ticks = max(FEWEST, min(round(KEPT_S / runner.program.period), LARGEST // size))
-        self.ring = FrameRing.create(size, ticks)
-        self.ring.touch()
+    def look() -> None:
+        """Look at what changes rarely: each is a cold line of memory more."""
+        nonlocal left, phase
+        left = often
+        words[_PAUSED], words[_DRIVES] = controls.paused, driver.driving
+        words[_OVERRUNS] = statistics.overruns
+        if phase is not runner.phase:  # an enum's hash is slow
+            phase = runner.phase
+            words[_PHASE] = phases[phase]
 
-    def filling(self, driver: Driver, controls: Controls) -> Callable[[], None]:
-        """Return what copies a tick; all that it looks at is bound once.
+    def fill() -> None:
+        nonlocal number, left
+        left -= 1
+        if left <= 0:
+            look()
+        ticks = statistics.count
+        if ticks:  # of the tick before: this one has not ended
+            row = (ticks - 1) % capacity * width
+            began = rows[row + 2]
+            words[_LATE], words[_TOOK] = began - rows[row], rows[row + 1] - began
+        number += 1
+        place = number % slots
+        at, place = start + place * size, 2 * place
+        words[_TICK], words[_STAMP] = tick[0], now()
+        for word, cell in numbered:
+            words[word] = cell.cell_contents
+        table[place] = 0
+        memory[at : at + begin] = front
+        memory[at + begin : at + size] = states
+        table[place + 1] = words[_STAMP]
+        table[place] = head[0] = number
 
-        Args:
-            driver: tells whether a viewer drives.
-            controls: tell whether the simulator stands still.
-        """
-        runner, ring, states = self._runner, self.ring, self._states
-        program, statistics = runner.program, runner.statistics
-        head, table, memory, start = ring.parts()
-        slots, size, begin, number = ring.slots, ring.nbytes, ring.nbytes - len(states), 0
-        front = memoryview(bytearray(begin))  # filled here and copied: it stays warm, slots do not
-        words = front.cast("q")
-        words[_ROBOTS], words[_COUNTERS] = program.states.num_robots or 1, len(self._cells)
-        cells = tuple(enumerate(self._cells, HEAD.size // words.itemsize))
-        tick = memoryview(program.states["tick"].reshape(-1).data)
-        rows = memoryview(statistics.rows.reshape(-1).data)
-        capacity, width = statistics.rows.shape
-        phases, phase, now = {p: n for n, p in enumerate(Phase)}, None, time.perf_counter_ns
-        often, left = max(1, round(RARELY / program.period)), 0
-
-        def look() -> None:
-            """Look at what changes rarely: each is a cold line of memory more."""
-            nonlocal left, phase
-            left = often
-            words[_PAUSED], words[_DRIVES] = controls.paused, driver.driving
-            words[_OVERRUNS] = statistics.overruns
-            if phase is not runner.phase:  # an enum's hash is slow
-                phase = runner.phase
-                words[_PHASE] = phases[phase]
-
-        def fill() -> None:
-            nonlocal number, left
-            left -= 1
-            if left <= 0:
-                look()
-            ticks = statistics.count
-            if ticks:  # of the tick before: this one has not ended
-                row = (ticks - 1) % capacity * width
-                began = rows[row + 2]
-                words[_LATE], words[_TOOK] = began - rows[row], rows[row + 1] - began
-            number += 1
-            place = number % slots
-            at, place = start + place * size, 2 * place
-            words[_TICK], words[_STAMP] = tick[0], now()
-            for word, cell in cells:
-                words[word] = cell.cell_contents
-            table[place] = 0
-            memory[at : at + begin] = front
-            memory[at + begin : at + size] = states
-            table[place + 1] = words[_STAMP]
-            table[place] = head[0] = number
-
-        return fill
-
-    def close(self) -> None:
-        """Let the ring go; safe to call twice."""
-        self.ring.close()
+    return fill
 
 
 class Fed:
@@ -125,7 +107,7 @@ class Fed:
 
     def __init__(self, warn: Callable[[str], None]) -> None:
         self.warn, self.address = warn, ""
-        self._feed: Feed | None = None
+        self._ring: FrameRing | None = None
         self._peripheral: Peripheral | None = None
         self._runner: Runner | None = None
         self._fill: Callable[[], object] = bool
@@ -153,7 +135,7 @@ class Fed:
             told: what it tells.
             options: of its sink; `port` becomes the one that it has got, where browsers look for a
                 process that is started again.
-            driver, controls: as of `Feed.filling`.
+            driver, controls: as of `_filling`.
             stale: so long it may be silent, in [s].
             period: between two looks at it, in [s].
             map: name of the message map.
@@ -163,16 +145,20 @@ class Fed:
             UniconError: it cannot begin.
         """
         shown, variables = shown_of(runner.program, runner.graph, map, frame_prefix)
-        feed = Feed(runner, variables)
-        data = {"shown": shown, "ring": str(feed.ring.path)}
+        cells = runner.graph.cells(variables)
+        size = HEAD.size + 8 * len(cells) + runner.program.states.buffer.nbytes
+        ticks = max(FEWEST, min(round(KEPT_S / runner.program.period), LARGEST // size))
+        ring = FrameRing.create(size, ticks)
+        ring.touch()
+        data = {"shown": shown, "ring": str(ring.path)}
         given = {"name": name, "options": options, "data": data}
         try:
             process = Peripheral(told, told.layout, PROCESS, given, {}, stale, period, self.warn)
         except BaseException:
-            feed.close()
+            ring.close()
             raise
-        self._feed, self._peripheral, self.address = feed, process, str(process.first["address"])
-        self._runner, self._fill = runner, feed.filling(driver, controls)
+        self._ring, self._peripheral, self.address = ring, process, str(process.first["address"])
+        self._runner, self._fill = runner, _filling(runner, cells, ring, driver, controls)
         options["port"] = urlsplit(self.address).port or options.get("port", PORT)
         return process
 
@@ -180,5 +166,5 @@ class Fed:
         """End the process; safe to call twice."""
         if self._peripheral is not None:
             self._peripheral.close()
-        if self._feed is not None:
-            self._feed.close()
+        if self._ring is not None:
+            self._ring.close()

@@ -101,9 +101,7 @@ class Foxglove:
         except BaseException:
             self._server.stop()
             raise
-        shown_host = f"[{host}]" if ":" in host else host
-        ending = f"/{token}" if token else ""
-        self.address = f"ws://{shown_host}:{self._front.port}{ending}"
+        self.address = f"ws://{self._front.at}{f'/{token}' if token else ''}"
 
     def poll(self) -> None:
         """Log every tick that has come, and take the answers."""

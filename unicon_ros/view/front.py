@@ -83,6 +83,11 @@ def refusal(
     return "" if mine else f"it is a page of {origin}"
 
 
+def netloc(host: str, port: int) -> str:
+    """Return host and port as an address has them."""
+    return f"{f'[{host}]' if ':' in host else host}:{port}"
+
+
 def hidden_address() -> str:
     """Return an address of 127.0.0.0/8 that others do not know."""
     return f"127.{secrets.randbelow(254) + 1}.{secrets.randbelow(256)}.{secrets.randbelow(254) + 1}"
@@ -101,6 +106,7 @@ class Front:
 
     Attributes:
         port: where it listens.
+        at: the same with the host, as an address has it.
         refused: how many were not let in.
 
     Raises:
@@ -120,6 +126,7 @@ class Front:
         self._behind, self._origins, self._token, self._warn = behind, origins, token, warn
         self._server = listening(host, port)
         self.port: int = self._server.getsockname()[1]
+        self.at = netloc(host, self.port)
         self.refused = self._clients = 0
         self._asked: list[asyncio.StreamWriter] = []
         self._loop = asyncio.new_event_loop()

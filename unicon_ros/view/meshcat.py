@@ -75,8 +75,7 @@ class Meshcat:
         if not ready.wait(START):
             raise UniconError(f"--view=meshcat: its server did not begin within {START:g} s")
         self._front = Front(host, int(options["port"]), (self._hidden, self._port))
-        shown_host = f"[{host}]" if ":" in host else host
-        self.address = f"http://{shown_host}:{self._front.port}/static/"
+        self.address = f"http://{self._front.at}/static/"
         with redirect_stdout(StringIO()):  # it prints an address at which nothing is
             self._page = Visualizer(zmq_url=self._url)
         self._bodies = sorted({shape.body for shape in self._stage.shapes})

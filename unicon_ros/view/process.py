@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from importlib import import_module
+from pkgutil import resolve_name
 from typing import Any
 
 from unicon_core.handles import FrameRing
@@ -25,8 +25,7 @@ NICE = 19
 
 def sink_class(word: str) -> Any:
     """Return the class of a sink: of a word, or `module:class`."""
-    module, name = SINKS.get(word, word).split(":")
-    return getattr(import_module(module), name)
+    return resolve_name(SINKS.get(word, word))
 
 
 class Viewer:

@@ -1,18 +1,20 @@
-"""View: a viewer beside a run, for `--view`: its hook, its process and what comes back."""
+"""What a process of its own is given beside a run: a viewer, `--view`, and figures, `--metrics`."""
 
 from __future__ import annotations
 
 import json
 import time
 from collections.abc import Callable, Mapping
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from unicon_core.flow import Block, Stage
 from unicon_core.states import States
 from unicon_core.workflow import Program, WorkflowDocument
+from unicon_ros.bridge.bindings import told_states
 from unicon_ros.bridge.tuning import Tuning
 from unicon_ros.controls import Controls
-from unicon_ros.peripherals.peripheral import short
+from unicon_ros.peripherals.peripheral import Peripheral, peripheral_states, short
 from unicon_ros.view.driver import Driver
 from unicon_ros.view.feed import Fed
 from unicon_ros.view.shown import DEAD_MAN, NAME, PAGE
@@ -154,3 +156,76 @@ def _cut(value: Any) -> Any:
             break
         lines.insert(0, line)
     return lines
+
+
+METRICS, SINK = "metrics", "unicon_ros.view.metrics:Metrics"
+
+FIGURES_TOLD = 1.0
+"""How often the process is told what is not in the states, in [s]."""
+
+MOST = 40
+"""Topics whose counts it is told."""
+
+
+class Metered(Fed):
+    """Lets a process of its own count the ticks and answer; whoever made it closes it.
+
+    Args:
+        port: on loopback; 0 for any that is free.
+        session: of ROS, whose messages are counted, or None.
+        warn: takes lines for the operator.
+
+    Attributes:
+        address: where the figures are, once it is attached.
+    """
+
+    def __init__(
+        self, port: int, session: RosSession | None = None, warn: Callable[[str], None] = print
+    ) -> None:
+        super().__init__(warn)
+        self._port, self._session = port, session
+
+    def hook(self, program: Program) -> dict[Stage, list[Block]]:
+        """Return the block that copies each tick."""
+        return {Stage.OBSERVE: [Block(METRICS, self._tick, endless=True)]}
+
+    def attach(self, runner: Runner) -> None:
+        """Start the process, before the first tick.
+
+        Raises:
+            UniconError: the port cannot be had.
+        """
+        written = sorted(told_states(runner.program))
+        options: dict[str, Any] = {"port": self._port, "written": written, "sink": SINK}
+        nobody: Any = SimpleNamespace(driving=0, paused=0)
+        told = States(peripheral_states(METRICS, {}))
+        often = FIGURES_TOLD
+        self._start(runner, METRICS, told, options, nobody, nobody, stale=often, period=often)
+
+    def _tick(self) -> None:
+        self._fill()
+        now = time.perf_counter_ns()
+        if now >= self._due_ns and self._peripheral is not None:
+            self._due_ns = now + round(FIGURES_TOLD * 1e9)
+            self._tell(self._peripheral)
+            self._peripheral()  # started again where it has died
+
+    def _tell(self, peripheral: Peripheral) -> None:
+        runner = self._runner
+        if runner is not None:
+            texts: dict[str, Any] = {"faults": [fault[:80] for fault in runner.faults[:9]]}
+            if self._session is not None:
+                texts["counts"] = _counts(self._session)
+            peripheral.wish("texts", texts)
+
+
+def _counts(session: RosSession) -> dict[str, list[tuple[str, int]]]:
+    """Return what passed in each direction, by topic."""
+    published: dict[str, int] = {}
+    for out in session.outgoing:  # several of ours may share a topic, such as /tf
+        published[out.topic] = published.get(out.topic, 0) + out.published
+    received = {topic.topic: topic.received for topic in session.incoming}
+    return {
+        "published": list(published.items())[: MOST // 2],
+        "received": list(received.items())[: MOST // 2],
+    }

@@ -1,11 +1,16 @@
 """Process of plain rclpy nodes, which spin.
 
-`--variant` robot, controller, events, triggered, both, mirror or observer.
+`--variant` robot, controller, events, triggered, both, mirror, observer or threads: a controller
+with a thread that spins, as UniCon bridges ROS, `spin_once`, then sleep. This is our own baseline
+of that style: one message is taken for each pass of the spinning thread, so a queue of depth 10
+stays full of old states. The loop runs at its rate beside it and sends.
 """
 
 from __future__ import annotations
 
 import argparse
+import threading
+import time
 from typing import Any
 
 import rclpy
@@ -14,11 +19,14 @@ from rclpy.node import Node
 
 from unicon_ros.bench.pipelines.log import Log, Stop, arguments, beside
 from unicon_ros.bench.pipelines.plain_nodes import (
+    Controller,
     PlainController,
     PlainMirror,
     PlainObserver,
     PlainRobot,
 )
+
+SPIN_PERIOD = 0.002  # s between two passes of the spinning thread
 
 
 def main() -> None:
@@ -34,6 +42,8 @@ def main() -> None:
         executor = EventsExecutor()
     for node in nodes:
         executor.add_node(node)
+    if isinstance(nodes[0], Controller) and options.variant == "threads":
+        _send_beside(executor, nodes[0], 1.0 / options.rate, stop)
     while not stop:
         executor.spin_once(timeout_sec=0.1)
     for log in logs:
@@ -41,6 +51,24 @@ def main() -> None:
     for node in nodes:
         node.destroy_node()
     rclpy.try_shutdown()
+
+
+def _send_beside(executor: Any, node: Controller, period: float, stop: Stop) -> None:
+    """Send at a rate, beside a thread that spins, until SIGTERM."""
+
+    def spin() -> None:
+        while not stop:
+            executor.spin_once(timeout_sec=0.0)
+            time.sleep(SPIN_PERIOD)
+
+    thread = threading.Thread(target=spin)
+    thread.start()
+    due = time.monotonic() + period
+    while not stop:
+        time.sleep(max(0.0, due - time.monotonic()))
+        due = max(due + period, time.monotonic())
+        node.send()
+    thread.join()
 
 
 def _nodes(options: argparse.Namespace) -> tuple[list[Node], list[Log]]:
@@ -60,6 +88,8 @@ def _nodes(options: argparse.Namespace) -> tuple[list[Node], list[Log]]:
         sent_file = beside(options.out, "controller")
     if options.variant != "robot":
         sent = Log(sent_file, "stamp", "seen", "begin", "end")
+        if options.variant == "threads":
+            return [Controller(joints, best_effort, sent, depth=10)], [sent]
         heard = Log(beside(sent_file, "heard"), "stamp", "received")
         every = round(state_rate / options.rate) if options.variant == "triggered" else 0
         nodes.append(PlainController(joints, options.rate, every, best_effort, sent, heard))

@@ -10,6 +10,7 @@ import os
 import signal
 import threading
 import time
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -33,26 +34,21 @@ class Controller:
     """Identity control: what is measured is commanded."""
 
     def __init__(self, kind: str, domain: int) -> None:
-        if kind == "go":
-            from unitree_sdk2py.idl.default import unitree_go_msg_dds__LowCmd_ as default
-            from unitree_sdk2py.idl.unitree_go.msg.dds_ import LowCmd_, LowState_
-        else:
-            from unitree_sdk2py.idl.default import unitree_hg_msg_dds__LowCmd_ as default
-            from unitree_sdk2py.idl.unitree_hg.msg.dds_ import LowCmd_, LowState_
+        default = import_module("unitree_sdk2py.idl.default")
+        messages = import_module(f"unitree_sdk2py.idl.unitree_{kind}.msg.dds_")
         ChannelFactoryInitialize(domain, "lo")
         self.kind, self.count, self.crc = kind, MOTORS[kind], CRC()
-        self.command = default()
+        self.command = getattr(default, f"unitree_{kind}_msg_dds__LowCmd_")()
+        modes = [ENABLED] * self.count
         if kind == "go":
             self.command.head[0], self.command.head[1] = 0xFE, 0xEF
             self.command.level_flag = 0xFF
-            for k in range(self.count):
-                self.command.motor_cmd[k].mode = WEAK if k in H1_WEAK else STRONG
-        else:
-            for k in range(self.count):
-                self.command.motor_cmd[k].mode = ENABLED
-        self.publisher = ChannelPublisher("rt/lowcmd", LowCmd_)
+            modes = [WEAK if k in H1_WEAK else STRONG for k in range(self.count)]
+        for k, mode in enumerate(modes):
+            self.command.motor_cmd[k].mode = mode
+        self.publisher = ChannelPublisher("rt/lowcmd", messages.LowCmd_)
         self.publisher.Init()
-        self.subscriber = ChannelSubscriber("rt/lowstate", LowState_)
+        self.subscriber = ChannelSubscriber("rt/lowstate", messages.LowState_)
         self.position, self.velocity, self.effort = (np.zeros(self.count) for _ in range(3))
         self.quat, self.rate = np.zeros(4), np.zeros(3)
         self.rows: list[tuple[int, ...]] = []

@@ -2,9 +2,49 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
+import numpy as np
+
+from unicon_core.platforms.platform import Facts
+from unicon_core.robots import Robot
+from unicon_core.states import States
+from unicon_core.states.standard import JOINT_STATES
 from unicon_ros.bench.pipelines.log import COMMAND, IMU, MIRROR, STATE
+
+
+class LocalPlatform:
+    """Copies a driver's arrays into the states and the targets back."""
+
+    facts = Facts("local", writes=(*JOINT_STATES, "stamp_ns"), reads=("joint_pos_target",))
+
+    def __init__(self, states: States, robot: Robot, period: float) -> None:
+        self._stamp = states["stamp_ns"]
+        # One copy in and one out: the joint states stand back to back in the buffer.
+        n = robot.num_joints
+        first = states.offset("joint_pos")
+        self._measured = states.buffer_of(np.float32)[first : first + 3 * n]
+        self._driver_in = np.zeros(3 * n, np.float32)
+        self._target = states["joint_pos_target"]
+        self._driver_out = np.zeros(n, np.float32)
+        self._scratch_in, self._scratch_out = np.zeros_like(self._driver_in), np.zeros(n, "f4")
+
+    def recv(self) -> None:
+        self._stamp[...] = time.monotonic_ns()
+        self._measured[...] = self._driver_in
+
+    def send(self) -> None:
+        self._driver_out[...] = self._target
+
+    def warm_up(self) -> None:
+        time.monotonic_ns()
+        self._scratch_in[...] = self._driver_in
+        self._scratch_out[...] = self._target
+
+    def close(self) -> None:
+        self._driver_out[...] = 0.0
+
 
 PLATFORM = "unicon_ros.bridge.ros_platform:make"
 
@@ -47,7 +87,7 @@ def write_local(
         The workflow file and the map file.
     """
     _write_robot(folder, joints)
-    platform = "unicon_ros.bench.pipelines.local_platform:LocalPlatform"
+    platform = "unicon_ros.bench.pipelines.workflows:LocalPlatform"
     every = max(1, round(state_rate / rate))
     workflow = _workflow(platform, "", rate * every, "deadline", every)
     return _written(folder, workflow, f"publish:\n{joint_states_entry(MIRROR, best_effort)}")

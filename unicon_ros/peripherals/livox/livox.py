@@ -11,10 +11,11 @@ from __future__ import annotations
 
 import ipaddress
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Annotated, Any, Literal
 
 from unicon_core.errors import WorkflowError
 from unicon_core.flow import Block
+from unicon_core.schema.marks import Unit, Within
 from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext
 from unicon_ros.bridge.camera_topics import RELIABILITIES, large_data, topic_options
@@ -22,6 +23,7 @@ from unicon_ros.peripherals.livox.cloud import livox_message
 from unicon_ros.peripherals.peripheral import peripheral_block, peripheral_states
 
 MODULE = "unicon_ros.peripherals.livox.process"
+Port = Annotated[int, Within(1024, 65535)]
 
 
 def livox(
@@ -29,12 +31,12 @@ def livox(
     *,
     lidar: str,
     host: str = "",
-    point_port: int = 56301,
-    imu_port: int = 56401,
-    data_type: int = 1,
+    point_port: Port = 56301,
+    imu_port: Port = 56401,
+    data_type: Literal[1, 2, 3] = 1,
     configure: bool = True,
     checksum: bool = True,
-    silence: float = 0.2,
+    silence: Annotated[float, Unit("s"), Within(0.05, 10.0)] = 0.2,
     frame_id: str = "livox_frame",
     prefix: str = "livox",
     topic: str = "",
@@ -75,24 +77,17 @@ def livox(
             raise WorkflowError(
                 f"livox: {label} is {address!r}; give an IPv4 address such as 192.168.1.112"
             ) from error
-    for label, port in (("point_port", point_port), ("imu_port", imu_port)):
-        if not (isinstance(port, int) and 1024 <= port <= 65535):
-            raise WorkflowError(f"livox: {label} is {port}; give 1024 to 65535")
     if point_port == imu_port:
         raise WorkflowError(f"livox: point_port and imu_port are {imu_port}; give two ports")
-    if data_type not in (1, 2, 3):
-        raise WorkflowError(f"livox: data_type is {data_type}; give 1, 2 or 3")
-    if not 0.05 <= silence <= 10.0:
-        raise WorkflowError(f"livox: silence is {silence}; give 0.05 to 10 s")
     options = {
         "lidar": lidar,
         "host": host,
         "point_port": point_port,
         "imu_port": imu_port,
         "data_type": data_type,
-        "configure": bool(configure),
-        "checksum": bool(checksum),
-        "silence": float(silence),
+        "configure": configure,
+        "checksum": checksum,
+        "silence": silence,
         "frame_id": frame_id,
         "topic": topic,
         "ros": topic_options("livox", node or prefix, namespace, ros_args, reliability),

@@ -1,11 +1,6 @@
 "use strict";
 // The headset's side of `webxr`: one binary message for each of its frames, as of frames.py.
 
-const BONES = ["metacarpal", "phalanx-proximal", "phalanx-intermediate", "phalanx-distal", "tip"];
-const JOINTS = ["wrist", "thumb-metacarpal", "thumb-phalanx-proximal", "thumb-phalanx-distal", "thumb-tip"];
-for (const finger of ["index", "middle", "ring", "pinky"])
-  for (const bone of BONES) JOINTS.push(`${finger}-finger-${bone}`);
-
 const PARTS = { head: 0, left_hand: 1, right_hand: 26, left_controller: 51, right_controller: 52, left_aim: 53, right_aim: 54 };
 const NAMES = Object.keys(PARTS);
 const NOTHING = { antialias: false, depth: false, framebufferScaleFactor: 0.25 }; // is drawn
@@ -26,7 +21,7 @@ function say(text, kind = "") {
   at("status").className = kind;
 }
 
-function put(part, place, pose) {
+function put(place, pose) {
   if (!pose) return false;
   const { position: p, orientation: q } = pose.transform;
   poses.set([p.x, p.y, p.z, q.x, q.y, q.z, q.w], 7 * place);
@@ -35,22 +30,21 @@ function put(part, place, pose) {
 
 function putHand(frame, hand, part) {
   let place = PARTS[part];
-  for (const joint of JOINTS) {
-    const where = hand.get(joint);
-    if (!where || !put(part, place++, frame.getJointPose(where, space))) return;
-  }
+  for (const joint of hand.values()) // 25, in the standard's order
+    if (!put(place++, frame.getJointPose(joint, space))) return;
   flags |= 1 << NAMES.indexOf(part);
 }
 
 function putOne(part, pose) {
-  if (put(part, PARTS[part], pose)) flags |= 1 << NAMES.indexOf(part);
+  if (put(PARTS[part], pose)) flags |= 1 << NAMES.indexOf(part);
 }
 
 function putController(frame, source, side) {
   if (source.gripSpace) putOne(`${side}_controller`, frame.getPose(source.gripSpace, space));
-  const row = side === "left" ? 0 : 1;
-  source.gamepad.buttons.slice(0, 8).forEach((button, i) => { buttons[8 * row + i] = Math.min(Math.max(button.value, 0), 1); });
-  source.gamepad.axes.slice(0, 4).forEach((value, i) => { axes[4 * row + i] = Math.min(Math.max(value, -1), 1); });
+  const row = side === "left" ? 0 : 1, { gamepad } = source;
+  const within = (value, low) => Math.min(Math.max(value, low), 1);
+  buttons.set(gamepad.buttons.slice(0, 8).map(({ value }) => within(value, 0)), 8 * row);
+  axes.set(gamepad.axes.slice(0, 4).map((value) => within(value, -1)), 4 * row);
 }
 
 function onFrame(_, frame) {

@@ -23,7 +23,7 @@ from unicon_core.errors import UniconError
 from unicon_ros.peripherals.child import SLICE, Feed, end, serve
 from unicon_ros.peripherals.webxr.certificate import certificate, fingerprint, secured
 from unicon_ros.peripherals.webxr.frames import ANSWER, FRAME, PARTS, PING, Frame, Refused
-from unicon_ros.view.front import refusal
+from unicon_ros.view.front import netloc, refusal
 
 SCRIPT = "/page.js"
 PAGES = {"/": ("page.html", "text/html"), SCRIPT: ("page.js", "text/javascript")}
@@ -133,8 +133,7 @@ class WebXr:
     def first(self) -> dict[str, Any]:
         """Return where it is served."""
         port = self._server.sockets[0].getsockname()[1]
-        host = f"[{self._host}]" if ":" in self._host else self._host
-        address = f"{'https' if self._tls else 'http'}://{host}:{port}/"
+        address = f"{'https' if self._tls else 'http'}://{netloc(self._host, port)}/"
         line = (
             f"{self._feed.name}: open {address}{'?token=…' if self._token else ''} in the headset"
         )

@@ -10,10 +10,11 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from importlib.util import find_spec
-from typing import Any
+from typing import Annotated, Any
 
 from unicon_core.errors import MissingDependencyError, WorkflowError
 from unicon_core.flow import Block
+from unicon_core.schema.marks import Unit, Within
 from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext
 from unicon_ros.peripherals.peripheral import Peripheral, peripheral_block, peripheral_states
@@ -29,10 +30,10 @@ def webxr(
     context: BuildContext,
     *,
     host: str = "127.0.0.1",
-    port: int = 8443,
+    port: Annotated[int, Within(0, 65535)] = 8443,
     token: str = "",
     tls: bool | None = None,
-    stale: float = 0.2,
+    stale: Annotated[float, Unit("s"), Within(0.02, 2.0)] = 0.2,
     prefix: str = "webxr",
 ) -> Block:
     """Write poses, buttons and axes of a headset; all neutral, and alive 0, while none is heard.
@@ -66,18 +67,14 @@ def webxr(
         raise WorkflowError(
             f"webxr: host {host} without TLS: headsets show WebXR to no such page; leave tls out"
         )
-    if not (isinstance(port, int) and 0 <= port <= 65535):
-        raise WorkflowError(f"webxr: port is {port}; give 0 to 65535")
-    if not 0.02 <= stale <= 2.0:
-        raise WorkflowError(f"webxr: stale is {stale}; give 0.02 to 2 s")
     if not context.dry and find_spec("websockets") is None:
         raise MissingDependencyError("webxr", "websockets", "pip install 'unicon_ros[webxr]'")
     options = {
         "host": host,
         "port": port,
         "token": token,
-        "tls": beyond if tls is None else bool(tls),
-        "stale": float(stale),
+        "tls": beyond if tls is None else tls,
+        "stale": stale,
     }
     return peripheral_block(
         context,
@@ -85,7 +82,7 @@ def webxr(
         MODULE,
         options,
         values=_values(prefix),
-        stale=float(stale),
+        stale=stale,
         kind=Headset,
     )
 

@@ -1,26 +1,23 @@
 """Driver: a process of its own that is Ray's driver, with a pool of actors (`python -m`).
 
 Ray ends its driver's process where a head node is lost, and prints to its terminal: so it is not
-the command's. It reads a task and then rows from one pipe, a line of JSON each, and writes what
-became of them to another.
+the command's. It reads a task and then rows from the command, and tells it what became of them.
 """
 
 from __future__ import annotations
 
-import json
-import os
 import signal
 import sys
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict
-from typing import Any, BinaryIO
+from typing import Any
 
 from unicon_core.errors import UniconError
 from unicon_ros.sweep.identity import code_sha256, differing, versions
 from unicon_ros.sweep.on_ray.actor import RowActor
-from unicon_ros.sweep.piped import line_of
+from unicon_ros.sweep.piped import Line
 from unicon_ros.sweep.plan import Row
 from unicon_ros.sweep.pool import HOPELESS, LOOK, ONE_THREAD, START_S, Pool, PoolWorker
 
@@ -148,9 +145,8 @@ def differs(told: Mapping[str, Any]) -> str:
     return ""
 
 
-def _rows(lines: BinaryIO) -> Iterator[Row]:
-    for line in lines:
-        said = json.loads(line)
+def _rows(line: Line) -> Iterator[Row]:
+    while said := line.read():
         yield Row(said["index"], 0, (), tuple(said["settings"]))
 
 
@@ -176,41 +172,37 @@ def _join(ray: Any, task: dict[str, Any]) -> None:
 
 
 def main() -> int:
-    """Run rows until the pipe ends."""
+    """Run rows until there are no more."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the command's
-    incoming, outgoing = (int(text) for text in sys.argv[1:3])
-    with os.fdopen(incoming, "rb") as lines, os.fdopen(outgoing, "wb", buffering=0) as results:
-
-        def tell(**said: Any) -> None:
-            results.write(line_of(said))
-
-        task = json.loads(lines.readline())
-        try:
-            import ray
-        except ImportError as error:
-            tell(error=f"ray cannot be imported: {error}; pip install 'unicon_ros[ray]' mends it")
-            return 1
-        try:
-            _join(ray, task)
-        except Exception as error:  # whatever a cluster of another kind or version makes of it
-            said = " ".join(str(error).split())[:300]
-            if task["address"]:
-                said += "; a cluster that has tokens wants RAY_AUTH_MODE=token here, too"
-            tell(error=f"ray: {said}; what Ray said is in {task['log']}")
-            return 1
-        count = min(task["workers"] or int(ray.cluster_resources().get("CPU", 0)), task["left"])
-        tell(ready=count, head=ray.get_runtime_context().gcs_address)
-        signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))  # Ray's own prints a trace
-        pool = ActorPool(ray, task["manifest"], count, task["timeout"])
-        try:
-            for result in pool.run(_rows(lines)):
-                tell(**asdict(result))
-            tell(done=True)
-        except UniconError as error:
-            tell(error=str(error))
-        finally:
-            pool.close()
-            ray.shutdown()
+    line = Line()
+    task = line.read()
+    try:
+        import ray
+    except ImportError as error:
+        said = f"ray cannot be imported: {error}; pip install 'unicon_ros[ray]' mends it"
+        line.write({"error": said})
+        return 1
+    try:
+        _join(ray, task)
+    except Exception as error:  # whatever a cluster of another kind or version makes of it
+        said = " ".join(str(error).split())[:300]
+        if task["address"]:
+            said += "; a cluster that has tokens wants RAY_AUTH_MODE=token here, too"
+        line.write({"error": f"ray: {said}; what Ray said is in {task['log']}"})
+        return 1
+    count = min(task["workers"] or int(ray.cluster_resources().get("CPU", 0)), task["left"])
+    line.write({"ready": count, "head": ray.get_runtime_context().gcs_address})
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))  # Ray's own prints a trace
+    pool = ActorPool(ray, task["manifest"], count, task["timeout"])
+    try:
+        for result in pool.run(_rows(line)):
+            line.write(asdict(result))
+        line.write({"done": True})
+    except UniconError as error:
+        line.write({"error": str(error)})
+    finally:
+        pool.close()
+        ray.shutdown()
     return 0
 
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import fcntl
 import importlib.util
 import os
 import secrets
 import select
+import shutil
 import socket
+import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
@@ -15,13 +18,10 @@ from pathlib import Path
 from unicon_core.errors import MissingDependencyError, UniconError
 from unicon_core.signals import SIGNALS
 from unicon_ros.ending import last_words
-from unicon_ros.sweep.engine import Result
-from unicon_ros.sweep.on_ray.rehearsal import files_of
-from unicon_ros.sweep.on_ray.scratch import Scratch
-from unicon_ros.sweep.on_ray.shipment import manifest, pack
-from unicon_ros.sweep.piped import PipedProcess, line_of
+from unicon_ros.sweep.on_ray.shipment import files_of, manifest, pack
+from unicon_ros.sweep.piped import PipedProcess
 from unicon_ros.sweep.plan import Plan, Row
-from unicon_ros.sweep.pool import LOOK
+from unicon_ros.sweep.pool import LOOK, Result
 
 JOIN_S, START_S = 60.0, 120.0
 """Wall time in [s] until a cluster takes us (1 s on two nodes), and until our own is up (5 s)."""
@@ -102,20 +102,15 @@ class RayEngine:
         """Yield the result of each row; see `Engine`."""
         assert self._process is not None
         process, todo = self._process, iter(rows)
-        os.set_blocking(process.rows, False)
-        data, ready = b"", False
+        line, ready, more = process.connection, False, True
         patience = JOIN_S if self._address else START_S
         until = time.monotonic() + patience
         while not SIGNALS.asked:
-            if not data and process.rows >= 0:
-                if (row := next(todo, None)) is None:
-                    process.close_rows()
-                else:
-                    data = line_of({"index": row.index, "settings": row.settings})
-            writable = [process.rows] if data else []
-            told_any, takes, _ = select.select([process.results], writable, [], LOOK)
-            if takes:
-                data = _written(process, data)
+            told_any, takes, _ = select.select([line], [line] if more else [], [], LOOK)
+            if takes:  # {} says that no more comes
+                row = next(todo, None)
+                more = row is not None
+                process.write({"index": row.index, "settings": row.settings} if row else {})
             for told in process.heard() if told_any else ():
                 if "error" in told:
                     raise UniconError(str(told["error"]))
@@ -169,13 +164,6 @@ class RayEngine:
         self._scratch.close()
 
 
-def _written(process: PipedProcess, data: bytes) -> bytes:
-    """Write what a pipe takes; return the rest."""
-    with suppress(BlockingIOError, BrokenPipeError):
-        return data[os.write(process.rows, data) :]
-    return data
-
-
 def environment_for(address: str) -> Mapping[str, str]:
     """Return what Ray's driver has in its environment: it tells nobody of us, and minds loopback.
 
@@ -225,3 +213,41 @@ def _own_address() -> str:
         outward.connect(("8.8.8.8", 80))
         return str(outward.getsockname()[0])
     return "127.0.0.1"
+
+
+PREFIX, LOCK = "unicon_ray_", ".lock"
+
+
+class Scratch:
+    """A folder in that of temporary files; those of processes that have died are removed.
+
+    Its name is short: a name of a socket has 107 bytes at most on Linux, and Ray adds 70.
+
+    Attributes:
+        path: of the folder.
+    """
+
+    def __init__(self) -> None:
+        for old in Path(tempfile.gettempdir()).glob(f"{PREFIX}*"):
+            with suppress(OSError):
+                _remove_if_left(old)
+        self.path = Path(tempfile.mkdtemp(prefix=PREFIX))
+        self._lock = os.open(self.path / "new", os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        fcntl.flock(self._lock, fcntl.LOCK_EX)
+        os.rename(self.path / "new", self.path / LOCK)  # nobody sees it without its owner
+
+    def close(self) -> None:
+        """Remove it."""
+        shutil.rmtree(self.path, ignore_errors=True)
+        if self._lock >= 0:
+            os.close(self._lock)
+        self._lock = -1
+
+
+def _remove_if_left(folder: Path) -> None:
+    lock = os.open(folder / LOCK, os.O_WRONLY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        shutil.rmtree(folder, ignore_errors=True)
+    finally:
+        os.close(lock)

@@ -6,8 +6,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from unicon_ros.view.page.history import History
-from unicon_ros.view.page.plots import ALL, TIMES, VELOCITY, Plot, choices, element_choices
+from unicon_ros.view.page.plots import ALL, TIMES, VELOCITY, History, Plot, choices, element_choices
 from unicon_ros.view.page.scene import Scene
 from unicon_ros.view.page.words import legend_html
 from unicon_ros.view.shown import Parameter, Shown

@@ -13,8 +13,8 @@ from typing import Any
 
 from unicon_core.errors import UniconError, imported
 from unicon_ros.view import PORT
-from unicon_ros.view.front import check_reach, listening, refusal
-from unicon_ros.view.page.history import SECONDS, History
+from unicon_ros.view.front import check_reach, listening, netloc, refusal
+from unicon_ros.view.page.plots import SECONDS, History
 from unicon_ros.view.page.wheel import Wheel
 from unicon_ros.view.page.words import status_html, table
 from unicon_ros.view.shown import Shown
@@ -82,7 +82,7 @@ class Page:
         link.guard(self._server, self._refused)
         self._server.on_client_connect(self._came.append)
         self._server.on_client_disconnect(lambda client: self._gone.append(client.client_id))
-        place = f"{f'[{host}]' if ':' in host else host}:{self._server.get_port()}"
+        place = netloc(host, self._server.get_port())
         self.address = f"http://{place}"
         if token:
             self.address += f"/?websocket=ws://{place}/{token}"

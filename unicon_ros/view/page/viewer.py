@@ -6,9 +6,9 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from unicon_ros.view.page.history import History
 from unicon_ros.view.page.link import Link
 from unicon_ros.view.page.panel import Panel
+from unicon_ros.view.page.plots import History
 from unicon_ros.view.page.scene import Pose, Scene, Stage
 from unicon_ros.view.page.wheel import Wheel
 from unicon_ros.view.page.words import graph_html

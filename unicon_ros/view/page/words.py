@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_ros.view.page.history import TIMING, History
+from unicon_ros.view.page.plots import TIMING, History
 from unicon_ros.view.shown import GraphLine, Shown
 from unicon_ros.view.source import Snapshot
 
