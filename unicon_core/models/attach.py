@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.errors import ModelError
-from unicon_core.models.loaded import body_in, import_mujoco
+from unicon_core.errors import ModelError, alternatives
+from unicon_core.models.loaded import import_mujoco
 from unicon_core.robots import Robot
 from unicon_core.robots.robot import plain_name
 
@@ -67,7 +67,13 @@ def attach_members(
     keys = _taken_keys(spec)
     for member in members:
         mount = robot.mounts[member]
-        carrier = body_in(spec, mount.body, f"mounts.{member}", path)
+        carrier = spec.body(mount.body)
+        if carrier is None or mount.body == "world":
+            known = [body.name for body in spec.bodies if body.name not in ("", "world")]
+            raise ModelError(
+                f"mounts.{member}: no body {mount.body!r} in {path}; "
+                f"{alternatives(mount.body, known)}"
+            )
         own: list[str] = []
         child = read(robot.members[member], own)
         notes += [f"{member}: {note}" for note in own]

@@ -10,17 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import PlatformError, alternatives
-from unicon_core.memory import Library, load, save
+from unicon_core.memory import load, save
 from unicon_core.platforms.kit.command import Command
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.platform import (
-    Changeable,
-    Platform,
-    Pushable,
-    Resettable,
-)
+from unicon_core.platforms.platform import Platform, Pushable
 from unicon_core.robots import Robot
 from unicon_core.states import States
+
+_METHODS = ("reset", "change", "save", "load")
 
 
 def disturb(
@@ -34,10 +31,8 @@ def disturb(
     if not scene.disturbed:
         return platform
     around = Disturbances(platform, scene, states, robot, period)
-    methods = ["recv", "send", "reset"]
-    methods += ["change"] if isinstance(platform, Changeable) else []
-    methods += ["save", "load"] if isinstance(platform, Library) else []
-    for method in methods:  # in place: whatever else it can do, it still can
+    # In place: what else it can do, it still can.
+    for method in ("recv", "send", "reset", *around.own):
         setattr(platform, method, getattr(around, method))
     return platform
 
@@ -56,7 +51,11 @@ def _refuse(platform: Platform, scene: Scene) -> None:
 
 
 class Disturbances:
-    """What stands in place of the platform's own recv, send and reset; see `disturb`."""
+    """What stands in place of the platform's own recv, send and reset; see `disturb`.
+
+    Attributes:
+        own: methods of the platform itself that it has and others may not, by their names.
+    """
 
     memory = ("_rngs", "_ticks", "_queue")
 
@@ -64,11 +63,9 @@ class Disturbances:
         self, platform: Platform, scene: Scene, states: States, robot: Robot, period: float
     ) -> None:
         self._recv, self._send = platform.recv, platform.send
-        self._reset: Callable[[], None] = (
-            platform.reset if isinstance(platform, Resettable) else lambda: None
-        )
-        self._change = platform.change if isinstance(platform, Changeable) else None
-        self._physics = (platform.save, platform.load) if isinstance(platform, Library) else None
+        self.own: dict[str, Callable[..., Any]] = {
+            name: getattr(platform, name) for name in _METHODS if hasattr(platform, name)
+        }
         self._push = platform.push if isinstance(platform, Pushable) else None
         self._platform, self._states = platform, states
         self._period, self._batch = period, states.num_robots
@@ -134,22 +131,19 @@ class Disturbances:
 
     def save(self) -> list[Any]:
         """Return what the physics and the disturbances go on from."""
-        assert self._physics is not None  # it is not put where the platform has none
-        return [self._physics[0](), save(self)]
+        return [self.own["save"](), save(self)]
 
     def load(self, saved: list[Any]) -> None:
         """Go on as another platform would that was built alike."""
-        assert self._physics is not None
-        self._physics[1](saved[0])
+        self.own["load"](saved[0])
         load(self, saved[1])
 
     def change(self, scene: Scene) -> None:
         """Begin anew in another scene; see `Changeable`."""
-        assert self._change is not None  # it is not put where the platform has none
-        self._change(scene)
+        self.own["change"](scene)
         self._take(scene)
 
     def reset(self) -> None:
         """Begin anew, the same draws to come."""
-        self._reset()
+        self.own.get("reset", bool)()
         self._begin()

@@ -141,8 +141,8 @@ class Places(NamedTuple):
     @classmethod
     def of(cls, model: Any, start: Start) -> Places:
         """Return those of a robot in a model."""
-        joints, base = start.loaded.joints, start.loaded.base
-        pos, vel = model.jnt_qposadr[joints].tolist(), model.jnt_dofadr[joints].tolist()
+        loaded, base = start.loaded, start.loaded.base
+        pos, vel = loaded.addresses.tolist(), loaded.dofs.tolist()
         if base is None:
             return cls(tuple(pos), tuple(vel), False, 0, 0)
         at = int(model.jnt_qposadr[base]), int(model.jnt_dofadr[base])

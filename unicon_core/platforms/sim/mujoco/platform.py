@@ -24,8 +24,8 @@ from unicon_core.platforms.kit.scene import TERRAIN, Scene
 from unicon_core.platforms.kit.servo import delay_of, strength_of
 from unicon_core.platforms.kit.start import initial_positions
 from unicon_core.platforms.platform import SIMULATED, Facts
-from unicon_core.platforms.sim.mujoco.batch import Batch, shares
-from unicon_core.platforms.sim.mujoco.servo import Servo
+from unicon_core.platforms.sim.mujoco import placement
+from unicon_core.platforms.sim.mujoco.batch import Batch, SharedServo, shares
 from unicon_core.platforms.sim.mujoco.simulated_robot import SimulatedRobot
 from unicon_core.platforms.sim.mujoco.viewer import Viewer
 from unicon_core.robots import Robot
@@ -129,7 +129,8 @@ class MujocoPlatform:
         self._models = [model, *(copy(model) for _ in ranks[1:])]
         self.robots: list[SimulatedRobot] = []
         servos = [
-            Servo(replace(loaded, model=own), robot, strength_of(physics)) for own in self._models
+            SharedServo(replace(loaded, model=own), robot, strength_of(physics))
+            for own in self._models
         ]
         for own, servo, share in zip(self._models, servos, ranks):
             for k in share:
@@ -235,16 +236,16 @@ class MujocoPlatform:
     def put(self, measured: Mapping[str, NDArray[Any]]) -> None:
         """Put the robot where one was measured, every one of a batch; see `Placeable`."""
         for robot in self.robots:
-            robot.put(measured, self._posed)
+            placement.put(robot, measured, self._posed)
 
     def save(self) -> list[dict[str, Any]]:
         """Return what the physics go on from, for a replay."""
-        return [robot.save() for robot in self.robots]
+        return [placement.save(robot) for robot in self.robots]
 
     def load(self, saved: list[dict[str, Any]]) -> None:
         """Go on as another platform would that was built alike."""
         for robot, kept in zip(self.robots, saved, strict=True):
-            robot.load(kept)
+            placement.load(robot, kept)
 
     def close(self) -> None:
         """Let go; a simulation has no motors to damp."""

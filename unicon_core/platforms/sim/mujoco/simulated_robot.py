@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -10,9 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import Fault
-from unicon_core.memory import load, save
 from unicon_core.models.loaded import LoadedModel
-from unicon_core.models.posed import PosedModel
 from unicon_core.platforms.kit.clock import tick_ns
 from unicon_core.platforms.kit.command import Command
 from unicon_core.platforms.kit.servo import JointDelay
@@ -21,9 +19,6 @@ from unicon_core.platforms.sim.mujoco.rehearsal import Rehearsal
 from unicon_core.platforms.sim.mujoco.servo import Servo
 
 Float = NDArray[np.float64]
-
-_COMPUTED = ("sensordata", "qacc", "qfrc_actuator")
-"""Results of the tick that the next one reads, and `mj_step1` does not compute."""
 
 _TOO_FAST = 1e10  # squared norm of all velocities: no robot's joint turns at 1e5 rad/s
 
@@ -48,7 +43,7 @@ class SimulatedRobot:
         delay: by which each joint's commands come late in physics steps, shape (n,); None for none.
 
     Attributes:
-        model: the `MjModel`.
+        model: the `MjModel`, of `loaded`.
         data: the robot's `MjData`.
         servo: as given.
         command: this robot's rows of the platform's command, shape (5, n).
@@ -79,7 +74,7 @@ class SimulatedRobot:
         self._names, self._decimation, self._initial = tuple(joint_names), decimation, qpos
         self._who = "" if rank is None else f"robot {rank}, "
         self._extra_ctrl = servo.holding(qpos)
-        self._loaded, self._views = loaded, views
+        self.loaded, self._views = loaded, views
         self._reader = Reader(loaded, data, views)
         self.sources = self._reader.sources
         self._stamp = views.get("stamp_ns")
@@ -89,7 +84,6 @@ class SimulatedRobot:
         self.delay = None if delay is None else JointDelay(self.command, delay, decimation)
         self._qvel, self._option = data.qvel, model.opt
         self._unseen, self.postponed = without_sensors(model), False
-        self._kind = int(mujoco.mjtState.mjSTATE_INTEGRATION)
         self._split = model.opt.integrator != int(mujoco.mjtIntegrator.mjINT_RK4)
         self.reset()
 
@@ -179,13 +173,12 @@ class SimulatedRobot:
             )
 
     def _too_fast(self) -> str:
-        """Return the joint that moves too fast, or the likeliest cause."""
+        """Return the joint that moves too fast; where it went through all, the likeliest cause."""
         model, qvel, stiffness = self.model, self._qvel, self.command[3]
         if np.isfinite(qvel).any():
             dof = int(np.argmax(np.nan_to_num(np.abs(qvel), nan=np.inf)))
             joint = model.joint(int(model.dof_jntid[dof])).name or None
             return f"joint {joint} moves at {qvel[dof]:.3g} rad/s"
-        # It went through every joint within the tick.
         stiffest = int(np.argmax(np.abs(stiffness)))
         return (
             f"no velocity is finite any more (largest stiffness: {stiffness[stiffest]:.6g} N·m/rad "
@@ -196,71 +189,10 @@ class SimulatedRobot:
     def rehearse(self) -> Rehearsal:
         """What warms the robot's memory and code up before a tick; see `Rehearsal`."""
         unseen = {name: view.copy() for name, view in self._views.items()}
-        read = Reader(self._loaded, self.data, unseen)
+        read = Reader(self.loaded, self.data, unseen)
         return Rehearsal(self._mujoco, self.model, self.data, read, self._split)
 
     def push(self, velocity: Float) -> None:
         """Add to the base's horizontal velocity in [m/s], shape (2,)."""
         start = int(self.model.jnt_dofadr[self._base])
         self.data.qvel[start : start + 2] += velocity
-
-    def put(self, measured: Mapping[str, NDArray[Any]], posed: PosedModel) -> None:
-        """Put the robot where one was measured; commands on their way stay on it.
-
-        Args:
-            measured: as of `Placeable`.
-            posed: the model on flat ground.
-        """
-        data, loaded = self.data, self._loaded
-        if "joint_pos" in measured:
-            data.qpos[loaded.addresses] = measured["joint_pos"]
-        if "joint_vel" in measured:
-            data.qvel[loaded.dofs] = measured["joint_vel"]
-        if self._base is not None:
-            self._put_base(self._base, measured, posed)
-        data.qacc_warmstart[:] = 0.0  # what comes follows from the measured state alone
-        self.forward()
-
-    def _put_base(self, base: int, measured: Mapping[str, NDArray[Any]], posed: PosedModel) -> None:
-        mujoco, model, data = self._mujoco, self.model, self.data
-        pose = data.qpos[model.jnt_qposadr[base] :][:7]
-        twist = data.qvel[model.jnt_dofadr[base] :][:6]
-        if "base_quat" in measured:
-            pose[3:] = measured["base_quat"]
-            mujoco.mju_normalize4(pose[3:])
-        if "base_pos_w" in measured:
-            pose[:3] = measured["base_pos_w"]
-        else:
-            posed.put(data.qpos[self._loaded.addresses], pose)
-            pose[2] -= min(posed.heights().values(), default=0.0)
-        if "base_ang_vel" in measured:
-            twist[3:] = measured["base_ang_vel"]
-        if "base_lin_vel" in measured:
-            in_base = np.asarray(measured["base_lin_vel"], np.float64)
-            mujoco.mju_rotVecQuat(twist[:3], in_base, pose[3:])
-
-    def save(self) -> dict[str, Any]:
-        """Return what the physics go on from."""
-        mujoco, model, data = self._mujoco, self.model, self.data
-        kind = self._kind
-        state = np.zeros(mujoco.mj_stateSize(model, kind))
-        mujoco.mj_getState(model, data, state, kind)
-        return {
-            **{name: getattr(data, name).copy() for name in _COMPUTED},
-            "state": state,
-            "ticks": self.ticks,
-            "command": self.command.copy(),
-            "delay": None if self.delay is None else save(self.delay),
-        }
-
-    def load(self, kept: dict[str, Any]) -> None:
-        """Go on as a robot of another platform would that was built alike."""
-        mujoco, model, data = self._mujoco, self.model, self.data
-        mujoco.mj_setState(model, data, kept["state"], self._kind)
-        self.ticks = kept["ticks"]
-        self.command[...] = kept["command"]
-        if self.delay is not None:
-            load(self.delay, kept["delay"])
-        mujoco.mj_step1(model, data)
-        for name in _COMPUTED:
-            getattr(data, name)[:] = kept[name]
