@@ -109,7 +109,7 @@ class Servo:
         """Return controls that hold the joints of other position actuators (hands, objects).
 
         Args:
-            qpos: positions that are held, as of `MjData.qpos`; the controls are as of `MjData.ctrl`.
+            qpos: positions that are held, as of `MjData.qpos`; controls are as of its `ctrl`.
         """
         model = self._model
         ctrl, kind = np.zeros(model.nu), int(import_mujoco().mjtTrn.mjTRN_JOINT)
