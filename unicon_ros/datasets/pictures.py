@@ -147,7 +147,7 @@ def _pillow() -> Any:
 def _decoded(data: NDArray[np.uint8], what: str) -> NDArray[np.uint8]:
     image = _pillow()
     try:
-        return np.asarray(image.open(io.BytesIO(data)).convert("RGB"))
+        return np.asarray(image.open(io.BytesIO(data.tobytes())).convert("RGB"))
     except Exception as error:  # whatever Pillow raises for garbage
         raise UniconError(
             f"{what}: a picture is not a JPEG that can be read; leave that camera out: --cameras"
