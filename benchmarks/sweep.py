@@ -9,7 +9,6 @@ has everything in it: scene and program begun anew, safety, figures, the row wri
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 import tempfile
 import time
@@ -22,13 +21,13 @@ import numpy as np
 from benchmarks.samples import Samples
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.policies.networks.onnx import OnnxNetwork
-from unicon_core.resources import same_modules
 from unicon_core.robots import joint_index
 from unicon_core.signals import SIGNALS
 from unicon_core.workflow import load_workflow
 from unicon_ros.bench.loops import cpu_ns
 from unicon_ros.bench.report import Bench
-from unicon_ros.ending import die_with_parent
+from unicon_ros.sweep.piped import Line, PipedProcess
+from unicon_ros.sweep.pool import ONE_THREAD
 
 ROLLOUTS = 2000
 """In all rounds together, of each side."""
@@ -97,9 +96,14 @@ def run(rounds: int | None = None, rollouts: int = ROLLOUTS) -> Bench:
             made = engine_of(plan, Wish(engine, cores), len(plan), out.path)
             assert isinstance(made, LocalEngine)
             sides.append((SIDES[engine], out, made))
-        floor = [_Bare(folder / "walk.yaml") for _ in range(cores)]
+        floor: list[PipedProcess] = []
         rows = iter(plan)
         try:
+            for i in range(cores):
+                process = PipedProcess("benchmarks.sweep", folder / f"bare_{i}.log", ONE_THREAD)
+                floor.append(process)
+                task = {"workflow": str(folder / "walk.yaml"), "ticks": round(SECONDS * RATE)}
+                process.write(task)
             for number in range(bench.rounds + 1):
                 SIGNALS.check()
                 todo = [next(rows) for _ in range(each)]
@@ -113,10 +117,11 @@ def run(rounds: int | None = None, rollouts: int = ROLLOUTS) -> Bench:
                     spent[side] = time.perf_counter() - begin, _cpu(made.pids) - before
                 begin = time.perf_counter()
                 for process in floor:
-                    process.ask(each // cores)
-                answers = [process.answer() for process in floor]
-                spent["bare"] = time.perf_counter() - begin, sum(cpu for cpu, _ in answers)
-                ways.append(answers[0][1])
+                    process.write({"rollouts": each // cores})
+                answers = [process.read() for process in floor]
+                cpu = sum(answer["cpu"] for answer in answers)
+                spent["bare"] = time.perf_counter() - begin, cpu
+                ways.append(answers[0]["way"])
                 if number:  # the first one builds and warms up
                     per = 1e6 / each
                     for side, (wall, cpu) in spent.items():
@@ -127,7 +132,7 @@ def run(rounds: int | None = None, rollouts: int = ROLLOUTS) -> Bench:
             results, others = (Results(out.path) for _, out, _ in sides)
         finally:
             for process in floor:
-                process.close()
+                process.end()
             for _, out, made in sides:
                 made.close()
                 out.close()
@@ -148,41 +153,6 @@ def run(rounds: int | None = None, rollouts: int = ROLLOUTS) -> Bench:
         ("batch_cpu", "batch, CPU", "sweep, CPU", BATCH_BAR),
     )
     return bench
-
-
-class _Bare:
-    """One process of the floor.
-
-    Args:
-        workflow: file.
-    """
-
-    def __init__(self, workflow: Path) -> None:
-        ticks = str(round(SECONDS * RATE))
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "benchmarks.sweep", str(workflow), ticks],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            env=same_modules() | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
-            start_new_session=True,  # as a worker: Linux gives each session its share of the CPU
-            preexec_fn=die_with_parent if sys.platform == "linux" else None,
-        )
-
-    def ask(self, rollouts: int) -> None:
-        assert self._process.stdin is not None
-        self._process.stdin.write(f"{rollouts}\n")
-        self._process.stdin.flush()
-
-    def answer(self) -> tuple[float, float]:
-        """Return seconds of CPU, and the way in [m] of the last rollout."""
-        assert self._process.stdout is not None
-        cpu, way = map(float, self._process.stdout.readline().split())
-        return cpu, way
-
-    def close(self) -> None:
-        self._process.kill()
-        self._process.communicate()
 
 
 def _cpu(pids: list[int]) -> float:
@@ -253,13 +223,14 @@ def rollout_of(workflow: str, ticks: int) -> Callable[[], float]:
 
 
 def main() -> int:
-    """Run rollouts as asked for until the input ends."""
-    rollout, way = rollout_of(sys.argv[1], int(sys.argv[2])), 0.0
-    for line in sys.stdin:
+    """Run rollouts as asked for until nobody asks any more."""
+    line = Line()
+    task = line.read()
+    rollout = rollout_of(task["workflow"], task["ticks"])
+    while asked := line.read():
         begin = time.process_time()
-        for _ in range(int(line)):
-            way = rollout()
-        print(time.process_time() - begin, way, flush=True)
+        ways = [rollout() for _ in range(asked["rollouts"])]
+        line.write({"cpu": time.process_time() - begin, "way": ways[-1]})
     return 0
 
 

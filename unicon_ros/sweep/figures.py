@@ -62,11 +62,7 @@ class Keeper:
         arrays |= {"robot": program.robot.name, "workflow": program.name}
         content = io.BytesIO()
         np.savez(content, platform=program.platform.facts.name, **arrays)
-        try:
-            self._folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise UniconError(f"cannot write in {self._folder}: {error.strerror}") from error
-        write_file(self._folder / f"{name}.npz", content.getvalue())
+        write_file(self._folder / f"{name}.npz", content.getvalue(), folders=True)
 
 
 Array = NDArray[Any]
