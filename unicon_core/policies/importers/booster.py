@@ -94,7 +94,7 @@ def _joints(reader: SourceReader, count: int, source: Source) -> None:
 
 
 def _observation(reader: SourceReader, count: int, moved: int) -> None:
-    facts, program = reader.facts, "deploy/utils/policy.py"
+    facts, program = reader.facts, "deploy/utils/policy.py lays out"
     if not reader.is_laid_out("policy.num_observations", 11 + 3 * moved, moved, program):
         return
     terms = []

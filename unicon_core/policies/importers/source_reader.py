@@ -224,12 +224,12 @@ class SourceReader:
             key: of the size that the network's input has.
             size: of what the program lays out.
             moved: number of actions.
-            program: its file.
+            program: its file, and that it lays out.
         """
         wanted = self.whole(key)
         if wanted != size:
             self.facts.asks["observation.terms"] = (
-                f"{key.rpartition('.')[2]} is {wanted}, and what {program} lays out for {moved} "
+                f"{key.rpartition('.')[2]} is {wanted}, and what {program} for {moved} "
                 f"actions has {size}"
             )
         return wanted == size

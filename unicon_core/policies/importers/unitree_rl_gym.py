@@ -113,7 +113,7 @@ def _common(reader: SourceReader, count: int) -> None:
     facts = reader.facts
     reader.say_vector("action.scale", "action_scale", count, f"num_actions {count}")
     reader.say("action.feedback", "raw", "action_scale")
-    programs = "deploy_mujoco.py and deploy_real.py"
+    programs = "deploy_mujoco.py and deploy_real.py lay out"
     if not reader.is_laid_out("num_obs", 11 + 3 * count, count, programs):
         return
     own = {"index": list(range(count))} if "joints" in facts.values["action"] else {}
