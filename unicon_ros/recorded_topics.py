@@ -15,7 +15,7 @@ from unicon_core.errors import UniconError
 from unicon_core.flow import Block
 from unicon_core.resources import find_config
 from unicon_msgs_map import Encoder, MapStateError, MessageMap, load_map
-from unicon_ros.bridge.bindings import arrays_of, checked_prefix, names_of, variables_of
+from unicon_ros.bridge.bindings import arrays_of, checked_prefix, names_of, robot_variables
 from unicon_ros.bridge.neighbours import CLOCK
 from unicon_ros.bridge.qos import LATCHED
 from unicon_ros.bridge.robot_frames import RobotMessages
@@ -96,7 +96,7 @@ class RecordedTopics:
         """Record what the map publishes, at its rates."""
         program, session = self._program, self._session
         arrays = arrays_of(program) if session is None else session.arrays  # with its wall clock
-        variables = variables_of(program, frame_prefix)
+        variables = robot_variables(program.robot, frame_prefix)
         leaving = {id(out.spec): out for out in session.outgoing} if session is not None else {}
         for spec in mapping.publish:
             out = leaving.get(id(spec))

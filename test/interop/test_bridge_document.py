@@ -17,7 +17,7 @@ from unicon_core.errors import UniconError
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow
 from unicon_msgs_map import Decoder, Encoder, MessageMap, parse_map
-from unicon_ros.bridge.bindings import arrays_of, names_of, variables_of
+from unicon_ros.bridge.bindings import arrays_of, names_of, robot_variables
 
 pytestmark = [pytest.mark.timeout(120)]
 
@@ -45,7 +45,7 @@ def built(tmp_path: Path) -> list[tuple[MessageMap, list[Encoder], list[Decoder]
     path.write_text(PLAIN)
     loaded = load_workflow(path)
     Runner(loaded, RunOptions(duration=0.1, speed="max")).run()
-    bindings = arrays_of(loaded), names_of(loaded), variables_of(loaded)
+    bindings = arrays_of(loaded), names_of(loaded), robot_variables(loaded.robot)
     found = []
     for text in MAPS:
         mapping = parse_map(text)
@@ -107,7 +107,7 @@ def test_the_variables_are_those_of_a_workflow(tmp_path: Path) -> None:
     path.write_text(PLAIN)
     (row,) = [line for line in TEXT.splitlines() if line.startswith("| `$joint_names`")]
     named = re.findall(r"`([a-z_]+)`", row.split("|")[2])
-    assert named == list(variables_of(load_workflow(path)))
+    assert named == list(robot_variables(load_workflow(path).robot))
 
 
 def test_files_and_commands_that_it_names_exist() -> None:

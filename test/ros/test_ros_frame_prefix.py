@@ -13,7 +13,7 @@ from unicon_core.workflow import load_workflow
 from unicon_msgs_map import Messages
 from unicon_ros import compat
 from unicon_ros.bridge import RosSession
-from unicon_ros.bridge.bindings import variables_of
+from unicon_ros.bridge.bindings import robot_variables
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 
@@ -92,7 +92,7 @@ def test_two_nodes_in_two_namespaces_have_no_frame_in_common(
 
 def test_variables_are_prefixed_where_they_are_frames(sway: Path) -> None:
     workflow = load_workflow(sway)
-    plain, prefixed = variables_of(workflow), variables_of(workflow, "r1_")
+    plain, prefixed = robot_variables(workflow.robot), robot_variables(workflow.robot, "r1_")
     workflow.close()
     changed = {name for name in plain if plain[name] != prefixed[name]}
     assert changed == {"base_frame", "odom_frame", "imu_frame"}

@@ -35,7 +35,7 @@ from unicon_core.resources import find_config, same_modules
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.workflow import Program, load_document
 from unicon_msgs_map import Encoder, load_map
-from unicon_ros.bridge.bindings import arrays_of, names_of, variables_of
+from unicon_ros.bridge.bindings import arrays_of, names_of, robot_variables
 from unicon_ros.view.driver import FAULT
 from unicon_ros.view.view import View
 
@@ -112,7 +112,7 @@ def test_a_client_gets_the_bytes_that_ros_gets(rig: Rig, client: Client) -> None
     now = int(rig.program.states["stamp_ns"])
     mapping = load_map(find_config("maps", "default"))
     program = rig.program
-    bindings = arrays_of(program), names_of(program), variables_of(program)
+    bindings = arrays_of(program), names_of(program), robot_variables(program.robot)
     assert rig.view.controls.step()[0]
     rig.until(lambda: int(rig.program.states["stamp_ns"]) > now)
     now = int(rig.program.states["stamp_ns"])

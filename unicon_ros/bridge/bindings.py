@@ -27,13 +27,8 @@ def names_of(program: ProgramData) -> dict[str, tuple[str, ...]]:
     return {name: spec.names for name, spec in specs.items() if spec.names}
 
 
-def variables_of(program: ProgramData, frame_prefix: str = "") -> dict[str, object]:
-    """Return what a map may call `$name`; `frame_prefix` stands before the names of frames."""
-    return robot_variables(program.robot, frame_prefix)
-
-
 def robot_variables(robot: Robot, frame_prefix: str = "") -> dict[str, object]:
-    """Return the same of a robot alone."""
+    """Return what a map may call `$name`; `frame_prefix` stands before the names of frames."""
     return {
         "joint_names": list(robot.joint_names),
         "robot": robot.name,

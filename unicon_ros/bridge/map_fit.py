@@ -31,7 +31,7 @@ from unicon_msgs_map import (
 )
 from unicon_msgs_map.spec import TopicSpec
 from unicon_ros import compat
-from unicon_ros.bridge.bindings import arrays_of, names_of, told_states, variables_of
+from unicon_ros.bridge.bindings import arrays_of, names_of, robot_variables, told_states
 
 if TYPE_CHECKING:
     from unicon_core.check import CheckResult
@@ -255,7 +255,7 @@ def _played(program: ProgramData, mapping: MessageMap) -> tuple[str, ...]:
 
 def _heard(program: ProgramData, mapping: MessageMap) -> list[TopicSpec]:
     """Return what the bridge hears by a map; raises as `codecs`."""
-    bindings = arrays_of(program), names_of(program), variables_of(program)
+    bindings = arrays_of(program), names_of(program), robot_variables(program.robot)
     decoders, _ = codecs(mapping, *bindings)
     return [decoder.spec for decoder in decoders]
 

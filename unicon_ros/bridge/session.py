@@ -32,8 +32,8 @@ from unicon_ros.bridge.bindings import (
     arrays_of,
     checked_prefix,
     names_of,
+    robot_variables,
     told_states,
-    variables_of,
 )
 from unicon_ros.bridge.diagnostics import Diagnostics
 from unicon_ros.bridge.estop import STOP_SERVICES, EmergencyStop
@@ -152,7 +152,11 @@ class RosSession:
         return stages | {Stage.OBSERVE: [played.after_send(), *self._observers(program)]}
 
     def _inputs(self, program: Program) -> Block:
-        bindings = arrays_of(program), names_of(program), variables_of(program, self.frame_prefix)
+        bindings = (
+            arrays_of(program),
+            names_of(program),
+            robot_variables(program.robot, self.frame_prefix),
+        )
         written = told_states(program)
         facts = program.platform.facts
 
@@ -183,7 +187,7 @@ class RosSession:
 
     def _observers(self, program: Program) -> list[Block]:
         arrays, names = arrays_of(program), names_of(program)
-        variables = variables_of(program, self.frame_prefix)
+        variables = robot_variables(program.robot, self.frame_prefix)
         blocks: list[Block] = []
         platform = program.platform
         if not platform.facts.simulated:

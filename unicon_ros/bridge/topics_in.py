@@ -78,9 +78,12 @@ class TopicIn:
         profile = qos_profile(spec.qos)
         self.events = QosEvents(spec.topic, spec.qos, "subscription", lambda: self.received, warn)
 
+        def heard(raw: bytes) -> None:  # rclpy looks at the signature
+            pending.append(raw)
+
         def create(**events: Any) -> Any:
             return node.create_subscription(
-                message, spec.topic, pending.append, profile, **options, **events
+                message, spec.topic, heard, profile, **options, **events
             )
 
         self.subscription = self.events.watch(create)

@@ -112,6 +112,7 @@ class Trajectories:
         self.received = self.rejected = 0
         self.topic = ""
         self._subscription: Any = None
+        self._kind = compat.message_class(ACTION)
         self._action = self._served()
         if spec.topic is not None:
             message = compat.message_class(TOPIC)
@@ -122,8 +123,7 @@ class Trajectories:
         spec = self._spec
         if spec.action is None:
             return None
-        kind = compat.message_class(ACTION)
-        if kind is None:
+        if self._kind is None:
             missing = (
                 f"action {spec.action} is left out: control_msgs is not installed "
                 "(apt install ros-$ROS_DISTRO-control-msgs, or build it in the workspace)"
@@ -132,7 +132,7 @@ class Trajectories:
                 raise UniconError(f"{spec.where}: {missing}; or give a topic beside the action")
             self._warn(f"{missing}; trajectories come by topic {spec.topic}")
             return None
-        return ActionServer(self._node, kind, spec.action, self._begin, self._cancel)
+        return ActionServer(self._node, self._kind, spec.action, self._begin, self._cancel)
 
     # -- in ticks -------------------------------------------------------------------------------
 
@@ -162,8 +162,7 @@ class Trajectories:
             action.tell(goal, self._progress(goal))
 
     def _progress(self, goal: Goal) -> Any:
-        kind = compat.message_class(ACTION)
-        feedback = kind.Feedback(joint_names=list(self.player.limits.joints))
+        feedback = self._kind.Feedback(joint_names=list(self.player.limits.joints))
         now, seconds = self._now(), self.player.time
         feedback.header.stamp.sec, feedback.header.stamp.nanosec = divmod(now, 1_000_000_000)
         for point, values in (
@@ -208,7 +207,7 @@ class Trajectories:
             self._goal = None
         good = ending.code is Code.SUCCESSFUL
         status = CANCELED if ending.canceled else SUCCEEDED if good else ABORTED
-        result = compat.message_class(ACTION).Result(error_code=int(ending.code))
+        result = self._kind.Result(error_code=int(ending.code))
         result.error_string = ending.reason
         assert self._action is not None
         self._action.end(goal, status, result)
