@@ -17,9 +17,9 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.samples import Samples, Step, timed
+from unicon_core.arrays import Array, Float32
 from unicon_core.errors import UniconError
 from unicon_core.resources import find_config
 from unicon_core.states import States, standard_states
@@ -270,7 +270,7 @@ def joint_names(joints: int) -> list[str]:
     return [f"joint_{i}" for i in range(joints)]
 
 
-def arrays_of(states: States) -> dict[str, NDArray[Any]]:
+def arrays_of(states: States) -> dict[str, Array]:
     """Return the states as the message map wants them."""
     return {name: states[name] for name in states}
 
@@ -332,6 +332,6 @@ def plain_sender(kind: str, states: States, joints: int) -> Callable[[], Any]:
     return {"JointState": joint_state, "Imu": imu, "Odometry": odometry}[kind.rpartition("/")[2]]
 
 
-def _fill(owner: Any, axes: str, values: NDArray[np.float32]) -> None:
+def _fill(owner: Any, axes: str, values: Float32) -> None:
     for axis, value in zip(axes, values.tolist()):
         setattr(owner, axis, value)

@@ -6,8 +6,8 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float32
 from unicon_core.errors import imported
 from unicon_core.policies import PolicyContract, load_policy
 from unicon_core.robots import Robot
@@ -102,7 +102,7 @@ def random_policy(
     return load_policy(folder, robot=robot)
 
 
-def _random_square(size: int) -> NDArray[np.float32]:
+def _random_square(size: int) -> Float32:
     """Return a random matrix that shrinks what it is multiplied with, shape (size, size)."""
     random = np.random.default_rng(1)
     return random.normal(0.0, 0.5 / np.sqrt(size), (size, size)).astype(np.float32)

@@ -13,10 +13,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.networks import CLIP, random_policy
 from benchmarks.samples import Paced, Samples, Step, paced, sleep_until
+from unicon_core.arrays import Float32
 from unicon_core.policies import Observation, Policy, PolicyContract, policy_states
 from unicon_core.robots import Robot, load_robot
 from unicon_core.runtime import Pacing, WallClock, WarmUp, prepare_process
@@ -57,7 +57,7 @@ def _states(contract: PolicyContract, robot: Robot) -> States:
     return states
 
 
-def _concatenation(states: States, contract: PolicyContract) -> Callable[[], NDArray[np.float32]]:
+def _concatenation(states: States, contract: PolicyContract) -> Callable[[], Float32]:
     """Return the usual observation: one expression for each term, `np.concatenate`, `np.clip`."""
     default = contract.default_joint_pos.copy()
     ang_vel, gravity = states["base_ang_vel"], states["projected_gravity"]
@@ -65,7 +65,7 @@ def _concatenation(states: States, contract: PolicyContract) -> Callable[[], NDA
     pos, vel = states["joint_pos"], states["joint_vel"]
     policy_from_robot = np.arange(len(default))
 
-    def assemble() -> NDArray[np.float32]:
+    def assemble() -> Float32:
         observation = np.concatenate(
             [
                 ang_vel * 0.25,
@@ -76,7 +76,7 @@ def _concatenation(states: States, contract: PolicyContract) -> Callable[[], NDA
                 action,
             ]
         )
-        clipped: NDArray[np.float32] = np.clip(observation, -CLIP, CLIP)
+        clipped: Float32 = np.clip(observation, -CLIP, CLIP)
         return clipped
 
     return assemble
@@ -90,9 +90,9 @@ def _observations(
     six = Observation(longer, states6, robot.joint_names)
     fused, fused6 = (o.bind(np.zeros((1, o.size), np.float32)) for o in (one, six))
     plain, frame = _concatenation(states, contract), _concatenation(states6, longer)
-    frames: deque[NDArray[np.float32]] = deque([frame()] * HISTORY, maxlen=HISTORY)
+    frames: deque[Float32] = deque([frame()] * HISTORY, maxlen=HISTORY)
 
-    def plain6() -> NDArray[np.float32]:
+    def plain6() -> Float32:
         frames.append(frame())
         return np.concatenate(frames)
 

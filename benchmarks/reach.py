@@ -14,26 +14,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.samples import Samples, timed
-from unicon_core.ik.chain import (
-    CAPSULE,
-    FRAME,
-    Chain,
-    Pair,
-    Reaching,
-    add_reaching,
-    load_apart,
-)
+from unicon_core.arrays import Array, Float64, Index
+from unicon_core.ik.chain import CAPSULE, FRAME, Chain, Pair, Reaching, add_reaching, load_apart
 from unicon_core.ik.differential import Apart, DifferentialIk
 from unicon_core.ik.tasks import Pose, Settings, Weights
 from unicon_core.models.find import pick_model
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.robots import Robot, load_robot
 from unicon_ros.bench.report import Bench
-
-Float = NDArray[np.float64]
 
 ROBOT, HANDS, MOVES = "g1_29dof", ("left_hand", "right_hand"), ("arms",)
 PERIOD, TICKS, APART = 0.02, 250, 0.02
@@ -54,10 +44,10 @@ class _Ours:
         self._all = np.ones(len(moved), np.bool_)
 
     @property
-    def pos(self) -> Float:
+    def pos(self) -> Float64:
         return self.ik.pos
 
-    def begin(self, pos: Float) -> None:
+    def begin(self, pos: Float64) -> None:
         self.ik.begin(pos, self._all)
 
     def __call__(self, targets: Sequence[Pose]) -> None:
@@ -74,15 +64,15 @@ class _Watch:
         self.start = self.pose[robot.group(MOVES)]
         self.homes = [tuple(map(tuple, self._at(self.start, i))) for i in range(2)]
 
-    def _at(self, pos: Float, hand: int) -> Any:
+    def _at(self, pos: Float64, hand: int) -> Any:
         self._chain.put(self.pose, pos)
         return self._chain.frame(hand)
 
-    def error(self, pos: Float, targets: Sequence[Pose]) -> list[float]:
+    def error(self, pos: Float64, targets: Sequence[Pose]) -> list[float]:
         """Return how far each hand is from its target in [m]."""
         return [math.dist(self._at(pos, i)[0], targets[i][0]) for i in range(2)]
 
-    def nearest(self, pos: Float) -> float:
+    def nearest(self, pos: Float64) -> float:
         """Return the least distance of two capsules in [m]."""
         self._chain.put(self.pose, pos)
         self._chain.differentiate()
@@ -193,7 +183,7 @@ class MinkArms:
         path: Path,
         robot: Robot,
         effectors: Sequence[str],
-        moved: NDArray[np.intp],
+        moved: Index,
         rate: float,
         period: float,
         pairs: Sequence[Pair] = (),
@@ -228,15 +218,15 @@ class MinkArms:
         self._index = [int(model.joint(name).qposadr[0]) for name in names]
         self.begin(robot.default_joint_pos[moved])
 
-    def begin(self, pos: NDArray[Any]) -> None:
+    def begin(self, pos: Array) -> None:
         """Begin where the moved joints are, in [rad], shape (k,)."""
         start = np.zeros(len(self._index))
         start[self._index] = pos
         self._configuration.update(start)
 
     @property
-    def pos(self) -> NDArray[np.float64]:
-        found: NDArray[np.float64] = self._configuration.q[self._index]
+    def pos(self) -> Float64:
+        found: Float64 = self._configuration.q[self._index]
         return found
 
     def __call__(self, targets: Sequence[Pose]) -> None:

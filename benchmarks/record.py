@@ -11,10 +11,8 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from benchmarks.samples import TICK, WHOLE, Samples, tick_times, unsaid
+from unicon_core.arrays import Float64
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program, load_workflow
@@ -69,9 +67,7 @@ def run(rounds: int | None = None, seconds: float = SECONDS) -> Bench:
     return bench
 
 
-def _run(
-    file: Path | None, seconds: float
-) -> tuple[dict[str, NDArray[np.float64]], dict[str, Any]]:
+def _run(file: Path | None, seconds: float) -> tuple[dict[str, Float64], dict[str, Any]]:
     """Return the times of a run's ticks in [µs], and what was recorded."""
     from unicon_ros.bridge import RosSession
 

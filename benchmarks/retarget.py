@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.samples import Samples
+from unicon_core.arrays import Float32, Float64
 from unicon_core.blocks.retarget import Retarget
 from unicon_core.models.find import pick_model
 from unicon_core.retarget.hand_model import HandModel
@@ -28,7 +29,7 @@ from unicon_core.states import StateSpec
 from unicon_core.testing import Bench as BlockBench
 from unicon_ros.bench.report import Bench
 
-Side: TypeAlias = Callable[[NDArray[np.float32], NDArray[np.float32]], NDArray[np.floating]]
+Side: TypeAlias = Callable[[Float32, Float32], NDArray[np.floating]]
 """Returns the joints for a human hand, and for the vectors of the tips from the palm's body."""
 
 ROBOT = "inspire_rh56_left"
@@ -84,7 +85,7 @@ def _ours(robot: Robot) -> Side:
     poses, command = bed.states[name], bed.states["joint_pos_command"]
     tick = bed.block(Retarget, side="left").tick
 
-    def side(hand: NDArray[np.float32], _: NDArray[np.float32]) -> NDArray[np.float32]:
+    def side(hand: Float32, _: Float32) -> Float32:
         poses[...] = hand
         tick()
         return command
@@ -115,10 +116,7 @@ def _other(robot: Robot) -> Side:
     return lambda _, vectors: made.retarget(vectors)[ours]
 
 
-Float = NDArray[np.float64]
-
-
-def copied_hand(model: HandModel, q: Float, size: float = 1.0) -> NDArray[np.float32]:
+def copied_hand(model: HandModel, q: Float64, size: float = 1.0) -> Float32:
     """Return the poses of a human hand whose fingers are as a robot's, shape (25, 7).
 
     Its fingers are as long as the robot's reach, or longer where they must be; the bones bend as
@@ -156,7 +154,7 @@ def copied_hand(model: HandModel, q: Float, size: float = 1.0) -> NDArray[np.flo
     return poses
 
 
-def bent(begin: Float, tip: Float, length: float) -> Float:
+def bent(begin: Float64, tip: Float64, length: float) -> Float64:
     """Return the four ends of three bones from one point to another, shape (4, 3).
 
     Args:
@@ -172,16 +170,16 @@ def bent(begin: Float, tip: Float, length: float) -> Float:
     return np.array((begin, begin + foot + out, tip - foot + out, tip))
 
 
-def corner(begin: Float, end: Float, length: float) -> Float:
+def corner(begin: Float64, end: Float64, length: float) -> Float64:
     """Return where two bones of the same length meet that are so long together, shape (3,)."""
     way = end - begin
     aside = np.cross(way, (0.31, 0.95, 0.02))
     aside *= 0.5 * max(length**2 - float(way @ way), 0.0) ** 0.5 / np.linalg.norm(aside)
-    met: Float = begin + 0.5 * way + aside
+    met: Float64 = begin + 0.5 * way + aside
     return met
 
 
-def smooth_motion(model: HandModel, ticks: int, rate: float, seed: int) -> Float:
+def smooth_motion(model: HandModel, ticks: int, rate: float, seed: int) -> Float64:
     """Return joints that swing through their whole ranges at 0.2 to 1 Hz, shape (ticks, n).
 
     Args:
@@ -194,5 +192,5 @@ def smooth_motion(model: HandModel, ticks: int, rate: float, seed: int) -> Float
     phase, hertz = random.uniform((0.0, 0.2), (2.0 * np.pi, 1.0), (len(model.lower), 2)).T
     turns = np.sin(2.0 * np.pi * hertz * np.arange(ticks)[:, None] / rate + phase)
     middle, half = 0.5 * (model.upper + model.lower), 0.5 * (model.upper - model.lower)
-    swung: Float = middle + half * turns
+    swung: Float64 = middle + half * turns
     return swung

@@ -8,8 +8,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from unicon_core.arrays import Float64
 from unicon_core.runtime import TickStatistics
 from unicon_ros.bench.report import Bench
 
@@ -28,7 +29,7 @@ class Samples:
     """Samples of each case, by rounds."""
 
     def __init__(self) -> None:
-        self._rounds: defaultdict[str, list[NDArray[np.float64]]] = defaultdict(list)
+        self._rounds: defaultdict[str, list[Float64]] = defaultdict(list)
 
     def add(self, name: str, samples: ArrayLike) -> None:
         """Add one round of a case."""
@@ -66,7 +67,7 @@ class Samples:
         """The cases, in the order in which they came."""
         return list(self._rounds)
 
-    def of(self, name: str) -> NDArray[np.float64]:
+    def of(self, name: str) -> Float64:
         """Return all samples of a case."""
         return np.concatenate(self._rounds[name])
 
@@ -74,13 +75,13 @@ class Samples:
         """Return the median over the rounds of the ratio of two cases' percentiles."""
         return float(np.median(self.ratios(one, other, percent=percent)))
 
-    def ratios(self, one: str, other: str, *, percent: float = 50.0) -> NDArray[np.float64]:
+    def ratios(self, one: str, other: str, *, percent: float = 50.0) -> Float64:
         """Return the ratio of two cases' percentiles in each round, shape (rounds,)."""
         above, below = (
             np.array([np.percentile(samples, percent) for samples in self._rounds[name]])
             for name in (one, other)
         )
-        found: NDArray[np.float64] = above / below
+        found: Float64 = above / below
         return found
 
 
@@ -94,8 +95,8 @@ class Paced:
         share: of a core, in [%].
     """
 
-    late: NDArray[np.float64]
-    took: NDArray[np.float64]
+    late: Float64
+    took: Float64
     share: float
 
 
@@ -125,7 +126,7 @@ def paced(
     return Paced(late * 1e-3, took * 1e-3, share * 100.0)
 
 
-def tick_times(statistics: TickStatistics, first: int) -> dict[str, NDArray[np.float64]]:
+def tick_times(statistics: TickStatistics, first: int) -> dict[str, Float64]:
     """Return from recv to the end of send, and all of each tick that a run has kept, in [µs].
 
     Args:

@@ -11,16 +11,14 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.samples import Samples
+from unicon_core.arrays import Float64
 from unicon_core.errors import MissingDependencyError
 from unicon_core.platforms import BUILTIN
 from unicon_core.platforms.kit.stepped import SteppedSimulator
 from unicon_core.workflow import load_workflow
 from unicon_ros.bench.report import Bench
-
-Times = NDArray[np.float64]
 
 TICKS = 40
 """In a round of one simulator."""
@@ -67,7 +65,7 @@ def run(rounds: int | None = None) -> Bench:
     return bench
 
 
-def _ticks(platform: SteppedSimulator) -> tuple[Times, Times]:
+def _ticks(platform: SteppedSimulator) -> tuple[Float64, Float64]:
     """Return the time of the engine in each tick, and of the rest of it, in [µs]."""
     now, advance, spent = time.perf_counter_ns, platform.advance, np.zeros((2, TICKS))
     inside = 0

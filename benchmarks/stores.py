@@ -29,10 +29,10 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.samples import Samples
 from benchmarks.store_ways import WAYS, Receiver, Sender, group, segment_name
+from unicon_core.arrays import Int64
 from unicon_core.resources import same_modules
 from unicon_core.signals import SIGNALS
 from unicon_core.states import States, StateSpec
@@ -147,9 +147,7 @@ def _rows(loop: Loop) -> list[Rows]:
     return [_slice_rows(each, read, written) for each in loop.slices]
 
 
-def _slice_rows(
-    each: Slice, read: dict[str, NDArray[np.int64]], written: dict[str, NDArray[np.int64]]
-) -> Rows:
+def _slice_rows(each: Slice, read: dict[str, Int64], written: dict[str, Int64]) -> Rows:
     # Whole within the slice: what was under way at a hold has waited for the next turn.
     come = each.holds(read["stamp"]) & each.holds(read["received"])
     sent = each.holds(written["begin"]) & each.holds(written["end"])

@@ -14,10 +14,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.record import RATE, SETTLED, walk
 from benchmarks.samples import TICK, Samples, tick_times, unsaid
+from unicon_core.arrays import Float64
 from unicon_core.resources import same_modules
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow
@@ -67,7 +67,7 @@ def run(rounds: int | None = None, seconds: float = SECONDS, sink: str = "page")
     return bench
 
 
-def _run(name: str, seconds: float, sink: str) -> tuple[dict[str, NDArray[np.float64]], list[int]]:
+def _run(name: str, seconds: float, sink: str) -> tuple[dict[str, Float64], list[int]]:
     """Return the times of a run's ticks in [µs], and how many messages each client has read."""
     options = {"sink": sink, "host": "127.0.0.1", "port": PORT, "token": "", "fps": 30.0}
     view = None if name == NONE else View(options, warn=unsaid)

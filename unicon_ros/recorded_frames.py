@@ -16,8 +16,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import UInt8
 from unicon_core.errors import UniconError, alternatives, imported, one_line
 from unicon_ros.bridge.images import JPEG, STAMP, FrameMessage, jpeg_message
 from unicon_ros.recording.background import calm
@@ -177,7 +177,7 @@ class _Jpeg:
         self._to = jpeg_message(0, message.frame_id)
         self._file: BinaryIO = os.fdopen(os.memfd_create("jpeg"), "r+b")
 
-    def __call__(self, room: NDArray[np.uint8]) -> int:
+    def __call__(self, room: UInt8) -> int:
         """Replace the picture of a message by its JPEG; return the new length, 0 if it is longer.
 
         Args:

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from unicon_core.arrays import Array
 from unicon_core.errors import UniconError
-from unicon_core.gap.trajectories import Array
 from unicon_ros.analysis.run import Run, read_run
 from unicon_ros.sweep.motion import apart, finite_rows, moved
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from itertools import compress
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Bool
 from unicon_core.blocks.safety.limits import EffortLimits, JointLimits
 from unicon_core.blocks.safety.speeds import VelocityLimits
 from unicon_core.check.order import check_mirrored
@@ -148,7 +148,7 @@ _KINDS: tuple[tuple[ActionKind, str, str, type], ...] = (
 """Of a target: its state, and the block that limits it, NAME_limits."""
 
 
-def _reach(subject: Subject, policy: PolicyResult, outside: NDArray[np.bool_]) -> None:
+def _reach(subject: Subject, policy: PolicyResult, outside: Bool) -> None:
     """Find targets that are not sent (a joint would stand still), and those that nothing limits."""
     action, program, where = policy.contract.action, subject.program, subject.document.where
     for kind, state, limits, block in _KINDS:

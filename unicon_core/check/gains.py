@@ -7,8 +7,8 @@ from itertools import compress
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array, Float32, Float64, Index
 from unicon_core.check.model_facts import ModelJoints, model_joints
 from unicon_core.check.order import check_mirrored
 from unicon_core.check.result import CheckResult, PolicyResult
@@ -84,7 +84,7 @@ def _held(
     subject: Subject,
     result: CheckResult,
     culprit: str,
-    gains: tuple[NDArray[np.float32], NDArray[np.float32]],
+    gains: tuple[Float32, Float32],
     where: Any,
 ) -> None:
     robot = subject.robot
@@ -119,7 +119,7 @@ def _held(
     )
 
 
-def _inertia(subject: Subject) -> NDArray[np.float64] | None:
+def _inertia(subject: Subject) -> Float64 | None:
     """Return what joints turn in [kg·m²] by the model, on hardware by the robot file's, if any."""
     try:
         platform, robot = subject.program.platform, subject.robot
@@ -155,7 +155,7 @@ def _table(robot: Robot, policy: PolicyResult, model: ModelJoints | None) -> Non
         )
 
 
-def counted_twice(damping: NDArray[Any], passive: NDArray[np.float64]) -> NDArray[np.intp]:
+def counted_twice(damping: Array, passive: Float64) -> Index:
     """Return the joints that damp themselves about as much as a policy asks the motors to.
 
     Args:
@@ -169,7 +169,7 @@ def counted_twice(damping: NDArray[Any], passive: NDArray[np.float64]) -> NDArra
     return twice[np.argsort(-passive[twice] / damping[twice], kind="stable")]
 
 
-def _counted_twice(subject: Subject, policy: PolicyResult, passive: NDArray[np.float64]) -> None:
+def _counted_twice(subject: Subject, policy: PolicyResult, passive: Float64) -> None:
     """Note a model whose joints damp themselves about as much as the policy asks the motors to."""
     contract, platform = policy.contract, subject.program.platform
     own = passive[joint_index(contract.joints, subject.robot.joint_names)]
@@ -190,7 +190,7 @@ def _counted_twice(subject: Subject, policy: PolicyResult, passive: NDArray[np.f
     )
 
 
-def _plausible(robot: Robot, policy: PolicyResult, passive: NDArray[np.float64]) -> None:
+def _plausible(robot: Robot, policy: PolicyResult, passive: Float64) -> None:
     joints, kp, kd = policy.contract.joints, policy.contract.stiffness, policy.contract.damping
     own = joint_index(joints, robot.joint_names)
     bare = np.flatnonzero((kp > 0.0) & (kd <= 0.0))

@@ -19,8 +19,8 @@ from types import BuiltinMethodType, FunctionType, GeneratorType, MethodType, Mo
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array
 from unicon_core.flow import Block
 from unicon_core.memory import UNDECLARED, Memory, declared, holder_of
 from unicon_core.states import States
@@ -127,7 +127,7 @@ class _Place:
 
     path: str
     value: Any
-    array: NDArray[Any] | None = field(default=None, repr=False)
+    array: Array | None = field(default=None, repr=False)
 
 
 def _changed(before: dict[str, _Place], after: dict[str, _Place]) -> list[_Place]:

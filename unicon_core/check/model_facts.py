@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float64
 from unicon_core.models.kinematic_tree import read_tree
 from unicon_core.models.loaded import LoadedModel, drives, position_gains
 from unicon_core.robots import Robot
-
-Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -31,13 +29,13 @@ class ModelJoints:
     """
 
     path: Path
-    lower: Float
-    upper: Float
-    effort: Float
-    stiffness: Float
-    damping: Float
-    passive: Float
-    inertia: Float
+    lower: Float64
+    upper: Float64
+    effort: Float64
+    stiffness: Float64
+    damping: Float64
+    passive: Float64
+    inertia: Float64
 
 
 def model_joints(loaded: LoadedModel | None) -> ModelJoints | None:

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float32
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import Subject
 from unicon_core.figures import figure, span
@@ -76,7 +76,7 @@ def _row(part: TermSlice, frame: str) -> list[str]:
     ]
 
 
-def _values(values: NDArray[np.float32], neutral: float, same: str) -> str:
+def _values(values: Float32, neutral: float, same: str) -> str:
     if (values == neutral).all():
         return same
     low, high = float(values.min()), float(values.max())

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from itertools import chain, combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float32, Index
 from unicon_core.check.model_facts import joint_depths
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import Subject, listed
@@ -49,7 +49,7 @@ def mirror_pairs(names: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def odd_pairs(
-    joints: Sequence[str], values: NDArray[np.float32], tolerance: float | None = None
+    joints: Sequence[str], values: Float32, tolerance: float | None = None
 ) -> list[tuple[str, str]]:
     """Return the pairs (left, right) whose values are not the same size; as `check_mirrored`."""
     sides = dict(zip(joints, map(float, values)))
@@ -66,7 +66,7 @@ def check_mirrored(
     code: str,
     what: str,
     joints: Sequence[str],
-    values: NDArray[np.float32],
+    values: Float32,
     tolerance: float | None = None,
 ) -> None:
     """Find values that are not the same size on both sides: they are in another order.
@@ -95,10 +95,10 @@ def check_mirrored(
 POSE_TOLERANCE = 0.02
 """In [rad] or [m]: by how much a pose may differ between sides."""
 
-Figures = dict[str, NDArray[np.float32]]
+Figures = dict[str, Float32]
 
 
-def other_order(depths: Sequence[int]) -> NDArray[np.intp]:
+def other_order(depths: Sequence[int]) -> Index:
     """Return the breadth-first order of joints given depth-first, and the inverse otherwise.
 
     Isaac Sim lists joints breadth-first (all hips, then all knees), MuJoCo and the vendors

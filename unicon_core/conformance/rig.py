@@ -13,8 +13,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array
 from unicon_core.errors import PlatformError
 from unicon_core.platforms.kit.disturbances import disturb
 from unicon_core.platforms.kit.scene import SCENE_KEYS, Scene
@@ -24,8 +24,6 @@ from unicon_core.states import States, standard_states
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow.autowire import read_options
 from unicon_core.workflow.registry import find_factory
-
-Array = NDArray[Any]
 
 TIMESTEP = 0.001
 """Of the physics in [s], which every platform takes as its option `timestep`."""

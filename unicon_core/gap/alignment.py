@@ -26,8 +26,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from unicon_core.arrays import Float64, Int64
 from unicon_core.errors import UniconError
-from unicon_core.gap.trajectories import Array, Ints, two
+from unicon_core.gap.trajectories import two
 
 CANDIDATES = 16
 """Shifts that are compared once more, to the last bit, where rounding hides which is best."""
@@ -46,14 +47,14 @@ class Aligned:
         overlap: number of pairs.
     """
 
-    loss: Array
-    shift: Ints
-    overlap: Ints
+    loss: Float64
+    shift: Int64
+    overlap: Int64
 
 
 def admissible_shifts(
     n: int, m: int, max_shift: int | None = None, min_overlap: float = 0.5
-) -> tuple[Ints, Ints]:
+) -> tuple[Int64, Int64]:
     """Return the shifts j that leave enough pairs real[i + j], sim[i], and how many each leaves.
 
     Args:
@@ -103,7 +104,7 @@ def aligned_mse(
     return Aligned(2.0 * means, shifts[best], overlaps[best])
 
 
-def smallest_means(a: Array, b: Array, shifts: Ints, overlaps: Ints) -> tuple[Array, Ints]:
+def smallest_means(a: Float64, b: Float64, shifts: Int64, overlaps: Int64) -> tuple[Float64, Int64]:
     """Return the smallest mean of ‖a[i + j] − b[i]‖² over all pairs, and the index of its shift.
 
     Args:
@@ -132,7 +133,7 @@ def shift_losses(
     sim: ArrayLike,
     max_shift: int | None = None,
     min_overlap: float = 0.5,
-) -> tuple[Ints, Array]:
+) -> tuple[Int64, Float64]:
     """Return every admissible shift and the loss there, to be drawn.
 
     The smallest is `aligned_mse`'s, up to a rounding error of 1e-13 of the signals' energy.
@@ -155,7 +156,7 @@ def shift_losses(
     return shifts, np.maximum(2.0 * means[0], 0.0)
 
 
-def correlations(a: Array, b: Array, shifts: Ints, summed: bool = False) -> Array:
+def correlations(a: Float64, b: Float64, shifts: Int64, summed: bool = False) -> Float64:
     """Return Σ_i a[i + j] b[i] over the overlap, for consecutive shifts j.
 
     The error of each element stays below some 1e-14 √(Σa² Σb²).
@@ -180,17 +181,19 @@ def correlations(a: Array, b: Array, shifts: Ints, summed: bool = False) -> Arra
         product = _cross_spectrum(a[..., :1], b[..., :1], size)
         for k in range(1, a.shape[-1]):
             product += _cross_spectrum(a[..., k : k + 1], b[..., k : k + 1], size)
-    taken: Array = np.take(np.fft.irfft(product, size, axis=-2), shifts % size, axis=-2)
+    taken: Float64 = np.take(np.fft.irfft(product, size, axis=-2), shifts % size, axis=-2)
     return taken
 
 
-def _cross_spectrum(a: Array, b: Array, size: int) -> NDArray[np.complex128]:
+def _cross_spectrum(a: Float64, b: Float64, size: int) -> NDArray[np.complex128]:
     product: NDArray[np.complex128] = np.fft.rfft(a, size, axis=-2)
     product *= np.conj(np.fft.rfft(b, size, axis=-2))
     return product
 
 
-def _mean_squares(a: Array, b: Array, shifts: Ints, overlaps: Ints) -> tuple[Array, Array]:
+def _mean_squares(
+    a: Float64, b: Float64, shifts: Int64, overlaps: Int64
+) -> tuple[Float64, Float64]:
     """Return the mean of ‖a[i + j] − b[i]‖² at each shift and the bound of its rounding error.
 
     Σ‖a − b‖² = Σ‖a‖² + Σ‖b‖² − 2 Σ a·b; the sums of squares are differences of cumulative ones.
@@ -216,7 +219,9 @@ def _mean_squares(a: Array, b: Array, shifts: Ints, overlaps: Ints) -> tuple[Arr
     return means, 64.0 * np.finfo(np.float64).eps * energy / overlaps
 
 
-def _smallest(a: Array, b: Array, shifts: Ints, means: Array, errors: Array) -> tuple[float, int]:
+def _smallest(
+    a: Float64, b: Float64, shifts: Int64, means: Float64, errors: Float64
+) -> tuple[float, int]:
     """Return the smallest mean of squares, directly computed, and the index of its shift.
 
     Args:

@@ -23,14 +23,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from unicon_core.arrays import Float64
 from unicon_core.errors import UniconError
 from unicon_core.gap.alignment import smallest_means
-from unicon_core.gap.trajectories import Array, two
+from unicon_core.gap.trajectories import two
 
 _AXES = {"all": (-2, -1), "element": (-2,), "frame": (-1,)}
 
 
-def mse(real: ArrayLike, sim: ArrayLike, per: str = "all") -> Array:
+def mse(real: ArrayLike, sim: ArrayLike, per: str = "all") -> Float64:
     """Return the mean of (real − sim)², in the elements' unit².
 
     The aligned MSE sums over elements and takes both directions: where the best shift is 0, it is
@@ -47,17 +48,17 @@ def mse(real: ArrayLike, sim: ArrayLike, per: str = "all") -> Array:
     if per not in _AXES:
         raise UniconError(f"gap: per is {per!r}; give one of {', '.join(_AXES)}")
     a, b = two(real, sim, same_length=True)
-    means: Array = np.mean((a - b) ** 2, axis=_AXES[per])
+    means: Float64 = np.mean((a - b) ** 2, axis=_AXES[per])
     return means
 
 
-def rmse(real: ArrayLike, sim: ArrayLike, per: str = "all") -> Array:
+def rmse(real: ArrayLike, sim: ArrayLike, per: str = "all") -> Float64:
     """Return the root of `mse`, in the elements' unit; the same arguments, shapes and errors."""
-    root: Array = np.sqrt(mse(real, sim, per))
+    root: Float64 = np.sqrt(mse(real, sim, per))
     return root
 
 
-def unfolded_mse(real: ArrayLike, sim: ArrayLike) -> Array:
+def unfolded_mse(real: ArrayLike, sim: ArrayLike) -> Float64:
     """Return the unfolded MSE in the elements' unit², shape (…,).
 
     O(n log n) for each trajectory.
@@ -89,7 +90,7 @@ ROWS = 512
 """Samples whose distances to all others are held at once."""
 
 
-def chamfer(real: ArrayLike, sim: ArrayLike) -> Array:
+def chamfer(real: ArrayLike, sim: ArrayLike) -> Float64:
     """Return the mean distance from each sample to the nearest of the other, both ways summed.
 
     Symmetric, and 0 where both visit the same postures in whatever order. O(n · m · d); a shared
@@ -112,7 +113,7 @@ def chamfer(real: ArrayLike, sim: ArrayLike) -> Array:
     return distances
 
 
-def _nearest(a: Array, b: Array) -> float:
+def _nearest(a: Float64, b: Float64) -> float:
     """Return the mean distance from each row of a to the nearest row of b."""
     centre = 0.5 * (a.mean(axis=0) + b.mean(axis=0))
     far_b = b - centre
@@ -126,7 +127,7 @@ def _nearest(a: Array, b: Array) -> float:
     return total / len(a)
 
 
-def spectral_distance(real: ArrayLike, sim: ArrayLike, samples: int = 256) -> Array:
+def spectral_distance(real: ArrayLike, sim: ArrayLike, samples: int = 256) -> Float64:
     """Return how much the power spectra of each element differ, from 0 to 1.
 
         D = Σ_f (√P − √Q)² / Σ_f (P + Q)
@@ -153,11 +154,11 @@ def spectral_distance(real: ArrayLike, sim: ArrayLike, samples: int = 256) -> Ar
     p, q = _power(a, length), _power(b, length)
     whole = np.sum(p + q, axis=-2)
     apart = np.sum((np.sqrt(p) - np.sqrt(q)) ** 2, axis=-2)
-    distance: Array = np.divide(apart, whole, out=np.zeros_like(whole), where=whole > 0.0)
+    distance: Float64 = np.divide(apart, whole, out=np.zeros_like(whole), where=whole > 0.0)
     return distance
 
 
-def wasserstein(real: ArrayLike, sim: ArrayLike) -> Array:
+def wasserstein(real: ArrayLike, sim: ArrayLike) -> Float64:
     """Return how far the distribution of each element must be moved to be the other's.
 
     The Wasserstein-1 distance: the mean difference of the sorted samples. A shift in time, or a
@@ -178,11 +179,11 @@ def wasserstein(real: ArrayLike, sim: ArrayLike) -> Array:
     # Both quantile functions are constant between these shares, in units of 1 / (n m).
     shares = np.union1d(np.arange(n + 1) * m, np.arange(m + 1) * n)
     apart = np.abs(a[..., shares[:-1] // m, :] - b[..., shares[:-1] // n, :])
-    distance: Array = np.einsum("s,...sd->...d", np.diff(shares) / (n * m), apart)
+    distance: Float64 = np.einsum("s,...sd->...d", np.diff(shares) / (n * m), apart)
     return distance
 
 
-def _power(x: Array, length: int) -> Array:
+def _power(x: Float64, length: int) -> Float64:
     """Return the mean power spectrum of segments, shape (…, frequencies, d)."""
     starts = np.arange(0, x.shape[-2] - length + 1, max(1, length // 2))
     window = np.sin(np.pi * (np.arange(length) + 0.5) / length)[:, None] ** 2

@@ -8,13 +8,13 @@ legs.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from unicon_core.arrays import Array, Float64, Int64
 from unicon_core.gap.alignment import admissible_shifts, correlations
-from unicon_core.gap.trajectories import Array, Ints, two
+from unicon_core.gap.trajectories import two
 
 STILL = 1e-7
 """Share of an element's largest number below which its spread is rounding: float32 has 1e-7."""
@@ -35,11 +35,11 @@ class Affine:
         correlation: Pearson's at that lag, in [−1, 1]; NaN where one of both stands still.
     """
 
-    lag: Ints
-    gain: Array
-    offset: Array
-    sign: Ints
-    correlation: Array
+    lag: Int64
+    gain: Float64
+    offset: Float64
+    sign: Int64
+    correlation: Float64
 
 
 def affine(real: ArrayLike, sim: ArrayLike, max_lag: int | None = None) -> Affine:
@@ -76,8 +76,8 @@ def affine(real: ArrayLike, sim: ArrayLike, max_lag: int | None = None) -> Affin
     strength = np.abs(found[..., order, :])
     best = order[np.argmax(strength >= strength.max(axis=-2, keepdims=True) - TIE, axis=-2)]
 
-    def at(values: NDArray[Any]) -> NDArray[Any]:
-        taken: NDArray[Any] = np.take_along_axis(values, best[..., None, :], axis=-2)[..., 0, :]
+    def at(values: Array) -> Array:
+        taken: Array = np.take_along_axis(values, best[..., None, :], axis=-2)[..., 0, :]
         return taken
 
     both, with_sim = at(moves), at(moves_b)
@@ -93,11 +93,11 @@ def affine(real: ArrayLike, sim: ArrayLike, max_lag: int | None = None) -> Affin
     return Affine(shifts[best], gain, offset, sign, correlation)
 
 
-def windows(x: Array, first: Ints, count: Ints | int) -> Array:
+def windows(x: Float64, first: Int64, count: Int64 | int) -> Float64:
     """Return the sums of count[k] samples from first[k] on, shape (…, s, d)."""
     total = np.zeros((*x.shape[:-2], x.shape[-2] + 1, x.shape[-1]))
     np.cumsum(x, axis=-2, out=total[..., 1:, :])
-    sums: Array = total[..., first + count, :] - total[..., first, :]
+    sums: Float64 = total[..., first + count, :] - total[..., first, :]
     return sums
 
 
@@ -117,10 +117,10 @@ class Matching:
         costs: of real element r with sim element s, shape (…, d, d).
     """
 
-    sim_from_real: Ints
-    cost: Array
-    cost_as_named: Array
-    costs: Array
+    sim_from_real: Int64
+    cost: Float64
+    cost_as_named: Float64
+    costs: Float64
 
     def cycles(self) -> list[tuple[int, ...]]:
         """Return the elements that are swapped among each other; each tuple closes on itself.
@@ -170,7 +170,7 @@ def match_elements(real: ArrayLike, sim: ArrayLike) -> Matching:
     return Matching(chosen, matched.mean(-1), named.mean(-1), costs)
 
 
-def assign(costs: Array) -> Ints:
+def assign(costs: Float64) -> Int64:
     """Return the column of each row, each once, whose costs are the smallest in sum.
 
     The Hungarian method with potentials (Kuhn 1955, Munkres 1957), O(d³): rows come in one by one,

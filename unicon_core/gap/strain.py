@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from unicon_core.arrays import Float64
 from unicon_core.errors import UniconError
-from unicon_core.gap.trajectories import Array, one, refuse_period
+from unicon_core.gap.trajectories import one, refuse_period
 
 LEANS = 0.8
 """Between the base's z axis and the vertical in [rad]: too far. `tilt_stop` ends a run at 1."""
@@ -29,9 +30,9 @@ class Load:
         peak: largest |torque|.
     """
 
-    rms: Array
-    mean: Array
-    peak: Array
+    rms: Float64
+    mean: Float64
+    peak: Float64
 
 
 def load(torque: ArrayLike) -> Load:
@@ -58,10 +59,10 @@ class Warming:
         rate: slope of the line of least squares in [K/s]; 0 for a single sample.
     """
 
-    start: Array
-    peak: Array
-    rise: Array
-    rate: Array
+    start: Float64
+    peak: Float64
+    rise: Float64
+    rate: Float64
 
 
 def warming(temperature: ArrayLike, period: float) -> Warming:
@@ -83,17 +84,17 @@ def warming(temperature: ArrayLike, period: float) -> Warming:
     return Warming(first.copy(), np.max(x, axis=-2), last - first, rate)
 
 
-def compare(real: ArrayLike, sim: ArrayLike) -> Array:
+def compare(real: ArrayLike, sim: ArrayLike) -> Float64:
     """Return the ratio of two statistics, real / sim: 1 where both are 0, inf where only sim is."""
     a, b = (np.asarray(x, np.float64) for x in (real, sim))
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio: Array = np.where((a == 0.0) & (b == 0.0), 1.0, a / b)
+        ratio: Float64 = np.where((a == 0.0) & (b == 0.0), 1.0, a / b)
     return ratio
 
 
 def fall_time(
     projected_gravity: ArrayLike, period: float, for_s: float = 0.1, whole: bool = False
-) -> Array:
+) -> Float64:
     """Return when the base leaned too far and stayed there, in [s]; NaN where it did not fall.
 
     Args:

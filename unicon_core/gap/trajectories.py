@@ -5,18 +5,16 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from unicon_core.arrays import Float64
 from unicon_core.errors import UniconError
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 LARGEST = 1e100
 """Of an element: its square, summed over any recording, is still a number."""
 
 
-def one(values: ArrayLike, name: str) -> Array:
+def one(values: ArrayLike, name: str) -> Float64:
     """Return a trajectory as float64, shape (…, n, d).
 
     Args:
@@ -48,7 +46,7 @@ def one(values: ArrayLike, name: str) -> Array:
     return array
 
 
-def two(real: ArrayLike, sim: ArrayLike, same_length: bool = False) -> tuple[Array, Array]:
+def two(real: ArrayLike, sim: ArrayLike, same_length: bool = False) -> tuple[Float64, Float64]:
     """Return both trajectories as float64; their leading axes are broadcast.
 
     Args:

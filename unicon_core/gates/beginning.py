@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_core.blocks.approach import Target
 from unicon_core.blocks.joint_command import robot_gains
@@ -17,7 +16,6 @@ from unicon_core.robots import joint_index
 from unicon_core.workflow.program_data import ProgramData
 from unicon_core.workflow.program_memory import holders_of
 
-Float = NDArray[np.float32]
 TARGET = "joint_pos_target"
 
 

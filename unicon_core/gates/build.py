@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from unicon_core.arrays import Float32
 from unicon_core.blocks.safety.ranges import RangeStop
 from unicon_core.blocks.safety.stops import TiltStop
 from unicon_core.blocks.safety.stuck import ImuStop
@@ -126,9 +127,7 @@ def _lasting(program: ProgramData) -> int:
     return round(LASTING / program.period)
 
 
-def _imu_stop(
-    program: ProgramData, told: dict[str, np.typing.NDArray[np.float32]]
-) -> Heeding | None:
+def _imu_stop(program: ProgramData, told: dict[str, Float32]) -> Heeding | None:
     needs = ("base_quat", "base_ang_vel", "projected_gravity", "joint_pos")
     if any(name not in told for name in needs):
         return None
@@ -139,7 +138,7 @@ def _imu_stop(
     return Heeding("imu_stop", "", stop, remedy, stop.reset, _lasting(program))
 
 
-def _tilt(program: ProgramData, told: dict[str, np.typing.NDArray[np.float32]]) -> list[StartGate]:
+def _tilt(program: ProgramData, told: dict[str, Float32]) -> list[StartGate]:
     """The workflow's own `tilt_stop`, or that of a robot that walks."""
     stops = [block.tick for block in program.blocks if isinstance(block.tick, TiltStop)]
     if not stops and program.robot.walks and "projected_gravity" in told:

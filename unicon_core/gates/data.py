@@ -5,15 +5,12 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array, Bool, Float64
 from unicon_core.gates.gate import StartGate
 from unicon_core.states import States
-
-Array = NDArray[Any]
 
 
 class Told:
@@ -33,7 +30,7 @@ class Told:
     def __init__(self, states: States, readers: Mapping[str, str], source: str) -> None:
         self._states, self._readers, self._source = states, dict(readers), source
         self._marks: dict[str, Array] = {}
-        self._untold: dict[str, NDArray[np.bool_]] = {}
+        self._untold: dict[str, Bool] = {}
         self.about = f"{', '.join(readers)}: told since the start, and finite"
 
     def __call__(self) -> str:
@@ -58,7 +55,7 @@ class Told:
                 said = said or self._of(name, untold, reader, "has not been told")
         return said
 
-    def _of(self, name: str, wrong: NDArray[np.bool_], reader: str, what: str) -> str:
+    def _of(self, name: str, wrong: Bool, reader: str, what: str) -> str:
         index = tuple(int(i) for i in np.argwhere(wrong)[0])
         names = self._states.spec(name).names
         of = f" of {names[index[-1]]}" if index and len(names) == wrong.shape[-1] else ""
@@ -216,7 +213,7 @@ class Imu:
 
     def __init__(
         self,
-        views: Mapping[str, NDArray[Any]],
+        views: Mapping[str, Array],
         needed: Collection[str],
         period: float,
         stop: StartGate | None,
@@ -225,7 +222,7 @@ class Imu:
         self._gyro, self._acceleration = views.get("base_ang_vel"), views.get("base_lin_acc")
         self._need_acceleration = "base_lin_acc" in needed
         self._stop, self._draw = stop, min(period / SMOOTH, 1.0)
-        self._mean: NDArray[np.float64] | None = None
+        self._mean: Float64 | None = None
         self.about = f"{', '.join(views)} agree at rest, gravity is {GRAVITY} m/s²"
 
     def __call__(self) -> str:
@@ -282,6 +279,6 @@ class Imu:
         )
 
 
-def _norm(vector: NDArray[Any]) -> float:
+def _norm(vector: Array) -> float:
     """Return the length; in double precision, which a float's garbage does not overflow."""
     return float(np.linalg.norm(vector.astype(np.float64)))

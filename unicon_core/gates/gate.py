@@ -9,8 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
-from numpy.typing import NDArray
-
+from unicon_core.arrays import Array
 from unicon_core.errors import Fault
 from unicon_core.figures import figure
 from unicon_core.robots import Robot
@@ -154,7 +153,7 @@ class NoCommand:
     name = "command"
     about = "velocity_command is zero"
 
-    def __init__(self, command: NDArray[Any]) -> None:
+    def __init__(self, command: Array) -> None:
         self._command = command
 
     def __call__(self) -> str:

@@ -12,8 +12,8 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Bool, Float64, Int64
 from unicon_core.errors import UniconError, alternatives
 from unicon_core.gap import aligned_mse
 from unicon_core.identify.found import Fit, Parameter
@@ -23,9 +23,7 @@ from unicon_core.platforms.kit.scene import Scene
 from unicon_core.robots import Robot
 from unicon_core.robots.poses import JOINT_PHYSICS, joint_physics, joints_like
 
-Float = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Normal = tuple[Float, Float, float]
+Normal = tuple[Float64, Float64, float]
 """The curvature (p, p), what the answers ask for (p,), and the noise in [rad]."""
 
 # What a figure is varied by for its derivative, and how far off it may well be beforehand: the
@@ -82,7 +80,7 @@ def fit(
         return _Search(motion, robot, keys, figures, limbs, replays, tell).run()
 
 
-def _simulator(robot: Robot, scene: Scene) -> tuple[dict[str, Float], NDArray[np.int64]]:
+def _simulator(robot: Robot, scene: Scene) -> tuple[dict[str, Float64], Int64]:
     """Return what the simulator has of each figure, and which limb each joint belongs to.
 
     Both of shape (n,).
@@ -106,7 +104,7 @@ def _simulator(robot: Robot, scene: Scene) -> tuple[dict[str, Float], NDArray[np
     return figures, np.array(limbs)
 
 
-def _said(figures: Float, otherwise: Float) -> Float:
+def _said(figures: Float64, otherwise: Float64) -> Float64:
     return np.where(np.isnan(figures), otherwise, figures)
 
 
@@ -118,8 +116,8 @@ class _Search:
         motion: Motion,
         robot: Robot,
         keys: Sequence[tuple[int, str]],
-        figures: dict[str, Float],
-        limbs: NDArray[np.int64],
+        figures: dict[str, Float64],
+        limbs: Int64,
         replays: Replays,
         tell: Callable[[str], None],
     ) -> None:
@@ -172,7 +170,7 @@ class _Search:
             deviations = self._deviations(now, self._slopes(at, now), weights, free)
         return self._fit(at, deviations, free, first, now, rounds)
 
-    def _replay(self, points: Sequence[Float]) -> list[Float]:
+    def _replay(self, points: Sequence[Float64]) -> list[Float64]:
         sets: list[dict[str, dict[str, float]]] = []
         for point in points:
             sets.append({})
@@ -180,7 +178,7 @@ class _Search:
                 sets[-1].setdefault(self._robot.joint_names[i], {})[word] = float(value)
         return self._replays(sets)
 
-    def _slopes(self, at: Float, now: Float) -> Float:
+    def _slopes(self, at: Float64, now: Float64) -> Float64:
         """Return the derivatives of every answer, shape (w, l, n, p)."""
         steps = np.where(at + self._step <= self._most, self._step, -self._step)
         points = []
@@ -194,14 +192,14 @@ class _Search:
                 slopes[:, :, own, k] = (answer - now)[:, :, own] / steps[k]
         return slopes
 
-    def _normal(self, now: Float, slopes: Float, weights: Float) -> Normal:
+    def _normal(self, now: Float64, slopes: Float64, weights: Float64) -> Normal:
         residual, slopes = self._aligned(now, slopes)
         root = np.sqrt(weights)[self._fitted, None, None]
         rows = (slopes[self._fitted] * root[..., None]).reshape(-1, slopes.shape[-1])
         asked = rows.T @ (residual[self._fitted] * root).reshape(-1)
         return rows.T @ rows, asked, self._noise(residual, weights)
 
-    def _telling(self, normal: Normal, free: Mask) -> Mask:
+    def _telling(self, normal: Normal, free: Bool) -> Bool:
         """Return the figures that would explain more than noise does, beside those that are free.
 
         With all of them free a run of seconds would be explained by many that are as they should
@@ -217,10 +215,10 @@ class _Search:
             gains[k] = left**2 / (curvature[k, k] - across @ curvature[some, k])
         # Within a window the noise is one: its ticks count as one sample.
         enough = TELLS * noise**2 * self._motion.length
-        found: Mask = (gains > enough) & (gains >= 0.5 * gains.max())
+        found: Bool = (gains > enough) & (gains >= 0.5 * gains.max())
         return found
 
-    def _candidates(self, at: Float, normal: Normal, free: Mask) -> list[Float]:
+    def _candidates(self, at: Float64, normal: Normal, free: Bool) -> list[Float64]:
         curvature, asked, noise = normal
         ridge = (noise / self._prior) ** 2
         asked = asked + ridge * (self._begin - at)
@@ -232,7 +230,7 @@ class _Search:
             found.append(np.clip(point, 0.0, self._most))
         return found
 
-    def _aligned(self, now: Float, slopes: Float) -> tuple[Float, Float]:
+    def _aligned(self, now: Float64, slopes: Float64) -> tuple[Float64, Float64]:
         """Return real - now and the slopes, each joint of now at the shift that suits it best."""
         residual = self._real - now
         if not self._shift:
@@ -249,26 +247,26 @@ class _Search:
                 residual[:, :, joint], slopes[:, :, joint] = apart, turned
         return residual, slopes
 
-    def _weights(self, now: Float) -> Float:
+    def _weights(self, now: Float64) -> Float64:
         """Return a weight for each window (Huber's): pushes and slips do not count in full."""
         size = np.sqrt(((self._real - now) ** 2).mean(axis=(1, 2)))
         usual = 2.0 * float(np.median(size))
-        weights: Float = np.minimum(1.0, usual / np.maximum(size, 1e-12))
+        weights: Float64 = np.minimum(1.0, usual / np.maximum(size, 1e-12))
         return weights
 
-    def _noise(self, residual: Float, weights: Float) -> float:
+    def _noise(self, residual: Float64, weights: Float64) -> float:
         squares = (residual**2).mean(axis=(1, 2))[self._fitted]
         weighted = weights[self._fitted]
         return math.sqrt(float((squares * weighted).sum() / weighted.sum()))
 
-    def _cost(self, now: Float, at: Float, weights: Float) -> float:
+    def _cost(self, now: Float64, at: Float64, weights: Float64) -> float:
         """Return what is minimised: weighted squares, and how far the figures went."""
         residual, _ = self._aligned(now, np.zeros((*now.shape, 1)))
         noise = max(self._noise(residual, weights), 1e-9)
         squares = float(((residual**2).sum(axis=(1, 2)) * weights)[self._fitted].sum())
         return squares + noise**2 * float((((at - self._begin) / self._prior) ** 2).sum())
 
-    def _losses(self, now: Float, windows: Mask) -> tuple[Float, NDArray[np.int64]]:
+    def _losses(self, now: Float64, windows: Bool) -> tuple[Float64, Int64]:
         """Return each joint's aligned MSE [rad²] over windows, and its shift, shape (n,).
 
         Of all shifts within a window the one that suits all windows together.
@@ -277,10 +275,10 @@ class _Search:
         found = aligned_mse(real, sim, max_shift=self._shift)
         return found.loss / real.shape[-1], found.shift
 
-    def _loss(self, now: Float, windows: Mask) -> float:
+    def _loss(self, now: Float64, windows: Bool) -> float:
         return float(self._losses(now, windows)[0].mean())
 
-    def _deviations(self, now: Float, slopes: Float, weights: Float, free: Mask) -> Float:
+    def _deviations(self, now: Float64, slopes: Float64, weights: Float64, free: Bool) -> Float64:
         """Return half of the 95 % interval of each free figure, 0 of the others.
 
         The scatter of the windows tells it (sandwich), since what is left within one is no white
@@ -301,11 +299,11 @@ class _Search:
 
     def _fit(
         self,
-        at: Float,
-        deviations: Float,
-        free: Mask,
-        first: Float,
-        now: Float,
+        at: Float64,
+        deviations: Float64,
+        free: Bool,
+        first: Float64,
+        now: Float64,
         rounds: int,
     ) -> Fit:
         names, every = self._robot.joint_names, np.ones(len(self._real), np.bool_)
@@ -330,7 +328,7 @@ class _Search:
         )
 
 
-def _groups(keys: Sequence[tuple[int, str]], limbs: NDArray[np.int64]) -> list[list[int]]:
+def _groups(keys: Sequence[tuple[int, str]], limbs: Int64) -> list[list[int]]:
     """Return figures that are varied in one replay: the same one of joints of different limbs.
 
     What a joint does to another limb, through the base, is left out of the derivatives: a round

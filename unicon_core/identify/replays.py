@@ -7,11 +7,10 @@ import signal
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array, Bool, Float64, Int64
 from unicon_core.errors import Fault, UniconError
 from unicon_core.platforms.kit.beside import PLACE, Beside
 from unicon_core.platforms.kit.scene import Scene
@@ -38,16 +37,16 @@ class Motion:
     """
 
     period: float
-    measured: Mapping[str, NDArray[Any]]
-    commands: Mapping[str, NDArray[Any]]
-    starts: NDArray[np.int64]
+    measured: Mapping[str, Array]
+    commands: Mapping[str, Array]
+    starts: Int64
     length: int
 
     @staticmethod
     def of(
-        states: Mapping[str, NDArray[Any]],
+        states: Mapping[str, Array],
         period: float,
-        usable: NDArray[np.bool_],
+        usable: Bool,
         window: float = 0.2,
         most: int = 200,
     ) -> Motion:
@@ -93,21 +92,20 @@ class Motion:
         return Motion(period, measured, commands, starts, length)
 
     @property
-    def answers(self) -> NDArray[np.float64]:
+    def answers(self) -> Float64:
         """Measured joint positions in [rad] after each tick of each window, shape (w, l, n)."""
         rows = self.starts[:, None] + np.arange(1, self.length + 1)
         return np.asarray(self.measured["joint_pos"][rows], np.float64)
 
 
-def _fallen(states: Mapping[str, NDArray[Any]]) -> NDArray[np.bool_]:
+def _fallen(states: Mapping[str, Array]) -> Bool:
     gravity = states.get("projected_gravity")
     if gravity is None or np.ptp(gravity) == 0.0:
         return np.zeros(len(states["joint_pos"]), np.bool_)
-    fallen: NDArray[np.bool_] = np.maximum.accumulate(-gravity[:, 2] < np.cos(FALLEN))
+    fallen: Bool = np.maximum.accumulate(-gravity[:, 2] < np.cos(FALLEN))
     return fallen
 
 
-Float = NDArray[np.float64]
 Joints = Mapping[str, Mapping[str, float]]
 """Joint to figures, as of `scene.joints`."""
 
@@ -115,7 +113,7 @@ _WORST = np.pi
 """In [rad]: how far off a joint counts whose physics blew up."""
 
 
-def replayed(robot: Robot, scene: Scene, motion: Motion, joints: Joints) -> Float:
+def replayed(robot: Robot, scene: Scene, motion: Motion, joints: Joints) -> Float64:
     """Return the joint positions after each tick of each window, [rad], shape (w, l, n).
 
     A window begins where the robot was measured, with the command of the tick before on its way.
@@ -132,8 +130,8 @@ def replayed(robot: Robot, scene: Scene, motion: Motion, joints: Joints) -> Floa
     return found
 
 
-def _replay(beside: Beside, motion: Motion, start: int, out: Float) -> None:
-    def commands(row: int) -> dict[str, NDArray[Any]]:
+def _replay(beside: Beside, motion: Motion, start: int, out: Float64) -> None:
+    def commands(row: int) -> dict[str, Array]:
         return {name: values[row] for name, values in motion.commands.items()}
 
     def put() -> None:
@@ -160,7 +158,7 @@ def _begin(robot: Robot, scene: Scene, motion: Motion) -> None:
     _given = robot, scene, motion
 
 
-def _work(joints: Joints) -> Float:
+def _work(joints: Joints) -> Float64:
     assert _given is not None
     return replayed(*_given, joints)
 
@@ -183,7 +181,7 @@ class Replays:
             context = multiprocessing.get_context("spawn")
             self._pool = ProcessPoolExecutor(processes, context, _begin, self._given)
 
-    def __call__(self, sets: Sequence[Joints]) -> list[Float]:
+    def __call__(self, sets: Sequence[Joints]) -> list[Float64]:
         """Return what `replayed` returns for each set of joints."""
         if self._pool is None:
             return [replayed(*self._given, joints) for joints in sets]

@@ -13,15 +13,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array, Bool, Float64, Index
 from unicon_core.errors import RobotError, WorkflowError, alternatives
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, bodies_above, dofs_above, import_mujoco
 from unicon_core.models.rows import index_of
 from unicon_core.robots import Robot
-
-Float = NDArray[np.float64]
 
 
 class Chain:
@@ -47,7 +45,7 @@ class Chain:
     """
 
     def __init__(
-        self, loaded: LoadedModel, robot: Robot, effectors: Sequence[str], moved: NDArray[np.intp]
+        self, loaded: LoadedModel, robot: Robot, effectors: Sequence[str], moved: Index
     ) -> None:
         self._mujoco = mujoco = import_mujoco()
         model = self._model = loaded.model
@@ -75,11 +73,11 @@ class Chain:
         self._rows = [(each[:3], each[3:]) for each in self._whole]
         self.jacobian = self._whole[..., self._columns]
 
-    def moved_by(self, body: int) -> NDArray[np.bool_]:
+    def moved_by(self, body: int) -> Bool:
         """Return which of the moved joints move a body of the model, shape (k,)."""
         return np.isin(self.dofs, dofs_above(self._model, body))
 
-    def put(self, joint_pos: NDArray[Any], own: Float) -> None:
+    def put(self, joint_pos: Array, own: Float64) -> None:
         """Put the joints somewhere.
 
         Args:
@@ -90,7 +88,7 @@ class Chain:
         self._qpos[self._own] = own
         self._mujoco.mj_kinematics(self._model, self.data)
 
-    def move(self, own: Float) -> None:
+    def move(self, own: Float64) -> None:
         """Put the moved joints somewhere, in [rad], shape (k,)."""
         self._qpos[self._own] = own
         self._mujoco.mj_kinematics(self._model, self.data)
@@ -245,7 +243,7 @@ class Reaching:
 
 
 def load_apart(
-    path: Path, robot: Robot, effectors: Sequence[str], moved: NDArray[np.intp], apart: float
+    path: Path, robot: Robot, effectors: Sequence[str], moved: Index, apart: float
 ) -> Reaching:
     """Load a robot's model with the pairs of capsules that its moved joints may bring together.
 

@@ -11,16 +11,14 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array, Bool, Float64
 from unicon_core.errors import imported
 from unicon_core.ik.chain import Chain
 from unicon_core.ik.tasks import Pose, Settings, Tasks, Weights
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.models.rows import index_of
 from unicon_core.robots import Robot
-
-Float = NDArray[np.float64]
 
 _LEAST = 1e-8
 """Damping that is always there, squared: keeps the problem definite."""
@@ -70,7 +68,7 @@ class DifferentialIk:
         chain: Chain,
         robot: Robot,
         weights: Sequence[Weights],
-        rate: Float,
+        rate: Float64,
         period: float,
         settings: Settings,
     ) -> None:
@@ -91,7 +89,7 @@ class DifferentialIk:
         least = settings.posture**2 + _LEAST
         self._tasks = Tasks(chain, weights, least, self._limits, pose)
         self._active, self._next = np.ones(k), np.zeros(k)
-        self._waiting: NDArray[np.bool_] | None = None
+        self._waiting: Bool | None = None
         self.pos, self.step = np.zeros(k), self._quadratic.solution
         near, straight = settings.tolerance
         self._tolerances = [
@@ -107,7 +105,7 @@ class DifferentialIk:
             self._apart = Apart(chain, near, _GUARD * settings.apart)
         self._approach = -math.expm1(-_AWAY * period)
 
-    def begin(self, joint_pos: NDArray[Any], which: NDArray[np.bool_]) -> None:
+    def begin(self, joint_pos: Array, which: Bool) -> None:
         """Let some of the moved joints begin where they are, or at their limits.
 
         Args:
@@ -116,12 +114,12 @@ class DifferentialIk:
         """
         np.copyto(self.pos, np.clip(joint_pos, *self._limits), where=which)
 
-    def activate(self, which: NDArray[np.bool_]) -> None:
+    def activate(self, which: Bool) -> None:
         """Command some of the moved joints, shape (k,); others stand where they are measured."""
         self._active[:] = which
         self._waiting = None if which.all() else ~which
 
-    def __call__(self, joint_pos: NDArray[Any], targets: Sequence[Pose | None]) -> None:
+    def __call__(self, joint_pos: Array, targets: Sequence[Pose | None]) -> None:
         """Move `pos` on by one step.
 
         Args:
@@ -303,7 +301,7 @@ class Apart:
         self._axes, self._dofs = data.cdof, index_of(chain.dofs.tolist())
         self._centre = data.subtree_com[root]
 
-    def rows(self) -> tuple[Float, Float]:
+    def rows(self) -> tuple[Float64, Float64]:
         """Return the distances of points that are near [m], and how moved joints change them.
 
         Where a body turns about an axis, a point on it moves by the cross product; of the two
@@ -330,7 +328,7 @@ class Apart:
         change *= self._moves[row]
         return distance, change
 
-    def too_near(self) -> NDArray[np.bool_] | None:
+    def too_near(self) -> Bool | None:
         """Return which moved joints bring pairs nearer than they may be, shape (k,), or None.
 
         A pair that was too near in `rows` may be as near as it was.

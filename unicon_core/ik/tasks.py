@@ -9,16 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array, Float64
 from unicon_core.ik.chain import Chain
 from unicon_core.models.plain_turns import turn_between, turned_by
 from unicon_core.schema.marks import Within
 
-Float = NDArray[np.float64]
 Pose: TypeAlias = tuple[Sequence[float], Sequence[float]]
 """Position in [m] and unit quaternion wxyz, in the base frame."""
 
@@ -52,8 +51,8 @@ class Tasks:
         chain: Chain,
         weights: Sequence[Weights],
         damping: float,
-        limits: Float,
-        pose: Float,
+        limits: Float64,
+        pose: Float64,
     ) -> None:
         self._chain = chain
         self._plain = [(w.position, w.orientation) for w in weights]
@@ -83,7 +82,7 @@ class Tasks:
         position, wanted = target
         return [a - b for a, b in zip(position, place)], turn_between(quat, wanted)
 
-    def __call__(self, targets: Sequence[Pose | None], square: Float, slope: Float) -> None:
+    def __call__(self, targets: Sequence[Pose | None], square: Float64, slope: Float64) -> None:
         """Write the cost ½ Δqᵀ H Δq + fᵀ Δq, of a chain that is put and differentiated.
 
         Args:
@@ -118,7 +117,7 @@ class Tasks:
         np.matmul(self._whole, self._rows, out=slope)
         np.negative(slope, out=slope)
 
-    def _determinants(self, task: Float) -> Float:
+    def _determinants(self, task: Float64) -> Float64:
         """Return det(J Jᵀ) of each end effector by its weighted rows, shape (E,).
 
         Of one with fewer joints than rows it is det(Jᵀ J). Its root is the manipulability
@@ -132,10 +131,10 @@ class Tasks:
             columns = task[i][:, joints]
             square[i] = self._identity
             square[i, : len(joints), : len(joints)] = columns.T @ columns
-        found: Float = np.linalg.det(square)
+        found: Float64 = np.linalg.det(square)
         return found
 
-    def _usual_of(self, limits: Float, pose: Float) -> list[float]:
+    def _usual_of(self, limits: Float64, pose: Float64) -> list[float]:
         """Return the manipulability below which each end effector is near a singularity.
 
         A share of the median over random poses: a scale of each arm's own.
@@ -204,9 +203,9 @@ class Target:
     def __init__(
         self,
         effector: str,
-        pose: NDArray[Any],
-        velocity: NDArray[Any],
-        stamp_ns: NDArray[Any],
+        pose: Array,
+        velocity: Array,
+        stamp_ns: Array,
         turns: bool,
         look_ahead: float,
         tell: Callable[[str], None],

@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float64
 from unicon_core.models.loaded import LoadedModel, drives, import_mujoco
 from unicon_core.robots import Robot
-
-Float = NDArray[np.float64]
 
 
 def actuator_kind(model: Any, i: int) -> str:
@@ -28,7 +26,7 @@ def actuator_kind(model: Any, i: int) -> str:
     return "velocity" if model.actuator_biasprm[i, 2] != 0.0 else "motor"
 
 
-def effort_ranges(loaded: LoadedModel, robot: Robot) -> tuple[Float, Float]:
+def effort_ranges(loaded: LoadedModel, robot: Robot) -> tuple[Float64, Float64]:
     """Return the torques in [N·m] between which each joint's motor stays, infinite for no limit.
 
     They are the tightest of the robot file's, and in the model of the control range of a motor, the

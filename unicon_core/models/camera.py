@@ -14,13 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array, Float64
 from unicon_core.errors import ModelError, UniconError, alternatives, one_line
 from unicon_core.models.kinematic_tree import frame_of
 from unicon_core.models.loaded import body_in, import_mujoco
 from unicon_core.models.posed import PosedModel
-from unicon_core.models.quaternions import Float, multiply
+from unicon_core.models.quaternions import multiply
 from unicon_core.models.terrain import load_on
 from unicon_core.robots import Robot
 from unicon_core.terrain.words import Terrain
@@ -116,7 +116,7 @@ class ModelCamera:
         self.pinhole = intrinsics(model, self._camera, *size)
         self.mount = optical_frame(model, robot, self._camera)
 
-    def shoot(self, joint_pos: Float, base: Float) -> NDArray[Any]:
+    def shoot(self, joint_pos: Float64, base: Float64) -> Array:
         """Return the picture of a pose, as `PosedModel.put` takes it.
 
         Returns:
@@ -126,7 +126,7 @@ class ModelCamera:
         data = self._posed.put(joint_pos, base)
         self._mujoco.mj_camlight(self._posed.loaded.model, data)
         self._renderer.update_scene(data, self._camera)
-        picture: NDArray[Any] = self._renderer.render()
+        picture: Array = self._renderer.render()
         return picture
 
 
@@ -157,7 +157,7 @@ def intrinsics(model: Any, camera: int, width: int, height: int) -> Intrinsics:
     return Intrinsics(fx / across * width, fy / down * height, middle[0] - right, middle[1] - up)
 
 
-def optical_frame(model: Any, robot: Robot, camera: int) -> tuple[str, Float, Float] | None:
+def optical_frame(model: Any, robot: Robot, camera: int) -> tuple[str, Float64, Float64] | None:
     """Return the parent frame of a camera's optical frame, its position [m] and quaternion wxyz.
 
     The parent is the frame of the robot's link that carries the camera, as /tf has it. A camera

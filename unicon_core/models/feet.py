@@ -11,16 +11,14 @@ from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array, Float64, Index
 from unicon_core.errors import ModelError
 from unicon_core.models.loaded import LoadedModel, dofs_above, import_mujoco
 from unicon_core.models.posed import foot_bodies, foot_geoms
 from unicon_core.models.rows import index_of, rows_of
 from unicon_core.models.touching import solid
 from unicon_core.robots import Robot
-
-Float = NDArray[np.float64]
 
 GRAVITY = 9.81
 """In [m/s²]."""
@@ -94,13 +92,13 @@ class Feet:
         self._find_points(_points(model, found, robot), body)
         self._find_legs(_dofs(model, body, first))
 
-    def _rows(self, source: Float, index: NDArray[np.intp]) -> Float:
+    def _rows(self, source: Float64, index: Index) -> Float64:
         """Return rows of an array of the data, which each call brings up to date."""
         rows, refresh = rows_of(source, index)
         self._moved += [refresh] if refresh is not None else []
         return rows
 
-    def _find_points(self, points: tuple[Float, Float], body: NDArray[np.intp]) -> None:
+    def _find_points(self, points: tuple[Float64, Float64], body: Index) -> None:
         """Keep where each foot may touch the ground."""
         self._points, self._radius = points
         count, most = self._radius.shape
@@ -109,7 +107,7 @@ class Feet:
         turns = self._rows(self._data.xmat, body)
         self._turns = as_strided(turns, (count, 3, 3), (turns.strides[0], 8, 24))  # transposed
 
-    def _find_legs(self, dofs: NDArray[np.intp]) -> None:
+    def _find_legs(self, dofs: Index) -> None:
         """Keep the degrees of freedom of each leg, shape (F, most), -1 for none."""
         model, data = self._model, self._data
         self._own = (dofs >= 0)[..., None] if (dofs < 0).any() else None
@@ -127,11 +125,11 @@ class Feet:
 
     def __call__(
         self,
-        quat: NDArray[Any],
-        ang_vel: NDArray[Any],
-        joint_pos: NDArray[Any],
-        joint_vel: NDArray[Any],
-        joint_effort: NDArray[Any] | None,
+        quat: Array,
+        ang_vel: Array,
+        joint_pos: Array,
+        joint_vel: Array,
+        joint_effort: Array | None,
     ) -> bool:
         """Compute what the attributes tell; False where the arguments make no sense.
 
@@ -188,7 +186,7 @@ class Feet:
         self.force[:] = np.linalg.solve(square, self._pushed)[:, 2, 0]
 
 
-def _dofs(model: Any, bodies: NDArray[np.intp], first: int) -> NDArray[np.intp]:
+def _dofs(model: Any, bodies: Index, first: int) -> Index:
     """Return the degrees of freedom between the base and each foot, shape (F, most), -1 for none.
 
     Args:
@@ -199,15 +197,15 @@ def _dofs(model: Any, bodies: NDArray[np.intp], first: int) -> NDArray[np.intp]:
     return np.array([leg[::-1] + [-1] * (most - len(leg)) for leg in legs], np.intp)
 
 
-def _points(model: Any, bodies: dict[str, int], robot: Robot) -> tuple[Float, Float]:
+def _points(model: Any, bodies: dict[str, int], robot: Robot) -> tuple[Float64, Float64]:
     """Return where each foot may touch the ground: centres of spheres in the body's frame, radii.
 
     Shapes (F, most, 3) and (F, most) in [m]. Where the model has no shape, as where meshes are
     absent, it is the body's origin.
     """
     geoms = foot_geoms(model, robot.feet)
-    places: list[Float] = []
-    radii: list[Float] = []
+    places: list[Float64] = []
+    radii: list[Float64] = []
     for foot, body in bodies.items():
         own = [g for g in geoms.get(foot, []) if model.geom_bodyid[g] == body]
         touching = [geom for geom in own if solid(model, geom)]
@@ -223,7 +221,7 @@ def _points(model: Any, bodies: dict[str, int], robot: Robot) -> tuple[Float, Fl
     )
 
 
-def _of_geom(model: Any, geom: int) -> tuple[Float, float]:
+def _of_geom(model: Any, geom: int) -> tuple[Float64, float]:
     """Return the spheres that a geom is made of, or its corners: their centres, and the radius."""
     mujoco = import_mujoco()
     kinds, kind = mujoco.mjtGeom, int(model.geom_type[geom])

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from unicon_core.arrays import Array, Float64
 from unicon_core.errors import ModelError, alternatives
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.plain_turns import Quat, conjugate, multiply
@@ -74,7 +74,7 @@ class Frames:
                 self._base = place_of, conjugate(turn)
 
     def __call__(
-        self, joint_pos: ArrayLike, outs: Sequence[NDArray[Any]], base: ArrayLike | None = None
+        self, joint_pos: ArrayLike, outs: Sequence[Array], base: ArrayLike | None = None
     ) -> None:
         """Write each pose: position in [m] and quaternion wxyz, of the sign that stood there.
 
@@ -103,7 +103,7 @@ class Frames:
                 s, i, j, k = -s, -i, -j, -k
             out[:] = x, y, z, s, i, j, k
 
-    def of(self, joint_pos: ArrayLike) -> dict[str, NDArray[np.float64]]:
+    def of(self, joint_pos: ArrayLike) -> dict[str, Float64]:
         """Return name to pose in the base frame, as `__call__` writes it."""
         found = {name: np.full(7, np.nan) for name in self.names}
         self(joint_pos, list(found.values()))

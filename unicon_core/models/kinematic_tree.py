@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from unicon_core.arrays import Float64
 from unicon_core.models.loaded import find_joints, free_joint, import_mujoco, is_simple
-from unicon_core.models.quaternions import Float, about, multiply, rotate
+from unicon_core.models.quaternions import about, multiply, rotate
 from unicon_core.models.touching import solid
 from unicon_core.robots import Robot
 
@@ -33,8 +34,8 @@ class Geom:
 
     shape: str
     size: tuple[float, ...]
-    position: Float
-    quat: Float
+    position: Float64
+    quat: Float64
     rgba: tuple[float, ...]
     number: int = -1
     uri: str = ""
@@ -65,18 +66,18 @@ class Link:
 
     name: str
     parent: int
-    position: Float = field(default_factory=lambda: np.zeros(3))
-    quat: Float = field(default_factory=lambda: np.array((1.0, 0.0, 0.0, 0.0)))
+    position: Float64 = field(default_factory=lambda: np.zeros(3))
+    quat: Float64 = field(default_factory=lambda: np.array((1.0, 0.0, 0.0, 0.0)))
     joint: str = ""
     index: int = -1
     sliding: bool = False
-    axis: Float = field(default_factory=lambda: np.array((0.0, 0.0, 1.0)))
+    axis: Float64 = field(default_factory=lambda: np.array((0.0, 0.0, 1.0)))
     lower: float = float("nan")
     upper: float = float("nan")
     mass: float = 0.0
-    centre: Float = field(default_factory=lambda: np.zeros(3))
-    inertia_quat: Float = field(default_factory=lambda: np.array((1.0, 0.0, 0.0, 0.0)))
-    inertia: Float = field(default_factory=lambda: np.zeros(3))
+    centre: Float64 = field(default_factory=lambda: np.zeros(3))
+    inertia_quat: Float64 = field(default_factory=lambda: np.array((1.0, 0.0, 0.0, 0.0)))
+    inertia: Float64 = field(default_factory=lambda: np.zeros(3))
     geoms: list[Geom] = field(default_factory=list)
     looks: list[Geom] | None = None
     number: int = -1
@@ -98,7 +99,7 @@ def read_tree(model: Any, robot: Robot, *, colliding: bool = False) -> list[Link
     return _Reader(model, robot, colliding).links
 
 
-def frame_of(model: Any, robot: Robot, body: int) -> tuple[str, Float] | None:
+def frame_of(model: Any, robot: Robot, body: int) -> tuple[str, Float64] | None:
     """Return the name of the frame that a body carries and its origin in the body's frame, [m].
 
     The frame is turned as the body. None where the body is not part of the robot.
@@ -125,7 +126,7 @@ class _Reader:
         base = free_joint(model, joints[0])
         self._root = 0 if base is None else int(model.jnt_bodyid[base])
         self.links: list[Link] = []
-        self.of_body: dict[int, tuple[int, Float]] = {}  # body -> last link, its shift
+        self.of_body: dict[int, tuple[int, Float64]] = {}  # body -> last link, its shift
         self._read()
 
     def _read(self) -> None:
@@ -195,7 +196,7 @@ class _Reader:
         self.of_body[body] = (len(self.links) - 1, shift)
         self._dress(self.links[-1], body, shift)
 
-    def _dress(self, link: Link, body: int, shift: Float) -> None:
+    def _dress(self, link: Link, body: int, shift: Float64) -> None:
         """Give a link the inertia and the looks of a body."""
         model = self._model
         link.mass = float(model.body_mass[body])
@@ -210,7 +211,7 @@ class _Reader:
         for geom in touching if self._colliding else shown:
             link.geoms += self._geoms(geom, shift)
 
-    def _geoms(self, geom: int, shift: Float) -> list[Geom]:
+    def _geoms(self, geom: int, shift: Float64) -> list[Geom]:
         model, kinds = self._model, self._mujoco.mjtGeom
         kind = int(model.geom_type[geom])
         size = [float(x) for x in model.geom_size[geom]]
@@ -220,7 +221,7 @@ class _Reader:
         colour = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
         rgba = tuple(round(float(x), 4) for x in colour)
 
-        def part(shape: str, *sizes: float, at: Float = position) -> Geom:
+        def part(shape: str, *sizes: float, at: Float64 = position) -> Geom:
             return Geom(shape, sizes, at, quat, rgba, geom)
 
         if kind == int(kinds.mjGEOM_SPHERE):

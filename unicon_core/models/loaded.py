@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float64, Index
 from unicon_core.errors import MissingDependencyError, ModelError, RobotError, alternatives
 from unicon_core.robots import Robot, joint_index
 
@@ -96,7 +96,7 @@ class LoadedModel:
     welded: tuple[str, ...] = ()
     absent: Mapping[Path, str] = field(default_factory=dict)
     absent_shapes: Mapping[str, list[str]] = field(default_factory=dict)
-    imu_position: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    imu_position: Float64 = field(default_factory=lambda: np.zeros(3))
 
     @property
     def base(self) -> int | None:
@@ -104,16 +104,16 @@ class LoadedModel:
         return free_joint(self.model, self.joints[0])
 
     @property
-    def addresses(self) -> NDArray[np.intp]:
+    def addresses(self) -> Index:
         """Where each robot joint stands in `qpos`, shape (n,)."""
         return np.array(self.model.jnt_qposadr[self.joints], dtype=np.intp)
 
     @property
-    def dofs(self) -> NDArray[np.intp]:
+    def dofs(self) -> Index:
         """Where each robot joint stands in `qvel`, shape (n,)."""
         return np.array(self.model.jnt_dofadr[self.joints], dtype=np.intp)
 
-    def key_poses(self) -> dict[str, NDArray[np.float64]]:
+    def key_poses(self) -> dict[str, Float64]:
         """Return key frame to joint positions in the robot's order, [rad] or [m], shape (n,)."""
         model = self.model
         return {model.key(i).name: model.key_qpos[i][self.addresses] for i in range(model.nkey)}

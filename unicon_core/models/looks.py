@@ -18,13 +18,14 @@ from urllib.parse import unquote
 
 import numpy as np
 
+from unicon_core.arrays import Float64
 from unicon_core.errors import UniconError
 from unicon_core.models.absent import mesh_places, model_folders
 from unicon_core.models.find import pick_model
 from unicon_core.models.kinematic_tree import BASE, Geom, Link, read_tree
 from unicon_core.models.load import load_model, repaired_urdf
 from unicon_core.models.loaded import LoadedModel, import_mujoco
-from unicon_core.models.quaternions import Float, about, multiply, rotate
+from unicon_core.models.quaternions import about, multiply, rotate
 from unicon_core.models.touching import solid
 from unicon_core.packages import PACKAGE, package_file
 from unicon_core.robots import Robot
@@ -34,7 +35,7 @@ _FAINT = 0.05
 _BACK = np.array((1.0, -1.0, -1.0, -1.0))
 """Times a unit quaternion: its inverse."""
 
-_Reference = tuple[Float, Float, str]
+_Reference = tuple[Float64, Float64, str]
 """Of a mesh: `refpos` [m], shape (3,), `refquat`, wxyz, shape (4,), and its `meshdir`."""
 
 

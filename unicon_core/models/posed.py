@@ -9,8 +9,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from unicon_core.arrays import Array, Bool, Float64
 from unicon_core.models.loaded import LoadedModel, bodies_above, import_mujoco
 from unicon_core.models.rows import index_of
 from unicon_core.models.touching import floors, may_touch, on_floor, solid
@@ -187,9 +188,7 @@ class Weight:
         self._dofs = index_of(loaded.dofs.tolist())
         self._asked, self._base = np.zeros(model.nv), np.array((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
 
-    def __call__(
-        self, joint_pos: ArrayLike, out: NDArray[np.float64], quat: ArrayLike | None = None
-    ) -> None:
+    def __call__(self, joint_pos: ArrayLike, out: Float64, quat: ArrayLike | None = None) -> None:
         """Write the torques in [N·m], or forces in [N], in the robot's order, shape (n,).
 
         Args:
@@ -204,7 +203,7 @@ class Weight:
         out[:] = self._asked[self._dofs]
 
 
-def bearing_joints(loaded: LoadedModel, robot: Robot) -> NDArray[np.bool_]:
+def bearing_joints(loaded: LoadedModel, robot: Robot) -> Bool:
     """Return which joints stand between the base and a foot, in the robot's order, shape (n,).
 
     Those of a robot that does not walk, such as the fingertips of a hand, bear nothing.
@@ -239,8 +238,8 @@ class Footprint:
         self,
         loaded: LoadedModel,
         feet: dict[str, list[int]],
-        joint_pos: NDArray[Any],
-        base_quat: NDArray[Any],
+        joint_pos: Array,
+        base_quat: Array,
     ) -> None:
         mujoco, model = import_mujoco(), loaded.model
         self._posed = PosedModel(loaded)
@@ -264,7 +263,7 @@ class Footprint:
 
     @classmethod
     def of(
-        cls, loaded: LoadedModel, robot: Robot, joint_pos: NDArray[Any], base_quat: NDArray[Any]
+        cls, loaded: LoadedModel, robot: Robot, joint_pos: Array, base_quat: Array
     ) -> Footprint | None:
         """Return that of a robot; None where it has no feet in its model, or a fixed base."""
         feet = foot_geoms(loaded.model, robot.feet)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
-from numpy.typing import NDArray
+
+from unicon_core.arrays import Array, Index
 
 
-def index_of(positions: Sequence[int]) -> slice | NDArray[np.intp]:
+def index_of(positions: Sequence[int]) -> slice | Index:
     """Return positions as a slice where they are consecutive (a copy is then 3x cheaper)."""
     first = positions[0]
     if list(positions) == list(range(first, first + len(positions))):
@@ -19,9 +19,7 @@ def index_of(positions: Sequence[int]) -> slice | NDArray[np.intp]:
     return np.array(positions, dtype=np.intp)
 
 
-def rows_of(
-    source: NDArray[Any], index: NDArray[np.intp]
-) -> tuple[NDArray[Any], Callable[[], object] | None]:
+def rows_of(source: Array, index: Index) -> tuple[Array, Callable[[], object] | None]:
     """Return rows of an array, and what brings them up to date; None where they are a view of it.
 
     Legs that are alike have regular numbers in a model: 0.9 µs less for each such array.

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Bool, Float64
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 
 
@@ -14,7 +14,7 @@ class Contact(NamedTuple):
     """What MuJoCo makes of two geoms that touch."""
 
     dimensions: int
-    friction: NDArray[np.float64]
+    friction: Float64
     """Of sliding, turning and rolling, shape (3,)."""
 
 
@@ -85,9 +85,9 @@ def on_floor(loaded: LoadedModel) -> list[int]:
     return [geom for geom in own if any(may_touch(model, floor, geom) for floor in planes)]
 
 
-def _ours(loaded: LoadedModel) -> NDArray[np.bool_]:
+def _ours(loaded: LoadedModel) -> Bool:
     """Return which geoms are the robot's, shape (ngeom,)."""
     model = loaded.model
     root = model.body_rootid[model.jnt_bodyid[loaded.joints[0]]]
-    ours: NDArray[np.bool_] = model.body_rootid[model.geom_bodyid] == root
+    ours: Bool = model.body_rootid[model.geom_bodyid] == root
     return ours

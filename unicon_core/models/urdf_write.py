@@ -14,9 +14,9 @@ from xml.etree import ElementTree as Xml
 
 import numpy as np
 
+from unicon_core.arrays import Float64
 from unicon_core.models.kinematic_tree import Geom, Link, read_tree
 from unicon_core.models.loaded import LoadedModel
-from unicon_core.models.quaternions import Float
 from unicon_core.robots import Robot
 
 
@@ -90,11 +90,11 @@ def _inertial(element: Xml.Element, link: Link) -> None:
     Xml.SubElement(inertial, "inertia", ixx=ixx, iyy=iyy, izz=izz, ixy="0", ixz="0", iyz="0")
 
 
-def _origin(element: Xml.Element, position: Float, quat: Float) -> None:
+def _origin(element: Xml.Element, position: Float64, quat: Float64) -> None:
     Xml.SubElement(element, "origin", xyz=_numbers(position), rpy=_numbers(_rpy(quat)))
 
 
-def _rpy(quat: Float) -> tuple[float, float, float]:
+def _rpy(quat: Float64) -> tuple[float, float, float]:
     """Return fixed-axis roll, pitch, yaw [rad] of a unit quaternion wxyz, as URDF has them."""
     w, x, y, z = (float(value) for value in quat)
     sine = 2.0 * (w * y - x * z)
@@ -110,7 +110,7 @@ def _rpy(quat: Float) -> tuple[float, float, float]:
     return roll, math.asin(sine), yaw
 
 
-def _numbers(values: Sequence[float] | Float) -> str:
+def _numbers(values: Sequence[float] | Float64) -> str:
     return " ".join(f"{0.0 if abs(value) < 1e-12 else float(value):.9g}" for value in values)
 
 

@@ -9,8 +9,8 @@ from dataclasses import replace
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float32
 from unicon_core.platforms.kit.bodies import GANTRY
 from unicon_core.platforms.kit.command import Command
 from unicon_core.platforms.kit.scene import Scene
@@ -77,7 +77,7 @@ class FakePlatform:
         self._initial = start_of(robot, scene).joint_pos if by_model else scene.joint_pos(robot)
         self._lower = np.nan_to_num(robot.lower, nan=-np.inf)
         self._upper = np.nan_to_num(robot.upper, nan=np.inf)
-        self._longest: NDArray[np.float32] | None = None
+        self._longest: Float32 | None = None
         self._command = Command(states, robot.joint_names, dtype=np.float32)
         self._servo = Servo(self._command.rows, robot.effort_limit)
         shape = states["joint_pos_target"].shape

@@ -10,8 +10,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
-from numpy.typing import NDArray
-
+from unicon_core.arrays import Array
 from unicon_core.errors import Fault
 from unicon_core.platforms.platform import (
     Facts,
@@ -89,7 +88,7 @@ class JoinedPlatform:
         self._mixed = members[base].facts.simulated and not self.facts.simulated
         # Told again in every tick: gates find out by a mark whether anybody tells a state.
         shared = divided(states.layout, robot.joint_names)
-        self._untold: list[NDArray[Any]] = [
+        self._untold: list[Array] = [
             states[state][robot.joints_of(name)]
             for name, each in members.items()
             for state in self.facts.writes

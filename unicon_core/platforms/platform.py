@@ -22,9 +22,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
-import numpy as np
-from numpy.typing import NDArray
-
+from unicon_core.arrays import Array, Float64
 from unicon_core.states.standard import BASE_STATES, COMMAND_STATES, JOINT_STATES
 
 if TYPE_CHECKING:
@@ -212,7 +210,7 @@ class Postpones(Protocol):
 class Pushable(Protocol):
     """A simulator whose bases can be pushed, for `scene.push`."""
 
-    def push(self, velocity: NDArray[np.float64]) -> None:
+    def push(self, velocity: Float64) -> None:
         """Add to the bases' horizontal velocity [m/s] in the world, shape (..., 2)."""
         ...
 
@@ -221,7 +219,7 @@ class Pushable(Protocol):
 class Placeable(Protocol):
     """A simulator that can be put where a robot was measured, for twins and identification."""
 
-    def put(self, measured: Mapping[str, NDArray[Any]]) -> None:
+    def put(self, measured: Mapping[str, Array]) -> None:
         """Take positions and velocities of joints and base; what is not measured stays.
 
         Without `base_pos_w` the base keeps its place, at a height at which the lowest point touches

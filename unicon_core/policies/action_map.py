@@ -7,11 +7,11 @@ from contextlib import suppress
 
 import numpy as np
 
+from unicon_core.arrays import Float32
 from unicon_core.errors import PolicyError, RobotError, alternatives
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.controller import ControllerContract
 from unicon_core.policies.filters import Filter, make_filter
-from unicon_core.policies.hints import Floats
 from unicon_core.robots import Robot, joint_index
 
 
@@ -111,7 +111,7 @@ class ActionMap:
         limp = np.zeros(n, np.bool_)
         limp[robot_from_action[~by_position]] = True
         self._limp = limp & (self.stiffness == 0.0)
-        self._clip: Floats | None = None
+        self._clip: Float32 | None = None
         if action.clip is not None:
             sides = action.clip if self._feed_clipped else action.clip[:, index]
             self._clip = np.tile(sides, rows)
@@ -127,11 +127,11 @@ class ActionMap:
 
     def bind_all(
         self,
-        action: Floats,
-        position: Floats,
-        velocity: Floats,
-        torque: Floats,
-        measured: Floats,
+        action: Float32,
+        position: Float32,
+        velocity: Float32,
+        torque: Float32,
+        measured: Float32,
     ) -> Callable[[], None]:
         """Return a function that writes the targets of a tick of any kind.
 
@@ -174,7 +174,7 @@ class ActionMap:
 
         return all_kinds
 
-    def bind(self, action: Floats, target: Floats) -> Callable[[], None]:
+    def bind(self, action: Float32, target: Float32) -> Callable[[], None]:
         """Return a function that writes the targets of a tick.
 
         Args:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from math import prod
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array, Float32
 from unicon_core.errors import PolicyError
 from unicon_core.policies.contract import ObservationSpec, ObservationTerm, PolicyContract
 from unicon_core.policies.lane import Input, Lane, Published
@@ -42,8 +41,8 @@ class Binding:
         self._rows = states.num_robots or 1
         self._tensors_in = {tensor.name: tensor for tensor in network.inputs}
         self._tensors_out = {tensor.name: tensor for tensor in network.outputs}
-        self._feeds: dict[str, NDArray[Any]] = {}
-        self._fetches: dict[str, NDArray[Any]] = {}
+        self._feeds: dict[str, Array] = {}
+        self._fetches: dict[str, Array] = {}
         self._published: list[Published] = []
 
     def lane(self) -> Lane:
@@ -86,7 +85,7 @@ class Binding:
             raise self._fail(f"the network has no {what} {name!r}; it has {listed}")
         return tensors[name]
 
-    def _view(self, name: str, size: int) -> NDArray[np.float32]:
+    def _view(self, name: str, size: int) -> Float32:
         """A state as rows of so many elements."""
         view = self._states[name]
         if view.dtype != np.float32 or view.size != self._rows * size:
@@ -153,7 +152,7 @@ class Binding:
             gather, values, None if tensor.dtype == "float32" else values.astype(tensor.dtype)
         )
 
-    def _outputs(self) -> NDArray[np.float32]:
+    def _outputs(self) -> Float32:
         """Fetch the action, which is returned, and the outputs that are states."""
         joints, outputs = self._contract.action.joints, self._contract.outputs
         if "action" not in outputs:
@@ -178,7 +177,7 @@ class Binding:
                 self._published.append((self._view(canonical, width), rows))
         return action
 
-    def _memory(self) -> list[tuple[NDArray[Any], NDArray[Any]]]:
+    def _memory(self) -> list[tuple[Array, Array]]:
         """Feed and fetch what is recurrent; return each output with its input."""
         memory = []
         for pair in self._contract.recurrent:
@@ -217,7 +216,7 @@ class Binding:
                         f"{self._rows}; export it with a free batch axis"
                     )
 
-        def part(arrays: dict[str, NDArray[Any]], row: slice) -> dict[str, NDArray[Any]]:
+        def part(arrays: dict[str, Array], row: slice) -> dict[str, Array]:
             return {
                 name: array[row].reshape(-1) if len(tensors[name].shape) == 1 else array[row]
                 for name, array in arrays.items()

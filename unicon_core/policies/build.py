@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from unicon_core.arrays import Float32
 from unicon_core.errors import PolicyError
 from unicon_core.located_yaml import Where
 from unicon_core.policies.contract import (
@@ -19,7 +20,6 @@ from unicon_core.policies.contract import (
 )
 from unicon_core.policies.facts import Facts, dig, is_open, missing_facts
 from unicon_core.policies.file import ActionFile, PolicyFile, is_single, kinds_of
-from unicon_core.policies.hints import Floats
 from unicon_core.policies.motion.spec import with_clip
 from unicon_core.resources import file_beside
 from unicon_core.robots import joint_index
@@ -116,11 +116,11 @@ def build_contract(facts: Facts) -> PolicyContract:
     )
 
 
-def _spread(array: Floats, count: int) -> Floats:
+def _spread(array: Float32, count: int) -> Float32:
     return np.array(np.broadcast_to(array, count))
 
 
-def _action(said: ActionFile, joints: tuple[str, ...], default: Floats) -> ActionSpec:
+def _action(said: ActionFile, joints: tuple[str, ...], default: Float32) -> ActionSpec:
     moved = said.joints or joints
     count, kinds = len(moved), kinds_of(said.kind, moved)
     positions = np.array([kind == "position" for kind in kinds])
@@ -136,7 +136,7 @@ def _action(said: ActionFile, joints: tuple[str, ...], default: Floats) -> Actio
     )
 
 
-def _gains(facts: Facts, said: PolicyFile, action: ActionSpec, key: str, *without: Any) -> Floats:
+def _gains(facts: Facts, said: PolicyFile, action: ActionSpec, key: str, *without: Any) -> Float32:
     """Return gains, shape (n,); a single one is not that of joints of some kinds."""
     gains = _spread(getattr(said, key), len(said.joints))
     for name, kind in zip(action.joints, action.kinds):

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Bool, Float32
 from unicon_core.bounds import SCALE, Damping, Stiffness
 from unicon_core.policies.hints import (
     LONGEST_FILTER,
@@ -26,7 +26,6 @@ from unicon_core.policies.hints import (
     Angle,
     Clip,
     Feeds,
-    Floats,
     Offsets,
     Period,
     Places,
@@ -42,15 +41,7 @@ from unicon_core.policies.hints import (
     rounded_one,
 )
 from unicon_core.policies.motion.spec import MotionSpec
-from unicon_core.schema.marks import (
-    Core,
-    Made,
-    Names,
-    Text,
-    Unit,
-    Within,
-    Write,
-)
+from unicon_core.schema.marks import Core, Made, Names, Text, Within, Write, positive
 from unicon_core.schema.types import Here
 
 ActionKind: TypeAlias = Literal["position", "velocity", "torque"]
@@ -70,9 +61,9 @@ class FilterSpec:
         start: what it has seen before its first sample: the `first` one, or `zeros`.
     """
 
-    low_pass: Annotated[float | None, Unit("Hz"), Within(0.0, above=True)] = None
+    low_pass: Annotated[float | None, positive(unit="Hz")] = None
     alpha: Alpha | None = None
-    moving_average: Annotated[int | None, Unit("samples"), Within(2, LONGEST_FILTER)] = None
+    moving_average: Annotated[int | None, Within(2, LONGEST_FILTER, "samples")] = None
     start: Literal["first", "zeros"] = "first"
 
     @staticmethod
@@ -111,8 +102,8 @@ class ObservationTerm:
     name: Text
     state: Text
     index: Places | None = None
-    subtract: Literal["default_joint_pos"] | Annotated[Floats, each(float)] | None = None
-    scale: Annotated[Floats, each(Annotated[float, Within(-SCALE, SCALE)])] = field(
+    subtract: Literal["default_joint_pos"] | Annotated[Float32, each(float)] | None = None
+    scale: Annotated[Float32, each(Annotated[float, Within(-SCALE, SCALE)])] = field(
         default_factory=lambda: np.ones(1, np.float32)
     )
     clip: Clip | None = None
@@ -167,14 +158,14 @@ class ActionSpec:
     """
 
     joints: tuple[str, ...]
-    scale: Floats
-    offset: Floats
-    clip: Floats | None = None
+    scale: Float32
+    offset: Float32
+    clip: Float32 | None = None
     feedback: Literal["raw", "clipped", "filtered"] = "raw"
     kinds: tuple[ActionKind, ...] = ()
     filter: FilterSpec | None = None
 
-    def of_kind(self, kind: ActionKind) -> NDArray[np.bool_]:
+    def of_kind(self, kind: ActionKind) -> Bool:
         """Return which joints are given this kind of target, shape (m,)."""
         kinds = self.kinds or ("position",) * len(self.joints)
         return np.array([each == kind for each in kinds], np.bool_)
@@ -265,8 +256,8 @@ class ChildSpec:
         threads: of the network.
     """
 
-    delay: Annotated[int, Unit("ticks"), Within(1, 1000)] = 1
-    timeout: Annotated[float | None, Unit("s"), Within(0.001, 60.0)] = None
+    delay: Annotated[int, Within(1, 1000, "ticks")] = 1
+    timeout: Annotated[float | None, Within(0.001, 60.0, "s")] = None
     cpu: Core | None = None
     threads: Annotated[int, Within(1, 64)] = 1
 
@@ -298,10 +289,10 @@ class PolicyFacts:
 
     period: Period
     joints: Annotated[Names, Write("a list of joint names")]
-    default_joint_pos: Annotated[Floats, each(Angle)]
+    default_joint_pos: Annotated[Float32, each(Angle)]
     action: Any
-    stiffness: Annotated[Floats, each(Stiffness)]
-    damping: Annotated[Floats, each(Damping)]
+    stiffness: Annotated[Float32, each(Stiffness)]
+    damping: Annotated[Float32, each(Damping)]
     observation: ObservationSpec = field(default_factory=ObservationSpec)
     inputs: Mapping[str, Tensor] = field(default_factory=dict)
     outputs: Mapping[str, Tensor] = field(default_factory=dict)

@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from typing import Any, Protocol, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array
 from unicon_core.errors import WorkflowError
 from unicon_core.flow import Block
 
@@ -36,7 +36,7 @@ class ControllerContract(Protocol):
     @property
     def joints(self) -> tuple[str, ...]: ...
     @property
-    def default_joint_pos(self) -> NDArray[Any]: ...
+    def default_joint_pos(self) -> Array: ...
     @property
     def command_ranges(self) -> Mapping[str, tuple[float, float]]: ...
 

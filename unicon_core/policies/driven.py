@@ -13,8 +13,8 @@ from copy import copy
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array, Float32
 from unicon_core.errors import RobotError, WorkflowError
 from unicon_core.flow import Block
 from unicon_core.policies.contract import PolicyContract
@@ -93,7 +93,7 @@ class DrivenPolicy:
         default = robot.default_joint_pos.copy()
         for name, position in zip(self.contract.joints, self.contract.default_joint_pos):
             default[robot.joint_names.index(name)] = position
-        self._seen: list[tuple[NDArray[Any], NDArray[np.float32]]] = []
+        self._seen: list[tuple[Array, Float32]] = []
         if len(hidden):
             self._seen = [
                 (self._copy["joint_pos"], default[hidden]),

@@ -12,11 +12,12 @@ from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from typing import Annotated, Any, Literal, cast
 
+from unicon_core.arrays import Float32
 from unicon_core.bounds import ACTION_SCALE, EFFORT, POSITION, VELOCITY
 from unicon_core.errors import alternatives
 from unicon_core.located_yaml import Where
 from unicon_core.policies.contract import ActionKind, FilterSpec, PolicyFacts
-from unicon_core.policies.hints import Clip, Feeds, Floats, Sha256, each
+from unicon_core.policies.hints import Clip, Feeds, Sha256, each
 from unicon_core.schema.marks import Matches, Names, NotEmpty, Within, Write
 from unicon_core.schema.types import Here
 
@@ -206,8 +207,8 @@ class ActionFile:
         feedback: what the state `action` holds: the network's output raw, clipped or filtered.
     """
 
-    scale: Annotated[Floats, each(_Figure)]
-    offset: Annotated[Floats, each(_Figure)] | None = None
+    scale: Annotated[Float32, each(_Figure)]
+    offset: Annotated[Float32, each(_Figure)] | None = None
     kind: Annotated[ActionKind | list[ActionKind] | Mapping[str, ActionKind], _KIND] = "position"
     clip: Clip | None = None
     joints: Names | None = None

@@ -15,8 +15,8 @@ from typing import TypeAlias
 
 import numpy as np
 
+from unicon_core.arrays import Float32
 from unicon_core.policies.contract import FilterSpec
-from unicon_core.policies.hints import Floats
 
 
 def make_filter(spec: FilterSpec, shape: tuple[int, ...], period: float) -> Filter:
@@ -45,7 +45,7 @@ class _LowPass:
         self._kept, self._now, self._rest = (np.zeros(shape, np.float32) for _ in range(3))
         self._fresh = True
 
-    def __call__(self, sample: Floats) -> None:
+    def __call__(self, sample: Float32) -> None:
         if self._fresh and not self._zeros:
             self._now[...] = sample
             return
@@ -74,7 +74,7 @@ class _Mean:
         self._sum = np.zeros(shape, np.float32)
         self._head, self._fresh = 0, True
 
-    def __call__(self, sample: Floats) -> None:
+    def __call__(self, sample: Float32) -> None:
         ring, head, n = self._ring, self._head, self._n
         if self._fresh:
             ring[...] = 0.0 if self._zeros else sample

@@ -16,9 +16,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
+from unicon_core.arrays import Float64
 from unicon_core.errors import PolicyError, UniconError, alternatives
 from unicon_core.figures import figure
 from unicon_core.models.find import pick_model
@@ -334,5 +332,5 @@ class _Known:
         return position_gains(self._model, self._driven[self.ids[joint]][0])
 
     def passive(self, joint: str) -> float:
-        damping: NDArray[np.float64] = self._model.dof_damping
+        damping: Float64 = self._model.dof_damping
         return float(damping[self._model.jnt_dofadr[self.ids[joint]]])

@@ -11,13 +11,11 @@ from dataclasses import dataclass
 from typing import Annotated, Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float32
 from unicon_core.bounds import POSITION
 from unicon_core.errors import PolicyError
-from unicon_core.schema.marks import Made, Matches, NotEmpty, Unit, Within, Write
-
-Floats = NDArray[np.float32]
+from unicon_core.schema.marks import Made, Matches, NotEmpty, Within, Write, positive
 
 LONGEST_FILTER = 100
 """Samples of a moving average; a policy at 50 Hz sees two seconds then."""
@@ -29,7 +27,7 @@ LONGEST_PERIOD = 1000.0
 """Of a policy and of a gait in [s]."""
 
 
-def floats(value: Any) -> Floats:
+def floats(value: Any) -> Float32:
     """Return a number or a list of numbers as a read-only array, shape (k,)."""
     array = np.array(value if isinstance(value, list) else [value], np.float32)
     array.flags.writeable = False
@@ -51,7 +49,7 @@ def listed(value: Any) -> tuple[Any, ...]:
     return tuple(value) if isinstance(value, list) else (value,)
 
 
-def _clip(sides: Any) -> Floats:
+def _clip(sides: Any) -> Float32:
     """`[lowest, highest]`, each one number or a list; shape (2, 1) or (2, k)."""
     arrays = list(map(floats, sides))
     width = max(side.size for side in arrays)
@@ -85,7 +83,7 @@ def each(number: Any) -> Made:
 Limit = Annotated[float, Within(endless=True)]
 Side = Limit | list[Limit]
 Pair = Annotated[tuple[Limit, Limit], Write("[lowest, highest]")]
-Clip = Annotated[Floats, Made(_clip, Annotated[tuple[Side, Side], Write("[lowest, highest]")])]
+Clip = Annotated[Float32, Made(_clip, Annotated[tuple[Side, Side], Write("[lowest, highest]")])]
 Range = Annotated[tuple[float, float], Made(_range, Pair)]
 Ranges = Annotated[Mapping[str, tuple[float, float]], Made(_said, Mapping[str, Range | None])]
 Rate = Annotated[
@@ -100,19 +98,18 @@ Slew = Annotated[
 ]
 Angle = Annotated[
     float,
-    Unit("rad"),
-    Within(-POSITION, POSITION),
+    Within(-POSITION, POSITION, "rad"),
     Write(f"a number from {-POSITION:g} to {POSITION:g} [rad] (are these degrees?)"),
 ]
 Alpha = Annotated[
     float,
-    Within(0.0, 1.0, above=True),
+    positive(1.0),
     Write("the weight of the newest sample, above 0 and at most 1"),
 ]
 Place = Annotated[int, Within(0)]
 Places = Annotated[tuple[int, ...], Made(listed, Place | list[Place])]
 Offsets = Annotated[tuple[float, ...], Made(rounded, float | list[float])]
-Period = Annotated[float, Unit("s"), Within(0.0, LONGEST_PERIOD, above=True)]
+Period = Annotated[float, positive(LONGEST_PERIOD, "s")]
 Stand = Annotated[float, Made(rounded_one, float), Write("a phase in [rad]")]
 Threshold = Annotated[
     float,
@@ -120,7 +117,7 @@ Threshold = Annotated[
         rounded_one,
         Annotated[
             float,
-            Within(0.0, above=True),
+            positive(),
             Write("a speed above 0 in [m/s] and [rad/s]: no command is below it"),
         ],
     ),

@@ -10,17 +10,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import isfinite
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array, Float32
 from unicon_core.policies.filters import Filter
-from unicon_core.policies.hints import Floats
 from unicon_core.policies.networks import Remembering
 from unicon_core.policies.observation import Observation, nothing
 
-Published: TypeAlias = tuple[Floats, Floats]
+Published: TypeAlias = tuple[Float32, Float32]
 
 
 @dataclass
@@ -30,8 +29,8 @@ class Input:
     memory = ("gather",)
 
     gather: Observation | None
-    values: Floats
-    cast: NDArray[Any] | None
+    values: Float32
+    cast: Array | None
 
     def __post_init__(self) -> None:
         self.write = None if self.gather is None else self.gather.bind(self.values)
@@ -63,10 +62,10 @@ class Lane:
     memory = ("observation", "action", "inputs", "recurrent", "_remembering", "_smooth", "_steps")
 
     observation: Observation | None
-    obs: Floats
-    action: Floats
+    obs: Float32
+    action: Float32
     inputs: list[Input]
-    recurrent: list[tuple[NDArray[Any], NDArray[Any]]]
+    recurrent: list[tuple[Array, Array]]
     runs: list[Callable[[], None]]
     published: list[Published]
 
@@ -165,7 +164,7 @@ def _keep(warm_up: bool = False) -> None:
     """There is nothing to go on with."""
 
 
-def finite_check(array: Floats) -> Callable[[], bool]:
+def finite_check(array: Float32) -> Callable[[], bool]:
     """Return a function that tells whether a contiguous array holds neither NaN nor infinity."""
     flat = array.reshape(-1)
     dot = flat.dot

@@ -12,11 +12,10 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float32, Index
 from unicon_core.policies.contract import ObservationSpec, PolicyContract
 from unicon_core.policies.filters import make_filter
-from unicon_core.policies.hints import Floats
 from unicon_core.policies.prefixed import PackedStates
 from unicon_core.policies.terms import TermSlice, term_slices
 
@@ -79,7 +78,7 @@ class Observation:
         self._subtract = subtract if subtract.any() else None
         self._scale = scale if (scale != 1.0).any() else None
         clipped = np.flatnonzero(np.isfinite(low) | np.isfinite(high))
-        self._clip: tuple[slice, Floats, Floats] | None = None
+        self._clip: tuple[slice, Float32, Float32] | None = None
         if clipped.size:
             span = slice(int(clipped[0]), int(clipped[-1]) + 1)
             self._clip = (span, low[span], high[span])
@@ -138,7 +137,7 @@ class Observation:
         for _, each in self._filters:
             each.reset()
 
-    def bind(self, out: Floats) -> Callable[[], None]:
+    def bind(self, out: Float32) -> Callable[[], None]:
         """Return a function that writes the observation of a tick to `out`.
 
         Args:
@@ -154,7 +153,7 @@ class Observation:
 
         return both
 
-    def bind_parts(self, out: Floats) -> tuple[Callable[[], None], Callable[[], None]]:
+    def bind_parts(self, out: Float32) -> tuple[Callable[[], None], Callable[[], None]]:
         """Return `write` and `advance`: the observation of this tick, and on to the next tick.
 
         `write` may be called several times before `advance`, as a warm-up does: it lays its frame
@@ -194,7 +193,7 @@ class Observation:
         for _, each in self._filters:
             each.advance()
 
-    def _assembler(self) -> Callable[[Floats], None]:
+    def _assembler(self) -> Callable[[Float32], None]:
         """Return the straight-line function that writes one frame to a flat array."""
         # mode "clip": the indices are known to fit, and "raise" would go through a buffer.
         take: Any = self._buffer.take
@@ -205,7 +204,7 @@ class Observation:
             take = self._filtered
         elif clip is None and minus is not None and scale is not None:
 
-            def usual(out: Floats) -> None:
+            def usual(out: Float32) -> None:
                 take(index, None, out, "clip")
                 subtract(out, minus, out)
                 multiply(out, scale, out)
@@ -216,7 +215,7 @@ class Observation:
             _, low, high = clip
             maximum, minimum = np.maximum, np.minimum
 
-            def clipped(out: Floats) -> None:
+            def clipped(out: Float32) -> None:
                 take(index, None, out, "clip")
                 if minus is not None:
                     subtract(out, minus, out)
@@ -227,7 +226,7 @@ class Observation:
 
             return clipped
 
-        def general(out: Floats) -> None:
+        def general(out: Float32) -> None:
             take(index, None, out, "clip")
             if minus is not None:
                 subtract(out, minus, out)
@@ -241,7 +240,7 @@ class Observation:
 
         return general
 
-    def _filtered(self, index: NDArray[np.intp], _: None, out: Floats, mode: Any) -> None:
+    def _filtered(self, index: Index, _: None, out: Float32, mode: Any) -> None:
         """Take a frame and filter it."""
         self._buffer.take(index, None, out, mode)
         frame = out.reshape(self.shape[0], -1)
@@ -276,6 +275,6 @@ def nothing() -> None:
     """There is nothing to write, or without a history nothing to go on to."""
 
 
-def _joined(parts: Iterable[Floats], rows: int) -> Floats:
+def _joined(parts: Iterable[Float32], rows: int) -> Float32:
     listed = list(parts)
     return np.tile(np.concatenate(listed), rows) if listed else np.zeros(0, np.float32)

@@ -18,8 +18,8 @@ zero, sine and cosine are 0; the time runs on meanwhile in deployment, and stand
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float64
 from unicon_core.errors import PolicyError
 from unicon_core.policies.contract import CommandSpec, PhaseSpec
 from unicon_core.policies.prefixed import PackedStates
@@ -101,7 +101,7 @@ class GaitPhase:
         self._sin[...] = self._both[:, :count]
         self._cos[...] = self._both[:, count:]
 
-    def _stand_still(self, before: NDArray[np.float64]) -> None:
+    def _stand_still(self, before: Float64) -> None:
         """Put the phases of robots without a command where they stand."""
         phase, command = self.phase, self._command
         still = (np.hypot(command[:, 0], command[:, 1]) < self._below) & (

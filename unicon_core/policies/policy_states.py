@@ -10,8 +10,7 @@ from dataclasses import replace
 from math import prod
 from typing import Any
 
-from numpy.typing import NDArray
-
+from unicon_core.arrays import Array
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.motion.follow import MotionTracker
 from unicon_core.policies.networks.chain import chained_outputs
@@ -141,7 +140,7 @@ def own_states(
     return PrefixedStates(states, prefix, {COMMAND: SLEWED}), slew
 
 
-def fed_back(contract: PolicyContract, states: PackedStates) -> list[NDArray[Any]]:
+def fed_back(contract: PolicyContract, states: PackedStates) -> list[Array]:
     """Return the outputs that a policy sees in its next tick: its action, and states it reads."""
     read = {*contract.inputs, *(term.state for term in contract.terms)}
     names = ["action", *(name for name in contract.outputs if name in read and name != "action")]

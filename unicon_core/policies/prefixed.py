@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sized
 from typing import Any, TypeAlias
 
-from numpy.typing import NDArray
-
+from unicon_core.arrays import Array
 from unicon_core.states import States, StateSpec, standard_states
 
 
@@ -41,7 +40,7 @@ class PrefixedStates:
         """Leading batch dimension, or None."""
         return self._states.num_robots
 
-    def __getitem__(self, name: str) -> NDArray[Any]:
+    def __getitem__(self, name: str) -> Array:
         return self._states[self.actual(name)]
 
     def __contains__(self, name: str) -> bool:
@@ -54,7 +53,7 @@ class PrefixedStates:
         """Return the specification of a state."""
         return self._states.spec(self.actual(name))
 
-    def buffer_of(self, dtype: Any) -> NDArray[Any]:
+    def buffer_of(self, dtype: Any) -> Array:
         """Return all states of one dtype as one flat view."""
         return self._states.buffer_of(dtype)
 

@@ -6,10 +6,8 @@ from collections.abc import Iterable, Sequence
 from itertools import accumulate
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from unicon_core.aligned import aligned
+from unicon_core.arrays import Float32
 from unicon_core.errors import PolicyError
 from unicon_core.figures import figure, span
 from unicon_core.policies.contract import PolicyContract
@@ -225,7 +223,7 @@ def _source(part: TermSlice) -> str:
     return source if part.term.filter is None else f"{source}, {part.term.filter}"
 
 
-def _values(values: NDArray[np.float32], same: str, neutral: float) -> str:
+def _values(values: Float32, same: str, neutral: float) -> str:
     if (values == neutral).all():
         return same
     if (values == values[0]).all():

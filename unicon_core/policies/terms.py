@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float32, Index
 from unicon_core.errors import PolicyError, RobotError, alternatives
 from unicon_core.policies.contract import ObservationSpec, ObservationTerm, PolicyContract
-from unicon_core.policies.hints import Floats
 from unicon_core.policies.prefixed import PackedStates
 from unicon_core.robots import joint_index
 
@@ -32,14 +31,14 @@ class TermSlice:
     """
 
     term: ObservationTerm
-    elements: NDArray[np.intp]
+    elements: Index
     start: int
     names: tuple[str, ...]
     unit: str
-    subtract: Floats
-    scale: Floats
-    low: Floats
-    high: Floats
+    subtract: Float32
+    scale: Float32
+    low: Float32
+    high: Float32
 
     @property
     def stop(self) -> int:
@@ -125,7 +124,7 @@ def _order_of(state: str, names: Sequence[str]) -> str:
     return f" ({', '.join(names)})" if state.startswith("gait_phase") else ""
 
 
-def _subtract(label: str, term: ObservationTerm, size: int, default: Floats | None) -> Floats:
+def _subtract(label: str, term: ObservationTerm, size: int, default: Float32 | None) -> Float32:
     if not isinstance(term.subtract, str):
         return _spread(label, "subtract", 0.0 if term.subtract is None else term.subtract, size)
     if default is None:
@@ -136,7 +135,7 @@ def _subtract(label: str, term: ObservationTerm, size: int, default: Floats | No
     return np.array(default, dtype=np.float32)
 
 
-def _spread(label: str, what: str, values: Any, size: int) -> Floats:
+def _spread(label: str, what: str, values: Any, size: int) -> Float32:
     array = np.atleast_1d(np.asarray(values, dtype=np.float32))
     if array.size not in (1, size):
         raise PolicyError(

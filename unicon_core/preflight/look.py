@@ -11,8 +11,8 @@ import shutil
 import time
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float32
 from unicon_core.blocks.approach import Target
 from unicon_core.errors import Fault, UniconError
 from unicon_core.figures import figure
@@ -205,9 +205,6 @@ def _around(program: Program, result: PreflightResult) -> None:
     result.add("disk", free >= FREE_BYTES, told)
 
 
-Float = NDArray[np.float32]
-
-
 def tell_first_command(program: Program, result: PreflightResult) -> None:
     """Add where the flow begins and what it would send first; nothing is sent.
 
@@ -253,12 +250,12 @@ def _entered(program: Program, at: Target) -> Target:
         states.restore(before)
 
 
-def _distances(program: Program, target: Target, origin: Float) -> dict[str, float]:
+def _distances(program: Program, target: Target, origin: Float32) -> dict[str, float]:
     away = np.round(np.abs(target.joint_pos - origin).astype(float), 6).tolist()
     return dict(zip(program.robot.joint_names, away))
 
 
-def _farthest(program: Program, target: Target, origin: Float) -> tuple[float, str]:
+def _farthest(program: Program, target: Target, origin: Float32) -> tuple[float, str]:
     """Return the largest distance in [rad] and its joint; one that is not finite is the largest."""
     away = np.abs(target.joint_pos - origin)
     worst = int(np.argmax(np.nan_to_num(away, nan=np.inf)))

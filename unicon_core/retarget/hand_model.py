@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Bool, Float64
 from unicon_core.errors import ModelError, RobotError
 from unicon_core.models.find import pick_model
 from unicon_core.models.frames import body_of
@@ -20,8 +20,6 @@ from unicon_core.models.loaded import LoadedModel, body_in, dofs_above, import_m
 from unicon_core.models.posed import followers
 from unicon_core.robots import Robot
 from unicon_core.robots.places import Hand
-
-Float = NDArray[np.float64]
 
 _SITE = "retarget_"
 _POSES, _EACH, _GRIDS = 250, 15, 5
@@ -111,7 +109,7 @@ class HandModel:
         self.begins = np.array([self._data.xanchor[self._moving(dofs)[-1]] for dofs in above])
         self.reach = self._reached(each)
 
-    def put(self, q: Float) -> None:
+    def put(self, q: Float64) -> None:
         """Put the joints somewhere, [rad], shape (n,); `points`, `jacobian` are of there then."""
         mujoco, model, data = self._mujoco, self._model, self._data
         self._place(q)
@@ -124,7 +122,7 @@ class HandModel:
             mujoco.mj_jac(model, data, self._whole[-3:], None, at, body)
         np.matmul(self._whole, self._slopes, out=self.jacobian)
 
-    def _place(self, q: Float) -> None:
+    def _place(self, q: Float64) -> None:
         """Put the joints somewhere, for the tips alone."""
         self._pulled.put(self._data.qpos, q)
         self._mujoco.mj_kinematics(self._model, self._data)
@@ -135,7 +133,7 @@ class HandModel:
         slopes = self._pulled.slopes
         return [int(self._model.dof_jntid[dof]) for dof in dofs if slopes[dof].any()]
 
-    def _palm(self, path: Path, hand: Hand) -> Float:
+    def _palm(self, path: Path, hand: Hand) -> Float64:
         found = body_of(self._loaded, hand.palm, "hand.palm")
         if (self._slopes[dofs_above(self._model, found)] != 0.0).any():
             raise ModelError(
@@ -144,10 +142,10 @@ class HandModel:
             )
         own, body = np.zeros(9), self._data.xmat[found].reshape(3, 3)
         self._mujoco.mju_quat2Mat(own, np.array(hand.palm.quat))
-        turned: Float = body @ own.reshape(3, 3)
+        turned: Float64 = body @ own.reshape(3, 3)
         return turned
 
-    def _reached(self, moved: NDArray[np.bool_]) -> Float:
+    def _reached(self, moved: Bool) -> Float64:
         """Return how far each tip gets from where its finger begins, tried on finer grids."""
         reach = np.zeros(len(self.fingers))
         for i, joints in enumerate(moved):
@@ -219,7 +217,7 @@ class Pulled:
         self._fixed = qpos[self._at]  # where they are at 0, and how they go on from there
         self._rows = self.slopes[[each[1] for each in self._followers]]
 
-    def put(self, qpos: Float, q: Float) -> None:
+    def put(self, qpos: Float64, q: Float64) -> None:
         """Write positions of the robot's joints, shape (n,), and of their followers into `qpos`."""
         qpos[self._driven] = q
         if self._linear:
@@ -227,7 +225,7 @@ class Pulled:
         else:
             self._follow(qpos)
 
-    def _follow(self, qpos: Float) -> None:
+    def _follow(self, qpos: Float64) -> None:
         """Follow one by one, by polynomials of any degree (MuJoCo, XML, `equality/joint`)."""
         for place, row, driver, column, offset, start, polynomial in self._followers:
             turned = float(qpos[driver]) - start if driver >= 0 else 0.0

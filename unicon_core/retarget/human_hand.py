@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+
+from unicon_core.arrays import Float32, Float64
 
 JOINTS = 25
 """Of a hand in WebXR, in the order of XRHandJoint (W3C, WebXR Hand Input Module, section 3.2): the
@@ -57,7 +58,7 @@ class HumanHand:
 
     def __init__(
         self,
-        poses: NDArray[np.float32],
+        poses: Float32,
         fingers: Sequence[str],
         side: str = "",
         *,
@@ -100,7 +101,7 @@ class HumanHand:
         np.matmul(tips - chains[:, 0], turn, out=self.tips)
         return ""
 
-    def _wrong(self, sizes: NDArray[np.float64], norm: float) -> str:
+    def _wrong(self, sizes: Float64, norm: float) -> str:
         """Return why it is not a hand."""
         if np.isnan(self._points).any() or norm != norm or not sizes.any():
             return ABSENT  # as where nothing is tracked, all joints at one place
@@ -117,7 +118,7 @@ class HumanHand:
         return f"the length of the {self._fingers[finger]} is {self.lengths[finger]:.3g} m"
 
 
-def _matrix(w: float, x: float, y: float, z: float, norm: float) -> NDArray[np.float64]:
+def _matrix(w: float, x: float, y: float, z: float, norm: float) -> Float64:
     """Return the rotation of a quaternion wxyz whose length's square is `norm`, shape (3, 3)."""
     s = 2.0 / norm
     return np.array(

@@ -23,12 +23,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float64
 from unicon_core.retarget.hand_model import HandModel
 from unicon_core.retarget.human_hand import HumanHand
-
-Float = NDArray[np.float64]
 
 PINCH = 400.0
 """Weight of a pinch that touches, against 1 of a finger's own vector: where both differ by 20 mm,
@@ -77,7 +75,7 @@ class Retargeting:
         way = np.where(upwards, model.upper, model.lower) - model.default
         self._starts = [model.default + share * way for share in STARTS]
 
-    def solve(self, human: HumanHand, scale: Float, *, anew: bool) -> None:
+    def solve(self, human: HumanHand, scale: Float64, *, anew: bool) -> None:
         """Find `q` and `errors`.
 
         Args:
@@ -109,7 +107,7 @@ class Retargeting:
         off = wanted - model.tips
         np.sqrt(np.einsum("fx,fx->f", off, off), out=self.errors)
 
-    def _pinch(self, tips: Float, scale: Float) -> bool:
+    def _pinch(self, tips: Float64, scale: Float64) -> bool:
         """Write the rows of the pinches, and what is wanted of them; return whether any counts."""
         thumb, others, contact, points = self._thumb, self._others, self._contact, self._own[0]
         apart = tips[others] - tips[thumb]
@@ -128,7 +126,7 @@ class Retargeting:
         np.matmul(apart * weight[:, None], self.model.palm.T, out=self._wanted[points:])
         return True
 
-    def _residual(self, q: Float) -> tuple[Float, Float]:
+    def _residual(self, q: Float64) -> tuple[Float64, Float64]:
         model = self.model
         model.put(q)
         rows, used = self._rows, self._used
@@ -139,7 +137,7 @@ class Retargeting:
         return residual.ravel(), (rows[:used] @ self._jacobian).reshape(-1, len(q))
 
 
-Residual = Callable[[Float], tuple[Float, Float]]
+Residual = Callable[[Float64], tuple[Float64, Float64]]
 
 MOST = 20
 """Looks at a place. A hand that is followed takes 1 to 3, one from far away 6 to 12; where so many
@@ -169,7 +167,7 @@ class Bounded:
         looks: that the last `solve` took.
     """
 
-    def __init__(self, residual: Residual, lower: Float, upper: Float) -> None:
+    def __init__(self, residual: Residual, lower: Float64, upper: Float64) -> None:
         self._residual, self._lower, self._upper = residual, lower, upper
         inside = INSIDE * (upper - lower)
         self._from, self._to = lower + inside, upper - inside
@@ -179,7 +177,7 @@ class Bounded:
         self._diagonal = self._system.reshape(-1)[:: count + 1]
         self.looks = 0
 
-    def solve(self, q: Float) -> float:
+    def solve(self, q: Float64) -> float:
         """Improve `q` in place, from within its bounds; return |r(q)|², or nearly so."""
         lower, upper = self._lower, self._upper
         system, diagonal = self._system, self._diagonal
@@ -214,7 +212,7 @@ class Bounded:
                 damping = max(damping * 10.0, FIRST)
         return cost
 
-    def _linearise(self, q: Float) -> float:
+    def _linearise(self, q: Float64) -> float:
         """Take residual and Jacobian at `q` into the normal equations; return |r|²."""
         residual, jacobian = self._residual(q)
         np.matmul(jacobian.T, jacobian, out=self._normal)

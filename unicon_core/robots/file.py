@@ -33,6 +33,7 @@ from unicon_core.schema.marks import (
     Unit,
     Within,
     Write,
+    positive,
 )
 from unicon_core.schema.records import largest, record_of
 from unicon_core.schema.types import Here
@@ -41,7 +42,7 @@ SCHEMA = "unicon.robot/1"
 Kind = Literal["quadruped", "humanoid", "wheeled", "hand", "arm"]
 KINDS: tuple[str, ...] = get_args(Kind)
 
-Angle = Annotated[float, Unit("rad"), Within(-POSITION, POSITION)]
+Angle = Annotated[float, Within(-POSITION, POSITION, "rad")]
 Limit = Annotated[float, Unit("rad"), Within(-POSITION, POSITION, endless=True)]
 
 
@@ -65,7 +66,7 @@ class Joint:
     lower: Limit | None
     upper: Limit | None
     velocity: Speed | None
-    effort: Annotated[float | None, Unit("N·m"), Within(0.0, EFFORT, above=True)]
+    effort: Annotated[float | None, positive(EFFORT, "N·m")]
     default: Angle | None
     stiffness: Stiffness | None
     damping: Damping | None
@@ -170,7 +171,7 @@ class Transport:
     motors: Annotated[
         list[Annotated[int, Within(0)]] | None, Write("the motor number of each joint")
     ] = None
-    rate_hz: Annotated[float | None, Unit("Hz"), Within(0.0, above=True)] = None
+    rate_hz: Annotated[float | None, positive(unit="Hz")] = None
 
     @staticmethod
     def between(found: dict[str, Any], here: Here) -> None:
@@ -204,9 +205,9 @@ class Figures:
     """
 
     strength: Annotated[float, Within(0.0, 5.0)] = 1.0
-    friction: Annotated[float, Unit("N·m"), Within(0.0, EFFORT)] = 0.0
-    armature: Annotated[float, Unit("kg·m²"), Within(0.0, 10.0)] = 0.0
-    delay: Annotated[float, Unit("s"), Within(0.0, 1.0)] = 0.0
+    friction: Annotated[float, Within(0.0, EFFORT, "N·m")] = 0.0
+    armature: Annotated[float, Within(0.0, 10.0, "kg·m²")] = 0.0
+    delay: Annotated[float, Within(0.0, 1.0, "s")] = 0.0
 
 
 Simulated = Annotated[

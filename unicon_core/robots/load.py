@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from unicon_core.arrays import Float32
 from unicon_core.errors import RobotError, WorkflowError
 from unicon_core.file_kinds import other_kind
 from unicon_core.located_yaml import Located, read_yaml
@@ -26,7 +27,7 @@ from unicon_core.resources import find_config, list_config
 from unicon_core.robots.file import Overlay, RobotFile
 from unicon_core.robots.places import Place
 from unicon_core.robots.poses import joints_like
-from unicon_core.robots.robot import JOINT_FIELDS, Floats, Imu, Robot
+from unicon_core.robots.robot import JOINT_FIELDS, Imu, Robot
 from unicon_core.schema.read import read, refuse
 from unicon_core.schema.types import Mistakes
 
@@ -136,7 +137,7 @@ def _extended(located: Located) -> Robot:
     return replace(robot, simulated=both, overlay=located.path)
 
 
-def _array(values: Iterable[float | None]) -> Floats:
+def _array(values: Iterable[float | None]) -> Float32:
     array = np.array([np.nan if value is None else value for value in values], dtype=np.float32)
     array.setflags(write=False)
     return array
@@ -232,8 +233,8 @@ def load_files(files: Mapping[str, str | Path], mounts: Mapping[str, Place] | No
     return compose(robots, mounts) if "" not in robots else robots[""]
 
 
-def _gains(robot: Robot, field: str) -> Floats:
-    values: Floats = getattr(robot, field)
+def _gains(robot: Robot, field: str) -> Float32:
+    values: Float32 = getattr(robot, field)
     if robot.position_controlled and field in ("joint_stiffness", "joint_damping"):
         return np.where(np.isnan(values), np.float32(1.0), values)
     return values

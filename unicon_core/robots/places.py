@@ -18,7 +18,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Literal, get_args
 
-from unicon_core.schema.marks import Key, Matches, NotEmpty, Point, Quat, Text, Unit, Within, Write
+from unicon_core.schema.marks import (
+    Key,
+    Matches,
+    NotEmpty,
+    Point,
+    Quat,
+    Text,
+    Write,
+    positive,
+)
 
 
 @dataclass(frozen=True)
@@ -56,7 +65,7 @@ class Capsule:
 
     body: Text
     start: Annotated[Point, Key("from")]
-    radius: Annotated[float, Unit("m"), Within(0.0, 1.0, above=True)]
+    radius: Annotated[float, positive(1.0, "m")]
     end: Annotated[Point, Key("to")] = ()  # type: ignore[assignment]
 
     def __post_init__(self) -> None:

@@ -10,16 +10,16 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float32, Float64
 from unicon_core.bounds import POSITION, within
 from unicon_core.errors import RobotError, WorkflowError, alternatives
 from unicon_core.robots.file import Figures
-from unicon_core.robots.robot import Floats, Robot
+from unicon_core.robots.robot import Robot
 from unicon_core.schema.records import record_of
 
 
-def robot_poses(robot: Robot) -> dict[str, Floats]:
+def robot_poses(robot: Robot) -> dict[str, Float32]:
     """Return word to pose of a robot file in [rad], shape (n,), NaN where it does not say it."""
     standing, lying = robot.default_joint_pos, robot.rest_joint_pos
     return {"default": standing, "stand": standing, "rest": lying, "lie": lying}
@@ -45,7 +45,7 @@ def joints_like(pattern: str, robot: Robot, remedy: str = "") -> list[int]:
     return found
 
 
-def named_pose(to: str | Mapping[str, float], robot: Robot, what: str) -> tuple[Floats, Floats]:
+def named_pose(to: str | Mapping[str, float], robot: Robot, what: str) -> tuple[Float32, Float32]:
     """Return a pose [rad] and which joints it says (1 or 0), each shape (n,).
 
     Args:
@@ -96,10 +96,10 @@ Said = Mapping[str, Mapping[str, float]]
 class JointPhysics:
     """What is said of each joint: float64, shape (n,), NaN where the model's own value stays."""
 
-    strength: NDArray[np.float64]
-    friction: NDArray[np.float64]
-    armature: NDArray[np.float64]
-    delay: NDArray[np.float64]
+    strength: Float64
+    friction: Float64
+    armature: Float64
+    delay: Float64
 
     @property
     def words(self) -> list[str]:

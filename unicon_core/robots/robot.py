@@ -9,13 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from unicon_core.arrays import Float32
+from unicon_core.arrays import Bool, Float32, Index
 from unicon_core.errors import RobotError, alternatives
 from unicon_core.robots.places import Capsule, Hand, Place
 
-Floats = NDArray[np.float32]
 MODEL_FORMATS = ("mjcf", "urdf")
 
 
@@ -52,8 +50,8 @@ class Imu:
     """
 
     frame: str
-    position: Floats
-    quat: Floats
+    position: Float32
+    quat: Float32
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,14 +103,14 @@ class Robot:
     models: Mapping[str, str]
     base_frame: str
     joint_names: tuple[str, ...]
-    lower: Floats
-    upper: Floats
-    velocity_limit: Floats
-    effort_limit: Floats
-    default_joint_pos: Floats
-    rest_joint_pos: Floats
-    joint_stiffness: Floats
-    joint_damping: Floats
+    lower: Float32
+    upper: Float32
+    velocity_limit: Float32
+    effort_limit: Float32
+    default_joint_pos: Float32
+    rest_joint_pos: Float32
+    joint_stiffness: Float32
+    joint_damping: Float32
     imu: Imu | None
     feet: tuple[str, ...]
     transport: Mapping[str, Any]
@@ -145,7 +143,7 @@ class Robot:
         return self.walks or self.kind == "wheeled"
 
     @property
-    def endless(self) -> NDArray[np.bool_]:
+    def endless(self) -> Bool:
         """Joints that turn without end, such as wheels, shape (n,)."""
         return np.isinf(self.lower) & np.isinf(self.upper)
 
@@ -160,7 +158,7 @@ class Robot:
         return self.transport.get("command") == "position"
 
     @property
-    def by_position(self) -> NDArray[np.bool_]:
+    def by_position(self) -> Bool:
         """Joints whose vendor closes the position loop, shape (n,); they stop at what they grip."""
         robots = self.members.values() or (self,)
         return np.repeat(
@@ -177,7 +175,7 @@ class Robot:
             start += robot.num_joints
         raise KeyError(member)
 
-    def group(self, words: Sequence[str]) -> NDArray[np.intp]:
+    def group(self, words: Sequence[str]) -> Index:
         """Return the places of joints in the robot's order, each once, shape (k,).
 
         Args:
@@ -220,14 +218,14 @@ class Robot:
                     said.setdefault(name, {}).update(figures)
         return dict(said)
 
-    def joint_fact(self, field: str) -> Floats:
+    def joint_fact(self, field: str) -> Float32:
         """Return the array behind a key of a joint in the robot file, shape (n,).
 
         Args:
             field: `lower`, `upper`, `velocity`, `effort`, `default`, `rest`, `stiffness` or
                 `damping`.
         """
-        array: Floats = getattr(self, JOINT_FIELDS[field])
+        array: Float32 = getattr(self, JOINT_FIELDS[field])
         return array
 
     def missing_facts(self) -> list[str]:
@@ -255,9 +253,7 @@ class Robot:
         return missing + [f"transport.{key}" for key in lacking if key not in _MAY_LACK]
 
 
-def joint_index(
-    to: Sequence[str], from_: Sequence[str], *, loose: bool = False
-) -> NDArray[np.intp]:
+def joint_index(to: Sequence[str], from_: Sequence[str], *, loose: bool = False) -> Index:
     """Return the index that brings an array from one joint order into another.
 
     `x_from[joint_index(to, from_)]` is in the order of `to`: the result is a `to_from_from_`,

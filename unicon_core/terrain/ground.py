@@ -12,12 +12,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float64
 from unicon_core.errors import PlatformError
 from unicon_core.terrain.words import KINDS, Terrain
-
-Float = NDArray[np.float64]
 
 THICK = 0.5
 """How far shapes go down below the lowest ground, [m]: a foot at 40 m/s goes 8 cm in a step."""
@@ -54,7 +52,7 @@ class Field:
         half: from the middle to the edge in [m].
     """
 
-    heights: Float
+    heights: Float64
     half: float
 
 
@@ -185,14 +183,14 @@ BELOW = 0.02
 """From the lowest ground to the floor in [m], so that nothing touches both."""
 
 
-def uniform(seed: int, *shape: int) -> Float:
+def uniform(seed: int, *shape: int) -> Float64:
     """Return numbers from 0 up to 1, the same to the bit in every version of NumPy.
 
     What PCG64 gives is promised to stay (NEP 19), what `Generator` makes of it is not: the upper 53
     of each 64 bits, as a fraction.
     """
     raw = np.random.PCG64(seed).random_raw(int(np.prod(shape)))
-    numbers: Float = (raw >> np.uint64(11)).astype(np.float64) * 2.0**-53
+    numbers: Float64 = (raw >> np.uint64(11)).astype(np.float64) * 2.0**-53
     return numbers.reshape(shape)
 
 

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, fields
 from typing import Annotated, Any
 
 from unicon_core.errors import PlatformError, alternatives
-from unicon_core.schema.marks import Checked, Unit, Within
+from unicon_core.schema.marks import Checked, Within
 from unicon_core.schema.read import refuse
 from unicon_core.schema.records import record_of
 from unicon_core.schema.types import Mistakes
@@ -36,8 +36,8 @@ class Kind:
         flat: edge of the square around the start that stays flat.
     """
 
-    extent: Annotated[float, Unit("m"), Within(4.0, 200.0)] = 40.0
-    flat: Annotated[float, Unit("m"), Within(1.0, 20.0)] = 2.0
+    extent: Annotated[float, Within(4.0, 200.0, "m")] = 40.0
+    flat: Annotated[float, Within(1.0, 20.0, "m")] = 2.0
 
     def __post_init__(self) -> None:
         """Refuse ground that is flat all over.
@@ -70,7 +70,7 @@ class Slope(Kind):
         angle: in front of the start; below 0 it falls.
     """
 
-    angle: Annotated[float, Unit("rad"), Within(-0.8, 0.8)] = 0.1
+    angle: Annotated[float, Within(-0.8, 0.8, "rad")] = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,8 +83,8 @@ class Pyramid(Kind):
         steps: how many, then a landing.
     """
 
-    rise: Annotated[float, Unit("m"), Within(-0.5, 0.5)] = 0.1
-    run: Annotated[float, Unit("m"), Within(0.1, 10.0)] = 0.3
+    rise: Annotated[float, Within(-0.5, 0.5, "m")] = 0.1
+    run: Annotated[float, Within(0.1, 10.0, "m")] = 0.3
     steps: Annotated[int, Within(1, 1000)] = 10
 
 
@@ -96,7 +96,7 @@ class Stairs(Pyramid):
         landing: before they go the other way.
     """
 
-    landing: Annotated[float, Unit("m"), Within(0.1, 20.0)] = 1.0
+    landing: Annotated[float, Within(0.1, 20.0, "m")] = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,13 +108,13 @@ class Rough(Drawn):
         spacing: between two points, in x and in y.
     """
 
-    height: Annotated[float, Unit("m"), Within(0.0, 1.0)] = 0.04
-    spacing: Annotated[float, Unit("m"), Within(0.02, 5.0)] = 0.1
+    height: Annotated[float, Within(0.0, 1.0, "m")] = 0.04
+    spacing: Annotated[float, Within(0.02, 5.0, "m")] = 0.1
 
 
 Factor = Annotated[float, Within(0.0, 20.0)]
-Tall = Annotated[float, Unit("m"), Within(0.0, 2.0)]
-Wide = Annotated[float, Unit("m"), Within(0.01, 10.0)]
+Tall = Annotated[float, Within(0.0, 2.0, "m")]
+Wide = Annotated[float, Within(0.01, 10.0, "m")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,7 +127,7 @@ class Patches(Drawn):
     """
 
     friction: Annotated[tuple[Factor, Factor] | Factor, _RISES] = (0.2, 1.0)
-    size: Annotated[float, Unit("m"), Within(0.1, 20.0)] = 1.0
+    size: Annotated[float, Within(0.1, 20.0, "m")] = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,7 +142,7 @@ class Obstacles(Drawn):
 
     height: Annotated[tuple[Tall, Tall] | Tall, _RISES] = (0.02, 0.08)
     size: Annotated[tuple[Wide, Wide] | Wide, _RISES] = (0.2, 0.6)
-    density: Annotated[float, Unit("1/m²"), Within(0.0, 20.0)] = 0.5
+    density: Annotated[float, Within(0.0, 20.0, "1/m²")] = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,9 +155,9 @@ class Gaps(Kind):
         depth: of a gap.
     """
 
-    width: Annotated[float, Unit("m"), Within(0.0, 5.0)] = 0.1
-    run: Annotated[float, Unit("m"), Within(0.05, 20.0)] = 0.6
-    depth: Annotated[float, Unit("m"), Within(0.01, 5.0)] = 0.3
+    width: Annotated[float, Within(0.0, 5.0, "m")] = 0.1
+    run: Annotated[float, Within(0.05, 20.0, "m")] = 0.6
+    depth: Annotated[float, Within(0.01, 5.0, "m")] = 0.3
 
 
 _KINDS = (Slope, Stairs, Pyramid, Rough, Patches, Obstacles, Gaps)

@@ -17,11 +17,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from unicon_core.arrays import Int64
 from unicon_core.errors import Fault, StateError, UniconError, WorkflowError, alternatives
-from unicon_core.schema.marks import Made, Matches, Unit, Within, Write
+from unicon_core.schema.marks import Made, Matches, Write, positive
 from unicon_core.schema.types import Here, show
 from unicon_core.states import Layout, States, StateSpec
 from unicon_core.states.backends import Reader, Writer
@@ -93,7 +91,7 @@ class Party:
     robots: Annotated[Mapping[str, str], Made(_robots), Write("[left, right]")]
     me: str
     group: Annotated[str, Matches(_NAME, "up to 40 letters, digits, '_' and '-'")] = "together"
-    timeout: Annotated[float, Unit("s"), Within(0.0, LONGEST, above=True)] = PATIENCE
+    timeout: Annotated[float, positive(LONGEST, "s")] = PATIENCE
     keys: Annotated[Path | None, Matches(r".+", "the folder of the group's keys")] = None
 
     @staticmethod
@@ -235,7 +233,7 @@ class Meeting:
         )
         self.reason = self.late = ""
         self._states = States(GROUP)
-        self._said: NDArray[np.int64] = self._states[STATE]
+        self._said: Int64 = self._states[STATE]
         self._writer: Writer = _writer(party, self._states)
         self._others: dict[str, _Other] = {}
         try:

@@ -11,12 +11,10 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float64, Index
 from unicon_core.errors import alternatives
 from unicon_core.trajectory.spline import Spline
-
-Float = NDArray[np.float64]
 
 MOST_POINTS = 1000
 """In one trajectory: it is checked between two ticks, 100 points of 12 joints in 1 to 2 ms."""
@@ -93,9 +91,9 @@ class Limits:
     """
 
     joints: tuple[str, ...]
-    lower: Float
-    upper: Float
-    speed: Float
+    lower: Float64
+    upper: Float64
+    speed: Float64
     partial: bool = False
     start: float = 0.1
 
@@ -110,9 +108,9 @@ class Start:
         measured: in [rad].
     """
 
-    target: Float
-    velocity: Float
-    measured: Float
+    target: Float64
+    velocity: Float64
+    measured: Float64
 
 
 def accepted(points: Points, limits: Limits, start: Start) -> Spline:
@@ -138,7 +136,7 @@ def accepted(points: Points, limits: Limits, start: Start) -> Spline:
     return spline
 
 
-def _places(points: Points, limits: Limits) -> NDArray[np.intp]:
+def _places(points: Points, limits: Limits) -> Index:
     """Return where the joints of a trajectory stand in the robot's order, shape (k,)."""
     names = list(points.joints)
     if not names:
@@ -161,7 +159,7 @@ def _places(points: Points, limits: Limits) -> NDArray[np.intp]:
     return np.array([own[name] for name in names])
 
 
-def _times(points: Points) -> Float:
+def _times(points: Points) -> Float64:
     """Return when each point is to be reached, from now in [s], shape (m,)."""
     if not points.times:
         raise Refusal("the trajectory has no points")
@@ -199,8 +197,8 @@ def _times(points: Points) -> Float:
 
 
 def _filled(
-    points: Points, limits: Limits, place: NDArray[np.intp], start: Start
-) -> tuple[Float, Float, Float]:
+    points: Points, limits: Limits, place: Index, start: Start
+) -> tuple[Float64, Float64, Float64]:
     """Return positions, velocities and accelerations of all joints, each of shape (m, n)."""
     count, size = len(points.times), len(limits.joints)
     held = np.ones(size, np.bool_)
@@ -236,7 +234,7 @@ def _filled(
     return found[0], found[1], found[2]
 
 
-def _begins_here(first: Float, limits: Limits, place: NDArray[np.intp], start: Start) -> None:
+def _begins_here(first: Float64, limits: Limits, place: Index, start: Start) -> None:
     """Refuse a first point that is to be there at once, and is not."""
     off = np.fmin(np.abs(first - start.target), np.abs(first - start.measured))[place]
     if off.max() > limits.start:
@@ -248,7 +246,7 @@ def _begins_here(first: Float, limits: Limits, place: NDArray[np.intp], start: S
         )
 
 
-def _within_limits(spline: Spline, limits: Limits, place: NDArray[np.intp], start: Start) -> None:
+def _within_limits(spline: Spline, limits: Limits, place: Index, start: Start) -> None:
     shares = SHARES[[0, -1]] if spline.straight else SHARES
     positions, speeds = spline.within(shares)
     # A joint that is beyond a limit may come back from there.

@@ -7,15 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array, Float64
 from unicon_core.trajectory.accepted import Code, Limits, Points, Refusal, Start, accepted
 from unicon_core.trajectory.spline import Spline
-
-Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -28,8 +25,8 @@ class Tolerances:
         time: how long after its end the goal may be reached in [s]; 0 waits without an end.
     """
 
-    path: Float
-    goal: Float
+    path: Float64
+    goal: Float64
     time: float = 0.0
 
 
@@ -71,10 +68,10 @@ class Player:
         self,
         limits: Limits,
         period: float,
-        position: NDArray[Any],
-        velocity: NDArray[Any],
-        target: Callable[[], NDArray[Any]],
-        measured: NDArray[Any],
+        position: Array,
+        velocity: Array,
+        target: Callable[[], Array],
+        measured: Array,
         follows: Callable[[], int],
     ) -> None:
         self.limits, self._period, self._follows = limits, period, follows
@@ -174,7 +171,7 @@ class Player:
             return False
         return True
 
-    def _violated(self, code: Code, allowed: Float, what: str) -> None:
+    def _violated(self, code: Code, allowed: Float64, what: str) -> None:
         worst = int(np.argmax(self._off - allowed))
         reason = (
             f"{self.limits.joints[worst]} was {self._off[worst]:.3f} rad from {what} after "

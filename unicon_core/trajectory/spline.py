@@ -10,9 +10,8 @@ from __future__ import annotations
 from bisect import bisect_right
 
 import numpy as np
-from numpy.typing import NDArray
 
-Float = NDArray[np.float64]
+from unicon_core.arrays import Float64
 
 
 class Spline:
@@ -31,7 +30,7 @@ class Spline:
     """
 
     def __init__(
-        self, times: Float, positions: Float, velocities: Float, accelerations: Float
+        self, times: Float64, positions: Float64, velocities: Float64, accelerations: Float64
     ) -> None:
         self.times, self.end = times, float(times[-1])
         self._starts: list[float] = times.tolist()
@@ -60,7 +59,7 @@ class Spline:
         self._c = c
         self._last = positions[-1].copy()
 
-    def sample(self, time: float, position: Float, velocity: Float) -> None:
+    def sample(self, time: float, position: Float64, velocity: Float64) -> None:
         """Write position [rad] and velocity [rad/s] at a time in [s], each of shape (n,).
 
         Behind the end both are those of rest at the last knot.
@@ -79,7 +78,7 @@ class Spline:
             position *= t
             position += c[k]
 
-    def within(self, shares: Float) -> tuple[Float, Float]:
+    def within(self, shares: Float64) -> tuple[Float64, Float64]:
         """Return positions and velocities inside of every segment.
 
         Args:

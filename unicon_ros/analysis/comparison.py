@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from unicon_core.arrays import Float64
 from unicon_core.gap import (
     affine,
     aligned_mse,
@@ -22,7 +23,6 @@ from unicon_core.gap import (
     wasserstein,
 )
 from unicon_core.gap.elements import windows
-from unicon_core.gap.trajectories import Array
 from unicon_core.page import plain
 from unicon_ros.analysis.together import Together
 
@@ -53,7 +53,7 @@ class Comparison:
     together: Together
     ranked_by: str
     order: list[int]
-    joints: dict[str, Array]
+    joints: dict[str, Float64]
     states: dict[str, dict[str, float]]
     swapped: list[tuple[int, ...]]
 
@@ -82,13 +82,13 @@ class Comparison:
         return dict(plain(values))
 
 
-def tracking_error(states: dict[str, Array]) -> Array | None:
+def tracking_error(states: dict[str, Float64]) -> Float64 | None:
     """Return target − position in [rad], shape (n, d); None where no target is known."""
     target = states.get("joint_pos_target")
     return None if target is None else target - states["joint_pos"]
 
 
-def gap_spread(both: Together) -> Array:
+def gap_spread(both: Together) -> Float64:
     """Return the standard error of each joint's gap in [rad], from equal stretches of time.
 
     Joints whose gaps are nearer to each other than that differ as much.
@@ -101,7 +101,7 @@ def gap_spread(both: Together) -> Array:
     return np.asarray(np.std(gaps, axis=0) / np.sqrt(count), np.float64)
 
 
-def _ranked(both: Together) -> tuple[Array, Array, str]:
+def _ranked(both: Together) -> tuple[Float64, Float64, str]:
     """Return what ranks the joints, of both runs, shape (n, d), and what it is."""
     real, sim = tracking_error(both.real), tracking_error(both.sim)
     if real is None or sim is None:
@@ -115,7 +115,7 @@ def compare_runs(both: Together) -> Comparison:
     lag = max(1, round(LAG_S / both.period))
     position = affine(real["joint_pos"], sim["joint_pos"], lag)
     each = aligned_mse(real["joint_pos"].T[..., None], sim["joint_pos"].T[..., None], lag)
-    joints: dict[str, Array] = {
+    joints: dict[str, Float64] = {
         "position_rmse": rmse(real["joint_pos"], sim["joint_pos"], "element"),
         "position_bias": np.mean(real["joint_pos"] - sim["joint_pos"], axis=0),
         "position_aligned_mse": each.loss,
@@ -144,10 +144,10 @@ def compare_runs(both: Together) -> Comparison:
     )
 
 
-def _strain(both: Together) -> dict[str, Array]:
+def _strain(both: Together) -> dict[str, Float64]:
     """Return what torques and temperatures tell, where both runs have them."""
     real, sim = both.real, both.sim
-    figures: dict[str, Array] = {}
+    figures: dict[str, Float64] = {}
     sides = dict(zip(SIDES, (real, sim)))
     if "joint_effort" in real:
         for who, side in sides.items():
@@ -171,7 +171,7 @@ def _strain(both: Together) -> dict[str, Array]:
     return figures
 
 
-def _asked(states: dict[str, Array]) -> Array | None:
+def _asked(states: dict[str, Float64]) -> Float64 | None:
     """Return the torque in [N·m] that is asked for when the next sample is taken, shape (n − 1, d).
 
     kp (q* − q) + kd (q̇* − q̇) + τ_ff: the command is the last one's, q and q̇ are the next one's.
@@ -187,7 +187,7 @@ def _asked(states: dict[str, Array]) -> Array | None:
     return np.asarray(torque, np.float64)
 
 
-def _smooth(values: Array, width: int) -> Array:
+def _smooth(values: Float64, width: int) -> Float64:
     """Return the means of consecutive samples, shape (n + 1 − width, d)."""
     return windows(values, np.arange(len(values) + 1 - width), width) / width
 

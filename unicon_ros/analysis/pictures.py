@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from unicon_core.arrays import Float64
 from unicon_core.gap import rmse, shift_losses
-from unicon_core.gap.trajectories import Array
 from unicon_ros.analysis.comparison import Comparison, tracking_error
 from unicon_ros.analysis.together import Together
 from unicon_ros.report.drawing import INK, MARK, PALE, Pictures, curve, grid, zoomed
@@ -150,7 +150,7 @@ def _effort(figure: Any, comparison: Comparison) -> bool:
     return True
 
 
-_OF_BASE: tuple[tuple[str, str, Callable[[Array], Array]], ...] = (
+_OF_BASE: tuple[tuple[str, str, Callable[[Float64], Float64]], ...] = (
     ("projected_gravity", "lean [rad]", lambda rows: np.arccos(np.clip(-rows[:, 2], -1.0, 1.0))),
     ("base_ang_vel", "turning: z [rad/s]", lambda rows: rows[:, 2]),
     ("base_lin_vel", "speed: x [m/s]", lambda rows: rows[:, 0]),

@@ -9,9 +9,9 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_core import __version__
+from unicon_core.arrays import Bool
 from unicon_core.page import findings, number, page, pairs, table, write_file
 from unicon_ros.analysis.comparison import LAG_S, Comparison, gap_spread
 from unicon_ros.analysis.pictures import PICTURES
@@ -197,7 +197,7 @@ def findings_of(comparison: Comparison) -> list[str]:
         )
     correlation = np.where(still, 0.0, np.nan_to_num(joints["correlation"]))
 
-    def tell(text: str, which: NDArray[np.bool_]) -> None:
+    def tell(text: str, which: Bool) -> None:
         if which.any():
             said.append(f"{text}: {_names(comparison, which)}.")
 
@@ -258,7 +258,7 @@ def _falls(falls: tuple[float, float]) -> list[str]:
     return [f"The real robot fell at {real:.2f} s, the simulated one at {sim:.2f} s of its run."]
 
 
-def _names(comparison: Comparison, which: NDArray[np.bool_]) -> str:
+def _names(comparison: Comparison, which: Bool) -> str:
     names = [comparison.together.joints[k] for k in comparison.order if which[k]]
     more = f" and {len(names) - 4} more" if len(names) > 4 else ""
     return ", ".join(names[:4]) + more

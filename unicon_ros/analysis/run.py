@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array, Bool, Float64, Int64
 from unicon_core.errors import UniconError
-from unicon_core.gap.trajectories import Array
 from unicon_ros.recording import open_record
 from unicon_ros.recording.npz import KEYS, NAMES, UNICONS, Archive, read_archive, too_large
 
@@ -66,9 +65,9 @@ class Run:
     about: Mapping[str, str]
     clock: str
     begins: float
-    time: Array
+    time: Float64
     joints: tuple[str, ...]
-    states: Mapping[str, Array]
+    states: Mapping[str, Float64]
     notes: list[str] = field(default_factory=list)
 
 
@@ -79,9 +78,9 @@ Window = tuple[float, float]
 def make_run(
     path: Path,
     about: Mapping[str, str],
-    clocks: list[tuple[str, Array]],
+    clocks: list[tuple[str, Float64]],
     joints: tuple[str, ...],
-    found: Mapping[str, NDArray[Any]],
+    found: Mapping[str, Array],
     window: Window,
 ) -> Run:
     """Check what was read and choose the clock.
@@ -148,7 +147,7 @@ def make_run(
     return Run(path, about, clock, begins, time - begins, joints, states, notes)
 
 
-def _check_shapes(path: Path, joints: tuple[str, ...], found: Mapping[str, NDArray[Any]]) -> None:
+def _check_shapes(path: Path, joints: tuple[str, ...], found: Mapping[str, Array]) -> None:
     if "joint_pos" not in found:
         raise UniconError(
             f"{path} has no joint_pos; it has {', '.join(found) or 'nothing that is known'}"
@@ -164,7 +163,7 @@ def _check_shapes(path: Path, joints: tuple[str, ...], found: Mapping[str, NDArr
             raise UniconError(f"{path}: {name} has shape {values.shape}, not {(count, length)}")
 
 
-def _not_numbers(name: str, values: Array, time: Array, joints: tuple[str, ...]) -> str:
+def _not_numbers(name: str, values: Float64, time: Float64, joints: tuple[str, ...]) -> str:
     """Return what is wrong with a state, "" where all are numbers."""
     wrong = ~(np.abs(values) < LARGEST)
     if not wrong.any():
@@ -178,14 +177,14 @@ def _not_numbers(name: str, values: Array, time: Array, joints: tuple[str, ...])
     )
 
 
-def _gravity(quat: Array) -> Array:
+def _gravity(quat: Float64) -> Float64:
     """Return the unit vector of gravity in the base frame, shape (n, 3), of wxyz base to world."""
     w, x, y, z = (quat / np.maximum(np.linalg.norm(quat, axis=1, keepdims=True), 1e-9)).T
     return np.stack([2 * (w * y - x * z), -2 * (w * x + y * z), 2 * (x * x + y * y) - 1], axis=1)
 
 
 @np.errstate(invalid="ignore")
-def rising(time: Array) -> NDArray[np.bool_] | None:
+def rising(time: Float64) -> Bool | None:
     """Return which samples have a time of their own; None for what is not a clock.
 
     A clock never goes back, and moves in at least half of the samples.
@@ -227,7 +226,7 @@ def _read_record(path: Path, window: Window) -> Run:
     whole = record.ended
     states = {name: record.states(name)[whole] for name in (*JOINTS, *BASE) if name in layout.slots}
     states = {name: values for name, values in states.items() if values.ndim == 2}
-    clocks: list[tuple[str, Array]] = []
+    clocks: list[tuple[str, Float64]] = []
     if "stamp_ns" in layout.slots:
         stamps = record.states("stamp_ns")[whole].reshape(-1)
         clocks.append(("the robot's own time, stamp_ns", _seconds(stamps)))
@@ -241,7 +240,7 @@ def _read_record(path: Path, window: Window) -> Run:
     return make_run(path, about, clocks, tuple(joints), states, window)
 
 
-def _seconds(stamps: NDArray[np.int64]) -> Array:
+def _seconds(stamps: Int64) -> Float64:
     """Return times in [s] from the first one; a clock of nanoseconds since 1970 loses no digit."""
     return np.asarray((stamps - stamps[:1]) * 1e-9, np.float64)
 
@@ -274,7 +273,7 @@ def read_npz(path: Path, window: Window) -> Run:
 
 def _run(archive: Archive, window: Window) -> Run:
     path, arrays = archive.path, archive.arrays
-    found: dict[str, NDArray[Any]] = {n: arrays[n] for n in (*JOINTS, *BASE) if n in arrays}
+    found: dict[str, Array] = {n: arrays[n] for n in (*JOINTS, *BASE) if n in arrays}
     for key, name in KEYS.items():
         wanted = name in JOINTS or (name in BASE and name not in (*NOT_SURE, "base_quat"))
         if key in arrays and wanted and name not in found:
@@ -297,9 +296,9 @@ def _run(archive: Archive, window: Window) -> Run:
 
 
 @np.errstate(invalid="ignore")  # of infinite times, which `rising` refuses
-def _clocks(archive: Archive, count: int) -> list[tuple[str, Array]]:
+def _clocks(archive: Archive, count: int) -> list[tuple[str, Float64]]:
     """Return what may tell the time, in [s]."""
-    clocks: list[tuple[str, Array]] = []
+    clocks: list[tuple[str, Float64]] = []
     stamps = archive.arrays.get("stamp_ns")
     if stamps is not None:
         stamps = stamps.reshape(-1)[:count]

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from unicon_core.arrays import Float64
 from unicon_core.errors import UniconError
 from unicon_core.gap import Aligned, aligned_mse, fall_time
-from unicon_core.gap.trajectories import Array
 from unicon_ros.analysis.run import FEWEST, JOINTS, Run
 
 HOLE = 10.0
@@ -52,23 +52,23 @@ class Together:
     period: float
     method: str
     aligned: Aligned
-    real: dict[str, Array]
-    sim: dict[str, Array]
-    real_whole: dict[str, Array]
-    sim_whole: dict[str, Array]
+    real: dict[str, Float64]
+    sim: dict[str, Float64]
+    real_whole: dict[str, Float64]
+    sim_whole: dict[str, Float64]
     ends: tuple[int, int]
     begins: tuple[float, float]
     falls: tuple[float, float]
     notes: list[str]
 
     @property
-    def unshifted(self) -> tuple[Array, Array]:
+    def unshifted(self) -> tuple[Float64, Float64]:
         """Joint positions up to a fall in either run, from both beginnings, shape (n, d) each."""
         count = min(self.ends)
         return self.real_whole["joint_pos"][:count], self.sim_whole["joint_pos"][:count]
 
     @property
-    def time(self) -> Array:
+    def time(self) -> Float64:
         """Time of each common sample in [s] of the real file."""
         count = len(self.real["joint_pos"])
         return np.asarray(self.begins[0] + self.period * np.arange(count), np.float64)
@@ -159,14 +159,14 @@ def _joints(real: Run, sim: Run, notes: list[str]) -> tuple[tuple[str, ...], lis
     return common, [[run.joints.index(name) for name in common] for run in (real, sim)]
 
 
-def _fall(states: dict[str, Array], period: float) -> float:
+def _fall(states: dict[str, Float64], period: float) -> float:
     gravity = states.get("projected_gravity")
     return math.nan if gravity is None else float(fall_time(gravity, period))
 
 
 def _until(
-    states: dict[str, Array], fall: float, period: float, run: Run, notes: list[str]
-) -> dict[str, Array]:
+    states: dict[str, Float64], fall: float, period: float, run: Run, notes: list[str]
+) -> dict[str, Float64]:
     """Return what was before a fall: afterwards every joint differs, and nobody learns why."""
     if math.isnan(fall):
         return states
@@ -218,7 +218,7 @@ def common_period(real: Run, sim: Run, rate: float | None) -> tuple[float, str]:
     return period, text
 
 
-def _own_period(time: Array) -> tuple[float, bool]:
+def _own_period(time: Float64) -> tuple[float, bool]:
     """Return the period of a run's samples, and whether all stand where it puts them."""
     mean = float(time[-1]) / (len(time) - 1)
     if np.abs(time - mean * np.arange(len(time))).max() <= EVEN * mean:
@@ -227,7 +227,7 @@ def _own_period(time: Array) -> tuple[float, bool]:
     return float(np.mean(steps[steps < 3.0 * np.median(steps)])), False  # holes are not a rate
 
 
-def resample(time: Array, states: dict[str, Array], period: float) -> dict[str, Array]:
+def resample(time: Float64, states: dict[str, Float64], period: float) -> dict[str, Float64]:
     """Return the states at even times from the first sample on.
 
     Linear interpolation. Where the new period is longer than `SMOOTHED` of the old ones, each value
@@ -255,15 +255,15 @@ def resample(time: Array, states: dict[str, Array], period: float) -> dict[str, 
     return result
 
 
-def _linear(at: Array, time: Array, values: Array) -> Array:
+def _linear(at: Float64, time: Float64, values: Float64) -> Float64:
     """Return the straight lines between the samples, shape (len(at), d)."""
     return np.stack([np.interp(at, time, column) for column in values.T], axis=1)
 
 
-def _integral(at: Array, time: Array, values: Array, areas: Array) -> Array:
+def _integral(at: Float64, time: Float64, values: Float64, areas: Float64) -> Float64:
     """Return the area below these lines up to each time; `areas` are those at the samples."""
     row = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(time) - 2)
     inside = (at - time[row])[:, None]
     slope = (values[row + 1] - values[row]) / (time[row + 1] - time[row])[:, None]
-    area: Array = areas[row] + inside * (values[row] + 0.5 * slope * inside)
+    area: Float64 = areas[row] + inside * (values[row] + 0.5 * slope * inside)
     return area

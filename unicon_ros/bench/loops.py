@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Bool, Float64, Int64
 from unicon_core.errors import UniconError
 from unicon_core.signals import SIGNALS
 from unicon_ros.bench.pipelines.log import beside
@@ -50,11 +50,11 @@ class Slice:
     cpu_share: float
     measuring_share: float
 
-    def holds(self, times: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def holds(self, times: Int64) -> Bool:
         """Return which times lie within."""
         return (times >= self.begin) & (times <= self.end)
 
-    def fresh(self, stamps: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def fresh(self, stamps: Int64) -> Bool:
         """Return which states were made in this turn: the age of others counts the time held."""
         return stamps >= self.begin - round(SETTLE * 1e9)
 
@@ -152,7 +152,7 @@ class Loop:
                 process.wait()
         self._processes = []
 
-    def samples(self) -> list[dict[str, NDArray[np.float64]]]:
+    def samples(self) -> list[dict[str, Float64]]:
         """Return the rows of each slice in [µs] (`cpu`, `lost`, `stale` in %); after `close`."""
         if not (self.log.exists() and self.controller_log.exists()):
             return [{} for _ in self.slices]
@@ -205,7 +205,7 @@ def breathe(loops: Iterable[Loop]) -> None:
 
 def _bridged(
     each: Slice, measured: dict[str, Any], controlled: dict[str, Any]
-) -> dict[str, NDArray[np.float64]]:
+) -> dict[str, Float64]:
     ticks = each.holds(controlled["end"]) & each.fresh(controlled["stamp"])
     part = {name: controlled[name][ticks] for name in ("stamp", "seen", "begin", "end")}
     latency = _under_way(each, measured)
@@ -231,7 +231,7 @@ def _bridged(
 
 def _mirrored(
     each: Slice, measured: dict[str, Any], controlled: dict[str, Any]
-) -> dict[str, NDArray[np.float64]]:
+) -> dict[str, Float64]:
     row, since, to_wall = "send", "begin", 0
     if "stamp" in controlled:  # a driver's, of the monotonic clock
         row, since, to_wall = "state_to_command", "stamp", time.time_ns() - time.monotonic_ns()
@@ -246,9 +246,9 @@ def _mirrored(
     }
 
 
-def _under_way(each: Slice, log: dict[str, Any]) -> NDArray[np.float64]:
+def _under_way(each: Slice, log: dict[str, Any]) -> Float64:
     """Return how long messages that arrived in a slice took, in [µs]."""
-    latency: NDArray[np.float64] = (log["received"] - log["stamp"]) * 1e-3
+    latency: Float64 = (log["received"] - log["stamp"]) * 1e-3
     return latency[each.holds(log["received"]) & each.fresh(log["stamp"])]
 
 

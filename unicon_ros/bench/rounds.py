@@ -10,8 +10,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from unicon_core.arrays import Float64
 from unicon_core.signals import SIGNALS, Interrupted
 from unicon_ros.bench.loops import Loop, breathe
 from unicon_ros.bench.report import Bench
@@ -19,7 +20,7 @@ from unicon_ros.cli.console import CLEAR, is_terminal
 
 SEED = 0
 
-Rows = dict[str, NDArray[np.float64]]
+Rows = dict[str, Float64]
 """What one variant gave in one round: row to samples."""
 
 Claim = tuple[str, str, str, str, str, float | None]

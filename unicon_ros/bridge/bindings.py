@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import time
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array
 from unicon_core.errors import UniconError
 from unicon_core.robots import Robot
 from unicon_core.workflow.program_data import ProgramData
 
 
-def arrays_of(program: ProgramData) -> dict[str, NDArray[Any]]:
+def arrays_of(program: ProgramData) -> dict[str, Array]:
     """Return the states' views by name; of the first robot where there are many."""
     states = program.states
     if states.num_robots is None:
@@ -79,7 +78,7 @@ class WallStamp:
 
     name = "ros time"
 
-    def __init__(self, source: NDArray[Any] | None) -> None:
+    def __init__(self, source: Array | None) -> None:
         self.out = np.zeros((), np.int64)
         self.reads = () if source is None else ("stamp_ns",)
         self._source = source

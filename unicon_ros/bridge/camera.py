@@ -26,8 +26,8 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array
 from unicon_core.errors import UniconError
 from unicon_core.handles import FrameRing
 from unicon_core.models.find import find_model, model_of, terrain_of
@@ -115,7 +115,7 @@ class Camera:
         self._poses.commit(time.monotonic_ns())
         self.peripheral.wish("draw")
 
-    def frame(self, handle: int) -> NDArray[Any] | None:
+    def frame(self, handle: int) -> Array | None:
         """Return a frame in place, shape `message.shape`; None when it was overwritten."""
         raw = self.ring.frame(handle)
         if raw is None:

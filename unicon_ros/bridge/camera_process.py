@@ -12,8 +12,8 @@ import select
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float32
 from unicon_core.errors import ModelError
 from unicon_core.handles import FrameRing
 from unicon_core.models.camera import ModelCamera
@@ -47,7 +47,7 @@ class _Camera:
             fovy=options["fovy"],
             depth=self._kind != "color",
         )
-        self._rays: NDArray[np.float32] | None = None
+        self._rays: Float32 | None = None
         if self._kind == "cloud":
             if not model.pinhole.fx:
                 raise ModelError(f"camera: {options['camera']!r} has no perspective, so no cloud")

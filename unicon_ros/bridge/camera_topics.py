@@ -17,9 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from unicon_core.arrays import Float64
 from unicon_core.errors import UniconError, alternatives
 from unicon_core.models.kinematic_tree import Link
 from unicon_core.resources import find_config, same_modules
@@ -114,9 +112,7 @@ class CameraTopics:
 
         return publish, name
 
-    def tell_frame(
-        self, frame: str, parent: str, at: NDArray[np.float64], quat: NDArray[np.float64]
-    ) -> None:
+    def tell_frame(self, frame: str, parent: str, at: Float64, quat: Float64) -> None:
         """Tell where a frame is, once and for late joiners.
 
         Args:

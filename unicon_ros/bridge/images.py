@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array, Float32
 from unicon_core.errors import UniconError, alternatives
 from unicon_core.models.camera import Intrinsics
 
@@ -49,9 +49,9 @@ class FrameMessage:
     dtype: str | np.dtype[np.void]
     frame_id: str = ""
 
-    def data(self, buffer: Any) -> NDArray[Any]:
+    def data(self, buffer: Any) -> Array:
         """Return the view of the data in a message's buffer; to write into or to read."""
-        view: NDArray[Any] = np.ndarray(self.shape, self.dtype, buffer, self.offset)
+        view: Array = np.ndarray(self.shape, self.dtype, buffer, self.offset)
         return view
 
     def put(self, buffer: Any, data: memoryview) -> int:
@@ -167,7 +167,7 @@ def info_message(
     return bytes(out.bytes)
 
 
-def rays(width: int, height: int, pinhole: Intrinsics) -> NDArray[np.float32]:
+def rays(width: int, height: int, pinhole: Intrinsics) -> Float32:
     """Return x, y, z per metre of depth of each pixel, optical frame, shape (height, width, 3).
 
     Args:

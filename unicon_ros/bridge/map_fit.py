@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float32
 from unicon_core.errors import PlatformError, UniconError
 from unicon_core.flow import Block, Stage
 from unicon_core.platforms.platform import Binding, Facts
@@ -149,7 +149,7 @@ def examine_platform(
 
 
 def robot_codecs(
-    mapping: MessageMap, states: States, robot: Robot, effort: NDArray[np.float32] | None = None
+    mapping: MessageMap, states: States, robot: Robot, effort: Float32 | None = None
 ) -> tuple[list[Decoder], list[Encoder]]:
     """Build the codecs of a map for platform `ros`, as `codecs` does.
 

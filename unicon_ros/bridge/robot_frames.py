@@ -10,8 +10,7 @@ from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
-from numpy.typing import NDArray
-
+from unicon_core.arrays import Array
 from unicon_core.errors import UniconError
 from unicon_core.flow import Block
 from unicon_core.models.find import model_of
@@ -61,7 +60,7 @@ class RobotMessages:
     def __init__(
         self,
         program: Program,
-        stamp: NDArray[Any],
+        stamp: Array,
         frame_prefix: str = "",
         links: bool = True,
         footprint: bool = True,
@@ -136,7 +135,7 @@ class RobotFrames:
         self,
         node: Any,
         program: Program,
-        stamp: NDArray[Any],
+        stamp: Array,
         group: Any,
         warn: Callable[[str], None],
         frame_prefix: str = "",

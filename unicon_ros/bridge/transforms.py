@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float32
 from unicon_core.models.kinematic_tree import Link
 from unicon_core.models.quaternions import multiply, rotate
 from unicon_msgs_map import Encoder, FieldSpec, PublishSpec, Qos
@@ -35,7 +35,7 @@ class LinkTransforms:
         quats: link to parent, wxyz, shape (m, 4).
     """
 
-    def __init__(self, links: Sequence[Link], joint_pos: NDArray[np.float32]) -> None:
+    def __init__(self, links: Sequence[Link], joint_pos: Float32) -> None:
         self.moving = [link for link in links if link.index >= 0]
         self.fixed = [link for link in links if link.index < 0 and link.parent >= 0]
         self._joint_pos = joint_pos

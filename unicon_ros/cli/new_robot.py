@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float64
 from unicon_core.check.model_facts import model_joints
 from unicon_core.errors import ModelError, RobotError
 from unicon_core.located_yaml import parse_yaml
@@ -25,8 +25,6 @@ from unicon_core.robots.file import KINDS, SCHEMA, joint_bounds
 from unicon_core.robots.load import read_robot_file
 from unicon_core.robots.robot import JOINT_FIELDS
 from unicon_ros.cli.robot_kind import feet_of, kind_of, legs_of, wheels_of
-
-Float = NDArray[np.float64]
 
 _IMU = re.compile(r"(^|_)imu", re.IGNORECASE)
 _NAMELESS = "MuJoCo Model"
@@ -52,9 +50,9 @@ class _Facts:
     hangs: bool
     joints: tuple[str, ...]
     passive: list[str]
-    figures: dict[str, Float]
-    damped: Float
-    imu: tuple[str, Float, Float] | None
+    figures: dict[str, Float64]
+    damped: Float64
+    imu: tuple[str, Float64, Float64] | None
     feet: list[str]
     sources: dict[str, str]
 
@@ -238,7 +236,7 @@ def _base(loaded: LoadedModel) -> int:
     return body
 
 
-def _imu(model: Any, base: int) -> tuple[str, Float, Float] | None:
+def _imu(model: Any, base: int) -> tuple[str, Float64, Float64] | None:
     """Return name, position [m] and quaternion wxyz of an IMU that is fixed to the base."""
     mujoco = import_mujoco()
     data = mujoco.MjData(model)
@@ -260,7 +258,7 @@ def _imu(model: Any, base: int) -> tuple[str, Float, Float] | None:
 
 def _figures(
     loaded: LoadedModel, joints: tuple[str, ...], path: Path
-) -> tuple[dict[str, Float], dict[str, str]]:
+) -> tuple[dict[str, Float64], dict[str, str]]:
     said = model_joints(loaded)
     assert said is not None  # there is a model
     speeds = _speeds(path)
@@ -373,5 +371,5 @@ def _figure(value: float) -> float | None:
     return None if np.isnan(value) else round(float(value), 6) + 0.0
 
 
-def _list(values: Float) -> list[float | None]:
+def _list(values: Float64) -> list[float | None]:
     return [*map(_figure, values)]

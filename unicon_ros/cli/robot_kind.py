@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float64
 from unicon_core.errors import RobotError
 from unicon_core.models.loaded import free_joint, import_mujoco
 from unicon_core.robots.file import KINDS
@@ -134,7 +134,7 @@ def _endless(model: Any, joint: int) -> bool:
     return int(model.jnt_type[joint]) == hinge and wide
 
 
-def _heights(model: Any) -> NDArray[np.float64]:
+def _heights(model: Any) -> Float64:
     """Return the heights of all bodies in [m] with all joints at 0."""
     mujoco = import_mujoco()
     data = mujoco.MjData(model)

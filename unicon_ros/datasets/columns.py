@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.arrays import Index
 from unicon_core.errors import StateError
 from unicon_core.states.standard import FORWARDED_STATES
 from unicon_ros.datasets.episodes import Episode
@@ -48,7 +49,7 @@ class Column:
 
     key: str
     dtype: str
-    states: tuple[tuple[str, NDArray[np.intp]], ...]
+    states: tuple[tuple[str, Index], ...]
     names: tuple[str, ...]
 
     def values(self, episode: Episode) -> NDArray[np.generic]:
@@ -125,7 +126,7 @@ def _flat(episode: Episode, state: str) -> NDArray[np.generic]:
     return values.reshape(len(values), -1)[episode.rows - first]
 
 
-def _known(episodes: Sequence[Episode], state: str, told: list[str]) -> NDArray[np.intp]:
+def _known(episodes: Sequence[Episode], state: str, told: list[str]) -> Index:
     """Return the elements of a state that are ever a number."""
     elements = episodes[0].record.layout.elements(state)
     known = np.zeros(len(elements), bool)
@@ -138,7 +139,7 @@ def _known(episodes: Sequence[Episode], state: str, told: list[str]) -> NDArray[
     return np.flatnonzero(known)
 
 
-def _names(record: Record, state: str, places: NDArray[np.intp]) -> tuple[str, ...]:
+def _names(record: Record, state: str, places: Index) -> tuple[str, ...]:
     """Return the names of elements; those of joints without the state in front."""
     elements = record.layout.elements(state)
     joints = record.layout.specs["joint_pos"].names if "joint_pos" in record.layout.specs else ()

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Int64
 from unicon_core.errors import UniconError
 from unicon_ros.datasets.pictures import Pictures, Shown
 from unicon_ros.recording import Record
@@ -31,7 +31,7 @@ class Episode:
 
     path: Path
     record: Record
-    rows: NDArray[np.int64]
+    rows: Int64
     shown: Mapping[str, Shown] = field(default_factory=dict)
     held: Mapping[str, int] = field(default_factory=dict)
 
@@ -86,7 +86,7 @@ def episodes_of(
     return found
 
 
-def _stretches(record: Record, phases: Collection[str]) -> list[NDArray[np.int64]]:
+def _stretches(record: Record, phases: Collection[str]) -> list[Int64]:
     """Return the rows of ticks that follow each other in these phases and came to their end."""
     wanted = np.array([phase in phases for phase in record.phases], bool) & record.ended
     names = np.array(record.phases)
@@ -101,7 +101,7 @@ def _stretches(record: Record, phases: Collection[str]) -> list[NDArray[np.int64
     return np.split(rows, np.flatnonzero(ends) + 1)
 
 
-def sampled(record: Record, rows: NDArray[np.int64], fps: int) -> NDArray[np.int64]:
+def sampled(record: Record, rows: Int64, fps: int) -> Int64:
     """Return the rows at even times, each the nearest tick.
 
     Args:
@@ -118,5 +118,5 @@ def sampled(record: Record, rows: NDArray[np.int64], fps: int) -> NDArray[np.int
         return rows
     after = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1)
     nearer = wanted - times[after - 1] < times[after] - wanted
-    chosen: NDArray[np.int64] = rows[after - nearer]
+    chosen: Int64 = rows[after - nearer]
     return chosen

@@ -9,8 +9,8 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Int64, UInt8
 from unicon_core.errors import UniconError, imported, one_line
 from unicon_msgs_map.layout.messages import shared_messages
 from unicon_ros.recording import Record
@@ -36,7 +36,7 @@ class Pictures:
     width: int
     what: str
 
-    def rgb(self, index: int) -> NDArray[np.uint8]:
+    def rgb(self, index: int) -> UInt8:
         """Return the pixels of a picture, shape (height, width, 3).
 
         Raises:
@@ -45,7 +45,7 @@ class Pictures:
         raw = self.frames.message(index)
         if self.frames.type == IMAGE:
             found = _read(raw, IMAGE, self.what)
-            seen: NDArray[np.uint8] = found.data
+            seen: UInt8 = found.data
             if len(seen) == found.height * found.width * 3:
                 seen = seen.reshape(found.height, found.width, 3)
         else:
@@ -74,12 +74,12 @@ class Shown:
     """
 
     pictures: Pictures
-    indexes: NDArray[np.int64]
+    indexes: Int64
 
     def __len__(self) -> int:
         return len(self.indexes)
 
-    def rgb(self, frame: int) -> NDArray[np.uint8]:
+    def rgb(self, frame: int) -> UInt8:
         """Return the pixels at a frame, shape (height, width, 3)."""
         return self.pictures.rgb(int(self.indexes[frame]))
 
@@ -144,7 +144,7 @@ def _pillow() -> Any:
     return import_module("PIL.Image")
 
 
-def _decoded(data: NDArray[np.uint8], what: str) -> NDArray[np.uint8]:
+def _decoded(data: UInt8, what: str) -> UInt8:
     image = _pillow()
     try:
         return np.asarray(image.open(io.BytesIO(data.tobytes())).convert("RGB"))
@@ -154,7 +154,7 @@ def _decoded(data: NDArray[np.uint8], what: str) -> NDArray[np.uint8]:
         ) from error
 
 
-def png(pixels: NDArray[np.uint8]) -> bytes:
+def png(pixels: UInt8) -> bytes:
     """Return a picture as PNG.
 
     Args:

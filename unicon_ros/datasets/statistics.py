@@ -12,11 +12,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array, Float64, Int64
 from unicon_ros.datasets.pictures import Shown
 
-Statistics: TypeAlias = dict[str, NDArray[Any]]
+Statistics: TypeAlias = dict[str, Array]
 """`min`, `max`, `mean`, `std`, `count`, `q01` … to values."""
 
 QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
@@ -26,7 +26,7 @@ LARGE, WANTED = 300, 150
 """Of a picture whose longer side is so long every few pixels are counted, about 150 of it."""
 
 
-def of_values(values: NDArray[Any]) -> Statistics:
+def of_values(values: Array) -> Statistics:
     """Return the statistics of numbers; NaN count for nothing, and 0 stands where all are.
 
     Args:
@@ -69,13 +69,13 @@ def of_pictures(shown: Shown) -> Statistics:
     }
 
 
-def _of_counts(counts: NDArray[np.int64]) -> Statistics:
+def _of_counts(counts: Int64) -> Statistics:
     """Return the statistics of bytes by how often each is there, shape (colours, 256)."""
     levels, total = np.arange(256) / 255.0, counts.sum(axis=1)
     mean = counts @ levels / total
     below = np.cumsum(counts, axis=1)
 
-    def at(share: float) -> NDArray[np.float64]:
+    def at(share: float) -> Float64:
         places = (below < share * total[:, None]).sum(axis=1).clip(0, 255)
         return np.asarray(levels[places])
 
@@ -96,8 +96,8 @@ def joined(episodes: Sequence[Mapping[str, Statistics]]) -> dict[str, Statistics
         counts = np.array([one["count"][0] for one in each], np.float64)
         weights = (counts / counts.sum()).reshape(-1, *[1] * each[0]["mean"].ndim)
 
-        def mean(name: str, each: Any = each, weights: Any = weights) -> NDArray[np.float64]:
-            total: NDArray[np.float64] = (np.stack([one[name] for one in each]) * weights).sum(0)
+        def mean(name: str, each: Any = each, weights: Any = weights) -> Float64:
+            total: Float64 = (np.stack([one[name] for one in each]) * weights).sum(0)
             return total
 
         spread = np.stack([one["std"] ** 2 + (one["mean"] - mean("mean")) ** 2 for one in each])

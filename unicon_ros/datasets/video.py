@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from unicon_core.arrays import UInt8
 
 CODEC, NAME, PIXELS = "libsvtav1", "av1", "yuv420p"
 OPTIONS = {"g": "2", "crf": "30", "preset": "12"}
@@ -65,7 +66,7 @@ class Video:
         self._stream.pix_fmt = PIXELS
         self._stream.height, self._stream.width = height, width
 
-    def add(self, pixels: NDArray[np.uint8]) -> None:
+    def add(self, pixels: UInt8) -> None:
         """Add a frame.
 
         Args:

@@ -21,8 +21,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array
 from unicon_core.errors import MissingDependencyError, UniconError, imported, one_line
 from unicon_ros.datasets.columns import DEFAULTS, Feature, info_of
 from unicon_ros.datasets.episodes import Episode
@@ -82,7 +82,7 @@ class DatasetWriter:
         self._statistics: list[dict[str, Statistics]] = []
         self._frames = 0
 
-    def add(self, episode: Episode, values: Mapping[str, NDArray[Any]], task: str) -> None:
+    def add(self, episode: Episode, values: Mapping[str, Array], task: str) -> None:
         """Add an episode.
 
         Args:
@@ -160,7 +160,7 @@ class DatasetWriter:
         }
         write_json(self._root / "meta/info.json", totals)
 
-    def _write_table(self, episode: Episode, every: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+    def _write_table(self, episode: Episode, every: Mapping[str, Array]) -> dict[str, Any]:
         """Write the numbers as one row group; return where they are."""
         arrow = self._arrow
         arrays, fields = [], []
@@ -272,7 +272,7 @@ class PackageWriter:
             f"unicon/{root.name}", fps, described, root=root, robot_type=robot, use_videos=video
         )
 
-    def add(self, episode: Episode, values: Mapping[str, NDArray[Any]], task: str) -> None:
+    def add(self, episode: Episode, values: Mapping[str, Array], task: str) -> None:
         """Add an episode.
 
         Args:

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float32
 from unicon_core.errors import MissingDependencyError, ModelError, PlatformError
 from unicon_core.platforms.fake import FakePlatform
 from unicon_core.platforms.kit.bodies import let_go
@@ -118,7 +118,7 @@ def body_of(
     return Body(platform, path, free)
 
 
-def random_posture(robot: Robot, random: np.random.Generator) -> NDArray[np.float32]:
+def random_posture(robot: Robot, random: np.random.Generator) -> Float32:
     """Return joint positions within the limits in [rad], shape (n,); default where unknown."""
     spare = SPARE * (robot.upper - robot.lower)
     known = np.isfinite(spare)

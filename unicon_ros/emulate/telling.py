@@ -24,8 +24,8 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float32
 from unicon_core.states import States
 
 Say = Callable[..., None]
@@ -61,7 +61,7 @@ class Telling:
         self._watched = self._stiff = False
         self._left: set[str] = set()
 
-    def command(self, now: float, pos: NDArray[np.float32]) -> None:
+    def command(self, now: float, pos: Float32) -> None:
         """Take note of a command that acts; the joints are at `pos` in [rad], shape (n,)."""
         away = np.abs(self._target - pos)
         worst = float(away.max())

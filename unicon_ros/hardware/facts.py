@@ -20,7 +20,6 @@ from collections.abc import Callable
 from typing import Annotated, Any, TypeAlias, TypeVar, get_type_hints
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_core.errors import PlatformError, RobotError
 from unicon_core.robots import Robot
@@ -39,8 +38,6 @@ Rate = Annotated[float, Key("rate_hz"), Within(1.0, 10_000.0)]
 """Of frames in [Hz]."""
 AskingRate = Annotated[float, Key("rate_hz"), Within(1.0, 1000.0)]
 """Of frames that are asked for, in [Hz]."""
-Numbers = NDArray[np.float64]
-"""One for each joint, shape (n,); with `each`."""
 
 
 class _Then(Type):

@@ -13,8 +13,9 @@ import math
 import time
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from unicon_core.arrays import Float32, UInt8
 from unicon_core.states import States
 
 SETTLES = 0.2
@@ -61,7 +62,7 @@ class ModeGuard:
         self._behind = np.zeros(n, bool)  # others that are commanded the same mode report it
         self._all, self._since = False, math.inf
 
-    def __call__(self, *pushing: NDArray[np.float32]) -> str:
+    def __call__(self, *pushing: Float32) -> str:
         """Let go once a motor has left its mode; return which, the first time, else "".
 
         Args:
@@ -77,7 +78,7 @@ class ModeGuard:
                 values[...] = 0.0
         return "" if before else self.left
 
-    def _look(self, pushing: tuple[NDArray[np.float32], ...]) -> None:
+    def _look(self, pushing: tuple[Float32, ...]) -> None:
         right = self.reported == self.commanded
         out = self._guarded & ~right
         if not out.any() and any(values.any() for values in pushing):
@@ -125,7 +126,7 @@ class EmulatedModes:
         reported: what the emulated robot reports, shape (n,); this writes it.
     """
 
-    def __init__(self, reported: NDArray[np.uint8]) -> None:
+    def __init__(self, reported: UInt8) -> None:
         self.reported = reported
         self._away: dict[int, int] = {}
 
@@ -138,7 +139,7 @@ class EmulatedModes:
         """Let all motors go into the commanded mode again, with the next command."""
         self._away.clear()
 
-    def command(self, modes: NDArray[np.uint8], states: States) -> None:
+    def command(self, modes: UInt8, states: States) -> None:
         """Go into the commanded modes; a motor that is away has neither stiffness nor torque.
 
         Args:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 
-import numpy as np
-from numpy.typing import NDArray
+from unicon_core.arrays import Float64
 
 SHORTEST_NS = 1_000_000
 """Two looks may be as close as they like, and are taken as so far apart, [ns]."""
@@ -20,9 +19,9 @@ class Speed:
 
     def __init__(self, over: float) -> None:
         self._over = round(over * 1e9)
-        self._past: deque[tuple[int, NDArray[np.float64]]] = deque()
+        self._past: deque[tuple[int, Float64]] = deque()
 
-    def __call__(self, stamp_ns: int, angles: NDArray[np.float64]) -> NDArray[np.float64]:
+    def __call__(self, stamp_ns: int, angles: Float64) -> Float64:
         """Return it in [rad/s], shape (n,); zero for the first angles.
 
         Args:
@@ -34,5 +33,5 @@ class Speed:
         while len(past) > 2 and stamp_ns - past[1][0] >= self._over:
             past.popleft()
         before, then = past[0]
-        speed: NDArray[np.float64] = (angles - then) / (max(stamp_ns - before, SHORTEST_NS) * 1e-9)
+        speed: Float64 = (angles - then) / (max(stamp_ns - before, SHORTEST_NS) * 1e-9)
         return speed

@@ -10,18 +10,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
 
-from numpy.typing import NDArray
-
+from unicon_core.arrays import Array
 from unicon_core.platforms.kit.base import IMU_STATES
 
 __all__ = ["IMU_STATES", "turned"]
 
 
 def turned(
-    source: Mapping[str, NDArray[Any]],
-    into: Mapping[str, NDArray[Any]],
+    source: Mapping[str, Array],
+    into: Mapping[str, Array],
     angle: float,
     rate: float,
 ) -> None:

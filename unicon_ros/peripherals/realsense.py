@@ -17,8 +17,8 @@ from pkgutil import resolve_name
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array, Float32, Float64, UInt8
 from unicon_core.errors import MissingDependencyError, UniconError, one_line
 from unicon_core.flow import Block
 from unicon_core.models.camera import Intrinsics
@@ -165,7 +165,7 @@ class _RealSense:
         depth_of = rs.stream.color if options["aligned"] else rs.stream.depth
         color = profile.get_stream(rs.stream.color).as_video_stream_profile()
         depth = profile.get_stream(depth_of).as_video_stream_profile()
-        self._rays: NDArray[np.float32] | None = None
+        self._rays: Float32 | None = None
         if options["cloud"]:
             self._rays = rays(width, height, _pinhole(depth.intrinsics))
         for ring, message in self._messages.items():
@@ -267,7 +267,7 @@ class _RealSense:
         for ring, publish in self._publish.items():
             publish(filled[ring].tobytes())
 
-    def _data(self, ring: str, filled: dict[str, NDArray[np.uint8]]) -> NDArray[Any]:
+    def _data(self, ring: str, filled: dict[str, UInt8]) -> Array:
         message: FrameMessage = self._messages[ring]
         return message.data(filled[ring])
 
@@ -317,7 +317,7 @@ def _pinhole(seen: Any) -> Intrinsics:
     return Intrinsics(seen.fx, seen.fy, seen.ppx, seen.ppy)
 
 
-def _quaternion(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+def _quaternion(matrix: Float64) -> Float64:
     """Return the quaternion wxyz, w >= 0, of a rotation of less than half a turn."""
     w = 0.5 * np.sqrt(max(1.0 + np.trace(matrix), 1e-12))
     xyz = (matrix - matrix.T)[[2, 0, 1], [1, 2, 0]] / (4.0 * w)

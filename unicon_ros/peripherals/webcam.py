@@ -17,8 +17,8 @@ from pkgutil import resolve_name
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import UInt8
 from unicon_core.errors import UniconError, alternatives
 from unicon_core.flow import Block
 from unicon_core.states import StateSpec
@@ -159,7 +159,7 @@ class Rgb:
         self._chroma = {k: np.round(f * around).astype(np.int16) for k, f in factors.items()}
         self._sum = np.empty(shape, np.int16)
 
-    def __call__(self, packed: NDArray[np.uint8], into: NDArray[np.uint8]) -> None:
+    def __call__(self, packed: UInt8, into: UInt8) -> None:
         """Write the colours of a picture.
 
         Args:

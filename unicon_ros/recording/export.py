@@ -6,11 +6,10 @@ import csv
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array
 from unicon_core.errors import UniconError, cannot, imported
 from unicon_core.page import refuse_existing
 from unicon_ros.recording.read import Record
@@ -52,7 +51,7 @@ def export(record: Record, path: Path, states: Sequence[str] = (), moment: str =
     return len(record.ticks)
 
 
-def _heads(record: Record, begin: int = 0, end: int | None = None) -> dict[str, NDArray[Any]]:
+def _heads(record: Record, begin: int = 0, end: int | None = None) -> dict[str, Array]:
     rows = slice(begin, end)
     return {
         "stamp_ns": record.stamps[rows],
@@ -66,7 +65,7 @@ def _npz(record: Record, path: Path, names: Sequence[str], moment: str) -> None:
     """Write one state after the other, so that only one is in memory."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:
 
-        def add(name: str, values: NDArray[Any]) -> None:
+        def add(name: str, values: Array) -> None:
             with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
                 np.lib.format.write_array(file, values, allow_pickle=False)
 
@@ -109,7 +108,7 @@ def _parquet(record: Record, path: Path, names: Sequence[str], moment: str) -> N
 
 def _blocks(
     record: Record, names: Sequence[str], moment: str
-) -> Iterator[tuple[dict[str, NDArray[Any]], list[NDArray[Any]]]]:
+) -> Iterator[tuple[dict[str, Array], list[Array]]]:
     """Yield the heads and the states, each of shape (ticks, elements), some ticks at a time."""
     widths = [len(record.layout.elements(name)) for name in names]
     for begin in range(0, max(len(record.ticks), 1), BLOCK):
@@ -119,7 +118,7 @@ def _blocks(
         yield _heads(record, begin, end), flat
 
 
-def _plain(values: NDArray[Any]) -> NDArray[Any]:
+def _plain(values: Array) -> Array:
     """Return bools as 0 and 1."""
     return values.view(np.uint8) if values.dtype == bool else values
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array, UInt8
 from unicon_core.errors import UniconError, imported, one_line
 from unicon_core.resources import find_config
 from unicon_core.robots import Robot
@@ -138,10 +138,10 @@ def _rows(
     states: States,
     rate: float | None,
     tell: Callable[[str], None],
-) -> list[tuple[int, NDArray[np.uint8]]]:
+) -> list[tuple[int, UInt8]]:
     """Return time in [ns] and all states of each tick."""
     step = None if rate is None else 1e9 / rate
-    rows: list[tuple[int, NDArray[np.uint8]]] = []
+    rows: list[tuple[int, UInt8]] = []
     awaited = {t for t, each in decoders.items() if not _SENSED.isdisjoint(each.spec.states)}
     awaited.add(lead)
     for name in states:
@@ -190,7 +190,7 @@ def _tell_of_beginning(
             tell(f"/{topic} begins {(stamp - begin) * 1e-9:.3g} s later: until then {named} is NaN")
 
 
-def _column(states: States, table: NDArray[Any], name: str) -> NDArray[Any]:
+def _column(states: States, table: Array, name: str) -> Array:
     slot = states.layout.slots[name]
     packed = np.ascontiguousarray(table[:, slot.offset : slot.offset + slot.nbytes])
     return packed.view(slot.dtype).reshape(-1, *slot.shape)

@@ -5,11 +5,10 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array, Int64
 from unicon_core.blocks.projected_gravity import projected_gravity
 from unicon_core.errors import UniconError
 from unicon_core.robots import Robot
@@ -36,8 +35,8 @@ def write_imported(
     path: Path,
     source: Path,
     robot: Robot,
-    stamps: NDArray[np.int64],
-    states: Mapping[str, NDArray[Any]],
+    stamps: Int64,
+    states: Mapping[str, Array],
 ) -> int:
     """Write a record of what was imported; return the number of ticks.
 
@@ -82,7 +81,7 @@ def write_imported(
 
 
 def _ticks(
-    layout: Layout, kept: Kept, stamps: NDArray[np.int64], states: Mapping[str, NDArray[Any]]
+    layout: Layout, kept: Kept, stamps: Int64, states: Mapping[str, Array]
 ) -> Iterator[bytes]:
     live = States(layout)
     turn = None

@@ -12,6 +12,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.arrays import UInt8
 from unicon_ros.recording.records import MESSAGE, MESSAGE_HEAD, ROW
 
 MOST_BYTES = 1 << 26
@@ -43,13 +44,13 @@ class Large:
         self._channel, self._size, self._wake = channel, _HEAD + nbytes, wake
         self._most = max(MOST_BYTES // self._size, 2)
         self._soon = max(min(SOON_BYTES // self._size, self._most // 2), 1)
-        self._spare: deque[NDArray[np.uint8]] = deque()
+        self._spare: deque[UInt8] = deque()
         self._made = 0
-        self._used: deque[NDArray[np.uint8]] = deque()
+        self._used: deque[UInt8] = deque()
         self.waiting: deque[tuple[memoryview, NDArray[np.void]]] = deque()
         self.written = self.crowded = self.lost = 0
 
-    def room(self) -> NDArray[np.uint8] | None:
+    def room(self) -> UInt8 | None:
         """Return where to copy the next message to, shape (nbytes,); None where none is left.
 
         The same room is given until `put`.

@@ -11,18 +11,15 @@ import zipfile
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array, Float32, Float64, Int64
 from unicon_core.errors import UniconError, alternatives, one_line
 from unicon_core.platforms.kit.base import quat_of_rpy
 from unicon_core.robots import Robot
 from unicon_ros.recording.imported import write_imported
 from unicon_ros.recording.read import LONGEST, SHORTEST
-
-Array = NDArray[np.float64]
 
 KEYS = {
     "states_q": "joint_pos",
@@ -62,7 +59,7 @@ class Archive:
 
     path: Path
     keys: tuple[str, ...]
-    arrays: dict[str, NDArray[Any]]
+    arrays: dict[str, Array]
 
     def joint_names(self) -> tuple[str, ...]:
         """Return the names of the joints in the file's order, empty where it has none."""
@@ -99,7 +96,7 @@ class Archive:
             )
         return float(value.reshape(-1)[0])
 
-    def times(self, rows: int) -> Array | None:
+    def times(self, rows: int) -> Float64 | None:
         """Return `ts` of the first rows in [s], None where it does not tell their time."""
         times = self.arrays.get("ts")
         if times is None or times.dtype.kind not in "iuf":
@@ -107,7 +104,7 @@ class Archive:
         times = times.reshape(-1)[:rows]
         return times.astype(np.float64) if len(times) == rows else None
 
-    def base_quat(self) -> NDArray[Any] | None:
+    def base_quat(self) -> Array | None:
         """Return UniCon's orientation as wxyz, base to world, shape (frames, 4); None without.
 
         Raises:
@@ -119,7 +116,7 @@ class Archive:
             return quat_of_rpy(self._columns("states_rpy", 3))
         return None
 
-    def _columns(self, key: str, count: int) -> NDArray[Any]:
+    def _columns(self, key: str, count: int) -> Array:
         values = self.arrays[key]
         if values.ndim != 2 or values.shape[1] < count or values.dtype.kind not in "fiu":
             raise UniconError(
@@ -142,7 +139,7 @@ def read_archive(path: Path, wanted: Collection[str], plain: Collection[str] = (
     """
     if path.exists() and not path.is_file():  # a pipe would never end
         raise UniconError(f"{path} is not a file; give an .npz")
-    arrays: dict[str, NDArray[Any]] = {}
+    arrays: dict[str, Array] = {}
     try:
         with zipfile.ZipFile(path) as packed:
             size = sum(entry.file_size for entry in packed.infolist())
@@ -230,9 +227,7 @@ def import_npz(
     return write_imported(out, source, robot, _stamps(archive, frames, rate), states)
 
 
-def _ordered(
-    source: Path, values: NDArray[Any], names: Sequence[str], robot: Robot
-) -> NDArray[Any]:
+def _ordered(source: Path, values: Array, names: Sequence[str], robot: Robot) -> Array:
     """Return columns in the robot's order of joints, aligned by name."""
     if not names:
         raise UniconError(
@@ -249,9 +244,7 @@ def _ordered(
     return values[:, [list(names).index(name) for name in robot.joint_names]]
 
 
-def _fitting(
-    source: Path, state: str, values: NDArray[Any], wanted: int | None = None
-) -> NDArray[np.float32]:
+def _fitting(source: Path, state: str, values: Array, wanted: int | None = None) -> Float32:
     """Return the first columns of a state of the base, all of others."""
     if values.shape[1] < (wanted or 0):
         raise UniconError(
@@ -262,7 +255,7 @@ def _fitting(
     return np.ascontiguousarray(values[:, :wanted], np.float32)
 
 
-def _stamps(archive: Archive, frames: int, rate: float | None) -> NDArray[np.int64]:
+def _stamps(archive: Archive, frames: int, rate: float | None) -> Int64:
     """Return the time of each frame in [ns] from 0: float32 seconds of `ts` are too coarse."""
     source = archive.path
     period = archive.number("rec_dt") if rate is None else 1.0 / rate

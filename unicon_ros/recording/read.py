@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array, Bool, Int64, UInt8
 from unicon_core.errors import StateError, UniconError, alternatives
 from unicon_core.runtime.tick_ring import DONE, HEAD
 from unicon_core.states import Layout, States
@@ -71,18 +71,18 @@ class Record:
     layout: Layout
     moments: tuple[str, ...]
     kept: Mapping[str, tuple[str, ...]]
-    stamps: NDArray[np.int64]
-    ticks: NDArray[np.int64]
+    stamps: Int64
+    ticks: Int64
     phases: tuple[str, ...]
-    ended: NDArray[np.bool_]
-    done: NDArray[np.bool_]
+    ended: Bool
+    done: Bool
     memories: list[dict[str, Any]]
     files: Mapping[str, bytes]
     paths: tuple[Path, ...]
     _places: Mapping[str, Moment]
     _scans: Sequence[Scan]
     _begins: Sequence[int]
-    _whole: Mapping[int, NDArray[np.uint8]]
+    _whole: Mapping[int, UInt8]
     _feeds: dict[tuple[int, str, bool], tuple[States, Any]] = field(default_factory=dict)
 
     @property
@@ -149,7 +149,7 @@ class Record:
             if isinstance(said, dict) and isinstance(said.get("sha256"), str)
         }
 
-    def states(self, name: str, moment: str = "sent", rows: slice = slice(None)) -> NDArray[Any]:
+    def states(self, name: str, moment: str = "sent", rows: slice = slice(None)) -> Array:
         """Return a state in every tick, shape (ticks, …), or in some of them.
 
         Raises:

@@ -17,6 +17,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.arrays import Int64, UInt8
 from unicon_ros.recording.records import (
     ATTACHMENT,
     CHANNEL,
@@ -32,8 +33,6 @@ from unicon_ros.recording.records import (
 )
 from unicon_ros.recording.tick_message import FRAMES, TOPIC
 
-Integers: TypeAlias = NDArray[np.int64]
-Bytes: TypeAlias = NDArray[np.uint8]
 Span: TypeAlias = tuple[int, int]
 
 _HEAD = CHUNK_HEAD.size - 9
@@ -58,15 +57,15 @@ class Scan:
         ended: it has its end, so that nobody cut it off.
     """
 
-    data: Bytes
+    data: UInt8
     facts: dict[str, str] = field(default_factory=dict)
     files: dict[str, bytes] = field(default_factory=dict)
     topics: dict[int, tuple[str, str]] = field(default_factory=dict)
     qos: dict[str, str] = field(default_factory=dict)
     counts: Counter[int] = field(default_factory=Counter)
-    ticks: Integers = field(default_factory=lambda: np.zeros(0, np.int64))
-    sizes: Integers = field(default_factory=lambda: np.zeros(0, np.int64))
-    frames: dict[str, Integers] = field(default_factory=dict)
+    ticks: Int64 = field(default_factory=lambda: np.zeros(0, np.int64))
+    sizes: Int64 = field(default_factory=lambda: np.zeros(0, np.int64))
+    frames: dict[str, Int64] = field(default_factory=dict)
     span: Span | None = None
     ended: bool = False
 
@@ -78,13 +77,13 @@ class Scan:
         return found
 
 
-def gather(data: Bytes, places: Integers, size: int) -> Bytes:
+def gather(data: UInt8, places: Int64, size: int) -> UInt8:
     """Return the `size` bytes at each place, shape (places, size)."""
     if not size or not len(places):
         return np.zeros((len(places), size), np.uint8)
     # Items that overlap: one for each byte, so that a place is an index.
     items = np.ndarray((len(data) - size + 1,), f"V{size}", data, strides=(1,))
-    packed: Bytes = items[places].view(np.uint8)
+    packed: UInt8 = items[places].view(np.uint8)
     return packed.reshape(-1, size)
 
 
@@ -107,7 +106,7 @@ def scan(path: Path) -> Scan:
         raise ValueError("it does not begin as MCAP does")
     found = Scan(np.frombuffer(raw, np.uint8))
     torn = path.suffix == ".partial"
-    places: dict[str, list[Integers]] = {}
+    places: dict[str, list[Int64]] = {}
     types: dict[int, str] = {}
     chunk: Span | None = None  # whose message indexes follow
     indexes: dict[int, Span] = {}
@@ -163,7 +162,7 @@ def scan(path: Path) -> Scan:
     return found
 
 
-def _messages(found: Scan, chunk: Span, indexes: dict[int, Span]) -> Iterator[tuple[str, Integers]]:
+def _messages(found: Scan, chunk: Span, indexes: dict[int, Span]) -> Iterator[tuple[str, Int64]]:
     """Count the messages of a chunk; yield where those of ticks and frames stand."""
     offsets: dict[int, Any] = {}
     if indexes:
@@ -262,16 +261,16 @@ class Frames:
     """
 
     type: str
-    handles: Integers
-    stamps: Integers
-    _places: Sequence[tuple[Bytes, int, int]]
+    handles: Int64
+    stamps: Int64
+    _places: Sequence[tuple[UInt8, int, int]]
 
     def message(self, index: int) -> memoryview:
         """Return a frame as it was: a whole message, CDR."""
         data, begin, length = self._places[index]
         return memoryview(data.data)[begin : begin + length]
 
-    def at(self, handles: Integers) -> Integers:
+    def at(self, handles: Int64) -> Int64:
         """Return for each handle the index of its frame, or of the newest one before it; else -1.
 
         Args:
@@ -289,7 +288,7 @@ def frames_in(name: str, scans: Sequence[Scan]) -> Frames | None:
         scans: of the files of one recording, in their order.
     """
     kind = ""
-    places: list[tuple[Bytes, int, int]] = []
+    places: list[tuple[UInt8, int, int]] = []
     heads: list[NDArray[np.void]] = []
     for scan in scans:
         begins = scan.frames.get(FRAMES + name)

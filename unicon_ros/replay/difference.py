@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array
 from unicon_core.flow import Block
 from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.policies import Policy
 from unicon_core.policies.driven import policy_of
 from unicon_core.states import States
 
-Array = NDArray[Any]
 TARGET, GAINS = "joint_pos_target", ("joint_stiffness", "joint_damping")
 
 

@@ -12,8 +12,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float64
 from unicon_core.errors import StateError, UniconError, one_line
 from unicon_core.flow import Block, Node, Stage, blocks_of, compile_graph
 from unicon_core.flow.compiled import CompiledGraph
@@ -190,7 +190,7 @@ class Replayed:
         self._at_tuned = self._kept("tuned", [name for name in names if name not in made])
         gains = self._kept("tuned", self.outside.get("tuned", ()))
         self._gains = [name for name in gains if name != GAIN_SCALE]
-        self._scales: NDArray[np.float64] | None = None
+        self._scales: Float64 | None = None
         if GAIN_SCALE in gains:
             scales = self.columns.column(GAIN_SCALE, "tuned")
             self._scales = scales.reshape(len(scales), -1)[:, :2]  # of a batch they are all alike

@@ -8,11 +8,11 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.arrays import Array, Index
 from unicon_core.errors import StateError, UniconError
 from unicon_core.runtime.phases import Phase
 from unicon_core.states import States, StateSpec
@@ -33,7 +33,7 @@ def refuse_other_batch(record: Record, states: States) -> None:
         )
 
 
-def elements(theirs: Sequence[str], ours: Sequence[str]) -> NDArray[np.intp] | None:
+def elements(theirs: Sequence[str], ours: Sequence[str]) -> Index | None:
     """Return which element of the record is each of ours, shape (n,); None where all are alike.
 
     Args:
@@ -118,7 +118,7 @@ class Series:
             view[...] = values[tick]
 
 
-def _rows(record: Record, period: float | None, start: float) -> NDArray[np.intp]:
+def _rows(record: Record, period: float | None, start: float) -> Index:
     ended = np.flatnonzero(record.ended)
     rows = np.array([i for i in ended if record.phases[i] in MOVING], np.intp)
     rows = rows if len(rows) else ended
@@ -179,7 +179,7 @@ class Columns:
     def __init__(self, record: Record, states: States) -> None:
         self._record, self._states = record, states
         refuse_other_batch(record, states)
-        self._index: dict[str, NDArray[np.intp] | None] = {}
+        self._index: dict[str, Index | None] = {}
         self.lacking: list[str] = []
         theirs, ours = record.layout.specs, states.layout.specs
         _refuse_other_robot(record, theirs, ours)
@@ -199,9 +199,9 @@ class Columns:
         self.names = tuple(self._index)
         self._turned = [name for name, index in self._index.items() if index is not None]
         self._partly = len(record.kept["received"]) < len(record.layout.slots)
-        self._kept: dict[tuple[str, str], NDArray[Any]] = {}
+        self._kept: dict[tuple[str, str], Array] = {}
 
-    def column(self, name: str, moment: str) -> NDArray[Any]:
+    def column(self, name: str, moment: str) -> Array:
         """Return a state of `names` in every tick, shape (ticks, …)."""
         key = (name, moment)
         if key not in self._kept:

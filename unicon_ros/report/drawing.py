@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array
 from unicon_core.errors import imported
 from unicon_core.page import figure as figure_html
 from unicon_core.page import write_file
@@ -28,7 +28,6 @@ POINTS = 1500
 ZOOM_S = 3.0
 """Length of the stretch that `zoomed` draws larger in [s]."""
 
-Array = NDArray[Any]
 Pictures = Mapping[str, tuple[Callable[..., bool], str, str]]
 """Name to what fills a figure, as of `drawn`, heading and caption, in the order of a page."""
 

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from unicon_core.arrays import Array
 from unicon_core.flow import Block, Stage
 from unicon_ros.bridge.bindings import told_states
-from unicon_ros.report.drawing import Array, require
+from unicon_ros.report.drawing import require
 
 if TYPE_CHECKING:
     from unicon_core.runtime import Runner

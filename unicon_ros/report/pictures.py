@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from unicon_core.arrays import Array
 from unicon_core.page import write_file
-from unicon_ros.report.drawing import INK, MARK, Array, Pictures, as_png, curve, drawn, grid
+from unicon_ros.report.drawing import INK, MARK, Pictures, as_png, curve, drawn, grid
 from unicon_ros.report.kept import Keeper
 
 MEASURED, COMMANDED, BAD = MARK, "#e07b00", "#d62728"

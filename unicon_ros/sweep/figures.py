@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array
 from unicon_core.errors import UniconError
 from unicon_core.gap.strain import LEANS
 from unicon_core.page import write_file
@@ -64,8 +64,6 @@ class Keeper:
         np.savez(content, platform=program.platform.facts.name, **arrays)
         write_file(self._folder / f"{name}.npz", content.getvalue(), folders=True)
 
-
-Array = NDArray[Any]
 
 HELD_S = 0.1
 """How long a base leans until it counts as fallen in [s], as of `gap.fall_time`."""

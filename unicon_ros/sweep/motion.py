@@ -13,10 +13,9 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array, Float64
 from unicon_core.gap import fall_time, mse, unfolded_mse
-from unicon_core.gap.trajectories import Array
 from unicon_ros.analysis.run import Run
 from unicon_ros.analysis.together import Options, bring_together
 
@@ -28,7 +27,7 @@ STILL = 1e-6
 """Command in [m/s] and [rad/s] up to which nothing is asked for."""
 
 
-def finite_rows(states: Mapping[str, NDArray[Any]]) -> int:
+def finite_rows(states: Mapping[str, Array]) -> int:
     """Return how many samples there are before the first in which something is not a number."""
     good = np.ones(len(states["joint_pos"]), np.bool_)
     for values in states.values():
@@ -37,7 +36,7 @@ def finite_rows(states: Mapping[str, NDArray[Any]]) -> int:
 
 
 def moved(
-    states: Mapping[str, Array], period: float, whole: bool = False
+    states: Mapping[str, Float64], period: float, whole: bool = False
 ) -> dict[str, float | None]:
     """Return what the base did until it fell.
 

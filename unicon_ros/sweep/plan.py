@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float64
 from unicon_core.errors import UniconError, WorkflowError, imported
 from unicon_core.located_yaml import Located, read_yaml
 from unicon_core.resources import find_config, sha256_of
@@ -113,14 +113,14 @@ class Plan:
         return tuple(each.at(u) for each, u in zip(parameters, places.tolist()))
 
     @cached_property
-    def _sobol(self) -> NDArray[np.float64]:
+    def _sobol(self) -> Float64:
         """All points of a scrambled Sobol sequence, shape (points, parameters)."""
         qmc = imported("scipy.stats", "sample: sobol", "sweep").qmc
         count = self.sweep.points
         bits = max(1, (count - 1).bit_length())
         random = np.random.default_rng(self.sweep.said.seed)
         sequence = qmc.Sobol(len(self.sweep.parameters), scramble=True, rng=random)
-        points: NDArray[np.float64] = sequence.random_base2(bits)[:count]
+        points: Float64 = sequence.random_base2(bits)[:count]
         return points
 
     def identity(self) -> dict[str, Any]:

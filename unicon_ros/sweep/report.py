@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Bool, Int64
 from unicon_core.page import findings, number, page, pairs, table, write_file
 from unicon_ros.report.drawing import MARK, Pictures, drawings, grid, require
 from unicon_ros.sweep.figures import COLUMNS
@@ -127,9 +127,9 @@ class Bins:
 
     path: str
     labels: list[str]
-    places: NDArray[np.int64]
+    places: Int64
 
-    def count(self, hits: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    def count(self, hits: Bool) -> list[tuple[int, int]]:
         """Return of each bin how many rows hit, and how many there are."""
         every = np.bincount(self.places, minlength=len(self.labels))
         some = np.bincount(self.places[hits], minlength=len(self.labels))
@@ -171,7 +171,7 @@ def _binned(results: Results, most: int) -> list[Bins]:
     return [bins_of(_shown(path), results.varied(path), most) for path in paths]
 
 
-def _hits(results: Results) -> NDArray[np.bool_]:
+def _hits(results: Results) -> Bool:
     return np.array([bool(value) for value in results.column("fell")], np.bool_)
 
 

@@ -24,7 +24,7 @@ from unicon_core.bounds import DURATION
 from unicon_core.errors import UniconError, alternatives
 from unicon_core.file_kinds import other_kind
 from unicon_core.located_yaml import Located, read_yaml
-from unicon_core.schema.marks import NotEmpty, Text, Unit, Within, Write
+from unicon_core.schema.marks import NotEmpty, Text, Within, Write, positive
 from unicon_core.schema.read import read
 from unicon_core.schema.types import Here, Mistakes
 from unicon_core.workflow.document import split_setting
@@ -153,11 +153,11 @@ class SweepDocument:
     rollouts: Annotated[int | None, Within(1, MOST_ROLLOUTS)] = None
     seed: Annotated[int, Within(0, 2**63 - 1)] = 0
     repeat: Annotated[int, Within(1, MOST_REPEAT)] = 1
-    duration: Annotated[float | None, Unit("s"), Within(0.0, DURATION, above=True)] = None
+    duration: Annotated[float | None, positive(DURATION, "s")] = None
     early_stop: Literal["fall", "none"] = "none"
     reference: str | None = None
     keep: Annotated[list[str] | None, Write("[joint_pos, base_pos_w]")] = None
-    timeout: Annotated[float, Unit("s"), Within(0.0, 86_400.0, above=True)] = TIMEOUT
+    timeout: Annotated[float, positive(86_400.0, "s")] = TIMEOUT
     engine: Literal["local", "batch", "ray"] = "local"
     gate: Annotated[str | list[str] | None, Write("a list of conditions such as fall<0.01")] = None
     description: str | None = None

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array
 from unicon_core.page import findings, page, pairs, table, write_file
 from unicon_ros.report.drawing import Pictures, curve, drawings, grid, zoomed
 from unicon_ros.transfer.results import COLUMNS, FACTORS, OUTCOMES, cell, heads, row
@@ -113,7 +113,7 @@ def _engines(result: Mapping[str, Any]) -> str:
     return "<h2>Engines</h2>" + pairs(facts) if facts else ""
 
 
-Tracks = Mapping[str, Mapping[str, NDArray[Any]]]
+Tracks = Mapping[str, Mapping[str, Array]]
 """Platform to name to states over time, of the first seed."""
 
 TOP = 6
@@ -122,7 +122,7 @@ SMOOTH_S = 0.4
 """Over which speeds are averaged: longer than a step."""
 
 
-def tracks_of(result: Mapping[str, Any], folder: Path) -> dict[str, dict[str, NDArray[Any]]]:
+def tracks_of(result: Mapping[str, Any], folder: Path) -> dict[str, dict[str, Array]]:
     """Read the states of each platform's first run."""
     tracks = {}
     for platform in result["platforms"]:
@@ -173,7 +173,7 @@ def _paths(figure: Any, result: Mapping[str, Any], tracks: Tracks) -> bool:
     left, right = figure.subplots(1, 2, width_ratios=[1.0, 1.4])
     period = result["period_s"]
     width = max(1, round(SMOOTH_S / period))
-    longest: NDArray[Any] = np.zeros((0, 3))
+    longest: Array = np.zeros((0, 3))
     for place, (name, states) in enumerate(tracks.items()):
         way, colour = states["base_pos_w"], f"C{place % 10}"
         left.plot(way[:, 0], way[:, 1], color=colour, linewidth=1.2, label=name)

@@ -14,9 +14,9 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_core import __version__
+from unicon_core.arrays import Array, Float64
 from unicon_core.errors import UniconError
 from unicon_ros.view.shown import Shown
 from unicon_ros.view.source import Remote, Snapshot, Source
@@ -75,7 +75,7 @@ class Metrics:
         self.address = f"http://127.0.0.1:{self._server.server_address[1]}{PATH}"
         self._busy, self._late = _Histogram(), _Histogram()
         self._handle = self._unseen = 0
-        self._largest: NDArray[np.float64] | None = None
+        self._largest: Float64 | None = None
         self._text: tuple[object, bytes] = (None, b"")
 
     def poll(self) -> None:
@@ -139,7 +139,7 @@ class Metrics:
         yield from self._late.lines("tick_lateness_seconds", "begin of a tick after its deadline")
         yield from self._of_states(tick.states)
 
-    def _of_states(self, states: Mapping[str, NDArray[Any]]) -> Iterator[str]:
+    def _of_states(self, states: Mapping[str, Array]) -> Iterator[str]:
         robot = self._shown.robot
         joints = robot.joint_names
         for state, part, name, what in _OF_STATES:

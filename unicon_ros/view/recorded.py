@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float64
 from unicon_core.errors import UniconError
 from unicon_core.flow import compile_graph
 from unicon_core.models.find import model_of
@@ -158,10 +158,10 @@ class RecordedSource:
             yield self._each.put(row)
 
 
-def _times(record: Record) -> NDArray[np.float64]:
+def _times(record: Record) -> Float64:
     """Return the time of each tick in [s], from 0 on: by its stamp, or its number where not even
     that rises (a reset)."""
-    stamps: NDArray[np.float64] = (record.stamps - record.stamps[0]).astype(np.float64) * 1e-9
+    stamps: Float64 = (record.stamps - record.stamps[0]).astype(np.float64) * 1e-9
     if (np.diff(stamps) >= 0.0).all() and stamps[-1] > 0.5 * (len(stamps) - 1) * record.period:
         return stamps
     return np.arange(len(stamps), dtype=np.float64) * record.period

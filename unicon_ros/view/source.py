@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array, Int64
 from unicon_core.handles import FrameRing
 from unicon_core.states import Layout, States
 from unicon_core.states.states import aligned_buffer
@@ -45,10 +45,10 @@ class Snapshot:
         states = States(layout, buffer=aligned_buffer(layout.nbytes))
         self.buffer = states.buffer
         many = layout.num_robots is not None
-        self.states: Mapping[str, NDArray[Any]] = {
+        self.states: Mapping[str, Array] = {
             name: states[name][0, ...] if many else states[name] for name in states
         }
-        self.counters: NDArray[np.int64] = self._raw[HEAD.size : self._begin].view(np.int64)
+        self.counters: Int64 = self._raw[HEAD.size : self._begin].view(np.int64)
 
     def take(self, ring: FrameRing, handle: int) -> bool:
         """Copy a frame; False when it was overwritten meanwhile."""
@@ -162,7 +162,7 @@ class Remote:
             self._velocity[:] = 0.0
             self._publish()
 
-    def drive(self, velocity: NDArray[Any]) -> None:
+    def drive(self, velocity: Array) -> None:
         """Command a velocity, [m/s, m/s, rad/s]; it counts for `DEAD_MAN` seconds.
 
         What is not finite is not taken. Whoever was silent for that long has to touch anew.

@@ -18,11 +18,10 @@ exp(−e² / 0.0625) with e, the root mean square of its joints' distance from t
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array, Float64
 from unicon_core.blocks.monitor import Monitor
 from unicon_core.robots import Robot
 from unicon_core.states import States
@@ -52,7 +51,6 @@ a tenth of the calmest walk."""
 AT_LIMIT = 0.005
 """A joint within this distance of its limit in [rad] is at the limit."""
 
-Float = NDArray[np.float64]
 Three = tuple[float, float, float]
 
 
@@ -146,9 +144,9 @@ class Recorder:
         self,
         states: States,
         robot: Robot,
-        effort: Float,
+        effort: Float64,
         period: float,
-        motion_error: NDArray[Any] | None = None,
+        motion_error: Array | None = None,
     ) -> None:
         self._robot, self._period = robot, period
         names = {*JUDGED, *ROW}
@@ -157,7 +155,7 @@ class Recorder:
         self._motion = None if motion_error is None else motion_error.reshape(-1, 2)[0, :1]
         self._standing: float | None = None
         self.fell = False
-        self.rows: list[list[Float]] = []
+        self.rows: list[list[Float64]] = []
 
     def __call__(self, walking: bool) -> bool:
         """Note the tick; True once the base has fallen.
@@ -232,5 +230,5 @@ class Recorder:
         )
 
 
-def _three(values: Float) -> Three:
+def _three(values: Float64) -> Three:
     return float(values[0]), float(values[1]), float(values[2])

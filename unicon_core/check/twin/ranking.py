@@ -18,8 +18,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float64
 from unicon_core.check.gains import counted_twice
 from unicon_core.check.result import PolicyResult
 from unicon_core.check.subject import listed
@@ -114,7 +114,7 @@ class Compared:
         )
 
     @property
-    def _gains(self) -> NDArray[np.float64]:
+    def _gains(self) -> Float64:
         return np.array([b.score - a.score for a, b in zip(self.given, self.other)])
 
     @property
@@ -188,7 +188,7 @@ _NEAR = 0.1
 
 
 def evident_changes(
-    contract: PolicyContract, robot: Robot, passive: NDArray[np.float64], platform: str
+    contract: PolicyContract, robot: Robot, passive: Float64, platform: str
 ) -> Iterator[Change]:
     """Yield the changes of the model for which the model itself speaks.
 

@@ -13,8 +13,8 @@ from dataclasses import replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float32, Float64
 from unicon_core.check.model_facts import joint_depths
 from unicon_core.check.twin.measures import JUDGED, Measures, Recorder
 from unicon_core.check.twin.perturb import AS_GIVEN, Change
@@ -78,7 +78,7 @@ class Undamped(Protocol):
     """A simulator that can do without the joints' own damping for a while."""
 
     @property
-    def passive_damping(self) -> NDArray[np.float64]:
+    def passive_damping(self) -> Float64:
         """Damping of the robot's joints themselves in [N·m·s/rad], shape (n,)."""
         ...
 
@@ -125,8 +125,8 @@ class TwinSession:
     ) -> None:
         self.document = document
         self._command = command
-        self._wanted: NDArray[np.float64] | None = None
-        self._asked: NDArray[np.float32] | None = None
+        self._wanted: Float64 | None = None
+        self._asked: Float32 | None = None
         self.called: frozenset[str] = frozenset()
         self.program = Program(document, hooks=[self._commander], contracts=contracts)
         keys = {id(contract): key for key, contract in self.program.policies.items()}
@@ -257,12 +257,12 @@ class TwinSession:
         with suppress(UniconError):
             self.program.close()
 
-    def _motion_error(self) -> NDArray[np.float32] | None:
+    def _motion_error(self) -> Float32 | None:
         """Return the state of the first policy that follows a motion."""
         for key in self.contracts:
             name = f"{prefix_of(key, self.program.policies)}motion_error"
             if name in self.program.states:
-                found: NDArray[np.float32] = self.program.states[name]
+                found: Float32 = self.program.states[name]
                 return found
         return None
 

@@ -22,8 +22,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float64
 from unicon_core.errors import Fault, PlatformError
 from unicon_core.platforms.child.pipe import Pipe
 from unicon_core.platforms.kit.command import FiniteCheck
@@ -222,7 +222,7 @@ class ChildPlatform:
         self._ask("reset")
         self._due += 1
 
-    def _push(self, velocity: NDArray[np.float64]) -> None:
+    def _push(self, velocity: Float64) -> None:
         self._ask("push", np.asarray(velocity, np.float64).tolist())
 
     def _pause(self) -> None:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array, Float64
 from unicon_core.robots import Robot
 
-Float = NDArray[np.float64]
 IMU_STATES = ("base_quat", "base_ang_vel", "base_lin_acc")
 """What an IMU tells: orientation, angular velocity, specific force."""
 
@@ -18,17 +17,17 @@ IMU_STATES = ("base_quat", "base_ang_vel", "base_lin_acc")
 class WorldPose(NamedTuple):
     """Where the bases of N robots are and how they move, each in a world of its own."""
 
-    position: Float
+    position: Float64
     """Of the base frame's origin in [m], shape (N, 3)."""
-    quat: Float
+    quat: Float64
     """Base to world, unit quaternion wxyz, shape (N, 4)."""
-    lin_vel: Float
+    lin_vel: Float64
     """Of the origin, along the world's axes in [m/s], shape (N, 3)."""
-    ang_vel: Float
+    ang_vel: Float64
     """Along the world's axes in [rad/s], shape (N, 3)."""
 
 
-def _products(*terms: str) -> Float:
+def _products(*terms: str) -> Float64:
     """Return what makes sums of products of two vectors: signed pairs of indices, one row each."""
     size = 1 + max(int(digit) for term in terms for digit in term if digit.isdigit())
     matrix = np.zeros((size * size, len(terms)))
@@ -48,22 +47,22 @@ _ROTATION = _products(
 _CROSS = _products("+12-21", "+20-02", "+01-10")
 
 
-def rotation(quat: NDArray[Any]) -> Float:
+def rotation(quat: Array) -> Float64:
     """Return the rotation matrices of unit quaternions wxyz, shapes (..., 4) and (..., 3, 3)."""
     q = np.asarray(quat, np.float64)
     pairs = (q[..., :, None] * q[..., None, :]).reshape(*q.shape[:-1], 16)
-    matrix: Float = (pairs @ _ROTATION).reshape(*q.shape[:-1], 3, 3)
+    matrix: Float64 = (pairs @ _ROTATION).reshape(*q.shape[:-1], 3, 3)
     return matrix
 
 
-def cross(left: Float, right: Float) -> Float:
+def cross(left: Float64, right: Float64) -> Float64:
     """Return left × right, shapes (..., 3); `np.cross` takes several times as long for few."""
     pairs = left[..., :, None] * right[..., None, :]
-    product: Float = pairs.reshape(*left.shape[:-1], 9) @ _CROSS
+    product: Float64 = pairs.reshape(*left.shape[:-1], 9) @ _CROSS
     return product
 
 
-def quat_of_rpy(rpy: NDArray[Any]) -> Float:
+def quat_of_rpy(rpy: Array) -> Float64:
     """Return the unit quaternion wxyz of roll, pitch, yaw in [rad], shapes (..., 3) and (..., 4).
 
     q = q_z(yaw) q_y(pitch) q_x(roll): turned about the fixed x, y and z axes, one after the other.
@@ -79,7 +78,7 @@ def quat_of_rpy(rpy: NDArray[Any]) -> Float:
     return np.array(parts).T
 
 
-def rpy_of_quat(quat: NDArray[Any]) -> Float:
+def rpy_of_quat(quat: Array) -> Float64:
     """Return roll, pitch, yaw in [rad] of a unit quaternion wxyz, shape (3,); see `quat_of_rpy`."""
     matrix = rotation(quat)
     return np.array(
@@ -106,7 +105,7 @@ class Mounting:
         turned: whether there is anything to turn; if not, readings pass as they are.
     """
 
-    def __init__(self, quat: NDArray[Any]) -> None:
+    def __init__(self, quat: Array) -> None:
         w, x, y, z = (float(value) for value in quat)
         self.turned = not np.allclose(np.abs(quat), (1.0, 0.0, 0.0, 0.0), atol=1e-9)
         self._base_from_sensor = rotation(quat)
@@ -119,15 +118,15 @@ class Mounting:
         known = robot.imu is not None and np.isfinite(robot.imu.quat).all()
         return cls(robot.imu.quat if known and robot.imu else np.array((1.0, 0.0, 0.0, 0.0)))
 
-    def vector(self, reading: NDArray[Any]) -> NDArray[Any]:
+    def vector(self, reading: Array) -> Array:
         """Return a rate or an acceleration of the sensor's frame in the base frame, shape (3,)."""
         return self._base_from_sensor @ reading if self.turned else reading
 
-    def quat(self, reading: NDArray[Any]) -> NDArray[Any]:
+    def quat(self, reading: Array) -> Array:
         """Return the orientation base to world of one sensor to world, wxyz, shape (4,)."""
         return self._right @ reading if self.turned else reading
 
-    def turn(self, readings: Mapping[str, NDArray[Any]], into: Mapping[str, NDArray[Any]]) -> None:
+    def turn(self, readings: Mapping[str, Array], into: Mapping[str, Array]) -> None:
         """Write the readings of an IMU, by name as of `IMU_STATES`, as one on the base has them.
 
         Args:
@@ -153,7 +152,7 @@ class BaseStates:
     """
 
     def __init__(
-        self, views: Mapping[str, NDArray[Any]], robot: Robot, step: float, gravity: Float
+        self, views: Mapping[str, Array], robot: Robot, step: float, gravity: Float64
     ) -> None:
         self._views, self._step, self._gravity = views, step, gravity
         self._down = gravity / max(float(np.linalg.norm(gravity)), 1e-9)
@@ -180,7 +179,7 @@ class BaseStates:
         for view, i in self._copied:
             view[...] = now[i]
 
-    def _of_all(self, before: WorldPose, now: WorldPose) -> Float:
+    def _of_all(self, before: WorldPose, now: WorldPose) -> Float64:
         """Return rates, specific force, gravity and velocity in the base, shape (4, N, 3)."""
         quats, (linear, angular) = self._quats, self._moves
         for i, pose in enumerate((before, now)):
@@ -192,7 +191,7 @@ class BaseStates:
         vectors[:, 0], vectors[:, 3] = angular[1], linear[1]
         np.subtract(acceleration, self._gravity, out=vectors[:, 1])
         # Rows: vᵀ R = (Rᵀ v)ᵀ
-        in_base: Float = (vectors @ world_from_base[1]).transpose(1, 0, 2)
+        in_base: Float64 = (vectors @ world_from_base[1]).transpose(1, 0, 2)
         return in_base
 
     def _of_one(self, before: WorldPose, now: WorldPose) -> Sequence[tuple[float, float, float]]:

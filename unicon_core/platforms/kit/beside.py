@@ -11,9 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from unicon_core.arrays import Array, Float32
 from unicon_core.errors import PlatformError
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.platform import Placeable, Platform
@@ -66,11 +64,11 @@ class Beside:
         self.moves = any(name in self.platform.facts.writes for name in BASE_STATES)
         """Whether it has a base that moves."""
 
-    def put(self, measured: Mapping[str, NDArray[Any]]) -> None:
+    def put(self, measured: Mapping[str, Array]) -> None:
         """Put it where a robot was measured, as far as `measured` says; see `Placeable`."""
         self._put(measured)
 
-    def step(self, commands: Mapping[str, NDArray[Any]] | States) -> NDArray[np.float32]:
+    def step(self, commands: Mapping[str, Array] | States) -> Float32:
         """Simulate one tick under commands; return the joint positions at its end, shape (n,).
 
         Raises:

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float64
 from unicon_core.errors import PlatformError, alternatives
 from unicon_core.models.loaded import LoadedModel, import_mujoco
-from unicon_core.schema.marks import Point, Unit, Within
+from unicon_core.schema.marks import Point, Within
 
 BODY_PHYSICS = ("payload", "contact_friction")
 """Words of `Facts.physics` that are about bodies."""
@@ -24,8 +24,6 @@ HEAVIEST = 1000.0
 """Of a payload in [kg]."""
 ROUGHEST = 20.0
 """Factor on friction: rubber on rubber has some 1.2, ice on steel 0.03 (about a fortieth)."""
-
-Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -38,7 +36,7 @@ class Payload:
         position: in that body's frame; its centre of mass unless given.
     """
 
-    mass: Annotated[float, Unit("kg"), Within(0.0, HEAVIEST)]
+    mass: Annotated[float, Within(0.0, HEAVIEST, "kg")]
     body: str = ""
     position: Point = (0.0, 0.0, 0.0)
 
@@ -111,7 +109,7 @@ def _add(model: Any, body: int, mass: float, position: Any) -> None:
     model.site_sameframe[model.site_bodyid == body] = 0
 
 
-def _steiner(way: Float) -> Float:
+def _steiner(way: Float64) -> Float64:
     return np.asarray(way @ way * np.eye(3) - np.outer(way, way))
 
 
@@ -124,7 +122,7 @@ RADIUS = 0.3
 """Of gyration that the turning dampers are made for, in [m]."""
 
 
-def hold(model: Any, base: int, qpos: Float) -> None:
+def hold(model: Any, base: int, qpos: Float64) -> None:
     """Let the model's own springs hold a base where it begins.
 
         f = k (p* - p) - 2 m w v,   t = k (q* - q) - 2 sqrt(k m) r omega,   k = m w²

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import DTypeLike
 
+from unicon_core.arrays import Array
 from unicon_core.errors import Fault
 from unicon_core.states import States
 from unicon_core.states.stacked import flat, stacked
 from unicon_core.states.standard import COMMAND_STATES
-
-Array = NDArray[Any]
 
 
 class FiniteCheck:

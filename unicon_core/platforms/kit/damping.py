@@ -16,8 +16,8 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float32
 from unicon_core.bounds import DAMPING, STIFFNESS
 from unicon_core.robots import Robot
 from unicon_core.states import States
@@ -121,7 +121,7 @@ class Damping:
         states["joint_damping"][...] = self._damping
 
 
-def _bounded(gain: NDArray[np.float32], most: float) -> NDArray[np.float32]:
+def _bounded(gain: Float32, most: float) -> Float32:
     return np.clip(np.nan_to_num(gain, posinf=0.0, neginf=0.0), 0.0, np.float32(most))
 
 

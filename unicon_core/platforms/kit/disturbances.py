@@ -7,8 +7,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array
 from unicon_core.errors import PlatformError, alternatives
 from unicon_core.memory import load, save
 from unicon_core.platforms.kit.command import Command
@@ -90,7 +90,7 @@ class Disturbances:
         count = self._batch or 1
         self._rngs = [np.random.default_rng((self._seed, k)) for k in range(count)]
         self._ticks = 0
-        self._queue: deque[list[NDArray[Any]]] = deque(maxlen=self._delay + 1)
+        self._queue: deque[list[Array]] = deque(maxlen=self._delay + 1)
 
     def recv(self) -> bool | None:
         """Add noise to what was measured."""
@@ -125,7 +125,7 @@ class Disturbances:
         finally:
             self._write(now)  # others see what was commanded
 
-    def _write(self, values: list[NDArray[Any]]) -> None:
+    def _write(self, values: list[Array]) -> None:
         for view, value in zip(self._views, values):
             view[...] = value
 

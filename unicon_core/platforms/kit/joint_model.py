@@ -12,15 +12,13 @@ from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float64
 from unicon_core.models.actuators import actuator_kind
 from unicon_core.models.loaded import LoadedModel, drives, import_mujoco
 from unicon_core.models.touching import around, contact_of, floors, may_touch, on_floor
 from unicon_core.platforms.kit.start import Start
 from unicon_core.robots import Robot
-
-Float = NDArray[np.float64]
 
 Passive: TypeAlias = Literal["keep", "replace"]
 """`keep` the damping of a model's joints beside that of the command, or let that `replace` it."""
@@ -40,11 +38,11 @@ class JointModel:
     """
 
     passive: Passive
-    armature: Float
-    damping: Float
-    friction: Float
-    lower: Float
-    upper: Float
+    armature: Float64
+    damping: Float64
+    friction: Float64
+    lower: Float64
+    upper: Float64
 
     def tell(self, model: Any, loaded: LoadedModel) -> None:
         """Put armature, damping and friction into a MuJoCo model, for engines that read one.
@@ -147,7 +145,7 @@ def _touch_themselves(model: Any) -> bool:
     return bool((met & ~(near | near.T) & own & own[:, None]).any())
 
 
-def _joints(robot: Robot, what: str, values: Float, unit: str) -> str:
+def _joints(robot: Robot, what: str, values: Float64, unit: str) -> str:
     found = np.flatnonzero(values)
     if not len(found):
         return ""

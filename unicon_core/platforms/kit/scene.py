@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float32, Float64
 from unicon_core.errors import PlatformError, alternatives
 from unicon_core.models.find import pick_model
 from unicon_core.platforms.kit.bodies import BODY_PHYSICS, GANTRY, ROUGHEST, Payload
@@ -21,7 +21,7 @@ from unicon_core.robots import Robot
 from unicon_core.robots.file import Simulated
 from unicon_core.robots.places import Places
 from unicon_core.robots.poses import named_pose, robot_poses
-from unicon_core.schema.marks import Like, NotAKey, Unit, Within, Write
+from unicon_core.schema.marks import Like, NotAKey, Unit, Within, Write, positive
 from unicon_core.schema.read import check_made
 from unicon_core.schema.records import record_of
 from unicon_core.terrain.ground import refuse_endless_ground
@@ -50,8 +50,8 @@ class Push:
         velocity: by which each changes the base's.
     """
 
-    every: Annotated[float, Unit("s"), Within(0.0, above=True)]
-    velocity: Annotated[float, Unit("m/s"), Within(0.0, above=True)]
+    every: Annotated[float, positive(unit="s")]
+    velocity: Annotated[float, positive(unit="m/s")]
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,11 +89,11 @@ class Scene:
 
     model: str | Path | None = None
     initial_pose: str | Mapping[str, Annotated[float, Unit("rad")]] = "default"
-    initial_height: Annotated[float | None, Unit("m"), Within(-100.0, 100.0)] = None
+    initial_height: Annotated[float | None, Within(-100.0, 100.0, "m")] = None
     gantry: bool = False
     terrain: str | Mapping[str, Any] = FLAT
     seed: Annotated[int, Within(0)] = 0
-    delay: Annotated[int, Unit("ticks"), Within(0, LONGEST_DELAY)] = 0
+    delay: Annotated[int, Within(0, LONGEST_DELAY, "ticks")] = 0
     noise: Mapping[str, Annotated[float, Within(0.0)]] = field(default_factory=dict)
     push: Annotated[Mapping[str, float], Like(Push), Write("{every: 2.0, velocity: 0.5}")] = field(
         default_factory=dict
@@ -105,7 +105,7 @@ class Scene:
     contact_friction: Annotated[float, Within(0.0, ROUGHEST)] = 1.0
     mounts: Places = field(default_factory=dict)
     folder: Annotated[Path | None, NotAKey()] = None
-    pose: Annotated[NDArray[np.float32] | None, NotAKey()] = None
+    pose: Annotated[Float32 | None, NotAKey()] = None
 
     def __post_init__(self) -> None:
         check_made(self, PlatformError, "scene")
@@ -156,7 +156,7 @@ class Scene:
         """
         return pick_model(robot, self.model, self.folder)
 
-    def joint_pos(self, robot: Robot) -> NDArray[np.float64]:
+    def joint_pos(self, robot: Robot) -> Float64:
         """Return the initial joint positions in [rad], shape (n,); unknown ones stand, or are 0.
 
         Raises:

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from unicon_core.arrays import Array, Float64, Int64
 from unicon_core.robots.poses import JointPhysics
-
-Array = NDArray[Any]
 
 
 class Servo:
@@ -55,13 +53,13 @@ class Servo:
         return torque
 
 
-def strength_of(physics: JointPhysics) -> NDArray[np.float64] | None:
+def strength_of(physics: JointPhysics) -> Float64 | None:
     """Return the factor on each motor's torque, shape (n,); None where all are 1."""
     strength = np.where(np.isnan(physics.strength), 1.0, physics.strength)
     return None if (strength == 1.0).all() else strength
 
 
-def delay_of(physics: JointPhysics, timestep: float) -> NDArray[np.int64] | None:
+def delay_of(physics: JointPhysics, timestep: float) -> Int64 | None:
     """Return each joint's delay in physics steps, shape (n,); None where all are 0.
 
     Args:
@@ -83,7 +81,7 @@ class JointDelay:
 
     memory = ("_past", "_tick")
 
-    def __init__(self, rows: Array, delay: NDArray[np.int64], decimation: int) -> None:
+    def __init__(self, rows: Array, delay: Int64, decimation: int) -> None:
         self._rows = rows
         ticks, begin = np.divmod(delay, decimation)
         edges = sorted({0, decimation, *begin.tolist()})

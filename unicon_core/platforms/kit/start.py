@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float64
 from unicon_core.errors import ModelError, alternatives
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, import_mujoco
@@ -15,8 +15,6 @@ from unicon_core.platforms.kit.bodies import tell_bodies
 from unicon_core.platforms.kit.scene import KEYFRAME, Scene
 from unicon_core.robots import Robot
 from unicon_core.robots.poses import JointPhysics, joint_physics
-
-Float = NDArray[np.float64]
 
 _CLEARANCE = 0.0005  # [m] between the lowest geom and the floor
 
@@ -35,14 +33,14 @@ class Start:
     """
 
     loaded: LoadedModel
-    joint_pos: Float
-    position: Float
-    quat: Float
+    joint_pos: Float64
+    position: Float64
+    quat: Float64
     floating: bool
     physics: JointPhysics
 
     @property
-    def qpos(self) -> Float:
+    def qpos(self) -> Float64:
         """The same as MuJoCo's `qpos`, shape (nq,); joints that are not the robot's as modelled."""
         loaded = self.loaded
         qpos = np.array(loaded.model.qpos0)
@@ -52,7 +50,7 @@ class Start:
         return qpos
 
     @property
-    def gravity(self) -> Float:
+    def gravity(self) -> Float64:
         """Of the model, in the world in [m/s²], shape (3,)."""
         return np.array(self.loaded.model.opt.gravity)
 
@@ -88,7 +86,7 @@ def start_of(robot: Robot, scene: Scene) -> Start:
     return Start(loaded, qpos[loaded.addresses], pose[:3], pose[3:], base is not None, physics)
 
 
-def initial_positions(loaded: LoadedModel, robot: Robot, scene: Scene) -> Float:
+def initial_positions(loaded: LoadedModel, robot: Robot, scene: Scene) -> Float64:
     """Return the initial `qpos` of a model, shape (nq,).
 
     Args:

@@ -10,10 +10,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from unicon_core.arrays import Float64
 from unicon_core.errors import Fault, PlatformError
 from unicon_core.models.actuators import effort_ranges
 from unicon_core.models.loaded import import_mujoco
-from unicon_core.platforms.kit.base import BaseStates, Float, WorldPose, cross, rotation
+from unicon_core.platforms.kit.base import BaseStates, WorldPose, cross, rotation
 from unicon_core.platforms.kit.bodies import BODY_PHYSICS
 from unicon_core.platforms.kit.clock import steps_in, tick_ns
 from unicon_core.platforms.kit.command import Command
@@ -39,7 +40,7 @@ __all__ = [
     "SIMULATED",
     "DampedSimulator",
     "Facts",
-    "Float",
+    "Float64",
     "JointModel",
     "Passive",
     "Robot",
@@ -176,7 +177,7 @@ class SteppedSimulator(ABC):
         """Put all robots where they begin, at rest, to the same bytes each time."""
 
     @abstractmethod
-    def joints(self) -> tuple[Float, Float]:
+    def joints(self) -> tuple[Float64, Float64]:
         """Return positions [rad] and velocities [rad/s] in the robot's order, shape (N, n) each."""
 
     @abstractmethod
@@ -189,18 +190,18 @@ class SteppedSimulator(ABC):
         return WorldPose(zeros, np.tile((1.0, 0.0, 0.0, 0.0), (self.num_robots, 1)), zeros, zeros)
 
     @abstractmethod
-    def step(self, torque: Float) -> None:
+    def step(self, torque: Float64) -> None:
         """Apply torques [N·m], shape (N, n), and step the physics once."""
 
     @abstractmethod
-    def add_velocity(self, velocity: Float) -> None:
+    def add_velocity(self, velocity: Float64) -> None:
         """Add to the bases' velocities along the world's axes in [m/s], shape (N, 3)."""
 
     @abstractmethod
     def close(self) -> None:
         """Let go of the engine; safe to call twice."""
 
-    def push(self, velocity: Float) -> None:
+    def push(self, velocity: Float64) -> None:
         """Add to the bases' horizontal velocity [m/s] in the world, shape (2,) or (N, 2).
 
         Raises:
@@ -250,7 +251,7 @@ class SteppedSimulator(ABC):
         self._before = self.simulate(whole if self._delay is None else self._delay())
         self._measured, self._now = self.joints(), self._where()
 
-    def simulate(self, parts: Iterable[tuple[int, Float]]) -> WorldPose:
+    def simulate(self, parts: Iterable[tuple[int, Float64]]) -> WorldPose:
         """Simulate one tick; write `torque`.
 
         Args:
@@ -312,11 +313,11 @@ class DampedSimulator(SteppedSimulator):
     """One whose joints' own damping can be changed while it runs: it has `damp` besides."""
 
     @abstractmethod
-    def damp(self, damping: Float) -> None:
+    def damp(self, damping: Float64) -> None:
         """Give the joints damping [N·m·s/rad], shape (n,)."""
 
     @property
-    def passive_damping(self) -> Float:
+    def passive_damping(self) -> Float64:
         """Damping of the joints themselves in [N·m·s/rad], shape (n,)."""
         return self.figures.damping
 

@@ -18,14 +18,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float32, Float64
 from unicon_core.errors import PolicyError, alternatives, one_line
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.motion.anchor import Chain
 from unicon_core.policies.motion.spec import MotionSpec
-
-Float = NDArray[np.float64]
 
 MOST_BYTES = 1 << 30
 """Most that a motion file may hold: a day of a humanoid at 50 Hz is less."""
@@ -45,20 +43,20 @@ class Clip:
         anchor_quat: anchor to the motion's world, wxyz, shape (K, 4).
     """
 
-    joint_pos: NDArray[np.float32]
-    joint_vel: NDArray[np.float32]
-    anchor_pos: Float | None
-    anchor_quat: Float
+    joint_pos: Float32
+    joint_vel: Float32
+    anchor_pos: Float64 | None
+    anchor_quat: Float64
 
 
 @dataclass
 class _Frames:
     fps: float
-    joint_pos: Float
-    joint_vel: Float | None
-    base_pos: Float
-    base_quat: Float
-    bodies: tuple[Float, Float] | None = None
+    joint_pos: Float64
+    joint_vel: Float64 | None
+    base_pos: Float64
+    base_quat: Float64
+    bodies: tuple[Float64, Float64] | None = None
 
 
 def read_clip(
@@ -91,9 +89,9 @@ def read_clip(
     first = np.minimum(np.floor(at + 1e-9).astype(np.intp), len(frames.joint_pos) - 2)
     share = np.clip(at - first, 0.0, 1.0)
 
-    def between(values: Float) -> Float:
+    def between(values: Float64) -> Float64:
         ratio = share[:, None]
-        mixed: Float = values[first] * (1.0 - ratio) + values[first + 1] * ratio
+        mixed: Float64 = values[first] * (1.0 - ratio) + values[first + 1] * ratio
         return mixed
 
     joint_pos, base_pos = between(frames.joint_pos), between(frames.base_pos)
@@ -117,8 +115,12 @@ def read_clip(
 
 
 def _anchors(
-    chain: Chain, base_pos: Float, base_quat: Float, joint_pos: Float, robot_from_file: list[int]
-) -> tuple[Float, Float]:
+    chain: Chain,
+    base_pos: Float64,
+    base_quat: Float64,
+    joint_pos: Float64,
+    robot_from_file: list[int],
+) -> tuple[Float64, Float64]:
     """Return where the anchor is; a joint that the file lacks, -1, stands at 0."""
     joints = np.pad(joint_pos, ((0, 0), (0, 1)))[:, robot_from_file]
     rows = zip(base_pos.tolist(), base_quat.tolist(), joints.tolist())
@@ -275,7 +277,7 @@ def _sound(path: Path, frames: _Frames) -> _Frames:
     return frames
 
 
-def _slerp(a: Float, b: Float, share: Float) -> Float:
+def _slerp(a: Float64, b: Float64, share: Float64) -> Float64:
     """Return what is between quaternions at shares from 0 to 1, shape (K, 4)."""
     cosine = (a * b).sum(axis=1)
     b = np.where(cosine[:, None] < 0.0, -b, b)
@@ -286,5 +288,5 @@ def _slerp(a: Float, b: Float, share: Float) -> Float:
     wa = np.where(small, 1.0 - share, np.sin((1.0 - share) * angle) / safe)
     wb = np.where(small, share, np.sin(share * angle) / safe)
     mixed = wa[:, None] * a + wb[:, None] * b
-    normed: Float = mixed / np.linalg.norm(mixed, axis=1, keepdims=True)
+    normed: Float64 = mixed / np.linalg.norm(mixed, axis=1, keepdims=True)
     return normed

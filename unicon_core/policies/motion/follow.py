@@ -22,8 +22,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float32
 from unicon_core.errors import PolicyError
 from unicon_core.models.plain_turns import (
     Quat,
@@ -41,7 +41,6 @@ from unicon_core.policies.motion.clip import Clip, read_clip
 from unicon_core.policies.prefixed import PackedStates
 from unicon_core.robots import Robot, joint_index
 
-Array = NDArray[np.float32]
 _REFERENCE = ("motion_joint_pos", "motion_joint_vel")
 _TURNS = ("motion_anchor_quat", "motion_anchor_ori_b")
 _PLACES = ("motion_anchor_pos", "motion_anchor_pos_b")
@@ -90,7 +89,7 @@ class MotionTracker:
         self.done, self._tick = False, 0
         rows = self._rows = states.num_robots or 1
 
-        def view(name: str) -> Array:
+        def view(name: str) -> Float32:
             return states[name].reshape(rows, -1)
 
         self._joint_pos, self._base_quat = view("joint_pos"), view("base_quat")
@@ -229,7 +228,7 @@ def _anchor_source(
 
 def _rows_of(
     contract: PolicyContract, states: PackedStates, name: str, rows: int, bodies: int, size: int
-) -> Array | None:
+) -> Float32 | None:
     """Return an output as rows of bodies; None where it is not one."""
     if name not in contract.outputs or name not in states:
         return None
@@ -239,7 +238,7 @@ def _rows_of(
             f"{states[name].size // rows} values, not {size} for each of {bodies} bodies; correct "
             "motion.bodies or 'outputs'"
         )
-    view: Array = states[name].reshape(rows, bodies, size)
+    view: Float32 = states[name].reshape(rows, bodies, size)
     return view
 
 
@@ -313,7 +312,7 @@ def _length(lane: Lane, states: PackedStates, contract: PolicyContract) -> int |
     From its end on a network holds the last frame (HybridRobotics/whole_body_tracking
     `utils/exporter.py` clamps the step), so that the first one like it is the last.
     """
-    shown: list[NDArray[np.float32]] = [
+    shown: list[Float32] = [
         values
         for view, values in lane.published
         if any(np.shares_memory(view, states[name]) for name in _REFERENCE)

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from unicon_core.errors import PolicyError
 from unicon_core.policies.facts import Facts, dig
 from unicon_core.resources import file_beside, find_resource
-from unicon_core.schema.marks import Checked, Names, Text, Unit, Within, Write, twice
+from unicon_core.schema.marks import Checked, Names, Text, Within, Write, twice
 from unicon_core.schema.types import Here
 
 AXES = {
@@ -21,7 +21,7 @@ AXES = {
 """Word of `motion.chain` to the unit vector that it means."""
 
 
-MotionTime = Annotated[float, Unit("s"), Within(0.0, 86_400.0)]
+MotionTime = Annotated[float, Within(0.0, 86_400.0, "s")]
 """Within a motion, which is a day at most."""
 
 
@@ -52,7 +52,7 @@ class MotionSpec:
     start: MotionTime = 0.0
     end: MotionTime | None = None
     hold: MotionTime = 0.0
-    fps: Annotated[float | None, Unit("Hz"), Within(1.0, 10_000.0)] = None
+    fps: Annotated[float | None, Within(1.0, 10_000.0, "Hz")] = None
     joints: Literal["policy", "robot"] | Names | None = None
     chain: Mapping[str, Literal["x", "y", "z", "-x", "-y", "-z"]] = field(default_factory=dict)
 

@@ -7,11 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array
 from unicon_core.errors import PolicyError, alternatives
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.hints import Feed
@@ -125,7 +124,7 @@ class ChainedNetworks:
             outputs: likewise; outputs that nothing names and nothing inside takes are not fetched.
         """
         rows = len(inputs[OBSERVATION])
-        arrays: dict[str, NDArray[Any]] = {OBSERVATION: inputs[OBSERVATION], **outputs}
+        arrays: dict[str, Array] = {OBSERVATION: inputs[OBSERVATION], **outputs}
         wanted = {feed.source for _, _, feeds in self._parts for f in feeds.values() for feed in f}
         steps: list[Callable[[], None]] = []
         for name, network, feeds in self._parts:
@@ -160,7 +159,7 @@ def _named(name: str, tensor: Tensor) -> Tensor:
     return Tensor(f"{name}.{tensor.name}", tensor.dtype, tensor.shape) if name else tensor
 
 
-def _copy(source: NDArray[Any], target: NDArray[Any]) -> Callable[[], None]:
+def _copy(source: Array, target: Array) -> Callable[[], None]:
     def copy() -> None:
         target[...] = source
 

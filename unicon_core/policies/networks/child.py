@@ -11,8 +11,7 @@ import os
 import time
 from typing import Any
 
-from numpy.typing import NDArray
-
+from unicon_core.arrays import Array
 from unicon_core.errors import Fault, PolicyError
 from unicon_core.platforms.child.pipe import Pipe
 from unicon_core.policies.contract import PolicyContract
@@ -166,9 +165,7 @@ class Question:
         outputs: arrays that take the answer.
     """
 
-    def __init__(
-        self, channel: _Channel, inputs: list[NDArray[Any]], outputs: list[NDArray[Any]]
-    ) -> None:
+    def __init__(self, channel: _Channel, inputs: list[Array], outputs: list[Array]) -> None:
         self._channel, self._network = channel, channel.network
         asked, told = channel.questions, channel.answers
         self._asked = [(asked[f"x{i}"], array) for i, array in enumerate(inputs)]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeAlias, runtime_checkable
+from typing import Protocol, TypeAlias, runtime_checkable
 
-from numpy.typing import NDArray
+from unicon_core.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Tensor:
         return f"{self.name} ({axes or 'scalar'}, {self.dtype})"
 
 
-Arrays: TypeAlias = Mapping[str, NDArray[Any]]
+Arrays: TypeAlias = Mapping[str, Array]
 """Tensors' names to what they are bound to."""
 
 

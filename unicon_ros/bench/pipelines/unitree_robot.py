@@ -10,8 +10,8 @@ import os
 import time
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Int64
 from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states
 from unicon_ros.bench.pipelines.log import Log, Stop, arguments
@@ -25,7 +25,7 @@ class Made:
     """When the latest states were made, by the position that tells their number in [rad]."""
 
     def __init__(self) -> None:
-        self._stamps: NDArray[np.int64] = np.zeros(WINDOW, np.int64)
+        self._stamps: Int64 = np.zeros(WINDOW, np.int64)
         self._number = 0
 
     def add(self, stamp: int) -> float:

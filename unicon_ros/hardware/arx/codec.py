@@ -10,16 +10,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array, Float64
 from unicon_core.robots import Robot
 from unicon_core.schema.marks import Key, Text
 from unicon_ros.hardware.facts import (
     AskingRate,
-    Numbers,
     Transport,
     each,
     each_text,
@@ -112,8 +111,8 @@ class Motors(Transport):
     types: Annotated[list[str], Key("motor_type"), each_text]
     channel: Annotated[Text, Key("interface")]
     rate: AskingRate
-    command: Annotated[Numbers, Key("torque_command"), each(1e-6, 1e6)]
-    state: Annotated[Numbers, Key("torque_state"), each(1e-6, 1e6)]
+    command: Annotated[Float64, Key("torque_command"), each(1e-6, 1e6)]
+    state: Annotated[Float64, Key("torque_state"), each(1e-6, 1e6)]
 
     @classmethod
     def of(cls, robot: Robot) -> Motors:
@@ -122,7 +121,7 @@ class Motors(Transport):
         Raises:
             RobotError: a fact is missing or wrong.
         """
-        told = fact(robot, "motor_id", Annotated[Numbers, each(1.0, 15.0)])
+        told = fact(robot, "motor_id", Annotated[Float64, each(1.0, 15.0)])
         numbers = tuple(map(int, told))
         if (told % 1.0).any() or len(set(numbers)) < len(numbers):
             raise wrong_fact(robot, "motor_id", "a whole number of its own for each motor")
@@ -167,7 +166,7 @@ class Packing:
         self._words = np.zeros(n, ">u8")
         self.frames = self._words.view(np.uint8).reshape(n, 8)
 
-    def __call__(self, rows: NDArray[Any]) -> bool:
+    def __call__(self, rows: Array) -> bool:
         """Pack rows as of `COMMAND_STATES`, shape (5, n); False where a figure was clamped."""
         rows = rows.astype(np.float32, copy=False)
         clipped = np.clip(rows, self._lower, self._upper)

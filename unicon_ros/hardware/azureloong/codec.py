@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float32, Float64
 from unicon_core.schema.marks import Key, Within
 from unicon_core.states.standard import COMMAND_STATES
-from unicon_ros.hardware.facts import AskingRate, Numbers, Port, Transport, each, named
+from unicon_ros.hardware.facts import AskingRate, Port, Transport, each, named
 
 KEYS = ("enable", "reset", "idle", "walk", "damp", "disable", "commands")
 """Of `transport.keys`: what the remote is told, and what the robot then does."""
@@ -100,9 +100,9 @@ class Link(Transport):
     keys: Annotated[dict[str, int], named(KEYS, 1, 255)]
     left: Annotated[int, Key("fingers_left"), Within(0, 32)]
     right: Annotated[int, Key("fingers_right"), Within(0, 32)]
-    torque: Annotated[Numbers, Key("torque_limit"), each(0.0, 1000.0)]
-    stiffness: Annotated[Numbers, Key("stiffness_limit"), each(0.0, 2000.0)]
-    damping: Annotated[Numbers, Key("damping_limit"), each(0.0, 2000.0)]
+    torque: Annotated[Float64, Key("torque_limit"), each(0.0, 1000.0)]
+    stiffness: Annotated[Float64, Key("stiffness_limit"), each(0.0, 2000.0)]
+    damping: Annotated[Float64, Key("damping_limit"), each(0.0, 2000.0)]
 
     @property
     def joints(self) -> int:
@@ -125,7 +125,7 @@ class Link(Transport):
         return state_type(self.joints, self.left, self.right)
 
     @property
-    def limits(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def limits(self) -> tuple[Float32, Float32]:
         """Smallest and largest commands, rows as of `COMMAND_STATES`, shape (5, n)."""
         free, none = np.full(self.joints, np.inf), np.zeros(self.joints)
         return (

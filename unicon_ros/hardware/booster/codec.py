@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Index
 from unicon_core.errors import RobotError
 from unicon_core.robots import Robot
 from unicon_core.schema.marks import Key, Text
@@ -63,7 +63,7 @@ class BoosterFacts(DdsFacts):
     command_types: Annotated[dict[str, int], named(("PARALLEL", "SERIAL"), 0, 1)]
     modes: Annotated[dict[str, int], Key("robot_modes"), named(MODES, 0, 255)]
     requests: Annotated[dict[str, int], Key("rpc"), named(REQUESTS, 0, 65535)]
-    servo: NDArray[np.intp]
+    servo: Index
 
     @classmethod
     def of(cls, robot: Robot) -> BoosterFacts:
@@ -126,7 +126,7 @@ class BoosterFacts(DdsFacts):
         return LowStates(super().state_in(arrays, counts), len(self.slots), counts)
 
 
-def _servo(robot: Robot, slots: list[int]) -> NDArray[np.intp]:
+def _servo(robot: Robot, slots: list[int]) -> Index:
     """Return the joints that are driven by torques.
 
     Raises:

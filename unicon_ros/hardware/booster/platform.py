@@ -11,11 +11,10 @@ of the vendor's.
 from __future__ import annotations
 
 import time
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array
 from unicon_core.blocks.controls.device import Controls
 from unicon_core.blocks.controls.remotes import REMOTES
 from unicon_core.errors import Fault
@@ -72,7 +71,7 @@ class BoosterWire(DdsEnd):
         self._given = {name: states[name] for name in COMMAND_STATES}
         self._sent = command_arrays(robot.num_joints)
         self._effort = robot.effort_limit[facts.servo].astype(np.float32)
-        self._held: dict[str, NDArray[Any]] | None = None
+        self._held: dict[str, Array] | None = None
         self._client: Client | None = None
         self._takeover: Takeover | None = None
         self._put = False
@@ -129,11 +128,11 @@ class BoosterWire(DdsEnd):
         self._made(self._given)
         super().warm_up()
 
-    def _send(self, commands: dict[str, NDArray[Any]]) -> None:
+    def _send(self, commands: dict[str, Array]) -> None:
         self.counts.clamped += self._made(commands)
         super().put()
 
-    def _made(self, commands: dict[str, NDArray[Any]]) -> bool:
+    def _made(self, commands: dict[str, Array]) -> bool:
         """Bring commands into what is sent; True where a torque was limited."""
         sent, servo = self._sent, self._facts.servo
         for name, values in commands.items():
@@ -169,7 +168,7 @@ class BoosterWire(DdsEnd):
             self._held = None
             super().close()
 
-    def _let_go(self, client: Client, held: dict[str, NDArray[Any]]) -> None:
+    def _let_go(self, client: Client, held: dict[str, Array]) -> None:
         if not self._put:  # else the damping command has been sent
             held["joint_stiffness"][...] = 0.0
             for _ in range(LAST):

@@ -6,8 +6,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from unicon_core.arrays import Array
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES, hardware_states
@@ -100,7 +101,7 @@ class DdsFace(DdsEnd):
         if "modes" in self._heard:
             self.modes.command(self._heard["modes"], self._states)
 
-    def _right(self, reason: str, said: NDArray[Any], wanted: ArrayLike) -> bool:
+    def _right(self, reason: str, said: Array, wanted: ArrayLike) -> bool:
         """Return whether a command says what is wanted; it is counted where it does not."""
         right = bool((said == wanted).all())
         if not right:

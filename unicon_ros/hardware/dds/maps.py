@@ -10,6 +10,7 @@ from typing import Annotated, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.arrays import Array
 from unicon_core.schema.marks import Text, Within
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
@@ -115,7 +116,7 @@ def offset_of(message: Struct, name: str) -> int:
     return 4 + at + -at % 4
 
 
-Arrays: TypeAlias = Mapping[str, NDArray[Any]]
+Arrays: TypeAlias = Mapping[str, Array]
 Domain = Annotated[int, Within(0, LARGEST_DOMAIN)]
 
 COMMANDS = {
@@ -132,7 +133,7 @@ IMU = {"quaternion": "base_quat", "gyroscope": "base_ang_vel", "accelerometer": 
 """Field of IMUState to state."""
 
 
-def arrays_of(states: States) -> dict[str, NDArray[Any]]:
+def arrays_of(states: States) -> dict[str, Array]:
     """Return the states for maps: error codes of motors, 32 bits, are read without their sign."""
     arrays = {name: states[name] for name in states}
     if "motor_error" in arrays:
@@ -140,7 +141,7 @@ def arrays_of(states: States) -> dict[str, NDArray[Any]]:
     return arrays
 
 
-def command_arrays(joints: int) -> dict[str, NDArray[Any]]:
+def command_arrays(joints: int) -> dict[str, Array]:
     """Return arrays for a command, zero."""
     return {name: np.zeros(joints, np.float32) for name in COMMAND_STATES}
 

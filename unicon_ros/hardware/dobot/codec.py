@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array
 from unicon_core.errors import PlatformError
 from unicon_core.robots import Robot
 from unicon_core.schema.marks import Key, Text
@@ -164,7 +164,7 @@ class DobotFacts:
         return Message(self.switch_topic, "dobot_atom/msg/SwitchUpperControl", {"flag": "flag"})
 
 
-def own_arrays() -> dict[str, NDArray[Any]]:
+def own_arrays() -> dict[str, Array]:
     """Return the arrays of the messages that are not states, zero; for both ends of the wire."""
     return {
         "fsm_id": np.zeros((), np.uint16),

@@ -6,11 +6,9 @@ commands stop.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_ros.hardware.dds.face import DdsFace
@@ -54,7 +52,7 @@ class DobotFace(DdsFace):
         facts = DobotFacts.of(robot, layout)
         self.own, self._acts_in = own_arrays(), acts_in
         self._imu = {name: np.array(states[name]) for name in IMU_STATES}
-        self._asked: dict[str, NDArray[Any]] = {
+        self._asked: dict[str, Array] = {
             "id": np.zeros((), np.uint16),
             "flag": np.zeros((), np.uint8),
         }

@@ -14,11 +14,11 @@ public, and the arms must be switched over besides (Dobot-Arm/dobot_atom_ros2 "D
 from __future__ import annotations
 
 from collections.abc import Callable, Generator
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array
 from unicon_core.blocks.controls.device import Controls
 from unicon_core.blocks.controls.remotes import dobot
 from unicon_core.errors import Fault, PlatformError
@@ -54,7 +54,7 @@ class Takeover(Procedure):
         self,
         participant: Participant,
         facts: DobotFacts,
-        told: tuple[NDArray[Any], NDArray[Any]],
+        told: tuple[Array, Array],
         wanted: int,
         what: str,
     ) -> None:

@@ -13,9 +13,9 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
+from unicon_core.arrays import Float64
 from unicon_core.errors import Fault
 from unicon_core.states import States
-from unicon_ros.hardware.facts import Numbers
 from unicon_ros.hardware.fourier.codec import COMMAND_TYPE, DISABLE, Addressed
 from unicon_ros.hardware.udp import Udp
 from unicon_ros.hardware.wire import Answers, Counts, known
@@ -222,8 +222,8 @@ class ActuatorWire:
             raise fault
 
     def _held(
-        self, *wanted: Numbers, least: float | Numbers = -LARGEST, beyond: bool = False
-    ) -> Numbers:
+        self, *wanted: Float64, least: float | Float64 = -LARGEST, beyond: bool = False
+    ) -> Float64:
         """Return figures of a command within `least` and `LARGEST`, counted where they were not.
 
         Args:
@@ -240,7 +240,7 @@ class ActuatorWire:
         """Return the commands, each with its socket."""
         return [(socket, row.tobytes()) for socket, row in zip(self._sockets, self._commands)]
 
-    def _due(self, gains: Numbers) -> list[int]:
+    def _due(self, gains: Float64) -> list[int]:
         """Return the joints whose gains are to be sent: those that have changed, and one in turn.
 
         Datagrams get lost, and these are not repeated each tick.

@@ -16,12 +16,12 @@ from typing import Annotated, Any, TypeVar
 
 import numpy as np
 
+from unicon_core.arrays import Float64
 from unicon_core.errors import RobotError
 from unicon_core.robots import Robot
 from unicon_core.schema.marks import Key
 from unicon_ros.hardware.facts import (
     AskingRate,
-    Numbers,
     Octet,
     Port,
     each,
@@ -68,10 +68,10 @@ class Addressed:
     addresses: tuple[str, ...]
     port: Annotated[Port, Key("port_fast")]
     rate: AskingRate
-    signs: Annotated[Numbers, Key("actuator_sign"), each(-1.0, 1.0)]
+    signs: Annotated[Float64, Key("actuator_sign"), each(-1.0, 1.0)]
 
     @cached_property
-    def degrees(self) -> Numbers:
+    def degrees(self) -> Float64:
         """Of an actuator for one radian of the joint, with its sign."""
         return np.rad2deg(self.signs)
 
@@ -163,10 +163,10 @@ class Actuators(Addressed):
         scale: of the current for 1 N·m of the joint in [A]; None where nobody knows.
     """
 
-    kp: Annotated[Numbers, Key("stiffness_scale"), each(1e-9, 1e9)]
-    kd: Annotated[Numbers, Key("damping_scale"), each(1e-9, 1e9)]
+    kp: Annotated[Float64, Key("stiffness_scale"), each(1e-9, 1e9)]
+    kd: Annotated[Float64, Key("damping_scale"), each(1e-9, 1e9)]
     timeout_mode: Octet
-    scale: Annotated[Numbers | None, Key("current_scale"), each(1e-9, 1e9)] = None
+    scale: Annotated[Float64 | None, Key("current_scale"), each(1e-9, 1e9)] = None
 
     @classmethod
     def of(cls, robot: Robot, network: str = "") -> Actuators:
@@ -184,6 +184,6 @@ class Actuators(Addressed):
         return addressed(cls, robot, network)
 
     @cached_property
-    def current(self) -> Numbers | None:
+    def current(self) -> Float64 | None:
         """For 1 N·m of the joint in [A], with its sign; None where nobody knows."""
         return None if self.scale is None else self.signs * self.scale

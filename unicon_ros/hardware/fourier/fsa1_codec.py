@@ -17,10 +17,11 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.arrays import Float64
 from unicon_core.errors import RobotError
 from unicon_core.robots import Robot
 from unicon_core.schema.marks import Key, Size, Within, Write
-from unicon_ros.hardware.facts import Numbers, Port, each, fact
+from unicon_ros.hardware.facts import Port, each, fact
 from unicon_ros.hardware.fourier.codec import (
     Addressed,
     addressed,
@@ -125,12 +126,12 @@ class Servos(Addressed):
     """
 
     encoders: tuple[str, ...]
-    encoder_degrees: NDArray[np.float64]
-    encoder_zero: NDArray[np.float64]
+    encoder_degrees: Float64
+    encoder_zero: Float64
     control_port: Annotated[Port, Key("port_control")]
-    reduction: Annotated[Numbers, Key("reduction_ratio"), each(1.0, 1e3)]
-    pole_pairs: Annotated[Numbers, each(1.0, 1e3)]
-    torque_constant: Annotated[Numbers, each(1e-6, 1e3)]
+    reduction: Annotated[Float64, Key("reduction_ratio"), each(1.0, 1e3)]
+    pole_pairs: Annotated[Float64, each(1.0, 1e3)]
+    torque_constant: Annotated[Float64, each(1e-6, 1e3)]
 
     @classmethod
     def of(cls, robot: Robot, network: str = "") -> Servos:
@@ -168,18 +169,18 @@ class Servos(Addressed):
         )
 
     @cached_property
-    def speed(self) -> Numbers:
+    def speed(self) -> Float64:
         """What the inner loop counts for 1 deg/s of the actuator: i p / 360."""
         return self.reduction * self.pole_pairs / 360.0
 
     @cached_property
-    def torque(self) -> Numbers:
+    def torque(self) -> Float64:
         """Of the joint for 1 A, with its sign, [N·m/A]."""
         return self.signs * self.torque_constant * self.reduction
 
     def gains(
         self, stiffness: NDArray[np.floating[Any]], damping: NDArray[np.floating[Any]]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    ) -> tuple[Float64, Float64]:
         """Return the gains of the position loop and of the speed loop, shape (n,) each.
 
         Args:
@@ -197,7 +198,7 @@ class Servos(Addressed):
         return float(torque * position * self.reduction[joint]), float(torque * self.speed[joint])
 
 
-def _each(robot: Robot, key: str, count: int, most: float) -> NDArray[np.float64]:
+def _each(robot: Robot, key: str, count: int, most: float) -> Float64:
     """Return a number for each encoder, within ±`most`."""
     wanted = f"{count} numbers from {-most:g} to {most:g}, one for each of transport.encoders,"
     hint = Annotated[list[Annotated[float, Within(-most, most)]], Size(count, count), Write(wanted)]

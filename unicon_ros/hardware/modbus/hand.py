@@ -15,6 +15,7 @@ from contextlib import suppress
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.arrays import Float64, Int64
 from unicon_core.errors import PlatformError
 from unicon_core.states import States
 from unicon_ros.hardware.modbus.frames import (
@@ -81,8 +82,8 @@ class HandWire:
         self._turn = deque(self._slow.items())
         self._refused: deque[tuple[str, str]] = deque(maxlen=1000)
         self._came = self._exchanges = 0
-        self._newest: tuple[int, NDArray[np.float64]] | None = None
-        self._told: dict[str, NDArray[np.int64]] = {}
+        self._newest: tuple[int, Float64] | None = None
+        self._told: dict[str, Int64] = {}
         self._speed = Speed(OVER)
         self._wanted: NDArray[np.uint16] | None = None
         self._ending = threading.Event()

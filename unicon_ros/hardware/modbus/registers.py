@@ -8,13 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.arrays import Float32, Float64, Int64
 from unicon_ros.hardware.modbus.frames import Refused
 
 BEYOND = 0.1
 """A measured angle that is further outside the range, as a share of it, is not a measurement."""
-
-Float = NDArray[np.float32]
-Raw = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -33,14 +31,14 @@ class Told:
         """Return the number of registers."""
         return -(-joints // 2) if self.bytes else joints
 
-    def values(self, registers: NDArray[np.uint16], joints: int) -> NDArray[np.int64]:
+    def values(self, registers: NDArray[np.uint16], joints: int) -> Int64:
         """Return the value of each joint, shape (n,)."""
         if self.bytes:
             raw = np.frombuffer(registers.astype(">u2").tobytes(), np.uint8)
             return raw[:joints].astype(np.int64)
         return registers.astype(np.int64)
 
-    def registers(self, values: NDArray[np.int64]) -> NDArray[np.uint16]:
+    def registers(self, values: Int64) -> NDArray[np.uint16]:
         """Return the registers that tell these values; the other way round."""
         if self.bytes:
             raw = np.zeros(2 * self.count(len(values)), np.uint8)
@@ -65,21 +63,21 @@ class HandRegisters:
     unit: int
     target: int
     angle: int
-    at_zero: NDArray[np.float64]
-    per_rad: NDArray[np.float64]
-    lowest: Raw
-    highest: Raw
+    at_zero: Float64
+    per_rad: Float64
+    lowest: Int64
+    highest: Int64
     slow: Mapping[str, Told] = field(default_factory=dict)
     clear: tuple[int, int] | None = None
 
-    def raw(self, angles: Float) -> tuple[NDArray[np.uint16], bool]:
+    def raw(self, angles: Float32) -> tuple[NDArray[np.uint16], bool]:
         """Return the registers of angles [rad], shape (n,), and whether one was clamped."""
         wanted = np.rint(self.at_zero + self.per_rad * angles)
         held = np.clip(wanted, self.lowest, self.highest)
         clamped = bool((np.abs(held - wanted) > 1.0).any())
         return held.astype(np.int16).view(np.uint16), clamped
 
-    def angles(self, registers: NDArray[np.uint16]) -> NDArray[np.float64]:
+    def angles(self, registers: NDArray[np.uint16]) -> Float64:
         """Return the angles of registers in [rad], shape (n,).
 
         Raises:
@@ -91,5 +89,5 @@ class HandRegisters:
         if wrong.any():
             joint = int(np.argmax(wrong))
             raise Refused("angle out of range", f"{raw[joint]:g} of joint {joint}")
-        angles: NDArray[np.float64] = (raw - self.at_zero) / self.per_rad
+        angles: Float64 = (raw - self.at_zero) / self.per_rad
         return angles

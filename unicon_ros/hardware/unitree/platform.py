@@ -14,8 +14,8 @@ from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array
 from unicon_core.blocks.controls.device import Controls
 from unicon_core.blocks.controls.remotes import unitree as held
 from unicon_core.errors import Fault, PlatformError
@@ -42,7 +42,7 @@ REMOTE = 40
 """Bytes of the wireless remote."""
 
 
-def own_arrays(robot: Robot) -> dict[str, NDArray[Any]]:
+def own_arrays(robot: Robot) -> dict[str, Array]:
     """Return the arrays of the messages that are not states, zero; for both ends of the wire."""
     n = robot.num_joints
     return {

@@ -16,11 +16,11 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array
 from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
 from unicon_core.schema.marks import Key, Within
@@ -87,7 +87,7 @@ class Dex3Facts(DdsFacts):
         return {f"motor_cmd[{k}].mode": mode | bits for k, mode in zip(self.slots, self.modes)}
 
 
-def own_arrays(robot: Robot) -> dict[str, NDArray[Any]]:
+def own_arrays(robot: Robot) -> dict[str, Array]:
     """Return the arrays of the messages that are not states, zero; for both ends of the wire."""
     n = robot.num_joints
     return {"temperatures": np.zeros(2 * n, np.float32), "modes": np.zeros(n, np.uint8)}

@@ -12,11 +12,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array, Float32
 from unicon_msgs_map.codec.checksum import words_crc
-
-Float = NDArray[np.float32]
 
 SLOTS = 20
 """Motors of a datagram; a robot of 12 leaves the rest idle."""
@@ -147,9 +145,9 @@ class Frame:
         self._crc = words_crc(self.buffer, (fields.itemsize >> 2) - 1)
         self._stored = self["crc"]
 
-    def __getitem__(self, field: str) -> NDArray[Any]:
+    def __getitem__(self, field: str) -> Array:
         """Return the view of a field; of a number one of shape ()."""
-        view: NDArray[Any] = self._whole[field][0, ...]
+        view: Array = self._whole[field][0, ...]
         return view
 
     def __contains__(self, field: str) -> bool:
@@ -222,7 +220,7 @@ class CommandFrame(Frame):
         self.seal(encrypted)
 
     def write(
-        self, pos: Float, vel: Float, effort: Float, stiffness: Float, damping: Float
+        self, pos: Float32, vel: Float32, effort: Float32, stiffness: Float32, damping: Float32
     ) -> bytes:
         """Return the datagram of a command, all of it finite, each of shape (n,).
 

@@ -12,8 +12,8 @@ import time
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float32
 from unicon_core.blocks.controls.device import Controls
 from unicon_core.blocks.controls.remotes import unitree as held
 from unicon_core.errors import Fault, PlatformError, StateError
@@ -96,7 +96,7 @@ class StateReader:
         self._base = {name: states[name] for name in IMU_STATES}
         self._errors = [states[name] for name in ("motor_error",) if name in states]
         self._errors_of = b""
-        self._battery: list[NDArray[np.float32]] = []
+        self._battery: list[Float32] = []
         if "bms" in frame and "battery_charge" in states:
             self._battery = [states["battery_charge"], states["battery_voltage"]]
 

@@ -16,8 +16,8 @@ import time
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float64
 from unicon_core.errors import Fault, MissingDependencyError, PlatformError
 from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
@@ -67,7 +67,7 @@ class XhandWire:
         self._pos = states["joint_pos"]
         named = ("motor_error", "motor_temperature")
         self._hardware = {state: states[state] for state in named if state in states}
-        self._last: NDArray[np.float64] | None = None
+        self._last: Float64 | None = None
         self._changed = time.monotonic()
         self._device: Any = module.XHandControl()
         self.where = self._open(serial)

@@ -12,6 +12,7 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.arrays import Bool
 from unicon_core.handles import FrameRing
 from unicon_ros.bridge.images import FrameMessage, cloud_message
 from unicon_ros.peripherals.livox.protocol import HEAD, POINTS, SAMPLES, Packet
@@ -192,9 +193,9 @@ class Clouds:
         after = self._stamps[:number] - self._stamps[0]
         out["offset_time"] = after[:, None] + self._steps[:number, None] * np.arange(POINTS)
 
-    def _place(self, out: NDArray[np.void], raw: NDArray[np.void]) -> NDArray[np.bool_]:
+    def _place(self, out: NDArray[np.void], raw: NDArray[np.void]) -> Bool:
         """Write x, y, z; return where there is none: a point without an echo is at distance 0."""
-        missing: NDArray[np.bool_]
+        missing: Bool
         if self._kind == 3:
             depth = 1e-3 * raw["depth"]
             theta, phi = (np.radians(0.01 * raw[angle]) for angle in ("theta", "phi"))

@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal
 
 from unicon_core.errors import WorkflowError
 from unicon_core.flow import Block
-from unicon_core.schema.marks import Unit, Within
+from unicon_core.schema.marks import Within
 from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext
 from unicon_ros.bridge.camera_topics import RELIABILITIES, large_data, topic_options
@@ -36,7 +36,7 @@ def livox(
     data_type: Literal[1, 2, 3] = 1,
     configure: bool = True,
     checksum: bool = True,
-    silence: Annotated[float, Unit("s"), Within(0.05, 10.0)] = 0.2,
+    silence: Annotated[float, Within(0.05, 10.0, "s")] = 0.2,
     frame_id: str = "livox_frame",
     prefix: str = "livox",
     topic: str = "",

@@ -11,7 +11,8 @@ import struct
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
+
+from unicon_core.arrays import Float32
 
 _FINGER = ("metacarpal", "phalanx-proximal", "phalanx-intermediate", "phalanx-distal", "tip")
 JOINTS = (
@@ -114,7 +115,7 @@ class Frame:
         ):
             raise Refused("not a button")  # neither is NaN
 
-    def _turned(self, raw: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _turned(self, raw: Float32) -> Float32:
         there = self.valid[_PART_OF].astype(bool)
         poses = np.tile(_NEUTRAL, (len(raw), 1))
         given = raw[there]

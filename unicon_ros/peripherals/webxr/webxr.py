@@ -14,7 +14,7 @@ from typing import Annotated, Any
 
 from unicon_core.errors import MissingDependencyError, WorkflowError
 from unicon_core.flow import Block
-from unicon_core.schema.marks import Unit, Within
+from unicon_core.schema.marks import Within
 from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext
 from unicon_ros.peripherals.peripheral import Peripheral, peripheral_block, peripheral_states
@@ -33,7 +33,7 @@ def webxr(
     port: Annotated[int, Within(0, 65535)] = 8443,
     token: str = "",
     tls: bool | None = None,
-    stale: Annotated[float, Unit("s"), Within(0.02, 2.0)] = 0.2,
+    stale: Annotated[float, Within(0.02, 2.0, "s")] = 0.2,
     prefix: str = "webxr",
 ) -> Block:
     """Write poses, buttons and axes of a headset; all neutral, and alive 0, while none is heard.

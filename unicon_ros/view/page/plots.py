@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float32, Float64
 from unicon_core.states import Layout
 from unicon_ros.view.source import Snapshot
 
@@ -78,7 +78,7 @@ class History:
         self._time[self._count] = moment
         self._count += 1
 
-    def last(self, seconds: float) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+    def last(self, seconds: float) -> tuple[Float64, Float32]:
         """Return times in [s], shape (m,), and rows, shape (m, width); views, the newest last."""
         time = self._time[: self._count]
         first = int(np.searchsorted(time, time[-1] - seconds)) if self._count else 0
@@ -246,7 +246,7 @@ class Plot:
         self.curves = curves_of(layout, history, state, chosen, period)
         self.title, self.unit = title_of(layout, state, chosen), unit_of(layout, state)
 
-    def data(self, seconds: float) -> tuple[NDArray[np.float64], ...]:
+    def data(self, seconds: float) -> tuple[Float64, ...]:
         """Return times in [s] and one array for each curve, at most `POINTS` long each."""
         time, rows = self._history.last(seconds)
         stride = max(1, -(-len(time) // POINTS))
@@ -256,7 +256,7 @@ class Plot:
             time, rows = np.zeros(1), np.full((1, rows.shape[1]), np.nan, np.float32)
         return (np.array(time), *(self._values(curve, rows) for curve in self.curves))
 
-    def _values(self, curve: Curve, rows: NDArray[np.float32]) -> NDArray[np.float64]:
+    def _values(self, curve: Curve, rows: Float32) -> Float64:
         if curve.column < 0:
             return np.full(len(rows), curve.constant)
         return rows[:, curve.column].astype(float)

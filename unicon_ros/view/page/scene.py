@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array, Float32, Float64
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.models.posed import PosedModel, foot_bodies, foot_geoms
 from unicon_core.models.terrain import load_on
@@ -44,7 +44,7 @@ class Pose:
     def __init__(self, bodies: int) -> None:
         self.position, self.quat = np.zeros((bodies, 3)), np.zeros((bodies, 4))
         self.base = np.zeros(3)
-        self.feet: dict[str, NDArray[np.float64]] = {}
+        self.feet: dict[str, Float64] = {}
         self.touching: frozenset[str] = frozenset()
         self.arrows = np.zeros((2, 2, 3))
 
@@ -82,11 +82,11 @@ class Stage:
         self._points, self._tick, self._above = 0, -1, 0.0
 
     @property
-    def path(self) -> NDArray[np.float32]:
+    def path(self) -> Float32:
         """Places of the base behind the robot, on the ground, [m], shape (m, 3)."""
         return self._path[: self._points]
 
-    def put(self, tick: int, states: Mapping[str, NDArray[Any]]) -> Pose:
+    def put(self, tick: int, states: Mapping[str, Array]) -> Pose:
         """Put the robot where the states of a tick say; return where everything is."""
         pose = self.pose
         if tick == self._tick:
@@ -115,7 +115,7 @@ class Stage:
         self._walk(pose.base)
         return pose
 
-    def _base(self, states: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
+    def _base(self, states: Mapping[str, Array]) -> Float64:
         place = np.zeros(7)
         place[3] = 1.0
         if "base_pos_w" in states and np.isfinite(states["base_pos_w"]).all():
@@ -126,7 +126,7 @@ class Stage:
             place[3:] = quat / length
         return place
 
-    def _contacts(self, states: Mapping[str, NDArray[Any]]) -> frozenset[str]:
+    def _contacts(self, states: Mapping[str, Array]) -> frozenset[str]:
         """Feet that stand: as `foot_contact` tells, else those whose sole is near the floor."""
         if "foot_contact" in states:
             sure = states["foot_contact"].reshape(-1)
@@ -152,7 +152,7 @@ class Stage:
         met = pairs[(model.body_weldid[model.geom_bodyid[pairs]] == 0).any(axis=1)]
         return frozenset(foot for foot, own in self._soles.items() if np.isin(met, own).any())
 
-    def _arrows(self, states: Mapping[str, NDArray[Any]], pose: Pose) -> None:
+    def _arrows(self, states: Mapping[str, Array], pose: Pose) -> None:
         """Draw both velocities over the base, 1 m/s as 0.6 m, along its heading."""
         w, x, y, z = pose.quat[self._body]
         yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
@@ -163,7 +163,7 @@ class Stage:
             if state in states and np.isfinite(states[state]).all():
                 pose.arrows[row, 1, :2] += 0.6 * heading @ np.asarray(states[state][:2], float)
 
-    def _walk(self, base: NDArray[np.float64]) -> None:
+    def _walk(self, base: Float64) -> None:
         here = np.array((base[0], base[1], 0.01), np.float32)
         if self._points and np.linalg.norm(here - self._path[self._points - 1]) < _STEP:
             return
@@ -279,7 +279,7 @@ class Scene:
         self._drawn = len(points)
 
 
-def _squares() -> NDArray[np.float32]:
+def _squares() -> Float32:
     """Return lines on the ground 1 m apart, shape (lines, 2, 3)."""
     at = np.arange(-_HALF, _HALF + 1, dtype=np.float32)
     lines = np.zeros((2, len(at), 2, 3), np.float32)

@@ -9,6 +9,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from unicon_core.arrays import Float32, Float64
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.platforms.kit.base import rotation
 
@@ -34,7 +35,7 @@ class Shape:
     """
 
     body: int
-    vertices: NDArray[np.float32]
+    vertices: Float32
     faces: NDArray[np.uint32]
     rgba: tuple[float, ...]
 
@@ -81,7 +82,7 @@ def _colour(model: Any, geom: int) -> tuple[float, ...]:
     return tuple(round(float(x), 3) for x in rgba)
 
 
-def _bone(child: NDArray[np.float64]) -> Any:
+def _bone(child: Float64) -> Any:
     length = float(np.linalg.norm(child))
     if length < 1e-3:
         return None

@@ -20,7 +20,7 @@ from unicon_core.platforms.kit.quiet import patience
 from unicon_core.platforms.kit.stepped import (
     SIMULATED,
     Facts,
-    Float,
+    Float64,
     JointModel,
     Passive,
     Robot,
@@ -85,7 +85,7 @@ class GenesisPlatform(SteppedSimulator):
         self._scene.reset()
         self._robots.set_qpos(self._begin, zero_velocity=True)
 
-    def joints(self) -> tuple[Float, Float]:
+    def joints(self) -> tuple[Float64, Float64]:
         return self._positions()[:, self._at], self._velocities()[:, self._rates]
 
     def base(self) -> WorldPose:
@@ -95,7 +95,7 @@ class GenesisPlatform(SteppedSimulator):
         rates = (rotation(quat) @ own)[..., 0]
         return WorldPose(pos[:, self._place], quat, vel[:, self._linear], rates)
 
-    def step(self, torque: Float) -> None:
+    def step(self, torque: Float64) -> None:
         self._forces[:, self._rates] = torque
         self._robots.control_dofs_force(self._forces)
         try:
@@ -103,7 +103,7 @@ class GenesisPlatform(SteppedSimulator):
         except self._broken as error:  # it looks every tenth step
             raise Fault(f"the physics blew up: Genesis says: {one_line(error)}") from error
 
-    def add_velocity(self, velocity: Float) -> None:
+    def add_velocity(self, velocity: Float64) -> None:
         vel = self._velocities()
         vel[:, self._linear] += velocity
         self._robots.set_dofs_velocity(vel)
@@ -111,11 +111,11 @@ class GenesisPlatform(SteppedSimulator):
     def close(self) -> None:
         self._scene.destroy()
 
-    def _positions(self) -> Float:
+    def _positions(self) -> Float64:
         """Return MuJoCo's `qpos` of all worlds, shape (N, nq), float64."""
         return np.asarray(self._robots.get_qpos().cpu().numpy(), np.float64)
 
-    def _velocities(self) -> Float:
+    def _velocities(self) -> Float64:
         """Return the velocities of all degrees of freedom, shape (N, nv), float64."""
         return np.asarray(self._robots.get_dofs_velocity().cpu().numpy(), np.float64)
 
@@ -151,7 +151,7 @@ def begun() -> Any:
     return genesis
 
 
-def built(genesis: Any, model: Any, timestep: float, begin: Float) -> tuple[Any, Any]:
+def built(genesis: Any, model: Any, timestep: float, begin: Float64) -> tuple[Any, Any]:
     """Return a scene of N worlds with the model in each, and the model's entity.
 
     Args:

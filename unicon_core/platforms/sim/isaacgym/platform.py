@@ -17,7 +17,7 @@ from unicon_core.models.urdf_write import physical_urdf
 from unicon_core.platforms.kit.stepped import (
     SIMULATED,
     Facts,
-    Float,
+    Float64,
     JointModel,
     Passive,
     Robot,
@@ -145,7 +145,7 @@ class IsaacGymPlatform(SteppedSimulator):
         self._roots, self._dofs = root, dof
         self._push_states()
 
-    def joints(self) -> tuple[Float, Float]:
+    def joints(self) -> tuple[Float64, Float64]:
         told = self._dofs[:, self._robot_from_dof].astype(np.float64)
         return told[..., 0], told[..., 1]
 
@@ -157,11 +157,11 @@ class IsaacGymPlatform(SteppedSimulator):
         # PhysX tells the velocity of the centre of mass.
         return WorldPose(root[:, :3], quat, root[:, 7:10] - self._around(quat, rate), rate)
 
-    def _around(self, quat: Float, rate: Float) -> Float:
+    def _around(self, quat: Float64, rate: Float64) -> Float64:
         """Return ω × (from the base's origin to its centre of mass) in the world, (N, 3)."""
         return cross(rate, rotation(quat) @ self._centre)
 
-    def step(self, torque: Float) -> None:
+    def step(self, torque: Float64) -> None:
         gym, sim = self._gym, self._sim
         force = self._zeros()
         force[:, self._robot_from_dof] = torque - self._damping * self.joints()[1]
@@ -174,7 +174,7 @@ class IsaacGymPlatform(SteppedSimulator):
         self._roots = np.array(self._root.cpu().numpy())
         self._dofs = np.array(self._dof.cpu().numpy()).reshape(self._dofs.shape)
 
-    def add_velocity(self, velocity: Float) -> None:
+    def add_velocity(self, velocity: Float64) -> None:
         self._roots[:, 7:10] += velocity.astype(np.float32)
         self._push_states()
 

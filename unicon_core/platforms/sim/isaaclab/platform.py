@@ -20,7 +20,7 @@ from unicon_core.models.urdf_write import physical_urdf
 from unicon_core.platforms.kit.stepped import (
     SIMULATED,
     Facts,
-    Float,
+    Float64,
     Passive,
     Robot,
     Scene,
@@ -170,14 +170,14 @@ class IsaacLabPlatform(SteppedSimulator):
         told = [self._tensor(self._in_lab(values)) for values in (self._pos, self._vel)]
         robot.write_joint_state_to_sim(*told)
 
-    def joints(self) -> tuple[Float, Float]:
+    def joints(self) -> tuple[Float64, Float64]:
         return self._pos, self._vel
 
     def base(self) -> WorldPose:
         pose, twist = self._pose, self._twist
         return WorldPose(pose[:, :3], pose[:, 3:], twist[:, :3], twist[:, 3:])
 
-    def step(self, torque: Float) -> None:
+    def step(self, torque: Float64) -> None:
         robot, data = self._robot, self._robot.data
         robot.set_joint_effort_target(self._tensor(self._in_lab(torque)))
         self._scene.write_data_to_sim()
@@ -190,21 +190,21 @@ class IsaacLabPlatform(SteppedSimulator):
         self._pos = self._read(data.joint_pos)[:, self._robot_from_lab]
         self._vel = self._read(data.joint_vel)[:, self._robot_from_lab]
 
-    def add_velocity(self, velocity: Float) -> None:
+    def add_velocity(self, velocity: Float64) -> None:
         self._twist = self._twist + np.hstack((velocity, np.zeros_like(velocity)))
         self._robot.write_root_link_velocity_to_sim(self._tensor(self._twist))
 
-    def _in_lab(self, values: Float) -> Float:
+    def _in_lab(self, values: Float64) -> Float64:
         """Return values in the order of Isaac Lab's joints, shape (N, n)."""
         ordered = np.zeros_like(values)
         ordered[:, self._robot_from_lab] = values
         return ordered
 
-    def _tensor(self, values: Float) -> Any:
+    def _tensor(self, values: Float64) -> Any:
         return self._torch.from_numpy(values.astype(np.float32)).to(self._device)
 
     @staticmethod
-    def _read(values: Any) -> Float:
+    def _read(values: Any) -> Float64:
         """Return a copy of a tensor, which 3.0 wraps."""
         tensor = getattr(values, "torch", values)
         return np.array(tensor.cpu().numpy(), np.float64)

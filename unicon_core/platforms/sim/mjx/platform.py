@@ -24,7 +24,7 @@ from unicon_core.platforms.kit.stepped import (
     JOINT_PHYSICS,
     SIMULATED,
     Facts,
-    Float,
+    Float64,
     Passive,
     Robot,
     Scene,
@@ -87,7 +87,7 @@ class MjxPlatform(SteppedSimulator):
             self._begin()
         super().__init__(setup)
 
-    def _command_of(self, torque: Float | float) -> Any:
+    def _command_of(self, torque: Float64 | float) -> Any:
         """Return the command of a torque [N·m] alone, shape (5, N, n)."""
         command = np.zeros((5, self._count, self._size), np.float32)
         command[2] = torque
@@ -101,23 +101,23 @@ class MjxPlatform(SteppedSimulator):
     def place(self) -> None:
         self._begin()
 
-    def joints(self) -> tuple[Float, Float]:
+    def joints(self) -> tuple[Float64, Float64]:
         return self._read["pos"], self._read["vel"]
 
     def base(self) -> WorldPose:
         return _pose(self._read["base"])
 
-    def simulate(self, parts: Iterable[tuple[int, Float]]) -> WorldPose:
+    def simulate(self, parts: Iterable[tuple[int, Float64]]) -> WorldPose:
         for steps, command in parts:
             self._state, told = self._tick(self._state, command.astype(np.float32), steps)
         self._read = _arrays(told)
         self.torque[...] = self._read["torque"]
         return _pose(self._read["before"]) if self.start.floating else self.nowhere()
 
-    def step(self, torque: Float) -> None:
+    def step(self, torque: Float64) -> None:
         self.simulate([(1, self._command_of(torque))])
 
-    def add_velocity(self, velocity: Float) -> None:
+    def add_velocity(self, velocity: Float64) -> None:
         qvel = self._state.qvel.at[:, self._moving].add(velocity.astype(np.float32))
         self._state = self._state.replace(qvel=qvel)
 
@@ -221,11 +221,11 @@ def _put(mjx: Any, model: Any, start: Start) -> tuple[Any, Any]:
     return compiled, data
 
 
-def _arrays(told: dict[str, Any]) -> dict[str, Float]:
+def _arrays(told: dict[str, Any]) -> dict[str, Float64]:
     return {name: np.asarray(value, np.float64) for name, value in told.items()}
 
 
-def _pose(base: Float) -> WorldPose:
+def _pose(base: Float64) -> WorldPose:
     """Return where bases are, of their free joints; its rates are along the base's own axes."""
     position, quat, linear, angular = np.split(base, (3, 7, 10), axis=1)
     quat /= np.linalg.norm(quat, axis=1, keepdims=True)

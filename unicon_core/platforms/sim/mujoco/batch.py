@@ -8,16 +8,14 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from queue import SimpleQueue
 from threading import Thread
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array
 from unicon_core.platforms.kit.command import Command
 from unicon_core.platforms.sim.mujoco.servo import Servo
 from unicon_core.platforms.sim.mujoco.simulated_robot import SimulatedRobot
 
-Array = NDArray[Any]
 Told = tuple[Array, Array, Array]
 """Controls, gains and biases of one robot's actuators: shapes (n,), (n,) and (n, 3)."""
 Part = tuple[int, list[Told]]

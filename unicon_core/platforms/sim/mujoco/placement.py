@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_core import memory
+from unicon_core.arrays import Array
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.models.posed import PosedModel
 from unicon_core.platforms.sim.mujoco.simulated_robot import SimulatedRobot
@@ -17,7 +17,7 @@ _COMPUTED = ("sensordata", "qacc", "qfrc_actuator")
 """Results of the tick that the next one reads, and `mj_step1` does not compute."""
 
 
-def put(robot: SimulatedRobot, measured: Mapping[str, NDArray[Any]], posed: PosedModel) -> None:
+def put(robot: SimulatedRobot, measured: Mapping[str, Array], posed: PosedModel) -> None:
     """Put a robot where one was measured; commands on their way stay on it.
 
     Args:
@@ -37,7 +37,7 @@ def put(robot: SimulatedRobot, measured: Mapping[str, NDArray[Any]], posed: Pose
 
 
 def _put_base(
-    robot: SimulatedRobot, base: int, measured: Mapping[str, NDArray[Any]], posed: PosedModel
+    robot: SimulatedRobot, base: int, measured: Mapping[str, Array], posed: PosedModel
 ) -> None:
     mujoco, model, data = import_mujoco(), robot.model, robot.data
     pose = data.qpos[model.jnt_qposadr[base] :][:7]

@@ -10,8 +10,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array, Float64
 from unicon_core.errors import PlatformError
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.posed import PosedModel
@@ -96,7 +96,7 @@ class MujocoPlatform:
         models: Models,
         scene: Scene,
         passive: Passive = "keep",
-        qpos: NDArray[np.float64] | None = None,
+        qpos: Float64 | None = None,
     ) -> None:
         self._mujoco, self._robot, self._read = mujoco, robot, models
         self._states, self._period = states, period
@@ -222,7 +222,7 @@ class MujocoPlatform:
         self.robots[0].postponed = True
         return self.robots[0].act
 
-    def push(self, velocity: NDArray[np.float64]) -> None:
+    def push(self, velocity: Float64) -> None:
         """Add to the bases' horizontal velocity [m/s], shape (2,), of a batch (N, 2).
 
         Raises:
@@ -233,7 +233,7 @@ class MujocoPlatform:
         for robot, each in zip(self.robots, np.atleast_2d(velocity)):
             robot.push(each)
 
-    def put(self, measured: Mapping[str, NDArray[Any]]) -> None:
+    def put(self, measured: Mapping[str, Array]) -> None:
         """Put the robot where one was measured, every one of a batch; see `Placeable`."""
         for robot in self.robots:
             placement.put(robot, measured, self._posed)
@@ -275,7 +275,7 @@ class MujocoPlatform:
         return _set_to(_IMMOVABLE, armatures, np.asarray(self._dofs)[list(joints)])
 
     @property
-    def passive_damping(self) -> NDArray[np.float64]:
+    def passive_damping(self) -> Float64:
         """Damping of the robot's joints themselves in [N·m·s/rad], shape (n,)."""
         return np.array(self.model.dof_damping[self._dofs])
 
@@ -326,7 +326,7 @@ class MujocoPlatform:
 
 
 @contextmanager
-def _set_to(value: float, arrays: list[NDArray[Any]], places: Any) -> Iterator[None]:
+def _set_to(value: float, arrays: list[Array], places: Any) -> Iterator[None]:
     """Parts of arrays have another value for a while."""
     before = [array[places].copy() for array in arrays]
     try:

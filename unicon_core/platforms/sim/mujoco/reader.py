@@ -9,12 +9,11 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array, Float64
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.rows import index_of
 
-Float = NDArray[np.float64]
 Copy = Callable[[], None]
 
 
@@ -64,7 +63,7 @@ class BaseReader:
         views: the robot's own state arrays by name; absent ones are left out.
     """
 
-    def __init__(self, loaded: LoadedModel, data: Any, views: Mapping[str, NDArray[Any]]) -> None:
+    def __init__(self, loaded: LoadedModel, data: Any, views: Mapping[str, Array]) -> None:
         model, joint = loaded.model, loaded.base
         body = int(model.jnt_bodyid[joint])
         qpos = data.qpos[model.jnt_qposadr[joint] :][:7]
@@ -75,7 +74,7 @@ class BaseReader:
         kinds = "quat", "gyro", "accelerometer"
         self.source: dict[str, str | None] = dict.fromkeys(kinds, "free joint")
 
-        def sensor(kind: str) -> tuple[Float, Float]:
+        def sensor(kind: str) -> tuple[Float64, Float64]:
             """Return the sensor's data and the orientation of its site in the base."""
             self.source[kind] = model.sensor(imu[kind]).name or None
             start, size = int(model.sensor_adr[imu[kind]]), int(model.sensor_dim[imu[kind]])
@@ -119,14 +118,14 @@ class BaseReader:
         self._gravity[...] = self._base[1]
 
 
-def _plain(out: NDArray[Any], source: Float) -> Copy:
+def _plain(out: Array, source: Float64) -> Copy:
     def plain() -> None:
         out[...] = source
 
     return plain
 
 
-def _turned(out: NDArray[Any], source: Float, base_from_site: Float) -> Copy:
+def _turned(out: Array, source: Float64, base_from_site: Float64) -> Copy:
     """What brings a vector or, of four numbers, an orientation of the site into the base frame."""
     if np.allclose(np.abs(base_from_site), (1.0, 0.0, 0.0, 0.0), atol=1e-9):
         return _plain(out, source)
@@ -143,7 +142,7 @@ def _turned(out: NDArray[Any], source: Float, base_from_site: Float) -> Copy:
 
 
 def _specific_force(
-    out: NDArray[Any], qvel: Float, qacc: Float, rotation: Float, gravity: Float, arm: Float
+    out: Array, qvel: Float64, qacc: Float64, rotation: Float64, gravity: Float64, arm: Float64
 ) -> Copy:
     """What an accelerometer reads at p: Rᵀ (a - g) + α x p + ω x (ω x p), in the base's frame.
 
@@ -183,7 +182,7 @@ class Reader:
         sources: what the base states are read from, as of `BaseReader`; {} for a fixed base.
     """
 
-    def __init__(self, loaded: LoadedModel, data: Any, views: Mapping[str, NDArray[Any]]) -> None:
+    def __init__(self, loaded: LoadedModel, data: Any, views: Mapping[str, Array]) -> None:
         q_index, v_index = index_of(loaded.addresses.tolist()), index_of(loaded.dofs.tolist())
         sources = ((data.qpos, q_index), (data.qvel, v_index), (data.qfrc_actuator, v_index))
         self._copies = [

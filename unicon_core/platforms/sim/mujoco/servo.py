@@ -16,14 +16,12 @@ it does for every position actuator: the torque at a state is the same, the step
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float64
 from unicon_core.models.actuators import actuator_kind, effort_ranges
 from unicon_core.models.loaded import LoadedModel, drives, import_mujoco
 from unicon_core.models.rows import index_of
 from unicon_core.robots import Robot
-
-Float = NDArray[np.float64]
 
 
 class Servo:
@@ -40,7 +38,7 @@ class Servo:
         effort_lower, effort_upper: torque limits in use in [N·m], shape (n,), infinite for none.
     """
 
-    def __init__(self, loaded: LoadedModel, robot: Robot, strength: Float | None = None) -> None:
+    def __init__(self, loaded: LoadedModel, robot: Robot, strength: Float64 | None = None) -> None:
         mujoco, model = import_mujoco(), loaded.model
         driven = [drives(model)[joint] for joint in loaded.joints]
         self.actuators = [first for first, *_ in driven]
@@ -76,7 +74,7 @@ class Servo:
         self._b0 = np.zeros(count)
         self._written = b""
 
-    def push(self, ctrl: Float, command: Float) -> None:
+    def push(self, ctrl: Float64, command: Float64) -> None:
         """Put one robot's command into the model and its controls.
 
         Args:
@@ -105,7 +103,7 @@ class Servo:
             self._bias[index, 2] = -damping
             self._written = gains
 
-    def holding(self, qpos: Float) -> Float:
+    def holding(self, qpos: Float64) -> Float64:
         """Return controls that hold the joints of other position actuators (hands, objects).
 
         Args:

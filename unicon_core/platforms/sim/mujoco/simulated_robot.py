@@ -7,8 +7,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array, Float64, Int64
 from unicon_core.errors import Fault
 from unicon_core.models.loaded import LoadedModel
 from unicon_core.platforms.kit.clock import tick_ns
@@ -17,8 +17,6 @@ from unicon_core.platforms.kit.servo import JointDelay
 from unicon_core.platforms.sim.mujoco.reader import Reader, without_sensors
 from unicon_core.platforms.sim.mujoco.rehearsal import Rehearsal
 from unicon_core.platforms.sim.mujoco.servo import Servo
-
-Float = NDArray[np.float64]
 
 _TOO_FAST = 1e10  # squared norm of all velocities: no robot's joint turns at 1e5 rad/s
 
@@ -61,11 +59,11 @@ class SimulatedRobot:
         joint_names: Sequence[str],
         servo: Servo,
         decimation: int,
-        views: dict[str, NDArray[Any]],
-        qpos: Float,
+        views: dict[str, Array],
+        qpos: Float64,
         command: Command,
         rank: int | None = None,
-        delay: NDArray[np.int64] | None = None,
+        delay: Int64 | None = None,
     ) -> None:
         model = self.model = loaded.model
         data = self.data = mujoco.MjData(model)
@@ -134,7 +132,7 @@ class SimulatedRobot:
         self.simulate(self.servo.push, parts)
 
     def simulate(
-        self, tell: Callable[[Float, Any], None], parts: Iterable[tuple[int, Any]]
+        self, tell: Callable[[Float64, Any], None], parts: Iterable[tuple[int, Any]]
     ) -> None:
         """Simulate one tick.
 
@@ -192,7 +190,7 @@ class SimulatedRobot:
         read = Reader(self.loaded, self.data, unseen)
         return Rehearsal(self._mujoco, self.model, self.data, read, self._split)
 
-    def push(self, velocity: Float) -> None:
+    def push(self, velocity: Float64) -> None:
         """Add to the base's horizontal velocity in [m/s], shape (2,)."""
         start = int(self.model.jnt_dofadr[self._base])
         self.data.qvel[start : start + 2] += velocity

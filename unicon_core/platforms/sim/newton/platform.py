@@ -15,15 +15,15 @@ from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float32
 from unicon_core.errors import MissingDependencyError, PlatformError, alternatives, one_line
 from unicon_core.platforms.kit.quiet import patience, quiet
 from unicon_core.platforms.kit.stepped import (
     SIMULATED,
     DampedSimulator,
     Facts,
-    Float,
+    Float64,
     Passive,
     Robot,
     Scene,
@@ -63,9 +63,9 @@ class Engine:
         self._now, self._next, self._control = model.state(), model.state(), model.control()
         self._force = np.zeros((self.worlds, model.joint_dof_count // self.worlds), np.float32)
 
-    def _rows(self, array: Any) -> NDArray[np.float32]:
+    def _rows(self, array: Any) -> Float32:
         """Return what Newton has in one array for all worlds, one row each."""
-        rows: NDArray[np.float32] = array.numpy().reshape(self.worlds, -1)
+        rows: Float32 = array.numpy().reshape(self.worlds, -1)
         return rows
 
     def place(self) -> None:
@@ -78,7 +78,7 @@ class Engine:
         now = self._now
         return self._rows(now.joint_q)[:, self._q], self._rows(now.joint_qd)[:, self._v]
 
-    def base(self) -> tuple[Float, Float, Float, Float]:
+    def base(self) -> tuple[Float64, Float64, Float64, Float64]:
         """Return the values of a `WorldPose`, shape (worlds, 3) or (worlds, 4)."""
         pose = self._rows(self._now.joint_q)[:, :7].astype(np.float64)
         twist = self._rows(self._now.joint_qd)[:, :6].astype(np.float64)
@@ -87,20 +87,20 @@ class Engine:
         centre = rotation(quat) @ self._centre  # from the origin, along the world's axes
         return pose[:, :3], quat, twist[:, :3] - np.cross(rate, centre), rate
 
-    def step(self, torque: Float, timestep: float) -> None:
+    def step(self, torque: Float64, timestep: float) -> None:
         """Apply torques [N·m], shape (worlds, n), and step the physics."""
         self._force[:, self._v] = torque
         self._control.joint_f.assign(self._force.ravel())
         self._solver.step(self._now, self._next, self._control, None, timestep)
         self._now, self._next = self._next, self._now
 
-    def add_velocity(self, velocity: Float) -> None:
+    def add_velocity(self, velocity: Float64) -> None:
         """Add to the bases' velocities [m/s] in the world, shape (worlds, 3)."""
         rows = self._rows(self._now.joint_qd).copy()
         rows[:, :3] += velocity
         self._now.joint_qd.assign(rows.ravel())
 
-    def damp(self, damping: Float, flag: Any) -> None:
+    def damp(self, damping: Float64, flag: Any) -> None:
         """Give the joints damping [N·m·s/rad], shape (n,).
 
         Args:
@@ -142,7 +142,7 @@ class NewtonPlatform(DampedSimulator):
         self.step(self.torque)  # else the first tick would compile kernels
         self.reset()
 
-    def damp(self, damping: Float) -> None:
+    def damp(self, damping: Float64) -> None:
         from newton import ModelFlags
 
         for engine in self._engines:
@@ -152,7 +152,7 @@ class NewtonPlatform(DampedSimulator):
         for engine in self._engines:
             engine.place()
 
-    def joints(self) -> tuple[Float, Float]:
+    def joints(self) -> tuple[Float64, Float64]:
         pos, vel = zip(*(engine.joints() for engine in self._engines))
         return np.concatenate(pos, dtype=np.float64), np.concatenate(vel, dtype=np.float64)
 
@@ -160,11 +160,11 @@ class NewtonPlatform(DampedSimulator):
         poses = [engine.base() for engine in self._engines]
         return WorldPose(*map(np.concatenate, zip(*poses)))
 
-    def step(self, torque: Float) -> None:
+    def step(self, torque: Float64) -> None:
         for engine, part in zip(self._engines, self._parts):
             engine.step(torque[part], self.timestep)
 
-    def add_velocity(self, velocity: Float) -> None:
+    def add_velocity(self, velocity: Float64) -> None:
         for engine, part in zip(self._engines, self._parts):
             engine.add_velocity(velocity[part])
 

@@ -11,8 +11,8 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Float64
 from unicon_core.models.kinematic_tree import Link, read_tree
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.models.quaternions import rotate
@@ -22,8 +22,6 @@ from unicon_core.platforms.kit.base import rotation
 from unicon_core.platforms.kit.joint_model import JointModel
 from unicon_core.platforms.kit.start import Start
 from unicon_core.robots import Robot
-
-Float = NDArray[np.float64]
 
 _RAW = 1  # of `solref_mode`: a pair as MuJoCo has it, not a stiffness and a damping
 _WHOLE = ("solver", "integrator", "cone", "iterations", "ls_iterations")
@@ -196,7 +194,7 @@ class _Builder:
             },
         }
 
-    def _place(self, geom: int, part: Float) -> Float:
+    def _place(self, geom: int, part: Float64) -> Float64:
         """Return where a geom is on its link, from where `read_tree` puts its first part."""
         model = self._model
         if self._kind(geom) in ("ellipsoid", "mesh"):
@@ -208,7 +206,7 @@ class _Builder:
         kind: str = import_mujoco().mjtGeom(self._model.geom_type[geom]).name
         return kind.removeprefix("mjGEOM_").lower()
 
-    def _shape(self, body: int, geom: int, position: Float, quat: Float) -> None:
+    def _shape(self, body: int, geom: int, position: Float64, quat: Float64) -> None:
         """Add a geom of the model, with its contacts' settings."""
         model, kind, sizes = self._model, self._kind(geom), dict[str, Any]()
         if kind in _SIZES:
@@ -279,7 +277,7 @@ class _Builder:
             where = {"mujoco:pair_world": 0, "mujoco:pair_geom1": one, "mujoco:pair_geom2": other}
             self._builder.add_custom_values(**where, **self._same(_OF_PAIR, i))
 
-    def _transform(self, position: Float, quat: Float) -> Any:
+    def _transform(self, position: Float64, quat: Float64) -> Any:
         """Return a pose with the quaternion xyzw."""
         w, x, y, z = map(float, quat)
         place = self._warp.vec3(*map(float, position))

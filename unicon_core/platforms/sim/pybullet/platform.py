@@ -16,7 +16,7 @@ from unicon_core.platforms.kit.stepped import (
     SIMULATED,
     DampedSimulator,
     Facts,
-    Float,
+    Float64,
     Passive,
     Robot,
     Scene,
@@ -45,7 +45,7 @@ class PybulletPlatform(DampedSimulator):
         self._worlds = [_World(client, description, setup) for client in clients]
         super().__init__(setup)
 
-    def damp(self, damping: Float) -> None:
+    def damp(self, damping: Float64) -> None:
         for world in self._worlds:
             world.damp(damping)
 
@@ -53,7 +53,7 @@ class PybulletPlatform(DampedSimulator):
         for world in self._worlds:
             world.place()
 
-    def joints(self) -> tuple[Float, Float]:
+    def joints(self) -> tuple[Float64, Float64]:
         told = np.array([world.joints() for world in self._worlds])
         return told[:, 0], told[:, 1]
 
@@ -61,11 +61,11 @@ class PybulletPlatform(DampedSimulator):
         poses = [world.base() for world in self._worlds]
         return WorldPose(*map(np.array, zip(*poses)))
 
-    def step(self, torque: Float) -> None:
+    def step(self, torque: Float64) -> None:
         for world, own in zip(self._worlds, torque):
             world.step(own)
 
-    def add_velocity(self, velocity: Float) -> None:
+    def add_velocity(self, velocity: Float64) -> None:
         for world, own in zip(self._worlds, velocity):
             world.add_velocity(own)
 
@@ -114,7 +114,7 @@ class _World:
             # The engine's own motor brakes with this torque, as dry friction does.
             client.setJointMotorControl2(body, joint, 0, force=brake)
 
-    def damp(self, damping: Float) -> None:
+    def damp(self, damping: Float64) -> None:
         """Give the joints damping [N·m·s/rad], shape (n,)."""
         for joint, value in zip(self._joints, damping):
             self._client.changeDynamics(self._body, joint, jointDamping=value)
@@ -135,7 +135,7 @@ class _World:
         moved = (u + q * c - r * b, v + r * a - p * c, w_ + p * b - q * a)
         return place, (w, x, y, z), moved, (p, q, r)
 
-    def step(self, torque: Float) -> None:
+    def step(self, torque: Float64) -> None:
         """Apply torques [N·m], shape (n,), and step the physics."""
         client = self._client
         client.setJointMotorControlArray(
@@ -143,7 +143,7 @@ class _World:
         )
         client.stepSimulation()
 
-    def add_velocity(self, velocity: Float) -> None:
+    def add_velocity(self, velocity: Float64) -> None:
         """Add to the base's velocity [m/s] in the world, shape (3,)."""
         linear, angular = self._client.getBaseVelocity(self._body)
         self._client.resetBaseVelocity(self._body, np.add(linear, velocity), angular)

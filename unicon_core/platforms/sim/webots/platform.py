@@ -15,7 +15,7 @@ from unicon_core.errors import Fault, MissingDependencyError, PlatformError, alt
 from unicon_core.platforms.kit.stepped import (
     SIMULATED,
     Facts,
-    Float,
+    Float64,
     JointModel,
     Passive,
     Robot,
@@ -134,13 +134,13 @@ class WebotsPlatform(SteppedSimulator):
         self._place, self._quat = start.position[None].copy(), start.quat[None].copy()
         self._moves, self._rate = np.zeros((1, 3)), np.zeros((1, 3))
 
-    def joints(self) -> tuple[Float, Float]:
+    def joints(self) -> tuple[Float64, Float64]:
         return self._pos, self._vel
 
     def base(self) -> WorldPose:
         return WorldPose(self._place, self._quat, self._moves, self._rate)
 
-    def step(self, torque: Float) -> None:
+    def step(self, torque: Float64) -> None:
         for push, value in zip(self._force, torque[0]):
             push(float(value))
         if self._supervisor.step(self._step_ms) == -1:
@@ -155,7 +155,7 @@ class WebotsPlatform(SteppedSimulator):
             self._mat2quat(self._quat[0], np.array(self._node.getOrientation()))
             self._rate = np.array([self._node.getVelocity()[3:]])
 
-    def add_velocity(self, velocity: Float) -> None:
+    def add_velocity(self, velocity: Float64) -> None:
         # Each solid has a velocity of its own.
         for solid in (self._node, *self._solids):
             now = solid.getVelocity()

@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.arrays import Array, Float32, Float64, Index
 from unicon_core.robots import Robot
 from unicon_core.schema.marks import Key, Within
 from unicon_core.states import States
@@ -49,9 +49,9 @@ class HandFacts(DdsFacts):
     protocol: Annotated[str, one_of(FTP, DFX)]
     open: Annotated[Raw, Key("raw_lower")]
     closed: Annotated[Raw, Key("raw_upper")]
-    slots: NDArray[np.intp]
-    lower: NDArray[np.float64]
-    upper: NDArray[np.float64]
+    slots: Index
+    lower: Float64
+    upper: Float64
 
     @classmethod
     def of(cls, robot: Robot) -> HandFacts:
@@ -76,7 +76,7 @@ class HandFacts(DdsFacts):
         return self.protocol == DFX
 
     @property
-    def per_rad(self) -> NDArray[np.float64]:
+    def per_rad(self) -> Float64:
         """Change of what is sent with the angle, shape (6,)."""
         return (self.closed - self.open) / (self.upper - self.lower)
 
@@ -85,11 +85,11 @@ class HandFacts(DdsFacts):
         """Smallest and largest number that may be sent."""
         return min(self.open, self.closed), max(self.open, self.closed)
 
-    def zeros(self) -> NDArray[Any]:
+    def zeros(self) -> Array:
         """Return an array of the angles in a message, as they are sent."""
         return np.zeros(COUNTS[self.protocol], np.float32 if self.both else np.int16)
 
-    def to_wire(self, angles: NDArray[Any]) -> tuple[NDArray[np.float64], bool]:
+    def to_wire(self, angles: Array) -> tuple[Float64, bool]:
         """Return what is sent for angles in [rad], and whether one was beyond the ends."""
         exact = self.open + (angles - self.lower) * self.per_rad
         sent = np.clip(exact, *self.ends)
@@ -97,9 +97,9 @@ class HandFacts(DdsFacts):
         beyond = bool(np.abs(exact - sent).max() > 1e-4 * span)  # a limit in float32 is not
         return (sent if self.both else np.rint(sent)), beyond
 
-    def to_angles(self, told: NDArray[Any]) -> NDArray[np.float64]:
+    def to_angles(self, told: Array) -> Float64:
         """Return the angles in [rad] of what was told."""
-        angles: NDArray[np.float64] = self.lower + (told - self.open) / self.per_rad
+        angles: Float64 = self.lower + (told - self.open) / self.per_rad
         return angles
 
     @property
@@ -177,7 +177,7 @@ class Both:
         made.users += 1
         return made
 
-    def found(self, told: NDArray[np.float32]) -> None:
+    def found(self, told: Float32) -> None:
         """Note where the hands are: who is not commanded stays there."""
         np.copyto(self.targets, told, where=~self._known)
         self._known[...] = True
