@@ -247,7 +247,7 @@ def test_an_error_or_a_refusal_is_told_by_name(pair: Pair) -> None:
 
 
 def test_who_never_acknowledges_is_a_fault(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("unicon_ros.hardware.fourier.enabling.AGAIN", 0.0)
+    monkeypatch.setattr("unicon_ros.hardware.fourier.actuator_wire.AGAIN", 0.0)
     pair.step(5)
     pair.emulated.face.close()
     for _ in range(TRIES):
