@@ -389,7 +389,7 @@ def test_motor_slots_that_do_not_fit_are_found(folder: Path, hardware: str) -> N
 
 def test_a_period_in_milliseconds_is_found(folder: Path) -> None:
     line = text_of(check(folder, {"period": 20}), "timing.period")
-    assert "20 s (0.05 Hz); give the control period in seconds" in line
+    assert "20 s (0.05 Hz); give the control period in [s]" in line
 
 
 def test_a_rate_that_is_not_the_policys_is_found(folder: Path) -> None:

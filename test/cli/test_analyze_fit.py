@@ -80,7 +80,7 @@ def test_what_cannot_be_fitted_is_one_line(
         ("scene: {model: [1]}", "[1]"),
         ("scene: {model: nowhere.xml}", "nowhere.xml"),
         ("scene: 7", "at least 8 windows"),
-        ("robot: [1]", "unknown robot '[1]'"),
+        ("robot: [1]", "at least 8 windows"),
         ("- a list", "at least 8 windows"),
     ],
 )  # fmt: skip
