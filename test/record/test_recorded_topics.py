@@ -243,7 +243,7 @@ def test_a_folder_that_a_killed_run_left_is_not_in_the_way_of_the_next(
     (folder / "walk_0.mcap").write_text("mine")
     status, said = record(f"{folder}/")
     assert status == 1
-    assert f"recording {folder}/ exists" in said
+    assert f"recording {folder} exists" in said
     assert sorted(path.name for path in folder.iterdir()) == ["notes.txt", "walk_0.mcap"]
 
 

@@ -85,7 +85,7 @@ def test_files_that_stayed_on_another_machine(
         assert f"the recorded workflow has robot: ./mine.yaml, which was in {there}" in told
         assert "give another: --set robot=NAME, or a WORKFLOW" in told
     told = refused(capsys, "analyze", path, "--fit", "--out", tmp_path / "fit")
-    assert f"run.mcap is of robot ./mine.yaml, which was in {there}" in told
+    assert f"run.mcap: its robot 'go2' is not here (./mine.yaml was in {there})" in told
     assert "--robot" in told
     assert main(["replay", str(path), "--verify", "--set", "robot=go2"]) == 0
     assert "0 of 20 ticks differ" in capsys.readouterr().out

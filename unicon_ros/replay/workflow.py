@@ -92,6 +92,8 @@ def robot_of(record: Record) -> str:
         return str(find_config("robots", given, relative_to=folder))
     except UniconError as error:
         where = f" ({was} is gone)" if given == name and was else ""
+        if folder and "/" in given:
+            where = f" ({given} was in {folder})"
         raise UniconError(
             f"{record.paths[0].name}: its robot {name!r} is not here{where}: {error}"
         ) from None
