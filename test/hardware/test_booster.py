@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -245,6 +246,24 @@ def test_a_refusal_and_silence_of_the_service_are_faults(
             until(lambda: not again.prepare())
     finally:
         again.close()
+
+
+def test_an_answer_that_comes_again_answers_nothing(pair: Ends) -> None:
+    client, server = pair.wire._client, pair.face._server
+    until(lambda: client.there and server.there)
+    client.ask(2017)
+    requests: list[Any] = []
+
+    def heard() -> bool:
+        requests.extend(server.heard())
+        return bool(requests)
+
+    until(heard)
+    server.reply(requests[0], 0, mode=1)
+    until(lambda: client.answer() == (0, '{"mode": 1}'))
+    server.reply(requests[0], 0, mode=1)
+    time.sleep(0.2)
+    assert client.answer() is None
 
 
 def test_who_says_done_without_doing_it_is_found_out(

@@ -53,6 +53,7 @@ class Client(_End):
         """Return status and body of the answer; None as long as there is none."""
         for said in self.heard():
             if said.uuid == self._asked:
+                self._asked = None  # should it come again, it answers nothing else
                 return number(said.header, "status"), said.body
         return None
 
