@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pkgutil
 import signal
 import subprocess
 import sys
@@ -14,7 +15,14 @@ import numpy as np
 import pytest
 
 from unicon_core.check import check_workflow
-from unicon_core.errors import Fault, ModelError, PlatformError, WorkflowError
+from unicon_core.errors import (
+    Fault,
+    MissingDependencyError,
+    ModelError,
+    PlatformError,
+    WorkflowError,
+)
+from unicon_core.platforms.child.platform import _place
 from unicon_core.platforms.platform import (
     CountsArrivals,
     Pausable,
@@ -28,6 +36,7 @@ from unicon_core.platforms.platform import (
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states.backends.shm import segments
 from unicon_core.workflow import load_workflow
+from unicon_core.workflow.registry import find_factory, known
 
 
 def left() -> list[str]:
@@ -46,6 +55,16 @@ def test_the_commands_are_the_same_to_the_bit():
     for more in ((), (disturbed,)):
         assert commands("{child: mujoco, silence: 10}", *more) == commands("mujoco", *more)
     assert left() == []
+
+
+@pytest.mark.parametrize("name", sorted(set(known("platforms")) - {"child", "joined"}))
+def test_a_child_can_import_the_factory_of_every_platform(name):
+    try:
+        factory = find_factory("platforms", name, PlatformError)
+    except MissingDependencyError as error:
+        pytest.skip(str(error))
+    module, _, attribute = _place(factory).partition(":")
+    assert pkgutil.resolve_name(f"{module}:{attribute}") is factory
 
 
 def test_it_can_do_what_the_platform_can():

@@ -378,7 +378,9 @@ def maker(kind: type[RosPlatform], own_map: str, patience: float) -> Callable[..
             raise
         return platform
 
-    make.__annotations__["return"] = kind  # by which its facts are known
+    # By the annotation its facts are known; a child process imports it by its name.
+    make.__annotations__["return"] = kind
+    make.__module__, make.__qualname__ = kind.__module__, "make"
     return make
 
 
