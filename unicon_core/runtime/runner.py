@@ -9,7 +9,7 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from unicon_core.errors import EmergencyStopPressed, Fault, Hung, Silence, UniconError
-from unicon_core.flow import Node, Tick
+from unicon_core.flow import Node
 from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.pacing import prepare_process, process_age_s
 from unicon_core.platforms.platform import Resettable
@@ -79,7 +79,7 @@ class Runner:
         self.pacing, self.period_ns = program.pacing, self._run.period_ns
         self.faults: list[str] = []
         self.traceback = ""
-        self.at_fault: list[Tick] = []
+        self.at_fault: list[Callable[[], object]] = []
         self.interrupted = self.pressed = False
         self._hurry = False
         self._closed = False
@@ -150,7 +150,7 @@ class Runner:
         """How long the run has stood still between two ticks for actions of `call_soon`, in [s]."""
         return self._run.paused_ns * 1e-9
 
-    def call_soon(self, action: Tick) -> None:
+    def call_soon(self, action: Callable[[], object]) -> None:
         """Run an action between two ticks, in the thread of the ticks; safe from any thread.
 
         It may take its time (a pause): ticks missed meanwhile are not overruns. What it raises is
@@ -205,7 +205,7 @@ class Runner:
         with SIGNALS, SIGNALS.guard(self.stop, self._damp_now):
             if SIGNALS.asked:  # `|=` would undo what a signal sets in the middle of it
                 self._run.stop = True
-            restore: Tick = bool
+            restore: Callable[[], object] = bool
             fault: BaseException | None = None
             spare = SpareFiles()
             before, why = 0, ""

@@ -15,14 +15,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from unicon_core.arrays import Bool, Float64, Int64
+from unicon_core.arrays import Array, Bool, Float64, Int64
 from unicon_core.flow import CompiledGraph
 from unicon_core.pacing import REAL_TIME, Pacing
 
 
-def percentiles(values_us: NDArray[np.floating[Any]]) -> dict[str, float]:
+def percentiles(values_us: Array) -> dict[str, float]:
     """Return p50, p99 and max of times in [µs], to the clock's ns; zeros where there are none."""
     if not values_us.size:
         return {"p50": 0.0, "p99": 0.0, "max": 0.0}

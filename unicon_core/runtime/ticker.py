@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from unicon_core.errors import Hung
-from unicon_core.flow import Node, Tick, compile_graph
+from unicon_core.flow import Node, compile_graph
 from unicon_core.pacing import CATCH_UP, WallClock, WarmUp, staying
 from unicon_core.platforms.platform import CountsArrivals
 from unicon_core.runtime.arrivals import Arrivals, awaited
@@ -46,7 +46,9 @@ class Ticker:
             nearest to it.
     """
 
-    def __init__(self, program: Program, root: Node, capacity: int, status: Tick | None) -> None:
+    def __init__(
+        self, program: Program, root: Node, capacity: int, status: Callable[[], object] | None
+    ) -> None:
         self._program, self._status = program, status
         self.pacing, self.period_ns = program.pacing, round(program.period * 1e9)
         self.graph = compile_graph(root, trace=True)
@@ -61,7 +63,7 @@ class Ticker:
         self.done = self.stop = False
         self.next_due_ns = self.first_ns = 0
         self._waits: WarmUp | None = None
-        self.between: deque[Tick] = deque()
+        self.between: deque[Callable[[], object]] = deque()
         self._paused_ns = self._acts_ns = self._acts_ticks = 0
         self.arrivals: Arrivals | None = None
         self.hang_ns = self.pacing.hang_ns(self.period_ns, program.platform.facts.simulated)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from unicon_core.blocks.monitor import Monitor
-from unicon_core.flow import Block, Node, Tick
+from unicon_core.flow import Block, Node
 from unicon_core.flow.stage import Stage
 from unicon_core.gates.gate import StartGate
 from unicon_core.latches import Latch
@@ -90,7 +90,7 @@ class ProgramData:
     monitor: Monitor
     gate: Gate
     gates: list[StartGate]
-    sending: Tick
+    sending: Callable[[], object]
     hearing: list[Node]
     looking: list[Node]
     command_bounds: tuple[CommandBound, ...]
@@ -123,7 +123,7 @@ class ProgramData:
         self._closed = True
         self.gate.close()
         errors: list[Exception] = []
-        closers: list[Tick] = [self.platform.close]
+        closers: list[Callable[[], object]] = [self.platform.close]
         closers += [block.close for block in reversed(self.blocks) if block.close is not None]
         for close in closers:
             try:
