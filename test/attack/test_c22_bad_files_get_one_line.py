@@ -149,9 +149,17 @@ def test_an_action_that_is_no_mapping(
     assert one_line(capsys, "run", path).startswith("policy 'walk': ")
 
 
-@pytest.mark.parametrize("joints", ["[1, 2]", "[[a], [b]]", "{a: b}", "word"])
+@pytest.mark.parametrize(
+    ("joints", "said"),
+    [
+        ("[1, 2]", "given joints.1 is 2; write a text"),
+        ("[[a], [b]]", "given joints.1 is ['b']; write a text"),
+        ("{a: b}", "given joints is {'a': 'b'}; write a list of names"),
+        ("word", "given joints is 'word'; write a list of names"),
+    ],
+)
 def test_joints_that_are_no_names(
-    joints: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    joints: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     shutil.copyfile(GO2 / "policy.onnx", tmp_path / "policy.onnx")
     (tmp_path / "env.yaml").write_text(
@@ -161,7 +169,7 @@ def test_joints_that_are_no_names(
     )
     given = f"{{path: ./env.yaml, given: {{joints: {joints}}}}}"
     path = workflow(tmp_path, BASE + f"policies: {{walk: {given}}}\n")
-    assert "given joints" in one_line(capsys, "run", path)
+    assert said in one_line(capsys, "run", path)
 
 
 @pytest.mark.parametrize(
