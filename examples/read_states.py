@@ -1,6 +1,6 @@
 """Prints a state of a running workflow, in plain Python: neither unicon nor NumPy is needed.
 
-python read_states.py SEGMENT STATE [TIMES]     # the workflow says store: shm; see docs/states.md
+python read_states.py SEGMENT STATE [TIMES]     # with store: shm; see docs/reference/states.md
 """
 
 import ctypes

@@ -29,8 +29,8 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_the_page_is_generated() -> None:
-    page = (ROOT / "docs" / "rules.md").read_text("utf-8")
-    assert page == markdown(), "run: unicon explain --markdown > docs/rules.md"
+    page = (ROOT / "docs" / "reference" / "rules.md").read_text("utf-8")
+    assert page == markdown(), "run: unicon explain --markdown > docs/reference/rules.md"
 
 
 def test_codes_are_unique_and_every_rule_says_all() -> None:

@@ -297,7 +297,7 @@ def test_names_of_cases_are_unique_and_the_document_has_a_row_for_each() -> None
     assert len(CASES) == len(bench_faults.CASES)
     simulated = {case.row: case for case in cases_simulated.CASES}
     assert len(simulated) == len(cases_simulated.CASES)
-    document = Path(__file__).parents[2] / "docs" / "safety.md"
+    document = Path(__file__).parents[2] / "docs" / "explanation" / "safety.md"
     text = document.read_text(encoding="utf-8")
     table = text.partition(BEGIN)[2].partition(END)[0]
     absent = [

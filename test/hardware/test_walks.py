@@ -46,7 +46,7 @@ def has_feet(workflow: str) -> None:
             pytest.skip(f"{finding.evidence}: unicon assets fetch")
 
 
-DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "robots.md"
+DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "reference" / "robots.md"
 
 
 @pytest.fixture(scope="module")

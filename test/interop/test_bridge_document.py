@@ -1,4 +1,4 @@
-"""docs/bridge.md: its maps build and say what they promise, its workflows run, its words exist."""
+"""docs/reference/bridge.md: its maps build, its workflows run, its words exist."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from unicon_ros.bridge.bindings import arrays_of, names_of, robot_variables
 
 pytestmark = [pytest.mark.timeout(120)]
 
-TEXT = (ROOT / "docs" / "bridge.md").read_text(encoding="utf-8")
+TEXT = (ROOT / "docs" / "reference" / "bridge.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```yaml\n# ([^\n]+)\n(.*?)^```", TEXT, re.M | re.S)
 MAPS = [text for title, text in BLOCKS if title == "map"]
 PLAIN = "schema: unicon.workflow/1\nrobot: go2\nplatform: fake\nrate: 100\nflow: {hold: {}}\n"

@@ -14,7 +14,7 @@ from source_tree import ROOT, tracked_files
 
 DOCUMENTS = (
     *("README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md"),
-    *sorted(name for name in tracked_files() if re.fullmatch(r"docs/\w+\.md", name)),
+    *sorted(name for name in tracked_files() if re.fullmatch(r"docs/[\w/]+\.md", name)),
 )
 FOLDERS = ("unicon_core/", "unicon_msgs_map/", "unicon_ros/", "config/", "launch/", "test/")
 
@@ -53,7 +53,7 @@ def test_every_relative_link_leads_to_a_tracked_file(document: str) -> None:
 
 
 def test_the_index_of_documents_names_each() -> None:
-    linked = set(re.findall(r"\]\((\w+\.md)\)", text_of("docs/README.md")))
+    linked = set(re.findall(r"\]\(([\w/]+\.md)\)", text_of("docs/README.md")))
     assert {f"docs/{name}" for name in linked} | {"docs/README.md"} == {
         name for name in DOCUMENTS if name.startswith("docs/")
     }
@@ -99,7 +99,9 @@ def test_every_make_target_that_is_named_exists() -> None:
 
 
 def test_every_command_of_the_table_exists(tmp_path: Path) -> None:
-    named = set(re.findall(r"^\| `unicon ([a-z-]+)", text_of("docs/commands.md"), re.MULTILINE))
+    named = set(
+        re.findall(r"^\| `unicon ([a-z-]+)", text_of("docs/reference/commands.md"), re.MULTILINE)
+    )
     assert named >= {"run", "check", "show", "robots"}
     for command in named:
         done = unicon(command, "--help", cwd=tmp_path)
@@ -107,7 +109,9 @@ def test_every_command_of_the_table_exists(tmp_path: Path) -> None:
 
 
 def test_every_option_of_run_that_is_named_exists(tmp_path: Path) -> None:
-    sentence = re.search(r"`unicon run` takes (.*?)\. Exit", text_of("docs/commands.md"), re.DOTALL)
+    sentence = re.search(
+        r"`unicon run` takes (.*?)\. Exit", text_of("docs/reference/commands.md"), re.DOTALL
+    )
     assert sentence is not None
     options = set(re.findall(r"--[a-z-]+", sentence.group(1)))
     help_text = unicon("run", "--help", cwd=tmp_path).stdout
@@ -122,7 +126,9 @@ def test_every_topic_of_the_default_map_is_in_the_table_with_its_type() -> None:
         for entry in documents[direction]
     }
     told = set(
-        re.findall(r"^\| `([a-z_/]+)`.*? \| (\w+/\w+) \|", text_of("docs/ros.md"), re.MULTILINE)
+        re.findall(
+            r"^\| `([a-z_/]+)`.*? \| (\w+/\w+) \|", text_of("docs/reference/ros.md"), re.MULTILINE
+        )
     )
     assert topics <= told
 
@@ -130,14 +136,14 @@ def test_every_topic_of_the_default_map_is_in_the_table_with_its_type() -> None:
 def test_the_table_of_services_is_that_of_the_code() -> None:
     from unicon_ros.bridge.services import SERVICES
 
-    rows = re.findall(r"^\| `~/(\w+)` \| (.*) \|$", text_of("docs/ros.md"), re.MULTILINE)
+    rows = re.findall(r"^\| `~/(\w+)` \| (.*) \|$", text_of("docs/reference/ros.md"), re.MULTILINE)
     assert dict(rows) == SERVICES
 
 
 def test_every_parameter_of_the_node_is_in_the_table() -> None:
     from unicon_ros.parameter_table import DECLARED
 
-    _, table = text_of("docs/ros.md").split("| parameter | default | means |")
+    _, table = text_of("docs/reference/ros.md").split("| parameter | default | means |")
     rows = re.findall(r"^\| (`.*?`) \|", table, re.MULTILINE)
     told = {name for row in rows for name in re.findall(r"`(\w+)`", row)}
     assert told == {"use_sim_time", *(name for name, *_ in DECLARED)}

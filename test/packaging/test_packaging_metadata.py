@@ -169,7 +169,7 @@ def test_all_is_the_union_of_the_other_extras_but_what_is_large_or_hardware() ->
 def test_the_installation_page_has_every_extra_and_says_which_are_in_all() -> None:
     extras = metadata()["extras_require"]
     assert isinstance(extras, dict)
-    text = (ROOT / "docs" / "install.md").read_text("utf-8")
+    text = (ROOT / "docs" / "howto" / "install.md").read_text("utf-8")
     rows = re.findall(r"^\| (`[a-z-]+`(?:, `[a-z-]+`)*) \|(.*)$", text, re.MULTILINE)
     told = {name: words for names, words in rows for name in re.findall(r"[a-z-]+", names)}
     assert told.keys() == extras.keys()

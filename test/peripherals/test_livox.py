@@ -214,7 +214,9 @@ def test_wrong_options_are_named(options: dict[str, Any], why: str) -> None:
 
 
 def test_the_document_names_options_that_there_are() -> None:
-    text = (Path(__file__).parents[2] / "docs" / "peripherals.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[2] / "docs" / "reference" / "peripherals.md").read_text(
+        encoding="utf-8"
+    )
     examples = [yaml.safe_load(block) for block in re.findall(r"```yaml\n(.*?)```", text, re.S)]
     found = [x["livox"] for one in examples for x in one.get("commands", ()) if "livox" in x]
     states = States(livox.declares())  # type: ignore[attr-defined]

@@ -393,7 +393,9 @@ def test_wrong_options_are_named(options: dict[str, Any], why: str) -> None:
 
 
 def test_the_document_names_options_and_states_that_there_are() -> None:
-    text = (Path(__file__).parents[2] / "docs" / "peripherals.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[2] / "docs" / "reference" / "peripherals.md").read_text(
+        encoding="utf-8"
+    )
     examples = [yaml.safe_load(block) for block in re.findall(r"```yaml\n(.*?)```", text, re.S)]
     listed = [each for one in examples for each in one.get("commands", ())]
     found = [x["webxr"] if isinstance(x, dict) else {} for x in listed if "webxr" in x]

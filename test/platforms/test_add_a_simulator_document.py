@@ -1,4 +1,4 @@
-"""docs/add_a_simulator.md tells the truth: its simulator passes the suite; a policy walks in it."""
+"""docs/howto/add_a_simulator.md its simulator passes the suite; a policy walks in it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from unicon_core.platforms.kit import joint_model
 pytest.importorskip("mujoco", reason="mujoco is not installed: pip install 'unicon_ros[sim]'")
 
 ROOT = Path(__file__).resolve().parents[2]
-TEXT = (ROOT / "docs" / "add_a_simulator.md").read_text(encoding="utf-8")
+TEXT = (ROOT / "docs" / "howto" / "add_a_simulator.md").read_text(encoding="utf-8")
 FILES = dict(re.findall(r"```python title=(\S+)\n(.*?)```", TEXT, re.DOTALL))
 
 

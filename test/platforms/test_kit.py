@@ -30,7 +30,7 @@ from unicon_core.robots import Robot, load_robot
 from unicon_core.states import States, standard_states
 from unicon_core.states.standard import BASE_STATES, COMMAND_STATES
 
-DOCUMENT = Path(__file__).parents[2] / "docs" / "platforms.md"
+DOCUMENT = Path(__file__).parents[2] / "docs" / "reference" / "platforms.md"
 UNIT = st.floats(-1.0, 1.0)
 
 

@@ -1,4 +1,4 @@
-"""docs/motion.md tells the truth: its examples are read and run, its tables name what there is."""
+"""docs/howto/motion.md its examples are read and run, its tables name what there is."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from unicon_ros.cli.main import main
 pytest.importorskip("mujoco", reason="anchors are found in a model")
 pytest.importorskip("onnxruntime", reason="the networks are ONNX")
 
-DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "motion.md"
+DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "howto" / "motion.md"
 if not DOCUMENT.is_file():
     pytest.skip("docs/ is not part of this tree", allow_module_level=True)
 

@@ -1,4 +1,4 @@
-"""docs/policies.md tells the truth: its files load, its commands run, its messages are printed."""
+"""docs/reference/policies.md its files load, its commands run, its messages are printed."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from unicon_ros.cli.main import main
 jsonschema = pytest.importorskip("jsonschema", reason="the robot file is held against its schema")
 
 ROOT = Path(__file__).resolve().parents[2]
-DOCUMENT = ROOT / "docs" / "policies.md"
+DOCUMENT = ROOT / "docs" / "reference" / "policies.md"
 if not DOCUMENT.is_file():
     pytest.skip("docs/ is not part of this tree", allow_module_level=True)
 

@@ -1,4 +1,4 @@
-"""tools/lib/pictures_of_reports.py makes the pictures of docs/reports.md."""
+"""tools/lib/pictures_of_reports.py makes the pictures of docs/howto/reports.md."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ TOOL = ROOT / "tools" / "lib" / "pictures_of_reports.py"
 
 
 def test_it_makes_what_the_document_shows() -> None:
-    document = (ROOT / "docs" / "reports.md").read_text("utf-8")
+    document = (ROOT / "docs" / "howto" / "reports.md").read_text("utf-8")
     shown = re.findall(r"!\[[^]]+\]\(pictures/(\w+)\.png\)", document)
     assert shown == re.findall(r'^    "(\w+)": Shot\(', TOOL.read_text("utf-8"), re.MULTILINE)
     for name in shown:

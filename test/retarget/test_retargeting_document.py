@@ -1,4 +1,4 @@
-"""What docs/retargeting.md shows can be run, and its options are the block's."""
+"""What docs/howto/retargeting.md shows can be run, and its options are the block's."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from unicon_core.robots.places import Hand
 from unicon_core.schema.read import read_value
 from unicon_ros.cli.main import main
 
-TEXT = (Path(__file__).parents[2] / "docs" / "retargeting.md").read_text("utf-8")
+TEXT = (Path(__file__).parents[2] / "docs" / "howto" / "retargeting.md").read_text("utf-8")
 WORKFLOW, HAND = re.findall(r"```yaml\n(.*?)```", TEXT, re.DOTALL)
 
 

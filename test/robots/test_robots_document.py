@@ -1,4 +1,4 @@
-"""The table of docs/robots.md has every robot file, and no platform that is not there unsaid."""
+"""The table of docs/reference/robots.md has every robot file and every platform."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from unicon_core.evidence import load_evidence
 from unicon_core.robots import load_robot, robot_names
 
 ROOT = Path(__file__).resolve().parents[2]
-TEXT = (ROOT / "docs" / "robots.md").read_text(encoding="utf-8")
+TEXT = (ROOT / "docs" / "reference" / "robots.md").read_text(encoding="utf-8")
 NONE = ("none: refused", "none: not written")
 
 

@@ -26,7 +26,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
 
 GO2 = load_robot("go2")
 ROOT = Path(__file__).resolve().parents[2]
-TEXT = (ROOT / "docs" / "gazebo.md").read_text("utf-8")
+TEXT = (ROOT / "docs" / "howto" / "gazebo.md").read_text("utf-8")
 BLOCKS = re.findall(r"^```(?:yaml|xml)\n(?:# |<!-- )(\w+)(?: -->)?\n(.*?)^```", TEXT, re.M | re.S)
 WORKFLOW = """\
 schema: unicon.workflow/1
@@ -130,7 +130,7 @@ def test_go2_walk_walks_in_gazebo_by_one_word(
 
 
 def _gains() -> tuple[float, float]:
-    """Return what docs/gazebo.md gives the controller."""
+    """Return what docs/howto/gazebo.md gives the controller."""
     gains = _controllers()["pid_controller"]["ros__parameters"]["gains"]
     ((p, d),) = {(each["p"], each["d"]) for each in gains.values()}
     return p, d
@@ -149,7 +149,7 @@ def test_nobody_there_is_one_line_that_says_where_to_look(tmp_path: Path) -> Non
         load_workflow(path)
     (line,) = str(said.value).splitlines()
     assert line.startswith("platform 'gazebo': no message on /joint_states within 0.2 s")
-    assert "start Gazebo with its controllers and bridge (docs/gazebo.md)" in line
+    assert "start Gazebo with its controllers and bridge (docs/howto/gazebo.md)" in line
 
 
 def test_an_option_that_ros_would_refuse_is_refused(tmp_path: Path) -> None:
@@ -170,7 +170,7 @@ def test_the_check_says_where_the_servo_is(
         assert words in " ".join(capsys.readouterr().out.split())
 
 
-# docs/gazebo.md
+# docs/howto/gazebo.md
 
 
 def test_every_block_says_what_it_is() -> None:

@@ -1,4 +1,4 @@
-"""docs/ros2_control.md: its maps build, its workflows pass the check, what it names is there."""
+"""docs/howto/ros2_control.md: its maps build, its workflows pass the check, its names exist."""
 
 from __future__ import annotations
 
@@ -15,7 +15,9 @@ from unicon_ros.cli.main import main
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
 
-TEXT = (Path(__file__).resolve().parents[2] / "docs" / "ros2_control.md").read_text("utf-8")
+TEXT = (Path(__file__).resolve().parents[2] / "docs" / "howto" / "ros2_control.md").read_text(
+    "utf-8"
+)
 BLOCKS = re.findall(r"^```yaml\n# (\w+)\n(.*?)^```", TEXT, re.M | re.S)
 
 

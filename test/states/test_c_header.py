@@ -52,7 +52,12 @@ def test_it_compiles_for_aarch64_where_a_cross_compiler_is(tmp_path):
         [*command, c_peers.IDENTITY], capture_output=True, text=True, timeout=60, check=False
     )
     assert done.returncode == 0, done.stderr
-    for instruction in ("stlr", "ldar", "dmb\tish\n", "dmb\tishld"):  # as docs/states.md says
+    for instruction in (
+        "stlr",
+        "ldar",
+        "dmb\tish\n",
+        "dmb\tishld",
+    ):  # as docs/reference/states.md says
         assert instruction in done.stdout
 
 
@@ -187,7 +192,7 @@ def test_each_part_of_a_workflow_has_its_own_header(tmp_path, capsys):
 
 
 def test_the_program_of_the_document_compiles(tmp_path):
-    text = (c_peers.ROOT / "docs" / "states.md").read_text(encoding="utf-8")
+    text = (c_peers.ROOT / "docs" / "reference" / "states.md").read_text(encoding="utf-8")
     [program] = re.findall(r"```c\n(.*?)```", text, re.DOTALL)
     source = tmp_path / "document.c"
     source.write_text(program)

@@ -1,4 +1,4 @@
-"""docs/sweep.md: its sweep is one, and its tables say what there is."""
+"""docs/howto/sweep.md: its sweep is one, and its tables say what there is."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from unicon_ros.sweep.figures import COLUMNS
 from unicon_ros.sweep.plan import Plan
 from unicon_ros.sweep.sweep_file import SweepDocument, read_sweep
 
-TEXT = (Path(__file__).resolve().parents[2] / "docs" / "sweep.md").read_text("utf-8")
+TEXT = (Path(__file__).resolve().parents[2] / "docs" / "howto" / "sweep.md").read_text("utf-8")
 
 
 def test_its_sweep_is_one(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""docs/teleoperation.md: its examples build, and it names all options and states."""
+"""docs/howto/teleoperation.md: its examples build, and it names all options and states."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from unicon_core.workflow.autowire import option_names
 from unicon_core.workflow.document import load_document
 
 ROOT = Path(__file__).resolve().parents[2]
-TEXT = (ROOT / "docs" / "teleoperation.md").read_text("utf-8")
+TEXT = (ROOT / "docs" / "howto" / "teleoperation.md").read_text("utf-8")
 
 
 def test_it_names_every_option_and_state() -> None:

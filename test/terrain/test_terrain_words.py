@@ -15,7 +15,7 @@ from unicon_core.schema.types import Number, OneOf
 from unicon_core.terrain.words import KINDS, Drawn, Kind, read_terrain
 from unicon_core.workflow import Program, load_document
 
-TEXT = (Path(__file__).resolve().parents[2] / "docs" / "terrain.md").read_text("utf-8")
+TEXT = (Path(__file__).resolve().parents[2] / "docs" / "howto" / "terrain.md").read_text("utf-8")
 DRAWN = [kind for kind, figures in KINDS.items() if issubclass(figures, Drawn)]
 
 

@@ -1,4 +1,4 @@
-"""docs/transfer.md: its commands run, and its tables say what there is."""
+"""docs/howto/transfer.md: its commands run, and its tables say what there is."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from unicon_ros.cli.main import main
 from unicon_ros.transfer.results import COLUMNS, OUTCOMES, SCHEMA, heads
 
-TEXT = (Path(__file__).resolve().parents[2] / "docs" / "transfer.md").read_text("utf-8")
+TEXT = (Path(__file__).resolve().parents[2] / "docs" / "howto" / "transfer.md").read_text("utf-8")
 
 
 def test_its_columns_are_those_of_the_table(capsys: pytest.CaptureFixture[str]) -> None:

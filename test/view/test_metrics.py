@@ -213,7 +213,7 @@ def test_labels_and_numbers_are_written_as_the_format_wants() -> None:
 
 def test_the_table_of_the_documentation_names_what_there_is() -> None:
     root = Path(__file__).resolve().parents[2]
-    section = (root / "docs" / "reports.md").read_text("utf-8").split("## Metrics")[1]
+    section = (root / "docs" / "howto" / "reports.md").read_text("utf-8").split("## Metrics")[1]
     rows = [line for line in section.splitlines() if line.startswith("| `")]
     named = {name for row in rows for name in re.findall(r"`([a-z_]+)", row.split("|")[1])}
     code = (root / "unicon_ros" / "view" / "metrics.py").read_text("utf-8")

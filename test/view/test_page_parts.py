@@ -360,9 +360,9 @@ def test_a_robot_is_drawn_with_bones_where_its_model_has_no_looks(tmp_path: Path
     assert all(shape.faces.max() < len(shape.vertices) for shape in shapes)
 
 
-# -- docs/view.md ---------------------------------------------------------------------------------
+# -- docs/howto/view.md --------------------------------------------------------------------------
 
-DOCUMENT = (Path(__file__).parents[2] / "docs/view.md").read_text(encoding="utf-8")
+DOCUMENT = (Path(__file__).parents[2] / "docs/howto/view.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("line", re.findall(r"^unicon .*?(?=\s+#|$)", DOCUMENT, re.MULTILINE))

@@ -1,4 +1,4 @@
-"""docs/blocks.md: its examples run, and its tables say what there is."""
+"""docs/reference/blocks.md: its examples run, and its tables say what there is."""
 
 from __future__ import annotations
 
@@ -18,7 +18,9 @@ from unicon_core.states import StateSpec, standard_states
 from unicon_core.workflow import load_workflow
 from unicon_core.workflow.flow_yaml import FLOW_WORDS
 
-TEXT = (Path(__file__).resolve().parents[2] / "docs" / "blocks.md").read_text(encoding="utf-8")
+TEXT = (Path(__file__).resolve().parents[2] / "docs" / "reference" / "blocks.md").read_text(
+    encoding="utf-8"
+)
 EXAMPLES = re.findall(r"^```(\w+)\n(.*?)^```", TEXT, re.MULTILINE | re.DOTALL)
 PYTHON = [code for language, code in EXAMPLES if language == "python"]
 YAML = [code for language, code in EXAMPLES if language == "yaml"]
@@ -40,7 +42,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 @pytest.mark.parametrize("code", PYTHON, ids=range(len(PYTHON)))
 def test_the_python_examples_run(code: str, folder: Path) -> None:
-    exec(compile(code, "docs/blocks.md", "exec"), {"__name__": __name__})
+    exec(compile(code, "docs/reference/blocks.md", "exec"), {"__name__": __name__})
 
 
 def test_the_states_example_is_a_specification() -> None:

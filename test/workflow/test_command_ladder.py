@@ -1,4 +1,4 @@
-"""A robot that nobody commands any more stands, then lies down: the ladder of docs/safety.md."""
+"""A robot without commands stands, then lies down: the ladder of docs/explanation/safety.md."""
 
 from __future__ import annotations
 
@@ -20,8 +20,10 @@ commands:
 
 
 def ladder() -> str:
-    """Return the flow of docs/safety.md, with less patience."""
-    text = (Path(__file__).parents[2] / "docs" / "safety.md").read_text(encoding="utf-8")
+    """Return the flow of docs/explanation/safety.md, with less patience."""
+    text = (Path(__file__).parents[2] / "docs" / "explanation" / "safety.md").read_text(
+        encoding="utf-8"
+    )
     (flow,) = [block for block in text.split("```") if "commanded: {hold: 30.0}" in block]
     return flow.removeprefix("yaml").replace("hold: 30.0", "hold: 3.0")
 

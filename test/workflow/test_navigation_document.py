@@ -1,4 +1,4 @@
-"""docs/navigation.md: its workflows are built, its parameter files lead to what we hear."""
+"""docs/howto/navigation.md: its workflows are built, its parameter files lead to what we hear."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from unicon_msgs_map import load_map
 from unicon_ros.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[2]
-TEXT = (ROOT / "docs" / "navigation.md").read_text("utf-8")
+TEXT = (ROOT / "docs" / "howto" / "navigation.md").read_text("utf-8")
 BLOCKS = re.findall(r"```yaml\n# ([\w ]+)\n(.*?)```", TEXT, re.DOTALL)
 
 

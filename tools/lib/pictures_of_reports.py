@@ -1,4 +1,4 @@
-"""Makes the pictures of docs/reports.md: runs what they show, and takes them in headless Chromium.
+"""Makes the pictures of docs/howto/reports.md: runs what they show in headless Chromium.
 
     .venv/bin/python tools/lib/pictures_of_reports.py         # all, into docs/pictures/
     .venv/bin/python tools/lib/pictures_of_reports.py --out /tmp report

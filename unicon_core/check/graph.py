@@ -142,7 +142,7 @@ def check_keys(subject: Subject, result: CheckResult) -> None:
                 where,
                 f"{listed(exposed)} can be reached from other machines, without keys: "
                 f"{WITHOUT_KEYS}",
-                f"make keys (docs/zmq.md) and write {remedy}, or use addresses of 127.0.0.1",
+                f"make keys (docs/howto/zmq.md) and write {remedy}, or use addresses of 127.0.0.1",
                 document.where(*where.split(".")),
             )
 

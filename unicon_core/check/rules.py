@@ -1,6 +1,6 @@
 """Rules of `unicon check`, gates and `unicon preflight`: code, what it looks at, why, and a remedy.
 
-`unicon explain CODE` prints one, docs/rules.md has them all. What explains other findings stands
+`unicon explain CODE` prints one, docs/reference/rules.md all. What explains other findings stands
 first: an order of joints that is wrong, for example, also gives poses outside the limits, different
 sides and feet in the air.
 """
@@ -70,7 +70,7 @@ def live_code(name: str) -> str:
 
 
 def markdown() -> str:
-    """Return all rules as the page docs/rules.md."""
+    """Return all rules as the page docs/reference/rules.md."""
     lines = [
         "# Rules",
         "",

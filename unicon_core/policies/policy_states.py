@@ -67,7 +67,7 @@ def _motion_states(contract: PolicyContract) -> dict[str, StateSpec]:
 
 
 def _followed(contract: PolicyContract) -> dict[str, StateSpec]:
-    """States of the motion and of the robot beside it; see docs/motion.md."""
+    """States of the motion and of the robot beside it; see docs/howto/motion.md."""
     joints, xyz = contract.joints, ("x", "y", "z")
     columns = tuple(f"{axis}{side}" for axis in xyz for side in "xy")
     quat, upright = ("w", "x", "y", "z"), (1.0, 0.0, 0.0, 0.0)

@@ -2,7 +2,7 @@
 
 `unicon states --header go2_walk.h go2_walk` writes it: each group as a struct whose offsets the
 compiler proves, what makes and finds a segment (hash, JSON, places), and the functions that publish
-and take, which stand in the folder `c`. `docs/states.md` tells how to use it.
+and take, which stand in the folder `c`. `docs/reference/states.md` tells how to use it.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def c_header(groups: Groups, source: str) -> str:
     numbers = [f"    {_number(name)} = {i}," for i, name in enumerate(groups)]
     parts = [
         f"/* Written by `unicon states --header`; groups of states of {_comment(source)}.",
-        " * Include it in C99 or C++11, once in a file; how: docs/states.md of unicon. */",
+        " * Include it in C99 or C++11, once in a file: docs/reference/states.md of unicon. */",
         "#ifndef UNICON_STATES_H",
         "#define UNICON_STATES_H",
         "",

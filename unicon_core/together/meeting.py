@@ -106,7 +106,7 @@ class Party:
                 "me",
             )
         if found.get("keys") is not None and robots and not any(robots.values()):
-            here.value("is for robots with addresses (docs/zmq.md); leave it out", "keys")
+            here.value("is for robots with addresses (docs/howto/zmq.md); leave it out", "keys")
 
     def within(self, folder: Path) -> Party:
         """Return the party with its keys reckoned from a folder."""

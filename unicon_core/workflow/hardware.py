@@ -108,7 +108,7 @@ def refuse_loud(factory: Factory, platform: str) -> None:
         raise PlatformError(
             f"platform {platform!r} cannot be opened to receive only: its factory has no parameter "
             "`silent`, so that its close() would damp the motors; give it one "
-            "(docs/platforms.md), or use a simulator"
+            "(docs/reference/platforms.md), or use a simulator"
         )
 
 

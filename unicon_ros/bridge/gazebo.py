@@ -1,4 +1,4 @@
-"""Gazebo (gz sim) as a platform: a robot of gz_ros2_control behind topics; see docs/gazebo.md."""
+"""Gazebo (gz sim) as a platform: gz_ros2_control behind topics; see docs/howto/gazebo.md."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ def _servo_notes(reads: Sequence[str], period: float) -> tuple[str, ...]:
     if "joint_stiffness" in reads:
         return (
             f"the servo runs here, {1.0 / period:.4g} times a second, not at each physics step of "
-            "Gazebo; a controller in gz is stiffer: map gazebo, docs/gazebo.md",
+            "Gazebo; a controller in gz is stiffer: map gazebo, docs/howto/gazebo.md",
         )
     return (
         "joint_stiffness, joint_damping and joint_effort_ff do not reach Gazebo: its "
-        "pid_controller has gains of its own, docs/gazebo.md",
+        "pid_controller has gains of its own, docs/howto/gazebo.md",
     )
 
 
@@ -51,7 +51,7 @@ class GazeboPlatform(RosPlatform):
     """A robot in Gazebo, which keeps its own time; build it with `make`."""
 
     facts = Facts("gazebo", examine=examine)
-    remedy = "start Gazebo with its controllers and bridge (docs/gazebo.md)"
+    remedy = "start Gazebo with its controllers and bridge (docs/howto/gazebo.md)"
 
     def __init__(self, states: States, robot: Robot, period: float, *rest: Any) -> None:
         super().__init__(states, robot, period, *rest)

@@ -1,7 +1,7 @@
 """Backends: groups of states carried to other processes and machines, behind one contract.
 
     shm    shared memory of one machine: a ring of four slots in /dev/shm
-    zmq    a message queue between processes or machines: docs/zmq.md
+    zmq    a message queue between processes or machines: docs/howto/zmq.md
 
 Control runs on local memory whatever the backend is. A *group* is some states that one process
 writes: its bytes are those of the group's own `Layout`, the same on each backend. A `Writer`

@@ -84,8 +84,9 @@ class Endpoint:
             )
         if bind and keys is None and not without_keys and is_exposed(address):
             raise StateError(
-                f"{what}: {address} listens beyond this machine without keys: {WITHOUT_KEYS}; give "
-                "keys=FOLDER (docs/zmq.md), an address of 127.0.0.1 or ipc://, or without_keys=True"
+                f"{what}: {address} listens beyond this machine without keys: {WITHOUT_KEYS}; "
+                "give keys=FOLDER (docs/howto/zmq.md), an address of 127.0.0.1 or ipc://, or "
+                "without_keys=True"
             )
         self._guard: Any = None
         self._failures: Any = None
@@ -207,7 +208,7 @@ class Endpoint:
             self._file = None
 
 
-_KEYS = "make keys with zmq.auth.create_certificates (docs/zmq.md)"
+_KEYS = "make keys with zmq.auth.create_certificates (docs/howto/zmq.md)"
 
 
 def _remedy(bind: bool) -> str:

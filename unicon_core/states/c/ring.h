@@ -1,6 +1,6 @@
 /* Rings: one process publishes a group's value, others take the newest one whole, or sleep until
  * there is one; the same in every header that `unicon states --header` writes. Where a fence stands,
- * and why, is told in docs/states.md. */
+ * and why, is told in docs/reference/states.md. */
 
 struct unicon_reader {
     struct unicon_segment segment;

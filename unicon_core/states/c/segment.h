@@ -1,5 +1,5 @@
 /* Segments: making one, finding one, and who lives; the same in every header that `unicon states
- * --header` writes. C99 or C++11, gcc or clang, Linux, 64 bits. docs/states.md tells the format. */
+ * --header` writes. C99 or C++11, gcc or clang, Linux, 64 bits. docs/reference/states.md tells the format. */
 
 #ifndef _GNU_SOURCE
 #define _GNU_SOURCE 1 /* O_TMPFILE, F_OFD_SETLK, syscall */

@@ -11,7 +11,7 @@ A segment is one file, `/dev/shm/unicon-<uid>-<name>`, of mode 0600. Each group 
 slots: a writer fills the oldest and then makes it the latest, so that a reader has three publishing
 periods to copy a value, and sees by the slot's number whether it was overwritten meanwhile. Nobody
 waits on a lock, and a writer that is killed at any moment leaves the value before whole. The place
-of everything is told in docs/states.md and written as C by `unicon states --header`.
+of everything is told in docs/reference/states.md and written as C by `unicon states --header`.
 
 The locks that there are tell who lives, and the kernel lets them go with their process: byte 0 of
 the file is locked by the writer, one byte for each reader that sleeps (F_OFD_SETLK in fcntl(2)).

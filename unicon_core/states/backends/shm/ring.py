@@ -63,7 +63,7 @@ class ShmWriter:
             fence()
         self._latest[0] = self._number = number
         if fence is not None:
-            fence()  # the number is there before the flags are read; see docs/states.md
+            fence()  # the number is there before the flags are read; see docs/reference/states.md
         if self._sleepers.tobytes() != self._nobody and self._wake() == 0:
             self._in_vain += 1  # a call to the kernel, 1 µs, for a reader that was killed asleep
             if self._in_vain % LOOKS == 0:
