@@ -3,8 +3,8 @@
     python tools/lib/inventory.py                                   the list
     python tools/lib/inventory.py test/packaging/inventory.txt      what is missing of a kept list
 
-`test/packaging/inventory_gone.txt` has each missing line with the reason. An export is missing where
-it cannot be imported any more, be it by an old path.
+`test/packaging/inventory_gone.txt` has each missing line with the reason. An export is missing
+where it cannot be imported any more, be it by an old path.
 """
 
 from __future__ import annotations
