@@ -82,8 +82,6 @@ EXTRAS["sim-newton"] = ["newton[sim]==1.8.0", *SIM]
 EXTRAS["sim-genesis"] = ["genesis-world==1.4.5", "torch>=2.13", *SIM]
 # Nor this: 54 MB, for `--view=foxglove` alone.
 EXTRAS["foxglove"] = ["foxglove-sdk==0.30.3", "rosbags>=0.11"]
-# Nor this: meshcat's own page, for `--view=meshcat`.
-EXTRAS["meshcat"] = ["meshcat==0.3.2", "viser==1.1.1"]
 # Nor this: a camera's driver, which needs Debian's libusb-1.0-0 besides.
 EXTRAS["realsense"] = ["pyrealsense2>=2.56"]
 # Nor this: 754 MB installed (2.13, CPU), for TorchScript policies alone.

@@ -32,7 +32,7 @@ ROS_DEPENDS = {
 COMES_WITH = {"_rclpy_pybind11": "rclpy", "yaml": "pyyaml", "ruamel": "rosbags"}
 COMES_WITH |= {"pybullet_utils": "pybullet", "warp": "newton", "zmq": "pyzmq", "can": "python_can"}
 COMES_WITH |= {"genesis": "genesis_world", "foxglove": "foxglove_sdk", "websockets": "viser"}
-COMES_WITH |= {"msgspec": "viser", "zstandard": "viser", "umsgpack": "meshcat"}
+COMES_WITH |= {"msgspec": "viser", "zstandard": "viser"}
 COMES_WITH |= {"rich": "viser", "trimesh": "viser", "PIL": "pillow"}
 
 
@@ -159,7 +159,7 @@ def test_all_is_the_union_of_the_other_extras_but_what_is_large_or_hardware() ->
     assert isinstance(extras, dict)
     assert set(extras) >= {"sim", "bags", "ros", "test", "all"}
     left = {name for name in extras if name.startswith("hw-")} | {"all", "torch"}
-    left |= {"sim-mjx", "sim-newton", "sim-genesis", "foxglove", "meshcat", "realsense", "ray"}
+    left |= {"sim-mjx", "sim-newton", "sim-genesis", "foxglove", "realsense", "ray"}
     united = {r for name, e in extras.items() if name not in left for r in e}
     assert set(extras["all"]) == united
     assert extras["torch"] == ["torch"]

@@ -15,8 +15,8 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from difflib import get_close_matches
 from functools import cached_property, lru_cache
-from importlib import import_module
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from unicon_core.errors import UniconError, alternatives
@@ -209,8 +209,7 @@ class LaterType(_Wrapped):
     @property
     def inner(self) -> Type:  # type: ignore[override]
         """The type."""
-        module, _, name = self.target.partition(":")
-        found = getattr(import_module(module), name)
+        found = resolve_name(self.target)
         return found if isinstance(found, Type) else type_of(found)
 
 

@@ -247,8 +247,7 @@ RUN_OPTIONS = (
         nargs="?",
         const="page",
         choices=(*SINKS, "window"),
-        help="show the run: a page in the browser (default), Foxglove, meshcat, or the simulator's "
-        "own window",
+        help="show the run: a page in the browser (default), Foxglove, or the simulator's window",
     ),
     *VIEW_OPTIONS,
     argument(

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import argparse
 import json
-from importlib import import_module
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 from unicon_core.errors import UniconError, alternatives
@@ -32,11 +32,7 @@ def schema_of(kind: str) -> dict[str, Any]:
 
     if kind not in KINDS:
         raise UniconError(f"schema: unknown kind {kind!r}; {alternatives(kind, KINDS)}")
-    classes = []
-    for target in KINDS[kind]:
-        module, _, name = target.partition(":")
-        classes.append(getattr(import_module(module), name))
-    return json_schema(*classes)
+    return json_schema(*map(resolve_name, KINDS[kind]))
 
 
 def schema(arguments: argparse.Namespace) -> int:

@@ -1,4 +1,4 @@
-"""`unicon view BAG`: a recording in the live page, with a time slider; or in Foxglove, meshcat."""
+"""`unicon view BAG`: a recording in the live page, with a time slider; or in Foxglove."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ add = command(
         dest="sink",
         choices=tuple(SINKS),
         default="page",
-        help="where: a page in the browser (default), Foxglove, meshcat",
+        help="where: a page in the browser (default) or Foxglove",
     ),
     option(
         "--speed", type=positive, default=1.0, help="of playing, where no slider is (default: 1)"

@@ -1,13 +1,12 @@
 """Viewers: what a run shows in a process of its own, and what comes back from there.
 
 `feed.py` copies each tick's states into a ring in shared memory, `driver.py` hears who looks;
-`process.py` gives the ring to a sink: a page in the browser, Foxglove, meshcat.
+`process.py` gives the ring to a sink: a page in the browser or Foxglove.
 """
 
 SINKS = {
     "page": "unicon_ros.view.page.sink:Page",
     "foxglove": "unicon_ros.view.foxglove:Foxglove",
-    "meshcat": "unicon_ros.view.meshcat:Meshcat",
 }
 """Word of `--view` to what shows it."""
 

@@ -13,7 +13,7 @@ import sys
 import time
 from collections.abc import Mapping
 from dataclasses import replace
-from importlib import import_module
+from pkgutil import resolve_name
 from typing import Any
 
 from unicon_core.errors import Fault, UniconError
@@ -86,10 +86,7 @@ class _Driver:
 
     def __init__(self, parent: Parent) -> None:
         self._parent, given = parent, parent.given
-        module, name = given["factory"].split(":")
-        factory: Any = import_module(module)
-        for part in name.split("."):
-            factory = getattr(factory, part)
+        factory: Any = resolve_name(given["factory"])
         self._states = States(Layout.from_json(given["layout"]))
         self._commands = ShmReader(given["parent"], COMMAND, self._states)
         self._commands.unlink()  # nothing is left of a parent that is killed from here on
