@@ -10,7 +10,7 @@ from pathlib import Path
 import c_peers
 import pytest
 
-from unicon_core.errors import StateError
+from unicon_core.errors import StateError, UniconError
 from unicon_core.states import Layout, StateSpec, standard_states
 from unicon_core.states.c_header import _TAKEN, c_header, field_names, write_header
 from unicon_core.states.groups import Groups, groups_json, groups_of
@@ -140,7 +140,7 @@ def test_what_c_cannot_say_is_refused_by_name(tmp_path):
         c_header({}, "workflow x")
     with pytest.raises(StateError, match=r"state name 'a b' is not an identifier"):
         c_header({"a b": Layout(ALL_KINDS)}, "a test")
-    with pytest.raises(StateError, match=r"cannot write .*nowhere.*; give a path in a writable"):
+    with pytest.raises(UniconError, match=r"cannot write .*nowhere.*; give a path in a writable"):
         write_header(tmp_path / "nowhere" / "x.h", groups_of(Layout(ALL_KINDS)), "a test")
 
 

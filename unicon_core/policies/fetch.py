@@ -22,7 +22,7 @@ from urllib.parse import unquote, urlsplit
 
 import yaml
 
-from unicon_core.errors import PolicyError, alternatives, imported, one_line
+from unicon_core.errors import PolicyError, alternatives, cannot, imported, one_line
 from unicon_core.located_yaml import read_yaml
 from unicon_core.policies.contract import TORCHSCRIPT
 from unicon_core.policies.load import ImportReport, import_policy, refuse_to_replace
@@ -87,11 +87,9 @@ def fetch_policy(
     if os.path.lexists(out) and (out.is_symlink() or not (out / "policy.yaml").is_file()):
         raise PolicyError(f"{out} is not the folder of a policy; give another --out")
     get = _source(url)
-    try:
+    with cannot(f"write {out}", "give another --out"):
         out.parent.mkdir(parents=True, exist_ok=True)
         folder = TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.")
-    except OSError as error:
-        raise PolicyError(f"{out}: cannot write there: {error.strerror}") from error
     with folder as name:
         path, source = get(Path(name) / "fetched")
         new = Path(name) / "new"
@@ -131,7 +129,7 @@ def _note(path: Path, source: str) -> None:
 
 def _put(new: Path, out: Path, old: Path) -> None:
     """Let a folder be another one, at once; what was there goes to `old`."""
-    try:
+    with cannot(f"write {out}", "give another --out"):
         if os.path.lexists(out):
             os.rename(out, old)
         try:
@@ -140,8 +138,6 @@ def _put(new: Path, out: Path, old: Path) -> None:
             if os.path.lexists(old):
                 os.rename(old, out)
             raise
-    except OSError as error:
-        raise PolicyError(f"{out}: cannot write it: {error.strerror}") from error
 
 
 def _source(url: str) -> Callable[[Path], _Fetched]:

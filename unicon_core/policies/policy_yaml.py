@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from unicon_core.errors import PolicyError
+from unicon_core.errors import PolicyError, cannot
 from unicon_core.file_kinds import other_kind
 from unicon_core.located_yaml import Located, Tagged
 from unicon_core.policies.build import read_facts
@@ -58,7 +58,8 @@ def write_policy_yaml(contract: PolicyContract, out_dir: str | Path) -> Path:
         The `policy.yaml` written.
 
     Raises:
-        PolicyError: the network or one of its files is missing, or the folder cannot be written.
+        PolicyError: the network or one of its files is missing.
+        UniconError: the folder cannot be written.
     """
     values = contract_values(contract)
     values["sha256"] = sha256_of(contract.model)
@@ -107,16 +108,12 @@ def known_text(facts: Facts) -> str:
 
 
 def _write(folder: Path, text: str, model: Path | None) -> Path:
-    try:
+    with cannot(f"write the policy in {folder}", "give another folder"):
         folder.mkdir(parents=True, exist_ok=True)
         if model is not None:
             _copy_model(model, folder)
         path = folder / "policy.yaml"
         path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise PolicyError(
-            f"{folder}: cannot write the policy: {error.strerror}; give another folder"
-        ) from error
     return path
 
 

@@ -12,7 +12,7 @@ import textwrap
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from unicon_core.errors import StateError
+from unicon_core.errors import StateError, cannot
 from unicon_core.states.backends.shm import places
 from unicon_core.states.groups import Groups, groups_hash, groups_json
 from unicon_core.states.layout import Layout
@@ -102,15 +102,12 @@ def write_header(file: str | Path, groups: Groups, source: str) -> None:
     """Write the header to a file; see `c_header`.
 
     Raises:
-        StateError: as of `c_header`, or it cannot be written.
+        StateError: as of `c_header`.
+        UniconError: it cannot be written.
     """
     text = c_header(groups, source)
-    try:
+    with cannot(f"write {file}", "give a path in a writable folder"):
         Path(file).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise StateError(
-            f"cannot write {file}: {error.strerror}; give a path in a writable folder"
-        ) from error
 
 
 def _number(group: str) -> str:

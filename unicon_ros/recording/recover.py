@@ -203,11 +203,8 @@ def _copied(path: Path) -> Path:
         pass  # damaged: what stands before it is whole
     if partial.exists():
         raise UniconError(f"{partial} exists; recover it first, or move it away")
-    try:
-        with path.open("rb") as file:
-            begins = file.read(len(MAGIC))
-    except OSError as error:
-        raise UniconError(f"cannot read {path}: {error.strerror}") from error
+    with cannot(f"read {path}", "check the path"), path.open("rb") as file:
+        begins = file.read(len(MAGIC))
     if begins != MAGIC[: len(begins)]:  # before terabytes of something else are copied
         raise UniconError(_no_recording(path))
     with cannot(f"write {partial}", "make room there"):

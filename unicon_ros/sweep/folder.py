@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from unicon_core.errors import UniconError, imported
+from unicon_core.errors import UniconError, cannot, imported
 from unicon_core.page import write_file
 from unicon_ros.sweep.figures import COLUMNS
 from unicon_ros.sweep.identity import changes, code_sha256, versions
@@ -50,13 +50,9 @@ class Folder:
 
     def __init__(self, path: Path, plan: Plan, program: str) -> None:
         self.path, self._plan = path, plan
-        try:
+        with cannot(f"write in {path}", "give another folder to --out"):
             path.mkdir(parents=True, exist_ok=True)
             self._lock = os.open(path / LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
-        except OSError as error:
-            raise UniconError(
-                f"cannot write in {path}: {error.strerror}; give another folder to --out"
-            ) from error
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
@@ -195,12 +191,9 @@ def read_sweep_json(path: Path) -> dict[str, Any] | None:
 
 def read_journal(path: Path) -> dict[int, dict[str, Any]]:
     """Return the rows of a journal; a line that is torn or garbage is a row that was not run."""
-    try:
-        lines = (path / JOURNAL).read_bytes().split(b"\n")
-    except FileNotFoundError:
-        return {}
-    except OSError as error:
-        raise UniconError(f"cannot read {path / JOURNAL}: {error.strerror}") from error
+    journal = path / JOURNAL
+    with cannot(f"read {journal}", "make it readable"):
+        lines = journal.read_bytes().split(b"\n") if journal.exists() else []
     found = {}
     for line in lines[:-1]:  # what stands behind the last end of a line is torn
         try:
