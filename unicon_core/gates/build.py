@@ -78,14 +78,14 @@ def _gates(program: ProgramData) -> list[StartGate]:
     if imu:
         gates.append(Imu(imu, readers, period, _imu_stop(program, told)))
     if "joint_pos" in told:
-        lower = np.nan_to_num(robot.lower, nan=-POSITION) - np.float32(MARGIN)
-        upper = np.nan_to_num(robot.upper, nan=POSITION) + np.float32(MARGIN)
+        lower, upper = robot.limits(POSITION)
+        beyond = np.float32(MARGIN)
         files = dict.fromkeys(path.name for path in robot_files(robot).values())
         gates.append(
             Heeding(
                 "posture",
                 f"every joint is within its limits, or {MARGIN} rad beyond",
-                RangeStop(states, robot, {"joint_pos": (lower, upper)}),
+                RangeStop(states, robot, {"joint_pos": (lower - beyond, upper + beyond)}),
                 f"move it there by hand, calibrate its encoder, or correct {' or '.join(files)}",
             )
         )

@@ -74,12 +74,7 @@ class DifferentialIk:
     ) -> None:
         k = len(chain.moved)
         self._chain, self._settings = chain, settings
-        self._limits = np.array(
-            [
-                np.nan_to_num(robot.lower[chain.moved].astype(np.float64), nan=-np.inf),
-                np.nan_to_num(robot.upper[chain.moved].astype(np.float64), nan=np.inf),
-            ]
-        )
+        self._limits = np.array(robot.limits(), np.float64)[:, chain.moved]
         self._most = rate * period
         self._least = -self._most
         pose = robot.default_joint_pos.astype(np.float64)

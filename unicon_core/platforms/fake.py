@@ -75,8 +75,7 @@ class FakePlatform:
         self._share = 1.0 if time_constant == 0.0 else -math.expm1(-period / time_constant)
         by_model = scene.posed_by_model
         self._initial = start_of(robot, scene).joint_pos if by_model else scene.joint_pos(robot)
-        self._lower = np.nan_to_num(robot.lower, nan=-np.inf)
-        self._upper = np.nan_to_num(robot.upper, nan=np.inf)
+        self._lower, self._upper = robot.limits()
         self._longest: Float32 | None = None
         self._command = Command(states, robot.joint_names, dtype=np.float32)
         self._servo = Servo(self._command.rows, robot.effort_limit)

@@ -101,8 +101,7 @@ class _Moves:
         self._held = np.zeros_like(self._measured)
         self._ways = np.zeros(self._move)
         self._samples = np.zeros((self._move, self._held.size))
-        self._lower = np.nan_to_num(robot.lower, nan=-np.inf)
-        self._upper = np.nan_to_num(robot.upper, nan=np.inf)
+        self._lower, self._upper = robot.limits()
         self._names, self._angle, self._tick = robot.joint_names, angle, 0
         self._turns = np.flatnonzero(stiffness).tolist()
         self._period = period

@@ -85,10 +85,11 @@ class Trajectories:
         following = followers(spec, program)
         arrays, robot, size = arrays_of(program), program.robot, program.robot.num_joints
         speed = np.min([each.max_rate for each in following], axis=0).astype(np.float64)
+        lower, upper = robot.limits()
         limits = Limits(
             robot.joint_names,
-            np.nan_to_num(robot.lower.astype(np.float64), nan=-np.inf),
-            np.nan_to_num(robot.upper.astype(np.float64), nan=np.inf),
+            lower.astype(np.float64),
+            upper.astype(np.float64),
             np.nan_to_num(speed, nan=np.inf),
             partial=spec.missing == "hold",
             start=spec.start_tolerance,

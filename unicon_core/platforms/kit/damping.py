@@ -93,8 +93,7 @@ class Damping:
 
     def __init__(self, states: States, robot: Robot, last: LastSent, period: float) -> None:
         self._states = states
-        lower = np.nan_to_num(robot.lower, nan=-ENDLESS)
-        upper = np.nan_to_num(robot.upper, nan=ENDLESS)
+        lower, upper = robot.limits(ENDLESS)
         pose = np.nan_to_num(robot.default_joint_pos)
         if last.any:
             target = last.states["joint_pos_target"]
