@@ -4,7 +4,7 @@
 #   make test       set up, run the tests            make test-slow   soaks and second distributions
 #   make check      format, lint, types, imports     make bench       side by side measurements
 #   make venv       only the set-up                  make docs       write the API reference to out/docs
-#   make clean      remove what was built
+#   make clean      remove what was built            make faults     measure each fault, write out/faults.md
 
 PYTHON ?= python3
 VENV := .venv
@@ -14,6 +14,7 @@ STAMP := $(VENV)/unicon.stamp
 # What the demo runs, and how long one test may take in [s].
 DEMO_WORKFLOW ?= go2_walk
 DEMO_ARGS ?=
+FAULTS_ARGS ?=
 TEST_TIMEOUT ?= 120
 TEST_ARGS ?=
 # Files of tests that run at once; tests marked `alone` measure time and have the machine for themselves.
@@ -29,13 +30,13 @@ endif
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 # ROS stays on this machine unless the user says otherwise.
-demo bench: export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
-demo bench: export ROS_DOMAIN_ID ?= 42
+demo bench faults: export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
+demo bench faults: export ROS_DOMAIN_ID ?= 42
 # Plain pipelines find each other at once; our own nodes do so by themselves.
-bench: export FASTRTPS_DEFAULT_PROFILES_FILE ?= $(CURDIR)/config/dds/fast_discovery.xml
-bench: export FASTDDS_DEFAULT_PROFILES_FILE ?= $(FASTRTPS_DEFAULT_PROFILES_FILE)
+bench faults: export FASTRTPS_DEFAULT_PROFILES_FILE ?= $(CURDIR)/config/dds/fast_discovery.xml
+bench faults: export FASTDDS_DEFAULT_PROFILES_FILE ?= $(FASTRTPS_DEFAULT_PROFILES_FILE)
 
-.PHONY: help venv demo test test-slow check format docs bench clean clean-venv
+.PHONY: help venv demo test test-slow check format docs bench faults clean clean-venv
 .DEFAULT_GOAL := help
 
 help:
@@ -93,6 +94,10 @@ docs: $(STAMP)
 bench: $(STAMP)
 	@mkdir -p out/bench
 	@for bench in $(BENCHES); do $(BIN)/unicon bench $$bench --json out/bench/$$bench.json || exit 1; done
+
+# An hour; FAULTS_ARGS="--ticks 1" takes less.
+faults: $(STAMP)
+	$(BIN)/unicon bench faults --assert --markdown out/faults.md $(FAULTS_ARGS)
 
 clean:
 	rm -rf build dist out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

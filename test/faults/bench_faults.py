@@ -25,12 +25,13 @@ from faults import (
     cases_simulated,
 )
 from faults.case import TICKS, Case, Measured
-from faults.fault_report import FaultBench, write_table
+from faults.fault_report import FaultBench
 from faults.fault_run import FaultRun
 from faults.measure import measure
 from faults.simulated_case import ROBOTS, SimulatedCase, able
 from faults.simulated_run import run_case
 from unicon_core.errors import UniconError, alternatives
+from unicon_core.page import write_file
 
 CASES: tuple[Case, ...] = (
     *cases_data.CASES,
@@ -52,7 +53,7 @@ def run(
     quick: bool = False,
     only: str = "",
     ticks: int = TICKS,
-    document: str = "",
+    markdown: str = "",
 ) -> FaultBench:
     """Run the cases.
 
@@ -62,10 +63,10 @@ def run(
         quick: a handful of cases only, each at one tick.
         only: cases only whose group or name has this in it.
         ticks: at so many random ticks at most, each fault that has no moment of its own.
-        document: Markdown file in whose tables of faults the rows of what was run are replaced.
+        markdown: file to which the tables of what was run are written.
 
     Raises:
-        UniconError: no such case, no number of ticks, or the document has no place for a table.
+        UniconError: no such case, no number of ticks, or the file cannot be written.
     """
     if not 1 <= ticks <= TICKS:
         raise UniconError(f"--ticks {ticks}: give a number from 1 to {TICKS}")
@@ -96,9 +97,8 @@ def run(
             bench.facts[f"left out of {robot}, without {what}"] = len(simulated)
     names_in = [case.name_in(robot) for case in simulated for robot in robots]
     bench.conclude([*names_in, *(case.row for case in processes)])
-    if document:
-        all_simulated = [case.row for case in cases_simulated.CASES]
-        write_table(bench, Path(document), all_simulated, [case.row for case in CASES])
+    if markdown:
+        write_file(Path(markdown), bench.markdown().encode(), folders=True)
     return bench
 
 

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any, TypeAlias
 
 from faults.case import Case, Measured
 from faults.judge import judge, reaction
 from faults.simulated_case import ROBOTS, SimulatedCase
 from faults.simulated_run import ROOM, Came
-from unicon_core.errors import UniconError
 from unicon_ros.bench.report import Bench, machine
 
-BEGIN, END = "<!-- unicon bench faults: begin -->", "<!-- unicon bench faults: end -->"
 Rows: TypeAlias = Mapping[str, Sequence[str]]
 """Cells of each row behind its name, as Markdown."""
 
@@ -107,15 +104,17 @@ class FaultBench(Bench):
         lines += ["", *(f"{name}  {value}" for name, value in self.facts.items())]
         return "\n".join(lines)
 
-    def rows(self) -> tuple[Rows, Rows]:
-        """Return the rows of two Markdown tables by name: in MuJoCo, and as processes."""
+    def markdown(self) -> str:
+        """Return two tables of what was run, as Markdown: in MuJoCo, and as processes."""
         cases: dict[str, Any] = self.cases
         processes = {
-            name: [*map(escaped, _cells(case)), _yes(case)]
+            name: [*map(_escaped, _cells(case)), _yes(case)]
             for name, case in cases.items()
             if not _in_mujoco(case)
         }
-        return self._by_fault(), processes
+        tables = _table(_SIMULATED_HEAD, self._by_fault()), _table(_HEAD, processes)
+        facts = (f"{name}: {value}" for name, value in self.facts.items())
+        return "\n\n".join([f"# Faults\n\n{machine()}", *facts, *tables]) + "\n"
 
     def _by_fault(self) -> Rows:
         """Return the rows of the faults in MuJoCo, both robots in one."""
@@ -135,45 +134,8 @@ class FaultBench(Bench):
                 for robot in ROBOTS
             ]
             holds = "yes" if all(case["holds"] for case in of.values()) else "**no**"
-            rows[row] = [first["outcome"], *taken, escaped(_short(first["reason"])), holds]
+            rows[row] = [first["outcome"], *taken, _escaped(_short(first["reason"])), holds]
         return rows
-
-
-def write_table(
-    bench: FaultBench, path: Path, simulated: Sequence[str], processes: Sequence[str]
-) -> None:
-    """Write the tables in a document, between two comments; rows that were not run now stay.
-
-    Args:
-        bench: what was run.
-        path: the document.
-        simulated: names of all cases in MuJoCo, in the order of the table.
-        processes: names of all others.
-
-    Raises:
-        UniconError: it cannot be read or written, or has no such comments.
-    """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise UniconError(f"cannot read {path}: {error.strerror}") from error
-    head, begin, rest = text.partition(BEGIN)
-    _, end, tail = rest.partition(END)
-    if not (begin and end):
-        raise UniconError(f"{path} has no place for the table; add the lines {BEGIN} and {END}")
-    before, orders, heads = _rows_of(rest), (simulated, processes), (_SIMULATED_HEAD, _HEAD)
-    tables = [
-        {name: now.get(name) or stood[name] for name in order if name in now or name in stood}
-        for now, stood, order in zip(bench.rows(), before, orders)
-    ]
-    held = sum(row[-1] == "yes" for table in tables for row in table.values())
-    told = f"{machine()}; {held} of {sum(map(len, tables))} faults hold."
-    text = "\n\n".join(map(_table, heads, tables))
-    table = f"{head}{BEGIN}\n{told}\n\n{text}\n{END}{tail}"
-    try:
-        path.write_text(table, encoding="utf-8")
-    except OSError as error:
-        raise UniconError(f"cannot write {path}: {error.strerror}") from error
 
 
 def _cells(case: Any) -> tuple[str, str, str, str, str, str]:
@@ -204,26 +166,8 @@ def _table(head: Sequence[str], rows: Rows) -> str:
         if of != group:
             group = of
             lines.append((f"**{of}**", *("" for _ in head[1:])))
-        lines.append((escaped(words), *cells))
+        lines.append((_escaped(words), *cells))
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
-
-
-def _rows_of(text: str) -> tuple[Rows, Rows]:
-    """Return the rows of the two tables that stand in a document, as `_table` writes them."""
-    simulated: dict[str, list[str]] = {}
-    processes: dict[str, list[str]] = {}
-    group, table = "", simulated
-    for line in text.partition(END)[0].splitlines():
-        if not line.startswith("| "):
-            continue
-        name, *cells = line.removeprefix("| ").removesuffix(" |").split(" | ")
-        if name == _HEAD[0]:
-            table = simulated if (name, *cells) == _SIMULATED_HEAD else processes
-        elif name.startswith("**"):
-            group = name.strip("*")
-        elif name != "---":
-            table[f"{group}: {_plain(name)}"] = cells
-    return simulated, processes
 
 
 def _verdict(case: Any) -> str:
@@ -234,14 +178,9 @@ def _short(text: str, most: int = 80) -> str:
     return text if len(text) <= most else f"{text[: most - 1]}…"
 
 
-def escaped(cell: str) -> str:
+def _escaped(cell: str) -> str:
     """Return a text as a cell of a Markdown table."""
     return cell.replace("|", "\\|").replace("<", "&lt;")
-
-
-def _plain(cell: str) -> str:
-    """Return the text of a cell."""
-    return cell.replace("\\|", "|").replace("&lt;", "<")
 
 
 def _rounded(value: float | None) -> float | None:

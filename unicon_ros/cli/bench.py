@@ -89,7 +89,7 @@ _OPTIONS = {
         flag("--quick", "a handful of cases only"),
         option("--only", help="cases only whose group or name has this in it"),
         argument("--ticks", "N", "random ticks of each fault, 5 unless told", type=int),
-        option("--document", help="Markdown file whose rows of what was run are replaced"),
+        argument("--markdown", "FILE.md", "write the tables of what was run"),
     ),
     "latency": (
         option("--rate", type=float, help="commands per second"),
