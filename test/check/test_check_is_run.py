@@ -40,7 +40,7 @@ OPTIONS: dict[str | tuple[str, str], dict[str, Any]] = {
 OVER_ROS = ("gazebo", "ros")
 NONE: Mapping[str, Any] = MappingProxyType({})
 LOUD = ("arx", "azureloong", "unitree_legged")
-"""What cannot be opened to receive only (docs/reference/robots.md): preflight is refused."""
+"""What cannot be opened to receive only (docs/reference/hardware.md): preflight is refused."""
 
 
 class Reached(BaseException):

@@ -210,7 +210,7 @@ def test_g1_walks_when_its_band_is_taken_off(
 
 
 def told(simulator: Simulator, begin: list[float]) -> None:
-    """Print how it went, for docs/reference/robots.md."""
+    """Print how far it went, and at which share of real time."""
     a, b = simulator.said[0], simulator.said[-1]
     speed = (b["time"] - a["time"]) / (b["wall"] - a["wall"])
     way = [round(after - before, 2) for after, before in zip(b["place"], begin)]

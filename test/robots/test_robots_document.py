@@ -1,24 +1,30 @@
-"""The table of docs/reference/robots.md has every robot file and every platform."""
+"""docs/reference/robots.md and hardware.md agree with robot files, platforms and the ledger."""
 
 from __future__ import annotations
 
+import inspect
 import re
 from pathlib import Path
 
+from unicon_core.errors import UniconError
 from unicon_core.evidence import load_evidence
 from unicon_core.robots import load_robot, robot_names
+from unicon_core.workflow.registry import find_factory
 
 ROOT = Path(__file__).resolve().parents[2]
-TEXT = (ROOT / "docs" / "reference" / "robots.md").read_text(encoding="utf-8")
-NONE = ("none: refused", "none: not written")
+REFERENCE = ROOT / "docs" / "reference"
+TEXT = (REFERENCE / "robots.md").read_text(encoding="utf-8")
+HARDWARE = (REFERENCE / "hardware.md").read_text(encoding="utf-8")
+NONE = "none: refused"
 
 
 def rows() -> dict[str, list[str]]:
-    """Return protocol, platform and what it was run against, by robot file."""
+    """Return protocol, platform and level of evidence, by robot file; a row may name several."""
     table = TEXT.split("| robot file |", 1)[1].split("\n\n", 1)[0].splitlines()[2:]
     cells = [[cell.strip() for cell in line.strip("| ").split("|")] for line in table]
-    assert len({line[0] for line in cells}) == len(cells)
-    return {line[0].strip("`"): line[1:] for line in cells}
+    listed = [(name, line[1:]) for line in cells for name in re.findall(r"`(\w+)`", line[0])]
+    assert len(dict(listed)) == len(listed)
+    return dict(listed)
 
 
 def entry_points() -> dict[str, str]:
@@ -30,38 +36,55 @@ def entry_points() -> dict[str, str]:
 
 def named() -> set[str]:
     """Return the platforms of the table."""
-    return {platform.strip("`") for _, platform, _ in rows().values() if platform not in NONE}
+    return {platform.strip("`") for _, platform, _ in rows().values() if platform != NONE}
 
 
 def test_every_robot_file_has_a_row_with_its_protocol() -> None:
     assert sorted(rows()) == sorted(robot_names())
-    for robot, (protocol, platform, against) in rows().items():
+    for robot, (protocol, platform, level) in rows().items():
         assert protocol == f"`{load_robot(robot).transport['protocol']}`", robot
-        assert re.fullmatch(r"`\w+`", platform) or platform in NONE, robot
-        assert against.replace("`", "") == load_evidence()["robot", robot].against, robot
+        assert re.fullmatch(r"`\w+`", platform) or platform == NONE, robot
+        assert level == load_evidence()["robot", robot].level, robot
 
 
-def test_platforms_that_are_not_there_are_said_and_no_others() -> None:
-    said = re.search(r"^Not there yet: (.+)\.$", TEXT, re.MULTILINE)
-    absent = set(re.findall(r"`(\w+)`", said[1])) if said else set()
-    assert absent == named() - set(entry_points()), "correct the line 'Not there yet: …'"
+def test_every_platform_of_the_table_exists() -> None:
+    assert named() <= set(entry_points())
 
 
-def test_every_driver_of_ours_has_a_row() -> None:
+def test_every_driver_of_ours_has_a_row_and_a_section() -> None:
     drivers = {name for name, at in entry_points().items() if ".hardware." in at}
     assert drivers <= named()
+    sections = HARDWARE.split("\n## ")[1:]
+    for driver in drivers:
+        assert any(re.search(rf"[Pp]latform `.*\b{driver}\b", each) for each in sections), driver
+    for section in sections:
+        for what in ("Needs", "Protects", "Open", "Sources"):
+            assert f"- **{what}**: " in section, section.splitlines()[0]
+
+
+OTHER = {"mode_machine", "rate", "ros2", "sdk"}
+"""Quoted in lines of options, and none of a platform."""
+
+
+def test_every_option_that_a_section_names_exists() -> None:
+    for section in HARDWARE.split("\n## ")[1:]:
+        platforms = re.findall(r"[Pp]latform `(?:{child: )?(\w+)", section)
+        factories = [find_factory("platforms", name, UniconError) for name in platforms]
+        known = {option for each in factories for option in inspect.signature(each).parameters}
+        lines = re.findall(r"^- \*\*Options\*\*: (.*)$", section, re.MULTILINE)
+        told = {name for line in lines for name in re.findall(r"`(\w+)(?:: \w+)?`", line)}
+        assert told <= known | OTHER, section.splitlines()[0]
+
+
+def test_nothing_claims_a_real_robot_that_the_ledger_does_not_know() -> None:
+    on_hardware = any(each.level == "hardware" for each in load_evidence().values())
+    assert ("Nothing here has moved a real robot yet." in TEXT) is not on_hardware
 
 
 def test_a_robot_that_is_refused_has_a_reason_that_the_file_knows() -> None:
     for robot, (_, platform, _) in rows().items():
-        if platform == "none: refused":
+        if platform == NONE:
             assert load_robot(robot).missing_facts(), robot
-
-
-def test_nothing_claims_a_real_robot() -> None:
-    """Who has run one writes so in the first lines, and here."""
-    assert "Nothing here has moved a real robot yet." in TEXT
-    assert not any("real" in against for _, _, against in rows().values())
 
 
 def test_every_unknown_fact_has_a_line_that_says_who_could_tell_it() -> None:
