@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -27,7 +28,8 @@ pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
 GO2 = load_robot("go2")
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = (ROOT / "docs" / "howto" / "gazebo.md").read_text("utf-8")
-BLOCKS = re.findall(r"^```(?:yaml|xml)\n(?:# |<!-- )(\w+)(?: -->)?\n(.*?)^```", TEXT, re.M | re.S)
+BLOCKS = re.findall(r"^```yaml\n# (\w+)\n(.*?)^```", TEXT, re.M | re.S)
+EXAMPLE = ROOT / "examples" / "gazebo"
 WORKFLOW = """\
 schema: unicon.workflow/1
 robot: go2
@@ -130,15 +132,14 @@ def test_go2_walk_walks_in_gazebo_by_one_word(
 
 
 def _gains() -> tuple[float, float]:
-    """Return what docs/howto/gazebo.md gives the controller."""
+    """Return what examples/gazebo gives the controller."""
     gains = _controllers()["pid_controller"]["ros__parameters"]["gains"]
     ((p, d),) = {(each["p"], each["d"]) for each in gains.values()}
     return p, d
 
 
 def _controllers() -> dict[str, Any]:
-    (text,) = [text for title, text in BLOCKS if title == "controllers"]
-    said: dict[str, Any] = yaml.safe_load(text)
+    said: dict[str, Any] = yaml.safe_load((EXAMPLE / "controllers.yaml").read_text("utf-8"))
     return said
 
 
@@ -170,11 +171,29 @@ def test_the_check_says_where_the_servo_is(
         assert words in " ".join(capsys.readouterr().out.split())
 
 
-# docs/howto/gazebo.md
+# docs/howto/gazebo.md and examples/gazebo
 
 
 def test_every_block_says_what_it_is() -> None:
-    assert [title for title, _ in BLOCKS] == ["workflow", "bridge", "plugins", "controllers"]
+    assert [title for title, _ in BLOCKS] == ["workflow", "bridge"]
+
+
+def test_the_plugins_are_well_formed_and_name_a_joint_of_the_robot() -> None:
+    robot = ElementTree.parse(EXAMPLE / "plugins.xml").getroot()
+    joints = [joint.attrib["name"] for joint in robot.iterfind("ros2_control/joint")]
+    assert joints
+    assert set(joints) <= set(GO2.joint_names)
+    assert robot.findtext("gazebo/sensor/topic") == "/imu"
+
+
+def test_the_page_names_the_controllers_of_each_map() -> None:
+    types = _controllers()["controller_manager"]["ros__parameters"]
+    for name in ("gazebo", "gazebo_effort"):
+        (row,) = re.findall(rf"^ *\| `{name}` \| (.*?) \|", TEXT, re.M)
+        named = re.findall(r"`(\w+)`", row)
+        topics = load_map(find_config("maps", name, error=PlatformError)).publish
+        assert set(named) <= types.keys()
+        assert {spec.topic.split("/")[0] for spec in topics} <= set(named)
 
 
 def test_the_bridge_has_the_maps_topics_and_types() -> None:

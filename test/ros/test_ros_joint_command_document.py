@@ -22,13 +22,7 @@ BLOCKS = re.findall(r"^```yaml\n# (\w+)\n(.*?)^```", TEXT, re.M | re.S)
 
 
 def test_every_block_says_what_it_is() -> None:
-    assert [title for title, _ in BLOCKS] == [
-        "workflow",
-        "map",
-        "controllers",
-        "workflow",
-        "controllers",
-    ]
+    assert [title for title, _ in BLOCKS] == ["workflow", "map", "workflow", "controllers"]
 
 
 @pytest.mark.parametrize("text", [text for title, text in BLOCKS if title == "workflow"])
@@ -47,7 +41,7 @@ def test_its_map_has_a_trajectory() -> None:
 
 
 def test_the_controllers_joints_are_the_robots_in_its_order() -> None:
-    *_, text = [text for title, text in BLOCKS if title == "controllers"]
+    (text,) = [text for title, text in BLOCKS if title == "controllers"]
     said = yaml.safe_load(text)["forward_position_controller"]["ros__parameters"]["joints"]
     assert tuple(said) == load_robot("go2").joint_names
 

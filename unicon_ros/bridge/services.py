@@ -11,18 +11,14 @@ from unicon_core.workflow.skills import skills_of
 from unicon_ros.controls import Answer
 
 SERVICES = {
-    "start": "the operator's go: a robot whose gates hold begins to move; goes on after a pause; "
-    "where nothing runs, the node configures and activates as needed",
-    "stop": "ends the run after the present tick: the workflow winds down if it says how, then the "
-    "platform damps",
-    "estop": "stops before the next command is sent, looked at in every tick; the platform damps; "
-    "counts as a fault; latches, for processes to come too",
-    "clear_estop": "lets go of that latch once the run has ended; until then nothing starts",
-    "reset": "brings a simulator and the flow back to their beginning",
-    "pause": "lets a simulator stand still until `~/start` or `~/step`",
-    "step": "runs one tick of a simulator that stands still",
-    "list_states": "tells every state with its shape, unit and names, as the JSON that stands "
-    "latched on `~/layout`",
+    "start": "the operator's go; continues after a pause; configures and activates an idle node",
+    "stop": "ends the run after the current tick: shutdown sequence, then damping",
+    "estop": "stops before the next command, damps, counts as a fault, and latches",
+    "clear_estop": "clears that latch after the run has ended",
+    "reset": "resets a simulator and the flow",
+    "pause": "pauses a simulator until `~/start` or `~/step`",
+    "step": "runs one tick of a paused simulator",
+    "list_states": "returns the JSON of `~/layout`",
 }
 """Each `~/<name>`, and what it does."""
 
