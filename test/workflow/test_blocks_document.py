@@ -1,4 +1,4 @@
-"""docs/reference/blocks.md: its examples run, and its tables say what there is."""
+"""The pages about blocks: their examples run, and their tables say what there is."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ import pytest
 import yaml
 
 from unicon_core.errors import UniconError
-from unicon_core.runtime import Pacing
+from unicon_core.runtime import Pacing, Runner, RunOptions
 from unicon_core.schema.read import read_value
 from unicon_core.states import StateSpec, standard_states
 from unicon_core.workflow import load_workflow
 from unicon_core.workflow.flow_yaml import FLOW_WORDS
 
-TEXT = (Path(__file__).resolve().parents[2] / "docs" / "reference" / "blocks.md").read_text(
-    encoding="utf-8"
-)
-EXAMPLES = re.findall(r"^```(\w+)\n(.*?)^```", TEXT, re.MULTILINE | re.DOTALL)
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+TEXT = (DOCS / "reference" / "blocks.md").read_text(encoding="utf-8")
+HOW_TO = (DOCS / "howto" / "write_a_block.md").read_text(encoding="utf-8")
+EXAMPLES = re.findall(r"^```(\w+)\n(.*?)^```", TEXT + HOW_TO, re.MULTILINE | re.DOTALL)
 PYTHON = [code for language, code in EXAMPLES if language == "python"]
 YAML = [code for language, code in EXAMPLES if language == "yaml"]
 
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """The folder of the reader: the files that the page names, on the path."""
+    """The folder of the reader: the files that the pages name, on the path."""
     for code in (*PYTHON, *YAML):
         name = re.match(r"# (\w+\.(?:py|yaml))\n", code)
         if name:
@@ -42,7 +42,15 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 @pytest.mark.parametrize("code", PYTHON, ids=range(len(PYTHON)))
 def test_the_python_examples_run(code: str, folder: Path) -> None:
-    exec(compile(code, "docs/reference/blocks.md", "exec"), {"__name__": __name__})
+    exec(compile(code, "an example", "exec"), {"__name__": __name__})
+
+
+def test_the_workflow_of_the_how_to_runs(folder: Path) -> None:
+    workflow = load_workflow("crouch.yaml", {"rate": 100})
+    report = Runner(workflow, RunOptions(speed="max")).run()
+    assert report.faults == []
+    assert 1.5 < report.duration_s < 1.6
+    assert workflow.states.crouch == workflow.states.velocity_command[0] * 0.4
 
 
 def test_the_states_example_is_a_specification() -> None:
@@ -51,7 +59,7 @@ def test_the_states_example_is_a_specification() -> None:
 
 
 def test_the_forms_of_blocks_build(folder: Path) -> None:
-    forms = yaml.safe_load(next(code for code in YAML if "a word: no options" in code))
+    forms = yaml.safe_load(next(code for code in YAML if "gravity_of_the_arm" in code))
     for form in forms["flow"]["zip"]:
         path = folder / "form.yaml"
         values: dict[str, Any] = {"robot": "go2", "platform": "fake", "rate": 50, "flow": form}
