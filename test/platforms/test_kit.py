@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -30,7 +29,8 @@ from unicon_core.robots import Robot, load_robot
 from unicon_core.states import States, standard_states
 from unicon_core.states.standard import BASE_STATES, COMMAND_STATES
 
-DOCUMENT = Path(__file__).parents[2] / "docs" / "reference" / "platforms.md"
+ROOT = Path(__file__).parents[2]
+EXAMPLE = ROOT / "examples" / "my_robot.py"
 UNIT = st.floats(-1.0, 1.0)
 
 
@@ -181,12 +181,13 @@ class Driver:
 
 
 def test_the_platform_of_the_documentation_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    code = re.findall(r"```python\n(.*?)```", DOCUMENT.read_text(encoding="utf-8"), re.DOTALL)[0]
+    document = (ROOT / "docs" / "reference" / "platforms.md").read_text(encoding="utf-8")
+    assert "`examples/my_robot.py`" in document
     driver, vendor = Driver(), ModuleType("my_vendor")
     vendor.open_driver = lambda port: driver  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "my_vendor", vendor)
     module: dict[str, Any] = {}
-    exec(compile(code, "platforms.md", "exec"), module)
+    exec(compile(EXAMPLE.read_text(encoding="utf-8"), str(EXAMPLE), "exec"), module)
     robot = load_robot("go2")
     states = states_of(robot)
     platform = module["make"](states, robot, 0.02)

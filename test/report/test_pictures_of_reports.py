@@ -16,7 +16,7 @@ TOOL = ROOT / "tools" / "lib" / "pictures_of_reports.py"
 
 def test_it_makes_what_the_document_shows() -> None:
     document = (ROOT / "docs" / "howto" / "reports.md").read_text("utf-8")
-    shown = re.findall(r"!\[[^]]+\]\(pictures/(\w+)\.png\)", document)
+    shown = re.findall(r"!\[[^]]+\]\(\.\./pictures/(\w+)\.png\)", document)
     assert shown == re.findall(r'^    "(\w+)": Shot\(', TOOL.read_text("utf-8"), re.MULTILINE)
     for name in shown:
         assert (ROOT / "docs" / "pictures" / f"{name}.png").stat().st_size < 150_000

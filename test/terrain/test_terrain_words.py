@@ -159,13 +159,11 @@ def test_a_platform_that_has_flat_ground_alone_refuses() -> None:
 
 
 def test_the_document_has_every_kind_and_figure() -> None:
-    rows = re.findall(
-        r"^\| (?:`(\w+)`)? *\| `(\w+)` \| ([^|]*) \| ([^|]*) \| ([^|]*) \|", TEXT, re.M
-    )
-    told, kind = {}, ""
-    for named, name, unit, default, bounds in rows:
-        kind = named or kind
-        told[kind, name] = unit.strip(), default.strip(), bounds.strip()
+    row = r"^\| ((?:`\w+`(?:, )?)*) *\| `(\w+)` \| ([^|]*) \| ([^|]*) \|"
+    told, kinds = {}, [""]
+    for named, name, default, bounds in re.findall(row, TEXT, re.M):
+        kinds = re.findall(r"\w+", named) or kinds
+        told |= {(kind, name): (default.strip(), bounds.strip()) for kind in kinds}
     common = record_of(Kind).fields
     for each in KINDS:
         for name, figure in figures_of(each).items():
@@ -173,6 +171,7 @@ def test_the_document_has_every_kind_and_figure() -> None:
                 continue
             default = figure.default
             said = str(list(default)) if isinstance(default, tuple) else f"{default:g}"
-            assert told[each, name] == (figure.unit, said, f"{figure.least:g} to {figure.most:g}")
+            bounds = f"{figure.least:g} to {figure.most:g} {figure.unit}".strip()
+            assert told[each, name] == (said, bounds)
     assert {kind for kind, _ in told} == {*KINDS, "all"}
     assert {name for kind, name in told if kind == "all"} == {"extent", "flat", "seed"}
