@@ -1,4 +1,4 @@
-"""docs/howto/sweep.md: its sweep is one, and its tables say what there is."""
+"""docs/howto/sweep.md and docs/reference/sweep.md: the sweep is one, the lists are complete."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from unicon_ros.sweep.figures import COLUMNS
 from unicon_ros.sweep.plan import Plan
 from unicon_ros.sweep.sweep_file import SweepDocument, read_sweep
 
-TEXT = (Path(__file__).resolve().parents[2] / "docs" / "howto" / "sweep.md").read_text("utf-8")
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+TEXT = "".join((DOCS / kind / "sweep.md").read_text("utf-8") for kind in ("howto", "reference"))
 
 
 def test_its_sweep_is_one(tmp_path: Path) -> None:
