@@ -88,7 +88,8 @@ format: $(STAMP)
 	$(BIN)/ruff check --fix .
 
 docs: $(STAMP)
-	$(BIN)/pdoc -d google -o out/docs unicon_core unicon_msgs_map unicon_ros "!unicon_ros.bench"
+	$(BIN)/pdoc -d google -o out/docs unicon_base unicon_core unicon_msgs_map unicon_ros unicon_sims unicon_hardware \
+		unicon_manipulation unicon_lab "!unicon_ros.bench"
 	@echo "out/docs/index.html"
 
 bench: $(STAMP)

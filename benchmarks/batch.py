@@ -17,7 +17,7 @@ import numpy as np
 
 from benchmarks.networks import random_policy
 from benchmarks.samples import Samples, timed
-from unicon_core.platforms.sim.mujoco.batch import shares
+from unicon_core.platforms.mujoco.batch import shares
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow

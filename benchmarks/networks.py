@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from unicon_core.arrays import Float32
-from unicon_core.errors import imported
+from unicon_base.arrays import Float32
+from unicon_base.errors import imported
 from unicon_core.policies import PolicyContract, load_policy
 from unicon_core.robots import Robot
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.networks import CLIP, random_policy
 from benchmarks.samples import Paced, Samples, Step, paced, sleep_until
-from unicon_core.arrays import Float32
+from unicon_base.arrays import Float32
 from unicon_core.policies import Observation, Policy, PolicyContract, policy_states
 from unicon_core.robots import Robot, load_robot
 from unicon_core.runtime import Pacing, WallClock, WarmUp, prepare_process

@@ -16,13 +16,21 @@ from typing import Any
 import numpy as np
 
 from benchmarks.samples import Samples, timed
-from unicon_core.arrays import Array, Float64, Index
-from unicon_core.ik.chain import CAPSULE, FRAME, Chain, Pair, Reaching, add_reaching, load_apart
-from unicon_core.ik.differential import Apart, DifferentialIk
-from unicon_core.ik.tasks import Pose, Settings, Weights
+from unicon_base.arrays import Array, Float64, Index
 from unicon_core.models.find import pick_model
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.robots import Robot, load_robot
+from unicon_manipulation.ik.chain import (
+    CAPSULE,
+    FRAME,
+    Chain,
+    Pair,
+    Reaching,
+    add_reaching,
+    load_apart,
+)
+from unicon_manipulation.ik.differential import Apart, DifferentialIk
+from unicon_manipulation.ik.tasks import Pose, Settings, Weights
 from unicon_ros.bench.report import Bench
 
 ROBOT, HANDS, MOVES = "g1_29dof", ("left_hand", "right_hand"), ("arms",)

@@ -12,15 +12,15 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.samples import TICK, WHOLE, Samples, tick_times, unsaid
-from unicon_core.arrays import Float64
+from unicon_base.arrays import Float64
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program, load_workflow
+from unicon_lab.fault_record import FaultRecord
+from unicon_lab.recording.run_recording import Recording
 from unicon_ros import compat
 from unicon_ros.bench.domains import stay_on_loopback
 from unicon_ros.bench.report import Bench
-from unicon_ros.fault_record import FaultRecord
-from unicon_ros.run_recording import Recording
 
 RATE = 500.0  # Hz
 SECONDS = 10.0  # of each run

@@ -19,14 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.samples import Samples
-from unicon_core.arrays import Float32, Float64
-from unicon_core.blocks.retarget import Retarget
+from unicon_base.arrays import Float32, Float64
 from unicon_core.models.find import pick_model
-from unicon_core.retarget.hand_model import HandModel
-from unicon_core.retarget.human_hand import CHAINS, JOINTS
 from unicon_core.robots import Robot, load_robot
 from unicon_core.states import StateSpec
 from unicon_core.testing import Bench as BlockBench
+from unicon_manipulation.retarget.hand_model import HandModel
+from unicon_manipulation.retarget.human_hand import CHAINS, JOINTS
+from unicon_manipulation.retargeting_block import Retarget
 from unicon_ros.bench.report import Bench
 
 Side: TypeAlias = Callable[[Float32, Float32], NDArray[np.floating]]

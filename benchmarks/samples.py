@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from unicon_core.arrays import Float64
+from unicon_base.arrays import Float64
 from unicon_core.runtime import TickStatistics
 from unicon_ros.bench.report import Bench
 

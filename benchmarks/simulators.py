@@ -13,8 +13,8 @@ import time
 import numpy as np
 
 from benchmarks.samples import Samples
-from unicon_core.arrays import Float64
-from unicon_core.errors import MissingDependencyError
+from unicon_base.arrays import Float64
+from unicon_base.errors import MissingDependencyError
 from unicon_core.platforms import BUILTIN
 from unicon_core.platforms.kit.stepped import SteppedSimulator
 from unicon_core.workflow import load_workflow

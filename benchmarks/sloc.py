@@ -20,16 +20,16 @@ from pathlib import Path
 
 import unicon_core
 from benchmarks.transfers import Transfer, lines_of, transferred
-from unicon_core.resources import find_config
+from unicon_base.resources import find_config
 from unicon_ros.bench.report import Bench
 
 _SKIPPED = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT}
 
 COMPONENTS = (
-    ("platform unitree (H1, G1, Go2)", "unicon_ros/hardware/unitree"),
-    ("platform mujoco", "unicon_core/platforms/sim/mujoco"),
-    ("platform pnd (Adam)", "unicon_ros/hardware/pnd"),
-    ("DDS of both", "unicon_ros/hardware/dds"),
+    ("platform unitree (H1, G1, Go2)", "unicon_hardware/unitree"),
+    ("platform mujoco", "unicon_core/platforms/mujoco"),
+    ("platform pnd (Adam)", "unicon_hardware/pnd"),
+    ("DDS of both", "unicon_hardware/dds"),
     ("platform ros", "unicon_ros/bridge/ros_platform.py"),
     ("policies, all formats", "unicon_core/policies"),
 )

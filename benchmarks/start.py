@@ -16,7 +16,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from benchmarks.samples import Samples
-from unicon_core.errors import MissingDependencyError
+from unicon_base.errors import MissingDependencyError
 from unicon_ros import compat
 from unicon_ros.bench.domains import loopback_environment
 from unicon_ros.bench.report import Bench

@@ -22,7 +22,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
-from unicon_core.errors import StateError
+from unicon_base.errors import StateError
 from unicon_core.states import States, StateSpec
 from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter
 from unicon_core.states.backends.zmq import ZmqReader, ZmqWriter

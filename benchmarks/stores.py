@@ -32,8 +32,8 @@ import numpy as np
 
 from benchmarks.samples import Samples
 from benchmarks.store_ways import WAYS, Receiver, Sender, group, segment_name
-from unicon_core.arrays import Int64
-from unicon_core.resources import same_modules
+from unicon_base.arrays import Int64
+from unicon_base.resources import same_modules
 from unicon_core.signals import SIGNALS
 from unicon_core.states import States, StateSpec
 from unicon_core.states.backends.shm import Segment, ShmWriter, remove_dead

@@ -24,10 +24,10 @@ from unicon_core.policies.networks.onnx import OnnxNetwork
 from unicon_core.robots import joint_index
 from unicon_core.signals import SIGNALS
 from unicon_core.workflow import load_workflow
+from unicon_lab.sweep.piped import Line, PipedProcess
+from unicon_lab.sweep.pool import ONE_THREAD
 from unicon_ros.bench.loops import cpu_ns
 from unicon_ros.bench.report import Bench
-from unicon_ros.sweep.piped import Line, PipedProcess
-from unicon_ros.sweep.pool import ONE_THREAD
 
 ROLLOUTS = 2000
 """In all rounds together, of each side."""
@@ -72,11 +72,11 @@ def run(rounds: int | None = None, rollouts: int = ROLLOUTS) -> Bench:
         rounds: interleaved rounds, 20 unless told.
         rollouts: of each side in all rounds together.
     """
-    from unicon_ros.sweep.engines import LocalEngine, Wish, engine_of
-    from unicon_ros.sweep.folder import Folder, require_pyarrow
-    from unicon_ros.sweep.plan import Plan
-    from unicon_ros.sweep.results import Results
-    from unicon_ros.sweep.sweep_file import read_sweep
+    from unicon_lab.sweep.engines import LocalEngine, Wish, engine_of
+    from unicon_lab.sweep.folder import Folder, require_pyarrow
+    from unicon_lab.sweep.plan import Plan
+    from unicon_lab.sweep.results import Results
+    from unicon_lab.sweep.sweep_file import read_sweep
 
     require_pyarrow()
     bench = Bench("sweep", rounds or ROUNDS)

@@ -23,8 +23,8 @@ from tempfile import TemporaryDirectory
 from threading import Thread
 from typing import Any
 
-from unicon_core.errors import UniconError
-from unicon_core.resources import assets_root, find_config
+from unicon_base.errors import UniconError
+from unicon_base.resources import assets_root, find_config
 from unicon_core.robots import load_robot
 from unicon_core.workflow import load_document
 from unicon_ros.bench.domains import free_domain

@@ -17,13 +17,13 @@ import numpy as np
 
 from benchmarks.record import RATE, SETTLED, walk
 from benchmarks.samples import TICK, Samples, tick_times, unsaid
-from unicon_core.arrays import Float64
-from unicon_core.resources import same_modules
+from unicon_base.arrays import Float64
+from unicon_base.resources import same_modules
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow
+from unicon_lab.view import PORT
+from unicon_lab.view.view import View
 from unicon_ros.bench.report import Bench
-from unicon_ros.view import PORT
-from unicon_ros.view.view import View
 
 SECONDS = 10.0  # of each run
 NONE, ALONE, LOOKED_AT = "no viewer", "viewer", "viewer, 3 clients"

@@ -4,8 +4,8 @@
     python examples/emulated_headset.py                   # in another one: takes hold after 2 s
     python examples/emulated_headset.py --hands           # bare hands, which open and close
 
-It sends the bytes that the page in a headset sends (unicon_ros/peripherals/webxr/frames.py), at
-72 Hz: both hands go in circles while the clutch is closed, and the left thumbstick walks.
+It sends the bytes that the page in a headset sends (unicon_hardware/peripherals/webxr/frames.py),
+at 72 Hz: both hands go in circles while the clutch is closed, and the left thumbstick walks.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed
 
-from unicon_ros.peripherals.webxr.frames import ANSWER, BUTTONS, FRAME, PARTS, PING
+from unicon_hardware.peripherals.webxr.frames import ANSWER, BUTTONS, FRAME, PARTS, PING
 
 SIDES = ("left", "right")
 FINGERS = {"thumb": (0.02, 0.04, -0.01), "index": (0.09, 0.025, 0.0), "middle": (0.095, 0.0, 0.0)}

@@ -20,8 +20,8 @@ from peer import Peer
 from stolen import Stolen
 from turns import turn
 
-from unicon_core.errors import UniconError
-from unicon_core.resources import find_resource
+from unicon_base.errors import UniconError
+from unicon_base.resources import find_resource
 from unicon_ros.bench.domains import free_domain
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -11,8 +11,10 @@ import warnings
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from unicon_base import moved
+
 if TYPE_CHECKING:
-    from unicon_core.errors import Fault, UniconError
+    from unicon_base.errors import Fault, UniconError
     from unicon_core.flow import (
         Amends,
         Block,
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
     from unicon_core.workflow.uses import block, elapsed, policy, pose
 
 __version__ = "0.4.0"
+moved.install()
 
 # onnxruntime 1.32 else queues for its maker what machine this is, in a thread beside the tick.
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
@@ -41,13 +44,13 @@ os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 if sys.platform != "linux":
     warnings.warn(
         f"unicon_ros runs on Linux alone, and this is {sys.platform!r}: use a container (docs/"
-        "install.md), a virtual machine or WSL 2",
+        "howto/install.md), a virtual machine or WSL 2",
         RuntimeWarning,
         stacklevel=2,
     )
 
 _PLACES = {
-    "unicon_core.errors": "Fault UniconError",
+    "unicon_base.errors": "Fault UniconError",
     "unicon_core.flow": "Amends Block Chain Every Loop Reads Stage Switch When Writes Zip",
     "unicon_core.robots": "load_robot",
     "unicon_core.run_program": "run",

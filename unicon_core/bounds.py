@@ -11,8 +11,8 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Literal
 
-from unicon_core.errors import WorkflowError
-from unicon_core.schema.marks import Within, positive
+from unicon_base.errors import WorkflowError
+from unicon_base.schema.marks import Within, positive
 
 POSITION = 4.0 * math.pi
 """|position| in [rad], [m] of sliding joints: two turns; go2's rear thighs have 4.54."""

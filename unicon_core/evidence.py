@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from unicon_core.errors import UniconError
-from unicon_core.located_yaml import read_yaml
-from unicon_core.resources import config_files
+from unicon_base.errors import UniconError
+from unicon_base.located_yaml import read_yaml
+from unicon_base.resources import config_files
 
 LEVELS = {
     "never": "never run",

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from unicon_core.arrays import UInt8
+from unicon_base.arrays import UInt8
 
 FOLDER = Path("/dev/shm")
 _PREFIX = "unicon_frames_"

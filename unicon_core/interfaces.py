@@ -8,7 +8,7 @@ import socket
 import struct
 from contextlib import suppress
 
-from unicon_core.errors import PlatformError
+from unicon_base.errors import PlatformError
 
 _SIOCGIFADDR, _SIOCGIFFLAGS = 0x8915, 0x8913
 

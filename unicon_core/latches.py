@@ -23,10 +23,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote, unquote
 
-from unicon_core.errors import PlatformError
+from unicon_base.errors import PlatformError
+from unicon_base.resources import user_folder
 from unicon_core.interfaces import ipv4_of
 from unicon_core.outlet import Outlet
-from unicon_core.resources import user_folder
 
 if TYPE_CHECKING:
     from unicon_core.robots import Robot

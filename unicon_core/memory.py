@@ -26,8 +26,8 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from unicon_core.arrays import UInt8
-from unicon_core.errors import StateError, one_line
+from unicon_base.arrays import UInt8
+from unicon_base.errors import StateError, one_line
 
 UNDECLARED = "declares no memory"
 """Reason of `Memory.unproven` for a block that may have one all the same."""

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.errors import StateError
+from unicon_base.errors import StateError
 from unicon_core.memory import (
     ATOMS,
     Component,

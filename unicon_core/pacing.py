@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from unicon_core.schema.marks import Core, Unit, Within
+from unicon_base.schema.marks import Core, Unit, Within
 
 _PR_SET_TIMERSLACK = 29  # linux/prctl.h
 _SCHED_SETATTR = {"x86_64": 314, "aarch64": 274}  # asm/unistd.h

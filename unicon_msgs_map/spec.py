@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from unicon_core.schema.marks import Matches, NotAKey, Unit, Within
+from unicon_base.schema.marks import Matches, NotAKey, Unit, Within
 from unicon_msgs_map.errors import MapFileError, MapStateError, MessageTypeError
 from unicon_msgs_map.layout.paths import Path, Reference
 

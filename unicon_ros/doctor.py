@@ -23,7 +23,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import unicon_core
-from unicon_core.errors import PlatformError
+from unicon_base.errors import PlatformError
 from unicon_core.interfaces import flags_of, ipv4_of
 from unicon_core.pacing import REAL_TIME
 
@@ -148,7 +148,7 @@ def _network() -> _Rows:
 
 def _robots() -> _Rows:
     """Which interface reaches the addresses that robot files have."""
-    from unicon_core.resources import list_config
+    from unicon_base.resources import list_config
     from unicon_core.robots import load_robot
 
     by_address: dict[str, list[str]] = {}
@@ -245,8 +245,8 @@ def _left() -> _Rows:
 
 
 def _disks() -> _Rows:
+    from unicon_base.resources import assets_cache, assets_roots, user_folder
     from unicon_core.assets.manifest import asset_folder, load_assets, named
-    from unicon_core.resources import assets_cache, assets_roots, user_folder
 
     assets = load_assets()
     each = named([*assets], assets)

@@ -25,14 +25,15 @@ from typing import Any
 from rclpy.executors import ExternalShutdownException
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
+from unicon_base.errors import UniconError
 from unicon_core.check import refuse_errors
-from unicon_core.errors import UniconError
 from unicon_core.latches import FAULT as ENDED_BY_FAULT
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.runtime.phases import Phase
 from unicon_core.signals import SIGNALS
 from unicon_core.workflow import Hook, Program, load_document
 from unicon_ros import compat
+from unicon_ros.attachments import Asked, Attachment, attached
 from unicon_ros.bridge import RosSession
 from unicon_ros.bridge.diagnostics import Diagnostics
 from unicon_ros.bridge.estop import FAULT, STOP_SERVICES, EmergencyStop, latch_of
@@ -40,7 +41,6 @@ from unicon_ros.bridge.node_log import NodeLog
 from unicon_ros.bridge.services import SERVICES, add_services, explained
 from unicon_ros.bridge.tuning import Tuning
 from unicon_ros.controls import Answer
-from unicon_ros.fault_record import FaultRecord
 from unicon_ros.parameters import Parameters
 
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
@@ -70,7 +70,7 @@ class UniconNode(LifecycleNode):
         self.settings = Parameters(self, self.tuning)
         self.runner: Runner | None = None
         self.session: RosSession | None = None
-        self._record = FaultRecord()
+        self._attachments: list[Attachment] = []
         self.error = self.fault = ""
         self._executor: Any = None
         self._fresh = False  # the runner was built and has not run
@@ -182,8 +182,8 @@ class UniconNode(LifecycleNode):
         try:
             report = runner.run()
             faults = report.faults
-            if (path := self._record.write(report)) is not None:
-                self.log.info(f"fault record: {path}")
+            for line in filter(None, [each.ended(report) for each in reversed(self._attachments)]):
+                self.log.info(line)
             counts = session.counts()
             self.log.info(
                 f"ended after {report.ticks} ticks, {report.overruns} overruns; "
@@ -312,25 +312,10 @@ class UniconNode(LifecycleNode):
             estop=self.estop,
         )
         hooks: list[Hook] = [session.hook, self.tuning.hook]
-        recording = None
-        if settings["record"]:
-            from unicon_ros.run_recording import Recording, names_in
-
-            patient = settings.speed == "max"
-            split = settings["record_split"]
-            recording = Recording(
-                settings["record"],
-                map_name,
-                session,
-                warn,
-                patient,
-                split,
-                frames=names_in(settings["record_frames"]),
-                jpeg=settings["record_jpeg"],
-            )
-            hooks.append(recording.hook)
-        self._record = FaultRecord(warn=warn, recording=recording)
-        hooks.append(self._record.hook)  # the last one: it looks behind the others
+        words = ("record", "record_split", "record_frames", "record_jpeg")
+        options = {word: settings[word] for word in words} | {"speed": settings.speed}
+        self._attachments = attached(Asked(options, document, map_name, session, warn))
+        hooks += [each.hook for each in self._attachments]
         program = Program(document, hooks=hooks, part=settings["part"])
         try:
             for line in refuse_errors(program, settings.force):
@@ -340,7 +325,8 @@ class UniconNode(LifecycleNode):
             program.close()
             raise
         session.attach(self.runner)
-        self._record.attach(self.runner)
+        for each in self._attachments:
+            each.attach(self.runner)
         told = self.diagnostics
         told.neighbours = session.neighbours
         told.outgoing, told.incoming = session.outgoing, session.incoming

@@ -8,9 +8,10 @@ from typing import Any, Literal
 
 from rcl_interfaces.msg import ParameterType, SetParametersResult
 
+from unicon_base.errors import UniconError, alternatives
+from unicon_base.registered import loaded
+from unicon_base.resources import find_config
 from unicon_core.check.rules import CODES
-from unicon_core.errors import UniconError, alternatives
-from unicon_core.resources import find_config
 from unicon_core.workflow.document import split_setting
 from unicon_core.workflow.registry import known
 from unicon_ros import compat
@@ -18,7 +19,6 @@ from unicon_ros.bridge.bindings import checked_prefix
 from unicon_ros.bridge.declare import declare, fitted
 from unicon_ros.bridge.tuning import Tuning
 from unicon_ros.parameter_table import DECLARED, RANGES, WORDS
-from unicon_ros.recording.bag_folder import Split
 
 DEFAULTS = {name: value for name, value, _ in DECLARED}
 FOREIGN = ("qos_overrides.", "start_type_description_service", "use_sim_time", "bond")
@@ -54,7 +54,7 @@ CHECKS: dict[str, Callable[[str], object]] = {
     "overrides": split_setting,
     "force": _code,
     "frame_prefix": checked_prefix,
-    "record_split": Split.of,
+    **{word: check for each in loaded("run").values() for word, check in each.CHECKS.items()},
 }
 """What can be known of a text when it is set; the rest shows when the node is configured."""
 

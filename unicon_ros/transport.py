@@ -17,7 +17,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
-from unicon_core.resources import find_config
+from unicon_base.resources import find_config
 from unicon_ros import compat
 
 TRANSPORTS = "FASTDDS_BUILTIN_TRANSPORTS"

@@ -8,7 +8,7 @@ import pytest
 from made_runs import save, walk
 from pages import looked_at
 
-from unicon_ros.analysis.pictures import PICTURES
+from unicon_lab.analysis.pictures import PICTURES
 from unicon_ros.cli.main import main
 
 pytestmark = pytest.mark.slow

@@ -15,11 +15,11 @@ from made_runs import CALF, LEGS, save, walk
 from pages import read_page
 from replaying import cut_off
 
-from unicon_ros.analysis.comparison import Comparison, compare_runs
-from unicon_ros.analysis.pictures import PICTURES
-from unicon_ros.analysis.report import findings_of
-from unicon_ros.analysis.run import read_run
-from unicon_ros.analysis.together import Options, bring_together
+from unicon_lab.analysis.comparison import Comparison, compare_runs
+from unicon_lab.analysis.pictures import PICTURES
+from unicon_lab.analysis.report import findings_of
+from unicon_lab.analysis.run import read_run
+from unicon_lab.analysis.together import Options, bring_together
 from unicon_ros.cli.main import main
 
 pytest.importorskip("matplotlib")
@@ -41,7 +41,7 @@ def first(comparison: Comparison) -> str:
 def test_the_report_names_the_weak_motor_and_needs_nothing_beside_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("unicon_ros.analysis.pictures.TOP", 2)
+    monkeypatch.setattr("unicon_lab.analysis.pictures.TOP", 2)
     real = walk(begin=0.74, seed=1)
     real["joint_pos"][:, CALF] -= 0.2
     real["joint_effort"][1:, CALF] = (
@@ -188,7 +188,7 @@ def test_another_rate_and_another_clock_find_the_same_shift(tmp_path: Path) -> N
 
 
 def test_a_long_run_is_thinned_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("unicon_ros.analysis.together.LONGEST", 200)
+    monkeypatch.setattr("unicon_lab.analysis.together.LONGEST", 200)
     found = compared(tmp_path, walk(begin=0.3), walk())
     assert int(found.together.aligned.overlap) <= 201
     assert "200 samples are compared at most" in found.together.method

@@ -18,10 +18,10 @@ from typing import Any
 
 import pytest
 
+from unicon_base.errors import UniconError
+from unicon_base.resources import find_resource
 from unicon_core.assets.fetching import fetch
 from unicon_core.assets.manifest import Asset, load_assets, named, wrong_files
-from unicon_core.errors import UniconError
-from unicon_core.resources import find_resource
 from unicon_ros.cli.main import main
 
 FILES = {

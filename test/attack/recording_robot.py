@@ -16,7 +16,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from unicon_core.errors import Fault
+from unicon_base.errors import Fault
 from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.robots import Robot
 from unicon_core.runtime import phases

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rosbags.highlevel import AnyReader
 
-from unicon_ros.recorder import Recorder
+from unicon_lab.recording.recorder import Recorder
 
 __all__ = ["message", "read_by_both", "small"]
 

@@ -9,8 +9,8 @@ import yaml
 
 pytest.importorskip("rosbags", reason="maps are read with rosbags")
 
+from unicon_base.resources import find_config
 from unicon_core.check import check_workflow
-from unicon_core.resources import find_config
 
 WORKFLOW = """
 robot: go2

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from ros_attack import Run, behind_topics, robot, wait_for
 
-from unicon_core.errors import PlatformError
+from unicon_base.errors import PlatformError
 from unicon_core.robots import load_robot
 from unicon_core.workflow import load_workflow
 

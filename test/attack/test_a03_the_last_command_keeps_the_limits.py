@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from ros_attack import Run, behind_topics, robot, wait_for
 
-from unicon_core.errors import Fault
+from unicon_base.errors import Fault
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner
 from unicon_core.workflow import Program, load_workflow

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from unicon_core.errors import PlatformError
+from unicon_base.errors import PlatformError
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from runs import Run
 
-from unicon_core.errors import PlatformError
+from unicon_base.errors import PlatformError
 from unicon_core.flow import Block, Stage
 from unicon_core.pacing import CATCH_UP
 from unicon_core.runtime import Runner

@@ -17,7 +17,7 @@ pytest.importorskip("rclpy")
 from estop_platform import events
 from robot_host import Caller, Host, wait_for, write_workflow
 
-from unicon_core.errors import Fault
+from unicon_base.errors import Fault
 from unicon_core.latches import ESTOP, Latch
 from unicon_ros.bridge.estop import PRESSED, EmergencyStop
 

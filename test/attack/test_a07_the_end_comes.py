@@ -30,7 +30,7 @@ def test_a_node_ends_with_the_status_of_a_fault(tmp_path: Path) -> None:
     pytest.importorskip("rclpy")
     (tmp_path / "stand.yaml").write_text(STAND)
     code = (
-        "from unicon_core.errors import Fault\n"
+        "from unicon_base.errors import Fault\n"
         "from unicon_core.platforms.fake import FakePlatform\n"
         "from unicon_ros.node_main import main\n"
         "def silent(platform):\n"

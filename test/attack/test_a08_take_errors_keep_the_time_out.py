@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from ros_attack import REACT, behind_topics, robot, running, wait_for
 
-from unicon_core.errors import Fault
+from unicon_base.errors import Fault
 from unicon_core.runtime import Runner
 from unicon_core.workflow import load_workflow
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from ros_attack import behind_topics, robot, running, wait_for
 
-from unicon_core.errors import Fault
+from unicon_base.errors import Fault
 from unicon_core.runtime import Runner
 from unicon_core.workflow import load_workflow
 

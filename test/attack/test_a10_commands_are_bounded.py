@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 import yaml
 
+from unicon_base.errors import RobotError, WorkflowError
+from unicon_base.resources import find_config
 from unicon_core.check import check_workflow
-from unicon_core.errors import RobotError, WorkflowError
 from unicon_core.flow import Block, Stage
 from unicon_core.flow.block import Amends, Reads, Tick, Writes
 from unicon_core.policies.prefixed import PrefixedStates
-from unicon_core.resources import find_config
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import Layout, States, standard_states

@@ -14,8 +14,8 @@ pytest.importorskip("onnx", reason="the test networks are written with onnx")
 
 from toy_workflows import ROOT, check, codes, note_of, text_of, write_workflow
 
+from unicon_base.errors import UniconError
 from unicon_core.check import check_workflow
-from unicon_core.errors import UniconError
 from unicon_core.robots import load_robot, robot_names
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow

@@ -14,9 +14,9 @@ pytest.importorskip("onnx", reason="the test networks are written with onnx")
 
 from toy_workflows import codes, write_workflow
 
+from unicon_base.errors import UniconError
 from unicon_core.check import check_workflow, refuse_errors
 from unicon_core.check.check import Subject
-from unicon_core.errors import UniconError
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow
 from unicon_ros.cli.main import main

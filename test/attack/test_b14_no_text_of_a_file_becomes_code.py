@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from attack_files import REPOSITORY, workflow
 
-import unicon_core.generated as generated
-from unicon_core.errors import UniconError
+import unicon_base.generated as generated
+from unicon_base.errors import UniconError
 from unicon_core.flow import compile_graph
 from unicon_core.states import standard_states
 from unicon_core.workflow import load_workflow

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from attack_files import BASE, one_line, run_bounded, workflow
 
-from unicon_core.errors import WorkflowError
+from unicon_base.errors import WorkflowError
 from unicon_core.states import States, standard_states
 from unicon_core.workflow.expression import expression
 

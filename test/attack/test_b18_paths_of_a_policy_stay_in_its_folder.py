@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from attack_files import REPOSITORY
 
-from unicon_core.errors import PolicyError, RobotError
+from unicon_base.errors import PolicyError, RobotError
 from unicon_core.policies import load_policy
 from unicon_core.policies.facts import Facts
 from unicon_core.policies.policy_yaml import write_partial_yaml

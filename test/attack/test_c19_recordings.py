@@ -22,10 +22,10 @@ pytest.importorskip("mcap_ros2", reason="another reader: pip install mcap-ros2-s
 
 from recordings import KIND, message, read_by_both, small
 
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
+from unicon_lab.recording import McapFile, open_record, recover
+from unicon_lab.recording.recorder import Recorder
 from unicon_ros.cli.main import main
-from unicon_ros.recorder import Recorder
-from unicon_ros.recording import McapFile, open_record, recover
 
 RUN = ["run", "go2_stand", "--no-ros", "--set", "platform=fake", "--quiet"]
 HOLD = "schema: unicon.workflow/1\nrobot: go2\nplatform: fake\nrate: 50\nflow: {hold: {}}\n"
@@ -387,7 +387,7 @@ def test_a_disk_that_stands_still_drops_messages_and_counts_them(
 def test_closing_does_not_wait_for_ever_for_a_disk_that_stands_still(
     tmp_path: Path, stuck: Callable[[], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("unicon_ros.recording.background.CLOSE_S", 0.2)
+    monkeypatch.setattr("unicon_lab.recording.background.CLOSE_S", 0.2)
     told: list[str] = []
     recorder = Recorder(tmp_path / "run.mcap", told.append)
     recorder.channel("/topic", KIND)(1, message(1))

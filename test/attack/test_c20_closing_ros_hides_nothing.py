@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from unicon_core.errors import Fault
+from unicon_base.errors import Fault
 from unicon_core.platforms.fake import FakePlatform
 from unicon_ros.bench.domains import free_domain
 from unicon_ros.bridge import RosSession

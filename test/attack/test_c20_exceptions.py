@@ -49,7 +49,7 @@ def test_an_exception_is_a_fault_with_its_reason(tmp_path: Path, fault: str, whe
 def test_a_mistake_in_closing_does_not_hide_the_fault(tmp_path: Path) -> None:
     flow = "zip: [hold, {call: {function: 'tripping:trip'}}]"
     (tmp_path / "tripping.py").write_text(
-        "from unicon_core.errors import Fault\n"
+        "from unicon_base.errors import Fault\n"
         "from unicon_core.flow import Reads, Tick\n"
         "def trip(tick: Reads) -> Tick:\n"
         "    def step() -> bool:\n"

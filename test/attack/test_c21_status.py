@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from runs import Run
 
-from unicon_ros.recording import open_record
+from unicon_lab.recording import open_record
 
 FULL = Path("/dev/full")
 

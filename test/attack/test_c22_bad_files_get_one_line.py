@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from attack_files import BASE, REPOSITORY, one_line, told, workflow
 
-from unicon_core.errors import RobotError
+from unicon_base.errors import RobotError
 from unicon_core.robots import load_robot
 from unicon_core.states import standard_states
 from unicon_msgs_map import Encoder, parse_map

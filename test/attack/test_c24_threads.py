@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from unicon_core.errors import Fault, UniconError
+from unicon_base.errors import Fault, UniconError
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program, load_workflow
 

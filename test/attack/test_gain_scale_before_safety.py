@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from unicon_core.errors import Fault
+from unicon_base.errors import Fault
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states.groups import groups_hash, groups_of

@@ -18,8 +18,8 @@ pytest.importorskip("rclpy")
 from estop_platform import events
 from robot_host import Caller, Host, wait_for, write_workflow
 
+from unicon_base.errors import EmergencyStopPressed, Fault, PlatformError
 from unicon_core import Program
-from unicon_core.errors import EmergencyStopPressed, Fault, PlatformError
 from unicon_core.flow import Block, Zip
 from unicon_core.latches import ESTOP, FAULT, Latch, boot_id, latches, of_robot, robot_key
 from unicon_core.robots import load_robot

@@ -13,7 +13,7 @@ import torch_modules
 from policies_of_all_kinds import run, write_contract
 from test_recurrent_policies import policy_of, told_by
 
-from unicon_core.errors import PolicyError
+from unicon_base.errors import PolicyError
 from unicon_core.policies import Policy, load_policy, policy_states
 from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states

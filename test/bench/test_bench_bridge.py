@@ -39,7 +39,7 @@ def test_it_names_the_ratios_and_measures_every_case(monkeypatch: pytest.MonkeyP
 def test_the_plain_sender_makes_the_same_message_as_ours(topic: str) -> None:
     from rclpy.serialization import deserialize_message
 
-    from unicon_core.resources import find_config
+    from unicon_base.resources import find_config
     from unicon_msgs_map import Encoder, load_map
 
     states = bench_states(12)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
 from unicon_ros.bench import loops
 from unicon_ros.bench.loops import Loop
 

@@ -13,7 +13,7 @@ import pytest
 from benchmarks import sloc, transfers
 from benchmarks.sloc import AD_HOC, PAPER
 from benchmarks.transfers import Transfer, difference, edited, lines_of, transferred
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
 
 
 def test_docstrings_comments_and_blank_lines_are_no_code() -> None:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from unicon_base.errors import WorkflowError
 from unicon_core.blocks import BUILTIN
-from unicon_core.errors import WorkflowError
 from unicon_core.flow.block import Block
 from unicon_core.states import States, StateSpec, standard_states
 from unicon_core.workflow.registry import import_target

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from unicon_core.errors import Fault, WorkflowError
+from unicon_base.errors import Fault, WorkflowError
 from unicon_core.flow import Stage
 
 Build = Callable[..., Any]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from unicon_core.errors import RobotError, WorkflowError
+from unicon_base.errors import RobotError, WorkflowError
 
 Bench = Any
 Build = Callable[..., Bench]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from unicon_core.errors import Fault, WorkflowError
+from unicon_base.errors import Fault, WorkflowError
 from unicon_core.flow import Stage, Zip, children_of, compile_graph
 from unicon_core.flow.fuse import fuse
 from unicon_core.robots import load_robot

@@ -8,8 +8,8 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 
+from unicon_base.errors import WorkflowError
 from unicon_core.blocks.excite import Signal
-from unicon_core.errors import WorkflowError
 
 Build = Callable[..., Any]
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from unicon_core.errors import RobotError, UniconError, WorkflowError
+from unicon_base.errors import RobotError, UniconError, WorkflowError
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states.standard import COMMAND_STATES, forwarded_states
 from unicon_core.workflow import Program

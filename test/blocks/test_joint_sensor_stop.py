@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from test_blocks_detectors import rest, tripped
 
-from unicon_core.errors import Fault, WorkflowError
+from unicon_base.errors import Fault, WorkflowError
 from unicon_core.robots import load_robot
 
 Build = Callable[..., Any]

@@ -13,9 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from odometry_runs import NOISE, run
 
+from unicon_base.errors import UniconError, WorkflowError
 from unicon_core.blocks.odometry.velocity_filter import PERIOD, VelocityFilter
 from unicon_core.check import check_workflow
-from unicon_core.errors import UniconError, WorkflowError
 from unicon_core.robots import load_robot
 from unicon_core.states import States
 from unicon_core.testing import Bench

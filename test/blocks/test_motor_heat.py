@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
 from unicon_core.workflow import Program, load_document
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from unicon_base.errors import Fault, WorkflowError
 from unicon_core.blocks.safety.servo_stops import TwinStop
-from unicon_core.errors import Fault, WorkflowError
 from unicon_core.robots import load_robot
 from unicon_core.workflow.autowire import read_options
 

@@ -16,9 +16,9 @@ from typing import Any
 import pytest
 import yaml
 
+from unicon_base.errors import MissingDependencyError, PlatformError, UniconError
 from unicon_core import latches
 from unicon_core.check import check_workflow, refuse_errors
-from unicon_core.errors import MissingDependencyError, PlatformError, UniconError
 from unicon_core.platforms.platform import Facts
 from unicon_core.robots import load_robot, robot_names
 from unicon_core.robots.table import robots_table
@@ -54,10 +54,10 @@ def _reached(*_: Any, **__: Any) -> Any:
 @pytest.fixture
 def unreachable(monkeypatch: pytest.MonkeyPatch) -> None:
     """Replace what opens a robot."""
-    from unicon_ros.hardware.arx import platform as arx
-    from unicon_ros.hardware.dds.participant import Participant
-    from unicon_ros.hardware.modbus import link as reached
-    from unicon_ros.hardware.xhand.platform import XhandWire
+    from unicon_hardware.arx import platform as arx
+    from unicon_hardware.dds.participant import Participant
+    from unicon_hardware.modbus import link as reached
+    from unicon_hardware.xhand.platform import XhandWire
 
     monkeypatch.setattr(latches, "ipv4_of", str)  # it asks the kernel through a socket
     monkeypatch.setattr(socket, "socket", _reached)

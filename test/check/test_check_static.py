@@ -29,9 +29,9 @@ from check_helpers import (
     write_workflow,
 )
 
+from unicon_base.errors import CheckError, RobotError
 from unicon_core.check import CODES, check_workflow, refuse_errors
 from unicon_core.check.rules import LIVE
-from unicon_core.errors import CheckError, RobotError
 from unicon_core.robots import load_robot, robot_names
 from unicon_core.workflow import load_workflow
 from unicon_core.workflow.document import workflow_names

@@ -186,7 +186,7 @@ def test_several_policies_are_broken_one_by_one(folder: Path) -> None:
 MINE = """\
 from dataclasses import replace
 
-from unicon_core.platforms.sim.mujoco import MujocoPlatform, make as mujoco
+from unicon_core.platforms.mujoco import MujocoPlatform, make as mujoco
 
 class Mine(MujocoPlatform):
     facts = replace(MujocoPlatform.facts, name="mine")

@@ -9,14 +9,14 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from unicon_core.errors import UniconError
-from unicon_core.identify.found import Fit, Parameter
+from unicon_base.errors import UniconError
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program, load_document
+from unicon_lab.identify.found import Fit, Parameter
+from unicon_lab.identify.recorded import fit_record
+from unicon_lab.recording import open_record
 from unicon_ros.cli.main import main
-from unicon_ros.identify import fit_record
-from unicon_ros.recording import open_record
 
 WEAK = Path(__file__).resolve().parents[2] / "examples" / "weak_calf.yaml"
 EXCITED = """\
@@ -90,7 +90,7 @@ def test_the_workflow_of_a_record_may_be_anybodys(
     record = open_record(recorded(tmp_path, 0.6))
     record.facts["workflow_effective"] = text
     if "nowhere" in message or message == "[1]":  # asked for once there is a motion
-        monkeypatch.setattr("unicon_ros.identify.motion_of", lambda *_: None)
+        monkeypatch.setattr("unicon_lab.identify.recorded.motion_of", lambda *_: None)
     with pytest.raises(UniconError) as caught:
         fit_record(record, "real.mcap")
     assert message in str(caught.value)
@@ -115,7 +115,9 @@ def test_a_fit_that_is_not_better_writes_no_overlay(
 ) -> None:
     record, out = recorded(tmp_path, 0.6), tmp_path / "out"
     fit = Fit(found, 0.1, 0.05, 0.1, after, {}, (9, 3), 1, 0.0)
-    monkeypatch.setattr("unicon_ros.identify.fit_record", lambda *_, **__: (fit, "schema: none"))
+    monkeypatch.setattr(
+        "unicon_lab.identify.recorded.fit_record", lambda *_, **__: (fit, "schema: none")
+    )
     capsys.readouterr()
     assert main(["analyze", record, "--fit", "--out", str(out)]) == status
     told = capsys.readouterr().out

@@ -82,8 +82,8 @@ def test_with_ros_the_recording_holds_the_very_messages_that_left(tmp_path: Path
 
     from unicon_core.runtime import Runner, RunOptions
     from unicon_core.workflow import load_workflow
+    from unicon_lab.recording.run_recording import Recording
     from unicon_ros.bridge import RosSession
-    from unicon_ros.run_recording import Recording
 
     file = tmp_path / "run.mcap"
     session = RosSession(map="default", warn=lambda line: None)

@@ -17,7 +17,7 @@ from nav_msgs.msg import Path
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
 from unicon_ros.bridge.own_node import OwnNode
 from unicon_ros.cli import talk
 from unicon_ros.cli.main import main

@@ -7,14 +7,14 @@ import math
 import numpy as np
 import pytest
 
-from unicon_core.blocks.controls.headset import HeadsetControls
+from unicon_base.errors import WorkflowError
 from unicon_core.blocks.velocity_command import Drive
-from unicon_core.errors import WorkflowError
 from unicon_core.states import States, StateSpec
 from unicon_core.states.standard import BUTTONS
-from unicon_ros.peripherals.webxr.frames import BUTTONS as THEIRS
-from unicon_ros.peripherals.webxr.frames import PARTS
-from unicon_ros.peripherals.webxr.webxr import webxr
+from unicon_hardware.peripherals.webxr.frames import BUTTONS as THEIRS
+from unicon_hardware.peripherals.webxr.frames import PARTS
+from unicon_hardware.peripherals.webxr.webxr import webxr
+from unicon_manipulation.headset import HeadsetControls
 
 EVIDENCE = "stand_in"
 """What these tests run against, the most that config/evidence.yaml may say by them."""

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from unicon_base.errors import EmergencyStopPressed, Fault, WorkflowError
 from unicon_core.blocks.controls.gamepad import EVENT
 from unicon_core.blocks.controls.modes import modes
 from unicon_core.blocks.safety.stops import ButtonStop, RemoteStop
 from unicon_core.blocks.velocity_command import Drive
 from unicon_core.check import check_workflow
-from unicon_core.errors import EmergencyStopPressed, Fault, WorkflowError
 from unicon_core.flow import Block, Stage
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions

@@ -26,14 +26,14 @@ from picturing import picture, run
 from PIL import Image
 from pyarrow import parquet
 
-from unicon_core.errors import StateError, UniconError
+from unicon_base.errors import StateError, UniconError
 from unicon_core.flow import Block, Stage
 from unicon_core.robots import load_robot
 from unicon_core.workflow import Program
+from unicon_lab.datasets.export import export_dataset
+from unicon_lab.datasets.fit import Wanted
+from unicon_lab.recording import open_record
 from unicon_ros.cli.main import main
-from unicon_ros.datasets.export import export_dataset
-from unicon_ros.datasets.fit import Wanted
-from unicon_ros.recording import open_record
 
 OWN = Wanted(writer="own", video=False)
 GO2 = load_robot("go2")
@@ -307,7 +307,7 @@ def test_a_camera_without_a_picture_is_refused(tmp_path: Path) -> None:
     (tmp_path / "never").mkdir()
     run(tmp_path / "never", {"first": 3, "every": 100}, frames=["all"])
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("unicon_ros.recording.read.Record.states", _without_handles)
+        patch.setattr("unicon_lab.recording.read.Record.states", _without_handles)
         with pytest.raises(
             UniconError, match="no picture of 'front' in ticks 0 to 49 of run; leave"
         ):
@@ -468,7 +468,7 @@ def test_a_package_that_cannot_write_is_told_and_done_without(
 
 def test_a_state_of_other_numbers_is_refused(bags: list[Path], tmp_path: Path) -> None:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("unicon_ros.datasets.columns._TYPES", ("int8",))
+        patch.setattr("unicon_lab.datasets.columns._TYPES", ("int8",))
         with pytest.raises(StateError, match="state 'joint_pos' is float32, which a data set does"):
             made(bags, tmp_path / "set", states=["joint_pos"])
 

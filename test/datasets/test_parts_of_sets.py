@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
+from unicon_lab.datasets.episodes import _stretches, rate_of, sampled
+from unicon_lab.datasets.pictures import IMAGE, JPEG, Pictures, png
+from unicon_lab.datasets.statistics import joined, of_pictures, of_values
+from unicon_lab.recording.scan import Frames
 from unicon_ros.bridge.images import frame_message, jpeg_message
-from unicon_ros.datasets.episodes import _stretches, rate_of, sampled
-from unicon_ros.datasets.pictures import IMAGE, JPEG, Pictures, png
-from unicon_ros.datasets.statistics import joined, of_pictures, of_values
-from unicon_ros.recording.scan import Frames
 
 
 def record(steps_ns: list[int], period: float = 0.01, missing: frozenset[int] = frozenset()) -> Any:

@@ -15,10 +15,10 @@ import yaml
 pytest.importorskip("mujoco")
 pytest.importorskip("onnxruntime")
 
+from unicon_base.errors import Fault, RobotError
 from unicon_core.blocks.joint_command import Commands
 from unicon_core.blocks.safety.ranges import command_stop
 from unicon_core.check import check_workflow
-from unicon_core.errors import Fault, RobotError
 from unicon_core.flow import Block, Stage
 from unicon_core.gates.beginning import beginning
 from unicon_core.robots import load_robot

@@ -9,14 +9,14 @@ import pytest
 pytest.importorskip("mujoco")
 pytest.importorskip("onnxruntime")
 
+from unicon_base.schema.records import record_of
+from unicon_base.schema.types import Mistakes
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.schema.records import record_of
-from unicon_core.schema.types import Mistakes
 from unicon_core.terrain.words import KINDS
 from unicon_core.workflow.document import WorkflowDocument
+from unicon_lab.sweep.plan import Plan, document_with
+from unicon_lab.sweep.sweep_file import read_sweep
 from unicon_ros.cli.main import main
-from unicon_ros.sweep.plan import Plan, document_with
-from unicon_ros.sweep.sweep_file import read_sweep
 
 FILE = Path(__file__).resolve().parents[2] / "examples" / "terrain.yaml"
 

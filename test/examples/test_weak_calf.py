@@ -13,7 +13,7 @@ pytest.importorskip("onnxruntime")
 
 from weak_runs import RL_CALF, begins_to_fall, walked
 
-from unicon_core.gap import aligned_mse
+from unicon_core.metrics import aligned_mse
 
 SEEDS = 20
 

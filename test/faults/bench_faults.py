@@ -30,7 +30,7 @@ from faults.fault_run import FaultRun
 from faults.measure import measure
 from faults.simulated_case import ROBOTS, SimulatedCase, able
 from faults.simulated_run import run_case
-from unicon_core.errors import UniconError, alternatives
+from unicon_base.errors import UniconError, alternatives
 from unicon_core.page import write_file
 
 CASES: tuple[Case, ...] = (

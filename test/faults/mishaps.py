@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from faults.simulated_platform import FaultySimulator
-from unicon_core.errors import Fault
+from unicon_base.errors import Fault
 from unicon_core.flow import Block, Stage, blocks_of
 from unicon_core.policies import Policy
 from unicon_core.states.standard import COMMAND_STATES

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from faults.command_log import CLOSE, FAULT, OPEN, RECV, SEND, CommandLog
-from unicon_core.errors import Fault
+from unicon_base.errors import Fault
 from unicon_core.platforms.fake import FakeRobot, make_robot
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.platform import SIMULATED, Facts, Platform
@@ -163,6 +163,6 @@ class RecordingSimulator(RecordingPlatform):
         fault: dict[str, Any] | None = None,
         at: int = 25,
     ) -> None:
-        from unicon_core.platforms.sim.mujoco.platform import make  # mujoco may be absent
+        from unicon_core.platforms.mujoco.platform import make  # mujoco may be absent
 
         self._open(make(states, robot, period, scene=scene), states, log, fault, at)

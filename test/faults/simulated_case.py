@@ -13,8 +13,8 @@ import numpy as np
 from faults.case import TICKS
 from faults.mishaps import Mishap
 from faults.simulated_platform import MODULE
-from unicon_core.errors import UniconError
-from unicon_core.resources import find_resource
+from unicon_base.errors import UniconError
+from unicon_base.resources import find_resource
 from unicon_core.workflow.safety_set import ROBOT_SAFETY
 
 Outcome = Literal["refuse", "go on", "zero command", "soft", "damp"]

@@ -18,15 +18,15 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.errors import Fault
+from unicon_base.errors import Fault
 from unicon_core.platforms.kit.scene import Scene
+from unicon_core.platforms.mujoco.platform import make
 from unicon_core.platforms.platform import SIMULATED, Facts
-from unicon_core.platforms.sim.mujoco.platform import make
 from unicon_core.robots import Robot
 from unicon_core.runtime import Runner
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES, CONTROL_STATES, HARDWARE_STATES
-from unicon_ros.hardware.modes import ModeGuard
+from unicon_hardware.modes import ModeGuard
 
 MODULE = __name__
 LOGGED = (*COMMAND_STATES, "velocity_command")

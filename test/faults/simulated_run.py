@@ -15,12 +15,12 @@ import numpy as np
 from faults.damping_judge import Commands, beyond_damping
 from faults.simulated_case import SimulatedCase
 from faults.simulated_platform import LOGGED, FaultySimulator
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
 from unicon_core.platforms.kit.damping import DAMPING_TIME
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.workflow import Program
-from unicon_ros.fault_record import FaultRecord
-from unicon_ros.recording import open_record
+from unicon_lab.fault_record import FaultRecord
+from unicon_lab.recording import open_record
 
 ROOM = 2
 """Ticks that a reaction may take beyond the detection."""

@@ -25,7 +25,7 @@ from faults.measure import measure
 from faults.on_disk import recorded_span
 from faults.peers.noise import garbage, random_bits
 from faults.simulated_case import ROBOTS
-from unicon_core.resources import find_config, same_modules
+from unicon_base.resources import find_config, same_modules
 from unicon_core.robots import load_robot
 from unicon_msgs_map import Decoder, load_map
 from unicon_ros.cli.main import main

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from unicon_core.errors import WorkflowError
+from unicon_base.errors import WorkflowError
 from unicon_core.flow import (
     Block,
     Chain,

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from unicon_base.errors import StateError
 from unicon_core.blocks.maps import copy, linear_map
-from unicon_core.errors import StateError
 from unicon_core.flow import Block, Chain, Deferred, Every, Loop, When, Zip, as_block, compile_graph
 from unicon_core.flow.fuse import fuse
 from unicon_core.flow.linear import LinearMap

@@ -6,7 +6,7 @@ import gc
 import threading
 import time
 
-from unicon_core.generated import check_source
+from unicon_base.generated import check_source
 
 
 def test_threads_that_compile_at_once_do_not_disturb_each_other() -> None:

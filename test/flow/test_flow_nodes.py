@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from unicon_core.errors import WorkflowError
+from unicon_base.errors import WorkflowError
 from unicon_core.flow import (
     Blender,
     Block,

@@ -35,19 +35,19 @@ from seeds import (
     XML_SNIPPETS,
 )
 
-from unicon_core.errors import Fault
+from unicon_base.errors import Fault
 from unicon_core.models.kinematic_tree import read_tree
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.sim.mujoco import make as mujoco_platform
+from unicon_core.platforms.mujoco import make as mujoco_platform
 from unicon_core.policies import Policy, load_policy, policy_states, policy_table
 from unicon_core.robots import load_robot, robot_table
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import Layout, States, standard_states
+from unicon_lab.recording import open_record, recover
+from unicon_lab.recording.recorder import Recorder
 from unicon_msgs_map import Decoder, Encoder, load_map
-from unicon_ros.recorder import Recorder
-from unicon_ros.recording import open_record, recover
 
 __all__ = ["KINDS"]
 
@@ -223,7 +223,7 @@ def recording(dice: random.Random, folder: Path) -> Reader:
 def cut_off() -> bytes:
     """Return a small fault record."""
     from unicon_core import Program, block
-    from unicon_ros.fault_record import FaultRecord
+    from unicon_lab.fault_record import FaultRecord
 
     with tempfile.TemporaryDirectory() as folder:
         record = FaultRecord(folder, warn=str)

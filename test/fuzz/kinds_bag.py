@@ -16,13 +16,13 @@ from unicon_core import Program, block
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import States
-from unicon_ros.fault_record import FaultRecord
-from unicon_ros.recording import open_record
-from unicon_ros.recording.export import export
-from unicon_ros.recording.import_bag import import_bag
-from unicon_ros.recording.info import info_of, info_text
-from unicon_ros.recording.npz import import_npz
-from unicon_ros.run_recording import Recording
+from unicon_lab.fault_record import FaultRecord
+from unicon_lab.recording import open_record
+from unicon_lab.recording.export import export
+from unicon_lab.recording.import_bag import import_bag
+from unicon_lab.recording.info import info_of, info_text
+from unicon_lab.recording.npz import import_npz
+from unicon_lab.recording.run_recording import Recording
 
 __all__ = ["bags", "replays"]
 

@@ -15,7 +15,7 @@ from mutate import mutate_bytes, mutate_tree, to_text
 from reading import Reader, tree, whole, write
 from seeds import ARGUMENTS, ONE_BLOCK, PLATFORMS, SAFETY, SCENES, STARTS
 
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.preflight import wiggle
 from unicon_core.workflow import load_document

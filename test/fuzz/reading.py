@@ -12,8 +12,8 @@ from typing import Any
 import yaml
 from mutate import mutate_bytes, mutate_text, mutate_tree, to_text
 
+from unicon_base.errors import Fault
 from unicon_core.check import check_workflow
-from unicon_core.errors import Fault
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.show.text import show_text
 from unicon_core.workflow import load_workflow

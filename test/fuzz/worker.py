@@ -52,7 +52,7 @@ class Watch:
     # Who may run code objects: imports, and what makes classes of our own or of a .msg file.
     RUNNERS = (
         "importlib", "frozen", "dataclasses", "collections", "typing", "rosbags", "generated.py",
-        "typesys", "serde", "unicon_core/generated",
+        "typesys", "serde", "unicon_base/generated",
     )  # fmt: skip
 
     def __init__(self) -> None:
@@ -94,7 +94,7 @@ def main(kind: str, seed: int, first: int, count: int, out: str) -> None:
     from kinds import KINDS
     from mutate import SENTINEL
 
-    from unicon_core.errors import UniconError
+    from unicon_base.errors import UniconError
 
     make = KINDS[kind]
     watch = Watch()

@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from unicon_core.errors import UniconError
-from unicon_core.gap import aligned_mse, shift_losses
+from unicon_base.errors import UniconError
+from unicon_core.metrics import aligned_mse, shift_losses
 
 Floats = NDArray[np.float64]
 
@@ -92,7 +92,7 @@ def test_leading_axes_give_the_results_of_one_after_the_other(
     real, sims = random.normal(size=(200, 3)), random.normal(size=(2, 5, 180, 3))
     sims[1, 4] = real[7:187]
     for at_once in (1, 1 << 22):
-        monkeypatch.setattr("unicon_core.gap.alignment.AT_ONCE", at_once)
+        monkeypatch.setattr("unicon_core.metrics.alignment.AT_ONCE", at_once)
         found = aligned_mse(real, sims)
         assert found.loss.shape == found.shift.shape == found.overlap.shape == (2, 5)
         assert int(found.shift[1, 4]) == 7

@@ -14,8 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from unicon_core.errors import UniconError
-from unicon_core.gap import (
+from unicon_base.errors import UniconError
+from unicon_core.metrics import (
     affine,
     aligned_mse,
     chamfer,
@@ -29,7 +29,7 @@ from unicon_core.gap import (
     warming,
     wasserstein,
 )
-from unicon_core.gap.elements import assign
+from unicon_core.metrics.elements import assign
 
 Floats = NDArray[np.float64]
 
@@ -155,7 +155,7 @@ def test_chamfer_is_the_distance_to_the_nearest(n: int, m: int, d: int, seed: in
 
 
 def test_chamfer_knows_no_order(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("unicon_core.gap.distances.ROWS", 7)
+    monkeypatch.setattr("unicon_core.metrics.distances.ROWS", 7)
     real = smooth(4, 50, 3)
     assert float(chamfer(real, real[::-1])) == 0.0
     assert chamfer(np.stack([real, real]), real[:20]).shape == (2,)

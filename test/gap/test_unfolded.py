@@ -14,8 +14,8 @@ from aligned_twins import unfolded
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from unicon_core.errors import UniconError
-from unicon_core.gap import aligned_mse, unfolded_mse
+from unicon_base.errors import UniconError
+from unicon_core.metrics import aligned_mse, unfolded_mse
 
 LOSSES = os.environ.get("UNICON_LOSSES", "")
 """Path of `unicon/losses.py` of https://github.com/CreeperLin/unicon, which is not copied here."""

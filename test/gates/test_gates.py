@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from gate_robots import reasons
 
+from unicon_base.errors import Fault
 from unicon_core import Program, block, policy
 from unicon_core.check import check_workflow, refuse_errors
-from unicon_core.errors import Fault
 from unicon_core.gates.gate import StartGate
 from unicon_core.runtime.beforehand import prepared
 

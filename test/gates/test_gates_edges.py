@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from unicon_base.errors import Fault
 from unicon_core import Program, block
-from unicon_core.errors import Fault
 from unicon_core.gates.data import Changing, Imu, Rate
 from unicon_core.gates.gate import Heeding
 

@@ -152,7 +152,7 @@ def test_a_fault_of_the_platform_is_told_and_nothing_is_sent(
     preflight: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def silent(robot: Any, states: Any) -> None:
-        from unicon_core.errors import Fault
+        from unicon_base.errors import Fault
 
         if robot.ticks > 5:
             raise Fault("topic /joint_states: no message for 0.5 s")

@@ -27,7 +27,7 @@ from unicon_core.platforms.fake import FakePlatform, make
 from unicon_core.robots import Robot, load_robot
 from unicon_core.states import States, standard_states
 from unicon_core.states.standard import COMMAND_STATES, hardware_states
-from unicon_ros.emulate.face import Face, Timed
+from unicon_hardware.emulate.face import Face, Timed
 
 LEAN = 0.05  # [rad] from the default posture
 

@@ -13,7 +13,7 @@ from typing import Any
 from unicon_core.robots import Robot, load_robot
 from unicon_core.states import States, standard_states
 from unicon_core.states.standard import hardware_states
-from unicon_ros.hardware.modbus.served import HandFace
+from unicon_hardware.modbus.served import HandFace
 
 
 def hand_states(robot: Robot | str) -> States:

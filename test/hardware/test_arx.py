@@ -17,11 +17,11 @@ from emulated import Emulated, moved, states_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from unicon_core.errors import Fault, MissingDependencyError, PlatformError, RobotError
+from unicon_base.errors import Fault, MissingDependencyError, PlatformError, RobotError
 from unicon_core.robots import Robot, load_robot
 from unicon_core.runtime.runner import Runner, RunOptions
 from unicon_core.workflow import load_workflow
-from unicon_ros.hardware.arx.codec import (
+from unicon_hardware.arx.codec import (
     DM,
     EC,
     Motors,
@@ -35,7 +35,7 @@ from unicon_ros.hardware.arx.codec import (
 EVIDENCE = "frames"
 """What these tests run against, the most that config/evidence.yaml may say by them."""
 
-FACE = "unicon_ros.hardware.arx.face:face"
+FACE = "unicon_hardware.arx.face:face"
 # What libhardware.so of real-stanford/arx5-sdk (lib/x86_64) wrote to the bus and read from it, its
 # socket being ours: four of 4,000 each, all of which are equal.
 # q*, qd*, tau, kp, kd and the frame; the third and the last are beyond the ranges.
@@ -193,7 +193,7 @@ def test_any_frame_is_read_or_left(number: int, data: bytes) -> None:
 
 
 def test_wrong_facts_and_options_are_told(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    from unicon_ros.hardware.arx.platform import make
+    from unicon_hardware.arx.platform import make
 
     states = states_of(robot)
     with pytest.raises(PlatformError, match=r"write platforms: \{arx: \{unverified: true\}\}"):
@@ -217,7 +217,7 @@ def test_a_bus_that_is_not_there_is_told(robot: Robot) -> None:
     pytest.importorskip(
         "can", reason="python-can is not installed: pip install 'unicon_ros[hw-arx]'"
     )
-    from unicon_ros.hardware.arx.platform import make
+    from unicon_hardware.arx.platform import make
 
     states = states_of(robot)
     for interface in ("socketcan", "nonsense"):
@@ -239,7 +239,7 @@ class Pair:
     """Our wire and the emulated motors, on a bus of this process."""
 
     def __init__(self, robot: Robot, channel: str) -> None:
-        from unicon_ros.hardware.arx.platform import ArxWire, open_bus
+        from unicon_hardware.arx.platform import ArxWire, open_bus
 
         self.emulated = Emulated(robot, FACE, channel=channel)
         self.states = states_of(robot)
@@ -298,7 +298,7 @@ def test_motors_are_asked_limp_and_then_obey(pair: Pair) -> None:
 
 
 def test_a_motor_that_does_not_answer_is_a_fault_by_name(pair: Pair, robot: Robot) -> None:
-    from unicon_ros.hardware.arx.platform import Arx
+    from unicon_hardware.arx.platform import Arx
 
     pair.step(5)
     platform = Arx(pair.states, robot, 0.02, pair.wire, silence=0.05)
@@ -380,9 +380,9 @@ WORKFLOW = """
 schema: unicon.workflow/1
 name: arx
 robot: arx_x5
-platform: unicon_ros.hardware.arx.platform:make
+platform: unicon_hardware.arx.platform:make
 platforms:
-  "unicon_ros.hardware.arx.platform:make":
+  "unicon_hardware.arx.platform:make":
     {channel: arx_run, interface: virtual, unverified: true, silence: 2.0}
 rate: 50
 flow:

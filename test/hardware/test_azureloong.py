@@ -16,19 +16,19 @@ from emulated import Emulated, free_ports, moved, running, states_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from unicon_core.errors import Fault, PlatformError, RobotError, WorkflowError
+from unicon_base.errors import Fault, PlatformError, RobotError, WorkflowError
 from unicon_core.platforms.kit.base import rpy_of_quat
 from unicon_core.robots import Robot, load_robot
 from unicon_core.runtime.runner import Runner, RunOptions
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow import load_workflow
-from unicon_ros.hardware.azureloong.codec import command_type, state_type
-from unicon_ros.hardware.azureloong.platform import AzureWire, make
+from unicon_hardware.azureloong.codec import command_type, state_type
+from unicon_hardware.azureloong.platform import AzureWire, make
 
 EVIDENCE = "vendor"
 """What these tests run against, the most that config/evidence.yaml may say by them."""
 
-FACE = "unicon_ros.hardware.azureloong.face:face"
+FACE = "unicon_hardware.azureloong.face:face"
 COMMAND = (
     "<hhiff155f12f"  # loong_jnt_sdk_datas.py: '2hi', 'ff', five times 31 floats, 6 + 6 fingers
 )
@@ -310,9 +310,9 @@ WORKFLOW = """
 schema: unicon.workflow/1
 name: loong
 robot: ./azureloong.yaml
-platform: unicon_ros.hardware.azureloong.platform:make
+platform: unicon_hardware.azureloong.platform:make
 platforms:
-  "unicon_ros.hardware.azureloong.platform:make": {address: 127.0.0.1, silence: 2.0}
+  "unicon_hardware.azureloong.platform:make": {address: 127.0.0.1, silence: 2.0}
 rate: 50
 flow:
   chain:

@@ -18,19 +18,19 @@ pytest.importorskip("cyclonedds", reason="needs cyclonedds: pip install 'unicon_
 
 from dds_ends import DOMAIN, LOOPBACK, Ends, until
 
-from unicon_core.errors import Fault, PlatformError, RobotError
+from unicon_base.errors import Fault, PlatformError, RobotError
 from unicon_core.platforms.kit.base import quat_of_rpy
 from unicon_core.robots import Robot, load_robot
 from unicon_core.states import States, standard_states
 from unicon_core.states.standard import BUTTONS, COMMAND_STATES, control_states, hardware_states
+from unicon_hardware.booster import takeover
+from unicon_hardware.booster.codec import REMOTE, BoosterFacts
+from unicon_hardware.booster.face import BoosterFace, face
+from unicon_hardware.booster.platform import BoosterWire, make
+from unicon_hardware.booster.takeover import number
+from unicon_hardware.dds.maps import arrays_of, command_arrays
+from unicon_hardware.wire import Counts
 from unicon_msgs_map.layout.messages import shared_messages
-from unicon_ros.hardware.booster import takeover
-from unicon_ros.hardware.booster.codec import REMOTE, BoosterFacts
-from unicon_ros.hardware.booster.face import BoosterFace, face
-from unicon_ros.hardware.booster.platform import BoosterWire, make
-from unicon_ros.hardware.booster.takeover import number
-from unicon_ros.hardware.dds.maps import arrays_of, command_arrays
-from unicon_ros.hardware.wire import Counts
 
 T1 = load_robot("t1")
 FACTS = BoosterFacts.of(T1)

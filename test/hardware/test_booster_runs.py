@@ -19,7 +19,7 @@ from unicon_ros.bench.domains import free_domain
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
 UNICON = (sys.executable, "-m", "unicon_ros")
-PACKAGE = "unicon_ros.hardware.booster"
+PACKAGE = "unicon_hardware.booster"
 PLATFORM = f"{PACKAGE}.platform:make"
 FIRST = 0.05
 """How far a first command may be from where the joints are, [rad]."""

@@ -26,11 +26,11 @@ from unitree_helpers import until
 
 from unicon_core.platforms.kit.base import quat_of_rpy
 from unicon_core.states.standard import BUTTONS
+from unicon_hardware.booster.codec import BoosterFacts
+from unicon_hardware.booster.face import face
+from unicon_hardware.booster.platform import BoosterWire
+from unicon_hardware.dds.maps import command_arrays
 from unicon_ros.bench.domains import free_domain
-from unicon_ros.hardware.booster.codec import BoosterFacts
-from unicon_ros.hardware.booster.face import face
-from unicon_ros.hardware.booster.platform import BoosterWire
-from unicon_ros.hardware.dds.maps import command_arrays
 
 EVIDENCE = "vendor"
 """What these tests run against, the most that config/evidence.yaml may say by them."""

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from unitree_helpers import until
 
-from unicon_core.errors import PlatformError
+from unicon_base.errors import PlatformError
 from unicon_core.interfaces import ipv4_of
-from unicon_ros.hardware.dds.domains import FOREIGN, Announcer, without
+from unicon_hardware.dds.domains import FOREIGN, Announcer, without
 
 PREFIX = bytes(range(12))
 SENTINEL = struct.pack("<HH", 1, 0)

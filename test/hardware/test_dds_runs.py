@@ -21,7 +21,7 @@ from unicon_ros.bench.domains import free_domain
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(200)]
 
 ROBOT = Path(__file__).with_name("dds_robot.py")
-PACKAGE = "unicon_ros.hardware"
+PACKAGE = "unicon_hardware"
 WORKFLOW = """
 schema: unicon.workflow/1
 name: posture

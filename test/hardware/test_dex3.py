@@ -17,14 +17,14 @@ pytest.importorskip("cyclonedds", reason="needs cyclonedds: pip install 'unicon_
 
 from dds_ends import DOMAIN, LOOPBACK, Ends, golden_frame, states_of, until
 
-from unicon_core.errors import Fault, PlatformError, RobotError
+from unicon_base.errors import Fault, PlatformError, RobotError
 from unicon_core.robots import load_robot
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow.hardware import declared_facts, refuse_incomplete
-from unicon_ros.hardware.dds import maps
-from unicon_ros.hardware.unitree_dex3.face import face
-from unicon_ros.hardware.unitree_dex3.platform import Dex3, Dex3Facts, Dex3Wire, make, own_arrays
-from unicon_ros.hardware.wire import Counts
+from unicon_hardware.dds import maps
+from unicon_hardware.unitree_dex3.face import face
+from unicon_hardware.unitree_dex3.platform import Dex3, Dex3Facts, Dex3Wire, make, own_arrays
+from unicon_hardware.wire import Counts
 
 EVIDENCE = "frames"
 """What these tests run against, the most that config/evidence.yaml may say by them."""

@@ -17,16 +17,16 @@ pytest.importorskip("cyclonedds", reason="needs cyclonedds: pip install 'unicon_
 
 from dds_ends import DOMAIN, LOOPBACK, Ends, until
 
-from unicon_core.errors import Fault, PlatformError, RobotError
+from unicon_base.errors import Fault, PlatformError, RobotError
 from unicon_core.robots import Robot, load_robot
 from unicon_core.states import States, standard_states
 from unicon_core.states.standard import BUTTONS, COMMAND_STATES, control_states, hardware_states
 from unicon_core.workflow.hardware import refuse_incomplete
-from unicon_ros.hardware.dobot import platform as takeover
-from unicon_ros.hardware.dobot.codec import DobotFacts, own_arrays
-from unicon_ros.hardware.dobot.face import face
-from unicon_ros.hardware.dobot.platform import DobotWire, make
-from unicon_ros.hardware.wire import Counts
+from unicon_hardware.dobot import platform as takeover
+from unicon_hardware.dobot.codec import DobotFacts, own_arrays
+from unicon_hardware.dobot.face import face
+from unicon_hardware.dobot.platform import DobotWire, make
+from unicon_hardware.wire import Counts
 
 EVIDENCE = "stand_in"
 """What these tests run against, the most that config/evidence.yaml may say by them."""

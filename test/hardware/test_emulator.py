@@ -12,15 +12,15 @@ import pytest
 import udp_robot
 from numpy.typing import NDArray
 
+from unicon_base.errors import UniconError
 from unicon_core.blocks.projected_gravity import projected_gravity
-from unicon_core.errors import UniconError
 from unicon_core.robots import Robot, load_robot
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
+from unicon_hardware.emulate import body
+from unicon_hardware.emulate.defects import Defects
+from unicon_hardware.emulate.emulator import SILENCE, Emulator, emulated
 from unicon_ros.cli.main import main
-from unicon_ros.emulate import body
-from unicon_ros.emulate.defects import Defects
-from unicon_ros.emulate.emulator import SILENCE, Emulator, emulated
 
 PERIOD = 0.002
 ROBOT = load_robot("go2")

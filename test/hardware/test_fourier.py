@@ -13,19 +13,19 @@ import numpy as np
 import pytest
 from emulated import Emulated, free_ports, moved, running, states_of
 
-from unicon_core.errors import Fault, PlatformError, RobotError, WorkflowError
+from unicon_base.errors import Fault, PlatformError, RobotError, WorkflowError
 from unicon_core.robots import Robot, load_robot
 from unicon_core.runtime.runner import Runner, RunOptions
 from unicon_core.workflow import load_workflow
-from unicon_ros.hardware.fourier.actuator_wire import TRIES
-from unicon_ros.hardware.fourier.codec import Actuators
-from unicon_ros.hardware.fourier.platform import Fourier, FourierWire, make
-from unicon_ros.hardware.udp import Udp
+from unicon_hardware.fourier.actuator_wire import TRIES
+from unicon_hardware.fourier.codec import Actuators
+from unicon_hardware.fourier.platform import Fourier, FourierWire, make
+from unicon_hardware.udp import Udp
 
 EVIDENCE = "vendor"
 """What these tests run against, the most that config/evidence.yaml may say by them."""
 
-FACE = "unicon_ros.hardware.fourier.face:face"
+FACE = "unicon_hardware.fourier.face:face"
 NETWORK = "127.84.1.1"
 SCALES = {"stiffness_scale": [0.5] * 23, "damping_scale": [0.25] * 23, "timeout_mode": 3}
 
@@ -247,7 +247,7 @@ def test_an_error_or_a_refusal_is_told_by_name(pair: Pair) -> None:
 
 
 def test_who_never_acknowledges_is_a_fault(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("unicon_ros.hardware.fourier.actuator_wire.AGAIN", 0.0)
+    monkeypatch.setattr("unicon_hardware.fourier.actuator_wire.AGAIN", 0.0)
     pair.step(5)
     pair.emulated.face.close()
     for _ in range(TRIES):
@@ -371,9 +371,9 @@ WORKFLOW = f"""
 schema: unicon.workflow/1
 name: fourier
 robot: ./n1.yaml
-platform: unicon_ros.hardware.fourier.platform:make
+platform: unicon_hardware.fourier.platform:make
 platforms:
-  "unicon_ros.hardware.fourier.platform:make": {{address: {NETWORK}, silence: 2.0, dead_man: 1.0}}
+  "unicon_hardware.fourier.platform:make": {{address: {NETWORK}, silence: 2.0, dead_man: 1.0}}
 rate: 50
 flow:
   chain:

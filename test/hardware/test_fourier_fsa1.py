@@ -17,21 +17,21 @@ from emulated import Emulated, free_ports, moved, running, states_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from unicon_core.errors import Fault, PlatformError, RobotError
+from unicon_base.errors import Fault, PlatformError, RobotError
 from unicon_core.robots import Robot, load_robot
 from unicon_core.runtime.runner import Runner, RunOptions
 from unicon_core.workflow import load_workflow
-from unicon_ros.hardware.fourier import fsa1_codec as codec
-from unicon_ros.hardware.fourier.fsa1_codec import Servos
-from unicon_ros.hardware.fourier.fsa1_face import Fsa1Face
-from unicon_ros.hardware.fourier.fsa1_wire import SAMPLES, Fsa1Wire, Zero
-from unicon_ros.hardware.fourier.platform import Fourier, make
-from unicon_ros.hardware.udp import Udp
+from unicon_hardware.fourier import fsa1_codec as codec
+from unicon_hardware.fourier.fsa1_codec import Servos
+from unicon_hardware.fourier.fsa1_face import Fsa1Face
+from unicon_hardware.fourier.fsa1_wire import SAMPLES, Fsa1Wire, Zero
+from unicon_hardware.fourier.platform import Fourier, make
+from unicon_hardware.udp import Udp
 
 EVIDENCE = "vendor"
 """What these tests run against, the most that config/evidence.yaml may say by them."""
 
-FACE = "unicon_ros.hardware.fourier.face:face"
+FACE = "unicon_hardware.fourier.face:face"
 NETWORK = "127.85.1.1"
 FIGURES = {  # as somebody might have measured them
     "reduction_ratio": [31.0] * 16 + [51.0] * 16,
@@ -416,9 +416,9 @@ WORKFLOW = f"""
 schema: unicon.workflow/1
 name: fourier1
 robot: ./gr1t2.yaml
-platform: unicon_ros.hardware.fourier.platform:make
+platform: unicon_hardware.fourier.platform:make
 platforms:
-  "unicon_ros.hardware.fourier.platform:make": {{address: {NETWORK}, silence: 2.0}}
+  "unicon_hardware.fourier.platform:make": {{address: {NETWORK}, silence: 2.0}}
 rate: 50
 flow:
   chain:

@@ -19,13 +19,13 @@ from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 from pymodbus.framer import FramerType
 
 from unicon_core.robots import load_robot
-from unicon_ros.hardware.inspire.face import face as inspire_face
-from unicon_ros.hardware.inspire.platform import make as inspire
-from unicon_ros.hardware.modbus.frames import Rtu
-from unicon_ros.hardware.modbus.hand import HandWire
-from unicon_ros.hardware.modbus.link import Link
-from unicon_ros.hardware.rohand.face import face as rohand_face
-from unicon_ros.hardware.rohand.platform import check_protocol, registers_of
+from unicon_hardware.inspire.face import face as inspire_face
+from unicon_hardware.inspire.platform import make as inspire
+from unicon_hardware.modbus.frames import Rtu
+from unicon_hardware.modbus.hand import HandWire
+from unicon_hardware.modbus.link import Link
+from unicon_hardware.rohand.face import face as rohand_face
+from unicon_hardware.rohand.platform import check_protocol, registers_of
 
 EVIDENCE = "stand_in"
 """What these tests run against, the most that config/evidence.yaml may say by them."""

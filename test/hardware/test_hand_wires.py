@@ -21,20 +21,20 @@ import numpy as np
 import pytest
 from hand_peers import Pumped, free_port, hand_states, pty_pair, pumped, until
 
-from unicon_core.errors import Fault, PlatformError, RobotError
+from unicon_base.errors import Fault, PlatformError, RobotError
 from unicon_core.platforms.platform import CountsArrivals, Platform, Prepares, WaitsForData
 from unicon_core.robots import Robot, load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import States
 from unicon_core.workflow import Program
-from unicon_ros.hardware.inspire.face import face as inspire_face
-from unicon_ros.hardware.inspire.platform import Inspire
-from unicon_ros.hardware.inspire.platform import make as inspire
-from unicon_ros.hardware.modbus.frames import Frame, Refused, Rtu, Tcp, read_request, write_request
-from unicon_ros.hardware.modbus.link import Link, open_serial
-from unicon_ros.hardware.modbus.served import HandFace, PtyServer, _Served
-from unicon_ros.hardware.rohand.face import face as rohand_face
-from unicon_ros.hardware.rohand.platform import make as rohand
+from unicon_hardware.inspire.face import face as inspire_face
+from unicon_hardware.inspire.platform import Inspire
+from unicon_hardware.inspire.platform import make as inspire
+from unicon_hardware.modbus.frames import Frame, Refused, Rtu, Tcp, read_request, write_request
+from unicon_hardware.modbus.link import Link, open_serial
+from unicon_hardware.modbus.served import HandFace, PtyServer, _Served
+from unicon_hardware.rohand.face import face as rohand_face
+from unicon_hardware.rohand.platform import make as rohand
 
 LEFT = load_robot("inspire_rh56_left")
 PERIOD = 0.01
@@ -474,7 +474,7 @@ def test_a_body_and_a_hand_run_together(tcp: tuple[Hand, Pumped]) -> None:
         robot={"body": "go2", "left_hand": "inspire_rh56_left"},
         platform={
             "body": "fake_robot",
-            "left_hand": "unicon_ros.hardware.inspire.platform:make",
+            "left_hand": "unicon_hardware.inspire.platform:make",
         },
         platforms={"left_hand": {"address": "127.0.0.1", "port": server.port}},
         start={"operator": False, "fade_in": 0.1},

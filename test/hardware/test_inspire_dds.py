@@ -18,12 +18,12 @@ pytest.importorskip("cyclonedds", reason="needs cyclonedds: pip install 'unicon_
 
 from dds_ends import DOMAIN, LOOPBACK, Ends, golden_frame, states_of, until
 
-from unicon_core.errors import Fault, MissingDependencyError, PlatformError, RobotError
+from unicon_base.errors import Fault, MissingDependencyError, PlatformError, RobotError
 from unicon_core.robots import load_robot
-from unicon_ros.hardware.inspire.dds.face import face
-from unicon_ros.hardware.inspire.dds.wire import Both, HandFacts, InspireDdsWire
-from unicon_ros.hardware.inspire.platform import Inspire, make
-from unicon_ros.hardware.wire import Counts
+from unicon_hardware.inspire.dds.face import face
+from unicon_hardware.inspire.dds.wire import Both, HandFacts, InspireDdsWire
+from unicon_hardware.inspire.platform import Inspire, make
+from unicon_hardware.wire import Counts
 
 EVIDENCE = "stand_in"
 """What these tests run against, the most that config/evidence.yaml may say by them."""

@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 from legged_peer import LENGTHS, sealed, slow_command, slow_crc
 
 from unicon_core.robots import load_robot
-from unicon_ros.hardware.unitree_legged.codec import (
+from unicon_hardware.unitree_legged.codec import (
     LAYOUTS,
     CommandFrame,
     Frame,
     encrypted_crc,
 )
-from unicon_ros.hardware.unitree_legged.link import link_of
+from unicon_hardware.unitree_legged.link import link_of
 
 EVIDENCE = "frames"
 """What these tests run against, the most that config/evidence.yaml may say by them."""

@@ -16,12 +16,12 @@ from hypothesis import strategies as st
 from legged_peer import LENGTHS, free_port, robot_of, sealed, slow_state, states_of
 
 from unicon_core.states import States, StateSpec
-from unicon_ros.hardware.udp import Udp
-from unicon_ros.hardware.unitree_legged.codec import LAYOUTS, CommandFrame, Frame
-from unicon_ros.hardware.unitree_legged.face import face
-from unicon_ros.hardware.unitree_legged.link import link_of
-from unicon_ros.hardware.unitree_legged.wire import StateReader
-from unicon_ros.hardware.wire import Counts
+from unicon_hardware.udp import Udp
+from unicon_hardware.unitree_legged.codec import LAYOUTS, CommandFrame, Frame
+from unicon_hardware.unitree_legged.face import face
+from unicon_hardware.unitree_legged.link import link_of
+from unicon_hardware.unitree_legged.wire import StateReader
+from unicon_hardware.wire import Counts
 
 FLOAT = st.floats(width=32)
 PLAIN = st.floats(-1e6, 1e6, width=32)

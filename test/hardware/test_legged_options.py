@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 from legged_peer import robot_of, states_of
 
+from unicon_base.errors import PlatformError, RobotError, StateError
 from unicon_core import Program, block
-from unicon_core.errors import PlatformError, RobotError, StateError
 from unicon_core.robots import load_robot
 from unicon_core.states import States, StateSpec, standard_states
-from unicon_ros.hardware.unitree_legged.platform import make
+from unicon_hardware.unitree_legged.platform import make
 
 PERIOD = 0.002
 
@@ -79,7 +79,7 @@ def test_foot_forces_are_four() -> None:
 def test_check_knows_what_a_robot_tells_without_opening_it(name: str, battery: bool) -> None:
     described: dict[str, Any] = {
         "robot": name,
-        "platform": "unicon_ros.hardware.unitree_legged.platform:make",
+        "platform": "unicon_hardware.unitree_legged.platform:make",
         "rate": 50,
         "states": {"foot_force": {"shape": [4]}},
     }

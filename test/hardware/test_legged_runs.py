@@ -27,7 +27,7 @@ from unicon_core.states import States
 from unicon_core.states.standard import BUTTONS, control_states
 from unicon_core.workflow.uses import block, pose
 
-MAKE = "unicon_ros.hardware.unitree_legged.platform:make"
+MAKE = "unicon_hardware.unitree_legged.platform:make"
 ROBOTS = Path(__file__).resolve().parents[2] / "config" / "robots"
 LYING = {"*_hip_joint": 0.0, "*_thigh_joint": 1.2, "*_calf_joint": -2.6}
 """What all three can do, on the belly."""

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from unicon_core.robots import load_robot
-from unicon_ros.hardware.inspire.platform import registers_of as inspire
-from unicon_ros.hardware.modbus.frames import (
+from unicon_hardware.inspire.platform import registers_of as inspire
+from unicon_hardware.modbus.frames import (
     Frame,
     Framing,
     Refused,
@@ -24,8 +24,8 @@ from unicon_ros.hardware.modbus.frames import (
     write_answer,
     write_request,
 )
-from unicon_ros.hardware.modbus.registers import Told
-from unicon_ros.hardware.rohand.platform import registers_of as rohand
+from unicon_hardware.modbus.registers import Told
+from unicon_hardware.rohand.platform import registers_of as rohand
 
 WORDS = st.lists(st.integers(0, 0xFFFF), min_size=1, max_size=120)
 ANGLES = st.lists(st.floats(-100.0, 100.0), min_size=6, max_size=6)

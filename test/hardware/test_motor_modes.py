@@ -18,11 +18,11 @@ from stepping import stepping
 from unitree_helpers import until
 from vendor_robots import completed, serve
 
-from unicon_core.errors import Fault
+from unicon_base.errors import Fault
 from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states
+from unicon_hardware.modes import UNDOCUMENTED, ModeGuard
 from unicon_ros.bench.domains import free_domain
-from unicon_ros.hardware.modes import UNDOCUMENTED, ModeGuard
 
 PERIOD = 0.004
 JOINT = 5
@@ -88,7 +88,7 @@ def driven(name: str, folder: Path) -> Iterator[tuple[Emulated, Any, States]]:
     module, needs, options, _ = CASES[name]
     if needs:
         pytest.importorskip(needs, reason=f"needs {needs}")
-    module = f"unicon_ros.hardware.{module}"
+    module = f"unicon_hardware.{module}"
     make = pytest.importorskip(f"{module}.platform").make
     file = load_robot(completed(name, folder))
     theirs, ours = options()

@@ -17,14 +17,14 @@ pytest.importorskip("cyclonedds", reason="needs cyclonedds: pip install 'unicon_
 
 from dds_ends import DOMAIN, LOOPBACK, Ends, golden_frame, states_of, until
 
-from unicon_core.errors import Fault, MissingDependencyError, PlatformError, RobotError
+from unicon_base.errors import Fault, MissingDependencyError, PlatformError, RobotError
 from unicon_core.robots import Robot, load_robot
 from unicon_core.states import States, standard_states
 from unicon_core.states.standard import BUTTONS, COMMAND_STATES, control_states, hardware_states
-from unicon_ros.hardware.dds import maps, participant
-from unicon_ros.hardware.pnd.face import face
-from unicon_ros.hardware.pnd.platform import REMOTE, LowStates, Pnd, PndFacts, PndWire, make
-from unicon_ros.hardware.wire import Counts
+from unicon_hardware.dds import maps, participant
+from unicon_hardware.pnd.face import face
+from unicon_hardware.pnd.platform import REMOTE, LowStates, Pnd, PndFacts, PndWire, make
+from unicon_hardware.wire import Counts
 
 EVIDENCE = "frames"
 """What these tests run against, the most that config/evidence.yaml may say by them."""

@@ -10,8 +10,8 @@ from emulated_runs import ended
 from peer import Peer
 from vendor_robots import serve
 
-from unicon_core.errors import UniconError
-from unicon_ros.run_report.report import report_of
+from unicon_base.errors import UniconError
+from unicon_lab.run_report.report import report_of
 
 pytest.importorskip("rosbags")
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]

@@ -7,8 +7,8 @@ from collections.abc import Iterable
 
 import pytest
 
-from unicon_core.errors import Fault
-from unicon_ros.hardware.robot_clock import Milliseconds, Repeats, RobotClock
+from unicon_base.errors import Fault
+from unicon_hardware.robot_clock import Milliseconds, Repeats, RobotClock
 
 SECOND = 1_000_000_000
 
@@ -93,7 +93,7 @@ def frames(seed: int, count: int = 500) -> list[bytes]:
 
 def test_measurements_that_come_again_are_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
     now = [0]
-    monkeypatch.setattr("unicon_ros.hardware.robot_clock.time.monotonic_ns", lambda: now[0])
+    monkeypatch.setattr("unicon_hardware.robot_clock.time.monotonic_ns", lambda: now[0])
     look, past = Repeats("platform 'it'", slice(4, 36)), frames(0)
     rng = random.Random(2)
     for frame in past:

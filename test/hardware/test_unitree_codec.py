@@ -13,12 +13,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from unicon_core.errors import RobotError
+from unicon_base.errors import RobotError
 from unicon_core.robots import Robot, load_robot
+from unicon_hardware.torso import turned
+from unicon_hardware.unitree.facts import UnitreeFacts
+from unicon_hardware.wire import Counts
 from unicon_msgs_map.layout.messages import shared_messages
-from unicon_ros.hardware.torso import turned
-from unicon_ros.hardware.unitree.facts import UnitreeFacts
-from unicon_ros.hardware.wire import Counts
 
 ROBOTS = ("go2", "h1", "g1_29dof", "g1_23dof", "h1_2")
 DEFINED = ("go_lowcmd", "go_lowstate", "go_motorcmds", "hg_lowcmd", "hg_lowstate", "hg_handcmd")

@@ -26,10 +26,10 @@ from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states
 from unicon_core.states.spec import StateSpec
 from unicon_core.states.standard import COMMAND_STATES, hardware_states
+from unicon_hardware.unitree.face import face
+from unicon_hardware.unitree.facts import UnitreeFacts
+from unicon_hardware.unitree.platform import UnitreeWire
 from unicon_ros.bench.domains import free_domain
-from unicon_ros.hardware.unitree.face import face
-from unicon_ros.hardware.unitree.facts import UnitreeFacts
-from unicon_ros.hardware.unitree.platform import UnitreeWire
 
 EVIDENCE = "vendor"
 """What these tests run against, the most that config/evidence.yaml may say by them."""

@@ -29,26 +29,26 @@ from unitree_helpers import (
     writer_of,
 )
 
+from unicon_base.errors import Fault, MissingDependencyError, PlatformError, UniconError
 from unicon_core.blocks.controls.device import Controls
 from unicon_core.blocks.controls.gamepad import EVENT
 from unicon_core.blocks.controls.remotes import unitree
-from unicon_core.errors import Fault, MissingDependencyError, PlatformError, UniconError
 from unicon_core.platforms.platform import Prepares, ReportsVariant, SeesCommanders, WaitsForData
 from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states
 from unicon_core.states.spec import StateSpec
 from unicon_core.states.standard import BUTTONS, COMMAND_STATES, CONTROL_STATES, control_states
+from unicon_hardware.dds import participant as dds
+from unicon_hardware.dds.participant import OCTETS, Participant, dds_type
+from unicon_hardware.unitree import platform as wire
+from unicon_hardware.unitree import release
+from unicon_hardware.unitree.face import face
+from unicon_hardware.unitree.platform import Unitree, make
 from unicon_msgs_map.codec.checksum import unitree_crc
 from unicon_msgs_map.layout.messages import shared_messages
 from unicon_msgs_map.layout.paths import Reference, parse_path
 from unicon_msgs_map.spec import FieldSpec
 from unicon_ros.bench.domains import free_domain
-from unicon_ros.hardware.dds import participant as dds
-from unicon_ros.hardware.dds.participant import OCTETS, Participant, dds_type
-from unicon_ros.hardware.unitree import platform as wire
-from unicon_ros.hardware.unitree import release
-from unicon_ros.hardware.unitree.face import face
-from unicon_ros.hardware.unitree.platform import Unitree, make
 
 TELLS = ("joint_pos", "joint_vel", "joint_effort", "base_quat", "base_ang_vel", "base_lin_acc")
 TELLS += ("motor_temperature",)
@@ -439,7 +439,7 @@ def test_states_that_a_workflow_declares_are_written() -> None:
     theirs["foot_force"][...] = (20, 21, -22, 23)
     made = face(theirs, robot, domain=DOMAIN, mode="")
     made.remote[2:4] = b"\x01\x02"
-    from unicon_ros.hardware.unitree.facts import UnitreeFacts
+    from unicon_hardware.unitree.facts import UnitreeFacts
 
     ends = wire.UnitreeWire(ours, robot, UnitreeFacts.of(robot), DOMAIN, LOOPBACK, release=False)
     try:

@@ -19,11 +19,11 @@ from peer import Peer
 from vendor_robots import serve, stepped
 
 from unicon_core.robots import load_robot
+from unicon_hardware.emulate.defects import Defects
+from unicon_hardware.unitree.face import face as unitree_face
+from unicon_hardware.unitree_legged.face import face as legged_face
 from unicon_ros.bench.domains import free_domain
 from unicon_ros.cli.main import main
-from unicon_ros.emulate.defects import Defects
-from unicon_ros.hardware.unitree.face import face as unitree_face
-from unicon_ros.hardware.unitree_legged.face import face as legged_face
 
 TRIES = 3
 """A busy machine starves an emulated robot, whose frames are then fewer than they were to be."""

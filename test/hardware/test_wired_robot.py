@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from unicon_core.errors import Fault, PlatformError
+from unicon_base.errors import Fault, PlatformError
 from unicon_core.platforms.platform import Facts, Prepares
 from unicon_core.robots import Robot, load_robot
 from unicon_core.runtime.beforehand import Waiting
 from unicon_core.states import States, standard_states
-from unicon_ros.hardware.udp import Udp
-from unicon_ros.hardware.wire import Counts
-from unicon_ros.hardware.wired_robot import WiredRobot, opened
+from unicon_hardware.udp import Udp
+from unicon_hardware.wire import Counts
+from unicon_hardware.wired_robot import WiredRobot, opened
 
 WRITES = ("joint_pos", "joint_vel", "base_quat", "projected_gravity", "stamp_ns")
 

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 from hand_peers import hand_states, until
 
-from unicon_core.errors import Fault, MissingDependencyError, PlatformError, RobotError
+from unicon_base.errors import Fault, MissingDependencyError, PlatformError, RobotError
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program
-from unicon_ros.hardware.xhand import platform as wire
-from unicon_ros.hardware.xhand.platform import make
+from unicon_hardware.xhand import platform as wire
+from unicon_hardware.xhand.platform import make
 
 EVIDENCE = "stand_in"
 """What these tests run against, the most that config/evidence.yaml may say by them."""
@@ -149,7 +149,7 @@ def test_it_runs_beside_a_body_in_a_process_of_its_own(
     calls = tmp_path / "calls"
     monkeypatch.syspath_prepend(str(MODULES))
     monkeypatch.setenv("XHAND_CALLS", str(calls))
-    child = {"child": "unicon_ros.hardware.xhand.platform:make", "silence": 5.0, "watchdog": 5.0}
+    child = {"child": "unicon_hardware.xhand.platform:make", "silence": 5.0, "watchdog": 5.0}
     program = Program(
         robot={"body": "go2", "left_hand": "xhand1_left"},
         platform={"body": "fake_robot", "left_hand": child},

@@ -20,9 +20,9 @@ from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES, JOINT_STATES
-from unicon_ros.hardware.udp import Udp
-from unicon_ros.hardware.wire import Counts
-from unicon_ros.hardware.wired_robot import WiredRobot, opened
+from unicon_hardware.udp import Udp
+from unicon_hardware.wire import Counts
+from unicon_hardware.wired_robot import WiredRobot, opened
 
 MAGIC = 0x1C0
 PORT = 28017

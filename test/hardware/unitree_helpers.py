@@ -11,12 +11,12 @@ import numpy as np
 from unicon_core.robots import Robot
 from unicon_core.states import States, standard_states
 from unicon_core.states.standard import hardware_states
+from unicon_hardware.dds.end import DdsEnd
+from unicon_hardware.dds.participant import Reader, Writer
+from unicon_hardware.unitree.face import UnitreeFace, face
+from unicon_hardware.unitree.facts import UnitreeFacts
+from unicon_hardware.unitree.platform import UnitreeWire
 from unicon_ros.bench.domains import free_domain
-from unicon_ros.hardware.dds.end import DdsEnd
-from unicon_ros.hardware.dds.participant import Reader, Writer
-from unicon_ros.hardware.unitree.face import UnitreeFace, face
-from unicon_ros.hardware.unitree.facts import UnitreeFacts
-from unicon_ros.hardware.unitree.platform import UnitreeWire
 
 DOMAIN = free_domain()
 """Of DDS: runs of the tests at the same time do not hear each other."""

@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.sim.mujoco import make
+from unicon_core.platforms.mujoco import make
 from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states
-from unicon_ros.hardware.unitree.face import face
+from unicon_hardware.unitree.face import face
 
 
 def say(**words: Any) -> None:

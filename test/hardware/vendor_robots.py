@@ -16,9 +16,9 @@ from peer import Peer
 from stepping import stepping
 
 from unicon_core.robots import Robot
+from unicon_hardware.emulate.emulator import emulated
+from unicon_hardware.emulate.face import Face
 from unicon_ros.bench.domains import free_domain
-from unicon_ros.emulate.emulator import emulated
-from unicon_ros.emulate.face import Face
 
 __all__ = ["DRIVES", "UNSEEING", "completed", "serve", "stepped"]
 

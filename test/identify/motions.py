@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from unicon_core.flow import Block, Stage
-from unicon_core.identify.replays import Motion
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program, load_document
+from unicon_lab.identify.replays import Motion
 
 WORKFLOW = """\
 robot: go2

@@ -13,14 +13,14 @@ pytest.importorskip("mujoco", reason="mujoco is not installed: pip install 'unic
 
 from motions import motion
 
-from unicon_core.errors import UniconError
-from unicon_core.identify.fit import fit
-from unicon_core.identify.found import Fit, Parameter, overlay_text
-from unicon_core.identify.replays import Motion, replayed
+from unicon_base.errors import UniconError
 from unicon_core.platforms.kit.beside import PLACE
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.robots import load_robot
 from unicon_core.states.standard import COMMAND_STATES
+from unicon_lab.identify.fit import fit
+from unicon_lab.identify.found import Fit, Parameter, overlay_text
+from unicon_lab.identify.replays import Motion, replayed
 
 GO2 = load_robot("go2")
 CALF = {"RL_calf_joint": {"strength": 0.5}}

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.ik.chain import Chain
 from unicon_core.robots import Robot
+from unicon_manipulation.ik.chain import Chain
 
 __all__ = ["between", "nearest", "placed"]
 

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from reference_capsules import between, placed
 from welder import write_arm
 
-from unicon_core.ik.differential import Apart
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.robots import Robot, load_robot
+from unicon_manipulation.ik.differential import Apart
 
 Build = Callable[..., Any]
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from unicon_core.errors import RobotError, WorkflowError
+from unicon_base.errors import RobotError, WorkflowError
 from unicon_core.models.find import pick_model
 from unicon_core.models.frames import Frames
 from unicon_core.models.load import load_model

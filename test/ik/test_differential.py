@@ -11,8 +11,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from unicon_core.ik.tasks import Weights
 from unicon_core.robots import Robot
+from unicon_manipulation.ik.tasks import Weights
 
 pytest.importorskip("daqp", reason="daqp is not installed: pip install 'unicon_ros[ik]'")
 

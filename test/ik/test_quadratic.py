@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from unicon_core.errors import MissingDependencyError
-from unicon_core.ik.differential import Quadratic
+from unicon_base.errors import MissingDependencyError
+from unicon_manipulation.ik.differential import Quadratic
 
 pytest.importorskip("daqp", reason="daqp is not installed: pip install 'unicon_ros[ik]'")
 

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from unicon_core.blocks.whole_body.reach import Reach
-from unicon_core.errors import MissingDependencyError, RobotError, UniconError, WorkflowError
+from unicon_base.errors import MissingDependencyError, RobotError, UniconError, WorkflowError
 from unicon_core.memory import Memory
 from unicon_core.models.find import pick_model
 from unicon_core.models.frames import Frames
@@ -20,6 +19,7 @@ from unicon_core.states.spec import StateSpec
 from unicon_core.testing import Bench
 from unicon_core.workflow.autowire import BuildContext, autowire, read_options
 from unicon_core.workflow.build import WarmUps
+from unicon_manipulation.reach import Reach
 
 pytest.importorskip("daqp", reason="daqp is not installed: pip install 'unicon_ros[ik]'")
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from welder import write_arm
 
+from unicon_base.errors import RobotError, WorkflowError
 from unicon_core.check import check_workflow, refuse_errors
-from unicon_core.errors import RobotError, WorkflowError
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow
 

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from reference_capsules import nearest
 
-from unicon_core.ik.chain import Chain, load_apart
-from unicon_core.ik.differential import DifferentialIk
-from unicon_core.ik.tasks import Settings, Weights
 from unicon_core.models.find import pick_model
 from unicon_core.robots import Robot
+from unicon_manipulation.ik.chain import Chain, load_apart
+from unicon_manipulation.ik.differential import DifferentialIk
+from unicon_manipulation.ik.tasks import Settings, Weights
 
 __all__ = ["Solved", "write_arm"]
 

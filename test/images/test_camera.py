@@ -17,7 +17,7 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
 
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
 from unicon_core.flow import Block, Stage
 from unicon_core.models.find import pick_model
 from unicon_core.models.kinematic_tree import read_tree

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
 from unicon_core.models.camera import Intrinsics
 from unicon_ros.bridge.images import (
     INFO,

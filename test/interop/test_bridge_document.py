@@ -13,7 +13,7 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 from talkers import ROOT, clean_environment
 
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow
 from unicon_msgs_map import Decoder, Encoder, MessageMap, parse_map

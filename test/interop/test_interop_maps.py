@@ -13,7 +13,7 @@ pytest.importorskip("rclpy")
 from map_cases import CASES, TF_OUT, Case, holds
 from talkers import ROOT, Talker
 
-from unicon_core.located_yaml import read_yaml
+from unicon_base.located_yaml import read_yaml
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from map_helpers import JAZZY, NAMES, publish, subscribe
 
-from unicon_core.errors import UniconError
-from unicon_core.packages import share_folder, shares
+from unicon_base.errors import UniconError
+from unicon_base.packages import share_folder, shares
 from unicon_msgs_map import (
     Decoder,
     Encoder,

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from unicon_core.resources import find_config
+from unicon_base.resources import find_config
 from unicon_msgs_map import MapFileError, MessageMap, load_map, parse_map
 from unicon_msgs_map.spec import TopicSpec
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from unicon_core.errors import Fault, PlatformError
+from unicon_base.errors import Fault, PlatformError
 from unicon_core.platforms.fake import FakeRobot
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.robots import Robot

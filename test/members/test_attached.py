@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from unicon_base.errors import ModelError, RobotError, UniconError
+from unicon_base.located_yaml import read_yaml
 from unicon_core.check.pose import check_collision
 from unicon_core.check.result import CheckResult
-from unicon_core.errors import ModelError, RobotError, UniconError
-from unicon_core.located_yaml import read_yaml
 from unicon_core.models.find import pick_model
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, import_mujoco

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from member_robots import LOG
 
-from unicon_core.errors import Fault, RobotError, UniconError, WorkflowError
+from unicon_base.errors import Fault, RobotError, UniconError, WorkflowError
 from unicon_core.gates.gate import Variant
 from unicon_core.platforms.joined import JoinedPlatform
 from unicon_core.robots import compose, load_files, load_robot, robot_files

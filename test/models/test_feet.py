@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from unicon_core.errors import ModelError
+from unicon_base.errors import ModelError
 from unicon_core.models.feet import Feet
 from unicon_core.models.find import pick_model
 from unicon_core.models.load import load_model

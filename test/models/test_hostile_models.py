@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from unicon_core.errors import ModelError
+from unicon_base.errors import ModelError
 from unicon_core.models.load import load_model
 from unicon_core.robots import load_robot
 

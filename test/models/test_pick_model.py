@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from unicon_core.errors import ModelError
+from unicon_base.errors import ModelError
 from unicon_core.models.find import Modelled, model_of, pick_model
 from unicon_core.robots import load_robot
 

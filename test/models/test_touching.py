@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from unicon_base.errors import CheckError, ModelError
 from unicon_core.check import CheckResult, check_workflow
 from unicon_core.check.check import refuse_errors
-from unicon_core.errors import CheckError, ModelError
 from unicon_core.models.feet import Feet
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel

@@ -12,15 +12,15 @@ from pathlib import Path
 
 import pytest
 
+from unicon_base.errors import UniconError
 from unicon_core.check.files import little_seen
-from unicon_core.errors import UniconError
 from unicon_core.evidence import LEVELS, Evidence, load_evidence
 from unicon_core.platforms.platform import Facts
 from unicon_core.robots import load_robot, robot_names
 from unicon_core.workflow.registry import known
+from unicon_lab.run_report.report import SCHEMA
+from unicon_lab.run_report.signed import read_report, sign, signature_of, signed_by, text_of
 from unicon_ros.cli.main import main
-from unicon_ros.run_report.report import SCHEMA
-from unicon_ros.run_report.signed import read_report, sign, signature_of, signed_by, text_of
 
 ROOT = Path(__file__).resolve().parents[2]
 LEDGER = load_evidence()

@@ -81,7 +81,7 @@ def test_an_executable_is_installed(installed: Path, name: str) -> None:
 def test_resources_are_found_where_pip_put_them(
     installed: Path, site_packages: Path, tmp_path: Path
 ) -> None:
-    code = "from unicon_core.resources import find_config; print(find_config('robots', 'go2'))"
+    code = "from unicon_base.resources import find_config; print(find_config('robots', 'go2'))"
     env = {k: v for k, v in os.environ.items() if k not in ("UNICON_PATH", "AMENT_PREFIX_PATH")}
     done = subprocess.run(
         [sys.executable, "-c", code],

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.errors import UniconError
-from unicon_ros.peripherals.child import Feed, Gone, end, serve
+from unicon_base.errors import UniconError
+from unicon_ros.peripheral_process import Feed, Gone, end, serve
 
 
 class Counting:

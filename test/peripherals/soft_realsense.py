@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pyrealsense2 as rs
 
-from unicon_ros.peripherals.child import Gone
+from unicon_ros.peripheral_process import Gone
 
 WIDTH, HEIGHT, RATE = 640, 480, 30
 UNITS = 0.001

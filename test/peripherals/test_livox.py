@@ -18,14 +18,14 @@ import numpy as np
 import pytest
 import yaml
 
-from unicon_core.errors import UniconError, WorkflowError
+from unicon_base.errors import UniconError, WorkflowError
 from unicon_core.handles import FrameRing
 from unicon_core.robots import load_robot
 from unicon_core.states import States
 from unicon_core.workflow.autowire import BuildContext, read_options
-from unicon_ros.peripherals.livox.cloud import livox_message
-from unicon_ros.peripherals.livox.livox import livox
-from unicon_ros.peripherals.peripheral import Peripheral
+from unicon_hardware.peripherals.livox.cloud import livox_message
+from unicon_hardware.peripherals.livox.livox import livox
+from unicon_ros.peripheral import Peripheral
 
 EVIDENCE = "stand_in"
 """What these tests run against, the most that config/evidence.yaml may say by them."""

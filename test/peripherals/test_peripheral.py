@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
 from unicon_core.flow import Block
 from unicon_core.handles import FOLDER
 from unicon_core.robots import load_robot
@@ -19,7 +19,7 @@ from unicon_core.states import States, StateSpec
 from unicon_core.states.backends.shm import segments
 from unicon_core.workflow.autowire import BuildContext
 from unicon_ros.bridge.images import FrameMessage
-from unicon_ros.peripherals.peripheral import Peripheral, peripheral_block, peripheral_states, short
+from unicon_ros.peripheral import Peripheral, peripheral_block, peripheral_states, short
 
 SPECS = peripheral_states(
     "counting",

@@ -20,13 +20,13 @@ pytest.importorskip(
     "pyrealsense2", reason="pip install 'unicon_ros[realsense]'; apt install libusb-1.0-0"
 )
 
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
 from unicon_core.flow import Block
 from unicon_core.robots import load_robot
 from unicon_core.states import States
 from unicon_core.workflow.autowire import BuildContext
-from unicon_ros.peripherals.peripheral import Peripheral
-from unicon_ros.peripherals.realsense import _found, _quaternion, messages, realsense
+from unicon_hardware.peripherals.realsense import _found, _quaternion, messages, realsense
+from unicon_ros.peripheral import Peripheral
 
 EVIDENCE = "vendor"
 """What these tests run against, the most that config/evidence.yaml may say by them."""
@@ -216,7 +216,7 @@ def test_a_size_that_the_camera_has_not_is_one_line(plug: Path) -> None:
 def test_no_camera_names_those_that_are_there() -> None:
     import pyrealsense2 as rs
 
-    from unicon_ros.peripherals.child import Gone
+    from unicon_ros.peripheral_process import Gone
 
     class Device:
         def get_info(self, _: Any) -> str:

@@ -19,7 +19,7 @@ pytest.importorskip("daqp", reason="pip install 'unicon_ros[ik]'")
 
 from test_webxr_in_chromium import HEADSET, SMALL, browser, iwer  # noqa: E402, F401
 
-from unicon_ros.recording import open_record  # noqa: E402
+from unicon_lab.recording import open_record  # noqa: E402
 
 
 def test_a_hand_in_the_browser_moves_the_arm(

@@ -16,18 +16,18 @@ import pytest
 import strict_v4l2
 from numpy.typing import NDArray
 
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
 from unicon_core.flow import Block, Stage
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import States
 from unicon_core.workflow import Program, load_workflow
 from unicon_core.workflow.autowire import BuildContext
-from unicon_ros.peripherals import v4l2
-from unicon_ros.peripherals.child import Gone
-from unicon_ros.peripherals.peripheral import Peripheral
-from unicon_ros.peripherals.v4l2 import Capture, Kernel
-from unicon_ros.peripherals.webcam import Rgb, _path, message_of, webcam
+from unicon_hardware.peripherals import v4l2
+from unicon_hardware.peripherals.v4l2 import Capture, Kernel
+from unicon_hardware.peripherals.webcam import Rgb, _path, message_of, webcam
+from unicon_ros.peripheral import Peripheral
+from unicon_ros.peripheral_process import Gone
 
 EVIDENCE = "stand_in"
 """What these tests run against, the most that config/evidence.yaml may say by them."""

@@ -19,14 +19,14 @@ import numpy as np
 import pytest
 import yaml
 
-from unicon_core.errors import UniconError, WorkflowError
+from unicon_base.errors import UniconError, WorkflowError
 from unicon_core.robots import load_robot
 from unicon_core.states import States
 from unicon_core.workflow.autowire import BuildContext, read_options
-from unicon_ros.peripherals.peripheral import Peripheral
-from unicon_ros.peripherals.webxr import frames
-from unicon_ros.peripherals.webxr.frames import Frame, Refused
-from unicon_ros.peripherals.webxr.webxr import webxr
+from unicon_hardware.peripherals.webxr import frames
+from unicon_hardware.peripherals.webxr.frames import Frame, Refused
+from unicon_hardware.peripherals.webxr.webxr import webxr
+from unicon_ros.peripheral import Peripheral
 
 clients = pytest.importorskip("websockets.asyncio.client", reason="pip install websockets")
 

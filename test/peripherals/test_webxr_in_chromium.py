@@ -15,8 +15,8 @@ import pytest
 from unicon_core.robots import load_robot
 from unicon_core.states import States
 from unicon_core.workflow.autowire import BuildContext
-from unicon_ros.peripherals.peripheral import Peripheral
-from unicon_ros.peripherals.webxr.webxr import webxr
+from unicon_hardware.peripherals.webxr.webxr import webxr
+from unicon_ros.peripheral import Peripheral
 
 EVIDENCE = "vendor"
 """What these tests run against, the most that config/evidence.yaml may say by them."""

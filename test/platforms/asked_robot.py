@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from unicon_core.errors import Fault
+from unicon_base.errors import Fault
 from unicon_core.platforms.fake import FakeRobot
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.robots import Robot

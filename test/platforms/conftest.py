@@ -13,7 +13,7 @@ from unicon_core.robots import Robot, load_robot
 from unicon_core.states import States, standard_states
 
 if TYPE_CHECKING:
-    from unicon_core.platforms.sim.mujoco import MujocoPlatform
+    from unicon_core.platforms.mujoco import MujocoPlatform
 
 pytest.importorskip("mujoco", reason="mujoco is not installed: pip install 'unicon_ros[sim]'")
 
@@ -158,7 +158,7 @@ def build(
         model: dict[str, Any] | None = None,
         **options: Any,
     ) -> tuple[MujocoPlatform, States]:
-        from unicon_core.platforms.sim.mujoco import make
+        from unicon_core.platforms.mujoco import make
 
         robot = toy_robot()
         states = states_of(robot, num_robots)

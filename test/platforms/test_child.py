@@ -14,14 +14,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from unicon_core.check import check_workflow
-from unicon_core.errors import (
+from unicon_base.errors import (
     Fault,
     MissingDependencyError,
     ModelError,
     PlatformError,
     WorkflowError,
 )
+from unicon_core.check import check_workflow
 from unicon_core.platforms.child.platform import _place
 from unicon_core.platforms.platform import (
     CountsArrivals,

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scenes import in_scene
 
-from unicon_core.errors import Fault, PlatformError, WorkflowError
+from unicon_base.errors import Fault, PlatformError, WorkflowError
 from unicon_core.platforms.fake import FakePlatform, make, make_robot
 from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states
@@ -129,7 +129,7 @@ def test_a_time_that_is_none_is_refused() -> None:
 
 def test_platform_modules_import_no_simulator() -> None:
     code = (
-        "import sys, unicon_core.platforms.fake, unicon_core.platforms.sim.mujoco; "
+        "import sys, unicon_core.platforms.fake, unicon_core.platforms.mujoco; "
         "import unicon_core.blocks; "
         "print([m for m in ('mujoco', 'rclpy', 'onnxruntime') if m in sys.modules])"
     )

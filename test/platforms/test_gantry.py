@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from unicon_core.errors import WorkflowError
+from unicon_base.errors import WorkflowError
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
@@ -17,7 +17,7 @@ from unicon_core.states.standard import standard_states
 from unicon_core.workflow import Program, load_document
 
 pytest.importorskip("mujoco", reason="mujoco is not installed: pip install 'unicon_ros[sim]'")
-from unicon_core.platforms.sim.mujoco.platform import make
+from unicon_core.platforms.mujoco.platform import make
 
 
 def held(scene: Scene, robots: int | None = None, name: str = "go2") -> Any:

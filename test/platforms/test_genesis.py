@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from unicon_core.errors import Fault, MissingDependencyError
+from unicon_base.errors import Fault, MissingDependencyError
 from unicon_core.platforms.kit.joint_model import joint_model
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.kit.start import Start, start_of
-from unicon_core.platforms.sim.genesis.platform import adapted, begun, otherwise
 from unicon_core.robots import Robot, load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow
+from unicon_sims.genesis.platform import adapted, begun, otherwise
 
 EVIDENCE = "vendor"
 """What these tests run against, the most that config/evidence.yaml may say by them."""

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from scenes import in_scene
 
-from unicon_core.errors import PlatformError, WorkflowError
+from unicon_base.errors import PlatformError, WorkflowError
 from unicon_core.platforms.kit.servo import JointDelay
+from unicon_core.platforms.mujoco import make
 from unicon_core.platforms.platform import info_of
-from unicon_core.platforms.sim.mujoco import make
 from unicon_core.robots import load_robot, robot_table
 from unicon_core.states import States, standard_states
 from unicon_core.workflow import Program, load_document

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scenes import in_scene
 
-from unicon_core.errors import Fault
+from unicon_base.errors import Fault
 from unicon_core.platforms.fake import make
 from unicon_core.platforms.kit.base import (
     BaseStates,

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from unicon_core.errors import MissingDependencyError, ModelError
+from unicon_base.errors import MissingDependencyError, ModelError
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow
 

@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from unicon_core.errors import Fault, PlatformError
+from unicon_base.errors import Fault, PlatformError
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.sim.mujoco import MujocoPlatform, make
-from unicon_core.platforms.sim.mujoco.batch import shares
+from unicon_core.platforms.mujoco import MujocoPlatform, make
+from unicon_core.platforms.mujoco.batch import shares
 from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states
 

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from scenes import in_scene
 
-from unicon_core.errors import (
+from unicon_base.errors import (
     Fault,
     MissingDependencyError,
     ModelError,
     PlatformError,
     WorkflowError,
 )
-from unicon_core.platforms.sim.mujoco import MujocoPlatform, make
+from unicon_core.platforms.mujoco import MujocoPlatform, make
 from unicon_core.robots import Robot
 from unicon_core.states import States
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from unicon_core.errors import ModelError
+from unicon_base.errors import ModelError
 from unicon_core.models.load import load_model
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.sim.mujoco import make
+from unicon_core.platforms.mujoco import make
 from unicon_core.robots import Robot, load_robot
 from unicon_core.states import States
 

@@ -11,10 +11,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from unicon_core.errors import Fault
+from unicon_base.errors import Fault
 from unicon_core.platforms.kit.scene import Scene
+from unicon_core.platforms.mujoco import MujocoPlatform, make, rehearsal
 from unicon_core.platforms.platform import WarmsUp
-from unicon_core.platforms.sim.mujoco import MujocoPlatform, make, rehearsal
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import States, standard_states

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import in_scene
 
-from unicon_core.platforms.sim.mujoco import MujocoPlatform, make
+from unicon_core.platforms.mujoco import MujocoPlatform, make
 from unicon_core.robots import Robot
 from unicon_core.states import States
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from test_mujoco_load import LIMB, PLACES, URDF, stand
 
-from unicon_core.errors import MissingDependencyError, ModelError
+from unicon_base.errors import MissingDependencyError, ModelError
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.sim.mujoco import make
+from unicon_core.platforms.mujoco import make
 from unicon_core.robots import Robot
 from unicon_core.states import States
 

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from unicon_core.platforms.sim.mujoco import MujocoPlatform, make
+from unicon_core.platforms.mujoco import MujocoPlatform, make
 from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states
 

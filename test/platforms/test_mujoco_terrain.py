@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
 from unicon_core.platforms.platform import info_of
 from unicon_core.runtime.rollouts import Rollouts
 from unicon_core.workflow import Program, load_document

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from unicon_base.errors import Fault, MissingDependencyError, PlatformError
 from unicon_core.conformance import Rig
-from unicon_core.errors import Fault, MissingDependencyError, PlatformError
-from unicon_core.platforms.sim.newton.platform import NewtonPlatform
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow
+from unicon_sims.newton.platform import NewtonPlatform
 
 EVIDENCE = "vendor"
 """What these tests run against, the most that config/evidence.yaml may say by them."""

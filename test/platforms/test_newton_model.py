@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from unicon_base.errors import UniconError
 from unicon_core.conformance import Rig
-from unicon_core.errors import UniconError
 from unicon_core.platforms.kit.joint_model import joint_model
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.kit.start import Start, start_of
-from unicon_core.platforms.sim.newton.platform import make
 from unicon_core.robots import Robot, load_robot
+from unicon_sims.newton.platform import make
 
 mujoco = pytest.importorskip("mujoco", reason="pip install 'unicon_ros[sim]'")
 
@@ -39,7 +39,7 @@ def made_of(robot: Robot, start: Start) -> tuple[Any, dict[str, int]]:
     import newton
     import warp
 
-    from unicon_core.platforms.sim.newton.world import build_world, solver_options
+    from unicon_sims.newton.world import build_world, solver_options
 
     world, numbers = build_world(newton, warp, start, robot, joint_model(start, "keep"))
     with warp.ScopedDevice("cpu"):

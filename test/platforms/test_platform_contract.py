@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from unicon_base.errors import UniconError
 from unicon_core.check import check_workflow
-from unicon_core.errors import UniconError
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from unicon_core.errors import Fault, MissingDependencyError
+from unicon_base.errors import Fault, MissingDependencyError
 from unicon_core.models.kinematic_tree import read_tree
 from unicon_core.models.urdf_write import physical_links
 from unicon_core.platforms.kit.scene import Scene

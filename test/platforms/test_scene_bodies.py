@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from unicon_core.errors import PlatformError, UniconError
+from unicon_base.errors import PlatformError, UniconError
 from unicon_core.models.load import load_model
 from unicon_core.platforms.kit.bodies import tell_bodies
 from unicon_core.platforms.kit.scene import Scene

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import pytest
 
-from unicon_core.platforms.sim.mujoco.batch import SideBySide
+from unicon_core.platforms.mujoco.batch import SideBySide
 
 
 def alive(name: str) -> list[threading.Thread]:

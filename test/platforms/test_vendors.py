@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from unicon_base.errors import Fault, MissingDependencyError, PlatformError
 from unicon_core.conformance import Conformance, Rig
-from unicon_core.errors import Fault, MissingDependencyError, PlatformError
-from unicon_core.platforms.sim.isaaclab import platform as isaaclab
-from unicon_core.platforms.sim.webots import platform as webots
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow
+from unicon_sims.isaaclab import platform as isaaclab
+from unicon_sims.webots import platform as webots
 
 pytest.importorskip("mujoco", reason="mujoco is not installed: pip install 'unicon_ros[sim]'")
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from policy_helpers import JOINTS, robot, toy_values, write_linear, write_toy
 
-from unicon_core.errors import Fault, PolicyError
+from unicon_base.errors import Fault, PolicyError
 from unicon_core.policies import Policy, PolicyContract, load_policy, policy_states
 from unicon_core.policies.policy_yaml import write_policy_yaml
 from unicon_core.policies.table import policy_table

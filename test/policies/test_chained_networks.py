@@ -12,8 +12,8 @@ from onnx import TensorProto, helper, numpy_helper
 from policy_helpers import robot, save, toy_values, write_linear, write_toy
 from slow_network import workflow, write_slow
 
+from unicon_base.errors import PolicyError, UniconError
 from unicon_core.check import check_workflow
-from unicon_core.errors import PolicyError, UniconError
 from unicon_core.policies import Policy, import_policy, load_policy, policy_states
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import States, standard_states
@@ -202,9 +202,9 @@ def chain_for_go2(tmp_path: Path) -> Path:
 
 def test_a_replay_names_the_network_that_is_another_one(tmp_path: Path) -> None:
     pytest.importorskip("rosbags")
+    from unicon_lab.recording import open_record
+    from unicon_lab.replay.workflow import others
     from unicon_ros.cli.main import main
-    from unicon_ros.recording import open_record
-    from unicon_ros.replay.workflow import others
 
     path, bag = chain_for_go2(tmp_path), tmp_path / "run.mcap"
     words = ["run", str(path), "--speed", "max", "--duration", "0.2", "--record", str(bag)]

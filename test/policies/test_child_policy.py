@@ -16,10 +16,10 @@ import pytest
 import yaml
 from slow_network import TERMS, workflow, write_slow
 
-from unicon_core.errors import MissingDependencyError, PolicyError, UniconError, WorkflowError
+from unicon_base.errors import MissingDependencyError, PolicyError, UniconError, WorkflowError
+from unicon_base.resources import same_modules
 from unicon_core.policies.child_policy import ChildPolicy
 from unicon_core.policies.networks import child
-from unicon_core.resources import same_modules
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.runtime.report import Report
 from unicon_core.states.backends.shm import segments

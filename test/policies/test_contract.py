@@ -10,8 +10,8 @@ import pytest
 import yaml
 from policy_helpers import JOINTS, robot, toy_values, write_toy
 
-from unicon_core.errors import PolicyError
-from unicon_core.located_yaml import read_yaml
+from unicon_base.errors import PolicyError
+from unicon_base.located_yaml import read_yaml
 from unicon_core.policies import (
     PolicyContract,
     import_policy,

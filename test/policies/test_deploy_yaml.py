@@ -10,7 +10,7 @@ import pytest
 from policy_helpers import robot, write_linear
 from reference_observation import ConcatenateObservation
 
-from unicon_core.errors import PolicyError
+from unicon_base.errors import PolicyError
 from unicon_core.policies import Policy, load_policy, policy_states
 from unicon_core.states import States, standard_states
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from unicon_base.errors import Fault, UniconError, WorkflowError
 from unicon_core.check import check_workflow
-from unicon_core.errors import Fault, UniconError, WorkflowError
 from unicon_core.flow import Zip
 from unicon_core.policies import Policy, load_policy, policy_states
 from unicon_core.policies.driven import DrivenPolicy

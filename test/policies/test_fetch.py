@@ -15,10 +15,10 @@ import yaml
 from hub_server import COMMIT, Hub
 from policy_helpers import toy_values, write_linear, write_toy
 
-from unicon_core.errors import MissingDependencyError, PolicyError, UniconError
+from unicon_base.errors import MissingDependencyError, PolicyError, UniconError
+from unicon_base.resources import same_modules, sha256_of
 from unicon_core.policies import load_policy
 from unicon_core.policies.fetch import fetch_policy
-from unicon_core.resources import same_modules, sha256_of
 from unicon_ros.cli.main import main
 
 HUB = pytest.mark.skipif(

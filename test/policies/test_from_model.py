@@ -9,7 +9,7 @@ import pytest
 from motion_helpers import JOINTS, MODEL, MODEL_ORDER, waisted
 from policy_helpers import toy_values, write_linear, write_toy
 
-from unicon_core.errors import PolicyError
+from unicon_base.errors import PolicyError
 from unicon_core.policies import PolicyContract, load_policy
 from unicon_core.policies.from_model import FromModel
 from unicon_core.robots import Robot, load_robot

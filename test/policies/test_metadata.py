@@ -11,9 +11,9 @@ import pytest
 from onnx import TensorProto, helper
 from policy_helpers import JOINTS, robot, save, write_linear, write_toy
 
-from unicon_core.errors import PolicyError
+from unicon_base.errors import PolicyError
+from unicon_base.schema.types import show
 from unicon_core.policies import Policy, import_policy, load_policy, policy_states
-from unicon_core.schema.types import show
 from unicon_core.states import States, standard_states
 
 OLD = {

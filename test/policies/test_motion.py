@@ -22,7 +22,7 @@ from motion_helpers import (
 )
 from onnx import TensorProto
 
-from unicon_core.errors import Fault, PolicyError
+from unicon_base.errors import Fault, PolicyError
 from unicon_core.policies import Policy, load_policy, policy_states, write_policy_yaml
 from unicon_core.states import Layout, States, standard_states
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from policy_helpers import JOINTS, robot, toy_values
 from reference_observation import ConcatenateObservation
 
-from unicon_core.errors import PolicyError
+from unicon_base.errors import PolicyError
 from unicon_core.policies import Observation, PolicyContract, policy_states
 from unicon_core.policies.build import build_contract
 from unicon_core.policies.facts import Facts

@@ -143,9 +143,7 @@ def test_every_command_does_what_the_page_says(
         assert TITLED["finding"].strip() in told.out
 
 
-def test_a_missing_fact_is_asked_for(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_missing_fact_is_asked_for(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     without_contract(folder)
     values = yaml.safe_load(TITLED["bare.yaml"])
     del values["policies"]["walk"]["given"]["period"]

@@ -13,7 +13,7 @@ import pytest
 from onnx import TensorProto, helper
 from policy_helpers import JOINTS, robot, save, toy_values, write_linear, write_toy
 
-from unicon_core.errors import Fault, MissingDependencyError, PolicyError
+from unicon_base.errors import Fault, MissingDependencyError, PolicyError
 from unicon_core.policies import Policy, PolicyContract, load_policy, policy_states
 from unicon_core.robots import Robot
 from unicon_core.states import States, StateSpec, standard_states

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from policy_helpers import toy_values, write_toy
 
-from unicon_core.errors import MissingDependencyError, PolicyError
+from unicon_base.errors import MissingDependencyError, PolicyError
 from unicon_core.policies import import_policy, load_policy
 from unicon_core.policies.networks import open_network
 

@@ -13,8 +13,8 @@ from policy_helpers import JOINTS, robot, toy_values, write_linear
 from test_deploy_yaml import DEPLOY, MOTORS
 from test_training_configs import ENV, GYM
 
-from unicon_core.errors import PolicyError, UniconError
-from unicon_core.located_yaml import Tagged, read_yaml
+from unicon_base.errors import PolicyError, UniconError
+from unicon_base.located_yaml import Tagged, read_yaml
 from unicon_core.policies import load_policy
 
 JUNK: list[Any] = [None, "x", -1, float("nan"), [], [[1, 2]], ["x"], {"x": 1}]

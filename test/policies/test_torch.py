@@ -11,7 +11,7 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 from policy_helpers import robot, save, toy_values, write_toy
 
-from unicon_core.errors import PolicyError
+from unicon_base.errors import PolicyError
 from unicon_core.policies import Policy, import_policy, load_policy, policy_states
 from unicon_core.policies.networks.torch import TorchNetwork
 from unicon_core.states import States, standard_states

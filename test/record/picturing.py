@@ -18,11 +18,11 @@ from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import StateSpec
 from unicon_core.workflow import Program, load_document
 from unicon_core.workflow.autowire import BuildContext
+from unicon_lab.fault_record import FaultRecord
+from unicon_lab.recording import Record, open_record
+from unicon_lab.recording.run_recording import Recording
 from unicon_ros.bridge.images import frame_message, jpeg_message
-from unicon_ros.fault_record import FaultRecord
-from unicon_ros.peripherals.peripheral import FrameSource, peripheral_states
-from unicon_ros.recording import Record, open_record
-from unicon_ros.run_recording import Recording
+from unicon_ros.peripheral import FrameSource, peripheral_states
 
 __all__ = ["Camera", "camera", "clock", "picture", "run"]
 

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.errors import Fault
+from unicon_base.errors import Fault
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.workflow import Program, load_document
-from unicon_ros.fault_record import FaultRecord
-from unicon_ros.recording import Record, open_record
-from unicon_ros.replay import verify, workflow_of
+from unicon_lab.fault_record import FaultRecord
+from unicon_lab.recording import Record, open_record
+from unicon_lab.replay import verify, workflow_of
 
 __all__ = ["Told", "cut_off", "replay"]
 

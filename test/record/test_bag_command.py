@@ -24,21 +24,21 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from test_recorded_runs import noise, recorded, written
 
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program, load_document
+from unicon_lab.fault_record import FaultRecord
+from unicon_lab.recording import Record, open_record, recover
+from unicon_lab.recording.bag_folder import Split
+from unicon_lab.recording.info import info_of
+from unicon_lab.recording.recorder import Recorder
+from unicon_lab.recording.run_recording import Recording
+from unicon_lab.recording.scan import Scan, scan
 from unicon_ros.cli.main import main
-from unicon_ros.fault_record import FaultRecord
-from unicon_ros.recorder import Recorder
-from unicon_ros.recording import Record, open_record, recover
-from unicon_ros.recording.bag_folder import Split
-from unicon_ros.recording.info import info_of
-from unicon_ros.recording.scan import Scan, scan
-from unicon_ros.run_recording import Recording
 
 GO2 = load_robot("go2")
-recovery = sys.modules["unicon_ros.recording.recover"]  # its package has a function of that name
+recovery = sys.modules["unicon_lab.recording.recover"]  # its package has a function of that name
 
 
 @pytest.fixture(scope="module")
@@ -88,8 +88,8 @@ def split_run(folder: Path, split: str, **more: Any) -> Record:
 def test_a_folder_is_one_bag_for_others_and_one_record_for_us(
     split: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("unicon_ros.recording.background.BLOCK_BYTES", 50_000)
-    monkeypatch.setattr("unicon_ros.recording.background.BLOCKS", 40)
+    monkeypatch.setattr("unicon_lab.recording.background.BLOCK_BYTES", 50_000)
+    monkeypatch.setattr("unicon_lab.recording.background.BLOCKS", 40)
     record = split_run(tmp_path / "bag", split)
     names = sorted(path.name for path in (tmp_path / "bag").iterdir())
     files = [f"bag_{number}.mcap" for number in range(len(names) - 1)]
@@ -114,8 +114,8 @@ def test_a_folder_is_one_bag_for_others_and_one_record_for_us(
 def test_a_folder_that_a_kill_left_is_mended(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("unicon_ros.recording.background.BLOCK_BYTES", 50_000)
-    monkeypatch.setattr("unicon_ros.recording.background.BLOCKS", 40)
+    monkeypatch.setattr("unicon_lab.recording.background.BLOCK_BYTES", 50_000)
+    monkeypatch.setattr("unicon_lab.recording.background.BLOCKS", 40)
     split_run(tmp_path / "bag", "150kB")
     left = tmp_path / "left"
     left.mkdir()
@@ -137,7 +137,7 @@ def test_a_folder_that_a_kill_left_is_mended(
 
 @pytest.mark.parametrize("text", ["1", "GB", "0s", "-1GB", "1 parsec", "1GB;2s", "nan s"])
 def test_what_is_no_size_and_no_time_splits_nothing(text: str, tmp_path: Path) -> None:
-    from unicon_core.errors import UniconError
+    from unicon_base.errors import UniconError
 
     with pytest.raises(UniconError, match="give a size or a time, such as 500MB"):
         Split.of(text)
@@ -159,7 +159,7 @@ def test_a_change_of_phase_skips_a_tick_that_nobody_misses(
     record = open_record(bag)
     ticks = np.arange(100) + skipped * (np.arange(100) >= 60)
     changed = replace(record, ticks=ticks, phases=("run",) * 60 + ("damp",) * 40)
-    monkeypatch.setattr("unicon_ros.recording.info.open_record", lambda *_: changed)
+    monkeypatch.setattr("unicon_lab.recording.info.open_record", lambda *_: changed)
     assert info_of(bag)["missing_ticks"] == missing
 
 
@@ -199,7 +199,7 @@ def test_info_looks_through_a_file_once(bag: Path, monkeypatch: pytest.MonkeyPat
         return scan(path)
 
     for module in ("info", "read"):
-        monkeypatch.setattr(f"unicon_ros.recording.{module}.scan", look)
+        monkeypatch.setattr(f"unicon_lab.recording.{module}.scan", look)
     assert info_of(bag)["ticks"] == 100
     assert looked == [bag]
 
@@ -624,7 +624,7 @@ def test_an_npz_that_unpacks_to_too_much_is_not_unpacked(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The bound is on what the archive says of itself, before any of it is read."""
-    monkeypatch.setattr("unicon_ros.recording.npz.LARGEST", 1 << 20)
+    monkeypatch.setattr("unicon_lab.recording.npz.LARGEST", 1 << 20)
     np.savez_compressed(tmp_path / "bomb.npz", states_q=np.zeros((30, 12)), more=np.zeros(1 << 18))
     monkeypatch.setattr(np, "load", None)
     told = refused(capsys, "import", tmp_path / "bomb.npz", tmp_path / "x.mcap", "--robot", "go2")

@@ -23,12 +23,12 @@ from test_recorded_runs import written
 
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program, load_document
+from unicon_lab.fault_record import FaultRecord
+from unicon_lab.recording import Record, open_record
+from unicon_lab.recording.background import CHUNK_BYTES, CHUNK_ROWS
+from unicon_lab.recording.recorder import Recorder
+from unicon_lab.recording.run_recording import Recording
 from unicon_ros.cli.main import main
-from unicon_ros.fault_record import FaultRecord
-from unicon_ros.recorder import Recorder
-from unicon_ros.recording import Record, open_record
-from unicon_ros.recording.background import CHUNK_BYTES, CHUNK_ROWS
-from unicon_ros.run_recording import Recording
 
 RATE = 500
 
@@ -164,8 +164,8 @@ def full(folder: Path, name: str, limit: int) -> None:
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     path = str(folder / name) + "/" * name.endswith("/")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("unicon_ros.recording.background.BLOCK_BYTES", 30_000)
-        patch.setattr("unicon_ros.recording.background.BLOCKS", 60)
+        patch.setattr("unicon_lab.recording.background.BLOCK_BYTES", 30_000)
+        patch.setattr("unicon_lab.recording.background.BLOCKS", 60)
         resource.setrlimit(resource.RLIMIT_FSIZE, (limit, before[1]))
         try:
             recording = Recording(path, warn=warnings.append, patient=True)

@@ -19,17 +19,17 @@ import pytest
 import yaml
 from replaying import cut_off, replay
 
+from unicon_base.errors import StateError, UniconError
 from unicon_core import Zip, pose
-from unicon_core.errors import StateError, UniconError
 from unicon_core.flow import Block, Stage
 from unicon_core.memory_json import from_json
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.workflow import Program, load_workflow
-from unicon_ros import fault_record
+from unicon_lab import fault_record
+from unicon_lab.fault_record import KEPT, FaultRecord, fault_folder
+from unicon_lab.recording import McapFile, mcap_file, open_record
+from unicon_lab.recording.facts import network_hash
 from unicon_ros.cli.main import main
-from unicon_ros.fault_record import KEPT, FaultRecord, fault_folder
-from unicon_ros.recording import McapFile, mcap_file, open_record
-from unicon_ros.recording.facts import network_hash
 
 HOLD = {
     "schema": "unicon.workflow/1",
@@ -375,7 +375,7 @@ def test_a_medium_that_takes_nothing_holds_nobody_up(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     let_go = threading.Event()
-    monkeypatch.setattr("unicon_ros.fault_record.PATIENCE", 0.2)
+    monkeypatch.setattr("unicon_lab.fault_record.PATIENCE", 0.2)
     monkeypatch.setattr(McapFile, "finish", lambda self: let_go.wait(60) and 0)
     warnings: list[str] = []
     report, path = faulty(written(tmp_path), tmp_path / "faults", 3, warnings=warnings)

@@ -14,13 +14,13 @@ from test_bag_command import unicon_npz, written_by_rosbags
 from test_recorded_runs import written
 from test_replay_forms import driving, ran, replayed
 
-from unicon_core.errors import UniconError, WorkflowError
-from unicon_core.resources import find_config
+from unicon_base.errors import UniconError, WorkflowError
+from unicon_base.resources import find_config
 from unicon_core.workflow import load_workflow
+from unicon_lab.recording import open_record
+from unicon_lab.replay.player import play
+from unicon_lab.view.recorded import shown_in
 from unicon_ros.cli.main import main
-from unicon_ros.recording import open_record
-from unicon_ros.replay.player import play
-from unicon_ros.view.recorded import shown_in
 
 
 def imported(source: Path, folder: Path, robot: str = "go2") -> Path:

@@ -18,8 +18,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from unicon_base.errors import StateError
 from unicon_core.check.memory_proof import prove
-from unicon_core.errors import StateError
 from unicon_core.flow import Block
 from unicon_core.memory import Memory, Snapshot
 from unicon_core.memory_json import changes, from_json, to_json

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 import yaml
 
+from unicon_base.errors import Fault, StateError, WorkflowError
 from unicon_core import Zip, pose
 from unicon_core.blocks.controls.device import declares_controls
 from unicon_core.check.memory_proof import prove
-from unicon_core.errors import Fault, StateError, WorkflowError
 from unicon_core.flow import Block, Stage, compile_graph
 from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.flow.nodes import unfused

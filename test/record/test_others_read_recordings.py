@@ -22,10 +22,10 @@ from test_recorded_runs import recorded, written
 
 from unicon_core.flow import Block, Stage
 from unicon_core.workflow import Program
+from unicon_lab.recording import open_record
+from unicon_lab.recording.read import files_of
+from unicon_lab.recording.tick_message import TOPIC
 from unicon_ros.cli.main import main
-from unicon_ros.recording import open_record
-from unicon_ros.recording.read import files_of
-from unicon_ros.recording.tick_message import TOPIC
 
 pytestmark = pytest.mark.slow
 

@@ -16,14 +16,14 @@ pytest.importorskip("rosbags")
 
 from replaying import replay
 
-from unicon_core.errors import Fault, StateError
+from unicon_base.errors import Fault, StateError
 from unicon_core.flow import Block, Stage
 from unicon_core.policies import load_policy
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program, WorkflowDocument, load_document
-from unicon_ros.fault_record import FaultRecord
-from unicon_ros.recording import Record, open_record
-from unicon_ros.run_recording import Recording
+from unicon_lab.fault_record import FaultRecord
+from unicon_lab.recording import Record, open_record
+from unicon_lab.recording.run_recording import Recording
 
 FLOW = {"chain": [{"pose": {"duration": 0.4}}, "hold"]}
 
@@ -185,8 +185,8 @@ def test_a_batch_and_a_part(tmp_path: Path) -> None:
 def test_a_disk_that_drops_ticks_leaves_what_is_whole(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("unicon_ros.recording.background.BLOCKS", 1)
-    monkeypatch.setattr("unicon_ros.recording.background.BLOCK_BYTES", 40_000)
+    monkeypatch.setattr("unicon_lab.recording.background.BLOCKS", 1)
+    monkeypatch.setattr("unicon_lab.recording.background.BLOCK_BYTES", 40_000)
     warnings: list[str] = []
     recording = Recording(tmp_path / "run.mcap", warn=warnings.append)
     record = FaultRecord("off", recording=recording)

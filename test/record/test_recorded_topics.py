@@ -20,10 +20,10 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.rosbag2 import Reader
 
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
+from unicon_lab.recording.recorder import Recorder
+from unicon_lab.recording.recover import recover_folder
 from unicon_ros.cli.main import main
-from unicon_ros.recorder import Recorder
-from unicon_ros.recording.recover import recover_folder
 
 WORKFLOW = """\
 schema: unicon.workflow/1

@@ -18,12 +18,12 @@ pytest.importorskip("onnxruntime", reason="the policies are ONNX networks")
 from policies_of_all_kinds import KINDS, write_policy
 from replaying import cut_off, replay
 
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
 from unicon_core.flow import Amends
 from unicon_core.memory import Snapshot
 from unicon_core.memory_json import to_json
 from unicon_core.workflow import Program
-from unicon_ros.recording import open_record
+from unicon_lab.recording import open_record
 
 pytestmark = pytest.mark.usefixtures("short_ring")
 

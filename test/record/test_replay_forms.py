@@ -15,21 +15,21 @@ pytest.importorskip("rosbags")
 from replaying import replay
 from test_recorded_runs import noise, recorded, written
 
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
+from unicon_base.resources import find_config
 from unicon_core.flow import Block, Stage
 from unicon_core.gates.beginning import beginning
-from unicon_core.resources import find_config
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.workflow import Program, load_workflow
+from unicon_lab.recording import open_record
+from unicon_lab.recording.info import info_of, info_text
+from unicon_lab.replay import verify, workflow_of
+from unicon_lab.replay.platform import TARGET, ReplayPlatform
+from unicon_lab.replay.player import LEFT, RIGHT, Keys, play
+from unicon_lab.replay.workflow import others, versions
 from unicon_ros.cli.main import main
-from unicon_ros.recording import open_record
-from unicon_ros.recording.info import info_of, info_text
-from unicon_ros.replay import verify, workflow_of
-from unicon_ros.replay.platform import TARGET, ReplayPlatform
-from unicon_ros.replay.player import LEFT, RIGHT, Keys, play
-from unicon_ros.replay.workflow import others, versions
 
-BLOCK = "unicon_ros.replay.commands:recorded"
+BLOCK = "unicon_lab.replay.commands:recorded"
 
 
 @pytest.fixture(scope="module")
@@ -309,7 +309,7 @@ def test_nan_in_a_record_is_compared_too_and_never_sent(
             values[60:, 4] = np.nan
             return values
 
-    monkeypatch.setattr("unicon_ros.replay.commands.opened", lambda *_: Broken())
+    monkeypatch.setattr("unicon_lab.replay.commands.opened", lambda *_: Broken())
     with pytest.raises(UniconError, match=r"not finite \(FL_thigh_joint, row 60"):
         load_workflow(driving(tmp_path, path))
 
@@ -390,12 +390,12 @@ def test_facts_that_are_damaged_are_as_if_they_were_not_there(
     document = workflow_of(record)
     for fact in ("platform_facts", "policies", "versions", "overridden", "imported_states"):
         record.facts[fact] = said  # type: ignore[index]
-    monkeypatch.setattr("unicon_ros.recording.info.open_record", lambda *_: record)
+    monkeypatch.setattr("unicon_lab.recording.info.open_record", lambda *_: record)
     assert "100 at 50 Hz" in info_text(info_of(bag))
     assert not others(record, Program(document, dry=True))
     assert versions(record) == []
     assert verify(record, document).ticks == len(record.ticks)
-    monkeypatch.setattr("unicon_ros.replay.series.open_record", lambda path: record)
+    monkeypatch.setattr("unicon_lab.replay.series.open_record", lambda path: record)
     assert ran(replayed(written(tmp_path), bag))[0].ended == "done"
     if not record.told("imported_states", list):  # else it says that no command was imported
         load_workflow(driving(tmp_path, bag)).close()

@@ -20,8 +20,8 @@ from unicon_core.policies import PolicyContract
 from unicon_core.robots import load_robot
 from unicon_core.workflow import load_document
 from unicon_core.workflow.policies import load_policies
-from unicon_ros.recording import Record
-from unicon_ros.replay import Difference, verify, workflow_of
+from unicon_lab.recording import Record
+from unicon_lab.replay import Difference, verify, workflow_of
 
 WORKFLOWS = {"go2_walk": 260, "go1_walk": 40, "g1_walk": 130, "g1_holosoma": 130}
 """With the ticks before the fault; the last two are recorded from their middle on."""

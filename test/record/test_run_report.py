@@ -20,18 +20,18 @@ import yaml
 
 pytest.importorskip("rosbags")
 
-from unicon_core.errors import Fault
+from unicon_base.errors import Fault
+from unicon_base.resources import sha256_of
 from unicon_core.flow import Block, Stage
-from unicon_core.resources import sha256_of
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program, load_document
-from unicon_ros import fault_record
+from unicon_lab import fault_record
+from unicon_lab.fault_record import FaultRecord
+from unicon_lab.recording.run_recording import Recording
+from unicon_lab.run_report.figures import HERE
+from unicon_lab.run_report.report import report_of
 from unicon_ros.cli.main import main
-from unicon_ros.fault_record import FaultRecord
-from unicon_ros.run_recording import Recording
-from unicon_ros.run_report.figures import HERE
-from unicon_ros.run_report.report import report_of
 
 keygen = pytest.mark.skipif(
     shutil.which("ssh-keygen") is None, reason="no ssh-keygen: apt install openssh-client"

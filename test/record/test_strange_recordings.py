@@ -12,8 +12,8 @@ pytest.importorskip("rosbags")
 
 from test_recorded_runs import recorded, written
 
+from unicon_lab.recording import McapFile
 from unicon_ros.cli.main import main
-from unicon_ros.recording import McapFile
 
 
 @pytest.fixture

@@ -13,18 +13,18 @@ import pytest
 from numpy.typing import NDArray
 from pages import Page, looked_at, read_page
 
+from unicon_base.errors import Fault
 from unicon_core import Amends, Loop, Zip, block
-from unicon_core.errors import Fault
+from unicon_core.drawing import drawings
 from unicon_core.flow import Block, Stage, Tick
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.runtime.phases import Phase
 from unicon_core.workflow import Program
+from unicon_lab.report import kept
+from unicon_lab.report.pictures import PICTURES
+from unicon_lab.report.run_page import Pictured
 from unicon_ros.cli.main import main
-from unicon_ros.report import kept
-from unicon_ros.report.drawing import drawings
-from unicon_ros.report.pictures import PICTURES
-from unicon_ros.report.run_page import Pictured
 
 RUN = ["run", "go2_walk", "--no-ros", "--speed", "max", "--quiet"]
 LARGEST = 2_000_000
@@ -40,7 +40,7 @@ def walked(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, dict[str, Any
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(kept, "ROWS", 40)
         some = {name: PICTURES[name] for name in SOME}  # drawing takes its time
-        patch.setattr("unicon_ros.report.run_page.PICTURES", some)
+        patch.setattr("unicon_lab.report.run_page.PICTURES", some)
         assert main([*RUN, "--duration", "2", "--report", str(page)]) == 0
     assert main([*RUN, "--duration", "2", "--report", str(report)]) == 0
     return page.read_text("utf-8"), json.loads(report.read_text("utf-8"))
@@ -123,7 +123,7 @@ def ran(path: Path, tick: Any, ticks: int, pictures: str = "") -> tuple[Page, Re
     report = runner.run()
     with pytest.MonkeyPatch.context() as patch:
         some = {name: PICTURES[name] for name in pictures.split()}
-        patch.setattr("unicon_ros.report.run_page.PICTURES", some)
+        patch.setattr("unicon_lab.report.run_page.PICTURES", some)
         keeper.write(report)
     text = path.read_text("utf-8")
     assert len(text) < LARGEST
@@ -280,7 +280,7 @@ def test_without_matplotlib_the_run_does_not_begin_for_a_page(
 def test_a_page_that_cannot_be_written_is_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("unicon_ros.report.run_page.PICTURES", {})
+    monkeypatch.setattr("unicon_lab.report.run_page.PICTURES", {})
     (tmp_path / "file").write_text("")
     fake = [*RUN, "--set", "platform=fake", "--duration", "0.1"]
     for path in (tmp_path / "file" / "run.html", Path("/proc/run.html")):

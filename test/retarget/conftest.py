@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from hands import rohand_model, xhand_model
 
-from unicon_core.retarget.hand_model import HandModel
 from unicon_core.robots import load_robot
+from unicon_manipulation.retarget.hand_model import HandModel
 
 OWN = {"xhand1": xhand_model, "rohand": rohand_model}
 

@@ -9,9 +9,9 @@ import pytest
 from hands import HANDS
 from human_hands import human_hand, pinched, placed
 
-from unicon_core.retarget.hand_model import HandModel
-from unicon_core.retarget.human_hand import HumanHand
-from unicon_core.retarget.retargeting import Retargeting
+from unicon_manipulation.retarget.hand_model import HandModel
+from unicon_manipulation.retarget.human_hand import HumanHand
+from unicon_manipulation.retarget.retargeting import Retargeting
 
 Build = Callable[[str], HandModel]
 SIZES = (0.8, 1.0, 1.2)

@@ -12,8 +12,7 @@ from human_hands import human_hand
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from unicon_core.blocks.retarget import Retarget
-from unicon_core.errors import RobotError, UniconError, WorkflowError
+from unicon_base.errors import RobotError, UniconError, WorkflowError
 from unicon_core.flow import Writes
 from unicon_core.memory import Memory
 from unicon_core.robots import load_robot
@@ -21,6 +20,7 @@ from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import StateSpec
 from unicon_core.testing import Bench
 from unicon_core.workflow import Program
+from unicon_manipulation.retargeting_block import Retarget
 
 pytest.importorskip("mujoco")
 

@@ -10,11 +10,11 @@ import pytest
 import yaml
 
 from benchmarks.retarget import run
-from unicon_core.blocks.retarget import Retarget
-from unicon_core.errors import RobotError
+from unicon_base.errors import RobotError
+from unicon_base.schema.read import read_value
 from unicon_core.robots import load_robot
 from unicon_core.robots.places import Hand
-from unicon_core.schema.read import read_value
+from unicon_manipulation.retargeting_block import Retarget
 from unicon_ros.cli.main import main
 
 TEXT = (Path(__file__).parents[2] / "docs" / "howto" / "retargeting.md").read_text("utf-8")

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from unicon_core.errors import RobotError
+from unicon_base.errors import RobotError
 from unicon_core.robots import joint_index
 
 NAMES = st.lists(st.text("abc", min_size=1, max_size=3), min_size=1, max_size=30, unique=True)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from unicon_core.errors import RobotError
+from unicon_base.errors import RobotError
 from unicon_core.robots import load_robot
 from unicon_ros.cli.main import main
 

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from unicon_base.resources import assets_root
 from unicon_core.models.find import pick_model
 from unicon_core.models.load import load_model
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.resources import assets_root
 from unicon_core.robots import load_robot
 
 # Models below the assets folder's `models/`, in folders named after their robots: the MJCF and URDF
@@ -190,7 +190,7 @@ def test_order_is_that_of_the_models_motors(model: tuple[str, Path]) -> None:
 def test_the_platform_loads_it_and_a_quadruped_stands(model: tuple[str, Path]) -> None:
     pytest.importorskip("mujoco", reason="the model is simulated")
     from unicon_core.platforms.kit.scene import Scene
-    from unicon_core.platforms.sim.mujoco import make
+    from unicon_core.platforms.mujoco import make
     from unicon_core.states import States, standard_states
 
     name, path = model

@@ -9,8 +9,8 @@ import jsonschema
 import pytest
 import yaml
 
+from unicon_base.schema.read import json_schema
 from unicon_core.robots.file import SCHEMA, Overlay, RobotFile
-from unicon_core.schema.read import json_schema
 
 HERE = Path(__file__).parent
 ROBOTS = HERE.parents[1] / "config" / "robots"

@@ -6,7 +6,7 @@ import inspect
 import re
 from pathlib import Path
 
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
 from unicon_core.evidence import load_evidence
 from unicon_core.robots import load_robot, robot_names
 from unicon_core.workflow.registry import find_factory

@@ -12,7 +12,7 @@ from typing import Any
 
 from peer import Peer
 
-FACE = "--face=unicon_ros.emulate.ros_face:face"
+FACE = "--face=unicon_hardware.emulate.ros_face:face"
 STAND_IN = (*(sys.executable, "-m", "unicon_ros", "emulate"), FACE, "--model=fake")
 OUTPUT = "run.txt"
 PATIENT = (

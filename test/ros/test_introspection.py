@@ -20,7 +20,7 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
 from unicon_core.states import Layout
 from unicon_core.workflow import load_workflow
 from unicon_ros.bridge import RosSession

@@ -19,7 +19,7 @@ from rosbags.highlevel import AnyReader
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow
-from unicon_ros.run_recording import Recording
+from unicon_lab.recording.run_recording import Recording
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
 

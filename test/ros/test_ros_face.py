@@ -8,10 +8,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from unicon_core.errors import PlatformError
+from unicon_base.errors import PlatformError
 from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states
-from unicon_ros.emulate.ros_face import RosFace, face
+from unicon_hardware.emulate.ros_face import RosFace, face
 
 pytestmark = pytest.mark.ros
 ROBOT = load_robot("go2")

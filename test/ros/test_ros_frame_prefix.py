@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
 from unicon_core.workflow import load_workflow
 from unicon_msgs_map import Messages
 from unicon_ros import compat

@@ -14,10 +14,10 @@ import pytest
 import yaml
 from peer import Peer, wait_for
 
-from unicon_core.errors import PlatformError
+from unicon_base.errors import PlatformError
+from unicon_base.resources import find_config
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.kit.start import start_of
-from unicon_core.resources import find_config
 from unicon_core.robots import load_robot
 from unicon_core.workflow import load_workflow
 from unicon_msgs_map import load_map

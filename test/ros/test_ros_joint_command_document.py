@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from unicon_core.resources import list_config
+from unicon_base.resources import list_config
 from unicon_core.robots import load_robot
 from unicon_msgs_map import parse_map
 from unicon_ros.cli.main import main

@@ -18,7 +18,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
 from unicon_core.robots import load_robot
 from unicon_core.workflow import load_workflow
 from unicon_ros import compat

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from unicon_ros.recording import open_record
+from unicon_lab.recording import open_record
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 

@@ -12,7 +12,7 @@ from rclpy.context import Context
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
 from unicon_ros.bridge.tuning import Tuning
 from unicon_ros.parameters import Parameters
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from unicon_core.errors import PlatformError
+from unicon_base.errors import PlatformError
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner
 from unicon_core.workflow import load_workflow

@@ -22,10 +22,10 @@ from std_srvs.srv import Trigger
 
 pytest.importorskip("rosbags")
 
+from unicon_lab.recording import open_record
+from unicon_lab.replay.player import play
 from unicon_ros.bridge import RosSession
 from unicon_ros.cli.main import main
-from unicon_ros.recording import open_record
-from unicon_ros.replay.player import play
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
 

@@ -26,7 +26,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from worn_meshes import go2_with_meshes
 
-from unicon_core.errors import MissingDependencyError, UniconError
+from unicon_base.errors import MissingDependencyError, UniconError
 from unicon_core.runtime import Runner
 from unicon_core.workflow import load_workflow
 from unicon_ros import compat

@@ -20,7 +20,7 @@ from unicon_core.gates.beginning import beginning
 from unicon_core.platforms.child.platform import WATCHDOG
 from unicon_core.platforms.kit.damping import DAMPING_TIME
 from unicon_core.workflow import load_workflow
-from unicon_ros.emulate.emulator import SILENCE as UNHEARD
+from unicon_hardware.emulate.emulator import SILENCE as UNHEARD
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(300)]
 

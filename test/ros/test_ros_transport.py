@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from unicon_core.resources import find_config
+from unicon_base.resources import find_config
 from unicon_ros import compat, transport
 
 JAZZY, KILTED = transport.PROFILES

@@ -17,9 +17,9 @@ import pytest
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program, load_workflow
+from unicon_lab.fault_record import FaultRecord
+from unicon_lab.recording.run_recording import Recording
 from unicon_ros.bridge import RosSession
-from unicon_ros.fault_record import FaultRecord
-from unicon_ros.run_recording import Recording
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.alone, pytest.mark.timeout(300)]
 

@@ -24,7 +24,7 @@ pytest.importorskip("rosbags")
 
 from rosbags.highlevel import AnyReader
 
-from unicon_ros.recording import Record, open_record
+from unicon_lab.recording import Record, open_record
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from unicon_base.errors import Silence
 from unicon_core import Program, block
-from unicon_core.errors import Silence
 from unicon_core.pacing import Pacing
 from unicon_core.platforms.fake import FakeRobot
 from unicon_core.platforms.kit.scene import Scene

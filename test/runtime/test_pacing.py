@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
+from unicon_base.schema.read import read_value
 from unicon_core.runtime import Pacing, Runner, RunOptions, WallClock, prepare_process
 from unicon_core.runtime.ticker import Ticker
-from unicon_core.schema.read import read_value
 from unicon_core.workflow import load_workflow
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="scheduling of Linux")

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from unicon_base.errors import Fault, UniconError
 from unicon_core import Block, Program, Stage, Writes, block, policy, pose
-from unicon_core.errors import Fault, UniconError
 from unicon_core.flow import Tick
 from unicon_core.platforms.fake import FakeRobot, make_robot
 from unicon_core.platforms.kit.damping import BLEND, DAMPING_TIME

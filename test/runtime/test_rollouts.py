@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.runtime.rollouts import Rollout, Rollouts

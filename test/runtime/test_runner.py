@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from unicon_core.errors import Fault
+from unicon_base.errors import Fault
 from unicon_core.flow import Block, Stage
 from unicon_core.platforms.kit.damping import DAMPING_TIME
 from unicon_core.runtime import Runner, RunOptions

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from unicon_core.errors import PlatformError
+from unicon_base.errors import PlatformError
 from unicon_core.platforms.fake import FakePlatform
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program, load_workflow

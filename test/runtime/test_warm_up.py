@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from policy_workflows import KINDS, write_workflow
 
-from unicon_core.errors import Fault
+from unicon_base.errors import Fault
 from unicon_core.flow import Amends, Reads, as_block
 from unicon_core.runtime import Runner, RunOptions, WallClock, WarmUp
 from unicon_core.workflow import load_workflow

@@ -12,16 +12,16 @@ import jsonschema
 import pytest
 import yaml
 
-from unicon_core.errors import PolicyError, UniconError
-from unicon_core.located_yaml import read_yaml
+from unicon_base.errors import PolicyError, UniconError
+from unicon_base.located_yaml import read_yaml
 from unicon_core.policies.build import build_contract
 from unicon_core.policies.policy_yaml import policy_yaml_facts
 from unicon_core.robots import load_robot
 from unicon_core.workflow import load_document
+from unicon_lab.sweep.sweep_file import read_sweep
 from unicon_msgs_map import load_map
 from unicon_ros.cli.main import main
 from unicon_ros.cli.schema import KINDS, schema_of
-from unicon_ros.sweep.sweep_file import read_sweep
 
 ROOT = Path(__file__).resolve().parents[2]
 LOADS: dict[str, Any] = {

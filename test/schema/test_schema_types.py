@@ -10,12 +10,12 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import pytest
 
-from unicon_core.errors import UniconError
-from unicon_core.located_yaml import parse_yaml
-from unicon_core.schema.marks import Key, Like, NotAKey, Point, Quat, Size, Text, Unit, Within
-from unicon_core.schema.read import check_made, json_schema, read, read_value
-from unicon_core.schema.records import option_type
-from unicon_core.schema.types import Here
+from unicon_base.errors import UniconError
+from unicon_base.located_yaml import parse_yaml
+from unicon_base.schema.marks import Key, Like, NotAKey, Point, Quat, Size, Text, Unit, Within
+from unicon_base.schema.read import check_made, json_schema, read, read_value
+from unicon_base.schema.records import option_type
+from unicon_base.schema.types import Here
 
 
 @dataclass(frozen=True)

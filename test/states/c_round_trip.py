@@ -18,7 +18,7 @@ from pathlib import Path
 import c_peers
 import numpy as np
 
-from unicon_core.errors import StateError
+from unicon_base.errors import StateError
 from unicon_core.states import Layout, States, standard_states
 from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter
 from unicon_core.states.groups import groups_of

@@ -10,7 +10,7 @@ from pathlib import Path
 import c_peers
 import pytest
 
-from unicon_core.errors import StateError, UniconError
+from unicon_base.errors import StateError, UniconError
 from unicon_core.states import Layout, StateSpec, standard_states
 from unicon_core.states.c_header import _TAKEN, c_header, field_names, write_header
 from unicon_core.states.groups import Groups, groups_json, groups_of

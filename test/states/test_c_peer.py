@@ -14,7 +14,7 @@ from pathlib import Path
 import c_peers
 import pytest
 
-from unicon_core.errors import StateError
+from unicon_base.errors import StateError
 from unicon_core.states import Layout, States, StateSpec
 from unicon_core.states.backends.shm import (
     Segment,

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from unicon_core.errors import StateError
+from unicon_base.errors import StateError
 from unicon_core.states import Layout, States, StateSpec
 from unicon_core.states.groups import (
     Copies,

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from zmq_peers import Link
 
-from unicon_core.errors import PlatformError
+from unicon_base.errors import PlatformError
 from unicon_core.flow import compile_graph
 from unicon_core.workflow.document import load_document
 from unicon_core.workflow.program import Program

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from ring_processes import start
 
-from unicon_core.errors import StateError
+from unicon_base.errors import StateError
 from unicon_core.states import States, StateSpec
 from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter, clean, segments
 from unicon_core.states.groups import subset

@@ -20,7 +20,7 @@ from ring_processes import (
     write_counts,
 )
 
-from unicon_core.errors import StateError
+from unicon_base.errors import StateError
 from unicon_core.states.backends.shm import (
     Segment,
     ShmReader,

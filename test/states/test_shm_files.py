@@ -17,7 +17,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from ring_processes import PATIENCE, counted_states, end, start
 
-from unicon_core.errors import StateError
+from unicon_base.errors import StateError
 from unicon_core.states import Layout, States, StateSpec
 from unicon_core.states.backends.shm import (
     Segment,

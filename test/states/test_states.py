@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from unicon_core.errors import StateError
+from unicon_base.errors import StateError
 from unicon_core.states import Layout, States, StateSpec, standard_states
 
 DTYPES = ["float32", "float64", "int8", "int32", "int64", "uint16", "bool"]

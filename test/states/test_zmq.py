@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from zmq_peers import READER, SPECS, Link, first_line, process, writing
 
-from unicon_core.errors import MissingDependencyError, StateError
+from unicon_base.errors import MissingDependencyError, StateError
 from unicon_core.states import States, StateSpec
 from unicon_core.states.backends import zmq as zmq_backend
 from unicon_core.states.backends.zmq import HEAD, ZmqReader, ZmqWriter

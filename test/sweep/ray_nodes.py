@@ -16,7 +16,7 @@ from pathlib import Path
 
 import psutil
 
-from unicon_core.resources import same_modules
+from unicon_base.resources import same_modules
 
 START = """\
 import sys

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from unicon_ros.sweep.results import wilson
+from unicon_lab.sweep.results import wilson
 
 COUNTS = st.integers(0, 60)
 

@@ -15,14 +15,14 @@ import pytest
 
 from unicon_core.policies.networks import onnx
 from unicon_core.policies.networks.onnx import OnnxNetwork, share_sessions
+from unicon_lab.sweep import pool
+from unicon_lab.sweep.engines import LocalEngine, Wish, engine_of
+from unicon_lab.sweep.figures import COLUMNS
+from unicon_lab.sweep.plan import Plan, Row
+from unicon_lab.sweep.results import Results
+from unicon_lab.sweep.sweep_file import read_sweep
+from unicon_lab.sweep.worker import RowRunner
 from unicon_ros.cli.main import main
-from unicon_ros.sweep import pool
-from unicon_ros.sweep.engines import LocalEngine, Wish, engine_of
-from unicon_ros.sweep.figures import COLUMNS
-from unicon_ros.sweep.plan import Plan, Row
-from unicon_ros.sweep.results import Results
-from unicon_ros.sweep.sweep_file import read_sweep
-from unicon_ros.sweep.worker import RowRunner
 
 pytest.importorskip("mujoco")
 pytest.importorskip("onnxruntime")

@@ -18,21 +18,21 @@ import pytest
 from pages import looked_at, read_page
 
 from benchmarks.networks import random_policy
-from unicon_core.errors import MissingDependencyError, UniconError
+from unicon_base.errors import MissingDependencyError, UniconError
 from unicon_core.robots import load_robot
-from unicon_ros.analysis.run import read_run
+from unicon_lab.analysis.run import read_run
+from unicon_lab.sweep import pool
+from unicon_lab.sweep.engines import LocalEngine
+from unicon_lab.sweep.figures import COLUMNS
+from unicon_lab.sweep.folder import Folder
+from unicon_lab.sweep.plan import Plan
+from unicon_lab.sweep.pool import HOPELESS, Result
+from unicon_lab.sweep.report import bins_of, write_report
+from unicon_lab.sweep.results import Results
+from unicon_lab.sweep.summary import fall_words
+from unicon_lab.sweep.sweep_file import read_gate, read_sweep
+from unicon_lab.sweep.worker import RowRunner
 from unicon_ros.cli.main import main
-from unicon_ros.sweep import pool
-from unicon_ros.sweep.engines import LocalEngine
-from unicon_ros.sweep.figures import COLUMNS
-from unicon_ros.sweep.folder import Folder
-from unicon_ros.sweep.plan import Plan
-from unicon_ros.sweep.pool import HOPELESS, Result
-from unicon_ros.sweep.report import bins_of, write_report
-from unicon_ros.sweep.results import Results
-from unicon_ros.sweep.summary import fall_words
-from unicon_ros.sweep.sweep_file import read_gate, read_sweep
-from unicon_ros.sweep.worker import RowRunner
 
 pytest.importorskip("mujoco")
 pytest.importorskip("onnxruntime")

@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from unicon_core.platforms.kit.scene import SCENE_KEYS
+from unicon_lab.sweep.draws import KINDS
+from unicon_lab.sweep.figures import COLUMNS
+from unicon_lab.sweep.plan import Plan
+from unicon_lab.sweep.sweep_file import SweepDocument, read_sweep
 from unicon_ros.cli.main import main
-from unicon_ros.sweep.draws import KINDS
-from unicon_ros.sweep.figures import COLUMNS
-from unicon_ros.sweep.plan import Plan
-from unicon_ros.sweep.sweep_file import SweepDocument, read_sweep
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 TEXT = "".join((DOCS / kind / "sweep.md").read_text("utf-8") for kind in ("howto", "reference"))

@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
 from unicon_core.workflow.document import split_setting
-from unicon_ros.sweep.draws import parameter, setting_of
-from unicon_ros.sweep.plan import Plan
-from unicon_ros.sweep.sweep_file import SweepFile, read_gate, read_sweep
+from unicon_lab.sweep.draws import parameter, setting_of
+from unicon_lab.sweep.plan import Plan
+from unicon_lab.sweep.sweep_file import SweepFile, read_gate, read_sweep
 
 HEAD = "workflow: go2_stand\n"
 SEEDS = "vary: {scene.seed: {range: [0, 9]}}\n"

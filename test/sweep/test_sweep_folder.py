@@ -12,13 +12,13 @@ from typing import Any
 
 import pytest
 
-from unicon_core.errors import UniconError
-from unicon_ros.sweep import folder as folders
-from unicon_ros.sweep.figures import empty_row
-from unicon_ros.sweep.folder import JOURNAL, METADATA, SWEEP, Folder, read_journal
-from unicon_ros.sweep.plan import Plan
-from unicon_ros.sweep.results import Results
-from unicon_ros.sweep.sweep_file import read_sweep
+from unicon_base.errors import UniconError
+from unicon_lab.sweep import folder as folders
+from unicon_lab.sweep.figures import empty_row
+from unicon_lab.sweep.folder import JOURNAL, METADATA, SWEEP, Folder, read_journal
+from unicon_lab.sweep.plan import Plan
+from unicon_lab.sweep.results import Results
+from unicon_lab.sweep.sweep_file import read_sweep
 
 pytest.importorskip("pyarrow")
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from unicon_core.arrays import Array
-from unicon_core.errors import UniconError
-from unicon_ros.analysis.run import Run, read_run
-from unicon_ros.sweep.motion import apart, finite_rows, moved
+from unicon_base.arrays import Array
+from unicon_base.errors import UniconError
+from unicon_lab.analysis.run import Run, read_run
+from unicon_lab.sweep.motion import apart, finite_rows, moved
 
 PERIOD = 0.02
 

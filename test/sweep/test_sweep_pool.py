@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from unicon_core.errors import UniconError
-from unicon_ros.sweep.plan import Row
-from unicon_ros.sweep.pool import AHEAD, HOPELESS, TRIES, Pool, PoolWorker, Result
+from unicon_base.errors import UniconError
+from unicon_lab.sweep.plan import Row
+from unicon_lab.sweep.pool import AHEAD, HOPELESS, TRIES, Pool, PoolWorker, Result
 
 ROWS = [Row(index, 0, (), (f"x={index}",)) for index in range(9)]
 

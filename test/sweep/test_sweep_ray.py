@@ -14,17 +14,17 @@ from typing import Any
 
 import pytest
 
-from unicon_core.errors import UniconError
-from unicon_core.resources import find_config, find_resource, same_modules
+from unicon_base.errors import UniconError
+from unicon_base.resources import find_config, find_resource, same_modules
+from unicon_lab.sweep.identity import code_sha256, versions
+from unicon_lab.sweep.on_ray import engine, shipment
+from unicon_lab.sweep.on_ray.driver import differs
+from unicon_lab.sweep.on_ray.engine import Scratch
+from unicon_lab.sweep.on_ray.shipment import files_of, rehearsed, to_ship
+from unicon_lab.sweep.plan import Plan
+from unicon_lab.sweep.sweep_file import read_sweep
+from unicon_lab.sweep.worker import RowRunner
 from unicon_ros.cli.main import main
-from unicon_ros.sweep.identity import code_sha256, versions
-from unicon_ros.sweep.on_ray import engine, shipment
-from unicon_ros.sweep.on_ray.driver import differs
-from unicon_ros.sweep.on_ray.engine import Scratch
-from unicon_ros.sweep.on_ray.shipment import files_of, rehearsed, to_ship
-from unicon_ros.sweep.plan import Plan
-from unicon_ros.sweep.sweep_file import read_sweep
-from unicon_ros.sweep.worker import RowRunner
 
 TEXT = "workflow: go2_stand\nvary: {scene.seed: {range: [0, 3]}}\n"
 
@@ -170,7 +170,7 @@ def quiet() -> Tick:
 NODE = """\
 import json, os, sys
 from pathlib import Path
-from unicon_ros.sweep.on_ray.actor import RowActor
+from unicon_lab.sweep.on_ray.actor import RowActor
 told = json.loads(sys.stdin.read())
 actor = RowActor(told["manifest"])
 print(json.dumps([actor.hello(), [actor.row(each)["row"] for each in told["rows"]]]))
@@ -266,7 +266,7 @@ def test_a_scratch_folder_outlives_its_owner_only_until_the_next(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    code = "import os\nfrom unicon_ros.sweep.on_ray.engine import Scratch\nScratch()\n"
+    code = "import os\nfrom unicon_lab.sweep.on_ray.engine import Scratch\nScratch()\n"
     subprocess.run(
         [sys.executable, "-c", code + "os.kill(os.getpid(), 9)"],
         env=same_modules() | {"TMPDIR": str(tmp_path)}, check=False,

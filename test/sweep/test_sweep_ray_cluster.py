@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 from ray_nodes import TOKEN, Node, left_of
 
-from unicon_core.resources import same_modules
-from unicon_ros.sweep.folder import read_journal
-from unicon_ros.sweep.results import Results
+from unicon_base.resources import same_modules
+from unicon_lab.sweep.folder import read_journal
+from unicon_lab.sweep.results import Results
 
 pytest.importorskip("ray", reason="pip install 'unicon_ros[ray]'")
 pytest.importorskip("mujoco")

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_ros.recording import open_record
+from unicon_lab.recording import open_record
 
 ROOT = Path(__file__).resolve().parents[2]
 HEADSET = ROOT / "examples" / "emulated_headset.py"

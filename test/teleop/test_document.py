@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 import yaml
 
-from unicon_core.blocks.teleop.teleop import Teleop
 from unicon_core.workflow.autowire import option_names
 from unicon_core.workflow.document import load_document
+from unicon_manipulation.teleop.teleop import Teleop
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = (ROOT / "docs" / "howto" / "teleoperation.md").read_text("utf-8")

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from teleop_runs import ROOT, end, free_ports, put_on, start, workflow
 
-from unicon_ros.recording import Record, open_record
+from unicon_lab.recording import Record, open_record
 
 pytest.importorskip("mujoco", reason="the arm moves in MuJoCo")
 pytest.importorskip("daqp", reason="pip install 'unicon_ros[ik]'")

@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from vr_operator import OURS, PERIOD, Operator, angle_between, turned
 
-from unicon_core.blocks.teleop.operator import heading
-from unicon_core.errors import WorkflowError
+from unicon_base.errors import WorkflowError
+from unicon_manipulation.teleop.operator import heading
 
 
 def test_nothing_is_commanded_before_the_clutch_is_engaged() -> None:

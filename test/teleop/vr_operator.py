@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.blocks.controls.headset import HeadsetControls
-from unicon_core.blocks.teleop.operator import FINGERS
-from unicon_core.blocks.teleop.teleop import Teleop
 from unicon_core.robots import load_robot
 from unicon_core.states import States, StateSpec
 from unicon_core.workflow.autowire import BuildContext, autowire
-from unicon_ros.peripherals.webxr.frames import BUTTONS, PARTS
-from unicon_ros.peripherals.webxr.webxr import webxr
+from unicon_hardware.peripherals.webxr.frames import BUTTONS, PARTS
+from unicon_hardware.peripherals.webxr.webxr import webxr
+from unicon_manipulation.headset import HeadsetControls
+from unicon_manipulation.teleop.operator import FINGERS
+from unicon_manipulation.teleop.teleop import Teleop
 
 PERIOD = 0.02
 BOX = [[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from ball_on_ground import laid
 
-from unicon_core.errors import ModelError
+from unicon_base.errors import ModelError
 
 mujoco = pytest.importorskip("mujoco")
 

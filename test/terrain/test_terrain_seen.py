@@ -47,8 +47,8 @@ def test_a_camera_sees_a_step() -> None:
 @pytest.mark.parametrize("said", [{"rough": {"extent": 10.0}}, {"slope": {"angle": 0.1}}])
 def test_the_live_page_draws_it_and_feet_on_it(said: object) -> None:
     pytest.importorskip("viser", reason="pip install 'unicon_ros[view]'")
-    from unicon_ros.view.page.scene import Stage
-    from unicon_ros.view.shown import shown_of
+    from unicon_lab.view.page.scene import Stage
+    from unicon_lab.view.shown import shown_of
 
     changed = {"flow": {"policy": "walk"}, "scene.initial_pose": "policy:walk"}
     changed |= {"commands": [{"velocity_command": {"constant": [0.8, 0.0, 0.0]}}]}

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from unicon_core.errors import PlatformError, UniconError
+from unicon_base.errors import PlatformError, UniconError
+from unicon_base.schema.records import record_of
+from unicon_base.schema.types import Number, OneOf
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.schema.records import record_of
-from unicon_core.schema.types import Number, OneOf
 from unicon_core.terrain.words import KINDS, Drawn, Kind, read_terrain
 from unicon_core.workflow import Program, load_document
 

@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
 from unicon_core.flow import Block, Tick
 from unicon_core.flow.stage import Stage
 from unicon_core.runtime import Runner, RunOptions, phases

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from unicon_core.errors import Fault, StateError, UniconError, WorkflowError
-from unicon_core.schema.read import read_value
+from unicon_base.errors import Fault, StateError, UniconError, WorkflowError
+from unicon_base.schema.read import read_value
 from unicon_core.states.backends.shm import segments
 from unicon_core.together.meeting import Meeting, Party
 

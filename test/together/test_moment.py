@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from unicon_core.errors import Fault, UniconError, WorkflowError
-from unicon_core.located_yaml import Located
+from unicon_base.errors import Fault, UniconError, WorkflowError
+from unicon_base.located_yaml import Located
 from unicon_core.together import rendezvous as module
 from unicon_core.together.rendezvous import WallClock, moment_of
 from unicon_core.workflow.document import WorkflowDocument

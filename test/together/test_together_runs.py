@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from peer import Peer
 
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.runtime.phases import describe
 from unicon_core.states.backends.shm import segments

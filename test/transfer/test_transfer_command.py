@@ -19,13 +19,13 @@ import numpy as np
 import pytest
 from pages import read_page
 
-from unicon_core.resources import sha256_of
+from unicon_base.resources import sha256_of
 from unicon_core.robots import load_robot
-from unicon_ros.analysis.run import read_run
+from unicon_lab.analysis.run import read_run
+from unicon_lab.transfer.plan import make_plan, simulators
+from unicon_lab.transfer.report import PICTURES
+from unicon_lab.transfer.results import COLUMNS, cell, spread
 from unicon_ros.cli.main import main
-from unicon_ros.transfer.plan import make_plan, simulators
-from unicon_ros.transfer.report import PICTURES
-from unicon_ros.transfer.results import COLUMNS, cell, spread
 
 STAND = ("transfer", "go2_stand", "--duration", "1.0")
 NOISE = ("--set", "scene.noise.joint_vel=0.1")

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from unicon_lab.transfer.results import COLUMNS, OUTCOMES, SCHEMA, heads
 from unicon_ros.cli.main import main
-from unicon_ros.transfer.results import COLUMNS, OUTCOMES, SCHEMA, heads
 
 TEXT = (Path(__file__).resolve().parents[2] / "docs" / "howto" / "transfer.md").read_text("utf-8")
 

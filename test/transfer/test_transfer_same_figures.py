@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from unicon_ros.sweep.worker import RowRunner
-from unicon_ros.transfer.plan import make_plan
-from unicon_ros.transfer.results import Results
-from unicon_ros.transfer.rollout import FIGURES, KEPT, TimedRunner
+from unicon_lab.sweep.worker import RowRunner
+from unicon_lab.transfer.plan import make_plan
+from unicon_lab.transfer.results import Results
+from unicon_lab.transfer.rollout import FIGURES, KEPT, TimedRunner
 
 WALK = (
     *("flow={policy: walk}", "scene.initial_pose='policy:walk'", "scene.noise.joint_vel=0.2"),

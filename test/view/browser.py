@@ -11,7 +11,7 @@ from typing import Any
 
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.workflow import Program, load_document
-from unicon_ros.view.view import View
+from unicon_lab.view.view import View
 
 CHROMIUM = Path("/usr/bin/chromium")
 MISSING = "no browser: sudo apt install chromium && pip install playwright"

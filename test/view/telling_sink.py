@@ -7,8 +7,8 @@ import time
 from pathlib import Path
 from typing import Any
 
-from unicon_ros.view.shown import Shown
-from unicon_ros.view.source import Remote, Source
+from unicon_lab.view.shown import Shown
+from unicon_lab.view.source import Remote, Source
 
 
 class Telling:

@@ -30,14 +30,14 @@ from velocity_sent import VelocitySent
 from websockets.exceptions import InvalidStatus
 from worn_meshes import go2_with_meshes, write_stl
 
-from unicon_core.errors import UniconError
-from unicon_core.resources import find_config, same_modules
+from unicon_base.errors import UniconError
+from unicon_base.resources import find_config, same_modules
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.workflow import Program, load_document
+from unicon_lab.view.driver import FAULT
+from unicon_lab.view.view import View
 from unicon_msgs_map import Encoder, load_map
 from unicon_ros.bridge.bindings import arrays_of, names_of, robot_variables
-from unicon_ros.view.driver import FAULT
-from unicon_ros.view.view import View
 
 OPTIONS = {"sink": "foxglove", "host": "127.0.0.1", "port": 8760, "token": "", "fps": 30.0}
 TOPICS = ("/joint_states", "/tf", "/odom")

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from unicon_ros.view.front import CLIENTS, Front
+from unicon_ros.web_front import CLIENTS, Front
 
 ANSWER = b"HTTP/1.1 200 OK\r\n\r\n"
 

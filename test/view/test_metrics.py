@@ -20,9 +20,9 @@ import pytest
 from unicon_core import __version__
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.workflow import Program, load_document
+from unicon_lab.view.metrics import _OF_STATES, BOUNDS, _escaped, _number
+from unicon_lab.view.view import Metered
 from unicon_ros.cli.main import main
-from unicon_ros.view.metrics import _OF_STATES, BOUNDS, _escaped, _number
-from unicon_ros.view.view import Metered
 
 RATE = 200.0
 

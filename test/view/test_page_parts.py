@@ -13,14 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-import unicon_ros.view.page.wheel as wheel_module
-from unicon_core.errors import UniconError
+import unicon_lab.view.page.wheel as wheel_module
+from unicon_base.errors import UniconError
 from unicon_core.states import Layout, States, StateSpec
 from unicon_core.states.standard import standard_states
-from unicon_ros.cli.main import _parser, main
-from unicon_ros.cli.options import view_options
-from unicon_ros.view.front import check_reach, listening, refusal
-from unicon_ros.view.page.plots import (
+from unicon_lab.run_options import view_options
+from unicon_lab.view.page.plots import (
     ALL,
     POINTS,
     SECONDS,
@@ -33,10 +31,12 @@ from unicon_ros.view.page.plots import (
     element_choices,
     groups,
 )
-from unicon_ros.view.page.sink import MOST
-from unicon_ros.view.page.wheel import Wheel
-from unicon_ros.view.page.words import graph_html
-from unicon_ros.view.shown import DEAD_MAN, GraphLine
+from unicon_lab.view.page.sink import MOST
+from unicon_lab.view.page.wheel import Wheel
+from unicon_lab.view.page.words import graph_html
+from unicon_lab.view.shown import DEAD_MAN, GraphLine
+from unicon_ros.cli.main import _parser, main
+from unicon_ros.web_front import check_reach, listening, refusal
 
 LEGS = tuple(f"{leg}_{part}_joint" for leg in ("FL", "FR") for part in ("hip", "thigh", "calf"))
 BOUNDS = ((-0.5, 1.0), (-0.4, 0.4), (-1.0, 1.0))
@@ -329,7 +329,7 @@ def test_the_running_part_of_the_graph_stands_out() -> None:
 )
 def test_a_heartbeat_is_read_and_garbage_is_not(text: str, state: Any) -> None:
     pytest.importorskip("viser", reason="no live page: pip install 'unicon_ros[view]'")
-    from unicon_ros.view.page.link import state_of
+    from unicon_lab.view.page.link import state_of
 
     assert state_of(text) == state
 
@@ -339,7 +339,7 @@ def test_a_robot_is_drawn_with_bones_where_its_model_has_no_looks(tmp_path: Path
     import mujoco
 
     from unicon_core.models.loaded import LoadedModel
-    from unicon_ros.view.page.shapes import shapes_of
+    from unicon_lab.view.page.shapes import shapes_of
 
     text = """<mujoco><worldbody><body name="trunk" pos="0 0 1"><freejoint/>
         <geom type="capsule" size="0.1 0.2" rgba="1 0 0 1"/>
@@ -369,7 +369,7 @@ DOCUMENT = (Path(__file__).parents[2] / "docs/howto/view.md").read_text(encoding
 def test_each_command_of_the_document_is_one(line: str) -> None:
     arguments = _parser().parse_args(shlex.split(line)[1:])
     if arguments.command == "run":
-        options = view_options(arguments)
+        options = view_options(vars(arguments))
         assert options["sink"] == "page"
         check_reach(options["host"], options["token"])
 
@@ -382,7 +382,7 @@ def test_the_document_has_the_figures_and_the_keys_of_the_code() -> None:
     assert [key for key, *_ in keys] == ["i", "k", "u", "o", "j", "l"]
     assert f"After {DEAD_MAN} s of silence" in DOCUMENT
     pytest.importorskip("viser", reason="no live page: pip install 'unicon_ros[view]'")
-    from unicon_ros.view.page.scene import TOUCHING
+    from unicon_lab.view.page.scene import TOUCHING
 
     assert f"within {1e3 * TOUCHING:.0f} mm of the floor" in DOCUMENT
     assert f"up to {MOST}" in DOCUMENT

@@ -17,8 +17,8 @@ from velocity_sent import VelocitySent
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.workflow import Program, load_document
 from unicon_core.workflow.document import WorkflowDocument
-from unicon_ros.view.driver import FAULT
-from unicon_ros.view.view import View
+from unicon_lab.view.driver import FAULT
+from unicon_lab.view.view import View
 
 FLOW = {"chain": [{"hold": {"duration": 0.1}}, "hold"]}
 

@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
 from unicon_core.runtime.phases import Phase
+from unicon_lab.recording import open_record
+from unicon_lab.view.recorded import RecordedSource, shown_in
+from unicon_lab.view.source import Snapshot
 from unicon_ros.cli.main import main
-from unicon_ros.recording import open_record
-from unicon_ros.view.recorded import RecordedSource, shown_in
-from unicon_ros.view.source import Snapshot
 
 RUN = ["run", "go2_stand", "--set", "platform=fake", "--no-ros", "--speed", "max", "--quiet"]
 
@@ -85,7 +85,7 @@ def test_it_plays_by_itself_as_fast_as_told(
     source: RecordedSource, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now = [100.0]
-    monkeypatch.setattr("unicon_ros.view.recorded.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("unicon_lab.view.recorded.time.monotonic", lambda: now[0])
     source.speed = 2.0
     assert source.play_on()
     now[0] += 0.5

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from unicon_core.flow import Amends, Block, Reads, Stage, Tick
 from unicon_core.models.frames import Frames
 from unicon_core.models.load import load_model
-from unicon_core.platforms.sim.mujoco.platform import MujocoPlatform
+from unicon_core.platforms.mujoco.platform import MujocoPlatform
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.workflow import Program, load_workflow
 from unicon_core.workflow.document import load_document

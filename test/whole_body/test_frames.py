@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference_frames import matrix, pose
 
-from unicon_core.errors import ModelError, UniconError, WorkflowError
+from unicon_base.errors import ModelError, UniconError, WorkflowError
 from unicon_core.models.find import pick_model
 from unicon_core.models.frames import Frames
 from unicon_core.models.load import load_model

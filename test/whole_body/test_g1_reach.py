@@ -14,8 +14,8 @@ import pytest
 from numpy.typing import NDArray
 from reaching_walks import under, walk
 
+from unicon_base.resources import find_config
 from unicon_core.flow import Block, Stage
-from unicon_core.resources import find_config
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program, load_workflow
 from unicon_core.workflow.document import load_document

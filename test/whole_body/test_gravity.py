@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from unicon_base.errors import UniconError, WorkflowError
 from unicon_core.check import check_workflow
-from unicon_core.errors import UniconError, WorkflowError
 from unicon_core.models.find import pick_model
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import import_mujoco

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
 from unicon_core.models.find import pick_model
 from unicon_core.models.frames import Frames
 from unicon_core.models.load import load_model

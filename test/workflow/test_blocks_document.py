@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 import yaml
 
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
+from unicon_base.schema.read import read_value
 from unicon_core.runtime import Pacing, Runner, RunOptions
-from unicon_core.schema.read import read_value
 from unicon_core.states import StateSpec, standard_states
 from unicon_core.workflow import load_workflow
 from unicon_core.workflow.flow_yaml import FLOW_WORDS

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from unicon_base.errors import WorkflowError
 from unicon_core.blocks.joint_command import JointCommand
-from unicon_core.errors import WorkflowError
 from unicon_core.flow import Amends, Block, Bundle, Reads
 from unicon_core.robots import load_robot
 from unicon_core.states import States, StateSpec, standard_states

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from unicon_base.errors import WorkflowError
 from unicon_core.blocks.joint_command import JointCommand
 from unicon_core.check import check_workflow
-from unicon_core.errors import WorkflowError
 from unicon_core.flow import Reads, as_block
 from unicon_core.policies.controller import controller_contract
 from unicon_core.robots import Robot, load_robot

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from unicon_core.errors import Fault, WorkflowError
+from unicon_base.errors import Fault, WorkflowError
 from unicon_core.flow import Block, Stage
 from unicon_core.platforms.kit.beside import Beside
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.sim.mujoco import make
+from unicon_core.platforms.mujoco import make
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import States, standard_states
@@ -81,7 +81,7 @@ def test_a_weak_joint_raises_its_flag_and_the_stop_names_it(tmp_path: Path) -> N
 
 PLAIN = """\
 from unicon_core.platforms.platform import Facts
-from unicon_core.platforms.sim.mujoco import make
+from unicon_core.platforms.mujoco import make
 
 def plain(states, robot, period, scene=None):
     assert not (scene.joints or scene.delay or scene.seed)

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from unicon_core.errors import UniconError, WorkflowError
-from unicon_core.located_yaml import Tagged, parse_value, parse_yaml, read_yaml
+from unicon_base.errors import UniconError, WorkflowError
+from unicon_base.located_yaml import Tagged, parse_value, parse_yaml, read_yaml
 
 
 @pytest.mark.parametrize(
@@ -104,4 +104,4 @@ def test_nobody_else_reads_yaml() -> None:
         for path in (root / package).rglob("*.py")
         if reading.search(path.read_text("utf-8"))
     }
-    assert readers == {"unicon_core/bounded_yaml.py"}
+    assert readers == {"unicon_base/bounded_yaml.py"}

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import yaml
 
-from unicon_core.resources import find_config
+from unicon_base.resources import find_config
 from unicon_core.robots import load_robot
 from unicon_msgs_map import load_map
 from unicon_ros.cli.main import main

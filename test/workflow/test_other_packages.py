@@ -11,13 +11,13 @@ from pathlib import Path
 
 import pytest
 
-from unicon_core import packages
-from unicon_core.errors import ModelError, PolicyError, RobotError, UniconError
+from unicon_base import packages
+from unicon_base.errors import ModelError, PolicyError, RobotError, UniconError
+from unicon_base.packages import share_folder
+from unicon_base.registered import all_registered
+from unicon_base.resources import config_roots, find_config, find_resource
 from unicon_core.models.find import find_model
-from unicon_core.packages import share_folder
 from unicon_core.policies import load_policy, policy_names
-from unicon_core.registered import all_registered
-from unicon_core.resources import config_roots, find_config, find_resource
 from unicon_core.robots import load_robot, robot_names
 from unicon_core.workflow import load_workflow, workflow_names
 from unicon_msgs_map import MapFileError, Messages, MessageTypeError, load_map, parse_map

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from unicon_core.errors import WorkflowError
-from unicon_core.located_yaml import read_yaml
+from unicon_base.errors import WorkflowError
+from unicon_base.located_yaml import read_yaml
 from unicon_core.workflow import load_document, load_workflow, workflow_names
 from unicon_core.workflow.document import set_value, split_setting
 from unicon_core.workflow.platform_use import read_platforms

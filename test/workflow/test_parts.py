@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from unicon_base.errors import CheckError, Fault, StateError, UniconError, WorkflowError
 from unicon_core.check import check_workflow, refuse_errors
-from unicon_core.errors import CheckError, Fault, StateError, UniconError, WorkflowError
 from unicon_core.flow import blocks_of
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import States

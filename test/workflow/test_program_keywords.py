@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from unicon_core.schema.records import record_of
+from unicon_base.schema.records import record_of
 from unicon_core.workflow.described import Described
 from unicon_core.workflow.file import Workflow
 

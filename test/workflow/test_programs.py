@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import unicon_core
+from unicon_base.errors import CheckError
 from unicon_core import (
     Amends,
     Block,
@@ -27,7 +28,6 @@ from unicon_core import (
     pose,
     run,
 )
-from unicon_core.errors import CheckError
 from unicon_core.flow import Tick, blocks_of
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.runtime.phases import Phase

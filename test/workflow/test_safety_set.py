@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 import yaml
 
+from unicon_base.errors import WorkflowError
+from unicon_base.resources import find_config
 from unicon_core.check import check_workflow
 from unicon_core.check.check import refuse_errors
-from unicon_core.errors import WorkflowError
 from unicon_core.platforms.platform import Facts, Platform
-from unicon_core.resources import find_config
 from unicon_core.robots import Robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import States

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from unicon_base.errors import PlatformError, WorkflowError
 from unicon_core import Chain, Program, Zip, block, policy, pose
-from unicon_core.errors import PlatformError, WorkflowError
 from unicon_core.platforms.fake import FakeRobot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import States

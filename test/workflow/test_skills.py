@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from unicon_base.errors import WorkflowError
 from unicon_core.blocks.controls.device import declares_controls
 from unicon_core.blocks.joint_command import JointCommand
-from unicon_core.errors import WorkflowError
 from unicon_core.flow import Writes
 from unicon_core.robots import Robot
 from unicon_core.runtime import Runner, RunOptions

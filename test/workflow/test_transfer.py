@@ -9,8 +9,8 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
+from unicon_base.errors import PolicyError, RobotError
 from unicon_core.check import check_workflow
-from unicon_core.errors import PolicyError, RobotError
 from unicon_core.platforms.platform import Facts
 from unicon_core.policies import load_policy
 from unicon_core.robots import Robot, load_robot

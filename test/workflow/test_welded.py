@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from unicon_core.resources import find_config
+from unicon_base.resources import find_config
 from unicon_ros.cli.main import main
 
 pytest.importorskip("mujoco")

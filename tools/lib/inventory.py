@@ -73,7 +73,7 @@ def _keys(node: Any) -> Iterator[str]:
 
 
 def registered() -> Iterator[str]:
-    from unicon_core.errors import UniconError
+    from unicon_base.errors import UniconError
     from unicon_core.workflow.registry import find_factory, known
 
     for kind in ("blocks", "platforms", "faces"):

@@ -66,7 +66,7 @@ def draw(path: Path) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    from unicon_ros.recording import open_record
+    from unicon_lab.recording import open_record
 
     record = open_record(path)
     run = np.array([phase == "run" for phase in record.phases])

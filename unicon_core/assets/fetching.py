@@ -22,9 +22,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote, urlsplit
 
+from unicon_base.errors import UniconError
+from unicon_base.resources import CHUNK, assets_cache, sha256_of
 from unicon_core.assets.manifest import Asset, AssetFile, wrong_files
-from unicon_core.errors import UniconError
-from unicon_core.resources import CHUNK, assets_cache, sha256_of
 
 SILENCE = 30.0
 """In [s]: a server that sends nothing for so long is given up."""

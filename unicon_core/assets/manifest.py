@@ -13,9 +13,9 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import quote
 
-from unicon_core.errors import UniconError, alternatives
-from unicon_core.located_yaml import Located, read_yaml
-from unicon_core.resources import assets_roots, config_files, sha256_of
+from unicon_base.errors import UniconError, alternatives
+from unicon_base.located_yaml import Located, read_yaml
+from unicon_base.resources import assets_roots, config_files, sha256_of
 
 FOLDERS = {"model": "models", "policy": "policies"}
 """Kinds of assets, and the folder of each below the assets folder."""

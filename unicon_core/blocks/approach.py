@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from unicon_core.arrays import Float32
+from unicon_base.arrays import Float32
 from unicon_core.blocks.joint_command import Counting
 from unicon_core.platforms.kit.damping import LastSent
 from unicon_core.states import States

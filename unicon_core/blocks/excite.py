@@ -12,7 +12,9 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from unicon_core.arrays import Float32, Float64
+from unicon_base.arrays import Float32, Float64
+from unicon_base.errors import WorkflowError
+from unicon_base.schema.marks import NotEmpty, Within, positive
 from unicon_core.blocks.joint_command import Counting, JointCommand, robot_gains, ticks_of
 from unicon_core.bounds import (
     DURATION,
@@ -25,10 +27,8 @@ from unicon_core.bounds import (
     StiffnessScale,
     within,
 )
-from unicon_core.errors import WorkflowError
 from unicon_core.robots import Robot
 from unicon_core.robots.poses import joints_like, named_pose
-from unicon_core.schema.marks import NotEmpty, Within, positive
 
 Signal = Literal["sine", "chirp", "square", "triangle", "random"]
 

@@ -16,7 +16,9 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from unicon_core.arrays import Float32
+from unicon_base.arrays import Float32
+from unicon_base.errors import RobotError
+from unicon_base.schema.marks import Within, positive
 from unicon_core.blocks.joint_command import JointCommand, end_of, robot_gains
 from unicon_core.blocks.safety.limits import rates_of
 from unicon_core.bounds import (
@@ -29,12 +31,10 @@ from unicon_core.bounds import (
     Stiffness,
     StiffnessScale,
 )
-from unicon_core.errors import RobotError
 from unicon_core.flow.block import Bundle, Reads
 from unicon_core.models.rows import index_of
 from unicon_core.robots import Robot
 from unicon_core.robots.poses import named_pose
-from unicon_core.schema.marks import Within, positive
 from unicon_core.states import StateSpec
 from unicon_core.states.standard import forwarded_states
 from unicon_core.workflow.autowire import BuildContext

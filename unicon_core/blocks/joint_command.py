@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from unicon_core.arrays import Array, Float32
-from unicon_core.errors import RobotError, WorkflowError
+from unicon_base.arrays import Array, Float32
+from unicon_base.errors import RobotError, WorkflowError
 from unicon_core.flow.block import Bundle, Reads, Writes
 from unicon_core.robots import Robot
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from unicon_core.arrays import Array
-from unicon_core.errors import StateError, alternatives
+from unicon_base.arrays import Array
+from unicon_base.errors import StateError, alternatives
 from unicon_core.flow.linear import LinearMap
 from unicon_core.states import States
 

@@ -12,12 +12,12 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from unicon_base.schema.marks import Within, positive
 from unicon_core.blocks.joint_command import Commands
 from unicon_core.bounds import DURATION
 from unicon_core.flow.block import Reads, Writes
 from unicon_core.platforms.kit.servo import Servo
 from unicon_core.robots import Robot
-from unicon_core.schema.marks import Within, positive
 from unicon_core.states import StateSpec
 from unicon_core.states.standard import hardware_states
 

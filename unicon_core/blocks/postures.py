@@ -8,6 +8,7 @@ from typing import Annotated
 
 import numpy as np
 
+from unicon_base.schema.marks import Within, Write
 from unicon_core.blocks.joint_command import Counting, JointCommand, end_of, robot_gains, ticks_of
 from unicon_core.bounds import (
     DURATION,
@@ -21,7 +22,6 @@ from unicon_core.bounds import (
 from unicon_core.flow.block import Reads
 from unicon_core.robots import Robot
 from unicon_core.robots.poses import joints_like, named_pose
-from unicon_core.schema.marks import Within, Write
 
 
 class Pose(Counting):

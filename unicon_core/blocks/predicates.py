@@ -8,11 +8,11 @@ from typing import Annotated, cast
 
 import numpy as np
 
-from unicon_core.arrays import Float32
+from unicon_base.arrays import Float32
+from unicon_base.schema.marks import positive
 from unicon_core.blocks.joint_command import Counting, ticks_of
 from unicon_core.bounds import Seconds
 from unicon_core.flow.block import Reads
-from unicon_core.schema.marks import positive
 
 
 class Elapsed(Counting):

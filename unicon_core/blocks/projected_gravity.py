@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from unicon_core.arrays import Float32
+from unicon_base.arrays import Float32
 from unicon_core.flow.block import Reads, Writes
 
 

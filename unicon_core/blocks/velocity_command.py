@@ -11,13 +11,13 @@ from typing import Annotated
 
 import numpy as np
 
+from unicon_base.errors import WorkflowError
+from unicon_base.schema.marks import NotEmpty, Within, Write, positive
 from unicon_core.blocks.controls.device import declares_controls
 from unicon_core.blocks.joint_command import end_of, single
 from unicon_core.bounds import Seconds
 from unicon_core.buttons import BUTTONS, Button
-from unicon_core.errors import WorkflowError
 from unicon_core.flow.block import Reads, Writes
-from unicon_core.schema.marks import NotEmpty, Within, Write, positive
 
 Twist = tuple[float, float, float]
 Row = Annotated[tuple[Seconds, float, float, float], Write("[t, vx, vy, wz]")]

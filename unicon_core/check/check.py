@@ -9,6 +9,17 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from unicon_base.errors import (
+    CheckError,
+    MissingDependencyError,
+    ModelError,
+    PlatformError,
+    PolicyError,
+    RobotError,
+    UniconError,
+    WorkflowError,
+    alternatives,
+)
 from unicon_core.check.action import check_action, check_fed
 from unicon_core.check.files import check_bodies, check_files, check_reach, check_robot, check_seen
 from unicon_core.check.gains import check_gains, check_held, check_limits
@@ -28,17 +39,6 @@ from unicon_core.check.rules import CODES, FIRM
 from unicon_core.check.safety import check_gates, check_safety, check_start
 from unicon_core.check.subject import Subject, build_subject, declared_platform
 from unicon_core.check.timing import check_commands, check_timing
-from unicon_core.errors import (
-    CheckError,
-    MissingDependencyError,
-    ModelError,
-    PlatformError,
-    PolicyError,
-    RobotError,
-    UniconError,
-    WorkflowError,
-    alternatives,
-)
 from unicon_core.workflow import Hook
 from unicon_core.workflow.document import WorkflowDocument, load_document
 

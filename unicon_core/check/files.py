@@ -6,13 +6,13 @@ keep apart, and what platform and robots last ran against.
 
 from __future__ import annotations
 
+from unicon_base.errors import alternatives
+from unicon_base.resources import sha256_of
 from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject, listed
-from unicon_core.errors import alternatives
 from unicon_core.evidence import LEVELS, Evidence, load_evidence
 from unicon_core.platforms.platform import Facts
 from unicon_core.policies.networks.onnx_file import read_onnx
-from unicon_core.resources import sha256_of
 from unicon_core.robots import Robot, robot_files
 
 

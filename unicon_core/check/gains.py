@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.arrays import Array, Float32, Float64, Index
+from unicon_base.arrays import Array, Float32, Float64, Index
+from unicon_base.errors import MissingDependencyError, ModelError
 from unicon_core.check.model_facts import ModelJoints, model_joints
 from unicon_core.check.order import check_mirrored
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import Subject, listed
-from unicon_core.errors import MissingDependencyError, ModelError
 from unicon_core.figures import figure, figures, spans
 from unicon_core.models.find import model_of
 from unicon_core.models.load import load_model

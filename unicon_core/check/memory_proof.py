@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.arrays import Array
+from unicon_base.arrays import Array
 from unicon_core.flow import Block
 from unicon_core.memory import UNDECLARED, Memory, declared, holder_of
 from unicon_core.states import States

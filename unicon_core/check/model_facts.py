@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from unicon_core.arrays import Float64
+from unicon_base.arrays import Float64
 from unicon_core.models.kinematic_tree import read_tree
 from unicon_core.models.loaded import LoadedModel, drives, position_gains
 from unicon_core.robots import Robot

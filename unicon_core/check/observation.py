@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from unicon_core.arrays import Float32
+from unicon_base.arrays import Float32
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import Subject
 from unicon_core.figures import figure, span

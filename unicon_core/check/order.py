@@ -8,7 +8,7 @@ from itertools import chain, combinations
 
 import numpy as np
 
-from unicon_core.arrays import Float32, Index
+from unicon_base.arrays import Float32, Index
 from unicon_core.check.model_facts import joint_depths
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import Subject, listed

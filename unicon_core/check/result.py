@@ -9,9 +9,9 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from unicon_base.errors import UniconError, alternatives
 from unicon_core.aligned import aligned
 from unicon_core.check.rules import CODES, FIRM
-from unicon_core.errors import UniconError, alternatives
 from unicon_core.page import write_file
 from unicon_core.terminal import WIDTH, near, wrapped
 

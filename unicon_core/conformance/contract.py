@@ -7,8 +7,8 @@ from contextlib import suppress
 import numpy as np
 import pytest
 
+from unicon_base.errors import Fault, PlatformError
 from unicon_core.conformance.rig import STAND, TIMESTEP, Build, Case, Rig
-from unicon_core.errors import Fault, PlatformError
 from unicon_core.platforms.platform import SIMULATED, Pushable, Resettable
 
 _NOISE = {"noise": {"joint_pos": 0.01, "base_ang_vel": 0.1}, "push": {"every": 0.03, "velocity": 1}}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from unicon_core.arrays import Array
+from unicon_base.arrays import Array
 from unicon_core.conformance.rig import (
     EFFORT_LIMIT,
     FRICTION,

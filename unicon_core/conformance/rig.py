@@ -14,8 +14,8 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from unicon_core.arrays import Array
-from unicon_core.errors import PlatformError
+from unicon_base.arrays import Array
+from unicon_base.errors import PlatformError
 from unicon_core.platforms.kit.disturbances import disturb
 from unicon_core.platforms.kit.scene import SCENE_KEYS, Scene
 from unicon_core.platforms.platform import Platform, info_of

@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal, TypeAlias
 
-from unicon_core.arrays import Array
-from unicon_core.errors import WorkflowError
+from unicon_base.arrays import Array
+from unicon_base.errors import WorkflowError
 from unicon_core.flow.linear import LinearMap
 from unicon_core.flow.stage import Stage
 

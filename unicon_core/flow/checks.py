@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
-from unicon_core.errors import WorkflowError, alternatives
+from unicon_base.errors import WorkflowError, alternatives
 from unicon_core.flow.block import Block
 from unicon_core.flow.check_order import Finding, behind_send, reads_before_writes
 from unicon_core.flow.linear import LinearMap

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import CellType, FunctionType
 
-from unicon_core.arrays import Int64
+from unicon_base.arrays import Int64
 from unicon_core.flow.block import Block
 from unicon_core.flow.scope import LABEL
 

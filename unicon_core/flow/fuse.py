@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from unicon_core.arrays import Array, Index
+from unicon_base.arrays import Array, Index
+from unicon_base.generated import define
 from unicon_core.flow.block import Block, Tick
 from unicon_core.flow.linear import LinearMap
 from unicon_core.flow.nodes import Node, Zip, children_of, with_children
 from unicon_core.flow.stage import FIXED
-from unicon_core.generated import define
 from unicon_core.states import States
 from unicon_core.states.stacked import Range, Screen, places
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from unicon_core.arrays import Array
-from unicon_core.errors import StateError
+from unicon_base.arrays import Array
+from unicon_base.errors import StateError
 
 
 @dataclass(eq=False)

@@ -14,7 +14,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from unicon_core.errors import WorkflowError
+from unicon_base.errors import WorkflowError
 from unicon_core.flow.block import Block, Tick, as_block
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
-from unicon_core.generated import define
+from unicon_base.generated import define
 
 Lines: TypeAlias = list[str]
 

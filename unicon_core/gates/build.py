@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from unicon_core.arrays import Float32
+from unicon_base.arrays import Float32
 from unicon_core.blocks.safety.ranges import RangeStop
 from unicon_core.blocks.safety.stops import TiltStop
 from unicon_core.blocks.safety.stuck import ImuStop

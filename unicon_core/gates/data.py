@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 
 import numpy as np
 
-from unicon_core.arrays import Array, Bool, Float64
+from unicon_base.arrays import Array, Bool, Float64
 from unicon_core.gates.gate import StartGate
 from unicon_core.states import States
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
-from unicon_core.arrays import Array
-from unicon_core.errors import Fault
+from unicon_base.arrays import Array
+from unicon_base.errors import Fault
 from unicon_core.figures import figure
 from unicon_core.robots import Robot
 

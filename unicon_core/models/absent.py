@@ -8,8 +8,8 @@ from os.path import isfile
 from pathlib import Path
 from typing import Any
 
+from unicon_base.packages import PACKAGE, share_folder
 from unicon_core.file_kinds import is_lfs_pointer
-from unicon_core.packages import PACKAGE, share_folder
 
 _MESHES = (".stl", ".obj", ".msh")  # what MuJoCo reads; COLLADA counts as absent
 _ATTACHED = re.compile(r"""<model\s[^<>]*?\bfile\s*=\s*["']([^"'<>]+)["']""")

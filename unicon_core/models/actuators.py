@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.arrays import Float64
+from unicon_base.arrays import Float64
 from unicon_core.models.loaded import LoadedModel, drives, import_mujoco
 from unicon_core.robots import Robot
 

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
 
-from unicon_core.arrays import Array, Float64, Index
-from unicon_core.errors import ModelError
+from unicon_base.arrays import Array, Float64, Index
+from unicon_base.errors import ModelError
 from unicon_core.models.loaded import LoadedModel, dofs_above, import_mujoco
 from unicon_core.models.posed import foot_bodies, foot_geoms
 from unicon_core.models.rows import index_of, rows_of

@@ -9,8 +9,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Protocol, runtime_checkable
 
-from unicon_core.errors import MissingDependencyError, ModelError, alternatives, imported, one_line
-from unicon_core.resources import find_resource
+from unicon_base.errors import MissingDependencyError, ModelError, alternatives, imported, one_line
+from unicon_base.resources import find_resource
 from unicon_core.robots import Robot
 from unicon_core.robots.robot import MODEL_FORMATS
 from unicon_core.terrain.words import Terrain

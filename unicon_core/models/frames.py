@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from unicon_core.arrays import Array, Float64
-from unicon_core.errors import ModelError, alternatives
+from unicon_base.arrays import Array, Float64
+from unicon_base.errors import ModelError, alternatives
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.plain_turns import Quat, conjugate, multiply
 from unicon_core.models.posed import PosedModel

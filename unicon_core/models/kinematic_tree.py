@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.arrays import Float64
+from unicon_base.arrays import Float64
 from unicon_core.models.loaded import find_joints, free_joint, import_mujoco, is_simple
 from unicon_core.models.quaternions import about, multiply, rotate
 from unicon_core.models.touching import solid

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.errors import ModelError, RobotError, one_line
+from unicon_base.errors import ModelError, RobotError, one_line
 from unicon_core.models.absent import drop_absent_meshes, drop_absent_textures
 from unicon_core.models.actuators import mend_actuators
 from unicon_core.models.attach import attach_members

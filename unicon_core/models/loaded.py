@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.arrays import Float64, Index
-from unicon_core.errors import MissingDependencyError, ModelError, RobotError, alternatives
+from unicon_base.arrays import Float64, Index
+from unicon_base.errors import MissingDependencyError, ModelError, RobotError, alternatives
 from unicon_core.robots import Robot, joint_index
 
 _log = logging.getLogger(__name__)

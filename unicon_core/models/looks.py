@@ -18,8 +18,9 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from unicon_core.arrays import Float64
-from unicon_core.errors import UniconError
+from unicon_base.arrays import Float64
+from unicon_base.errors import UniconError
+from unicon_base.packages import PACKAGE, package_file
 from unicon_core.models.absent import mesh_places, model_folders
 from unicon_core.models.find import pick_model
 from unicon_core.models.kinematic_tree import BASE, Geom, Link, read_tree
@@ -27,7 +28,6 @@ from unicon_core.models.load import load_model, repaired_urdf
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.quaternions import about, multiply, rotate
 from unicon_core.models.touching import solid
-from unicon_core.packages import PACKAGE, package_file
 from unicon_core.robots import Robot
 
 _FAINT = 0.05

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from unicon_core.arrays import Array, Bool, Float64
+from unicon_base.arrays import Array, Bool, Float64
 from unicon_core.models.loaded import LoadedModel, bodies_above, import_mujoco
 from unicon_core.models.rows import index_of
 from unicon_core.models.touching import floors, may_touch, on_floor, solid

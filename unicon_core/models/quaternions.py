@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from unicon_core.arrays import Float64
+from unicon_base.arrays import Float64
 
 
 def multiply(a: Float64, b: Float64) -> Float64:

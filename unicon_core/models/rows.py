@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
 
-from unicon_core.arrays import Array, Index
+from unicon_base.arrays import Array, Index
 
 
 def index_of(positions: Sequence[int]) -> slice | Index:

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from unicon_core.arrays import Bool, Float64
+from unicon_base.arrays import Bool, Float64
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 
 

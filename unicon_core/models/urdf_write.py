@@ -14,7 +14,7 @@ from xml.etree import ElementTree as Xml
 
 import numpy as np
 
-from unicon_core.arrays import Float64
+from unicon_base.arrays import Float64
 from unicon_core.models.kinematic_tree import Geom, Link, read_tree
 from unicon_core.models.loaded import LoadedModel
 from unicon_core.robots import Robot

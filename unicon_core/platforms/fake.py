@@ -10,7 +10,8 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from unicon_core.arrays import Float32
+from unicon_base.arrays import Float32
+from unicon_base.schema.marks import Unit, Within
 from unicon_core.platforms.kit.bodies import GANTRY
 from unicon_core.platforms.kit.command import Command
 from unicon_core.platforms.kit.scene import Scene
@@ -18,7 +19,6 @@ from unicon_core.platforms.kit.servo import Servo
 from unicon_core.platforms.kit.start import start_of
 from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.robots import Robot
-from unicon_core.schema.marks import Unit, Within
 from unicon_core.states import States
 
 TimeConstant = Annotated[float, Unit("s"), Within(0.0)]

@@ -10,8 +10,8 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
-from unicon_core.arrays import Array
-from unicon_core.errors import Fault
+from unicon_base.arrays import Array
+from unicon_base.errors import Fault
 from unicon_core.platforms.platform import (
     Facts,
     Platform,

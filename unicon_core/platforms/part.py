@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 
-from unicon_core.errors import PlatformError
+from unicon_base.errors import PlatformError
 from unicon_core.platforms.platform import Facts
 from unicon_core.signals import SIGNALS
 from unicon_core.states.links import Incoming

@@ -22,7 +22,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
-from unicon_core.arrays import Array, Float64
+from unicon_base.arrays import Array, Float64
 from unicon_core.states.standard import BASE_STATES, COMMAND_STATES, JOINT_STATES
 
 if TYPE_CHECKING:

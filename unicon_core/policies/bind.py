@@ -7,8 +7,8 @@ from math import prod
 
 import numpy as np
 
-from unicon_core.arrays import Array, Float32
-from unicon_core.errors import PolicyError
+from unicon_base.arrays import Array, Float32
+from unicon_base.errors import PolicyError
 from unicon_core.policies.contract import ObservationSpec, ObservationTerm, PolicyContract
 from unicon_core.policies.lane import Input, Lane, Published
 from unicon_core.policies.networks import Network, Tensor

@@ -8,9 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.arrays import Float32
-from unicon_core.errors import PolicyError
-from unicon_core.located_yaml import Where
+from unicon_base.arrays import Float32
+from unicon_base.errors import PolicyError
+from unicon_base.located_yaml import Where
+from unicon_base.resources import file_beside
+from unicon_base.schema.read import refuse
+from unicon_base.schema.records import record_of
+from unicon_base.schema.types import Mistakes
 from unicon_core.policies.contract import (
     ActionSpec,
     FilterSpec,
@@ -21,11 +25,7 @@ from unicon_core.policies.contract import (
 from unicon_core.policies.facts import Facts, dig, is_open, missing_facts
 from unicon_core.policies.file import ActionFile, PolicyFile, is_single, kinds_of
 from unicon_core.policies.motion.spec import with_clip
-from unicon_core.resources import file_beside
 from unicon_core.robots import joint_index
-from unicon_core.schema.read import refuse
-from unicon_core.schema.records import record_of
-from unicon_core.schema.types import Mistakes
 
 
 class IncompletePolicyError(PolicyError):

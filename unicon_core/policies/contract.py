@@ -17,7 +17,9 @@ from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
 
-from unicon_core.arrays import Bool, Float32
+from unicon_base.arrays import Bool, Float32
+from unicon_base.schema.marks import Core, Made, Names, Text, Within, Write, positive
+from unicon_base.schema.types import Here
 from unicon_core.bounds import SCALE, Damping, Stiffness
 from unicon_core.policies.hints import (
     LONGEST_FILTER,
@@ -41,8 +43,6 @@ from unicon_core.policies.hints import (
     rounded_one,
 )
 from unicon_core.policies.motion.spec import MotionSpec
-from unicon_core.schema.marks import Core, Made, Names, Text, Within, Write, positive
-from unicon_core.schema.types import Here
 
 ActionKind: TypeAlias = Literal["position", "velocity", "torque"]
 TORCHSCRIPT = (".pt", ".pth", ".jit")

@@ -12,8 +12,8 @@ from typing import Any, Protocol, cast
 
 import numpy as np
 
-from unicon_core.arrays import Array
-from unicon_core.errors import WorkflowError
+from unicon_base.arrays import Array
+from unicon_base.errors import WorkflowError
 from unicon_core.flow import Block
 
 

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from unicon_core.errors import PolicyError
-from unicon_core.located_yaml import Where
-from unicon_core.resources import file_beside
+from unicon_base.errors import PolicyError
+from unicon_base.located_yaml import Where
+from unicon_base.resources import file_beside
 
 # Name of a term on the training side -> where its values come from. A plain `joint_pos` is relative
 # as a term of BeyondMimic, mjlab and holosoma, and absolute as a function of Isaac Lab and Unitree.

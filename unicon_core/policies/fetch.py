@@ -22,11 +22,11 @@ from urllib.parse import unquote, urlsplit
 
 import yaml
 
-from unicon_core.errors import PolicyError, alternatives, cannot, imported, one_line
-from unicon_core.located_yaml import read_yaml
+from unicon_base.errors import PolicyError, alternatives, cannot, imported, one_line
+from unicon_base.located_yaml import read_yaml
+from unicon_base.resources import sha256_of
 from unicon_core.policies.contract import TORCHSCRIPT
 from unicon_core.policies.load import ImportReport, import_policy, refuse_to_replace
-from unicon_core.resources import sha256_of
 from unicon_core.robots import Robot
 
 NETWORKS = (".onnx", *TORCHSCRIPT)

@@ -12,14 +12,14 @@ from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from typing import Annotated, Any, Literal, cast
 
-from unicon_core.arrays import Float32
+from unicon_base.arrays import Float32
+from unicon_base.errors import alternatives
+from unicon_base.located_yaml import Where
+from unicon_base.schema.marks import Matches, Names, NotEmpty, Within, Write
+from unicon_base.schema.types import Here
 from unicon_core.bounds import ACTION_SCALE, EFFORT, POSITION, VELOCITY
-from unicon_core.errors import alternatives
-from unicon_core.located_yaml import Where
 from unicon_core.policies.contract import ActionKind, FilterSpec, PolicyFacts
 from unicon_core.policies.hints import Clip, Feeds, Sha256, each
-from unicon_core.schema.marks import Matches, Names, NotEmpty, Within, Write
-from unicon_core.schema.types import Here
 
 _BOUNDS: dict[ActionKind, tuple[dict[str, float], str]] = {
     "position": ({"scale": ACTION_SCALE, "offset": POSITION}, "rad"),

@@ -15,7 +15,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from unicon_core.arrays import Float32
+from unicon_base.arrays import Float32
 from unicon_core.policies.contract import FilterSpec
 
 

@@ -16,8 +16,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from unicon_core.arrays import Float64
-from unicon_core.errors import PolicyError, UniconError, alternatives
+from unicon_base.arrays import Float64
+from unicon_base.errors import PolicyError, UniconError, alternatives
+from unicon_base.schema.marks import Key, Made
+from unicon_base.schema.read import read_value
 from unicon_core.figures import figure
 from unicon_core.models.find import pick_model
 from unicon_core.models.load import load_model
@@ -25,8 +27,6 @@ from unicon_core.models.loaded import drives, position_gains
 from unicon_core.policies.facts import GAINS, Facts, is_open, missing_facts
 from unicon_core.policies.hints import listed
 from unicon_core.robots import Robot, load_robot
-from unicon_core.schema.marks import Key, Made
-from unicon_core.schema.read import read_value
 
 
 @dataclass(frozen=True)

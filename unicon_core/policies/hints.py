@@ -12,10 +12,10 @@ from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 
-from unicon_core.arrays import Float32
+from unicon_base.arrays import Float32
+from unicon_base.errors import PolicyError
+from unicon_base.schema.marks import Made, Matches, NotEmpty, Within, Write, positive
 from unicon_core.bounds import POSITION
-from unicon_core.errors import PolicyError
-from unicon_core.schema.marks import Made, Matches, NotEmpty, Within, Write, positive
 
 LONGEST_FILTER = 100
 """Samples of a moving average; a policy at 50 Hz sees two seconds then."""

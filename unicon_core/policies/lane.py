@@ -14,7 +14,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from unicon_core.arrays import Array, Float32
+from unicon_base.arrays import Array, Float32
 from unicon_core.policies.filters import Filter
 from unicon_core.policies.networks import Remembering
 from unicon_core.policies.observation import Observation, nothing

@@ -9,8 +9,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from unicon_core.errors import PolicyError, alternatives
-from unicon_core.located_yaml import Where, read_yaml
+from unicon_base.errors import PolicyError, alternatives
+from unicon_base.located_yaml import Where, read_yaml
+from unicon_base.registered import path_of, registered
+from unicon_base.resources import (
+    config_roots,
+    find_resource,
+    list_config,
+    looked_in,
+    lying_here,
+    sha256_of,
+)
 from unicon_core.policies.build import build_contract
 from unicon_core.policies.contract import TORCHSCRIPT, PolicyContract
 from unicon_core.policies.facts import Facts, missing_facts
@@ -30,15 +39,6 @@ from unicon_core.policies.policy_yaml import (
     policy_yaml_facts,
     write_partial_yaml,
     write_policy_yaml,
-)
-from unicon_core.registered import path_of, registered
-from unicon_core.resources import (
-    config_roots,
-    find_resource,
-    list_config,
-    looked_in,
-    lying_here,
-    sha256_of,
 )
 from unicon_core.robots import Robot, load_robot
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.arrays import Float32, Index
+from unicon_base.arrays import Float32, Index
 from unicon_core.policies.contract import ObservationSpec, PolicyContract
 from unicon_core.policies.filters import make_filter
 from unicon_core.policies.prefixed import PackedStates

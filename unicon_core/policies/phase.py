@@ -19,8 +19,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from unicon_core.arrays import Float64
-from unicon_core.errors import PolicyError
+from unicon_base.arrays import Float64
+from unicon_base.errors import PolicyError
 from unicon_core.policies.contract import CommandSpec, PhaseSpec
 from unicon_core.policies.prefixed import PackedStates
 

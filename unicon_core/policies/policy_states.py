@@ -10,7 +10,7 @@ from dataclasses import replace
 from math import prod
 from typing import Any
 
-from unicon_core.arrays import Array
+from unicon_base.arrays import Array
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.motion.follow import MotionTracker
 from unicon_core.policies.networks.chain import chained_outputs

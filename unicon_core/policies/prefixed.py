@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sized
 from typing import Any, TypeAlias
 
-from unicon_core.arrays import Array
+from unicon_base.arrays import Array
 from unicon_core.states import States, StateSpec, standard_states
 
 

@@ -6,9 +6,9 @@ from collections.abc import Iterable, Sequence
 from itertools import accumulate
 from typing import Any
 
+from unicon_base.arrays import Float32
+from unicon_base.errors import PolicyError
 from unicon_core.aligned import aligned
-from unicon_core.arrays import Float32
-from unicon_core.errors import PolicyError
 from unicon_core.figures import figure, span
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.load import load_policy, policy_names

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.arrays import Float32, Index
-from unicon_core.errors import PolicyError, RobotError, alternatives
+from unicon_base.arrays import Float32, Index
+from unicon_base.errors import PolicyError, RobotError, alternatives
 from unicon_core.policies.contract import ObservationSpec, ObservationTerm, PolicyContract
 from unicon_core.policies.prefixed import PackedStates
 from unicon_core.robots import joint_index

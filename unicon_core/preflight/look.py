@@ -12,9 +12,9 @@ import time
 
 import numpy as np
 
-from unicon_core.arrays import Float32
+from unicon_base.arrays import Float32
+from unicon_base.errors import Fault, UniconError
 from unicon_core.blocks.approach import Target
-from unicon_core.errors import Fault, UniconError
 from unicon_core.figures import figure
 from unicon_core.flow import Node, Zip, compile_graph
 from unicon_core.flow.stage import Stage

@@ -1,4 +1,4 @@
-"""Robot files and overlays: what they say, as classes that `unicon_core.schema` reads.
+"""Robot files and overlays: what they say, as classes that `unicon_base.schema` reads.
 
 A file whose `manufacturer` is given describes a vendor's robot: every fact has a source, and what
 was not found is null and named in `unknown`. A robot of one's own needs neither.
@@ -10,19 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import PurePath
 from typing import Annotated, Any, Literal, get_args
 
-from unicon_core.bounds import EFFORT, POSITION, Damping, Speed, Stiffness
-from unicon_core.buttons import BUTTONS, Button
-from unicon_core.robots.file_rules import (
-    joints_of,
-    note_contacts,
-    note_groups,
-    note_joints_once,
-    note_sources,
-    note_unknown,
-)
-from unicon_core.robots.places import Capsules, Hand, Places
-from unicon_core.robots.robot import JOINT_ORDER
-from unicon_core.schema.marks import (
+from unicon_base.schema.marks import (
     Checked,
     Like,
     Name,
@@ -35,8 +23,20 @@ from unicon_core.schema.marks import (
     Write,
     positive,
 )
-from unicon_core.schema.records import largest, record_of
-from unicon_core.schema.types import Here
+from unicon_base.schema.records import largest, record_of
+from unicon_base.schema.types import Here
+from unicon_core.bounds import EFFORT, POSITION, Damping, Speed, Stiffness
+from unicon_core.buttons import BUTTONS, Button
+from unicon_core.robots.file_rules import (
+    joints_of,
+    note_contacts,
+    note_groups,
+    note_joints_once,
+    note_sources,
+    note_unknown,
+)
+from unicon_core.robots.places import Capsules, Hand, Places
+from unicon_core.robots.robot import JOINT_ORDER
 
 SCHEMA = "unicon.robot/1"
 Kind = Literal["quadruped", "humanoid", "wheeled", "hand", "arm"]

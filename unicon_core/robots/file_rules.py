@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from fnmatch import fnmatchcase
 from typing import Any
 
-from unicon_core.errors import alternatives
-from unicon_core.located_yaml import Where
+from unicon_base.errors import alternatives
+from unicon_base.located_yaml import Where
+from unicon_base.schema.records import meant
+from unicon_base.schema.types import Here
 from unicon_core.robots.robot import JOINT_FIELDS
-from unicon_core.schema.records import meant
-from unicon_core.schema.types import Here
 
 
 def joints_of(document: Mapping[str, Any]) -> list[dict[str, Any]]:

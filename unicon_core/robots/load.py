@@ -19,17 +19,17 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.arrays import Float32
-from unicon_core.errors import RobotError, WorkflowError
+from unicon_base.arrays import Float32
+from unicon_base.errors import RobotError, WorkflowError
+from unicon_base.located_yaml import Located, read_yaml
+from unicon_base.resources import find_config, list_config
+from unicon_base.schema.read import read, refuse
+from unicon_base.schema.types import Mistakes
 from unicon_core.file_kinds import other_kind
-from unicon_core.located_yaml import Located, read_yaml
-from unicon_core.resources import find_config, list_config
 from unicon_core.robots.file import Overlay, RobotFile
 from unicon_core.robots.places import Place
 from unicon_core.robots.poses import joints_like
 from unicon_core.robots.robot import JOINT_FIELDS, Imu, Robot
-from unicon_core.schema.read import read, refuse
-from unicon_core.schema.types import Mistakes
 
 
 def robot_names() -> list[str]:

@@ -18,7 +18,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Literal, get_args
 
-from unicon_core.schema.marks import (
+from unicon_base.schema.marks import (
     Key,
     Matches,
     NotEmpty,

@@ -11,12 +11,12 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 
-from unicon_core.arrays import Float32, Float64
+from unicon_base.arrays import Float32, Float64
+from unicon_base.errors import RobotError, WorkflowError, alternatives
+from unicon_base.schema.records import record_of
 from unicon_core.bounds import POSITION, within
-from unicon_core.errors import RobotError, WorkflowError, alternatives
 from unicon_core.robots.file import Figures
 from unicon_core.robots.robot import Robot
-from unicon_core.schema.records import record_of
 
 
 def robot_poses(robot: Robot) -> dict[str, Float32]:

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.arrays import Bool, Float32, Index
-from unicon_core.errors import RobotError, alternatives
+from unicon_base.arrays import Bool, Float32, Index
+from unicon_base.errors import RobotError, alternatives
 from unicon_core.robots.places import Capsule, Hand, Place
 
 MODEL_FORMATS = ("mjcf", "urdf")

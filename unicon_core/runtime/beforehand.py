@@ -6,8 +6,8 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from unicon_base.errors import Fault
 from unicon_core.blocks.approach import Approach
-from unicon_core.errors import Fault
 from unicon_core.flow import Deferred, Node, Zip, as_block
 from unicon_core.gates.beginning import beginning
 from unicon_core.gates.gate import Alone, StartGate

@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 from numbers import Real
 from typing import Any, Literal, get_args
 
-from unicon_core.errors import PlatformError, UniconError, alternatives
+from unicon_base.errors import PlatformError, UniconError, alternatives
 from unicon_core.flow import Stage, as_block
 from unicon_core.flow.nodes import never_done
 from unicon_core.platforms.platform import WaitsForData

@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from enum import Enum
 
-from unicon_core.errors import Fault
+from unicon_base.errors import Fault
 from unicon_core.flow import Tick, Zip, compile_graph
 from unicon_core.pacing import WallClock
 from unicon_core.platforms.kit.damping import BLEND, DAMPING_TIME, Damping

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from unicon_core.errors import Fault
+from unicon_base.errors import Fault
 from unicon_core.page import write_file
 from unicon_core.runtime.statistics import TickStatistics
 from unicon_core.workflow.program_data import ProgramData

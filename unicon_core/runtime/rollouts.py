@@ -21,8 +21,8 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from unicon_core.arrays import Float32
-from unicon_core.errors import UniconError
+from unicon_base.arrays import Float32
+from unicon_base.errors import UniconError
 from unicon_core.flow import compile_graph
 from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.flow.scope import LABEL

@@ -8,7 +8,7 @@ import traceback
 from collections.abc import Callable
 from contextlib import suppress
 
-from unicon_core.errors import EmergencyStopPressed, Fault, Hung, Silence, UniconError
+from unicon_base.errors import EmergencyStopPressed, Fault, Hung, Silence, UniconError
 from unicon_core.flow import Node
 from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.pacing import prepare_process, process_age_s

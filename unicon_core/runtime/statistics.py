@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.arrays import Array, Bool, Float64, Int64
+from unicon_base.arrays import Array, Bool, Float64, Int64
 from unicon_core.flow import CompiledGraph
 from unicon_core.pacing import REAL_TIME, Pacing
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from unicon_core.errors import Hung
+from unicon_base.errors import Hung
 from unicon_core.flow import Node, compile_graph
 from unicon_core.pacing import CATCH_UP, WallClock, WarmUp, staying
 from unicon_core.platforms.platform import CountsArrivals

@@ -12,7 +12,7 @@ import textwrap
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from unicon_core.errors import StateError, cannot
+from unicon_base.errors import StateError, cannot
 from unicon_core.states.backends.shm import places
 from unicon_core.states.groups import Groups, groups_hash, groups_json
 from unicon_core.states.layout import Layout

@@ -11,7 +11,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Mapping
 
-from unicon_core.errors import StateError
+from unicon_base.errors import StateError
 from unicon_core.states.layout import Layout
 from unicon_core.states.standard import COMMAND_STATES, GAIN_SCALE, GAIN_SCALE_SPEC
 from unicon_core.states.states import States

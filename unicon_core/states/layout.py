@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.errors import StateError
+from unicon_base.errors import StateError
 from unicon_core.states.spec import StateSpec, check_name
 
 ALIGNMENT = 64

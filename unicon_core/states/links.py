@@ -18,8 +18,8 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from unicon_core.errors import Fault, StateError
-from unicon_core.schema.marks import Key, Write, positive
+from unicon_base.errors import Fault, StateError
+from unicon_base.schema.marks import Key, Write, positive
 from unicon_core.states.backends import Reader, Writer
 from unicon_core.states.groups import Groups
 from unicon_core.states.spec import StateSpec

@@ -10,9 +10,9 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from unicon_core.errors import StateError
-from unicon_core.schema.marks import Made
-from unicon_core.schema.read import read_value
+from unicon_base.errors import StateError
+from unicon_base.schema.marks import Made
+from unicon_base.schema.read import read_value
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
 _KINDS = "biuf"  # bool, signed, unsigned, float: what every backend and every language can carry

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from unicon_core.arrays import Array, Index
+from unicon_base.arrays import Array, Index
 from unicon_core.states.layout import Layout
 from unicon_core.states.states import States
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike
 
-from unicon_core.arrays import Array, UInt8
-from unicon_core.errors import StateError, alternatives
+from unicon_base.arrays import Array, UInt8
+from unicon_base.errors import StateError, alternatives
 from unicon_core.states.layout import ALIGNMENT, Layout
 from unicon_core.states.spec import StateSpec
 

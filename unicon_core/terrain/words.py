@@ -9,11 +9,11 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Annotated, Any
 
-from unicon_core.errors import PlatformError, alternatives
-from unicon_core.schema.marks import Checked, Within
-from unicon_core.schema.read import refuse
-from unicon_core.schema.records import record_of
-from unicon_core.schema.types import Mistakes
+from unicon_base.errors import PlatformError, alternatives
+from unicon_base.schema.marks import Checked, Within
+from unicon_base.schema.read import refuse
+from unicon_base.schema.records import record_of
+from unicon_base.schema.types import Mistakes
 
 FLAT = "flat"
 

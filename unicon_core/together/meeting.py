@@ -17,10 +17,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-from unicon_core.arrays import Int64
-from unicon_core.errors import Fault, StateError, UniconError, WorkflowError, alternatives
-from unicon_core.schema.marks import Made, Matches, Write, positive
-from unicon_core.schema.types import Here, show
+from unicon_base.arrays import Int64
+from unicon_base.errors import Fault, StateError, UniconError, WorkflowError, alternatives
+from unicon_base.schema.marks import Made, Matches, Write, positive
+from unicon_base.schema.types import Here, show
 from unicon_core.states import Layout, States, StateSpec
 from unicon_core.states.backends import Reader, Writer
 from unicon_core.states.links import AGAIN_NS

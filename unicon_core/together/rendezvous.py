@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
+from unicon_base.errors import Fault, UniconError, WorkflowError
 from unicon_core.bounds import within
-from unicon_core.errors import Fault, UniconError, WorkflowError
 from unicon_core.together.meeting import Meeting
 
 REPEAT = 5.0

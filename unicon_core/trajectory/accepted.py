@@ -12,8 +12,8 @@ from enum import IntEnum
 
 import numpy as np
 
-from unicon_core.arrays import Float64, Index
-from unicon_core.errors import alternatives
+from unicon_base.arrays import Float64, Index
+from unicon_base.errors import alternatives
 from unicon_core.trajectory.spline import Spline
 
 MOST_POINTS = 1000

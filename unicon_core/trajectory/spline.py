@@ -11,7 +11,7 @@ from bisect import bisect_right
 
 import numpy as np
 
-from unicon_core.arrays import Float64
+from unicon_base.arrays import Float64
 
 
 class Spline:

@@ -14,21 +14,21 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from unicon_core.errors import (
+from unicon_base.errors import (
     MissingDependencyError,
     StateError,
     UniconError,
     WorkflowError,
     alternatives,
 )
+from unicon_base.schema.records import option_hints, option_type
+from unicon_base.schema.types import Mistakes
 from unicon_core.flow.block import Block, Bundle, as_block
 from unicon_core.flow.stage import Stage
 from unicon_core.models.find import model_of
 from unicon_core.platforms.kit.damping import LastSent
 from unicon_core.platforms.platform import Platform
 from unicon_core.robots import Robot
-from unicon_core.schema.records import option_hints, option_type
-from unicon_core.schema.types import Mistakes
 from unicon_core.states import States
 from unicon_core.workflow.registry import Factory, product_of, states_in
 

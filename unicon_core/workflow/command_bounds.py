@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from unicon_core.arrays import Array, Float32
+from unicon_base.arrays import Array, Float32
 from unicon_core.policies.controller import ControllerContract
 from unicon_core.robots import Robot
 

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.errors import StateError, WorkflowError
+from unicon_base.errors import StateError, WorkflowError
+from unicon_base.generated import define, parse
 from unicon_core.flow.block import Block
-from unicon_core.generated import define, parse
 from unicon_core.states import States
 
 MAX_LENGTH = 1000

@@ -1,4 +1,4 @@
-"""Workflow files: what they say, as classes that `unicon_core.schema` reads.
+"""Workflow files: what they say, as classes that `unicon_base.schema` reads.
 
 Blocks and flows are read by the builder, which knows their factories.
 """
@@ -8,12 +8,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-from unicon_core.bounds import DURATION, Seconds
-from unicon_core.buttons import Button
-from unicon_core.errors import UniconError, alternatives
-from unicon_core.pacing import Pacing
-from unicon_core.resources import find_config
-from unicon_core.schema.marks import (
+from unicon_base.errors import UniconError, alternatives
+from unicon_base.resources import find_config
+from unicon_base.schema.marks import (
     Checked,
     Key,
     Later,
@@ -25,8 +22,11 @@ from unicon_core.schema.marks import (
     Write,
     positive,
 )
-from unicon_core.schema.records import meant
-from unicon_core.schema.types import Here
+from unicon_base.schema.records import meant
+from unicon_base.schema.types import Here
+from unicon_core.bounds import DURATION, Seconds
+from unicon_core.buttons import Button
+from unicon_core.pacing import Pacing
 
 _BLOCK = Write("a block, or {chain: [...]}")
 FlowType = Annotated[Any, Later("unicon_core.workflow.flow_schema:FLOW"), _BLOCK]

@@ -9,10 +9,10 @@ import inspect
 from collections.abc import Mapping
 from typing import Any
 
-from unicon_core.errors import UniconError
-from unicon_core.located_yaml import Where
-from unicon_core.schema.records import described, option_type, type_of
-from unicon_core.schema.types import Mistakes, Type
+from unicon_base.errors import UniconError
+from unicon_base.located_yaml import Where
+from unicon_base.schema.records import described, option_type, type_of
+from unicon_base.schema.types import Mistakes, Type
 from unicon_core.workflow.autowire import option_names
 from unicon_core.workflow.registry import Factory, find_factory, known
 

@@ -18,9 +18,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeAlias
 
-from unicon_core.errors import WorkflowError
+from unicon_base.errors import WorkflowError
+from unicon_base.schema.marks import Key, NotEmpty, Within, Write
 from unicon_core.flow import Block, Chain, Deferred, Every, Loop, Node, Switch, When, Zip, as_node
-from unicon_core.schema.marks import Key, NotEmpty, Within, Write
 from unicon_core.workflow.document import WorkflowDocument, read_part
 from unicon_core.workflow.file import FlowType
 from unicon_core.workflow.registry import known

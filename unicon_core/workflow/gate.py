@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from unicon_core.errors import Fault, Hung
+from unicon_base.errors import Fault, Hung
 from unicon_core.platforms.kit.damping import LastSent
 from unicon_core.platforms.platform import Platform
 from unicon_core.states import States

@@ -7,7 +7,7 @@ from dataclasses import replace
 from inspect import isclass, signature
 from typing import Any
 
-from unicon_core.errors import PlatformError, RobotError, alternatives
+from unicon_base.errors import PlatformError, RobotError, alternatives
 from unicon_core.platforms.platform import Facts, Platform, WaitsForData
 from unicon_core.robots import Robot
 from unicon_core.robots.robot import JOINT_ORDER

@@ -15,14 +15,14 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from unicon_base.errors import Fault, PlatformError, UniconError, WorkflowError
+from unicon_base.schema.marks import positive
 from unicon_core.bounds import POSITION
-from unicon_core.errors import Fault, PlatformError, UniconError, WorkflowError
 from unicon_core.flow import Block
-from unicon_core.gap import aligned_mse
 from unicon_core.memory import Library
+from unicon_core.metrics import aligned_mse
 from unicon_core.platforms.kit.beside import PLACE, Beside
 from unicon_core.robots import Robot
-from unicon_core.schema.marks import positive
 from unicon_core.states import States, StateSpec
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow.autowire import BuildContext

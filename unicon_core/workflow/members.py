@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from unicon_core.errors import RobotError, alternatives
+from unicon_base.errors import RobotError, alternatives
+from unicon_base.resources import find_config
 from unicon_core.flow.block import Share
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.resources import find_config
 from unicon_core.robots import Robot, compose, load_robot
 from unicon_core.robots.places import Place, Places
 from unicon_core.robots.poses import joints_like

@@ -19,8 +19,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
-from unicon_core.errors import StateError, WorkflowError, alternatives
-from unicon_core.schema.marks import Checked, Matches, Size, Write
+from unicon_base.errors import StateError, WorkflowError, alternatives
+from unicon_base.schema.marks import Checked, Matches, Size, Write
 from unicon_core.states import Layout, States
 from unicon_core.states.backends import Reader
 from unicon_core.states.groups import Groups, groups_of, subset

@@ -14,8 +14,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from unicon_core.errors import alternatives
-from unicon_core.schema.marks import Write, positive
+from unicon_base.errors import alternatives
+from unicon_base.schema.marks import Write, positive
 from unicon_core.workflow.document import WorkflowDocument, read_part
 
 HANDS, HAND = "hands", "_hand"

@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from unicon_core.errors import (
+from unicon_base.errors import (
     MissingDependencyError,
     PlatformError,
     RobotError,

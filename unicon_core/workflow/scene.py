@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.errors import PlatformError, RobotError, WorkflowError, alternatives
+from unicon_base.errors import PlatformError, RobotError, WorkflowError, alternatives
 from unicon_core.platforms.kit.scene import DISTURBANCES, Scene
 from unicon_core.platforms.platform import Facts
 from unicon_core.robots import joint_index

@@ -13,10 +13,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
+from unicon_base.schema.marks import Made, Within, positive
+from unicon_base.schema.types import Here
 from unicon_core.bounds import POSE_SPEED
 from unicon_core.pacing import Pacing
-from unicon_core.schema.marks import Made, Within, positive
-from unicon_core.schema.types import Here
 from unicon_core.together.meeting import Party
 from unicon_core.together.rendezvous import Moment, moment_of
 from unicon_core.workflow.document import WorkflowDocument, read_part

@@ -18,12 +18,12 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from unicon_base.errors import WorkflowError
+from unicon_base.schema.marks import Write
 from unicon_core.blocks.controls.modes import check_buttons, way_of
 from unicon_core.blocks.controls.skills import SKILL, Ended, Skills
-from unicon_core.errors import WorkflowError
 from unicon_core.flow import Block, Chain, Node, Switch, Zip
 from unicon_core.robots import Robot
-from unicon_core.schema.marks import Write
 from unicon_core.states import StateSpec
 from unicon_core.states.standard import control_states
 from unicon_core.workflow.autowire import BuildContext

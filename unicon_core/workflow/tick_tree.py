@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-from unicon_core.errors import WorkflowError
+from unicon_base.errors import WorkflowError
 from unicon_core.flow import Block, Deferred, Node, Zip, as_block, blocks_of, children_of
 from unicon_core.flow.checks import check_graph, raise_first
 from unicon_core.flow.critical_path import critical_path, is_patient

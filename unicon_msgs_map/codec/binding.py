@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.errors import alternatives
+from unicon_base.errors import alternatives
 from unicon_msgs_map.errors import count_of
 from unicon_msgs_map.layout.messages import QUATERNION, Struct, TypeRef
 from unicon_msgs_map.layout.units import PER_SI

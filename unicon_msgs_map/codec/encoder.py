@@ -21,7 +21,7 @@ import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from unicon_core.generated import define
+from unicon_base.generated import define
 from unicon_msgs_map.codec.binding import Arrays, Bound, Names, Variables, bind_state, bind_variable
 from unicon_msgs_map.codec.checksum import unitree_crc
 from unicon_msgs_map.codec.packs import Copy, Packs, as_copy, copy_lines

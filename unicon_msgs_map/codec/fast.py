@@ -26,7 +26,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from unicon_core.generated import define
+from unicon_base.generated import define
 from unicon_msgs_map.codec.bulk import castable, read_in_bulk
 from unicon_msgs_map.codec.careful import Run
 from unicon_msgs_map.codec.scalars import Code

@@ -10,7 +10,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from unicon_core.errors import alternatives
+from unicon_base.errors import alternatives
 from unicon_msgs_map.codec.binding import SINGLE_MAX, Bound, affine, limits, message_order
 from unicon_msgs_map.errors import MapStateError, count_of
 from unicon_msgs_map.layout.check import resolve

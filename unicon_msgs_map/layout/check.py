@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from unicon_core.errors import alternatives
+from unicon_base.errors import alternatives
 from unicon_msgs_map.errors import count_of
 from unicon_msgs_map.layout.messages import Array, String, Struct, TypeRef
 from unicon_msgs_map.layout.paths import Key, Selector

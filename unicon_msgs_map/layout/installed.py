@@ -12,8 +12,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from unicon_core.errors import alternatives
-from unicon_core.packages import share_folder, shares
+from unicon_base.errors import alternatives
+from unicon_base.packages import share_folder, shares
 from unicon_msgs_map.errors import MessageTypeError
 
 

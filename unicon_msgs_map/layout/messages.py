@@ -17,7 +17,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from unicon_core.errors import alternatives
+from unicon_base.errors import alternatives
 from unicon_msgs_map.errors import MapDependencyError, MessageTypeError
 from unicon_msgs_map.layout.installed import installed_files, ready_made, unknown_type
 

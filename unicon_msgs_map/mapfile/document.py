@@ -1,4 +1,4 @@
-"""What a mapping file says, as classes that `unicon_core.schema` reads; it knows no message types.
+"""What a mapping file says, as classes that `unicon_base.schema` reads; it knows no message types.
 
 A file that includes others may leave out of an entry what theirs say, so `missing_keys` judges what
 all of them say together.
@@ -13,9 +13,9 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from unicon_core.located_yaml import Located
-from unicon_core.schema.marks import Checked, Matches, Text, Unit, Within, Write
-from unicon_core.schema.types import Here, Mistakes, show
+from unicon_base.located_yaml import Located
+from unicon_base.schema.marks import Checked, Matches, Text, Unit, Within, Write
+from unicon_base.schema.types import Here, Mistakes, show
 from unicon_msgs_map.errors import MapFileError
 from unicon_msgs_map.layout.units import PER_SI
 from unicon_msgs_map.spec import Numbers, Qos, Reception, RosName, TrajectorySpec

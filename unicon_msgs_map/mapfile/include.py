@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from unicon_core.errors import UniconError, alternatives
-from unicon_core.located_yaml import Located, Where, parse_yaml, read_text
-from unicon_core.packages import PACKAGE
-from unicon_core.resources import find_config
+from unicon_base.errors import UniconError, alternatives
+from unicon_base.located_yaml import Located, Where, parse_yaml, read_text
+from unicon_base.packages import PACKAGE
+from unicon_base.resources import find_config
 from unicon_msgs_map.errors import MapFileError
 from unicon_msgs_map.mapfile.document import DIRECTIONS
 

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
 from unicon_core.signals import SIGNALS
 from unicon_ros import compat
 from unicon_ros.bench import sdk

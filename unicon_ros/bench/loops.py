@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.arrays import Bool, Float64, Int64
-from unicon_core.errors import UniconError
+from unicon_base.arrays import Bool, Float64, Int64
+from unicon_base.errors import UniconError
 from unicon_core.signals import SIGNALS
 from unicon_ros.bench.pipelines.log import beside
 from unicon_ros.ending import die_with_parent

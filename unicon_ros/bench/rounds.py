@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from unicon_core.arrays import Float64
+from unicon_base.arrays import Float64
 from unicon_core.signals import SIGNALS, Interrupted
 from unicon_ros.bench.loops import Loop, breathe
 from unicon_ros.bench.report import Bench

@@ -12,8 +12,8 @@ The picture is of the pose that the states tell, so it works beside any platform
 file, or whose robot has one, and that tells where the base of a walking robot is. The tick only
 hands over the pose (some µs at `rate`) and takes a handle: the state `camera_handle` numbers the
 newest frame in `Camera.ring`, and `Camera.frame(handle)` is that frame in place. It is a peripheral
-(`unicon_ros.peripherals`): `camera_alive` and `camera_stamp_ns` go with the handle, and all three
-are 0 while its process is silent or gone.
+(`unicon_ros.peripheral`): `camera_alive` and `camera_stamp_ns` go with the handle, and all
+three are 0 while its process is silent or gone.
 
 Beside pictures and depths goes `camera_info`, and /tf_static tells the optical frame.
 """
@@ -27,8 +27,8 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.arrays import Array
-from unicon_core.errors import UniconError
+from unicon_base.arrays import Array
+from unicon_base.errors import UniconError
 from unicon_core.handles import FrameRing
 from unicon_core.models.find import find_model, model_of, terrain_of
 from unicon_core.robots import Robot, robot_files
@@ -38,7 +38,7 @@ from unicon_core.workflow.autowire import BuildContext
 from unicon_ros.bridge.bindings import checked_prefix
 from unicon_ros.bridge.camera_topics import RELIABILITIES, large_data, topic_options
 from unicon_ros.bridge.images import frame_message
-from unicon_ros.peripherals.peripheral import (
+from unicon_ros.peripheral import (
     Peripheral,
     check_positive,
     check_stale,

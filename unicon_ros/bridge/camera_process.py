@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from unicon_core.arrays import Float32
-from unicon_core.errors import ModelError
+from unicon_base.arrays import Float32
+from unicon_base.errors import ModelError
 from unicon_core.handles import FrameRing
 from unicon_core.models.camera import ModelCamera
 from unicon_core.robots import load_files
@@ -22,7 +22,7 @@ from unicon_core.robots.places import Place
 from unicon_core.terrain.words import Terrain
 from unicon_ros.bridge.camera_topics import CameraTopics
 from unicon_ros.bridge.images import frame_message, info_message, rays
-from unicon_ros.peripherals.child import SLICE, Feed, end, serve
+from unicon_ros.peripheral_process import SLICE, Feed, end, serve
 
 
 class _Camera:

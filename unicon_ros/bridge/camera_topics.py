@@ -17,10 +17,10 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from unicon_core.arrays import Float64
-from unicon_core.errors import UniconError, alternatives
+from unicon_base.arrays import Float64
+from unicon_base.errors import UniconError, alternatives
+from unicon_base.resources import find_config, same_modules
 from unicon_core.models.kinematic_tree import Link
-from unicon_core.resources import find_config, same_modules
 from unicon_msgs_map.layout.messages import shared_messages
 from unicon_msgs_map.spec import Qos
 from unicon_ros import compat

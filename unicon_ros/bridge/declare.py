@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
 from unicon_ros import compat
 from unicon_ros.parameter_table import RANGES, WORDS
 

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.arrays import Array, Float32
-from unicon_core.errors import UniconError, alternatives
+from unicon_base.arrays import Array, Float32
+from unicon_base.errors import UniconError, alternatives
 from unicon_core.models.camera import Intrinsics
 
 IMAGE, CLOUD = "sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2"

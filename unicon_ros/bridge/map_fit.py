@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from unicon_core.arrays import Float32
-from unicon_core.errors import PlatformError, UniconError
+from unicon_base.arrays import Float32
+from unicon_base.errors import PlatformError, UniconError
+from unicon_base.resources import find_config
 from unicon_core.flow import Block, Stage
 from unicon_core.platforms.platform import Binding, Facts
-from unicon_core.resources import find_config
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES

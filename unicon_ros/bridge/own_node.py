@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
 
-from unicon_core.errors import UniconError, one_line
+from unicon_base.errors import UniconError, one_line
 from unicon_ros import compat
 from unicon_ros.ending import exits_within
 from unicon_ros.transport import without_shared_memory

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
-from unicon_core.arrays import Array
-from unicon_core.errors import UniconError
+from unicon_base.arrays import Array
+from unicon_base.errors import UniconError
 from unicon_core.flow import Block
 from unicon_core.models.find import model_of
 from unicon_core.models.looks import dressed

@@ -18,9 +18,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from unicon_core.errors import UniconError, one_line
+from unicon_base.errors import UniconError, one_line
+from unicon_base.resources import find_config
 from unicon_core.flow import Block, Stage
-from unicon_core.resources import find_config
 from unicon_core.runtime import Runner
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow import Program

@@ -15,7 +15,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from unicon_core.errors import one_line
+from unicon_base.errors import one_line
 from unicon_msgs_map import Decoder
 from unicon_ros import compat
 from unicon_ros.bridge.qos import QosEvents, qos_profile

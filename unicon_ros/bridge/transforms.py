@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from unicon_core.arrays import Float32
+from unicon_base.arrays import Float32
 from unicon_core.models.kinematic_tree import Link
 from unicon_core.models.quaternions import multiply, rotate
 from unicon_msgs_map import Encoder, FieldSpec, PublishSpec, Qos

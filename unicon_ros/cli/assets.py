@@ -14,8 +14,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from unicon_core.errors import UniconError
-from unicon_core.resources import assets_roots
+from unicon_base.errors import UniconError
+from unicon_base.resources import assets_roots
 from unicon_ros.cli.console import Console, note, print_json, print_table
 from unicon_ros.cli.options import EXAMPLES, argument, command, flag, option, several
 

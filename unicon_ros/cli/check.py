@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from unicon_core.errors import UniconError, alternatives
+from unicon_base.errors import UniconError, alternatives
 from unicon_ros.cli.console import print_table
 from unicon_ros.cli.options import MAP, WORKFLOW, argument, command, flag, together
 

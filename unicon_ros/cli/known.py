@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from unicon_core.errors import PlatformError, PolicyError, UniconError, WorkflowError
+from unicon_base.errors import PlatformError, PolicyError, UniconError, WorkflowError
 from unicon_ros.cli.console import print_json, print_table
 from unicon_ros.cli.options import argument, command, flag
 
@@ -100,8 +100,8 @@ def _told(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def _joints(text: str) -> Any:
     """Return what `--joints` says: names with commas, a file of a list, or a mapping."""
-    from unicon_core.bounded_yaml import YamlError
-    from unicon_core.located_yaml import parse_value, read_yaml
+    from unicon_base.bounded_yaml import YamlError
+    from unicon_base.located_yaml import parse_value, read_yaml
 
     path = Path(text).expanduser()
     if os.path.isfile(path):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from unicon_core.errors import UniconError, cannot
+from unicon_base.errors import UniconError, cannot
 from unicon_core.latches import Latched, latch_folder, latches
 from unicon_ros.cli.console import print_table
 from unicon_ros.cli.options import argument, command

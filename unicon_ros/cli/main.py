@@ -17,32 +17,33 @@ from contextlib import suppress
 from typing import Any
 
 import unicon_core
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
+from unicon_base.registered import loaded
 from unicon_core.outlet import open_standard_files
 from unicon_core.signals import SIGNALS, Interrupted
 from unicon_ros.cli import (
-    analyze,
     assets,
-    bag,
     bench,
     check,
     doctor,
-    emulate,
     known,
     latches,
     preflight,
-    replay,
-    report_run,
     run,
     schema,
     show,
     states,
-    sweep,
     talk,
-    transfer,
-    view,
 )
 from unicon_ros.cli.completion import complete
+
+OURS = (assets, bench, check, doctor, known, latches, preflight, run, schema, show, states, talk)
+ORDER = (
+    *("run", "check", "preflight", "emulate", "schema", "show", "states", "bag", "replay"),
+    *("analyze", "transfer", "sweep", "view", "bench", "known", "assets", "latches", "doctor"),
+    *("talk", "report_run"),
+)
+"""Modules of commands as the list of commands has them; those of other packages come behind."""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -66,29 +67,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.set_defaults(quiet=False, verbose=False)
     parser.add_argument("--version", action="version", version=unicon_core.__version__)
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    for command in (
-        run,
-        check,
-        preflight,
-        emulate,
-        schema,
-        show,
-        states,
-        bag,
-        replay,
-        analyze,
-        transfer,
-        sweep,
-        view,
-        bench,
-        known,
-        assets,
-        latches,
-        doctor,
-        talk,
-        report_run,
-    ):
-        command.add(commands)
+    modules = {each.__name__.rpartition(".")[2]: each for each in OURS} | loaded("commands")
+    for name in dict.fromkeys((*ORDER, *modules)):
+        if name in modules:
+            modules[name].add(commands)
     return parser
 
 

@@ -9,8 +9,6 @@ import argparse
 from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
 
-from unicon_ros.view import LOCAL, PORT, SINKS
-
 Adder: TypeAlias = Callable[[Any], object]
 """Adds a command to the commands, or an argument to a parser or a group of its arguments."""
 
@@ -156,32 +154,6 @@ def whole(what: str, least: int, most: int, more: str = "") -> Callable[[str], i
 port = whole("a port", 0, 65535, ", where 0 is any that is free")
 
 
-VIEW_OPTIONS = (
-    argument("--view-host", "HOST", "where the viewer is served", default=LOCAL),
-    argument(
-        "--view-port",
-        "PORT",
-        f"its port (default {PORT}, or the next free one)",
-        type=port,
-        default=PORT,
-    ),
-    argument("--view-token", "TOKEN", "what others have to know, for --view-host", default=""),
-    argument("--view-fps", "N", "pictures per second at most", type=positive, default=30.0),
-)
-"""Where and how a viewer is served."""
-
-
-def view_options(arguments: argparse.Namespace, sink: str = "") -> dict[str, Any]:
-    """Return the options of a viewer, for `View`."""
-    return {
-        "sink": sink or arguments.view,
-        "host": arguments.view_host,
-        "port": arguments.view_port,
-        "token": arguments.view_token,
-        "fps": arguments.view_fps,
-    }
-
-
 RUN_OPTIONS = (
     argument("--duration", "S", "end after S seconds", type=positive),
     option(
@@ -205,56 +177,11 @@ RUN_OPTIONS = (
         default="",
     ),
     argument("--part", "NAME", "run one part of a workflow that has parts", default=""),
-    argument(
-        "--record",
-        "FILE.mcap|FOLDER/",
-        "record every state of every tick, and the messages of the map",
-    ),
-    argument(
-        "--record-split",
-        "1GB|60s",
-        "record to a bag folder whose files are that large or long, or both: 1GB,10min",
-        default="",
-    ),
-    argument(
-        "--record-frames",
-        "all|NAME,…",
-        "record pictures and clouds too: of all cameras and scanners, or of these handles",
-        default="",
-    ),
-    argument(
-        "--record-jpeg",
-        "QUALITY",
-        "record raw pictures as JPEG of that quality, 1 to 100 (default: as they are)",
-        type=whole("a quality of a JPEG", 1, 100),
-        default=0,
-    ),
-    argument(
-        "--faults",
-        "DIR",
-        "where the record of a fault goes, or off (default: $UNICON_FAULTS, else "
-        "~/.local/state/unicon/faults)",
-    ),
     argument("--trace", "FILE.json", "write every block of every tick"),
     argument(
         "--report",
         "FILE.json|FILE.html",
         "write the report: its figures, or one page with pictures",
-    ),
-    argument("--picture", "FILE.png", "draw path, velocities and joints"),
-    option(
-        "--view",
-        nargs="?",
-        const="page",
-        choices=(*SINKS, "window"),
-        help="show the run: a page in the browser (default), Foxglove, or the simulator's window",
-    ),
-    *VIEW_OPTIONS,
-    argument(
-        "--metrics",
-        "PORT",
-        "tell figures to Prometheus at http://127.0.0.1:PORT/metrics",
-        type=port,
     ),
     FORCE,
     flag("--yes", "a robot moves once its gates hold, without being asked"),

@@ -13,25 +13,20 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
+from unicon_base.registered import loaded
 from unicon_core.outlet import relayed_stderr
 from unicon_core.page import refuse_unwritable
 from unicon_core.signals import SIGNALS, Guard
+from unicon_ros.attachments import Asked, Attachment, File, attached
 from unicon_ros.cli.console import Console
-from unicon_ros.cli.options import (
-    RUN_OPTIONS,
-    WORKFLOW,
-    command,
-    view_options,
-)
-from unicon_ros.view import LOCAL
+from unicon_ros.cli.options import RUN_OPTIONS, WORKFLOW, Adder, command
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from unicon_core.flow import Block, Stage
     from unicon_core.runtime import Report, Runner
-    from unicon_core.workflow import Hook, Program
+    from unicon_core.workflow import Hook
     from unicon_core.workflow.document import WorkflowDocument
     from unicon_ros.bridge import RosSession
 
@@ -73,10 +68,9 @@ class _Ended:
 
     report: Report
     runner: Runner
-    pictured: Any
-    recording: Any
+    attachments: list[Attachment]
     session: Any
-    fault: Path | None
+    lines: list[str]
 
 
 def _run(
@@ -87,57 +81,21 @@ def _run(
     from unicon_core.runtime import Runner, RunOptions
     from unicon_core.runtime.options import never_ends
     from unicon_core.workflow import Program
-    from unicon_ros.fault_record import FaultRecord
 
-    _refuse_wrong_use(arguments)
+    for extension in loaded("run").values():
+        extension.refuse(arguments)
     map_name = arguments.map or document.get("map")
     hooks: list[Hook] = []
-    viewers: dict[str, Any] = {}
-    session = pictured = recording = None
+    session = None
     if uses_ros(arguments, document):
         session = ros_session(arguments, map_name, console.warn)
         hooks.append(session.hook)
     try:
-        if arguments.record:
-            from unicon_ros.run_recording import Recording, names_in
-
-            recording = Recording(
-                arguments.record,
-                map_name,
-                session,
-                console.warn,
-                arguments.speed == "max",
-                arguments.record_split,
-                arguments.namespace or "",
-                arguments.frame_prefix,
-                names_in(arguments.record_frames),
-                arguments.record_jpeg,
-            )
-            hooks.append(recording.hook)
-        for path in filter(None, (arguments.report, arguments.picture, arguments.trace)):
+        asked = Asked(vars(arguments), document, map_name, session, console.warn)
+        attachments = attached(asked)
+        for path in filter(None, (arguments.report, arguments.trace)):
             refuse_unwritable(Path(path))
-        with_page = bool(arguments.report) and arguments.report.lower().endswith(".html")
-        if arguments.picture or with_page:
-            from unicon_ros.report.run_page import Pictured
-
-            pictured = Pictured(arguments.picture, arguments.report if with_page else "")
-            hooks.append(pictured.hook)
-        if arguments.view == "window":
-            hooks.append(_window)
-        elif arguments.view:
-            from unicon_ros.view.view import View
-
-            options = view_options(arguments)
-            view = View(options, session, map_name, arguments.frame_prefix, console.warn)
-            view.declare(document)
-            viewers["view"] = view
-        if arguments.metrics is not None:
-            from unicon_ros.view.view import Metered
-
-            viewers["metrics"] = Metered(arguments.metrics, session, console.warn)
-        record = FaultRecord(arguments.faults, console.warn, recording)
-        # The record is the last one: it looks behind the others.
-        hooks += [*(each.hook for each in viewers.values()), record.hook]
+        hooks += [each.hook for each in attachments]
         program = Program(document, hooks=hooks, part=arguments.part, silent=arguments.dry)
         guard.damp = program.damp_now
         run_options = RunOptions(
@@ -149,7 +107,7 @@ def _run(
             operator=not arguments.yes,
         )
         with ExitStack() as shown:
-            for each in viewers.values():
+            for each in attachments:
                 shown.callback(each.close)
             try:
                 for line in refuse_errors(program, arguments.force):
@@ -165,14 +123,10 @@ def _run(
                 runner = Runner(program, run_options)
                 if session is not None:
                     session.attach(runner)
-                for name, viewer in viewers.items():
-                    viewer.attach(runner)
-                    console.say(f"{name}: {viewer.address}")
+                for line in filter(None, [each.attach(runner) for each in attachments]):
+                    console.say(line)
                 if runner.asks:
-                    _listen(runner, session is not None or "view" in viewers)
-                record.attach(runner)
-                if pictured is not None:
-                    pictured.attach(runner)
+                    _listen(runner, session is not None or any(a.drives for a in attachments))
                 SIGNALS.check()
             except BaseException:
                 program.close()
@@ -181,32 +135,12 @@ def _run(
             guard.damp = None
         if session is not None:
             report.bridge = session.counts()
-        if recording is not None:
-            report.extra["recording"] = recording.counts()
-        fault = record.write(report)
-        if fault is not None:
-            report.extra["fault_record"] = str(fault)
+        lines = [*filter(None, [each.ended(report) for each in reversed(attachments)])]
     except BaseException:
         if session is not None:
             session.close()
         raise
-    return _Ended(report, runner, pictured, recording, session, fault)
-
-
-def _refuse_wrong_use(arguments: argparse.Namespace) -> None:
-    """Refuse options that go with others, which are not given."""
-    if arguments.record == "":  # as of a variable that is not set
-        raise UniconError("--record has no name; give FILE.mcap or FOLDER/")
-    alone = bool(arguments.view_token) or arguments.view_host != LOCAL
-    for option, given, whole, needed in (
-        ("--record-split", arguments.record_split, "--record FOLDER/", arguments.record),
-        ("--record-frames", arguments.record_frames, "--record FILE.mcap", arguments.record),
-        ("--record-jpeg", arguments.record_jpeg, "--record-frames all", arguments.record_frames),
-        ("--view-host and --view-token", alone, "--view", arguments.view),
-    ):
-        if given and not needed:
-            verb = "go" if " " in option else "goes"
-            raise UniconError(f"{option} {verb} with {whole}; add it")
+    return _Ended(report, runner, attachments, session, lines)
 
 
 def uses_ros(arguments: argparse.Namespace, document: WorkflowDocument) -> bool:
@@ -274,16 +208,6 @@ def close_session(session: Any, status: int) -> None:
             print(line, file=sys.stderr)
 
 
-def _window(program: Program) -> dict[Stage, list[Block]]:
-    from unicon_core.flow import Stage, as_block
-    from unicon_core.platforms.platform import Viewable
-
-    platform = program.platform
-    if not isinstance(platform, Viewable):
-        raise UniconError(f"platform {platform.facts.name!r} has no window; give --view alone")
-    return {Stage.OBSERVE: [as_block(platform.viewer())]}
-
-
 def _tell(arguments: argparse.Namespace, ended: _Ended) -> int:
     """Write the files, then print; a fault stays a fault whatever becomes of the output."""
     report, runner = ended.report, ended.runner
@@ -307,25 +231,22 @@ def _tell(arguments: argparse.Namespace, ended: _Ended) -> int:
 
 
 def _write(arguments: argparse.Namespace, ended: _Ended) -> tuple[list[str], list[str]]:
-    """Write trace, report and picture; return a line for each, and what went wrong."""
+    """Write trace, report and what else goes with the run; return lines, and what went wrong."""
     report, runner = ended.report, ended.runner
     written: list[str] = []
     problems: list[str] = []
-    told = partial(report.write, arguments.report)
-    if ended.pictured is not None and ended.pictured.page:
-        told = partial(ended.pictured.write, report)
     trace = partial(runner.statistics.write_trace, arguments.trace, f"unicon {report.workflow}")
-    for name, path, write, hint in (
-        ("trace", arguments.trace, trace, " (open it in ui.perfetto.dev)"),
-        ("report", arguments.report, told, ""),
-        ("picture", arguments.picture, lambda: ended.pictured.draw(report), ""),
-    ):
+    files: list[File] = [("trace", arguments.trace, trace)]
+    if not (arguments.report or "").lower().endswith(".html"):
+        files.append(("report", arguments.report, partial(report.write, arguments.report)))
+    for name, path, write in (*files, *(f for a in ended.attachments for f in a.files(report))):
         if not path:
             continue
         if path.endswith(".html") and sys.stderr.isatty():  # its pictures take seconds
             print(f"unicon: writing {path}", file=sys.stderr)
         try:
             write()
+            hint = " (open it in ui.perfetto.dev)" if name == "trace" else ""
             written.append(f"{name:<14}{path}{hint}")
         except OSError as error:
             problems.append(
@@ -334,11 +255,12 @@ def _write(arguments: argparse.Namespace, ended: _Ended) -> tuple[list[str], lis
             )
         except UniconError as error:
             problems.append(str(error))
-    if ended.fault is not None:
-        written.append(f"fault record  {ended.fault}")
-    if ended.recording is not None:
-        written.append(f"recording     {ended.recording.summary()}")
-    return written, problems
+    return [*written, *ended.lines], problems
+
+
+def run_options() -> list[Adder]:
+    """Return how a workflow runs, with what other packages add."""
+    return [*RUN_OPTIONS, *(o for each in loaded("run").values() for o in each.OPTIONS)]
 
 
 add = command(
@@ -347,5 +269,5 @@ add = command(
     "run a workflow",
     __doc__,
     *WORKFLOW,
-    *RUN_OPTIONS,
+    *run_options(),
 )

@@ -8,17 +8,17 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
 
-from unicon_core.errors import UniconError, alternatives
+from unicon_base.errors import UniconError, alternatives
+from unicon_base.registered import registered
 from unicon_core.page import write_file
 from unicon_ros.cli.options import argument, command
 
 KINDS = {
     "workflow": ("unicon_core.workflow.file:Workflow",),
     "policy": ("unicon_core.policies.file:PolicyFile",),
-    "sweep": ("unicon_ros.sweep.sweep_file:SweepDocument",),
     "map": ("unicon_msgs_map.mapfile.document:MapDocument",),
     "robot": ("unicon_core.robots.file:RobotFile", "unicon_core.robots.file:Overlay"),
-}
+} | {name: (entry.value,) for name, entry in registered("documents").items()}
 """Kind of document to its classes."""
 
 
@@ -28,7 +28,7 @@ def schema_of(kind: str) -> dict[str, Any]:
     Raises:
         UniconError: there is no such kind.
     """
-    from unicon_core.schema.read import json_schema
+    from unicon_base.schema.read import json_schema
 
     if kind not in KINDS:
         raise UniconError(f"schema: unknown kind {kind!r}; {alternatives(kind, KINDS)}")

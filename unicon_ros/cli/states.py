@@ -9,8 +9,8 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from unicon_base.errors import StateError
 from unicon_core.aligned import number_text
-from unicon_core.errors import StateError
 from unicon_core.page import write_file
 from unicon_ros.cli.console import print_table
 from unicon_ros.cli.options import (
@@ -22,7 +22,7 @@ from unicon_ros.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from unicon_core.arrays import Array
+    from unicon_base.arrays import Array
     from unicon_core.states.backends.shm import Segment
     from unicon_core.states.groups import Groups
     from unicon_core.workflow import Program

@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from unicon_core.errors import UniconError, alternatives
+from unicon_base.errors import UniconError, alternatives
 from unicon_core.signals import SIGNALS
 from unicon_ros.cli.options import EXAMPLES, argument, command, flag, positive, together
 
@@ -72,8 +72,8 @@ def _fitted(present: Any, value: Any, kind: str, where: str) -> Any:
 
 
 def _pub(arguments: argparse.Namespace) -> int:
-    from unicon_core.bounded_yaml import YamlError
-    from unicon_core.located_yaml import parse_value
+    from unicon_base.bounded_yaml import YamlError
+    from unicon_base.located_yaml import parse_value
     from unicon_ros import compat
     from unicon_ros.bridge.own_node import OwnNode
 

@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from unicon_core.errors import MissingDependencyError
+from unicon_base.errors import MissingDependencyError
 
 _WHEELS = "pip install 'unicon_ros[ros]'"
 _SOURCE = "source /opt/ros/<distro>/setup.bash"

@@ -11,7 +11,7 @@ import itertools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
 
 Leave = Callable[[], None]
 """Lets an entity go, before it is destroyed."""

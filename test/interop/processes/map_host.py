@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.resources import find_config
+from unicon_base.resources import find_config
 from unicon_msgs_map import Decoder, Encoder, load_map
 from unicon_ros import compat
 from unicon_ros.bridge.topics_in import TopicIn

@@ -9,9 +9,9 @@ import controller
 from unicon_core.models.urdf_write import physical_urdf
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.kit.start import start_of
-from unicon_core.platforms.sim.webots import platform
 from unicon_core.robots import Robot
 from unicon_core.states import States
+from unicon_sims.webots import platform
 
 
 def make(

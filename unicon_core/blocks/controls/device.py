@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from unicon_core.arrays import Float32, Int32
+from unicon_base.arrays import Float32, Int32
 from unicon_core.flow import Block, Stage
 from unicon_core.states import States, StateSpec
 from unicon_core.states.standard import CONTROL_STATES, control_states

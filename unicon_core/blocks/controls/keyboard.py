@@ -13,11 +13,11 @@ import sys
 from contextlib import suppress
 from typing import Annotated, Any
 
+from unicon_base.schema.marks import Within
 from unicon_core.blocks.controls.device import Controls, declares_controls, device_block
 from unicon_core.blocks.joint_command import ticks_of
 from unicon_core.buttons import BUTTONS
 from unicon_core.flow import Block
-from unicon_core.schema.marks import Within
 from unicon_core.workflow.autowire import BuildContext
 
 STICK_KEYS = {

@@ -23,13 +23,13 @@ from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 
-from unicon_core.arrays import Bool, Float32, Int32
+from unicon_base.arrays import Bool, Float32, Int32
+from unicon_base.errors import WorkflowError, alternatives
+from unicon_base.schema.marks import Like, NotEmpty, Write
 from unicon_core.blocks.controls.device import declares_controls
 from unicon_core.blocks.joint_command import ticks_of
 from unicon_core.buttons import BUTTONS, Button
-from unicon_core.errors import WorkflowError, alternatives
 from unicon_core.flow.block import Reads, Writes
-from unicon_core.schema.marks import Like, NotEmpty, Write
 from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext
 from unicon_core.workflow.file import Entry

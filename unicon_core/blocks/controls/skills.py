@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-from unicon_core.arrays import Array, Int32
+from unicon_base.arrays import Array, Int32
 from unicon_core.blocks.controls.modes import Modes, Seen, Way
 from unicon_core.workflow.autowire import BuildContext
 

@@ -12,12 +12,12 @@ from typing import Annotated
 
 import numpy as np
 
-from unicon_core.arrays import Array, Float32
+from unicon_base.arrays import Array, Float32
+from unicon_base.errors import WorkflowError
+from unicon_base.schema.marks import Matches, Within, positive
 from unicon_core.blocks.safety.ranges import RangeStop
-from unicon_core.errors import WorkflowError
 from unicon_core.flow.block import Reads
 from unicon_core.robots import Robot
-from unicon_core.schema.marks import Matches, Within, positive
 from unicon_core.states import States
 
 MARGIN = 10.0

@@ -6,9 +6,9 @@ import time
 from collections import deque
 from typing import Annotated
 
-from unicon_core.errors import Fault, WorkflowError
+from unicon_base.errors import Fault, WorkflowError
+from unicon_base.schema.marks import Within, positive
 from unicon_core.flow.stage import Stage
-from unicon_core.schema.marks import Within, positive
 from unicon_core.workflow.autowire import BuildContext
 
 LONGEST = 60.0

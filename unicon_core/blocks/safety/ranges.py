@@ -10,12 +10,12 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from unicon_base.errors import Fault, WorkflowError
+from unicon_base.schema.marks import Within, positive
 from unicon_core.blocks.joint_command import Commands
 from unicon_core.bounds import DAMPING, EFFORT, POSITION, STIFFNESS, VELOCITY
-from unicon_core.errors import Fault, WorkflowError
 from unicon_core.flow.stage import Stage
 from unicon_core.robots import Robot
-from unicon_core.schema.marks import Within, positive
 from unicon_core.states import States
 from unicon_core.states.stacked import Range, Screen
 from unicon_core.states.standard import COMMAND_STATES, HARDWARE_STATES

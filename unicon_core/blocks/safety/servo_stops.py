@@ -9,15 +9,15 @@ from typing import Annotated
 
 import numpy as np
 
+from unicon_base.errors import Fault
+from unicon_base.schema.marks import Within, positive
 from unicon_core.blocks.joint_command import Commands, ticks_of
 from unicon_core.blocks.safety.limits import first_of
 from unicon_core.bounds import Motion, Timeout
-from unicon_core.errors import Fault
 from unicon_core.flow.block import Reads
 from unicon_core.flow.stage import Stage
 from unicon_core.platforms.kit.servo import Servo
 from unicon_core.robots import Robot
-from unicon_core.schema.marks import Within, positive
 
 POWER = 100_000.0
 """In [W]: a humanoid's battery gives some 5,000 at most."""

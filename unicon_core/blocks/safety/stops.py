@@ -12,6 +12,8 @@ from typing import Annotated
 
 import numpy as np
 
+from unicon_base.errors import EmergencyStopPressed, Fault, Silence, WorkflowError
+from unicon_base.schema.marks import NotEmpty, Unit, Within, Write, positive
 from unicon_core.blocks.controls.device import declares_controls
 from unicon_core.blocks.joint_command import Commands, end_of, ticks_of
 from unicon_core.blocks.predicates import largest
@@ -19,12 +21,10 @@ from unicon_core.blocks.safety.limits import velocity_limits
 from unicon_core.blocks.safety.ranges import RangeStop
 from unicon_core.bounds import TILT, VELOCITY, VELOCITY_FACTOR, Seconds, Speed, Timeout
 from unicon_core.buttons import BUTTONS, Button
-from unicon_core.errors import EmergencyStopPressed, Fault, Silence, WorkflowError
 from unicon_core.flow.block import Reads
 from unicon_core.flow.stage import Stage
 from unicon_core.platforms.kit.command import FiniteCheck
 from unicon_core.robots import Robot
-from unicon_core.schema.marks import NotEmpty, Unit, Within, Write, positive
 from unicon_core.states import States
 from unicon_core.states.stacked import Range, Screen
 

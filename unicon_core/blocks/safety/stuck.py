@@ -12,16 +12,16 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from unicon_core.arrays import Float32
+from unicon_base.arrays import Float32
+from unicon_base.errors import Fault
+from unicon_base.schema.marks import positive
 from unicon_core.blocks.joint_command import single, ticks_of
 from unicon_core.blocks.safety.limits import first_of
 from unicon_core.blocks.safety.stops import PATIENT
 from unicon_core.bounds import Motion, Timeout
-from unicon_core.errors import Fault
 from unicon_core.flow.block import Reads
 from unicon_core.flow.stage import Stage
 from unicon_core.robots import Robot
-from unicon_core.schema.marks import positive
 
 
 class EncoderStop:

@@ -11,8 +11,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from unicon_base.errors import WorkflowError, alternatives
 from unicon_core.blocks.joint_command import single
-from unicon_core.errors import WorkflowError, alternatives
 from unicon_core.flow.block import Reads
 from unicon_core.models.frames import Frames as BodyFrames
 from unicon_core.robots import Robot

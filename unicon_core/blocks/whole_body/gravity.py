@@ -13,9 +13,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from unicon_core.arrays import Bool, Index
+from unicon_base.arrays import Bool, Index
+from unicon_base.errors import WorkflowError
 from unicon_core.blocks.joint_command import single
-from unicon_core.errors import WorkflowError
 from unicon_core.flow.block import Amends, Reads
 from unicon_core.models.posed import Weight, bearing_joints
 from unicon_core.models.rows import index_of

@@ -10,14 +10,14 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
+from unicon_base.errors import WorkflowError
+from unicon_base.schema.marks import Point, Within
 from unicon_core.blocks.joint_command import single
 from unicon_core.blocks.whole_body.frames import effector_of
 from unicon_core.bounds import DURATION
-from unicon_core.errors import WorkflowError
 from unicon_core.flow.block import Reads
 from unicon_core.models.frames import Frames
 from unicon_core.robots import Robot
-from unicon_core.schema.marks import Point, Within
 from unicon_core.states import StateSpec
 from unicon_core.states.standard import target_of, target_states
 from unicon_core.workflow.autowire import BuildContext

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from unicon_base.errors import UniconError
 from unicon_core.check.pose import check_collision
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import listed, on_platform
@@ -26,7 +27,6 @@ from unicon_core.check.twin.ranking import (
 )
 from unicon_core.check.twin.repair import repairs
 from unicon_core.check.twin.session import TwinBlindError, TwinSession
-from unicon_core.errors import UniconError
 from unicon_core.figures import figure
 from unicon_core.models.find import Modelled
 from unicon_core.platforms.platform import Platform

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from unicon_core.arrays import Float64
+from unicon_base.arrays import Float64
 from unicon_core.check.gains import counted_twice
 from unicon_core.check.result import PolicyResult
 from unicon_core.check.subject import listed

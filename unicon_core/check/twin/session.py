@@ -14,11 +14,11 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from unicon_core.arrays import Float32, Float64
+from unicon_base.arrays import Float32, Float64
+from unicon_base.errors import Fault, PlatformError, UniconError
 from unicon_core.check.model_facts import joint_depths
 from unicon_core.check.twin.measures import JUDGED, Measures, Recorder
 from unicon_core.check.twin.perturb import AS_GIVEN, Change
-from unicon_core.errors import Fault, PlatformError, UniconError
 from unicon_core.flow import Block, Stage
 from unicon_core.models.find import model_of
 from unicon_core.models.load import load_model

@@ -11,7 +11,7 @@ import threading
 from contextlib import suppress
 from typing import Any
 
-from unicon_core.errors import Fault
+from unicon_base.errors import Fault
 
 ALARM = 10
 """In [s]: the kernel ends a process that hangs so long, as its parent would if it still lived."""

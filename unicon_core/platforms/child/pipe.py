@@ -16,9 +16,9 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any
 
-from unicon_core import errors
-from unicon_core.errors import Fault, PlatformError, UniconError
-from unicon_core.resources import same_modules
+from unicon_base import errors
+from unicon_base.errors import Fault, PlatformError, UniconError
+from unicon_base.resources import same_modules
 from unicon_core.signals import signal_name
 
 PLATFORM = "unicon_core.platforms.child.process"

@@ -23,8 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.arrays import Float64
-from unicon_core.errors import Fault, PlatformError
+from unicon_base.arrays import Float64
+from unicon_base.errors import Fault, PlatformError
 from unicon_core.platforms.child.pipe import Pipe
 from unicon_core.platforms.kit.command import FiniteCheck
 from unicon_core.platforms.platform import Facts

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from unicon_core.arrays import Array, Float64
+from unicon_base.arrays import Array, Float64
 from unicon_core.robots import Robot
 
 IMU_STATES = ("base_quat", "base_ang_vel", "base_lin_acc")

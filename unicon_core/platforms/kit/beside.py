@@ -11,8 +11,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from unicon_core.arrays import Array, Float32
-from unicon_core.errors import PlatformError
+from unicon_base.arrays import Array, Float32
+from unicon_base.errors import PlatformError
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.platform import Placeable, Platform
 from unicon_core.robots import Robot

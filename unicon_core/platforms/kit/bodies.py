@@ -12,10 +12,10 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from unicon_core.arrays import Float64
-from unicon_core.errors import PlatformError, alternatives
+from unicon_base.arrays import Float64
+from unicon_base.errors import PlatformError, alternatives
+from unicon_base.schema.marks import Point, Within
 from unicon_core.models.loaded import LoadedModel, import_mujoco
-from unicon_core.schema.marks import Point, Within
 
 BODY_PHYSICS = ("payload", "contact_friction")
 """Words of `Facts.physics` that are about bodies."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from fractions import Fraction
 
-from unicon_core.errors import ModelError
+from unicon_base.errors import ModelError
 
 MOST_STEPS = 10_000
 """Of a tick: with more nothing seems to go on."""

@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import DTypeLike
 
-from unicon_core.arrays import Array
-from unicon_core.errors import Fault
+from unicon_base.arrays import Array
+from unicon_base.errors import Fault
 from unicon_core.states import States
 from unicon_core.states.stacked import flat, stacked
 from unicon_core.states.standard import COMMAND_STATES

@@ -17,7 +17,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from unicon_core.arrays import Float32
+from unicon_base.arrays import Float32
 from unicon_core.bounds import DAMPING, STIFFNESS
 from unicon_core.robots import Robot
 from unicon_core.states import States

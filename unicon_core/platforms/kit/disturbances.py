@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.arrays import Array
-from unicon_core.errors import PlatformError, alternatives
+from unicon_base.arrays import Array
+from unicon_base.errors import PlatformError, alternatives
 from unicon_core.memory import load, save
 from unicon_core.platforms.kit.command import Command
 from unicon_core.platforms.kit.scene import Scene

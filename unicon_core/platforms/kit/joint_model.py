@@ -13,7 +13,7 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from unicon_core.arrays import Float64
+from unicon_base.arrays import Float64
 from unicon_core.models.actuators import actuator_kind
 from unicon_core.models.loaded import LoadedModel, drives, import_mujoco
 from unicon_core.models.touching import around, contact_of, floors, may_touch, on_floor

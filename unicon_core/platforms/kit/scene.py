@@ -13,17 +13,17 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from unicon_core.arrays import Float32, Float64
-from unicon_core.errors import PlatformError, alternatives
+from unicon_base.arrays import Float32, Float64
+from unicon_base.errors import PlatformError, alternatives
+from unicon_base.schema.marks import Like, NotAKey, Unit, Within, Write, positive
+from unicon_base.schema.read import check_made
+from unicon_base.schema.records import record_of
 from unicon_core.models.find import pick_model
 from unicon_core.platforms.kit.bodies import BODY_PHYSICS, GANTRY, ROUGHEST, Payload
 from unicon_core.robots import Robot
 from unicon_core.robots.file import Simulated
 from unicon_core.robots.places import Places
 from unicon_core.robots.poses import named_pose, robot_poses
-from unicon_core.schema.marks import Like, NotAKey, Unit, Within, Write, positive
-from unicon_core.schema.read import check_made
-from unicon_core.schema.records import record_of
 from unicon_core.terrain.ground import refuse_endless_ground
 from unicon_core.terrain.words import FLAT, Terrain, read_terrain
 

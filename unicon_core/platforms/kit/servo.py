@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
-from unicon_core.arrays import Array, Float64, Int64
+from unicon_base.arrays import Array, Float64, Int64
 from unicon_core.robots.poses import JointPhysics
 
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from unicon_core.arrays import Float64
-from unicon_core.errors import ModelError, alternatives
+from unicon_base.arrays import Float64
+from unicon_base.errors import ModelError, alternatives
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.posed import PosedModel

@@ -10,8 +10,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from unicon_core.arrays import Float64
-from unicon_core.errors import Fault, PlatformError
+from unicon_base.arrays import Float64
+from unicon_base.errors import Fault, PlatformError
 from unicon_core.models.actuators import effort_ranges
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.platforms.kit.base import BaseStates, WorldPose, cross, rotation

@@ -15,8 +15,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from unicon_core.errors import alternatives
-from unicon_core.located_yaml import Where
+from unicon_base.errors import alternatives
+from unicon_base.located_yaml import Where
 from unicon_core.policies.facts import GAINS, Facts, dig, term_state
 from unicon_core.policies.hints import Pair
 from unicon_core.policies.importers.source_reader import Source, SourceReader

@@ -14,7 +14,7 @@ import re
 from collections.abc import Collection, Mapping
 from typing import Any
 
-from unicon_core.located_yaml import Located, Where
+from unicon_base.located_yaml import Located, Where
 from unicon_core.policies.facts import GAINS, TO_GIVE, Facts, dig, open_joints, term_state
 from unicon_core.policies.importers.source_reader import Source
 from unicon_core.policies.importers.training import (

@@ -12,7 +12,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from unicon_core.errors import PolicyError
+from unicon_base.errors import PolicyError
 from unicon_core.policies.facts import GAINS, Facts
 from unicon_core.policies.importers.holosoma import json_metadata
 from unicon_core.policies.networks.onnx_file import OnnxFile

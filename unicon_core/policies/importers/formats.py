@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from unicon_core.errors import PolicyError
+from unicon_base.errors import PolicyError
 from unicon_core.policies.facts import Facts, says
 from unicon_core.policies.importers.booster import booster_facts
 from unicon_core.policies.importers.deploy_yaml import deploy_yaml_facts

@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from unicon_core.errors import PolicyError
+from unicon_base.errors import PolicyError
 from unicon_core.policies.facts import GAINS, Facts, term_state
 from unicon_core.policies.importers.training import RENAMED_RANGES
 from unicon_core.policies.networks.onnx_file import OnnxFile

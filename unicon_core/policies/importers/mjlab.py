@@ -13,7 +13,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from unicon_core.errors import PolicyError
+from unicon_base.errors import PolicyError
 from unicon_core.policies.facts import Facts, term_state
 from unicon_core.policies.networks.onnx_file import OnnxFile
 

@@ -14,8 +14,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from unicon_core.errors import PolicyError, UniconError, alternatives
-from unicon_core.located_yaml import Located, read_yaml
+from unicon_base.errors import PolicyError, UniconError, alternatives
+from unicon_base.located_yaml import Located, read_yaml
 from unicon_core.policies.facts import Facts
 from unicon_core.policies.importers.source_reader import Place, Source, SourceReader, keys_of
 from unicon_core.policies.importers.training import clip_before_scale

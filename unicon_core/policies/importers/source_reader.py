@@ -8,17 +8,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
-from unicon_core.errors import PolicyError, UniconError, alternatives
-from unicon_core.located_yaml import Located, Where
+from unicon_base.errors import PolicyError, UniconError, alternatives
+from unicon_base.located_yaml import Located, Where
+from unicon_base.schema.marks import Checked, Within, twice
+from unicon_base.schema.read import refuse
+from unicon_base.schema.records import type_of
+from unicon_base.schema.types import Mistakes
 from unicon_core.policies.contract import TORCHSCRIPT
 from unicon_core.policies.facts import Facts
 from unicon_core.policies.given import given_joints
 from unicon_core.policies.hints import Side, listed
 from unicon_core.robots import Robot
-from unicon_core.schema.marks import Checked, Within, twice
-from unicon_core.schema.read import refuse
-from unicon_core.schema.records import type_of
-from unicon_core.schema.types import Mistakes
 
 _SUFFIXES = {".onnx": "onnx", **dict.fromkeys(TORCHSCRIPT, "torchscript")}
 

@@ -12,8 +12,8 @@ import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from unicon_core.errors import alternatives
-from unicon_core.located_yaml import Tagged
+from unicon_base.errors import alternatives
+from unicon_base.located_yaml import Tagged
 from unicon_core.policies.facts import Facts, value_of
 
 # A command's name in legged_gym and holosoma -> its name in a contract.

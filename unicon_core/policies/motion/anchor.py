@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from unicon_core.errors import PolicyError, alternatives
+from unicon_base.errors import PolicyError, alternatives
 from unicon_core.models.kinematic_tree import BASE, frame_of, read_tree
 from unicon_core.models.load import load_model
 from unicon_core.models.plain_turns import Quat, Vector, multiply, rotate, turned

@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.arrays import Float32, Float64
-from unicon_core.errors import PolicyError, alternatives, one_line
+from unicon_base.arrays import Float32, Float64
+from unicon_base.errors import PolicyError, alternatives, one_line
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.motion.anchor import Chain
 from unicon_core.policies.motion.spec import MotionSpec

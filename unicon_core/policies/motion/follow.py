@@ -23,8 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.arrays import Float32
-from unicon_core.errors import PolicyError
+from unicon_base.arrays import Float32
+from unicon_base.errors import PolicyError
 from unicon_core.models.plain_turns import (
     Quat,
     Vector,

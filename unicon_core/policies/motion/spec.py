@@ -8,11 +8,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from unicon_core.errors import PolicyError
+from unicon_base.errors import PolicyError
+from unicon_base.resources import file_beside, find_resource
+from unicon_base.schema.marks import Checked, Names, Text, Within, Write, twice
+from unicon_base.schema.types import Here
 from unicon_core.policies.facts import Facts, dig
-from unicon_core.resources import file_beside, find_resource
-from unicon_core.schema.marks import Checked, Names, Text, Within, Write, twice
-from unicon_core.schema.types import Here
 
 AXES = {
     "x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0),

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from unicon_core.arrays import Array
-from unicon_core.errors import PolicyError, alternatives
+from unicon_base.arrays import Array
+from unicon_base.errors import PolicyError, alternatives
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.hints import Feed
 from unicon_core.policies.networks.network import Arrays, Tensor

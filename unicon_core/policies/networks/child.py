@@ -11,8 +11,8 @@ import os
 import time
 from typing import Any
 
-from unicon_core.arrays import Array
-from unicon_core.errors import Fault, PolicyError
+from unicon_base.arrays import Array
+from unicon_base.errors import Fault, PolicyError
 from unicon_core.platforms.child.pipe import Pipe
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.networks.network import Arrays, Tensor

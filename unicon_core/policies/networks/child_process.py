@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.errors import UniconError
+from unicon_base.errors import UniconError
 from unicon_core.platforms.child.parent import ALARM, LONGEST, Parent, text_of
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.networks import Remembering, open_network

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol, TypeAlias, runtime_checkable
 
-from unicon_core.arrays import Array
+from unicon_base.arrays import Array
 
 
 @dataclass(frozen=True)

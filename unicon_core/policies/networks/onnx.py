@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 from weakref import WeakValueDictionary
 
-from unicon_core.errors import MissingDependencyError, PolicyError, imported, one_line
+from unicon_base.errors import MissingDependencyError, PolicyError, imported, one_line
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.networks.network import Arrays
 from unicon_core.policies.networks.onnx_file import OnnxFile, read_onnx

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
 
-from unicon_core.errors import PolicyError
+from unicon_base.errors import PolicyError
 from unicon_core.file_kinds import is_lfs_pointer
 from unicon_core.policies.networks.network import Tensor
 

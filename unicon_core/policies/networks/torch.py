@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.errors import PolicyError, imported, one_line
+from unicon_base.errors import PolicyError, imported, one_line
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.networks.network import Arrays, Tensor
 

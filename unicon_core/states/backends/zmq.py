@@ -21,7 +21,7 @@ import struct
 import time
 from pathlib import Path
 
-from unicon_core.errors import StateError
+from unicon_base.errors import StateError
 from unicon_core.outlet import Outlet
 from unicon_core.states.backends.freshness import SILENCE, Freshness
 from unicon_core.states.backends.zmq_socket import Endpoint

@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from unicon_core.errors import MissingDependencyError, StateError
+from unicon_base.errors import MissingDependencyError, StateError
 
 WITHOUT_KEYS = "anybody who reaches it may read there, or write where a reader is bound"
 

@@ -22,9 +22,9 @@ from unicon_ros.bench.pipelines.workflows import HELD
 
 WORKFLOW = """\
 robot: {robot}
-platform: "unicon_ros.hardware.unitree.platform:make"
+platform: "unicon_hardware.unitree.platform:make"
 platforms:
-  "unicon_ros.hardware.unitree.platform:make":
+  "unicon_hardware.unitree.platform:make":
     {{address: 127.0.0.1, domain: {domain}, connect: 20, silence: 10}}
 rate: {rate}
 pacing: {{trigger: {trigger}, hang: {held}}}

@@ -11,11 +11,12 @@ import time
 
 import numpy as np
 
-from unicon_core.arrays import Int64
+from unicon_base.arrays import Int64
+from unicon_base.errors import UniconError
 from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states
+from unicon_core.workflow.registry import find_factory
 from unicon_ros.bench.pipelines.log import Log, Stop, arguments
-from unicon_ros.hardware.unitree.face import face
 
 WINDOW = 4096
 """So many states have a number of their own: 8 s at 500 Hz. A power of two, exact in float32."""
@@ -50,7 +51,7 @@ def main() -> None:
     states["base_quat"][...] = (1, 0, 0, 0)
     states["base_lin_acc"][...] = (0, 0, 9.81)
     stop, log, made = Stop(), Log(options.out, "stamp", "received"), Made()
-    served = face(
+    served = find_factory("faces", "unitree_go", UniconError)(
         states, robot, address="127.0.0.1", domain=int(os.environ["ROS_DOMAIN_ID"]), mode=""
     )
     told = np.frombuffer(served.remote, np.int64)

@@ -14,7 +14,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from unicon_core.errors import StateError
+from unicon_base.errors import StateError
 
 FOLDER = Path("/dev/shm")
 MAGIC = b"UNICONSH"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from unicon_core.errors import StateError
+from unicon_base.errors import StateError
 from unicon_core.states.backends.shm.segment import (
     MAX_SLEEPERS,
     SLEEPERS,

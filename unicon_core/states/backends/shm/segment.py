@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from unicon_core.errors import StateError, alternatives
+from unicon_base.errors import StateError, alternatives
 from unicon_core.states.backends.shm import files
 from unicon_core.states.backends.shm.files import (
     HEAD,

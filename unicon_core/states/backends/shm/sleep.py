@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable
 from ctypes.util import find_library
 
-from unicon_core.errors import PlatformError
+from unicon_base.errors import PlatformError
 
 _CALLS = {"x86_64": 202, "aarch64": 98, "riscv64": 98}  # numbers of futex(2)
 _ORDERED = {"x86_64", "AMD64"}  # stores are seen in program order: total store order

@@ -1,0 +1,1 @@
+"""Below everything: errors, located YAML, schemas, resources, generated code."""

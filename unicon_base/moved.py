@@ -1,0 +1,80 @@
+"""Old import paths: they lead to where a module is now, with a warning, for one release.
+
+`import unicon_core` and `import unicon_ros` put the finder in place.
+"""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Sequence
+from importlib import import_module
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec
+from types import ModuleType
+
+_NAMES = {
+    ("unicon_core", "unicon_base"): "arrays bounded_yaml errors generated located_yaml packages "
+    "registered resources schema",
+    ("unicon_core", "unicon_manipulation"): "ik retarget",
+    ("unicon_ros", "unicon_lab"): "analysis datasets fault_record recording replay report "
+    "run_report sweep transfer view",
+    ("unicon_ros", "unicon_lab.recording"): "recorded_frames recorded_topics recorder "
+    "run_recording",
+    ("unicon_ros", "unicon_hardware"): "emulate peripherals",
+    ("unicon_ros.cli", "unicon_lab.commands"): "analyze bag replay report_run sweep transfer view",
+}
+MOVED = {
+    **{f"{a}.{n}": f"{b}.{n}" for (a, b), names in _NAMES.items() for n in names.split()},
+    "unicon_core.blocks.controls.headset": "unicon_manipulation.headset",
+    "unicon_core.blocks.retarget": "unicon_manipulation.retargeting_block",
+    "unicon_core.blocks.teleop": "unicon_manipulation.teleop",
+    "unicon_core.blocks.whole_body.reach": "unicon_manipulation.reach",
+    "unicon_core.gap": "unicon_core.metrics",
+    "unicon_core.identify": "unicon_lab.identify",
+    "unicon_core.platforms.sim": "unicon_sims",
+    "unicon_core.platforms.sim.mujoco": "unicon_core.platforms.mujoco",
+    "unicon_ros.cli.emulate": "unicon_hardware.emulate.command",
+    "unicon_ros.hardware": "unicon_hardware",
+    "unicon_ros.identify": "unicon_lab.identify.recorded",
+    "unicon_ros.peripherals.child": "unicon_ros.peripheral_process",
+    "unicon_ros.peripherals.peripheral": "unicon_ros.peripheral",
+    "unicon_ros.report.drawing": "unicon_core.drawing",
+    "unicon_ros.view.front": "unicon_ros.web_front",
+}
+"""Old module or package to new."""
+
+
+class Finder(MetaPathFinder, Loader):
+    """Finds moved modules by their old names."""
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """Return what loads a moved module; None for every other one."""
+        return ModuleSpec(fullname, self) if now_at(fullname) else None
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Put the module that is meant in the place of an empty one."""
+        old = module.__name__
+        new = now_at(old)
+        warnings.warn(f"{old} is {new} now; import that", DeprecationWarning, stacklevel=2)
+        sys.modules[old] = import_module(new)
+
+
+def now_at(name: str) -> str:
+    """Return where a module is that was moved, with its package or by itself; "" for others."""
+    if name.startswith(("unicon_core.", "unicon_ros.")):
+        above, below = name, ""
+        while above:
+            if above in MOVED:
+                return MOVED[above] + below
+            above, _, last = above.rpartition(".")
+            below = f".{last}{below}"
+    return ""
+
+
+def install() -> None:
+    """Put the finder before the others, once."""
+    if not any(isinstance(each, Finder) for each in sys.meta_path):
+        sys.meta_path.insert(0, Finder())

@@ -1,0 +1,40 @@
+"""Reality gap: how far a simulated trajectory is from the real one; metrics on arrays alone.
+
+A trajectory has the axes (n, d): n samples in time at one rate, d elements such as joints. More
+axes may stand in front, (b, n, d); then so does the result's. Whoever has records reads them first
+(`unicon analyze`), brings them to one rate and cuts them.
+"""
+
+from unicon_core.metrics.alignment import Aligned, aligned_mse, shift_losses
+from unicon_core.metrics.distances import (
+    chamfer,
+    mse,
+    rmse,
+    spectral_distance,
+    unfolded_mse,
+    wasserstein,
+)
+from unicon_core.metrics.elements import Affine, Matching, affine, match_elements
+from unicon_core.metrics.strain import Load, Warming, compare, fall_time, load, warming
+
+__all__ = [
+    "Affine",
+    "Aligned",
+    "Load",
+    "Matching",
+    "Warming",
+    "affine",
+    "aligned_mse",
+    "chamfer",
+    "compare",
+    "fall_time",
+    "load",
+    "match_elements",
+    "mse",
+    "rmse",
+    "shift_losses",
+    "spectral_distance",
+    "unfolded_mse",
+    "warming",
+    "wasserstein",
+]

@@ -1,0 +1,196 @@
+"""One robot in one MjData: reads its states, steps its physics; a batch holds N of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from unicon_base.arrays import Array, Float64, Int64
+from unicon_base.errors import Fault
+from unicon_core.models.loaded import LoadedModel
+from unicon_core.platforms.kit.clock import tick_ns
+from unicon_core.platforms.kit.command import Command
+from unicon_core.platforms.kit.servo import JointDelay
+from unicon_core.platforms.mujoco.reader import Reader, without_sensors
+from unicon_core.platforms.mujoco.rehearsal import Rehearsal
+from unicon_core.platforms.mujoco.servo import Servo
+
+_TOO_FAST = 1e10  # squared norm of all velocities: no robot's joint turns at 1e5 rad/s
+
+
+class SimulatedRobot:
+    """A robot's physics.
+
+    Positions and velocities are those of the end of the tick: a tick is `mj_step2`, the whole steps
+    between, and `mj_step1` of the next one, which are the same physics as `decimation` times
+    `mj_step` but leave kinematics and sensors fresh (plain `mj_step` leaves them one step old).
+    Only the last step of a tick reckons sensors, which saves a Go2, whose model has 41, 5 %.
+
+    Args:
+        loaded: the model, whose gains the robot shares at most with others of its thread.
+        joint_names: of the robot's joints, in its order.
+        servo: of that model.
+        decimation: physics steps in a tick.
+        views: this robot's state arrays by name, without a batch axis.
+        qpos: initial positions of the model.
+        command: of the platform.
+        rank: number of the robot in its batch, None where there is none.
+        delay: by which each joint's commands come late in physics steps, shape (n,); None for none.
+
+    Attributes:
+        model: the `MjModel`, of `loaded`.
+        data: the robot's `MjData`.
+        servo: as given.
+        command: this robot's rows of the platform's command, shape (5, n).
+        delay: holds commands back; None for none.
+        sources: what the base states are read from.
+        ticks: since the beginning.
+        tell_again: brings what acted last into the model, of a robot that shares it.
+        postponed: `step` leaves the physics to `act`.
+    """
+
+    def __init__(
+        self,
+        mujoco: Any,
+        loaded: LoadedModel,
+        joint_names: Sequence[str],
+        servo: Servo,
+        decimation: int,
+        views: dict[str, Array],
+        qpos: Float64,
+        command: Command,
+        rank: int | None = None,
+        delay: Int64 | None = None,
+    ) -> None:
+        model = self.model = loaded.model
+        data = self.data = mujoco.MjData(model)
+        self.servo = servo
+        self._mujoco, self._base = mujoco, loaded.base
+        self._names, self._decimation, self._initial = tuple(joint_names), decimation, qpos
+        self._who = "" if rank is None else f"robot {rank}, "
+        self._extra_ctrl = servo.holding(qpos)
+        self.loaded, self._views = loaded, views
+        self._reader = Reader(loaded, data, views)
+        self.sources = self._reader.sources
+        self._stamp = views.get("stamp_ns")
+        self._tick_ns = tick_ns(float(model.opt.timestep), decimation)
+        self._take = command.take
+        self.command = command.rows if rank is None else command.rows[:, rank]
+        self.delay = None if delay is None else JointDelay(self.command, delay, decimation)
+        self._qvel, self._option = data.qvel, model.opt
+        self._unseen, self.postponed = without_sensors(model), False
+        self._split = model.opt.integrator != int(mujoco.mjtIntegrator.mjINT_RK4)
+        self.reset()
+
+    def become(self, other: SimulatedRobot) -> None:
+        """Be another robot, for those who hold methods of this one; that one is of no use then."""
+        vars(self).clear()
+        vars(self).update(vars(other))
+
+    def reset(self) -> None:
+        """Put the robot back where it began, time 0."""
+        mujoco, data = self._mujoco, self.data
+        mujoco.mj_resetData(self.model, data)
+        data.qpos[:] = self._initial
+        data.ctrl[:] = self._extra_ctrl
+        self.ticks = 0
+        self.command[...] = 0.0  # limp until the first command
+        if self.delay is not None:
+            self.delay.reset()
+        self.servo.push(data.ctrl, self.command)
+        self.tell_again: Callable[[], None] | None = None
+        self.forward()
+
+    def forward(self) -> None:
+        """Compute what follows from positions, velocities and the last command."""
+        if self.tell_again is not None:  # the model's gains may be those of another robot by now
+            self.tell_again()
+        self._mujoco.mj_forward(self.model, self.data)
+
+    def read(self) -> None:
+        """Copy what the simulation says into the states."""
+        self._reader()
+        if self._stamp is not None:
+            self._stamp[...] = round(self.ticks * self._tick_ns)
+
+    def step(self) -> None:
+        """Take the command states and simulate one tick, of a robot that is alone.
+
+        Raises:
+            Fault: a command is not finite, or the physics blew up.
+        """
+        self._take()
+        if not self.postponed:
+            self.act()
+
+    def act(self) -> None:
+        """Simulate one tick under the command that was taken last; see `simulate`."""
+        parts = ((self._decimation, self.command),) if self.delay is None else self.delay()
+        self.simulate(self.servo.push, parts)
+
+    def simulate(
+        self, tell: Callable[[Float64, Any], None], parts: Iterable[tuple[int, Any]]
+    ) -> None:
+        """Simulate one tick.
+
+        Args:
+            tell: brings a command into the model and the controls: a servo's method.
+            parts: physics steps, and the command that acts in them as `tell` takes it.
+
+        Raises:
+            Fault: the physics blew up.
+        """
+        mujoco, model, data, option = self._mujoco, self.model, self.data, self._option
+        left, told = self._decimation, option.disableflags
+        fresh = self._split  # kinematics of the next step are there: the first one needs half
+        option.disableflags = told | self._unseen
+        try:
+            for steps, command in parts:
+                tell(data.ctrl, command)
+                left -= steps
+                if fresh and self._decimation > 1:
+                    mujoco.mj_step2(model, data)
+                    steps -= 1
+                    fresh = False
+                steps -= not left  # the last one is seen
+                if steps:
+                    mujoco.mj_step(model, data, steps)
+        finally:
+            option.disableflags = told
+        (mujoco.mj_step2 if fresh else mujoco.mj_step)(model, data)
+        (mujoco.mj_step1 if self._split else mujoco.mj_forward)(model, data)
+        self.ticks += 1
+        if not self._qvel.dot(self._qvel) < _TOO_FAST:  # false for NaN too
+            time = self.ticks * self._decimation * float(option.timestep)
+            raise Fault(
+                f"{self._who}the physics blew up before {time:.3f} s: {self._too_fast()}; lower "
+                "the gains or the physics step (timestep)"
+            )
+
+    def _too_fast(self) -> str:
+        """Return the joint that moves too fast; where it went through all, the likeliest cause."""
+        model, qvel, stiffness = self.model, self._qvel, self.command[3]
+        if np.isfinite(qvel).any():
+            dof = int(np.argmax(np.nan_to_num(np.abs(qvel), nan=np.inf)))
+            joint = model.joint(int(model.dof_jntid[dof])).name or None
+            return f"joint {joint} moves at {qvel[dof]:.3g} rad/s"
+        stiffest = int(np.argmax(np.abs(stiffness)))
+        return (
+            f"no velocity is finite any more (largest stiffness: {stiffness[stiffest]:.6g} N·m/rad "
+            f"at joint {self._names[stiffest]})"
+        )
+
+    @cached_property
+    def rehearse(self) -> Rehearsal:
+        """What warms the robot's memory and code up before a tick; see `Rehearsal`."""
+        unseen = {name: view.copy() for name, view in self._views.items()}
+        read = Reader(self.loaded, self.data, unseen)
+        return Rehearsal(self._mujoco, self.model, self.data, read, self._split)
+
+    def push(self, velocity: Float64) -> None:
+        """Add to the base's horizontal velocity in [m/s], shape (2,)."""
+        start = int(self.model.jnt_dofadr[self._base])
+        self.data.qvel[start : start + 2] += velocity

@@ -1,1 +1,0 @@
-"""Simulators, one folder each, for workflows that name one as their platform."""

@@ -1,5 +1,0 @@
-"""MuJoCo as a platform: a robot file, a model found by name and torque servos computed in C."""
-
-from unicon_core.platforms.sim.mujoco.platform import MujocoPlatform, make
-
-__all__ = ["MujocoPlatform", "make"]

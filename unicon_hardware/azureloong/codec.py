@@ -1,0 +1,134 @@
+"""Frames of AzureLoong's joint interface, packed and little endian; for its wire and its face.
+
+With 31 joints and 6 + 6 fingers a command has 684 bytes and a state 1,114. Layouts:
+loongOpen's loong_sim_sdk_release, sdk/loong_jnt_sdk/loong_jnt_sdk_datas.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+
+from unicon_base.arrays import Float32, Float64
+from unicon_base.schema.marks import Key, Within
+from unicon_core.states.standard import COMMAND_STATES
+from unicon_hardware.facts import AskingRate, Port, Transport, each, named
+
+KEYS = ("enable", "reset", "idle", "walk", "damp", "disable", "commands")
+"""Of `transport.keys`: what the remote is told, and what the robot then does."""
+COPIED = {
+    "joint_pos": "pos",
+    "joint_vel": "vel",
+    "joint_effort": "effort",
+    "motor_temperature": "temperature",
+    "motor_error": "error",
+}
+"""State to the field of a state's frame that it is."""
+
+_HEAD = ("checker", "<i2"), ("size", "<i2"), ("state", "<i4")
+
+
+def command_type(joints: int, left: int, right: int) -> np.dtype[Any]:
+    """Return the layout of a command: targets [rad], [rad/s], [N·m], gains, fingers.
+
+    Args:
+        joints: of the body.
+        left: fingers of the left hand.
+        right: fingers of the right hand.
+    """
+    rows = [(name, "<f4", (joints,)) for name in COMMAND_STATES]
+    fingers = [("finger_left", "<f4", (left,)), ("finger_right", "<f4", (right,))]
+    rates = [("torque_limit_rate", "<f4"), ("filter_rate", "<f4")]
+    return np.dtype([*_HEAD, *rates, *rows, *fingers])
+
+
+def state_type(joints: int, left: int, right: int) -> np.dtype[Any]:
+    """Return the layout of a state; see `command_type`.
+
+    `key` is the remote's key and that of the plan that runs, `state` that of the run and the task.
+    """
+    return np.dtype(
+        [
+            ("size", "<i4"),
+            ("timestamp", "<f8"),
+            ("key", "<i2", (2,)),
+            ("plan", "S16"),
+            ("state", "<i2", (2,)),
+            ("joy", "<f4", (4,)),
+            *((name, "<f4", (3,)) for name in ("rpy", "gyro", "acc")),
+            *((name, "<f4", (joints,)) for name in ("pos", "vel", "effort")),
+            *((name, "<i2", (joints,)) for name in ("temperature", "status", "error")),
+            *((name, "<f4", (joints,)) for name in ("pos_target", "vel_target", "effort_target")),
+            *(
+                (f"{which}_{side}", "<f4", (fingers,))
+                for which in ("finger", "finger_target")
+                for side, fingers in (("left", left), ("right", right))
+            ),
+        ]
+    )
+
+
+def part(kind: np.dtype[Any], first: str, behind: str) -> slice:
+    """Return where the bytes of a frame are from one field up to another, that one left out."""
+    fields: Any = kind.fields
+    return slice(fields[first][1], fields[behind][1])
+
+
+@dataclass(frozen=True)
+class Link(Transport):
+    """What both ends of the protocol know of it, from the robot file.
+
+    Attributes:
+        port: where the robot takes commands, UDP.
+        rate: of frames at most, [Hz].
+        checker: in front of each command.
+        commanding: `state` of a command that is to be carried out; 0 asks for states alone.
+        lost_ms: without a command for so long the robot takes the client for lost, [ms].
+        keys: of the remote, by the names of `KEYS`.
+        left: fingers of the left hand.
+        right: fingers of the right hand.
+        torque, stiffness, damping: limits to which the robot's driver clamps, shape (n,).
+    """
+
+    port: Port
+    rate: AskingRate
+    checker: Annotated[int, Within(-32768, 32767)]
+    commanding: Annotated[int, Key("state"), Within(1, 127)]
+    lost_ms: Annotated[int, Within(1, 10_000)]
+    keys: Annotated[dict[str, int], named(KEYS, 1, 255)]
+    left: Annotated[int, Key("fingers_left"), Within(0, 32)]
+    right: Annotated[int, Key("fingers_right"), Within(0, 32)]
+    torque: Annotated[Float64, Key("torque_limit"), each(0.0, 1000.0)]
+    stiffness: Annotated[Float64, Key("stiffness_limit"), each(0.0, 2000.0)]
+    damping: Annotated[Float64, Key("damping_limit"), each(0.0, 2000.0)]
+
+    @property
+    def joints(self) -> int:
+        """How many there are."""
+        return len(self.torque)
+
+    @property
+    def lost(self) -> float:
+        """`lost_ms` in [s]."""
+        return 1e-3 * self.lost_ms
+
+    @property
+    def command(self) -> np.dtype[Any]:
+        """Layout of a command."""
+        return command_type(self.joints, self.left, self.right)
+
+    @property
+    def state(self) -> np.dtype[Any]:
+        """Layout of a state."""
+        return state_type(self.joints, self.left, self.right)
+
+    @property
+    def limits(self) -> tuple[Float32, Float32]:
+        """Smallest and largest commands, rows as of `COMMAND_STATES`, shape (5, n)."""
+        free, none = np.full(self.joints, np.inf), np.zeros(self.joints)
+        return (
+            np.array((-free, -free, -self.torque, none, none), np.float32),
+            np.array((free, free, self.torque, self.stiffness, self.damping), np.float32),
+        )

@@ -1,0 +1,266 @@
+"""Platform `booster`: T1 over DDS, for workflows.
+
+    platform: {child: booster}
+    platforms:
+      booster: {address: eth0}        # of this machine, towards the robot
+
+Topics, domain and motor slots stand in the robot file. It needs the extra `hw-booster`, and nothing
+of the vendor's.
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from unicon_base.arrays import Array
+from unicon_base.errors import Fault
+from unicon_core.blocks.controls.device import Controls
+from unicon_core.blocks.controls.remotes import REMOTES
+from unicon_core.platforms.kit.base import Mounting, quat_of_rpy
+from unicon_core.platforms.platform import Facts
+from unicon_core.robots import Robot
+from unicon_core.states import States
+from unicon_core.states.standard import COMMAND_STATES, CONTROL_STATES, JOINT_STATES
+from unicon_hardware.booster.codec import BoosterFacts
+from unicon_hardware.booster.takeover import Client, Takeover
+from unicon_hardware.dds.end import DdsEnd, Inlet, factory_of
+from unicon_hardware.dds.maps import HEADER, Arrays, Message, arrays_of, command_arrays
+from unicon_hardware.dds.participant import Participant
+from unicon_hardware.torso import IMU_STATES
+from unicon_hardware.wire import Counts
+from unicon_hardware.wired_robot import WiredRobot
+
+EXTRA = "hw-booster"
+LAST = 5
+"""Times that the last words are sent, 2 ms apart."""
+
+
+class BoosterWire(DdsEnd):
+    """The connection to a robot.
+
+    LowState has no number: a robot that repeats itself is not told from one that does not move.
+
+    Args:
+        states: what is measured goes into these, commands come from these.
+        robot: its file.
+        domain: of DDS; None for the robot file's.
+        address: of this machine's network interface, or its name.
+        silent: nothing is sent.
+
+    Raises:
+        UniconError: it cannot be opened.
+    """
+
+    label, extra = "platform 'booster'", EXTRA
+
+    def __init__(
+        self,
+        states: States,
+        robot: Robot,
+        domain: int | None,
+        address: str | None,
+        *,
+        silent: bool = False,
+    ) -> None:
+        facts = BoosterFacts.of(robot)
+        self._states, self._robot, self._facts = states, robot, facts
+        self._rpy = np.zeros(3, np.float32)
+        self._mounting = Mounting.of(robot)
+        self._given = {name: states[name] for name in COMMAND_STATES}
+        self._sent = command_arrays(robot.num_joints)
+        self._effort = robot.effort_limit[facts.servo].astype(np.float32)
+        self._held: dict[str, Array] | None = None
+        self._client: Client | None = None
+        self._takeover: Takeover | None = None
+        self._put = False
+        super().__init__(facts.state_topic, facts.domain, domain, address, announced=True)
+        with self.closing():
+            arrays = arrays_of(states)
+            self.listen(facts.state, facts.state_in(arrays | {"rpy": self._rpy}, self.counts))
+            controls = Controls(states) if "sticks" in states else None
+            self._side = Side(self.participant, facts, arrays, controls)
+            self.watch(facts.command_topic)
+            if not silent:
+                self.speak(facts.command, self._sent)
+                self._client = Client(self.participant, facts.rpc_topic)
+                self._takeover = Takeover(
+                    self._client, facts, lambda: self.matched, self._hold, self.label
+                )
+
+    def take(self) -> int:
+        """Bring the newest good frame into the states; return how many good ones have come.
+
+        Raises:
+            Fault: the robot has left custom mode.
+        """
+        number = super().take()
+        mode = self._side.take()
+        if self._takeover is not None and self._takeover.done and mode == "another":
+            raise Fault(
+                f"{self.label}: the robot has left custom mode (it is in {self._side.mode}): the "
+                "remote or another program has taken it"
+            )
+        return number
+
+    def _measured(self) -> None:
+        states, mounting = self._states, self._mounting
+        states["base_quat"][...] = mounting.quat(quat_of_rpy(self._rpy))
+        if mounting.turned:
+            for name in ("base_ang_vel", "base_lin_acc"):
+                states[name][...] = mounting.vector(states[name])
+
+    def put(self) -> None:
+        """Send the command states; the ankles' stiffness becomes a torque.
+
+        tau = clip(kp (target - q) + tau_ff, ±effort), with kp 0 and the measured q for the motor,
+        which adds the damping (BoosterRobotics/booster_gym deploy/deploy.py: _publish_cmd).
+
+        Raises:
+            Fault: CycloneDDS refuses it.
+        """
+        self._put = True
+        self._send(self._given)
+
+    def warm_up(self) -> None:
+        """Do what `put` does up to the sending."""
+        self._made(self._given)
+        super().warm_up()
+
+    def _send(self, commands: dict[str, Array]) -> None:
+        self.counts.clamped += self._made(commands)
+        super().put()
+
+    def _made(self, commands: dict[str, Array]) -> bool:
+        """Bring commands into what is sent; True where a torque was limited."""
+        sent, servo = self._sent, self._facts.servo
+        for name, values in commands.items():
+            sent[name][...] = values
+        measured = self._states["joint_pos"][servo]
+        torque = sent["joint_stiffness"][servo] * (sent["joint_pos_target"][servo] - measured)
+        torque += sent["joint_effort_ff"][servo]
+        limited = np.clip(torque, -self._effort, self._effort)
+        sent["joint_pos_target"][servo] = measured
+        sent["joint_effort_ff"][servo] = limited
+        sent["joint_stiffness"][servo] = 0.0
+        return bool((limited != torque).any())
+
+    def prepare(self) -> str:
+        """Bring the robot into custom mode; return what is waited for, "" at the end."""
+        return "" if self._takeover is None else self._takeover()
+
+    def _hold(self) -> None:
+        """Send a command that holds the posture of the first call."""
+        if self._held is None:
+            self._held = command_arrays(self._robot.num_joints)
+            self._held["joint_pos_target"][...] = self._states["joint_pos"]
+            self._held["joint_stiffness"][...] = self._robot.joint_stiffness
+            self._held["joint_damping"][...] = self._robot.joint_damping
+        self._send(self._held)
+
+    def close(self) -> None:
+        """Leave the robot in its own damping mode, where it was taken, and the domain."""
+        try:
+            if self._held is not None and self._client is not None:
+                self._let_go(self._client, self._held)
+        finally:
+            self._held = None
+            super().close()
+
+    def _let_go(self, client: Client, held: dict[str, Array]) -> None:
+        if not self._put:  # else the damping command has been sent
+            held["joint_stiffness"][...] = 0.0
+            for _ in range(LAST):
+                self._send(held)
+                time.sleep(0.002)
+        client.ask(self._facts.requests["change_mode"], mode=self._facts.modes["damping"])
+        time.sleep(0.002 * LAST)  # for it to leave this machine
+
+
+class Side:
+    """What a T1 tells besides LowState, each on a topic of its own: mode, battery, gamepad.
+
+    A robot need not tell any of it, and none of it counts as a sign of life.
+
+    Args:
+        participant: of the robot's domain.
+        facts: of the robot file.
+        arrays: states; the battery's are written where they are there.
+        controls: take the gamepad; None where nobody asks for it.
+    """
+
+    def __init__(
+        self,
+        participant: Participant,
+        facts: BoosterFacts,
+        arrays: Arrays,
+        controls: Controls | None,
+    ) -> None:
+        self._participant, self._counts = participant, Counts()
+        self._number = np.full((), -1, np.int32)
+        self._names = {value: name for name, value in facts.modes.items()}
+        self._was_custom = False
+        self._mode = self._inlet(facts.mode, {"mode": self._number})
+        self._others: list[Inlet] = []
+        if {"battery_charge", "battery_voltage"} <= set(arrays):
+            self._others.append(self._inlet(facts.battery, arrays))
+        if controls is not None:
+            self._others.append(self._remote(facts.remote, controls))
+
+    @property
+    def mode(self) -> str:
+        """Name of the mode that was told last, "-1" before."""
+        return self._names.get(int(self._number), str(int(self._number)))
+
+    def take(self) -> str:
+        """Take what has come; return "custom", "another" mode behind it, or "" for not known."""
+        for inlet in self._others:
+            inlet.take()
+        if self._mode.take():
+            custom = self.mode == "custom"
+            self._was_custom = self._was_custom or custom
+        if not self._was_custom:  # older ones may still be on their way
+            return ""
+        return "custom" if self.mode == "custom" else "another"
+
+    def _inlet(self, message: Message, arrays: Arrays) -> Inlet:
+        frames = message.frames(arrays, self._counts)
+        reader = self._participant.reader(message.topic, message.struct)
+        return Inlet(reader, frames.good, frames.read, self._counts, message.topic)
+
+    def _remote(self, message: Message, controls: Controls) -> Inlet:
+        size, taken = REMOTES["booster"]
+
+        def good(raw: bytes) -> bool:
+            return raw[:2] == HEADER and 0 <= len(raw) - len(HEADER) - 2 - size < 4
+
+        def read(raw: bytes) -> bool:
+            taken(raw[4 : 4 + size], controls)
+            return True
+
+        reader = self._participant.reader(message.topic, message.struct)
+        return Inlet(reader, good, read, self._counts, message.topic, controls.let_go)
+
+
+class Booster(WiredRobot):
+    """A T1; build it with `make`."""
+
+    facts = Facts(
+        "booster",
+        writes=(
+            *JOINT_STATES,
+            *IMU_STATES,
+            "projected_gravity",
+            "stamp_ns",
+            "motor_temperature",
+            "motor_error",
+            "battery_charge",
+            "battery_voltage",
+            *CONTROL_STATES,
+        ),
+        protocols=("booster",),
+    )
+
+
+make = factory_of(Booster, BoosterWire)

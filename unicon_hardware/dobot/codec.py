@@ -1,0 +1,174 @@
+"""Messages of an Atom, made of a robot file; for both ends of the wire.
+
+Legs ("lower") and torso, arms, head ("upper") have topics of their own. Angular velocity is in
+[deg/s] on the wire. Of UpperState there are two layouts of one name: the SDK's header has no IMU,
+the ROS 2 package has one (Dobot-Arm/dobot_atom_sdk idl/upper_state.h, Dobot-Arm/dobot_atom_ros2
+dobot_atom/msg/UpperState.msg).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+
+from unicon_base.arrays import Array
+from unicon_base.errors import PlatformError
+from unicon_base.schema.marks import Key, Text
+from unicon_core.robots import Robot
+from unicon_hardware.dds.maps import (
+    COMMANDS,
+    IMU,
+    MEASURED,
+    Domain,
+    Message,
+    Messages,
+    motors,
+)
+from unicon_hardware.facts import Octet, Rate, facts_of, joint_number, wrong_fact
+
+LAYOUTS = {"sdk": "dobot_atom/msg/UpperState", "ros2": "dobot_atom/msg/UpperStateImu"}
+"""Option `layout` to the type of UpperState."""
+REMOTE = 40
+"""Bytes of the remote."""
+LOWER, UPPER = 12, 17
+
+
+@dataclass(frozen=True)
+class Half(Messages):
+    """Legs, or what is above them.
+
+    Attributes:
+        first: number of its first joint.
+        count: of joints, and of motors in its messages.
+        state_topic: of its state.
+        command_topic: of its commands.
+        kind: types of its state and of its commands.
+        mode: byte `mode` of its motors' commands.
+    """
+
+    first: int
+    count: int
+    state_topic: str
+    command_topic: str
+    kind: tuple[str, str]
+    mode: int
+
+    @property
+    def state(self) -> Message:
+        """LowerState, or UpperState of either layout."""
+        told = MEASURED | {"motor_temp": "motor_temperature", "mode": "modes"}
+        fields: dict[str, Any] = motors("motor_state", range(self.count), told, self.first)
+        if self.first:
+            fields |= {"is_upper_control": "upper_control"}
+            name = "dobot_atom.msg.dds_.UpperState_"
+            return Message(self.state_topic, self.kind[0], fields, name=name)
+        fields |= {f"imu_state.{field}": name for field, name in IMU.items()}
+        fields["imu_state.gyroscope"] = {"state": IMU["gyroscope"], "unit": "deg/s"}
+        fields |= {"fsm_id": "fsm_id", "wireless_remote": "remote"}
+        fields["bms_state.battery_level"] = {"state": "battery_charge", "scale": 0.01}
+        return Message(self.state_topic, self.kind[0], fields, orientation="base_quat")
+
+    @property
+    def command(self) -> Message:
+        """LowerCmd or UpperCmd."""
+        return Message(
+            self.command_topic,
+            self.kind[1],
+            motors("motor_cmd", range(self.count), COMMANDS, self.first),
+            sent={f"motor_cmd[{slot}].mode": self.mode for slot in range(self.count)},
+            taken=motors("motor_cmd", range(self.count), {"mode": "modes"}, self.first),
+        )
+
+
+@dataclass(frozen=True)
+class DobotFacts:
+    """`transport` of a robot file.
+
+    Attributes:
+        layout: of UpperState, one of `LAYOUTS`.
+        domain: of DDS.
+        rate: of the states in [Hz].
+        lower_state_topic, lower_command_topic: of the legs.
+        upper_state_topic, upper_command_topic: of torso, arms and head.
+        mode: byte `mode` of motors' commands.
+        waist: number of the joint between pelvis and the torso with the IMU.
+        fsm_topic: takes the number of a state of the robot's own state machine.
+        switch_topic: takes whether the arms are ours.
+    """
+
+    layout: str
+    domain: Domain
+    rate: Rate
+    lower_state_topic: Text
+    lower_command_topic: Text
+    upper_state_topic: Text
+    upper_command_topic: Text
+    mode: Annotated[Octet, Key("motor_mode")]
+    waist: Annotated[int, Key("waist_joint"), joint_number]
+    fsm_topic: Text
+    switch_topic: Text
+
+    @classmethod
+    def of(cls, robot: Robot, layout: str) -> DobotFacts:
+        """Read them.
+
+        Args:
+            layout: of UpperState, one of `LAYOUTS`.
+
+        Raises:
+            RobotError: one lacks, or is not what it must be.
+            PlatformError: there is no such layout.
+        """
+        if layout not in LAYOUTS:
+            raise PlatformError(
+                f"platform 'dobot': layout is {layout!r}; the vendor's SDK and its ROS 2 package "
+                "contradict each other in UpperState, so that it must be said: sdk (without an "
+                "IMU) or ros2 (with one)"
+            )
+        facts = facts_of(cls, robot, layout=layout)
+        for half, key in ((facts.lower, "lower_motors"), (facts.upper, "upper_motors")):
+            last = half.first + half.count - 1
+            if [*(robot.transport.get(key) or ())] != [*range(half.first, last + 1)]:
+                raise wrong_fact(robot, key, f"{half.first} to {last}, the only order known")
+        return facts
+
+    @property
+    def command_topic(self) -> str:
+        """Of the legs, which stands for both in messages."""
+        return self.lower_command_topic
+
+    @property
+    def lower(self) -> Half:
+        """The legs."""
+        topics = self.lower_state_topic, self.lower_command_topic
+        kind = "dobot_atom/msg/LowerState", "dobot_atom/msg/LowerCmd"
+        return Half(0, LOWER, *topics, kind, self.mode)
+
+    @property
+    def upper(self) -> Half:
+        """Torso, arms and head."""
+        topics = self.upper_state_topic, self.upper_command_topic
+        kind = LAYOUTS[self.layout], "dobot_atom/msg/UpperCmd"
+        return Half(LOWER, UPPER, *topics, kind, self.mode)
+
+    @property
+    def fsm(self) -> Message:
+        """What asks for the state `id` of the robot's own state machine."""
+        return Message(self.fsm_topic, "dobot_atom/msg/SetFsmId", {"id": "id"})
+
+    @property
+    def switch(self) -> Message:
+        """What asks for the arms, by `flag`."""
+        return Message(self.switch_topic, "dobot_atom/msg/SwitchUpperControl", {"flag": "flag"})
+
+
+def own_arrays() -> dict[str, Array]:
+    """Return the arrays of the messages that are not states, zero; for both ends of the wire."""
+    return {
+        "fsm_id": np.zeros((), np.uint16),
+        "upper_control": np.zeros((), np.uint8),
+        "remote": np.zeros(REMOTE, np.uint8),
+        "modes": np.zeros(LOWER + UPPER, np.uint8),
+    }

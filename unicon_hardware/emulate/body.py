@@ -1,0 +1,178 @@
+"""Body: the physics of an emulated robot: MuJoCo where its model is there, else joints alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from unicon_base.arrays import Float32
+from unicon_base.errors import MissingDependencyError, ModelError, PlatformError
+from unicon_core.platforms.fake import FakePlatform
+from unicon_core.platforms.kit.bodies import let_go
+from unicon_core.platforms.kit.disturbances import disturb
+from unicon_core.platforms.kit.scene import Scene
+from unicon_core.platforms.kit.start import start_of
+from unicon_core.platforms.platform import Platform
+from unicon_core.robots import Robot
+from unicon_core.states import States
+from unicon_core.workflow.registry import find_factory
+
+JOINTS_ALONE = "fake"
+"""In place of a model: joints follow their targets, the base stands still."""
+POSTURES = ("rest", "default", "random")
+NOISE = {
+    "joint_pos": 1e-4,
+    "joint_vel": 1e-3,
+    "base_quat": 1e-4,
+    "base_ang_vel": 2e-3,
+    "base_lin_acc": 0.02,
+}
+"""Standard deviation of what sensors tell, in the states' units: of a good encoder and a MEMS."""
+STEP = 0.002
+"""Longest physics step in [s]."""
+TIME_CONSTANT = 0.03
+"""Of joints without a model, in [s]."""
+SINKING = 20.0
+"""Time constant with which they sink where they are limp, in [s]."""
+LIFT = 0.3
+"""How far above the floor a robot hangs that would stand on it, in [m]."""
+SPARE = 0.05
+"""Share of a joint's range that a posture drawn at random keeps from either limit."""
+
+
+@dataclass(frozen=True)
+class Body:
+    """The physics of one robot.
+
+    Attributes:
+        platform: a simulator, whose states are those of the face.
+        model: the file that it was read from; None of joints alone.
+        let_go: takes the gantry from its base; None where nothing holds it.
+    """
+
+    platform: Platform
+    model: Path | None
+    let_go: Callable[[], None] | None
+
+
+def body_of(
+    states: States,
+    robot: Robot,
+    period: float,
+    *,
+    model: str | None = None,
+    posture: str = "rest",
+    hang: bool = False,
+    lift: float = LIFT,
+    seed: int = 0,
+    still: bool = False,
+    warn: Callable[[str], None],
+) -> Body:
+    """Build the physics.
+
+    Args:
+        period: of a tick in [s].
+        model: as of a scene, or `fake` for joints alone; None for the robot's own, if it is there.
+        posture: one of `POSTURES`, in which it begins.
+        hang: its base is held.
+        lift: how far above where it would stand, in [m].
+        seed: of posture and noise.
+        still: no noise.
+        warn: takes why there is no model, where there is none.
+
+    Raises:
+        ModelError: the model that was given is wrong.
+        MissingDependencyError: mujoco is not installed, and a model was given.
+        PlatformError: no such posture or seed, or it cannot hang.
+    """
+    if posture not in POSTURES:
+        raise PlatformError(f"posture {posture!r}; known: {', '.join(POSTURES)}")
+    file = None if model == JOINTS_ALONE else model
+    scene = Scene(file, posture if posture != "random" else "default", seed=seed, folder=Path.cwd())
+    if posture == "random":
+        scene = replace(scene, pose=random_posture(robot, np.random.default_rng(seed)))
+    path: Path | None = None
+    free: Callable[[], None] | None = None
+    if model == JOINTS_ALONE:
+        platform: Any = JointsAlone(states, robot, period, scene)
+    else:
+        try:
+            platform, base = _simulated(states, robot, period, scene, lift if hang else None)
+            path = platform.model_path
+            if base is not None:
+                free = partial(let_go, platform.model, base)
+        except (MissingDependencyError, ModelError) as error:
+            if model is not None:
+                raise
+            warn(f"without a model, joints alone are emulated (--model FILE gives one): {error}")
+            platform = JointsAlone(states, robot, period, scene)
+    if not still:
+        noise = {name: std for name, std in NOISE.items() if name in platform.facts.writes}
+        platform = disturb(platform, replace(scene, noise=noise), states, robot, period)
+    return Body(platform, path, free)
+
+
+def random_posture(robot: Robot, random: np.random.Generator) -> Float32:
+    """Return joint positions within the limits in [rad], shape (n,); default where unknown."""
+    spare = SPARE * (robot.upper - robot.lower)
+    known = np.isfinite(spare)
+    lower = np.where(known, robot.lower + spare, robot.default_joint_pos)
+    upper = np.where(known, robot.upper - spare, robot.default_joint_pos)
+    return np.nan_to_num(random.uniform(lower, upper)).astype(np.float32)
+
+
+class JointsAlone(FakePlatform):
+    """Joints without a model, no faster than the robot's.
+
+    Limp ones sink towards the middle of their range, as on a gantry.
+    """
+
+    def __init__(self, states: States, robot: Robot, period: float, scene: Scene) -> None:
+        super().__init__(states, robot, period, replace(scene, model=None), TIME_CONSTANT)
+        ends = np.stack((robot.lower, robot.upper))
+        known = np.isfinite(ends).all(axis=0)
+        self._middle = np.where(known, 0.5 * ends.sum(axis=0, where=known), self._pos)
+        self._sunk = np.float32(-math.expm1(-period / SINKING))
+        self._step_most = np.nan_to_num(robot.velocity_limit * np.float32(period), nan=np.inf)
+        self._before = self._pos.copy()
+
+    def send(self) -> bool | None:
+        """Move the joints for one tick.
+
+        Raises:
+            Fault: a command is not finite.
+        """
+        self._before[...] = self._pos
+        super().send()
+        limp = self._command.rows[3] <= 0.0
+        self._pos += limp * self._sunk * (self._middle - self._pos)
+        step = np.clip(self._pos - self._before, -self._step_most, self._step_most)
+        self._pos[...] = self._before + step
+        self._vel[...] = step / np.float32(self._period)
+        return None
+
+
+def _simulated(
+    states: States, robot: Robot, period: float, scene: Scene, lift: float | None
+) -> tuple[Any, int | None]:
+    make = find_factory("platforms", "mujoco", PlatformError)
+    base: int | None = None
+    if lift is not None:
+        start = start_of(robot, scene)
+        base = start.loaded.base
+        if base is None:
+            raise PlatformError(
+                f"the base of robot {robot.name} does not move in {start.loaded.path}; it need not "
+                "hang"
+            )
+        scene = replace(scene, gantry=True, initial_height=float(start.position[2]) + lift)
+    # A whole number of steps in a tick.
+    timestep = period / math.ceil(period / STEP - 1e-9)
+    platform = make(states, robot, period, scene=scene, timestep=timestep)
+    return platform, base

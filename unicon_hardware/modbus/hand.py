@@ -1,0 +1,229 @@
+"""HandWire: a hand behind Modbus registers, for all makers; which ones, says its robot file.
+
+A thread of its own asks, since an exchange takes 0.3 ms over TCP and 5 ms over RTU; the tick takes
+the newest answer and leaves the newest target, and waits for neither.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_base.arrays import Float64, Int64
+from unicon_base.errors import PlatformError
+from unicon_core.states import States
+from unicon_hardware.modbus.frames import (
+    Refused,
+    read_answer,
+    read_request,
+    write_answer,
+    write_request,
+)
+from unicon_hardware.modbus.link import Link
+from unicon_hardware.modbus.registers import HandRegisters
+from unicon_hardware.speed import Speed
+from unicon_hardware.wire import Counts
+
+RATE = 100.0
+"""Exchanges a second: the vendors' examples ask so often."""
+SLOW = 10
+"""Every so many exchanges one of the slow blocks is read: temperatures and errors change slowly."""
+OVER = 0.03
+"""Velocity is the difference of two angles so far apart, [s]: a step of 1.7 mrad is 0.06 rad/s."""
+AGAIN = 0.1
+"""Between two attempts to connect anew, [s]."""
+END = 1.0
+"""How long the last target may take to leave when it closes, [s]."""
+TRIES = 3
+"""So often the last target is sent where it is not answered."""
+
+
+class HandWire:
+    """See the module; it is a `Wire` and `Prepared`.
+
+    Args:
+        states: of the hand.
+        registers: of the hand.
+        open_link: connects; an OSError means that it is not there.
+        where: address or device, for messages.
+        rate: of exchanges, at most, in [Hz]; more of them would take the tick's time.
+        silent: it is only read; errors of before are told at once.
+        first: asks the hand something once it is connected, or raises.
+
+    Raises:
+        PlatformError: it cannot be connected.
+    """
+
+    def __init__(
+        self,
+        states: States,
+        registers: HandRegisters,
+        open_link: Callable[[], Link],
+        where: str,
+        *,
+        rate: float = RATE,
+        silent: bool = False,
+        first: Callable[[Link], None] | None = None,
+    ) -> None:
+        self.counts, self.where = Counts(), where
+        self._registers, self._open, self._silent = registers, open_link, silent
+        self._every = 1.0 / rate
+        self._pos, self._target = states["joint_pos"], states["joint_pos_target"]
+        self._vel = states["joint_vel"]
+        self._slow = {n: t for n, t in registers.slow.items() if n in states}
+        self._views = {name: states[name] for name in self._slow}
+        self._lock, self._news = threading.Lock(), threading.Event()
+        self._turn = deque(self._slow.items())
+        self._refused: deque[tuple[str, str]] = deque(maxlen=1000)
+        self._came = self._exchanges = 0
+        self._newest: tuple[int, Float64] | None = None
+        self._told: dict[str, Int64] = {}
+        self._speed = Speed(OVER)
+        self._wanted: NDArray[np.uint16] | None = None
+        self._ending = threading.Event()
+        self._clear = "" if silent or registers.clear is None else "not asked"
+        try:
+            self._link: Link | None = open_link()
+            if first is not None:
+                first(self._link)
+        except (OSError, Refused) as error:
+            self._let_go()
+            raise PlatformError(
+                f"cannot reach a hand at {where}: {getattr(error, 'strerror', None) or error}; "
+                "switch it on, and check cable, address and port, and that no other program has it"
+            ) from error
+        except BaseException:
+            self._let_go()
+            raise
+        self._thread = threading.Thread(target=self._run, name="hand", daemon=True)
+        self._thread.start()
+
+    # -- in the tick ------------------------------------------------------------------------------
+
+    def take(self) -> int:
+        """Bring the newest answers into the states; return how many have come."""
+        while self._refused:
+            self.counts.refuse(*self._refused.popleft())
+        with self._lock:
+            newest, came, told = self._newest, self._came, self._told
+            self._newest, self._came, self._told = None, 0, {}
+            self._news.clear()
+        if newest is None:
+            return 0
+        stamp, angles = newest
+        self._vel[...] = self._speed(stamp, angles)
+        self._pos[...] = angles
+        for name, values in told.items():
+            # Errors of before the start are cleared by `prepare`, behind the gates.
+            if name != "motor_error" or not self._clear:
+                self._views[name][...] = values
+        self.counts.good += came
+        return came
+
+    def put(self) -> None:
+        """Leave the targets for the next exchange."""
+        raw, clamped = self._registers.raw(self._target)
+        self.counts.clamped += clamped
+        with self._lock:
+            if self._clear == "not asked":  # nobody prepares it: errors count from now on
+                self._clear = ""
+            self._wanted = raw
+
+    def wait(self, timeout: float) -> bool:
+        """Return True once an answer is there, False after `timeout` in [s]."""
+        return self._news.wait(timeout)
+
+    def prepare(self) -> str:
+        """Let errors of before be cleared."""
+        with self._lock:
+            if self._clear == "not asked":
+                self._clear = "asked"
+            return "errors of before are being cleared" if self._clear else ""
+
+    def close(self) -> None:
+        """Let the last target leave, and let go."""
+        self._ending.set()
+        self._thread.join(END)
+
+    # -- in the thread ----------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        try:
+            self._ask()
+        finally:
+            self._let_go()
+
+    def _ask(self) -> None:
+        left = TRIES
+        while left:
+            ending = self._ending.is_set()
+            left -= ending
+            due = time.monotonic() + self._every
+            try:
+                if self._link is None:
+                    self._link = self._open()
+                self._exchange(self._link, ending)
+            except Refused as refused:
+                self._refused.append((refused.reason, refused.detail))
+            except OSError as error:
+                self._refused.append(("connection lost", str(error)))
+                self._let_go()
+                self._ending.wait(AGAIN)
+            if ending and self._wanted is None:
+                return
+            self._ending.wait(max(due - time.monotonic(), 0.0))
+
+    def _exchange(self, link: Link, ending: bool) -> None:
+        registers = self._registers
+        with self._lock:
+            wanted, self._wanted = self._wanted, None
+            clearing = self._clear == "asked"
+        if clearing and registers.clear is not None:
+            start, value = registers.clear
+            self._write(link, start, np.array([value], np.uint16))
+            with self._lock:
+                self._clear, self._told = "", {}
+        if wanted is not None and not self._silent:
+            try:
+                self._write(link, registers.target, wanted)
+            except (OSError, Refused):
+                with self._lock:  # again with the next exchange, if there is no newer one
+                    self._wanted = wanted if self._wanted is None else self._wanted
+                raise
+        if ending:
+            return
+        joints = len(registers.at_zero)
+        answer = self._read(link, registers.angle, joints)
+        stamp, angles = time.monotonic_ns(), registers.angles(answer)
+        told = {}
+        if self._turn and self._exchanges % SLOW < len(self._turn):
+            name, block = self._turn[0]
+            self._turn.rotate(-1)
+            slow = self._read(link, block.start, block.count(joints))
+            told[name] = block.values(slow, joints)
+        self._exchanges += 1
+        with self._lock:
+            self._newest = stamp, angles
+            self._told |= told
+            self._came += 1
+            self._news.set()
+
+    def _read(self, link: Link, start: int, count: int) -> NDArray[np.uint16]:
+        answer = link.exchange(self._registers.unit, read_request(start, count))
+        return read_answer(answer, count)
+
+    def _write(self, link: Link, start: int, values: NDArray[np.uint16]) -> None:
+        answer = link.exchange(self._registers.unit, write_request(start, values))
+        write_answer(answer, start, len(values))
+
+    def _let_go(self) -> None:
+        link, self._link = getattr(self, "_link", None), None
+        if link is not None:
+            with suppress(OSError):
+                link.close()

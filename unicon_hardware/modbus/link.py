@@ -1,0 +1,212 @@
+"""Link: one Modbus exchange after the other, over TCP or a serial line; it waits for answers."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import select
+import socket
+import termios
+import time
+import tty
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+
+from unicon_base.errors import PlatformError
+from unicon_core.robots import Robot
+from unicon_hardware.facts import Baud, Port, fact, port_number
+from unicon_hardware.modbus.frames import Frame, Framing, Refused, Rtu, Tcp
+
+ANSWER = 0.05
+"""How long an answer may take, [s]: over RTU at 115200 baud one of 6 registers takes 3 ms."""
+
+
+class Line:
+    """The bytes of one connection, taken apart into frames.
+
+    Args:
+        file: its descriptor.
+        framing: of its bytes.
+        answers: the other side answers; else it asks.
+    """
+
+    def __init__(self, file: int, framing: Framing, *, answers: bool) -> None:
+        self._file, self._framing, self._answers = file, framing, answers
+        os.set_blocking(file, False)
+        self._data = bytearray()
+
+    def _readable(self, timeout: float) -> bool:
+        return bool(select.select([self._file], [], [], timeout)[0])
+
+    def _receive(self) -> None:
+        """Take what has come.
+
+        Raises:
+            OSError: the connection is gone.
+        """
+        try:
+            data = os.read(self._file, 4096)
+        except BlockingIOError:
+            return
+        if not data:
+            raise ConnectionResetError("closed by the other side")
+        self._data += data
+
+    def _next(self) -> Frame | None:
+        """Return the first frame, None where there is no whole one.
+
+        Raises:
+            Refused: what has come is none.
+        """
+        size = self._framing.size(self._data, answer=self._answers)
+        if not size or len(self._data) < size:
+            return None
+        frame = bytes(self._data[:size])
+        del self._data[:size]
+        return self._framing.unpack(frame)
+
+
+class Link(Line):
+    """An open connection.
+
+    Args:
+        file: its descriptor.
+        framing: of its bytes.
+        close: lets go of it; called once.
+    """
+
+    def __init__(self, file: int, framing: Framing, close: Callable[[], object]) -> None:
+        super().__init__(file, framing, answers=True)
+        self._close, self._number = close, 0
+
+    def exchange(self, unit: int, pdu: bytes, timeout: float = ANSWER) -> bytes:
+        """Send a request; return function and data of its answer.
+
+        Raises:
+            Refused: no answer in time, or another or a damaged one.
+            OSError: the connection is gone, or the other side takes nothing.
+        """
+        self._number = (self._number + 1) & 0xFFFF
+        serial = isinstance(self._framing, Rtu)
+        end = time.monotonic() + timeout
+        self._drain()
+        self._send(self._framing.pack(Frame(self._number, unit, pdu)), end)
+        while True:
+            frame = self._next()
+            # One with an older number answers a request that was given up.
+            if frame is not None and (serial or frame.number == self._number):
+                if frame.unit != unit:
+                    raise Refused("answer of another unit", f"{frame.unit}, asked was {unit}")
+                return frame.pdu
+            left = end - time.monotonic()
+            if left <= 0.0 or (frame is None and not self._readable(left)):
+                got = f"{len(self._data)} bytes in {timeout:g} s"
+                raise Refused("short" if self._data else "no answer", got)
+            if frame is None:
+                self._receive()
+
+    def close(self) -> None:
+        """Let go, once: the number of a closed file may be another one's by now."""
+        close, self._close = self._close, lambda: None
+        close()
+
+    def _send(self, data: bytes, end: float) -> None:
+        while data:
+            with suppress(BlockingIOError):
+                data = data[os.write(self._file, data) :]
+                continue
+            left = end - time.monotonic()
+            if left <= 0.0 or not select.select([], [self._file], [], left)[1]:
+                # Half a request may have left: only a new connection begins at one.
+                raise TimeoutError("the other side takes nothing")
+
+    def _drain(self) -> None:
+        """Forget what came too late, or unasked."""
+        for _ in range(16):
+            self._data.clear()
+            if not self._readable(0.0):
+                return
+            self._receive()
+        self._data.clear()
+
+
+def open_tcp(address: str, port: int, timeout: float = 1.0) -> Link:
+    """Connect.
+
+    Raises:
+        OSError: nobody listens there.
+    """
+    connection = socket.create_connection((address, port), timeout)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return Link(connection.fileno(), Tcp(), connection.close)
+
+
+def open_serial(device: str, baudrate: int) -> Link:
+    """Open a serial line, 8N1, for this process alone.
+
+    Raises:
+        OSError: it is not there, or another process has it.
+        PlatformError: it has no such baud rate.
+    """
+    speed = getattr(termios, f"B{baudrate}", None)
+    if speed is None:
+        raise PlatformError(f"serial line {device}: no baud rate {baudrate}; usual is 115200")
+    # Else it waits for a modem's carrier, which a hand has not.
+    file = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        tty.setraw(file)
+        settings = termios.tcgetattr(file)
+        settings[2] = termios.CS8 | termios.CREAD | termios.CLOCAL
+        settings[4] = settings[5] = speed
+        termios.tcsetattr(file, termios.TCSANOW, settings)
+        termios.tcflush(file, termios.TCIOFLUSH)
+    except termios.error as error:
+        os.close(file)
+        raise OSError(f"is not a serial line: {error}") from error
+    except OSError:
+        os.close(file)
+        raise
+    return Link(file, Rtu(), partial(_close_serial, file))
+
+
+def _close_serial(file: int) -> None:
+    """Close a line; what nobody took is forgotten, for which it would wait."""
+    with suppress(termios.error):
+        termios.tcflush(file, termios.TCOFLUSH)
+    os.close(file)
+
+
+def reached(
+    robot: Robot, platform: str, address: str | None, port: int | None, device: str | None
+) -> tuple[str, Callable[[], Link]]:
+    """Return where a hand is, in words, and what connects to it.
+
+    Args:
+        robot: its file, which may say `address` and `port`.
+        platform: for messages.
+        address: over TCP; None for the file's.
+        port: over TCP; None for the file's.
+        device: a serial line such as /dev/ttyUSB0, in place of TCP.
+
+    Raises:
+        PlatformError: an option is wrong, or none says where it is.
+        RobotError: the robot file does not say its port or baud rate.
+    """
+    if device is not None:
+        if address is not None or port is not None:
+            raise PlatformError(
+                f"platform {platform!r}: device is a serial line, and address and port are of a "
+                "network; give one of them"
+            )
+        baudrate = fact(robot, "baudrate", Baud)
+        return f"{device} ({baudrate} baud)", lambda: open_serial(device, baudrate)
+    address = robot.transport.get("address") if address is None else address
+    if not address:
+        raise PlatformError(
+            f"platform {platform!r}: where is the hand? give its serial line: platforms: "
+            f"{{{platform}: {{device: /dev/ttyUSB0}}}}"
+        )
+    number = fact(robot, "port", Port) if port is None else port_number(port, platform)
+    return f"{address}:{number}", lambda: open_tcp(str(address), number)

@@ -1,0 +1,258 @@
+"""The process of `webxr`: serves the page, and tells what a headset that shows it sends."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import socket
+import time
+from collections import deque
+from contextlib import suppress
+from http import HTTPStatus
+from importlib.resources import files
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+from websockets.asyncio.server import ServerConnection
+from websockets.asyncio.server import serve as websocket
+from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+
+from unicon_base.errors import UniconError
+from unicon_hardware.peripherals.webxr.certificate import certificate, fingerprint, secured
+from unicon_hardware.peripherals.webxr.frames import ANSWER, FRAME, PARTS, PING, Frame, Refused
+from unicon_ros.peripheral_process import SLICE, Feed, end, serve
+from unicon_ros.web_front import netloc, refusal
+
+SCRIPT = "/page.js"
+PAGES = {"/": ("page.html", "text/html"), SCRIPT: ("page.js", "text/javascript")}
+POSES = "/poses"
+"""Path of the websocket."""
+
+EVERY = 0.25
+"""How often the page's clock is asked for, in [s]."""
+KEPT = 40
+"""Answers of which the quickest counts."""
+
+TAKEN = 4001
+"""Close code: another headset is there."""
+PATIENCE = 1.0
+"""A headset that is silent for so long gives way to another, in [s]."""
+
+HEADERS = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": "default-src 'self'; style-src 'unsafe-inline'; img-src data:",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+}
+
+
+class Clock:
+    """Tells by CLOCK_MONOTONIC what the page's clock says: the quickest answer has it best."""
+
+    def __init__(self) -> None:
+        self._asked: set[int] = set()
+        self._answers: deque[tuple[int, int]] = deque(maxlen=KEPT)
+
+    def ask(self) -> bytes:
+        """Return what to ask the page."""
+        now = time.monotonic_ns()
+        self._asked.add(now)
+        return PING.pack(now)
+
+    def answer(self, data: bytes) -> None:
+        """Take its answer.
+
+        Raises:
+            Refused: nobody has asked so.
+        """
+        asked, page = ANSWER.unpack(data)
+        if asked not in self._asked or not 0.0 <= page < 1e12:
+            raise Refused("not an answer")
+        self._asked.remove(asked)
+        now = time.monotonic_ns()
+        self._answers.append((now - asked, (asked + now) // 2 - round(1e6 * page)))
+
+    def at(self, page: float) -> int | None:
+        """Return our time in [ns] of the page's in [ms]; None before it has answered."""
+        return min(self._answers)[1] + round(1e6 * page) if self._answers else None
+
+
+class WebXr:
+    """The device: a server that is always there. The headset comes and goes.
+
+    Args:
+        feed: whose options say where it is served.
+
+    Raises:
+        UniconError: it cannot be served there.
+    """
+
+    def __init__(self, feed: Feed) -> None:
+        options = feed.options
+        self._feed, self._token, self._stale = feed, options["token"], options["stale"]
+        self._host, self._tls = options["host"], options["tls"]
+        self._headset: ServerConnection | None = None
+        self._heard = 0.0
+        self._number, self._missed, self._refused = -1, 0, 0
+        self._why: set[str] = set()
+        self._pages = {
+            path: (files(__package__).joinpath(name).read_bytes(), kind)
+            for path, (name, kind) in PAGES.items()
+        }
+        logging.getLogger("websockets").setLevel(logging.CRITICAL)
+        self._path = certificate(self._host) if self._tls else None
+        self._loop = asyncio.new_event_loop()
+        asyncio.set_event_loop(self._loop)
+        try:
+            self._server = self._loop.run_until_complete(self._serving(options["port"]))
+        except OSError as error:
+            raise UniconError(
+                f"webxr: cannot be served at {self._host}:{options['port']}: "
+                f"{error.strerror or error}; give another host or port"
+            ) from error
+
+    async def _serving(self, port: int) -> Any:
+        return await websocket(
+            self._session,
+            self._host,
+            port,
+            ssl=secured(self._path) if self._path else None,
+            process_request=self._request,
+            compression=None,
+            max_size=2 * FRAME.itemsize,
+            open_timeout=5.0,
+            ping_interval=2.0,
+            ping_timeout=4.0,
+            close_timeout=0.5,
+            server_header=None,
+            family=socket.AF_INET6 if ":" in self._host else socket.AF_INET,
+        )
+
+    def first(self) -> dict[str, Any]:
+        """Return where it is served."""
+        port = self._server.sockets[0].getsockname()[1]
+        address = f"{'https' if self._tls else 'http'}://{netloc(self._host, port)}/"
+        line = (
+            f"{self._feed.name}: open {address}{'?token=…' if self._token else ''} in the headset"
+        )
+        if self._path is not None:
+            line += f"; the certificate is our own, SHA-256 {fingerprint(self._path)}"
+        self._feed.tell(line)
+        return {"address": address}
+
+    def poll(self) -> None:
+        """Serve for a while; poses are told as they come."""
+        self._loop.run_until_complete(asyncio.sleep(SLICE))
+
+    def _request(self, connection: ServerConnection, request: Request) -> Response | None:
+        """Answer whoever asks for a page; None lets a websocket open."""
+        url = urlsplit(request.path)
+        given = parse_qs(url.query).get("token", [""])[0]
+        if url.path == SCRIPT:  # which says nothing of us
+            given = self._token
+        why = refusal(request.headers, given, self._token)
+        if why:
+            self._refuse(why)
+            return connection.respond(HTTPStatus.FORBIDDEN, f"Not for you: {why}.\n")
+        if url.path == POSES:
+            return None
+        if url.path not in self._pages:
+            return connection.respond(HTTPStatus.NOT_FOUND, "There is only the page at /.\n")
+        body, kind = self._pages[url.path]
+        headers = Headers(HEADERS)
+        headers["Content-Type"] = f"{kind}; charset=utf-8"
+        headers["Content-Length"] = str(len(body))
+        headers["Connection"] = "close"
+        return Response(HTTPStatus.OK, "OK", headers, body)
+
+    async def _session(self, connection: ServerConnection) -> None:
+        """Hear a headset until it leaves."""
+        before = self._headset
+        if before is not None and time.monotonic() - self._heard < PATIENCE:
+            await connection.close(TAKEN, "another headset is connected")
+            return
+        self._headset, self._heard = connection, time.monotonic()
+        self._number, self._missed = -1, 0
+        if before is not None:
+            before.transport.abort()
+        clock = Clock()
+        asking = asyncio.ensure_future(self._ask(connection, clock))
+        self._feed.tell(f"{self._feed.name}: a headset came from {connection.remote_address[0]}")
+        try:
+            async for data in connection:
+                if self._headset is connection:
+                    self._take(data, clock)
+        except ConnectionClosed as closed:
+            if closed.sent is not None and closed.sent.code == 1009:
+                self._refuse("too long")
+        finally:
+            asking.cancel()
+            if self._headset is connection:
+                self._headset = None
+                self._feed.neutral()
+                self._feed.tell(f"{self._feed.name}: the headset has left; its values are neutral")
+
+    async def _ask(self, connection: ServerConnection, clock: Clock) -> None:
+        with suppress(ConnectionClosed):
+            while True:
+                await connection.send(clock.ask())
+                await asyncio.sleep(EVERY)
+
+    def _take(self, data: str | bytes, clock: Clock) -> None:
+        now = time.monotonic_ns()
+        try:
+            if isinstance(data, str):
+                raise Refused("text")
+            if len(data) == ANSWER.size:
+                clock.answer(data)
+                return
+            frame = Frame(data)
+            if frame.number <= self._number:
+                raise Refused("not in order")
+            stamp = clock.at(frame.time)
+            if stamp is None:
+                return
+            late = 1e-9 * (now - stamp)
+            if late > self._stale or late < -self._stale:
+                raise Refused("too late")
+        except Refused as why:
+            self._refuse(str(why))
+            return
+        if self._number >= 0:
+            self._missed += frame.number - self._number - 1
+        self._number, self._heard = frame.number, time.monotonic()
+        self._tell(frame, min(stamp, now), max(late, 0.0))
+
+    def _tell(self, frame: Frame, stamp: int, late: float) -> None:
+        name = self._feed.name
+        told: dict[str, Any] = {
+            f"{name}_{part}": frame.poses[at if at.stop - at.start > 1 else at.start]
+            for part, at in PARTS.items()
+        }
+        for row, side in enumerate(("left", "right")):
+            told[f"{name}_{side}_buttons"] = frame.buttons[row]
+            told[f"{name}_{side}_axes"] = frame.axes[row]
+        told[f"{name}_valid"] = frame.valid
+        told[f"{name}_latency"] = late
+        told[f"{name}_number"] = frame.number
+        told[f"{name}_missed"] = self._missed
+        told[f"{name}_refused"] = self._refused
+        self._feed.publish(stamp, **told)
+
+    def _refuse(self, why: str) -> None:
+        self._refused += 1
+        if why not in self._why:
+            self._why.add(why)
+            self._feed.tell(f"{self._feed.name}: refused: {why}; all such are counted")
+
+    def close(self) -> None:
+        """Serve nobody any more."""
+        self._server.close()
+        with suppress(Exception):
+            self._loop.run_until_complete(asyncio.wait_for(self._server.wait_closed(), 1.0))
+
+
+if __name__ == "__main__":
+    end(serve(WebXr))

@@ -1,0 +1,279 @@
+"""Platform `unitree`: Go2, H1, G1 and H1-2 over CycloneDDS, for workflows.
+
+    platform: unitree
+    platforms:
+      unitree: {address: eth0}        # of this machine, towards the robot
+
+Topics, modes and motor slots stand in the robot file. It needs the extra `hw-unitree`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+
+from unicon_base.arrays import Array
+from unicon_base.errors import Fault, PlatformError
+from unicon_core.blocks.controls.device import Controls
+from unicon_core.blocks.controls.remotes import unitree as held
+from unicon_core.platforms.kit.base import Mounting
+from unicon_core.platforms.platform import Binding, Facts
+from unicon_core.robots import Robot
+from unicon_core.states import States
+from unicon_core.states.stacked import spans
+from unicon_core.states.standard import CONTROL_STATES, HARDWARE_STATES, JOINT_STATES
+from unicon_hardware.dds.end import DdsEnd
+from unicon_hardware.dds.maps import arrays_of, offset_of
+from unicon_hardware.modes import ModeGuard
+from unicon_hardware.robot_clock import Repeats
+from unicon_hardware.torso import IMU_STATES, turned
+from unicon_hardware.unitree.facts import PROTOCOLS, UnitreeFacts
+from unicon_hardware.unitree.release import Release
+from unicon_hardware.wire import newer
+from unicon_hardware.wired_robot import SILENCE, WiredRobot, opened
+from unicon_msgs_map import Decoder
+
+TOLD, FOOT_FORCE = (*JOINT_STATES, *IMU_STATES, *HARDWARE_STATES), "foot_force"
+"""States that LowState tells, those that are there."""
+REMOTE = 40
+"""Bytes of the wireless remote."""
+
+
+def own_arrays(robot: Robot) -> dict[str, Array]:
+    """Return the arrays of the messages that are not states, zero; for both ends of the wire."""
+    n = robot.num_joints
+    return {
+        "tick": np.zeros((), np.uint32),
+        "mode_machine": np.zeros((), np.uint8),
+        "mode_pr": np.zeros((), np.uint8),
+        "modes": np.zeros(n, np.uint8),
+        "temperatures": np.zeros(2 * n, np.int16),
+    }
+
+
+class UnitreeWire(DdsEnd):
+    """The connection to a robot, or to what looks like one.
+
+    Args:
+        states: what is measured goes into these, commands come from these.
+        robot: its file.
+        facts: of the file.
+        domain: of DDS; None for the robot file's.
+        address: of this machine's network interface, or its name; None for the default.
+        checked: LowState must have a right checksum and a new number.
+        release: its own controller is asked to let go.
+        silent: nothing is sent.
+
+    Attributes:
+        remote: the wireless remote's bytes, as they came last.
+        variant: what the robot tells of itself, {} before its first frame.
+        modes: of the motors.
+
+    Raises:
+        UniconError: it cannot be opened.
+    """
+
+    label = "platform 'unitree'"
+
+    def __init__(
+        self,
+        states: States,
+        robot: Robot,
+        facts: UnitreeFacts,
+        domain: int | None,
+        address: str | None,
+        *,
+        checked: bool = True,
+        release: bool = True,
+        silent: bool = False,
+    ) -> None:
+        self.remote = bytearray(REMOTE)
+        self.variant: Mapping[str, Any] = {}
+        self._facts, self._checked, self._last = facts, checked, -1
+        own = own_arrays(robot) | {"remote": np.frombuffer(self.remote, np.uint8)}
+        self._tick, self._mode = own["tick"], own["mode_machine"]
+        self.modes = ModeGuard(self.label, robot.joint_names, facts.modes)
+        self.modes.reported = own["modes"]
+        told = {name for name in (*TOLD, FOOT_FORCE) if name in states}
+        told -= set() if checked else set(HARDWARE_STATES)
+        staged = States(states.layout)  # what is read waits here for the tick
+        self._read = {name: array for name, array in arrays_of(staged).items() if name in told}
+        into, out_of = (memoryview(each.buffer.data) for each in (states, staged))
+        remote = CONTROL_STATES if "sticks" in states else ()
+        self._controls = Controls(staged) if remote else None
+        self._held = b""
+        self._tell = [(into[span], out_of[span]) for span in spans(states.layout, {*told, *remote})]
+        arrays = self._read | own
+        self._mounting = Mounting.of(robot)
+        self._pairs = own["temperatures"][0::2], own["temperatures"][1::2]
+        # Number and variant are the head's.
+        head = {"tick", "mode_machine"}
+        read = {name: array for name, array in arrays.items() if name not in head}
+        self._head = Decoder.build(facts.state.subscribe(head), arrays)
+        message = facts.state.struct
+        ends = ("head", "tick") if facts.go else ("imu_state", "wireless_remote")
+        measured = slice(*(offset_of(message, name) for name in ends))
+        self._repeats = Repeats(self.label, measured)
+        if "wireless_remote" in states:
+            self._tell.append((memoryview(states["wireless_remote"].data), memoryview(self.remote)))
+        self._release: Release | None = None
+        super().__init__(facts.state_topic, facts.domain, domain, address, ahead=True)
+        with self.closing():
+            self._frames = replace(facts.state, checked=checked).frames(read, self.counts)
+            self.listen(facts.state, self, forget=self._forget)
+            self.watch(facts.command_topic)
+            if not silent:
+                self.speak(facts.command, arrays_of(states) | own)
+                if release:
+                    self._release = Release(self.participant, *facts.release, self.label)
+
+    def _measured(self) -> None:
+        for view, value in self._tell:
+            view[:] = value
+
+    def _forget(self) -> None:
+        self._last = -1
+
+    @property
+    def clock_ms(self) -> int | None:
+        """The robot's tick; unitree_mujoco's is the time of its physics."""
+        return self._last if self._checked and self._last >= 0 else None
+
+    def good(self, raw: bytes) -> bool:
+        """Tell whether a frame may be read, by its form, number and variant.
+
+        Raises:
+            Fault: the robot's variant is another one than it was, or its measurements repeat.
+        """
+        if not (self._frames.good(raw) and self._new(raw)):
+            return False
+        if self._checked:
+            self._repeats(raw)
+        return True
+
+    def _new(self, raw: bytes) -> bool:
+        if not self._head.decode(raw):
+            self.counts.refuse("impossible values", self._head.last_error)
+            return False
+        if self._checked:
+            number = int(self._tick)
+            if self._last >= 0 and not newer(number, self._last):
+                self.counts.refuse("old tick", f"{number} behind {self._last}")
+                return False
+            self._last = number
+        told: dict[str, Any] = {"protocol": self._facts.protocol}
+        if self._checked and not self._facts.go:
+            told["mode_machine"] = int(self._mode)
+        if self.variant and told != self.variant:
+            raise Fault(
+                f"{self.label}: the robot's mode_machine is {told['mode_machine']}, and was "
+                f"{self.variant['mode_machine']}: it is another robot, or was configured anew; "
+                "choose its robot file"
+            )
+        self.variant = told
+        return True
+
+    def read(self, raw: bytes) -> bool:
+        """Read a good frame, and bring what it tells in another form into that of the states."""
+        if not self._frames.read(raw):
+            return False
+        values, waist = self._read, self._facts.waist
+        if self._mounting.turned:
+            self._mounting.turn(values, values)
+        if waist is not None:
+            turned(values, values, *(float(values[n][waist]) for n in ("joint_pos", "joint_vel")))
+        if not self._facts.go and "motor_temperature" in values:
+            np.maximum(*self._pairs, out=values["motor_temperature"])
+        if self._controls is not None and self.remote != self._held:
+            held(self.remote, self._controls)
+            self._held = bytes(self.remote)
+        return True
+
+    def prepare(self) -> str:
+        """Let the robot's own controller let go; return what is waited for, "" at the end."""
+        return "" if self._release is None else self._release()
+
+
+SIMULATOR = "unitree_mujoco"
+DECLARED = ("wireless_remote", FOOT_FORCE)
+"""States that it writes where a workflow declares them: 40 bytes; four forces, without a unit."""
+
+
+def _facts(robot: Robot, states: States, peer: str) -> Facts:
+    """Return what it writes of a robot."""
+    facts = UnitreeFacts.of(robot)
+    lacking = {"motor_error"} if facts.go else {FOOT_FORCE}
+    if not facts.battery:
+        lacking |= {"battery_charge", "battery_voltage"}
+    if peer == SIMULATOR:  # it sends zeros, of a battery too
+        lacking |= set(HARDWARE_STATES)
+    every = (*Unitree.facts.writes, *DECLARED)
+    writes = tuple(name for name in every if name in states and name not in lacking)
+    return replace(Unitree.facts, writes=writes)
+
+
+def _examined(states: States, robot: Robot, period: float, **options: Any) -> Binding:
+    return Binding(_facts(robot, states, options.get("peer", "robot")))
+
+
+class Unitree(WiredRobot):
+    """A robot behind Unitree's DDS; build it with `make`."""
+
+    facts = Facts(
+        "unitree",
+        writes=(*TOLD, "projected_gravity", "stamp_ns", *CONTROL_STATES),
+        protocols=PROTOCOLS,
+        examine=_examined,
+    )
+    _wire: UnitreeWire
+
+    def variant(self) -> Mapping[str, Any]:
+        """Return what the robot tells of itself: its protocol, and G1 and H1-2 `mode_machine`.
+
+        unitree_mujoco leaves the latter at 0, whatever it simulates.
+        """
+        return self._wire.variant
+
+
+def make(
+    states: States,
+    robot: Robot,
+    period: float,
+    *,
+    address: str | None = None,
+    domain: int | None = None,
+    peer: Literal["robot", "unitree_mujoco"] = "robot",
+    connect: float = 5.0,
+    silence: float = SILENCE,
+    silent: bool = False,
+) -> Unitree:
+    """Build the platform and wait for the robot.
+
+    Args:
+        period: of a tick in [s].
+        address: of this machine's network interface to the robot, or that interface's name;
+            without it CYCLONEDDS_URI, or CycloneDDS itself, decides.
+        domain: of DDS, instead of the robot file's.
+        peer: `unitree_mujoco` sends no checksums, frame numbers, temperatures and battery, and has
+            no controller of its own that must let go.
+        connect: how long to wait for the first frame in [s].
+        silence: of the robot that is a fault, in [s].
+        silent: receive only: nothing is sent, at the end either.
+
+    Raises:
+        MissingDependencyError: cyclonedds is not installed.
+        RobotError: the robot file lacks a fact.
+        PlatformError: the network cannot be used, or no frame came in time.
+    """
+    if peer not in ("robot", SIMULATOR):
+        raise PlatformError(f"platform 'unitree': no peer {peer!r}; known: robot, {SIMULATOR}")
+    facts, real = UnitreeFacts.of(robot), peer == "robot"
+    wire = UnitreeWire(
+        states, robot, facts, domain, address, checked=real, release=real, silent=silent
+    )
+    told = _facts(robot, states, peer)
+    built = Unitree(states, robot, period, wire, silence=silence, silent=silent, facts=told)
+    return opened(built, connect)

@@ -1,0 +1,250 @@
+"""Codec: the datagrams of unitree_legged_sdk, for the driver and for the robot's end of it.
+
+Two layouts, told apart by their lengths: 610 and 771 bytes (A1, Aliengo) and 614 and 807 (Go1).
+What is on the wire is not the public C struct: the SDK packs it and compresses the motors' gains
+and torques to 16 bits. Facts: unitreerobotics/unitree_legged_sdk include/unitree_legged_sdk/comm.h
+(fields, modes), v3.3.1 and v3.8.6, and what its libraries put on the wire (golden frames).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from unicon_base.arrays import Array, Float32
+from unicon_msgs_map.codec.checksum import words_crc
+
+SLOTS = 20
+"""Motors of a datagram; a robot of 12 leaves the rest idle."""
+TORQUE, STIFFNESS, DAMPING = 256.0, 32.0, 16.0
+"""Of the wire for 1 N·m (int16), 1 N·m/rad and 1 N·m·s/rad (uint16); truncated toward zero."""
+CELL_VOLT = 0.032
+"""Of a cell's byte in [V]."""
+
+_MOTOR_COMMAND = np.dtype(
+    [
+        ("mode", "u1"),
+        ("q", "<f4"),
+        ("dq", "<f4"),
+        ("tau", "<i2"),
+        ("kp", "<u2"),
+        ("kd", "<u2"),
+        ("reserve", "<u4", 3),
+    ]
+)
+_MOTOR_STATE = np.dtype(
+    [
+        ("mode", "u1"),
+        ("q", "<f4"),
+        ("dq", "<f4"),
+        ("ddq", "<i2"),
+        ("tau", "<i2"),
+        ("q_raw", "<f4"),
+        ("dq_raw", "<f4"),
+        ("ddq_raw", "<i2"),
+        ("temperature", "i1"),
+        ("reserve", "<u4", 2),
+    ]
+)
+_IMU: list[Any] = [
+    ("quat", "<f4", 4),  # wxyz
+    ("gyro", "<f4", 3),
+    ("acc", "<f4", 3),
+    ("rpy", "<f4", 3),
+    ("imu_temperature", "i1"),
+]
+_BMS_STATE = np.dtype(
+    [
+        ("version", "u1", 2),
+        ("status", "u1"),
+        ("soc", "u1"),
+        ("current", "<i4"),
+        ("cycle", "<u2"),
+        ("bq_ntc", "i1", 2),
+        ("mcu_ntc", "i1", 2),
+        ("cells", "u1", 10),
+    ]
+)
+_FEET: list[Any] = [("foot_force", "<i2", 4), ("foot_force_est", "<i2", 4), ("tick", "<u4")]
+_END: list[Any] = [("remote", "u1", 40), ("reserve", "<u4"), ("crc", "<u4")]
+_A1: list[Any] = [
+    ("level", "u1"),
+    ("version", "<u2"),
+    ("robot", "<u2"),
+    ("sn", "<u4"),
+    ("band", "u1"),
+]
+_GO1: list[Any] = [
+    ("head", "u1", 2),
+    ("level", "u1"),
+    ("frame", "u1"),
+    ("sn", "<u4", 2),
+    ("version", "<u4", 2),
+    ("band", "<u2"),
+]
+_MOTORS_OUT: list[Any] = [("motors", _MOTOR_COMMAND, SLOTS)]
+_MOTORS_IN: list[Any] = [*_IMU, ("motors", _MOTOR_STATE, SLOTS)]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The two datagrams of one protocol.
+
+    Attributes:
+        command: fields of what goes to the robot.
+        state: fields of what comes from it.
+        head: first bytes of both.
+    """
+
+    command: np.dtype[Any]
+    state: np.dtype[Any]
+    head: bytes = b""
+
+
+LAYOUTS = {
+    (layout.command.itemsize, layout.state.itemsize): layout
+    for layout in (
+        Layout(
+            np.dtype([*_A1, *_MOTORS_OUT, ("led", "u1", (4, 3)), *_END]),
+            np.dtype([*_A1, *_MOTORS_IN, *_FEET, *_END]),
+        ),
+        Layout(
+            np.dtype([*_GO1, *_MOTORS_OUT, ("bms", "u1", 4), *_END]),
+            np.dtype([*_GO1, *_MOTORS_IN, ("bms", _BMS_STATE), *_FEET, *_END]),
+            b"\xfe\xef",
+        ),
+    )
+}
+"""By the lengths of command and state in bytes."""
+
+_BAND_ENCRYPTED = 0xC03A
+
+
+def encrypted_crc(crc: int) -> int:
+    """Return the checksum that a Go1 which is not an EDU wants in place of the plain one.
+
+    Bin4ry/free-dog-sdk ucl/common.py: encryptCrc.
+    """
+    mixed = crc ^ 0xEDCAB9DE
+    return mixed >> 8 | (mixed & 0xFF) << 24
+
+
+class Frame:
+    """A datagram, and its fields as views.
+
+    Attributes:
+        buffer: its bytes.
+    """
+
+    def __init__(self, fields: np.dtype[Any]) -> None:
+        self.buffer = bytearray(fields.itemsize)
+        self._whole = np.frombuffer(self.buffer, fields)
+        # The words do not end where the checksum stands: 2 or 3 bytes before it are not covered.
+        self._crc = words_crc(self.buffer, (fields.itemsize >> 2) - 1)
+        self._stored = self["crc"]
+
+    def __getitem__(self, field: str) -> Array:
+        """Return the view of a field; of a number one of shape ()."""
+        view: Array = self._whole[field][0, ...]
+        return view
+
+    def __contains__(self, field: str) -> bool:
+        """Return whether there is such a field."""
+        return field in (self._whole.dtype.names or ())
+
+    def fill(self, datagram: bytes) -> None:
+        """Take the bytes of a datagram of this length."""
+        self.buffer[:] = datagram
+
+    def seal(self, encrypted: bool = False) -> None:
+        """Write the checksum."""
+        crc = self._crc()
+        self._stored[...] = encrypted_crc(crc) if encrypted else crc
+
+    def sound(self, encrypted: bool = False) -> bool:
+        """Return whether the checksum is right.
+
+        Args:
+            encrypted: the other one is right too.
+        """
+        crc, stored = self._crc(), int(self._stored)
+        return stored == crc or (encrypted and stored == encrypted_crc(crc))
+
+
+class CommandFrame(Frame):
+    """The datagram that commands the motors; it begins idle, as the vendor's own does.
+
+    Args:
+        layout: of the robot's generation.
+        motors: slots of the joints.
+        level_flag: of low-level commands.
+        servo: mode of every motor that takes commands.
+        pos_stop: position that says: no position loop.
+        vel_stop: velocity that says: no velocity loop.
+        encrypted: with the other checksum.
+
+    Attributes:
+        clamped: commands so far with a figure that the wire could not hold.
+    """
+
+    def __init__(
+        self,
+        layout: Layout,
+        motors: slice,
+        level_flag: int,
+        servo: int,
+        pos_stop: float,
+        vel_stop: float,
+        encrypted: bool = False,
+    ) -> None:
+        super().__init__(layout.command)
+        self.buffer[: len(layout.head)] = layout.head
+        self["level"][...] = level_flag
+        if encrypted:
+            self["band"][...] = _BAND_ENCRYPTED
+        every = self["motors"]
+        every["mode"], every["q"], every["dq"] = servo, pos_stop, vel_stop
+        self.clamped = 0
+        self._encrypted = encrypted
+        self._stops = np.float32(pos_stop), np.float32(vel_stop)
+        self._views = [every[name][motors] for name in ("q", "dq", "tau", "kp", "kd")]
+        count = len(self._views[0])
+        self._scale = np.array(((TORQUE,), (STIFFNESS,), (DAMPING,)), np.float32)
+        self._least = np.array(((-32768.0,), (0.0,), (0.0,)), np.float32) / self._scale
+        self._most = np.array(((32767.0,), (65535.0,), (65535.0,)), np.float32) / self._scale
+        self._asked, self._held = np.zeros((2, 3, count), np.float32)
+        self._whole_numbers = np.zeros((3, count), np.int32)
+        self._moves = np.zeros((2, count), np.float32)
+        self.seal(encrypted)
+
+    def write(
+        self, pos: Float32, vel: Float32, effort: Float32, stiffness: Float32, damping: Float32
+    ) -> bytes:
+        """Return the datagram of a command, all of it finite, each of shape (n,).
+
+        Without stiffness a motor is sent no position, and without damping no velocity: the vendor's
+        stops stand there, so that nothing but the gains' zeros has to be right.
+
+        Args:
+            pos: in [rad].
+            vel: in [rad/s].
+            effort: in [N·m], within ±128.
+            stiffness: in [N·m/rad], below 2048.
+            damping: in [N·m·s/rad], below 4096.
+        """
+        asked, held, numbers, moves = self._asked, self._held, self._whole_numbers, self._moves
+        asked[0], asked[1], asked[2] = effort, stiffness, damping
+        np.maximum(asked, self._least, out=held)
+        np.minimum(held, self._most, out=held)
+        self.clamped += bool((held != asked).any())
+        held *= self._scale  # by powers of two: exact
+        numbers[...] = held
+        moves[0], moves[1] = pos, vel
+        np.copyto(moves[0], self._stops[0], where=numbers[1] == 0)
+        np.copyto(moves[1], self._stops[1], where=numbers[2] == 0)
+        for view, values in zip(self._views, (*moves, *numbers)):
+            view[...] = values
+        self.seal(self._encrypted)
+        return bytes(self.buffer)

@@ -1,0 +1,1 @@
+"""Work on runs: recording, replay, comparison, sweeps, data sets, reports, the live view."""

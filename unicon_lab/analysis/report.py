@@ -1,0 +1,264 @@
+"""Report of a comparison: what stands out, a page that needs nothing beside it, PNGs, and JSON."""
+
+from __future__ import annotations
+
+import html
+import json
+import math
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import numpy as np
+
+from unicon_base.arrays import Bool
+from unicon_core import __version__
+from unicon_core.drawing import drawings
+from unicon_core.page import findings, number, page, pairs, table, write_file
+from unicon_lab.analysis.comparison import LAG_S, Comparison, gap_spread
+from unicon_lab.analysis.pictures import PICTURES
+from unicon_lab.analysis.run import Run
+
+SCHEMA = "unicon.analysis/1"
+
+_COLUMNS = {
+    "gap": "gap\nrad",
+    "position_rmse": "RMSE of position\nrad",
+    "position_bias": "mean difference\nrad",
+    "tracking_rms_real": "tracking error, real\nrad",
+    "tracking_rms_sim": "tracking error, simulated\nrad",
+    "lag_s": "lag\nms",
+    "gain": "gain",
+    "correlation": "correlation",
+    "spectral_distance": "spectral distance\n0 to 1",
+    "effort_ratio": "torque RMS, real ÷ simulated",
+    "strength": "torque for what is asked, real ÷ simulated",
+    "temperature_rise_real": "warming, real\nK",
+    "temperature_rise_sim": "warming, simulated\nK",
+}
+"""Figure of a joint to heading and unit in the table; the JSON has all of them."""
+
+_STATE_COLUMNS = {
+    "rmse_step_by_step": "RMSE sample by sample",
+    "rmse_shifted": "RMSE after the shift",
+    "aligned_mse_of_shift": "aligned MSE at that shift",
+    "chamfer": "chamfer distance",
+    "spectral_distance": "spectral distance",
+}
+
+
+def write_report(
+    comparison: Comparison, runs: tuple[Run, Run], folder: Path, tell: Callable[[str], None]
+) -> dict[str, object]:
+    """Write `report.html`, `analysis.json` and a PNG for each picture.
+
+    Args:
+        comparison: what is reported.
+        runs: the real and the simulated one.
+        folder: where to; files of these names are replaced.
+        tell: takes what is being drawn.
+
+    Returns:
+        What the JSON has.
+
+    Raises:
+        UniconError: a file cannot be written.
+    """
+    said = findings_of(comparison)
+    result: dict[str, object] = {
+        "schema": SCHEMA,
+        "unicon_ros": __version__,
+        "real": _about(runs[0]),
+        "sim": _about(runs[1]),
+        "findings": said,
+        **comparison.to_json(),
+    }
+    text = _page(comparison, runs, said, drawings(PICTURES, comparison, folder=folder, tell=tell))
+    write_file(folder / "analysis.json", (json.dumps(result, indent=1) + "\n").encode())
+    write_file(folder / "report.html", text.encode())
+    return result
+
+
+def _about(run: Run) -> dict[str, object]:
+    return {
+        "file": str(run.path),
+        "samples": len(run.time),
+        "duration_s": float(run.time[-1]),
+        "clock": run.clock,
+        **run.about,
+    }
+
+
+def _page(
+    comparison: Comparison,
+    runs: tuple[Run, Run],
+    said: list[str],
+    figures: Iterable[tuple[str, str]],
+) -> str:
+    parts = [
+        findings(said),
+        "<h2>What was compared</h2>",
+        _facts(comparison, runs),
+        "".join(f"<p>{html.escape(note)}</p>" for note in comparison.together.notes),
+    ]
+    for name, shown in figures:
+        parts.append(shown)
+        if name == "ranking":
+            parts += ["<h2>Every joint</h2>", _joint_table(comparison)]
+    parts += [
+        "<h2>Every state</h2>",
+        _state_table(comparison),
+        f'<p class="sub">All figures, with all digits: analysis.json. unicon_ros {__version__}</p>',
+    ]
+    title = f"{runs[0].path.name} (real) and {runs[1].path.name} (simulated)"
+    return page(title, "How far the simulator is from the robot", parts)
+
+
+def _facts(comparison: Comparison, runs: tuple[Run, Run]) -> str:
+    both = comparison.together
+    shift, count = int(both.aligned.shift), len(both.time)
+    later = {1: "; the real run is later", -1: "; the simulated run is later", 0: ""}
+    unfolded = comparison.states["joint_pos"]["unfolded_mse"]
+    facts = {
+        "real": _in_words(runs[0]),
+        "simulated": _in_words(runs[1]),
+        "shift": f"{shift * both.period:+.3f} s ({shift:+d} samples)"
+        + later[(shift > 0) - (shift < 0)],
+        "compared": f"{count:,} samples at {1 / both.period:.4g} Hz, {both.time[0]:.2f} to "
+        f"{both.time[-1]:.2f} s of the real run, {len(both.joints)} joints",
+        "resampling": both.method,
+        "aligned MSE": f"{float(both.aligned.loss):.4g} rad², summed over joints, at that shift",
+        "unfolded MSE": f"{unfolded:.4g} rad², mean of a joint, as UniCon's authors compute it",
+        "ranked by": comparison.ranked_by,
+    }
+    return pairs(facts)
+
+
+def _in_words(run: Run) -> str:
+    about = "".join(f", {key} {value}" for key, value in run.about.items())
+    rate = (len(run.time) - 1) / run.time[-1]
+    return (
+        f"{run.path}{about}; {run.time[-1]:.2f} s, {len(run.time):,} samples, {rate:.4g} Hz "
+        f"by {run.clock}"
+    )
+
+
+def _joint_table(comparison: Comparison) -> str:
+    columns = [key for key in _COLUMNS if key in comparison.joints]
+    heads = ["joint", *(_COLUMNS[key] for key in columns)]
+    figures = comparison.joints | {"lag_s": 1e3 * comparison.joints["lag_s"]}
+    rows = [
+        [comparison.together.joints[k], *(number(figures[key][k]) for key in columns)]
+        for k in comparison.order
+    ]
+    return table(heads, rows)
+
+
+def _state_table(comparison: Comparison) -> str:
+    rows = [
+        [name, *(number(figures[key]) for key in _STATE_COLUMNS)]
+        for name, figures in comparison.states.items()
+    ]
+    return table(["state", *_STATE_COLUMNS.values()], rows)
+
+
+SURE = 0.8
+"""|correlation| from which on gain and sign of a joint that moves mean something."""
+VERY_SURE = 0.95
+"""The same of a lag: curves of another shape have one, too."""
+MOVES_RAD = 0.02
+"""Standard deviation of a position in [rad] from which a joint moves. Noise n makes the gain of a
+spread s smaller by (n / s)²: by 8 % for n = 0.006, which is that of the ±0.01 rad in training and
+more than an encoder's. go2_walk has 0.040 or more, its hips straight ahead 0.011; stands 0.003."""
+LAG_SAMPLES = 2
+"""By which a joint is later than most of the others."""
+GAIN = 1.25
+"""Factor by which a joint moves more or less."""
+BIAS = 0.04
+"""Constant difference of a position in [rad]; encoders are set to within 0.02."""
+STRENGTH = 1.2
+"""Factor by which a joint's torque differs from what is asked."""
+WARMER_K = 5.0
+
+
+def findings_of(comparison: Comparison) -> list[str]:
+    """Return what stands out, the most important first."""
+    both, joints = comparison.together, comparison.joints
+    said = [_ranked(comparison), *_falls(both.falls)]
+    least = np.minimum(*(side["joint_pos"].std(axis=0) for side in (both.real, both.sim)))
+    still = least < MOVES_RAD
+    for cycle in comparison.swapped:
+        if still[list(cycle)].any():
+            continue
+        names = [both.joints[k] for k in cycle]
+        said.append(
+            f"{' and '.join(names)} look swapped: each moves as the other does in the simulator."
+            if len(names) == 2
+            else f"{', '.join(names)} look swapped in a ring."
+        )
+    correlation = np.where(still, 0.0, np.nan_to_num(joints["correlation"]))
+
+    def tell(text: str, which: Bool) -> None:
+        if which.any():
+            said.append(f"{text}: {_names(comparison, which)}.")
+
+    tell("A sign seems to be turned", correlation <= -SURE)
+    if "strength" in joints:
+        strength = np.where(np.isfinite(joints["strength"]), joints["strength"], 1.0)
+        less, more = strength <= 1.0 / STRENGTH, strength >= STRENGTH
+        tell(f"Less torque for what is asked, down to {100 * strength.min():.0f} %", less)
+        tell(f"More torque for what is asked, up to {100 * strength.max():.0f} %", more)
+    if "temperature_rise_real" in joints:
+        warmer = joints["temperature_rise_real"] - joints["temperature_rise_sim"]
+        tell(f"Warms more, by up to {warmer.max():.0f} K", warmer >= WARMER_K)
+    lag = joints["lag_s"] - np.median(joints["lag_s"])
+    # What is found at the end of the window is not a delay: the curves differ in shape.
+    late = (correlation >= VERY_SURE) & (joints["lag_s"] < 0.9 * LAG_S)
+    late &= lag >= (LAG_SAMPLES - 0.5) * both.period
+    tell(f"Later than the other joints, by up to {1e3 * lag[late].max(initial=0):.0f} ms", late)
+    gain = np.where(correlation >= SURE, joints["gain"], 1.0)
+    tell(f"Moves farther, up to {gain.max():.2f} times as far", gain >= GAIN)
+    tell(f"Moves less far, down to {gain.min():.2f} times as far", gain <= 1.0 / GAIN)
+    bias = np.abs(joints["position_bias"])
+    beside = (bias >= BIAS) & (bias**2 > 0.5 * joints["position_rmse"] ** 2)
+    tell(f"Off by a constant, up to {bias.max():.2f} rad (a wrong zero, or a weak motor)", beside)
+    if joints["gap"].any():
+        small = f"below {MOVES_RAD:g} rad rms in a run"
+        tell(f"Hardly moves ({small}): sign, range and lag not judged", still)
+    return said
+
+
+def _ranked(comparison: Comparison) -> str:
+    """Name the joint that differs most, or those that differ as much within their gaps' spread."""
+    both, order, gap = comparison.together, comparison.order, comparison.joints["gap"]
+    first = order[0]
+    if gap[first] == 0.0:
+        return "No joint differs."
+    spread = gap_spread(both)
+    alike = [k for k in order if gap[first] - gap[k] <= 2.0 * np.hypot(spread[first], spread[k])]
+    measure = comparison.ranked_by.removesuffix(" in rad")
+    if len(alike) == 1:
+        text = f"{both.joints[first]} differs most, by {gap[first]:.3g} rad"
+        if len(order) > 1 and gap[order[1]] > 0.0:
+            text += f", {gap[first] / gap[order[1]]:.1f} times as much as {both.joints[order[1]]}"
+        return f"{text} ({measure})."
+    which = np.isin(np.arange(len(gap)), alike)
+    text = f"No joint stands out: {_names(comparison, which)} differ alike"
+    least = float(gap[alike].min())
+    return f"{text}, by {least:.3g} to {gap[first]:.3g} rad ({measure})."
+
+
+def _falls(falls: tuple[float, float]) -> list[str]:
+    real, sim = falls
+    if math.isnan(real) and math.isnan(sim):
+        return []
+    if math.isnan(sim):
+        return [f"The real robot fell at {real:.2f} s, the simulated one did not."]
+    if math.isnan(real):
+        return [f"The simulated robot fell at {sim:.2f} s, the real one did not."]
+    return [f"The real robot fell at {real:.2f} s, the simulated one at {sim:.2f} s of its run."]
+
+
+def _names(comparison: Comparison, which: Bool) -> str:
+    names = [comparison.together.joints[k] for k in comparison.order if which[k]]
+    more = f" and {len(names) - 4} more" if len(names) > 4 else ""
+    return ", ".join(names[:4]) + more

@@ -1,0 +1,269 @@
+"""Together: two runs brought to the same joints, one rate, one length and the shift that suits."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from unicon_base.arrays import Float64
+from unicon_base.errors import UniconError
+from unicon_core.metrics import Aligned, aligned_mse, fall_time
+from unicon_lab.analysis.run import FEWEST, JOINTS, Run
+
+HOLE = 10.0
+"""Periods without a sample that are told of."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the user asked for.
+
+    Attributes:
+        max_shift: largest |shift| in [s], None for all that leave half of the shorter run.
+        rate: in [Hz] at which both are compared, None for the slower one's.
+        whole: compare what comes after a fall, too.
+    """
+
+    max_shift: float | None = None
+    rate: float | None = None
+    whole: bool = False
+
+
+@dataclass(frozen=True)
+class Together:
+    """Two runs that can be compared sample by sample.
+
+    Attributes:
+        joints: names of those that both have, in the real robot's order.
+        period: between two samples in [s].
+        method: how both came to it, in words.
+        aligned: of the joint positions, in samples.
+        real, sim: states that both have, shifted and of one length, shape (n, d).
+        real_whole, sim_whole: the same before the shift and the cut at a fall.
+        ends: samples of each of these that the cut at a fall leaves.
+        begins: time of the first common sample in the real file and in the simulated one, in [s].
+        falls: when each fell in [s] of its file, NaN for not at all.
+        notes: what was left out or assumed, in sentences.
+    """
+
+    joints: tuple[str, ...]
+    period: float
+    method: str
+    aligned: Aligned
+    real: dict[str, Float64]
+    sim: dict[str, Float64]
+    real_whole: dict[str, Float64]
+    sim_whole: dict[str, Float64]
+    ends: tuple[int, int]
+    begins: tuple[float, float]
+    falls: tuple[float, float]
+    notes: list[str]
+
+    @property
+    def unshifted(self) -> tuple[Float64, Float64]:
+        """Joint positions up to a fall in either run, from both beginnings, shape (n, d) each."""
+        count = min(self.ends)
+        return self.real_whole["joint_pos"][:count], self.sim_whole["joint_pos"][:count]
+
+    @property
+    def time(self) -> Float64:
+        """Time of each common sample in [s] of the real file."""
+        count = len(self.real["joint_pos"])
+        return np.asarray(self.begins[0] + self.period * np.arange(count), np.float64)
+
+
+def bring_together(real: Run, sim: Run, options: Options) -> Together:
+    """Bring two runs together.
+
+    Raises:
+        UniconError: no joint in common, too little in common in time, or options out of range.
+    """
+    notes = [*real.notes, *sim.notes]
+    joints, columns = _joints(real, sim, notes)
+    period, method = common_period(real, sim, options.rate)
+    runs, sides = (real, sim), []
+    for run, column in zip(runs, columns):
+        holes = np.diff(run.time)
+        if holes.max() > HOLE * period:
+            notes.append(
+                f"{run.path.name}: up to {holes.max():.2f} s are without samples; the missing ones "
+                "were drawn as a straight line."
+            )
+        states = {
+            name: values[:, column] if name in JOINTS else values
+            for name, values in run.states.items()
+        }
+        sides.append(states if method == "" else resample(run.time, states, period))
+    common = [name for name in sides[0] if name in sides[1]]
+    for run, other in zip(runs, sides[::-1]):
+        if missing := [name for name in other if name not in common]:
+            notes.append(f"{run.path.name} has no {', '.join(missing)}.")
+    falls = [_fall(side, period) for side in sides]
+    whole = [{name: side[name] for name in common} for side in sides]
+    cut = whole
+    if not options.whole:
+        cut = [
+            _until(side, fall, period, run, notes) for side, fall, run in zip(whole, falls, runs)
+        ]
+    for side, run in zip(cut, runs):
+        if len(side["joint_pos"]) < FEWEST:
+            raise UniconError(
+                f"{run.path} has {len(side['joint_pos'])} samples at {1 / period:g} Hz; at least "
+                f"{FEWEST} tell something: give a higher --rate or a longer run"
+            )
+    a, b = cut
+    limit = None if options.max_shift is None else math.floor(options.max_shift / period)
+    aligned = aligned_mse(a["joint_pos"], b["joint_pos"], limit)
+    shift, count = int(aligned.shift), int(aligned.overlap)
+    first_a, first_b = max(0, shift), max(0, -shift)
+    return Together(
+        joints,
+        period,
+        method or "both were sampled at one rate; nothing was resampled",
+        aligned,
+        {name: values[first_a : first_a + count] for name, values in a.items()},
+        {name: values[first_b : first_b + count] for name, values in b.items()},
+        whole[0],
+        whole[1],
+        (len(a["joint_pos"]), len(b["joint_pos"])),
+        (real.begins + first_a * period, sim.begins + first_b * period),
+        (real.begins + falls[0], sim.begins + falls[1]),
+        notes,
+    )
+
+
+def _joints(real: Run, sim: Run, notes: list[str]) -> tuple[tuple[str, ...], list[list[int]]]:
+    """Return the names of the common joints and their columns in both runs."""
+    counts = [run.states["joint_pos"].shape[1] for run in (real, sim)]
+    if not real.joints or not sim.joints:
+        if counts[0] != counts[1]:
+            raise UniconError(
+                f"{real.path} has {counts[0]} joints, {sim.path} {counts[1]}, and not both name "
+                "them: put joint_names into the .npz"
+            )
+        names = real.joints or sim.joints or tuple(f"joint {k}" for k in range(counts[0]))
+        nameless = " and ".join(run.path.name for run in (real, sim) if not run.joints)
+        notes.append(f"{nameless} names no joints: the same order was assumed in both.")
+        return names, [list(range(counts[0]))] * 2
+    common = tuple(name for name in real.joints if name in sim.joints)
+    if not common:
+        raise UniconError(
+            f"no joint of {real.path} ({', '.join(real.joints[:3])}, …) is in {sim.path} "
+            f"({', '.join(sim.joints[:3])}, …); give two runs of one robot"
+        )
+    for run in (real, sim):
+        left = [name for name in run.joints if name not in common]
+        notes += [f"Only {run.path.name} has {', '.join(left)}: left out."] if left else []
+    return common, [[run.joints.index(name) for name in common] for run in (real, sim)]
+
+
+def _fall(states: dict[str, Float64], period: float) -> float:
+    gravity = states.get("projected_gravity")
+    return math.nan if gravity is None else float(fall_time(gravity, period))
+
+
+def _until(
+    states: dict[str, Float64], fall: float, period: float, run: Run, notes: list[str]
+) -> dict[str, Float64]:
+    """Return what was before a fall: afterwards every joint differs, and nobody learns why."""
+    if math.isnan(fall):
+        return states
+    count = round(fall / period)
+    if count < FEWEST:
+        notes.append(f"{run.path.name} begins with a fall; what follows was compared all the same.")
+        return states
+    notes.append(f"What came after the fall in {run.path.name} was left out (--whole keeps it).")
+    return {name: values[:count] for name, values in states.items()}
+
+
+LONGEST = 300_000
+"""Samples that are compared: 10 minutes at 500 Hz; longer runs are thinned out evenly."""
+SAME_RATE = 1e-3
+"""Share by which two periods may differ and still be one: 1 ms a second."""
+EVEN = 0.25
+"""Periods by which a sample may be early or late and its run still be even."""
+SMOOTHED = 1.5
+"""Old periods in a new one from which on values are averaged."""
+
+
+def common_period(real: Run, sim: Run, rate: float | None) -> tuple[float, str]:
+    """Return the period in [s] at which two runs are compared, and how they come to it.
+
+    Args:
+        real: one run.
+        sim: the other.
+        rate: that was asked for in [Hz]; None for the slower one's.
+
+    Returns:
+        The method is in words; "" where both can stay as they are.
+    """
+    periods, even = zip(*(_own_period(run.time) for run in (real, sim)))
+    period = 1.0 / rate if rate else max(periods)
+    longest = max(float(run.time[-1]) for run in (real, sim))
+    too_many = longest / period > LONGEST
+    if too_many:
+        period = longest / LONGEST
+    if all(even) and all(abs(own - period) <= SAME_RATE * period for own in periods):
+        return period, ""
+    rates = [f"{1.0 / own:.4g} Hz" for own in periods]
+    text = f"the real run ({rates[0]}) and the simulated one ({rates[1]}) were resampled "
+    text += f"to {1.0 / period:.4g} Hz, linearly"
+    names = ("the real", "the simulated")
+    if smoothed := [name for name, own in zip(names, periods) if period > SMOOTHED * own]:
+        text += f"; before that {' and '.join(smoothed)} one was averaged over each new period"
+    if too_many:
+        text += f"; at no higher rate, since {LONGEST:,} samples are compared at most"
+    return period, text
+
+
+def _own_period(time: Float64) -> tuple[float, bool]:
+    """Return the period of a run's samples, and whether all stand where it puts them."""
+    mean = float(time[-1]) / (len(time) - 1)
+    if np.abs(time - mean * np.arange(len(time))).max() <= EVEN * mean:
+        return mean, True
+    steps = np.diff(time)
+    return float(np.mean(steps[steps < 3.0 * np.median(steps)])), False  # holes are not a rate
+
+
+def resample(time: Float64, states: dict[str, Float64], period: float) -> dict[str, Float64]:
+    """Return the states at even times from the first sample on.
+
+    Linear interpolation. Where the new period is longer than `SMOOTHED` of the old ones, each value
+    is the mean of that line over one period around it: noise does not fold into what is left.
+
+    Args:
+        time: of the samples in [s], rising, shape (n,).
+        states: name to values, shape (n, d).
+        period: of the result in [s].
+    """
+    grid = time[0] + period * np.arange(int((time[-1] - time[0]) / period + 1e-6) + 1)
+    if period <= SMOOTHED * float(np.median(np.diff(time))):
+        return {name: _linear(grid, time, values) for name, values in states.items()}
+    low, high = np.maximum(grid - period / 2, time[0]), np.minimum(grid + period / 2, time[-1])
+    result = {}
+    for name, values in states.items():
+        middle = values.mean(axis=0)
+        areas = np.zeros_like(values)
+        steps = 0.5 * np.diff(time)[:, None] * (values[1:] + values[:-1] - 2 * middle)
+        np.cumsum(steps, axis=0, out=areas[1:])
+        area = _integral(high, time, values - middle, areas) - _integral(
+            low, time, values - middle, areas
+        )
+        result[name] = middle + area / (high - low)[:, None]
+    return result
+
+
+def _linear(at: Float64, time: Float64, values: Float64) -> Float64:
+    """Return the straight lines between the samples, shape (len(at), d)."""
+    return np.stack([np.interp(at, time, column) for column in values.T], axis=1)
+
+
+def _integral(at: Float64, time: Float64, values: Float64, areas: Float64) -> Float64:
+    """Return the area below these lines up to each time; `areas` are those at the samples."""
+    row = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(time) - 2)
+    inside = (at - time[row])[:, None]
+    slope = (values[row + 1] - values[row]) / (time[row + 1] - time[row])[:, None]
+    area: Float64 = areas[row] + inside * (values[row] + 0.5 * slope * inside)
+    return area

@@ -1,0 +1,1 @@
+"""Commands of `unicon` on recordings and many runs, found by entry points."""

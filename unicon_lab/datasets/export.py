@@ -1,0 +1,192 @@
+"""Export of recordings as one LeRobot data set, for `unicon bag export --lerobot`."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from unicon_base.errors import StateError, UniconError, alternatives, one_line
+from unicon_core.runtime.tick_ring import PHASES
+from unicon_lab.datasets.columns import (
+    ACTION,
+    TICK,
+    Column,
+    default_actions,
+    default_states,
+    features_of,
+    made_columns,
+)
+from unicon_lab.datasets.episodes import Episode, episodes_of
+from unicon_lab.datasets.fit import Wanted, cameras_of, fps_of, refuse_others
+from unicon_lab.datasets.writer import DatasetWriter, PackageWriter, import_lerobot, import_pyarrow
+from unicon_lab.recording import Record, open_record
+
+
+def export_dataset(paths: Sequence[Path], out: Path, wanted: Wanted) -> list[str]:
+    """Write recordings as one data set; return what to tell, a line each.
+
+    Args:
+        paths: of recordings of one robot, in the order of their episodes.
+        out: folder of the data set, which does not exist.
+        wanted: what it is to have.
+
+    Raises:
+        UniconError: a recording cannot be read or does not fit the first one, there is nothing to
+            write, or it cannot be written.
+        StateError: no such state.
+        MissingDependencyError: a package is missing.
+    """
+    if os.path.lexists(out):
+        raise UniconError(f"{out} exists; move it away or give another name")
+    import_pyarrow()
+    for phase in wanted.phases:
+        if phase not in (known := [each.value for each in PHASES]):
+            raise UniconError(f"--phases: no phase {phase!r}; {alternatives(phase, known)}")
+    records = [(path, open_record(path)) for path in paths]
+    told: list[str] = []
+    cameras = [cameras_of(path, record, wanted, told) for path, record in records]
+    refuse_others(records, cameras, wanted)
+    fps = fps_of(records[0][1], cameras[0], wanted)
+    episodes: list[Episode] = []
+    for (path, record), pictures in zip(records, cameras):
+        found = episodes_of(path, record, fps, wanted.phases, pictures)
+        if not found:
+            counts = ", ".join(dict.fromkeys(record.phases)) or "none"
+            raise UniconError(
+                f"{path} has no whole tick of phase {' or '.join(wanted.phases)}; it has {counts}: "
+                "give --phases, or leave it out"
+            )
+        episodes += found
+    first = records[0][1]
+    states = wanted.states or default_states(first)
+    actions = wanted.actions or default_actions(episodes)
+    columns, missing = made_columns(episodes, states, actions)
+    told += missing
+    if not columns:
+        raise UniconError(f"{paths[0]}: none of its states is ever a number; give --states")
+    features = features_of(columns, cameras[0], wanted.video)
+    writer = _writer(wanted, _count_nan(episodes, columns, told), told)
+    name = _written(writer, out, fps, features, first, episodes, columns, wanted)
+    frames = sum(len(episode.rows) for episode in episodes)
+    line = f"{out}: {len(episodes)} episodes, {frames} frames at {fps} fps, written by {name}"
+    for camera in cameras[0]:
+        held = sum(episode.held[camera] for episode in episodes)
+        if held:
+            told.append(f"{camera}: {held} of {frames} frames show the picture before theirs")
+    return [line, *_described(columns), *told]
+
+
+def _count_nan(episodes: Sequence[Episode], columns: Sequence[Column], told: list[str]) -> bool:
+    """Tell of numbers that are none; return whether there are any."""
+    found = False
+    for column in columns:
+        values = [np.isnan(column.values(each).astype(np.float64)) for each in episodes]
+        count = sum(int(each.sum()) for each in values)
+        if count:
+            found = True
+            some = np.concatenate(values).any(axis=0)
+            name = column.names[int(np.argmax(some))]
+            told.append(f"{column.key}: {count} numbers are NaN, as recorded; first {name}")
+    return found
+
+
+def _writer(wanted: Wanted, nan: bool, told: list[str]) -> Any:
+    """Return the class of who writes; tell why the package does not where it is installed."""
+    if wanted.writer == "own":
+        return DatasetWriter
+    if wanted.writer == "lerobot":
+        if nan:
+            raise UniconError(
+                "--writer lerobot: it takes no NaN, and there are some; give --writer own, or "
+                "--states and --actions without"
+            )
+        return PackageWriter
+    if nan or find_spec("lerobot") is None:
+        return DatasetWriter
+    try:
+        import_lerobot()
+    except UniconError as error:
+        told.append(f"not written by lerobot: {error}")
+        return DatasetWriter
+    return PackageWriter
+
+
+def _written(
+    writer: Any,
+    out: Path,
+    fps: int,
+    features: Any,
+    first: Record,
+    episodes: Sequence[Episode],
+    columns: Sequence[Column],
+    wanted: Wanted,
+) -> str:
+    """Write it beside its place and give it its name when it is whole; return who wrote it."""
+    beside = None
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        beside = Path(tempfile.mkdtemp(prefix=f"{out.name}.partial-", dir=out.parent))
+        made = writer(beside / out.name, fps, features, first.facts.get("robot", ""))
+        for episode in episodes:
+            values: dict[str, Any] = {each.key: each.values(episode) for each in columns}
+            values[TICK] = episode.record.ticks[episode.rows].reshape(-1, 1)
+            task = wanted.task or episode.record.facts.get("workflow") or "unicon"
+            made.add(episode, values, task)
+        made.finish()
+        _write_sources(beside / out.name, episodes)
+        os.rename(beside / out.name, out)
+    except OSError as error:
+        if os.path.lexists(out):
+            raise UniconError(f"{out} exists; move it away or give another name") from error
+        raise UniconError(
+            f"cannot write {out}: {error.strerror or one_line(error)}; make room or give another "
+            "path"
+        ) from error
+    except (UniconError, StateError):
+        raise
+    except Exception as error:
+        if writer is DatasetWriter:
+            raise
+        raise UniconError(
+            f"lerobot cannot write {out}: {one_line(error)[:300]}; give --writer own"
+        ) from error
+    finally:
+        if beside is not None:
+            shutil.rmtree(beside, ignore_errors=True)
+    return str(made.name)
+
+
+def _write_sources(root: Path, episodes: Sequence[Episode]) -> None:
+    """Write where each episode comes from, beside what LeRobot reads."""
+    told = [
+        {
+            "recording": episode.path.name,
+            "run": episode.record.facts.get("run", ""),
+            "workflow": episode.record.facts.get("workflow", ""),
+            "phase": episode.record.phases[int(episode.rows[0])],
+            "first_tick": int(episode.record.ticks[episode.rows[0]]),
+            "last_tick": int(episode.record.ticks[episode.rows[-1]]),
+            "first_stamp_ns": int(episode.record.stamps[episode.rows[0]]),
+            "policies": {n: p["sha256"] for n, p in episode.record.policies.items()},
+        }
+        for episode in episodes
+    ]
+    path = root / "meta/unicon.json"
+    path.write_text(json.dumps({"episodes": told}, indent=2), encoding="utf-8")
+
+
+def _described(columns: Sequence[Column]) -> list[str]:
+    """Return of what the action is made, one line."""
+    for column in columns:
+        if column.key == ACTION:
+            parts = ", ".join(f"{state} ({len(places)})" for state, places in column.states)
+            return [f"action: {parts}"]
+    return ["there is no action: nothing was commanded"]

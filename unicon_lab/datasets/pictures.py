@@ -1,0 +1,168 @@
+"""Pictures of a recording as pixels, PNG and JPEG; for data sets."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from unicon_base.arrays import Int64, UInt8
+from unicon_base.errors import UniconError, imported, one_line
+from unicon_lab.recording import Record
+from unicon_lab.recording.scan import Frames
+from unicon_msgs_map.layout.messages import shared_messages
+
+IMAGE, JPEG = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+RGB = "rgb8"
+
+
+@dataclass(frozen=True, eq=False)
+class Pictures:
+    """The colour pictures of one camera of a recording.
+
+    Attributes:
+        frames: the messages.
+        height: of each in pixels.
+        width: of each in pixels.
+        what: names the camera and its recording, for messages.
+    """
+
+    frames: Frames
+    height: int
+    width: int
+    what: str
+
+    def rgb(self, index: int) -> UInt8:
+        """Return the pixels of a picture, shape (height, width, 3).
+
+        Raises:
+            UniconError: it is damaged, or of another size than the first one.
+        """
+        raw = self.frames.message(index)
+        if self.frames.type == IMAGE:
+            found = _read(raw, IMAGE, self.what)
+            seen: UInt8 = found.data
+            if len(seen) == found.height * found.width * 3:
+                seen = seen.reshape(found.height, found.width, 3)
+        else:
+            seen = _decoded(_read(raw, JPEG, self.what).data, self.what)
+        if seen.shape != (self.height, self.width, 3):
+            raise UniconError(
+                f"{self.what}: a picture has shape {seen.shape}, the first one ({self.height}, "
+                f"{self.width}, 3); leave that camera out: --cameras"
+            )
+        return seen
+
+    def encoded(self, index: int) -> bytes:
+        """Return a picture as the bytes of a file: JPEG where it was recorded so, else PNG."""
+        if self.frames.type == JPEG:
+            return bytes(_read(self.frames.message(index), JPEG, self.what).data)
+        return png(self.rgb(index))
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """The pictures of a camera, one for each frame of an episode.
+
+    Attributes:
+        pictures: of the whole recording.
+        indexes: of that of each frame, shape (frames,).
+    """
+
+    pictures: Pictures
+    indexes: Int64
+
+    def __len__(self) -> int:
+        return len(self.indexes)
+
+    def rgb(self, frame: int) -> UInt8:
+        """Return the pixels at a frame, shape (height, width, 3)."""
+        return self.pictures.rgb(int(self.indexes[frame]))
+
+    def encoded(self, frame: int) -> bytes:
+        """Return the picture at a frame as the bytes of a file, JPEG or PNG."""
+        return self.pictures.encoded(int(self.indexes[frame]))
+
+
+def pictures_of(
+    record: Record, wanted: Collection[str] | None = None
+) -> tuple[dict[str, Pictures], dict[str, str]]:
+    """Return the cameras of a recording, and of other frames why they are none.
+
+    Args:
+        record: it.
+        wanted: names of frames that are looked at; None for all.
+
+    Raises:
+        UniconError: a message is damaged.
+        MissingDependencyError: a JPEG is to be read, and Pillow is not installed.
+    """
+    found: dict[str, Pictures] = {}
+    others: dict[str, str] = {}
+    for name in record.frame_names:
+        if wanted is not None and name not in wanted:
+            continue
+        frames = record.frames(name)
+        if frames.type not in (IMAGE, JPEG):
+            others[name] = frames.type
+            continue
+        if f"{name}_handle" not in record.layout.specs:
+            others[name] = f"no state {name}_handle"
+            continue
+        raw, what = frames.message(0), f"{record.paths[0]}, camera {name!r}"
+        if frames.type == JPEG:
+            height, width, _ = _decoded(_read(raw, JPEG, what).data, what).shape
+            found[name] = Pictures(frames, height, width, what)
+        elif (first := _read(raw, IMAGE, what)).encoding == RGB:
+            found[name] = Pictures(frames, first.height, first.width, what)
+        else:
+            others[name] = first.encoding
+    return found, others
+
+
+def sizes(pictures: Mapping[str, Pictures]) -> dict[str, tuple[int, int]]:
+    """Return camera to height and width in pixels."""
+    return {name: (each.height, each.width) for name, each in pictures.items()}
+
+
+def _read(raw: memoryview, kind: str, what: str) -> Any:
+    """Return a message, read from CDR."""
+    try:
+        return shared_messages().store.deserialize_cdr(raw, kind)
+    except Exception as error:  # whatever rosbags raises for garbage
+        raise UniconError(
+            f"{what}: a picture is damaged: {one_line(error)}; leave that camera out: --cameras"
+        ) from error
+
+
+def _pillow() -> Any:
+    imported("PIL", "a data set of pictures", "lerobot", "pillow")
+    return import_module("PIL.Image")
+
+
+def _decoded(data: UInt8, what: str) -> UInt8:
+    image = _pillow()
+    try:
+        return np.asarray(image.open(io.BytesIO(data.tobytes())).convert("RGB"))
+    except Exception as error:  # whatever Pillow raises for garbage
+        raise UniconError(
+            f"{what}: a picture is not a JPEG that can be read; leave that camera out: --cameras"
+        ) from error
+
+
+def png(pixels: UInt8) -> bytes:
+    """Return a picture as PNG.
+
+    Args:
+        pixels: shape (height, width, 3).
+
+    Raises:
+        MissingDependencyError: Pillow is not installed.
+    """
+    stream = io.BytesIO()
+    _pillow().fromarray(pixels).save(stream, "png", compress_level=1)
+    return stream.getvalue()

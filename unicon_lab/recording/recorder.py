@@ -1,0 +1,192 @@
+"""Recorder: writes messages and ticks into an MCAP file.
+
+`ros2 bag play`, rosbags and Foxglove read it; `open_record` reads the ticks to the bit. While it
+grows it is called `FILE.partial`; what a killed run left of that name is finished as
+`FILE.recovered-N.mcap`, or `FOLDER.recovered-N`, when the next one begins.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from unicon_base.errors import UniconError, cannot
+from unicon_core.page import ROOM, refuse_existing
+from unicon_core.states import Layout
+from unicon_lab.recording import McapFile, recover
+from unicon_lab.recording.background import Background, Write
+from unicon_lab.recording.bag_folder import BagFolder, Split
+from unicon_lab.recording.large import Large
+from unicon_lab.recording.mcap_file import Taken
+from unicon_lab.recording.records import Channel
+from unicon_lab.recording.recover import recover_aside
+from unicon_lab.recording.tick_message import Kept, tick_channel
+from unicon_msgs_map import Qos
+from unicon_msgs_map.layout.messages import MessageDefinition, Messages, shared_messages
+
+
+class Recorder(Background):
+    """An MCAP file that is being written; what goes wrong at its beginning is told in a line.
+
+    Args:
+        path: of the file, must not exist; folders are made.
+        warn: takes warnings, one line each, from a thread.
+        patient: wait for a slow disk rather than drop messages.
+        split: where a next file begins; then the path is that of a bag folder, as it is where it
+            ends with a slash.
+
+    Raises:
+        UniconError: the file exists, or cannot be written.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        warn: Callable[[str], None] = print,
+        patient: bool = False,
+        split: Split | None = None,
+    ) -> None:
+        self.path = Path(path)
+        self._split = split or Split()
+        self._folder = split is not None or str(path).endswith(os.sep)
+        if self._folder and self.path.suffix == ".mcap":
+            raise UniconError(
+                f"recording {path} is split into files of a folder: give a name without .mcap"
+            )
+        self._clear(warn)
+        refuse_existing(self.path, "recording ")
+        super().__init__(self._create(), warn, patient)
+
+    def _clear(self, warn: Callable[[str], None]) -> None:
+        """Move what an earlier run was cut off at out of the way."""
+        rest = self.path.with_name(f"{self.path.name}.partial")
+        found = None
+        with self._writing():
+            if self._folder and self.path.is_dir():
+                found = recover_aside(self.path)
+            elif not self._folder and rest.exists() and not os.path.lexists(self.path):
+                found = recover(rest)
+        if found is not None:
+            warn(
+                f"an earlier run was cut off while it recorded to {self.path}; its "
+                f"{found[1]} messages are in {found[0]} now"
+            )
+
+    def _create(self) -> McapFile | BagFolder:
+        file: McapFile | BagFolder
+        with self._writing():
+            try:
+                self.path.parent.mkdir(parents=True, exist_ok=True)
+                file = BagFolder(self.path, self._split) if self._folder else McapFile(self.path)
+            except Taken:
+                raise UniconError(
+                    f"recording {self.path} is being written by another run; give another name"
+                ) from None
+            try:
+                file.begin()
+            except OSError:
+                file.discard()
+                raise
+        return file
+
+    def _writing(self) -> AbstractContextManager[None]:
+        return cannot(f"record to {self.path}", ROOM)
+
+    def channel(
+        self,
+        topic: str,
+        kind: str,
+        messages: Messages | None = None,
+        qos: Qos | None = None,
+        latched: bytes = b"",
+    ) -> Write:
+        """Add a topic, before `start`, and return what takes its messages: `write(stamp_ns, cdr)`.
+
+        Args:
+            topic: its name, after namespace and remaps.
+            kind: its message type, `sensor_msgs/msg/JointState`.
+            messages: where that type is defined; None for one of Jazzy or our own.
+            qos: of who publishes it; None where nobody does.
+            latched: a message that every later file of a bag folder begins with.
+
+        Raises:
+            MessageTypeError: the type is unknown.
+            UniconError: it cannot be written.
+        """
+        known = (messages or shared_messages()).definition(kind)
+        channel = self._described(topic, known, offered_qos(qos) if qos is not None else "")
+        if latched and isinstance(self._file, BagFolder):
+            self._file.latch(channel.number, latched)
+        with self._writing():
+            return self.add(channel)
+
+    def _described(self, topic: str, known: MessageDefinition, qos: str = "") -> Channel:
+        return Channel(
+            self._file.channels + 1,
+            f"/{topic.lstrip('/')}",
+            known.name,
+            known.text,
+            known.encoding,
+            known.rihs,
+            qos,
+        )
+
+    def large_channel(self, topic: str, kind: str, nbytes: int) -> Large:
+        """Add a topic of large messages, before `start`, and return what takes them.
+
+        Args:
+            topic: its name.
+            kind: its message type.
+            nbytes: of the largest message.
+
+        Raises:
+            UniconError: it cannot be written.
+        """
+        with self._writing():
+            known = shared_messages().definition(kind)
+            return self.add_large(self._described(topic, known), nbytes)
+
+    def tick_channel(self, layout: Layout, kept: Kept) -> Write:
+        """Add the channel of ticks, before `start`, and return what takes them."""
+        with self._writing():
+            return self.add(tick_channel(self._file.channels + 1, layout, kept))
+
+
+# Values of rmw/types.h.
+_HISTORY = {"keep_last": 1, "keep_all": 2}
+_RELIABILITY = {"reliable": 1, "best_effort": 2}
+_DURABILITY = {"transient_local": 1, "volatile": 2}
+_LIVELINESS = {"automatic": 1, "manual_by_topic": 3}
+_FOREVER = (1 << 63) - 1
+"""In [ns]; RMW_DURATION_INFINITE."""
+
+
+def offered_qos(qos: Qos) -> str:
+    """Return `offered_qos_profiles` of a topic: YAML, a list of one profile.
+
+    Args:
+        qos: of the publisher, or of the subscription that heard it.
+    """
+    profile = {
+        "history": _HISTORY[qos.history],
+        "depth": qos.depth,
+        "reliability": _RELIABILITY[qos.reliability],
+        "durability": _DURABILITY[qos.durability],
+        "deadline": _time(qos.deadline),
+        "lifespan": _time(qos.lifespan),
+        "liveliness": _LIVELINESS[qos.liveliness],
+        "liveliness_lease_duration": _time(qos.liveliness_lease),
+        "avoid_ros_namespace_conventions": False,
+    }
+    return str(yaml.safe_dump([profile], sort_keys=False))
+
+
+def _time(seconds: float | None) -> dict[str, Any]:
+    """Return a time in [s] in the words of rosbag2; None is for ever."""
+    sec, nsec = divmod(_FOREVER if seconds is None else round(seconds * 1e9), 10**9)
+    return {"sec": sec, "nsec": nsec}

@@ -1,0 +1,227 @@
+"""Recording: writes the messages of a run and every tick into MCAP, for `unicon run --record`."""
+
+from __future__ import annotations
+
+import base64
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from unicon_base.errors import UniconError, imported
+from unicon_core.flow import Block, Stage
+from unicon_core.memory import Snapshot
+from unicon_core.runtime.tick_ring import HEAD, KeptMemory, TickRing
+from unicon_lab.recording.bag_folder import Split
+from unicon_lab.recording.facts import content_of, layout_facts
+from unicon_lab.recording.recorder import Recorder
+from unicon_lab.recording.records import attachment, metadata
+from unicon_lab.recording.tick_message import kept_moments
+
+if TYPE_CHECKING:
+    from unicon_core.runtime.statistics import TickStatistics
+    from unicon_core.workflow import Program
+    from unicon_lab.recording.recorded_frames import RecordedFrames
+    from unicon_ros.bridge import RosSession
+
+
+@dataclass(eq=False)
+class Recording:
+    """Records the messages of a run, what came in and what goes out, and every state of every tick.
+
+        recording = Recording("walk.mcap")
+        record = FaultRecord(recording=recording)
+        program = load_workflow("go2_walk", hooks=[recording.hook, record.hook])
+        runner = Runner(program)
+        record.attach(runner)
+
+    Args:
+        path: of the MCAP file.
+        map_name: message map, name or path; `default` if None.
+        session: where ROS is on, its messages are recorded as they leave, encoded once; the hook
+            must then stand behind the session's own.
+        warn: takes warnings, one line each, from a thread.
+        patient: wait for a slow disk rather than drop messages: for runs at full speed.
+        split: where a next file of a bag folder begins, such as `1GB` or `60s`; "" for nowhere.
+        namespace: of relative topics, where there is no session.
+        frame_prefix: of the names of frames, where there is no session.
+        frames: handles whose pictures and clouds are recorded, without `_handle`, or `all`.
+        jpeg: quality from 1 to 100 of pictures that are raw, 0 to leave them as they are.
+
+    Raises:
+        MissingDependencyError: rosbags is not installed.
+        UniconError: nothing can be split so, or that is not a quality.
+    """
+
+    path: str | Path
+    map_name: str | None = None
+    session: RosSession | None = None
+    warn: Callable[[str], None] = print
+    patient: bool = False
+    split: str = ""
+    namespace: str = ""
+    frame_prefix: str = ""
+    frames: Sequence[str] = ()
+    jpeg: int = 0
+
+    def __post_init__(self) -> None:
+        imported("rosbags", "--record", "bags")  # the texts of the message types are its
+        if not 0 <= self.jpeg <= 100:
+            raise UniconError(
+                f"{self.jpeg} is not a quality of a JPEG; give 1 to 100, or 0 for none"
+            )
+        self._split = Split.of(self.split) if self.split else None
+        self._recorder: Recorder | None = None
+        self._ticks: RecordedTicks | None = None
+        self._frames: RecordedFrames | None = None
+        self._statistics: TickStatistics | None = None
+
+    def counts(self) -> dict[str, Any]:
+        """Return messages in the file, those dropped, bytes, and the error or "".
+
+        Where frames are recorded, `frames` tells of each ring how many were taken and missed.
+        """
+        counts = {} if self._recorder is None else self._recorder.counts()
+        return counts if self._frames is None else counts | {"frames": self._frames.counts()}
+
+    def summary(self) -> str:
+        """Return what became of it, for the end of a run."""
+        counts = self.counts()
+        text = f"{self.path}: {counts['messages']} messages"
+        if counts["dropped"]:
+            text += f", {counts['dropped']} lost"
+        for name, frames in counts.get("frames", {}).items():
+            missed = f", {frames['missed']} missed" if frames["missed"] else ""
+            text += f", {frames['frames']} frames of {name}{missed}"
+        return text + (f" ({counts['error']})" if counts["error"] else "")
+
+    def hook(self, program: Program) -> dict[Stage, list[Block]]:
+        """Return the block that records."""
+        # A robot does not wait for a disk, however its run is paced.
+        patient = self.patient and program.platform.facts.simulated
+        from unicon_lab.recording.recorded_topics import RecordedTopics
+
+        recorder = Recorder(self.path, self.warn, patient, self._split)
+        try:
+            names = (self.namespace, self.frame_prefix)
+            topics = RecordedTopics(recorder, program, self.map_name, self.session, *names)
+            if self.frames:
+                from unicon_lab.recording.recorded_frames import RecordedFrames, chosen_sources
+
+                sources = chosen_sources(program, self.frames)
+                self._frames = RecordedFrames(recorder, sources, topics.now, self.jpeg, self.warn)
+        except BaseException:
+            recorder.close()
+            raise
+        self._recorder, topics.block.close = recorder, self._close
+        return {Stage.OBSERVE: [topics.block]}
+
+    def _close(self) -> None:
+        assert self._recorder is not None
+        if self._frames is not None:
+            self._frames.close()
+        if self._ticks is not None and self._statistics is not None:
+            self._ticks.close(self._statistics)
+        self._recorder.close()
+
+    def keep(self, ring: TickRing) -> None:
+        """Record the ticks that a ring keeps; behind the hook."""
+        assert self._recorder is not None
+        self._ticks = RecordedTicks(self._recorder, ring)
+
+    def attach(self, facts: Mapping[str, str], statistics: TickStatistics) -> None:
+        """Get facts and statistics of the run, and begin to write, before the first tick."""
+        assert self._recorder is not None
+        self._statistics = statistics
+        if self._ticks is not None:
+            self._ticks.attach(facts)
+        self._recorder.start()
+        if self._frames is not None:
+            self._frames.start()
+
+
+def names_in(text: str) -> list[str]:
+    """Return the names that stand in a text with commas between them."""
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
+class RecordedTicks:
+    """Takes the ticks of a ring into a recording; makes the facts and memories that go with them.
+
+    Of the moments before `sent` only those states are recorded that came from outside there; the
+    rest follows from the tick before. Where nothing is before (the first tick, a reset) they are
+    all in `memory.json`, beside what the blocks remembered.
+
+    Args:
+        recorder: not started yet.
+        ring: whose blocks stand in the program.
+    """
+
+    def __init__(self, recorder: Recorder, ring: TickRing) -> None:
+        self._recorder, self._ring = recorder, ring
+        self._layout = layout = ring.layout
+        self._write = recorder.tick_channel(layout, ring.outside)
+        moments = kept_moments(layout, ring.outside).values()
+        self._whole = slice(HEAD.size, HEAD.size + layout.nbytes)
+        self._row = bytearray(HEAD.size + sum(moment.size for moment in moments))
+        self._copies = [(slice(0, HEAD.size), slice(0, HEAD.size))]
+        for number, moment in enumerate(moments):
+            there = HEAD.size + number * layout.nbytes
+            for to, source in moment.copies(layout):
+                self._copies.append((to, slice(there + source.start, there + source.stop)))
+        self._memory: KeptMemory | None = None
+        self._rows = 0
+        ring.tap = self._take
+
+    def attach(self, facts: Mapping[str, str]) -> None:
+        """Give the facts of the run to the recorder."""
+        facts = {**facts, **layout_facts(self._layout, self._ring.outside)}
+        self._recorder.add_record(partial(metadata, "unicon", facts))
+
+    def close(self, statistics: TickStatistics) -> None:
+        """Give what is known at the end of the run."""
+
+        def made() -> bytes:
+            late = json.dumps(statistics.lateness_us())
+            return metadata("unicon", {"overruns": str(statistics.overruns), "late_us": late})
+
+        self._recorder.add_record(made)
+
+    def _take(self, raw: memoryview) -> None:
+        row, memory = self._row, self._ring.newest
+        for to, source in self._copies:
+            row[to] = raw[source]
+        _, stamp, _, _, _ = HEAD.unpack_from(raw)
+        if not self._write(stamp, row):
+            return  # dropped, and counted
+        if memory is not self._memory or not self._rows:
+            self._memory = memory
+            if memory is None or memory.anew or not self._rows:  # others are for fault records
+                self._remember(memory, bytes(raw[self._whole]))
+        self._rows += 1
+
+    def _remember(self, memory: KeptMemory | None, states: bytes) -> None:
+        found = (
+            memory
+            if memory is not None
+            else KeptMemory(self._rows, False, Snapshot(), {"every block": "is unknown"})
+        )
+        self._recorder.add_record(_attachment(found, self._rows, self._ring.trouble, states))
+
+
+def _attachment(
+    memory: KeptMemory, number: int, trouble: str, states: bytes
+) -> Callable[[], bytes]:
+    """Return what makes the attachment, in a thread: it takes milliseconds."""
+    name = f"memory-{number}.json" if number else "memory.json"
+    now = time.time_ns()
+
+    def make() -> bytes:
+        content = content_of(memory, number) | {"received": base64.b64encode(states).decode()}
+        text = json.dumps({"trouble": trouble, "memories": [content]})
+        return attachment(name, "application/json", now, text.encode())
+
+    return make

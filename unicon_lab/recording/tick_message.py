@@ -1,0 +1,148 @@
+"""The message of a kept tick: a ROS type made of a layout, whose bytes are those of the states.
+
+Any reader of ROS 2 bags finds every state by name in it. `HEAD` of the ring comes first, then the
+states at each moment: all of them as they lie in the buffer, or one after the other those that came
+from outside. Alignment in CDR is that of the buffer; gaps are fields named `padding…`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from unicon_core.runtime.tick_ring import HEAD
+from unicon_core.states import Layout
+from unicon_lab.recording.records import Channel
+
+TOPIC = "/unicon/ticks"
+
+FRAMES = "/unicon/frames/"
+"""Topics of frames begin so; behind it stands the name of their handle without `_handle`."""
+
+Kept = Mapping[str, frozenset[str] | None]
+"""Moment to the states that are kept there; None for all."""
+
+_ROS_TYPES = {
+    "bool": "bool", "int8": "int8", "int16": "int16", "int32": "int32", "int64": "int64",
+    "uint8": "uint8", "uint16": "uint16", "uint32": "uint32", "uint64": "uint64",
+    "float32": "float32", "float64": "float64",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What a message keeps of one moment.
+
+    Attributes:
+        begin: where it stands in the message in [bytes], the head of CDR included.
+        size: in [bytes], a multiple of 8.
+        places: state to where it stands behind `begin`, in that order.
+        whole: all states, as they lie in the buffer.
+    """
+
+    begin: int
+    size: int
+    places: Mapping[str, int]
+    whole: bool
+
+    def copies(self, layout: Layout) -> list[tuple[slice, slice]]:
+        """Return from which bytes of the message to which of the buffer, neighbours as one."""
+        if self.whole:
+            return [(slice(self.begin, self.begin + self.size), slice(0, layout.nbytes))]
+        runs: list[list[int]] = []
+        for name, place in self.places.items():
+            slot, at = layout.slots[name], self.begin + place
+            if runs and runs[-1][1] == at and runs[-1][3] == slot.offset:
+                runs[-1][1], runs[-1][3] = at + slot.nbytes, slot.offset + slot.nbytes
+            else:
+                runs.append([at, at + slot.nbytes, slot.offset, slot.offset + slot.nbytes])
+        return [(slice(a, b), slice(c, d)) for a, b, c, d in runs]
+
+
+def kept_moments(layout: Layout, kept: Kept) -> dict[str, Moment]:
+    """Return where the moments stand in a message, in their order."""
+    slots = sorted(layout.slots.items(), key=lambda item: item[1].offset)
+    found: dict[str, Moment] = {}
+    begin = HEAD.size
+    for moment, names in kept.items():
+        places, end = {}, 0
+        for name, slot in slots:
+            if names is None:
+                places[name], end = slot.offset, layout.nbytes
+            elif name in names:
+                step = min(np.dtype(slot.dtype).itemsize, 8)
+                places[name] = -(-end // step) * step
+                end = places[name] + slot.nbytes
+        size = -(-end // 8) * 8
+        found[moment] = Moment(begin, size, places, names is None)
+        begin += size
+    return found
+
+
+def tick_channel(number: int, layout: Layout, kept: Kept) -> Channel:
+    """Return the channel of kept ticks.
+
+    Args:
+        number: of the channel in its file.
+        layout: of the states.
+        kept: what is kept of a tick, moment by moment.
+    """
+    texts = {
+        name: ("States" if moment.whole else name.capitalize(), _states_text(layout, moment))
+        for name, moment in kept_moments(layout, kept).items()
+    }
+    # Readers know a type by its name: two layouts must not share one.
+    mark = hashlib.sha256(f"{texts}".encode()).hexdigest()[:8]
+    lines = [
+        f"# A tick of unicon, to the bit; the states' layout is {layout.hash}.",
+        "int64 stamp_ns",
+        "int64 tick",
+        "uint32 phase",
+        "uint32 ended",
+        *(f"unicon/{word}{mark} {name}" for name, (word, _) in texts.items()),
+    ]
+    for word, text in dict(texts.values()).items():
+        lines += ["=" * 80, f"MSG: unicon/{word}{mark}", text]
+    text = "\n".join(lines)
+    return Channel(number, TOPIC, f"unicon/msg/Tick{mark}", text, "ros2msg", "")
+
+
+def _states_text(layout: Layout, moment: Moment) -> str:
+    """Return the fields of a message whose bytes are those of the states."""
+    lines: list[str] = []
+    taken: set[str] = set()
+    end = 0
+
+    def pad(until: int) -> None:
+        if until > end:
+            lines.append(f"uint8[{until - end}] padding{end}")
+
+    for name, place in moment.places.items():
+        pad(place)
+        slot = layout.slots[name]
+        kind, count = _ROS_TYPES.get(slot.dtype), slot.nbytes // np.dtype(slot.dtype).itemsize
+        if kind is None:  # ROS has no such number
+            kind, count = "uint8", slot.nbytes
+        length = f"[{count}]" if slot.shape else ""
+        spec = layout.specs[name]
+        said = ", ".join(text for text in (spec.unit, spec.frame) if text)
+        comment = f"  # {said}" if said else ""
+        lines.append(f"{kind}{length} {_field(name, taken)}{comment}")
+        end = place + slot.nbytes
+    pad(moment.size)
+    return "\n".join(lines)
+
+
+def _field(name: str, taken: set[str]) -> str:
+    """Return a name that ROS allows, made of a state's."""
+    clean = re.sub("_+", "_", name.lower()).strip("_")
+    field, number = clean, 1
+    while field in taken or field.startswith("padding"):
+        number += 1
+        field = f"state_{clean}_{number}"
+    taken.add(field)
+    return field

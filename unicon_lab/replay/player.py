@@ -1,0 +1,183 @@
+"""Player: a record's states go to ROS topics, with `/clock`, as they were; nothing is computed.
+
+A program whose platform writes all recorded states of a tick and whose flow does nothing, so that
+bridge, services and frames are those of any run.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import sys
+import threading
+import time
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from unicon_base.errors import UniconError
+from unicon_core.flow import Block
+from unicon_core.runtime import Report, Runner, RunOptions
+from unicon_core.states.standard import HARDWARE_STATES, standard_states
+from unicon_core.workflow import Program
+from unicon_lab.recording import Record, open_record
+from unicon_lab.replay.platform import TARGET, ReplayPlatform
+from unicon_lab.replay.workflow import robot_of
+from unicon_ros.controls import Controls
+
+if TYPE_CHECKING:
+    from unicon_ros.bridge import RosSession
+
+HELP = "space: pause or go on, → ←: 5 s on or back, s: one tick, r: from the beginning, q: end"
+RIGHT, LEFT = b"\x1b[C", b"\x1b[D"
+LOOK = 0.2
+"""How long a key is waited for before the end is looked for, in [s]."""
+
+
+class Keys:
+    """Reads keys in a thread while it is entered; the terminal is then as it was.
+
+    Args:
+        controls: of the run.
+        seek: goes on by so many ticks.
+        ticks: of an arrow.
+    """
+
+    def __init__(self, controls: Controls, seek: Callable[[int], object], ticks: int) -> None:
+        self._controls, self._seek, self._ticks = controls, seek, ticks
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._read, name="keys", daemon=True)
+
+    def __enter__(self) -> Keys:
+        import termios
+        import tty
+
+        self._before = termios.tcgetattr(sys.stdin)
+        tty.setcbreak(sys.stdin)  # Ctrl-C stays a signal
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        import termios
+
+        self._over.set()
+        self._thread.join()
+        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, self._before)
+
+    def _read(self) -> None:
+        while not self._over.is_set():
+            if select.select([0], [], [], LOOK)[0]:
+                pressed = os.read(0, 64)
+                if not pressed:  # the terminal has gone
+                    return
+                self.press(pressed)
+
+    def press(self, pressed: bytes) -> None:
+        """Do what keys say."""
+        controls = self._controls
+        if pressed == b" ":
+            controls.start() if controls.paused else controls.pause()
+        elif pressed in (RIGHT, LEFT):
+            self._seek(self._ticks if pressed == RIGHT else -self._ticks)
+            if controls.paused:
+                controls.step()
+        elif pressed == b"s":
+            controls.step()
+        elif pressed == b"r":
+            controls.reset()
+        elif pressed == b"q":
+            controls.stop()
+
+
+SEEK = 5.0
+"""By an arrow, of the record's time in [s]."""
+
+
+def play(
+    path: str | Path,
+    *,
+    rate: float = 1.0,
+    loop: bool = False,
+    start: float = 0.0,
+    duration: float | None = None,
+    session: RosSession | None = None,
+    keys: bool = False,
+    warn: Callable[[str], None] = print,
+    status: Callable[[dict[str, Any]], None] | None = None,
+) -> Report:
+    """Play a record to its end.
+
+    Args:
+        path: of a recording or fault record: a file or a folder.
+        rate: how many times faster than it was.
+        loop: begin anew at its end.
+        start: how much is left out at its beginning, in [s].
+        duration: end after this time in [s]; None: with the record.
+        session: of ROS, which is told of the run; it hears no topics. Not closed.
+        keys: a terminal is there: space pauses, arrows seek.
+        warn: takes warnings, one line each.
+        status: called about once a second.
+
+    Raises:
+        UniconError: it cannot be read, or its robot is not known.
+    """
+    record = open_record(path)
+    hooks = []
+    if session is not None:
+        session.map = replace(session.map, subscribe=())  # the record alone says what is
+        hooks.append(session.hook)
+    program = Program(
+        None,
+        hooks=hooks,
+        **_described(record, Path(path).absolute(), rate, loop=loop, start=start),
+    )
+    try:
+        platform = program.platform
+        assert isinstance(platform, ReplayPlatform)
+        options = RunOptions(duration=duration, warn=warn, status=status)
+        runner = Runner(program, options)
+        if session is not None:
+            session.attach(runner)
+            controls = session.controls
+        else:
+            controls = Controls(time.sleep)
+            controls.runner = runner
+        ticks = round(SEEK / record.period)
+        with Keys(controls, platform.seek, ticks) if keys else nullcontext():
+            return runner.run()
+    finally:
+        program.close()
+
+
+def _described(
+    record: Record, path: Path, rate: float, *, loop: bool, start: float
+) -> dict[str, Any]:
+    """Return the keys of the program that plays a record."""
+    layout, robot = record.layout, robot_of(record)
+    if "joint_pos" not in layout.specs:
+        raise UniconError(f"{path.name} has no joint_pos: no robot can be shown")
+    standard = standard_states(layout.specs["joint_pos"].names)
+    own = [n for n in layout.specs if n not in standard and n not in HARDWARE_STATES]
+    options = {
+        "bag": str(path),
+        "moment": "sent",
+        "also": [name for name in layout.specs if name != "tick"],
+        "each": True,
+        "driven": False,
+        "loop": loop,
+        "start": start,
+    }
+    return {
+        "name": f"play_{record.facts.get('workflow') or path.stem}",
+        "robot": robot,
+        "platform": TARGET,
+        "platforms": {TARGET: options},
+        "rate": rate / record.period,
+        "pacing": {"overrun": "catch_up"},
+        "num_robots": layout.num_robots,
+        "states": {name: layout.specs[name].to_dict() for name in own},
+        "flow": Block("nothing", bool, endless=True),
+        "safety": "none",  # recorded commands go nowhere, and there may be none
+    }

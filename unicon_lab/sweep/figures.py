@@ -1,0 +1,250 @@
+"""Figures of a rollout: what a row of a sweep's table says of it, and how it is computed."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from unicon_base.arrays import Array
+from unicon_base.errors import UniconError
+from unicon_core.metrics.strain import LEANS
+from unicon_core.page import write_file
+from unicon_core.robots import Robot, joint_index
+from unicon_core.runtime.rollouts import Rollout
+from unicon_core.states import States
+from unicon_core.workflow import Program
+from unicon_lab.analysis.run import FEWEST, Run
+from unicon_lab.sweep.motion import apart, finite_rows, moved
+
+
+def columns_of(states: States, names: Iterable[str]) -> dict[str, slice]:
+    """Return where states lie in `Rollout.states`: name to columns.
+
+    Raises:
+        UniconError: there is no such state, or it is not of float32.
+    """
+    found = {}
+    for name in names:
+        view = states[name]
+        if view.dtype != np.float32:
+            raise UniconError(f"state {name!r} is {view.dtype}; float32 ones are kept alone")
+        start = states.offset(name)
+        found[name] = slice(start, start + view.size)
+    return found
+
+
+class Keeper:
+    """Writes the states of rollouts, a file each.
+
+    Args:
+        folder: that the files go to, made as needed.
+        names: of the states.
+    """
+
+    def __init__(self, folder: Path, names: Iterable[str]) -> None:
+        self._folder, self._names = folder, tuple(names)
+
+    def __call__(self, name: str, program: Program, rollout: Rollout) -> None:
+        """Write `NAME.npz`, whole or not at all: states as float32, shape (ticks, elements).
+
+        Raises:
+            UniconError: it cannot be written.
+        """
+        places = columns_of(program.states, self._names)
+        arrays: dict[str, Any] = {key: rollout.states[:, place] for key, place in places.items()}
+        arrays |= {"dt": program.period, "joint_names": np.array(program.robot.joint_names)}
+        arrays |= {"robot": program.robot.name, "workflow": program.name}
+        content = io.BytesIO()
+        np.savez(content, platform=program.platform.facts.name, **arrays)
+        write_file(self._folder / f"{name}.npz", content.getvalue(), folders=True)
+
+
+HELD_S = 0.1
+"""How long a base leans until it counts as fallen in [s], as of `gap.fall_time`."""
+NEAR = 0.01
+"""Of a limit of position in [rad] or [m]: so near counts as hit."""
+FULL = 0.99
+"""Share of the limit of effort that counts as hit."""
+
+_BY_ITSELF = ("done", "duration")
+"""Ends of a rollout that a lean has no part in."""
+
+_LOOKED_AT = (
+    *("joint_pos", "joint_vel", "joint_effort", "base_pos_w", "base_quat", "projected_gravity"),
+    *("base_ang_vel", "velocity_command"),
+)
+
+
+@dataclass(frozen=True)
+class Column:
+    """One figure: its type, its unit, what it says."""
+
+    kind: type
+    unit: str
+    words: str
+
+    def named(self, name: str) -> str:
+        """Return a name with the unit."""
+        return f"{name} [{self.unit}]" if self.unit else name
+
+
+COLUMNS = {
+    "outcome": Column(str, "", "done, duration, fell (early stop), fault, refused or crashed"),
+    "fell": Column(bool, "", "the base leaned by more than 0.8 rad for 0.1 s, or at a fault"),
+    "fall_s": Column(float, "s", "when"),
+    "distance_m": Column(float, "m", "way in the commanded direction, up to a fall"),
+    "commanded_m": Column(float, "m", "integral of the commanded speed"),
+    "speed_error": Column(float, "m/s", "RMS of (vx, vy) minus the command, up to a fall"),
+    "turn_error": Column(float, "rad/s", "RMS of wz minus the command, up to a fall"),
+    "speed_bias": Column(float, "m/s", "size of the mean of (vx, vy) minus the command"),
+    "turn_bias": Column(float, "rad/s", "size of the mean of wz minus the command"),
+    "energy_j": Column(float, "J", "integral of |torque × velocity| over all joints"),
+    "tilt_deg": Column(float, "°", "largest lean of the base"),
+    "position_limit_hits": Column(int, "", "ticks × joints within 0.01 rad of a position limit"),
+    "effort_limit_hits": Column(int, "", "ticks × joints at 99 % of the robot's effort limit"),
+    "unfolded_mse": Column(float, "rad²", "of joint positions to the reference, mean of a joint"),
+    "fault": Column(bool, "", "a fault ended it"),
+    "fault_block": Column(str, "", "the block that raised it"),
+    "text": Column(str, "", "what the fault said, or why there is no result"),
+    "ticks": Column(int, "", "whole ticks"),
+    "duration_s": Column(float, "s", "of ticks"),
+    "sha256_commands": Column(str, "", "of the commands of all ticks, as unicon run reports it"),
+    "program": Column(str, "", "hash of robot, model and policies, see the shard's metadata"),
+}
+
+
+NUMBERS = [name for name, column in COLUMNS.items() if column.kind in (int, float)]
+"""Figures of which there are means."""
+
+
+def empty_row() -> dict[str, Any]:
+    """Return a row of which nothing is known."""
+    return dict.fromkeys(COLUMNS)
+
+
+class FallLook:
+    """Ends a rollout where the robot has fallen, by the measure of `gap.fall_time`.
+
+    Args:
+        states: of the program.
+        period: of a tick in [s].
+    """
+
+    def __init__(self, states: States, period: float) -> None:
+        gravity: Array = states["projected_gravity"]
+        self._down = gravity.item
+        self._limit = -math.cos(LEANS)
+        self._held = max(1, round(HELD_S / period))
+        self._leaning = 0
+
+    def __call__(self) -> bool:
+        self._leaning = self._leaning + 1 if not self._down(2) <= self._limit else 0
+        return self._leaning >= self._held
+
+
+def reference_for(run: Run, robot: Robot, period: float) -> Run:
+    """Return a run to compare joint positions with, its joints in a robot's order.
+
+    Args:
+        run: as it was read.
+        robot: of the rollouts.
+        period: of their ticks in [s].
+
+    Raises:
+        UniconError: it is of another robot or another rate.
+    """
+    own = float(np.median(np.diff(run.time)))
+    if abs(own - period) > 1e-3 * period:
+        raise UniconError(
+            f"{run.path} has {1 / own:.4g} samples a second and the workflow {1 / period:.4g} "
+            "ticks; record the reference at the workflow's rate"
+        )
+    positions = run.states["joint_pos"]
+    if run.joints:
+        positions = positions[:, joint_index(robot.joint_names, run.joints)]
+    if positions.shape[1] != robot.num_joints:
+        raise UniconError(
+            f"{run.path} has {positions.shape[1]} joints and {robot.name} {robot.num_joints}; "
+            "give a reference of this robot"
+        )
+    states = {k: v for k, v in run.states.items() if k == "projected_gravity"}
+    return replace(run, joints=robot.joint_names, states=states | {"joint_pos": positions})
+
+
+class Figures:
+    """Computes the figures of one program's rollouts.
+
+    Args:
+        states: of the program.
+        robot: of it.
+        period: of a tick in [s].
+        reference: run to compare joint positions with, or None.
+    """
+
+    def __init__(
+        self, states: States, robot: Robot, period: float, reference: Run | None = None
+    ) -> None:
+        self._period, self._reference, self._joints = period, reference, robot.joint_names
+        self._floats = robot.floats
+        self._columns = columns_of(states, _LOOKED_AT)
+        self._lower = robot.lower + NEAR
+        self._upper = robot.upper - NEAR
+        self._effort = np.nan_to_num(robot.effort_limit, nan=np.inf) * FULL
+
+    def __call__(self, rollout: Rollout) -> dict[str, Any]:
+        """Return the row of a rollout, but for the program's hash."""
+        every: dict[str, Array] = {
+            name: rollout.states[:, place] for name, place in self._columns.items()
+        }
+        states = every
+        if not np.isfinite(rollout.states).all():
+            count = finite_rows(every)
+            states = {name: values[:count] for name, values in every.items()}
+        row = empty_row() | {
+            "outcome": {"looked": "fell"}.get(rollout.ended, rollout.ended),
+            "fault": bool(rollout.fault),
+            "fault_block": rollout.block or None,
+            "text": rollout.fault[:300] or None,
+            "ticks": rollout.ticks,
+            "duration_s": round(rollout.ticks * self._period, 9),
+            "sha256_commands": rollout.sha256_commands,
+        }
+        if len(states["joint_pos"]):
+            row |= self._of_joints(states)
+            row |= self._of_base(states, rollout) if self._floats else {}
+        endless = [k for k, v in row.items() if isinstance(v, float) and not math.isfinite(v)]
+        return row | dict.fromkeys(endless)
+
+    def _of_base(self, states: Mapping[str, Array], rollout: Rollout) -> dict[str, Any]:
+        wide = {name: values.astype(np.float64) for name, values in states.items()}
+        row: dict[str, Any] = moved(wide, self._period, rollout.ended in _BY_ITSELF)
+        upright = -states["projected_gravity"][:, 2].astype(np.float64)
+        leans = upright < math.cos(LEANS)
+        fell = row["fall_s"] is not None or bool(rollout.fault and leans[-1])
+        if fell and row["fall_s"] is None:  # a fault came before it had leaned long enough
+            first = len(leans) - int(np.argmin(leans[::-1])) if not leans.all() else 0
+            row["fall_s"] = round(first * self._period, 9)
+        lowest = float(np.clip(upright.min(), -1.0, 1.0))
+        return row | {"fell": fell, "tilt_deg": math.degrees(math.acos(lowest))}
+
+    def _of_joints(self, states: Mapping[str, Array]) -> dict[str, Any]:
+        pos, effort = states["joint_pos"], states["joint_effort"]
+        power = np.abs(effort.astype(np.float64) * states["joint_vel"])
+        row: dict[str, Any] = {
+            "energy_j": float(power.sum() * self._period),
+            "position_limit_hits": int(np.sum((pos <= self._lower) | (pos >= self._upper))),
+            "effort_limit_hits": int(np.sum(np.abs(effort) >= self._effort)),
+        }
+        if self._reference is not None and len(pos) >= FEWEST:
+            names = ("joint_pos", "projected_gravity")
+            wide = {name: states[name].astype(np.float64) for name in names}
+            time = np.arange(len(pos), dtype=np.float64) * self._period
+            own = Run(Path("rollout"), {}, "ticks", 0.0, time, self._joints, wide)
+            row["unfolded_mse"] = apart(self._reference, own)["unfolded_mse"]
+        return row

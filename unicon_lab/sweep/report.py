@@ -1,0 +1,237 @@
+"""Report of a sweep: one page that needs nothing beside it, with pictures of falls."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations, pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from unicon_base.arrays import Bool, Int64
+from unicon_core.drawing import MARK, Pictures, drawings, grid, require
+from unicon_core.page import findings, number, page, pairs, table, write_file
+from unicon_lab.sweep.figures import COLUMNS
+from unicon_lab.sweep.results import Results, wilson
+from unicon_lab.sweep.summary import HEADS, fall_words, figure_rows, outcome_words
+
+WORST = 20
+"""Rows that are shown with their commands."""
+
+
+def write_report(results: Results) -> Path:
+    """Write `report.html` into the folder of a sweep.
+
+    Returns:
+        The page.
+
+    Raises:
+        MissingDependencyError: matplotlib is not installed.
+        UniconError: it cannot be written.
+    """
+    require("unicon sweep report")
+    parts = [
+        _said(results),
+        "<h2>Figures</h2>",
+        table(HEADS, figure_rows(results)),
+        *(shown for _, shown in drawings(PICTURES, results)),
+        "<h2>Worst cases</h2>",
+        '<p class="sub">Each command runs its row again, to the bit: its report (--report FILE) '
+        "has the same sha256_commands.</p>",
+        _worst(results),
+        "<h2>What the figures say</h2>",
+        pairs({column.named(name): column.words for name, column in COLUMNS.items()}),
+        "<h2>What was run</h2>",
+        _facts(results),
+    ]
+    path = results.path / "report.html"
+    title = f"{results.identity['workflow']}: {len(results)} rollouts"
+    write_file(path, page(title, _varied(results), parts).encode())
+    return path
+
+
+def _varied(results: Results) -> str:
+    identity = results.identity
+    said = "; ".join(f"{path}: {words}" for path, words in identity["vary"])
+    repeated = f", {identity['repeat']} times each" if identity["repeat"] > 1 else ""
+    return f"{identity['sample']} of {identity['points']} points{repeated}: {said}"
+
+
+def _said(results: Results) -> str:
+    said = [fall_words(results), f"Outcomes: {outcome_words(results) or 'none'}."]
+    if results.lacking:
+        said.append(f"{results.lacking} rollouts were not run yet.")
+    if results.failed:
+        said.append(f"{results.failed} rollouts have no result: they stand first below.")
+    if results.mixed():
+        said.append("Robot, model or policy were other files in some of the rows.")
+    return findings(said, bad=bool(results.failed or results.mixed()))
+
+
+def _worst(results: Results) -> str:
+    figures = ("fall_s", "distance_m", "speed_error")
+    heads = [f"{name}\n{COLUMNS[name].unit}" for name in figures]
+    rows = []
+    for place in results.worst(WORST):
+        row = results.row(place)
+        rows.append(
+            [
+                str(row["row"]),
+                str(row["outcome"]),
+                *(number(row[name]) for name in figures),
+                str(row["fault_block"] or ""),
+                str(row["text"] or "")[:120],
+                results.command(place),
+            ]
+        )
+    return table(["row", "outcome", *heads, "block", "said", "command"], rows, words=True)
+
+
+def _facts(results: Results) -> str:
+    said, identity = results.said, results.identity
+    facts = {
+        "workflow": f"{said.get('run')}, SHA-256 {identity['sha256_workflow']}",
+        "the same in all": " ".join(identity["set"]) or "nothing",
+        "duration": f"{identity['duration_s']:g} s at most"
+        + (", ended at a fall" if identity["early_stop"] else ""),
+        "sweep": f"SHA-256 {said['sha256']}",
+        "table": f"SHA-256 {results.sha256}, of all rows",
+        "code": f"SHA-256 {said.get('code')}",
+        "versions": ", ".join(f"{name} {v}" for name, v in said.get("versions", {}).items()),
+    }
+    for name, made_of in said["programs"].items():
+        facts[f"program {name}"] = ", ".join(f"{key} {value}" for key, value in made_of.items())
+    return pairs(facts)
+
+
+BINS, PAIR_BINS = 8, 6
+"""Of a parameter with more values than that."""
+MOST_VALUES = 16
+"""That have a place each, of words."""
+MOST_PAIRED = 6
+"""Parameters of which every pair is drawn: 15 maps."""
+ACROSS = 3
+
+
+@dataclass(frozen=True)
+class Bins:
+    """Where the rows of a sweep fall, over one parameter.
+
+    Attributes:
+        path: of the parameter.
+        labels: of the bins.
+        places: bin of each row, shape (n,).
+    """
+
+    path: str
+    labels: list[str]
+    places: Int64
+
+    def count(self, hits: Bool) -> list[tuple[int, int]]:
+        """Return of each bin how many rows hit, and how many there are."""
+        every = np.bincount(self.places, minlength=len(self.labels))
+        some = np.bincount(self.places[hits], minlength=len(self.labels))
+        return [(int(a), int(b)) for a, b in zip(some, every)]
+
+
+def bins_of(path: str, values: Sequence[Any], most: int) -> Bins:
+    """Return bins of a parameter: its values, or stretches with equally many rows.
+
+    Args:
+        path: of the parameter.
+        values: of each row.
+        most: bins; of words twice as many, then the rest together.
+    """
+    distinct = list(dict.fromkeys(values))
+    numbers = all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in distinct)
+    if numbers and len(distinct) > most:
+        array = np.array(values, np.float64)
+        edges = np.unique(np.quantile(array, np.linspace(0.0, 1.0, most + 1)))
+        places = np.clip(np.searchsorted(edges, array, side="right") - 1, 0, len(edges) - 2)
+        labels = [f"{a:.3g} – {b:.3g}" for a, b in pairwise(edges)]
+        return Bins(path, labels, places.astype(np.int64))
+    ordered = sorted(distinct) if numbers else distinct
+    shown, rest = ordered[:MOST_VALUES], ordered[MOST_VALUES:]
+    at = {value: place for place, value in enumerate(shown)} | dict.fromkeys(rest, len(shown))
+    labels = [f"{value:.4g}" if numbers else _shown(str(value)[-24:]) for value in shown]
+    labels += ["others"] if rest else []
+    return Bins(path, labels, np.array([at[value] for value in values], np.int64))
+
+
+def _shown(text: str) -> str:
+    """Return a text as matplotlib draws it to the letter: between two $ it would read formulas."""
+    return text.replace("$", r"\$")
+
+
+def _binned(results: Results, most: int) -> list[Bins]:
+    """Return the bins of each parameter, but of the seed: it has no order."""
+    paths = [path for path in results.parameters if path != "scene.seed"]
+    return [bins_of(_shown(path), results.varied(path), most) for path in paths]
+
+
+def _hits(results: Results) -> Bool:
+    return np.array([bool(value) for value in results.column("fell")], np.bool_)
+
+
+def _each(figure: Any, results: Results) -> bool:
+    shown = _binned(results, BINS)
+    if not shown or not results.good:
+        return False
+    every = grid(figure, len(shown), ACROSS, 3.1, sharey=True)
+    hits = _hits(results)
+    for axes, bins in zip(every, shown):
+        places = np.arange(len(bins.labels))
+        counts = bins.count(hits)
+        rates = np.array([some / count if count else np.nan for some, count in counts])
+        ends = np.array([wilson(*each) for each in counts])
+        axes.vlines(places, ends[:, 0], ends[:, 1], color=MARK, linewidth=2.0, alpha=0.5)
+        axes.plot(places, rates, "o", color=MARK)
+        axes.set_xticks(places, bins.labels, rotation=35, ha="right", fontsize=7)
+        axes.set_title(bins.path)
+        axes.set_ylim(-0.03, 1.03)
+    for axes in every[::ACROSS]:
+        axes.set_ylabel("share that fell")
+    return True
+
+
+def _pairs(figure: Any, results: Results) -> bool:
+    shown = _binned(results, PAIR_BINS)[:MOST_PAIRED]
+    pairs = list(combinations(shown, 2))
+    if not pairs or not results.good:
+        return False
+    hits = _hits(results)
+    for axes, (across, up) in zip(grid(figure, len(pairs), ACROSS, 3.6), pairs):
+        shape = (len(up.labels), len(across.labels))
+        every, some = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
+        np.add.at(every, (up.places, across.places), 1)
+        np.add.at(some, (up.places[hits], across.places[hits]), 1)
+        rates = np.where(every > 0, some / np.maximum(every, 1), np.nan)
+        axes.imshow(rates, cmap="Reds", vmin=0.0, vmax=1.0, origin="lower", aspect="auto")
+        for (i, k), count in np.ndenumerate(every):
+            if count:
+                ink = "white" if rates[i, k] > 0.6 else "black"
+                text = f"{some[i, k]}/{count}"
+                axes.text(k, i, text, ha="center", va="center", fontsize=6, color=ink)
+        axes.set_xticks(range(shape[1]), across.labels, rotation=35, ha="right", fontsize=6)
+        axes.set_yticks(range(shape[0]), up.labels, fontsize=6)
+        axes.grid(False)
+        axes.set(xlabel=across.path, ylabel=up.path)
+    return True
+
+
+PICTURES: Pictures = {
+    "falls": (
+        _each,
+        "Falls over each parameter",
+        "Share of rollouts that fell, with Wilson's 95 % interval; all others vary as well. "
+        "Numbers are in stretches with equally many rollouts.",
+    ),
+    "pairs": (
+        _pairs,
+        "Falls over two parameters",
+        "Share that fell, dark is more; in each place those that fell of those there are.",
+    ),
+}
+"""Name to what draws it, heading and caption."""

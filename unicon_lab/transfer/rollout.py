@@ -1,0 +1,221 @@
+"""Rollout: a row of a transfer in a process of its own, timed; both ends of it (`python -m`).
+
+It is a sweep's row, with figures by the same code; besides, it tells what its simulator is, how
+long its ticks took, and how far it is meanwhile. An engine that crashes takes nothing else with it,
+and nothing is tried again.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from unicon_base.errors import MissingDependencyError, UniconError
+from unicon_core.check import refuse_errors
+from unicon_core.pacing import process_age_s
+from unicon_core.page import write_file
+from unicon_core.platforms.platform import info_of
+from unicon_core.runtime.report import Report
+from unicon_core.runtime.rollouts import Look, Rollout
+from unicon_core.runtime.statistics import percentiles
+from unicon_core.signals import SIGNALS, signal_name
+from unicon_core.states import States
+from unicon_core.workflow import Program
+from unicon_lab.recording.facts import versions_here
+from unicon_lab.sweep.figures import columns_of
+from unicon_lab.sweep.motion import finite_rows
+from unicon_lab.sweep.piped import PipedProcess
+from unicon_lab.sweep.plan import Row
+from unicon_lab.sweep.pool import LOOK
+from unicon_lab.sweep.warm import Kept
+from unicon_lab.sweep.worker import RowRunner, Tell, serve
+from unicon_lab.transfer.plan import Plan
+from unicon_ros.ending import LOG_BYTES
+
+KEPT = (
+    *("joint_pos", "joint_vel", "joint_pos_target", "joint_effort"),
+    *("base_pos_w", "base_quat", "projected_gravity", "base_ang_vel", "velocity_command"),
+)
+"""States that are kept of every tick, as they are at its end."""
+FIGURES = (
+    *("distance_m", "commanded_m", "speed_error", "turn_error", "energy_j", "tilt_deg"),
+    *("fall_s", "ticks", "duration_s", "sha256_commands"),
+)
+"""Of a sweep's row."""
+TELL_NS = 100_000_000
+"""Time between two words on how far it is."""
+
+
+class Watch:
+    """Times the ticks of a rollout, and tells how far it is; a look that ends nothing.
+
+    Args:
+        period: of a tick in [s].
+        tell: is told.
+    """
+
+    def __init__(self, period: float, tell: Tell) -> None:
+        self._period, self._tell, self._next = period, tell, 0
+        self.startup_s = process_age_s()
+        self.stamps = [time.perf_counter_ns()]
+
+    def __call__(self) -> bool:
+        self.stamps.append(now := time.perf_counter_ns())
+        if now >= self._next:
+            self._next = now + TELL_NS
+            self._tell({"at": (len(self.stamps) - 1) * self._period})
+        return False
+
+
+class TimedRunner(RowRunner):
+    """Runs the row of a transfer.
+
+    Args:
+        task: as of `RowRunner`.
+        tell: tells the parent `at`: the time in [s] that is simulated.
+    """
+
+    def __init__(self, task: dict[str, Any], tell: Tell) -> None:
+        super().__init__(task)
+        self._tell = tell
+        self._warnings: list[str] = []
+
+    def begin(self, index: int, settings: list[str], name: str = "") -> dict[str, Any] | None:
+        """As of `RowRunner`; what is not installed is an outcome here."""
+        try:
+            return super().begin(index, settings, name)
+        except MissingDependencyError as error:
+            return {"row": {"outcome": "missing", "text": str(error)}}
+
+    def look(self, program: Program) -> Callable[[States], Look]:
+        program.warn = self._warnings.append
+        self._warnings += refuse_errors(program)
+
+        def watch(states: States) -> Look:
+            self._watch = Watch(program.period, self._tell)
+            return self._watch
+
+        return watch
+
+    def of(self, kept: Kept, rollout: Rollout) -> dict[str, Any]:
+        """Return `row`, and `run` besides."""
+        watch, program = self._watch, kept.rollouts.program
+        if not rollout.ticks and not rollout.fault:
+            raise UniconError(
+                f"it has no tick: they are {program.period:g} s; give a longer --duration"
+            )
+        told = super().of(kept, rollout)
+        row, report = (
+            told["row"],
+            Report(program.name, program.robot.name, "", **program.monitor.found()),
+        )
+        places = columns_of(program.states, KEPT)
+        states = {name: rollout.states[:, place] for name, place in places.items()}
+        networks = {k.partition(" ")[2]: v for k, v in kept.facts.items() if k[:8] == "network "}
+        told["run"] = {name: row[name] for name in FIGURES} | {
+            "robot": program.robot.name,
+            "period_s": program.period,
+            "policies": networks,
+            "info": dict(info_of(program.platform)),
+            "wall_s": round((watch.stamps[-1] - watch.stamps[0]) * 1e-9, 3),
+            "startup_s": watch.startup_s and round(watch.startup_s, 3),
+            "tick_us": percentiles(np.diff(watch.stamps) * 1e-3),
+            "faults": [rollout.fault] if rollout.fault else [],
+            "ended": rollout.ended,
+            "fell": report.fell,
+            "base_displacement_m": report.base_displacement_m,
+            "safety": list(program.safety),
+            "safety_left_out": dict(program.safety_left_out),
+            "warnings": self._warnings,
+            "versions": versions_here(),
+            "kept_rows": rollout.ticks,
+            "finite_rows": finite_rows(states),
+        }
+        return told
+
+
+Progress = Callable[[float], None]
+"""Takes the time in [s] that a run has simulated, 0 before its first tick; called often."""
+
+
+def run_one(plan: Plan, row: Row, folder: Path, tell: Progress) -> dict[str, Any]:
+    """Run a platform with a seed to its end, whatever that is.
+
+    Args:
+        plan: of the transfer.
+        row: one of it.
+        folder: where its files go: `PLATFORM/seed_K.npz`, `.json` and `.log`.
+        tell: called as it goes on.
+
+    Returns:
+        What the run told; `outcome` is `ran`, `missing` (not installed), `refused`, `crashed`,
+        `timeout` or `interrupted`, and `text` says why.
+
+    Raises:
+        UniconError: its files cannot be written.
+    """
+    platform, seed = row.values
+    files = folder / re.sub(r"[^\w.-]", "_", platform) / row.name
+    keep = {"folder": str(files.parent.absolute()), "states": KEPT}
+    try:
+        files.parent.mkdir(parents=True, exist_ok=True)
+        files.with_suffix(".npz").unlink(missing_ok=True)
+        process = PipedProcess("unicon_lab.transfer.rollout", files.with_suffix(".log"), {})
+    except OSError as error:
+        raise UniconError(
+            f"cannot write {error.filename or files}: {error.strerror}; give a writable folder "
+            "with room to --out"
+        ) from error
+    process.write(plan.task() | {"keep": keep})
+    process.write({"index": row.index, "settings": row.settings, "name": row.name})
+    told: dict[str, Any] = {}
+    try:
+        told = _watched(process, plan.timeout, tell)
+    finally:
+        how = process.end()
+    if SIGNALS.asked and not told:
+        told = {"outcome": "interrupted", "text": f"ended by {signal_name(SIGNALS.asked)}"}
+    elif not told:
+        told = {"outcome": "crashed", "text": how}
+    told = {"seed": seed} | told
+    if told["outcome"] == "ran":
+        told["file"] = str(files.with_suffix(".npz").relative_to(folder.parent))
+        told["log"] = ""
+        with suppress(UniconError):  # a full disk: the caller's own file tells
+            write_file(files.with_suffix(".json"), (json.dumps(told) + "\n").encode())
+    return told
+
+
+def _watched(process: PipedProcess, timeout: float, tell: Progress) -> dict[str, Any]:
+    """Wait for what a process tells of its row; return {} of one that ended, or was not awaited."""
+    seconds, end = 0.0, time.monotonic() + timeout
+    while not SIGNALS.asked and not process.over:
+        tell(seconds)
+        if process.connection.poll(LOOK):
+            for told in process.heard():
+                if "error" in told:
+                    return {"outcome": "refused", "text": told["error"]}
+                if "run" in told:
+                    return {"outcome": "ran", "text": "", **told["run"]}
+                if "row" in told:
+                    return {key: told["row"][key] for key in ("outcome", "text")}
+                seconds = told["at"]
+        if time.monotonic() > end:
+            text = f"no end within {timeout:g} s; it was ended (--timeout S)"
+            return {"outcome": "timeout", "text": text}
+        if process.log.stat().st_size > LOG_BYTES:
+            text = f"printed more than {LOG_BYTES // 1_000_000} MB"
+            return {"outcome": "crashed", "text": text}
+    return {}
+
+
+if __name__ == "__main__":
+    sys.exit(serve(TimedRunner))

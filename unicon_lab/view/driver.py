@@ -1,0 +1,235 @@
+"""Driver: what comes back from a viewer: velocity, emergency stop, and what it wishes.
+
+A viewer that drives replaces whoever commands the velocity, as /cmd_vel does. Once it is not heard
+for `DEAD_MAN` seconds the command is zero, and stays so until somebody begins to drive anew, by a
+touch; only a driver who lets go gives the command back to the workflow.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from unicon_base.errors import EmergencyStopPressed, UniconError, alternatives
+from unicon_core.flow import Block, Stage
+from unicon_core.runtime.phases import Phase
+from unicon_core.states import States
+from unicon_core.workflow import Program
+from unicon_core.workflow.skills import skills_of
+from unicon_lab.view.shown import DEAD_MAN, DRIVING, GIVEN_BACK
+from unicon_ros.bridge.bindings import told_states
+from unicon_ros.bridge.tuning import Tuning
+from unicon_ros.controls import Answer, Controls
+from unicon_ros.parameter_table import RANGES
+from unicon_ros.peripheral import short
+
+if TYPE_CHECKING:
+    from unicon_core.runtime import Runner
+    from unicon_ros.peripheral import Peripheral
+
+COMMAND = "velocity_command"
+FAULT = "emergency stop by a viewer"
+
+OFTEN = 0.02
+"""How often a viewer is heard that does not drive, in [s]."""
+
+LONGEST = 1000
+"""Of names and answers, in [B]."""
+
+_ACTS = ("start", "stop", "reset", "pause", "step")
+
+
+class Driver:
+    """The blocks that hear a viewer.
+
+    Args:
+        program: of the run.
+        told: the states of `PAGE`, which the viewer's process tells.
+        controls: what acts do.
+        tuning: the parameters; None where there are none.
+        press: presses the emergency stop of ROS too, where there is one.
+
+    Attributes:
+        driving: 1 while the viewer's velocity is the command.
+        interval: between two looks at a viewer that does not drive, in [s].
+    """
+
+    def __init__(
+        self,
+        program: Program,
+        told: States,
+        controls: Controls,
+        tuning: Tuning | None = None,
+        press: Callable[[], object] = bool,
+    ) -> None:
+        self._program, self._controls, self._tuning, self._press = program, controls, tuning, press
+        self._velocity = told["view_velocity"]
+        words = ("view_mode", "view_touch", "view_estop", "view_acts", "view_stamp_ns")
+        one = (memoryview(told[word].reshape(-1).data) for word in words)
+        self._mode, self._touch, self._estop, self._acts, self._stamp = one
+        command = program.states[COMMAND]
+        self._command = command if command.ndim == 1 else command.reshape(-1, 3)
+        self._heard_acts = self._heard_estop = self._lapsed = self._driven = self._started = 0
+        self._replaces = False
+        self._left = memoryview(np.zeros(1, np.int32).data)  # ticks until the viewer is heard
+        self._drives = memoryview(np.zeros(1, np.int8).data)  # each tick has to look
+        self._often = max(1, round(OFTEN / program.period))
+        self.interval = self._often * program.period
+        self._is_pressed = memoryview(np.zeros(1, np.int8).data)
+        self.driving = 0
+        self._peripheral: Peripheral | None = None
+        self._runner: Runner | None = None
+        self._skills = skills_of(program)
+
+    def attach(self, peripheral: Peripheral, runner: Runner) -> None:
+        """Get to know the viewer's process, and the run."""
+        self._peripheral, self._runner = peripheral, runner
+        peripheral.heard = self._act
+
+    def blocks(self) -> dict[Stage, list[Block]]:
+        """Return the blocks: before the flow, right before `send`, and after it.
+
+        A viewer that does not drive is heard after `send`: no command waits for it.
+        """
+        contested = COMMAND in told_states(self._program)
+        amends, writes = ((COMMAND,), ()) if contested else ((), (COMMAND,))
+        hear = Block("viewer", self.hear, amends=amends, writes=writes, endless=True)
+        hear.inline = "drives[0] and hear()"
+        hear.inline_names = {"drives": self._drives, "hear": self.hear}
+        stop = Block("viewer e-stop", self.stop_if_pressed, endless=True)
+        stop.inline = "pressed[0] and stop()"
+        stop.inline_names = {"pressed": self._is_pressed, "stop": self.stop_if_pressed}
+        listen = Block("viewer is heard", self.listen, endless=True)
+        listen.inline = "left[0] -= 1\nleft[0] > 0 or listen()"
+        listen.inline_names = {"left": self._left, "listen": self.listen}
+        return {Stage.INPUT: [hear], Stage.SAFETY: [stop], Stage.OBSERVE: [listen]}
+
+    def hear(self) -> None:
+        """Take what a viewer that drives tells, and let it drive."""
+        peripheral = self._peripheral
+        if peripheral is None:
+            return
+        if peripheral():
+            self._take(peripheral)
+        self._drive()
+        self._drives[0] = self._replaces or self._mode[0] == DRIVING
+
+    def listen(self) -> None:
+        """Take what a viewer tells; one that drives does so from the next tick on.
+
+        Raises:
+            EmergencyStopPressed: the emergency stop was pressed, and nothing is sent yet.
+        """
+        self._left[0] = self._often
+        peripheral, runner = self._peripheral, self._runner
+        if peripheral is None or runner is None or not peripheral():
+            return
+        self._take(peripheral)
+        if self._mode[0] == DRIVING:
+            self._drives[0] = 1  # others write the command in each tick
+        if self._is_pressed[0] and runner.phase is Phase.WAIT:
+            raise EmergencyStopPressed(FAULT)
+
+    def look(self) -> None:
+        """Take it in a pause, in which nobody is driven.
+
+        Raises:
+            EmergencyStopPressed: the emergency stop was pressed.
+        """
+        if self._peripheral is not None:
+            self._peripheral()
+            self._take(self._peripheral)
+            self.stop_if_pressed()
+
+    def _take(self, peripheral: Peripheral) -> None:
+        if peripheral.started != self._started:  # a new process counts anew
+            self._started = peripheral.started
+            self._heard_acts = self._heard_estop = self._lapsed = self._driven = 0
+        if self._acts[0] > self._heard_acts:
+            self._heard_acts = self._acts[0]
+            peripheral.listen()
+        if self._estop[0] > self._heard_estop:
+            self._heard_estop = self._estop[0]
+            self._is_pressed[0] = 1
+            self._press()
+
+    def stop_if_pressed(self) -> None:
+        """End the run before the command leaves.
+
+        Raises:
+            EmergencyStopPressed: the emergency stop was pressed.
+        """
+        if self._is_pressed[0]:
+            raise EmergencyStopPressed(FAULT)
+
+    def _drive(self) -> None:
+        mode, touch = self._mode[0], self._touch[0]
+        if mode == DRIVING and touch > self._lapsed:
+            self._replaces, self._driven = True, touch
+            fresh = time.monotonic_ns() - self._stamp[0] <= DEAD_MAN * 1e9
+            if fresh and np.isfinite(self._velocity).all():
+                self._command[...] = self._velocity
+                self.driving = 1
+                return
+        elif mode == GIVEN_BACK and self._replaces and touch >= self._driven:
+            self._replaces, self._driven = False, touch
+            self.driving = 0
+            self._program.tell("viewer: the driver has given the command back to the workflow")
+        if not self._replaces:
+            return
+        self._lapsed = max(self._lapsed, self._driven)  # a new touch is needed
+        moved = bool(self._command.any())
+        self._command[...] = 0.0
+        if self.driving and moved:
+            self._program.tell(
+                "viewer: the driver is not heard any more: the velocity command is zero until "
+                "somebody drives again"
+            )
+        self.driving = 0
+
+    # -- acts -----------------------------------------------------------------------------------
+
+    def _act(self, words: Mapping[str, Any]) -> None:
+        act = words.get("act")
+        if not isinstance(act, list) or not act:
+            return
+        name, number, arguments = act
+        try:
+            done, text = self._done(str(name), dict(arguments))
+        except (UniconError, KeyError, TypeError, ValueError) as error:
+            done, text = False, f"{name} is refused: {error}"
+        if self._peripheral is not None:
+            self._peripheral.wish("answer", number, done, short(text, LONGEST))
+
+    def _done(self, name: str, arguments: dict[str, Any]) -> Answer:
+        if name in _ACTS:
+            answer: Answer = getattr(self._controls, name)()
+            return answer
+        if name == "skill":
+            return self._skill(str(arguments["name"])[:LONGEST])
+        if name == "set_parameter":
+            return self._set(str(arguments["name"]), float(arguments["value"]))
+        return False, f"no act {name!r}; {alternatives(name, (*_ACTS, 'skill', 'set_parameter'))}"
+
+    def _skill(self, name: str) -> Answer:
+        skills = self._skills
+        if skills is None or name not in skills.names:
+            there = () if skills is None else skills.names
+            return False, f"no skill {name!r}; {alternatives(name, there)}"
+        reason = skills.ask(name)
+        return not reason, f"refused: {reason}" if reason else f"{name} from the next tick on"
+
+    def _set(self, name: str, value: float) -> Answer:
+        tuning = self._tuning
+        if tuning is None or name not in RANGES or name == "rate":
+            return False, f"no parameter {name!r}"
+        low, high = RANGES[name]
+        if not low <= value <= high:
+            return False, f"{name} is {value:g}; give {low:g} to {high:g}"
+        wrong = tuning.refusal({name: value})
+        if not wrong:
+            tuning.apply({name: value})
+        return not wrong, wrong or f"{name} is {value:g}"

@@ -1,0 +1,266 @@
+"""Panel: the widgets of one viewer: what he sees in numbers, and what he may do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from unicon_lab.view.page.plots import ALL, TIMES, VELOCITY, History, Plot, choices, element_choices
+from unicon_lab.view.page.scene import Scene
+from unicon_lab.view.page.words import legend_html
+from unicon_lab.view.shown import Parameter, Shown
+
+NONE = "nothing"
+_AXES = ("vx [m/s]", "vy [m/s]", "wz [rad/s]")
+_HINTS = ("forwards", "to the left", "turning to the left")
+
+
+def _on(event: Callable[[Any], object], do: Callable[[Any], object]) -> None:
+    """Let what a viewer does to a widget do something; viser calls one after the other.
+
+    Args:
+        event: `on_click` or `on_update` of the widget.
+        do: takes viser's event.
+    """
+
+    @event
+    async def _(happened: Any) -> None:
+        if happened.client is not None:  # else it was set from here
+            do(happened)
+
+
+class Chart:
+    """One plot and what chooses its curves.
+
+    Args:
+        gui: viser's widgets of this viewer.
+        shown, history: the run.
+        first: state to begin with.
+    """
+
+    def __init__(self, gui: Any, shown: Shown, history: History, first: str) -> None:
+        self._gui, self._shown, self._history = gui, shown, history
+        self._folder = gui.add_folder(None)
+        self._chart: Any = None
+        self._plot: Plot | None = None
+        self._elements: Any = None
+        with self._folder:
+            known = (*choices(shown.layout, history), NONE)
+            self._state = gui.add_dropdown(
+                "plot", known, initial_value=first if first in known else NONE
+            )
+        self._changed = {"state"}
+        _on(self._state.on_update, lambda _: self._changed.add("state"))
+
+    def refresh(self, seconds: float) -> None:
+        """Draw the newest curves, anew where something else is chosen."""
+        if self._changed:
+            self._build(seconds)
+        elif self._plot is not None and self._chart is not None:
+            self._chart.data = self._plot.data(seconds)
+
+    def _build(self, seconds: float) -> None:
+        changed, self._changed = self._changed, set()
+        layout, state = self._shown.layout, self._state.value
+        if "state" in changed:
+            if self._elements is not None:
+                self._elements.remove()
+                self._elements = None
+            known = element_choices(layout, state)
+            if len(known) > 1:
+                with self._folder:
+                    self._elements = self._gui.add_dropdown("of", known, initial_value=known[0])
+                _on(self._elements.on_update, lambda _: self._changed.add("elements"))
+        if self._chart is not None:
+            self._chart.remove()
+            self._chart = None
+        chosen = ALL if self._elements is None else self._elements.value
+        plot = Plot(layout, self._history, state, chosen, self._shown.period)
+        self._plot = plot if plot.curves else None
+        if self._plot is None:
+            return
+        with self._folder:
+            self._chart = self._gui.add_uplot(
+                plot.data(seconds),
+                plot.series(),
+                title=plot.title,
+                scales={"x": {"time": False}},
+                axes=({"label": "time [s]", "size": 38, "labelSize": 18},
+                      {"label": f"[{plot.unit}]" if plot.unit else "value", "size": 52,
+                       "labelSize": 18}),
+                legend={"show": True, "live": False},
+                height=175,
+            )  # fmt: skip
+
+
+class Panel:
+    """All widgets of one viewer.
+
+    Args:
+        client: viser's handle.
+        shown, history, scene: what is seen.
+        number: of the viewer.
+        do: is told what the viewer does: `take`, `let_go`, `steer` (velocity), `estop`, `act`
+            (name, arguments), `seek` (time), `play` (bool), `speed` (factor).
+        span: first and last moment of a recording in [s]; None of a live run.
+
+    Attributes:
+        stop: viser's button behind the large e-stop; None in a recording.
+    """
+
+    def __init__(
+        self,
+        client: Any,
+        shown: Shown,
+        history: History,
+        scene: Scene,
+        number: int,
+        do: Callable[..., None],
+        span: tuple[float, float] | None,
+    ) -> None:
+        self._gui, self._do, self._shown = client.gui, do, shown
+        self._html: dict[int, str] = {}
+        gui = client.gui
+        gui.configure_theme(show_logo=False, show_share_button=False)
+        gui.set_panel_label(f"{shown.workflow} · {shown.robot.name} · {shown.platform}")
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(370)
+        self.stop: Any = None
+        self.status = gui.add_html("")
+        self.sliders: list[Any] = []
+        self._wheel: Any = None
+        self.time: Any = None
+        self.play: Any = None
+        if span is None:
+            self._live(gui, number)
+        else:
+            self._recorded(gui, span)
+        with gui.add_folder("3D view", expand_by_default=False):
+            for label, name in (
+                ("follow the robot", "follow"),
+                ("velocity arrows", "arrows"),
+                ("contacts", "contacts"),
+                ("path", "path"),
+            ):
+                box = gui.add_checkbox(label, True)
+                _on(box.on_update, partial(self._switch, scene, name))
+        gui.add_html(legend_html(bool(shown.robot.feet)))
+        with gui.add_folder("running part of the graph", visible=bool(shown.graph)):
+            self.graph = gui.add_html("")
+        if span is None and shown.parameters:
+            with gui.add_folder("Parameters", expand_by_default=False):
+                for name, parameter in shown.parameters.items():
+                    self._parameter(gui, name, parameter)
+        plots = gui.add_panel()
+        with plots.add_tab("Plots"):
+            self.window = gui.add_slider("last [s]", 1.0, 12.0, 1.0, 6.0)
+            last = TIMES if span is None else "joint_effort"  # a recording's ticks are not timed
+            self.charts = [
+                Chart(gui, shown, history, first) for first in (VELOCITY, "joint_pos", last)
+            ]
+        plots.dock_left()
+        plots.set_width(400)
+
+    def tell(self, widget: Any, text: str) -> None:
+        """Set a text, where it is another one than before."""
+        if self._html.get(id(widget)) != text:
+            self._html[id(widget)] = text
+            widget.content = text
+
+    def wheel(self, driver: int | None, number: int) -> None:
+        """Show whether this viewer may take the wheel."""
+        if self._wheel is None:
+            return
+        mine, label = driver == number, "Take the wheel"
+        if mine:
+            label = "Let go of the wheel"
+        elif driver is not None:
+            label = f"Viewer {driver} drives"
+        if self._wheel.label != label:
+            self._wheel.label = label
+            self._wheel.color = "orange" if mine else "blue"
+            self._wheel.disabled = driver is not None and not mine
+            for slider in self.sliders:
+                slider.disabled = not mine
+
+    def show_velocity(self, velocity: Any) -> None:
+        """Put the sliders where the commanded velocity is."""
+        for slider, value in zip(self.sliders, velocity):
+            value = round(float(value), 2)
+            if abs(slider.value - value) > 1e-3:
+                slider.value = value
+
+    def show_time(self, moment: float, plays: bool) -> None:
+        """Show where a recording is, and what its button does."""
+        if self.time is not None and abs(self.time.value - moment) > 0.04:
+            self.time.value = round(moment, 2)
+        label = "Pause" if plays else "Play"
+        if self.play is not None and self.play.label != label:
+            self.play.label = label
+
+    # -- parts ----------------------------------------------------------------------------------
+
+    def _live(self, gui: Any, number: int) -> None:
+        self.stop = self._button(gui, "E-STOP", "estop", "red", visible=False)
+        shown = self._shown
+        if shown.drives:
+            with gui.add_folder("Drive"):
+                self._wheel = self._button(gui, "Take the wheel", "wheel", "blue")
+                for axis, hint, (low, high) in zip(_AXES, _HINTS, shown.command_bounds):
+                    self.sliders.append(self._slider(gui, axis, hint, low, high))
+                self._button(gui, "Zero velocity", "zero", "gray")
+                gui.add_html(
+                    '<div style="font:12px/1.4 system-ui,sans-serif;color:#667;padding:0 12px 6px">'
+                    "Gamepad: left stick vx, vy; right stick wz. Keys: I K forwards and back, "
+                    "U O sideways, J L turn; half speed, with Shift full.</div>"
+                )
+        with gui.add_folder("Run"):
+            self._acts(gui, "start", "stop")
+            if shown.simulated:
+                self._acts(gui, "pause", "step", "reset")
+            if shown.skills:
+                group = gui.add_button_group("skill", shown.skills)
+                _on(group.on_click, lambda e: self._do("act", "skill", {"name": e.target.value}))
+
+    @staticmethod
+    def _switch(scene: Scene, name: str, event: Any) -> None:
+        setattr(scene, name, event.target.value)
+
+    def _acts(self, gui: Any, *names: str) -> None:
+        group = gui.add_button_group(" ", names)
+        _on(group.on_click, lambda event: self._do("act", event.target.value, {}))
+
+    def _button(self, gui: Any, label: str, what: str, colour: str, visible: bool = True) -> Any:
+        button = gui.add_button(label, color=colour, visible=visible)
+        _on(button.on_click, lambda _: self._do(what))
+        return button
+
+    def _slider(self, gui: Any, axis: str, hint: str, low: float, high: float) -> Any:
+        low, high = min(low, 0.0), max(high, 0.0)
+        slider = gui.add_slider(
+            axis, round(low, 2), round(max(high, low + 0.01), 2), 0.01, 0.0, hint=hint,
+            disabled=True,
+        )  # fmt: skip
+        _on(slider.on_update, lambda _: self._do("steer", [each.value for each in self.sliders]))
+        return slider
+
+    def _parameter(self, gui: Any, name: str, parameter: Parameter) -> None:
+        number = gui.add_number(
+            name, parameter.value, min=parameter.low, max=parameter.high, step=0.01,
+            hint=parameter.description,
+        )  # fmt: skip
+
+        def change(_: Any) -> None:
+            self._do("act", "set_parameter", {"name": name, "value": number.value})
+
+        _on(number.on_update, change)
+
+    def _recorded(self, gui: Any, span: tuple[float, float]) -> None:
+        with gui.add_folder("Recording"):
+            self.time = gui.add_slider("time [s]", span[0], max(span[1], span[0] + 0.01), 0.01,
+                                       span[0])  # fmt: skip
+            self.play = self._button(gui, "Play", "play", "blue")
+            speed = gui.add_dropdown("speed", ("0.25", "0.5", "1", "2", "5", "10"), "1")
+        _on(self.time.on_update, lambda _: self._do("seek", self.time.value))
+        _on(speed.on_update, lambda _: self._do("speed", float(speed.value)))

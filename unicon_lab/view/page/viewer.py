@@ -1,0 +1,204 @@
+"""Viewer: one browser: its view, its widgets, and how many pictures it can take."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from unicon_lab.view.page.link import Link
+from unicon_lab.view.page.panel import Panel
+from unicon_lab.view.page.plots import History
+from unicon_lab.view.page.scene import Pose, Scene, Stage
+from unicon_lab.view.page.wheel import Wheel
+from unicon_lab.view.page.words import graph_html
+from unicon_lab.view.shown import Shown
+from unicon_lab.view.source import Remote, Snapshot
+
+_TEXTS, _CHARTS, _PATH = 0.25, 0.1, 0.2
+"""Between two of them, in [s]; of the charts one at a time."""
+
+_QUICK = 0.06
+"""A page that needs longer for a picture, in [s], has as long to itself before the next one: its
+buttons and its heartbeat come first. One picture is on its way at most, so that none is late."""
+
+
+class Viewer:
+    """One browser.
+
+    Args:
+        number: by which the others know it, from 1 on.
+        client: viser's handle.
+        shown, history, stage: the run; `stage` None where there is no model.
+        remote, wheel: how it acts.
+        recorded: takes `seek`, `play` and `speed` of a recording; None of a live run.
+        span: first and last moment of a recording in [s].
+        fps: pictures a second at most.
+
+    Attributes:
+        acts: numbers of its acts that have no answer yet.
+        pictures: sent so far.
+    """
+
+    def __init__(
+        self,
+        number: int,
+        client: Any,
+        shown: Shown,
+        history: History,
+        stage: Stage | None,
+        remote: Remote,
+        wheel: Wheel,
+        recorded: Any,
+        span: tuple[float, float] | None,
+        fps: float,
+    ) -> None:
+        self.number, self._client, self._shown = number, client, shown
+        self._remote, self._wheel, self._recorded = remote, wheel, recorded
+        self._interval = 1.0 / fps
+        self.acts: set[int] = set()
+        self.pictures = self._stops = 0
+        self._device = [0.0, 0.0, 0.0]
+        self._said = ""
+        self._due: dict[str, float] = {}
+        self._chart = 0
+        size = 1.0 if stage is None else stage.size
+        with client.atomic():
+            client.camera.position = (2.2 * size, -2.2 * size, 1.3 * size)
+            client.camera.look_at = (0.0, 0.0, 0.3 * size)
+            self._scene = Scene(client.scene, stage)
+            self.panel = Panel(client, shown, history, self._scene, number, self._do, span)
+            self.link = Link(client, self._heard, self.panel.stop)
+            self.link.ask()
+
+    def show(
+        self,
+        pose: Pose | None,
+        tick: Snapshot | None,
+        status: Callable[[Snapshot | None, str], str],
+        new: bool,
+        now: float,
+    ) -> None:
+        """Send a picture where one is due and the page has room for it.
+
+        Args:
+            pose: of the tick; None without a model.
+            tick: the newest; None before the first.
+            status: of a tick and who drives, in words, as HTML.
+            new: the tick has not been shown before.
+            now: time in [s].
+        """
+        if self.link.pending:
+            return
+        slow = 2.0 * self.link.takes if self.link.takes > _QUICK else 0.0
+        picture = new and self._is_due("picture", max(self._interval, slow), now)
+        if not picture and (new or not self._is_due("still", _TEXTS, now)):
+            return
+        with self._client.atomic():
+            if picture and pose is not None:
+                self._scene.draw(pose, self._is_due("path", _PATH, now))
+                self.pictures += 1
+            if self._is_due("texts", _TEXTS, now):
+                self._texts(tick, status)
+            if tick is not None and self._is_due("chart", _CHARTS, now):
+                charts, self._chart = self.panel.charts, self._chart + 1  # one after the other
+                charts[self._chart % len(charts)].refresh(self.panel.window.value)
+            self.link.ask()
+        self._client.flush()
+
+    def tell(self, text: str, done: bool = True) -> None:
+        """Show a line for a few seconds."""
+        self._client.add_notification(
+            "unicon", text, auto_close_seconds=6.0, color="green" if done else "red"
+        )
+
+    def gone(self) -> None:
+        """Note that the browser is not there any more."""
+        self._wheel.lose(self.number, "was closed")
+
+    def _texts(self, tick: Snapshot | None, status: Callable[[Snapshot | None, str], str]) -> None:
+        panel = self.panel
+        panel.tell(panel.status, status(tick, self._driver()))
+        panel.wheel(self._wheel.driver, self.number)
+        if tick is not None:
+            panel.tell(panel.graph, graph_html(self._shown.graph, tick.counters.tolist()))
+        if self._wheel.driver != self.number:
+            panel.show_velocity((0.0, 0.0, 0.0))
+        if self._said:
+            text, self._said = self._said, ""
+            self.tell(text, False)
+
+    def _driver(self) -> str:
+        if self._recorded is not None:
+            return ""
+        driver, lost = self._wheel.driver, self._wheel.lost
+        if driver == self.number:
+            return "you drive"
+        if driver is not None:
+            return f"viewer {driver} drives; you are viewer {self.number}"
+        nobody = lost or "nobody drives from a page"
+        return f"{nobody}; you are viewer {self.number}"
+
+    def _is_due(self, what: str, interval: float, now: float) -> bool:
+        due = self._due.get(what, 0.0)
+        if now < due:
+            return False
+        self._due[what] = max(due + interval, now + 0.5 * interval)
+        return True
+
+    # -- in the server's thread -----------------------------------------------------------------
+
+    def _heard(self, state: dict[str, Any]) -> None:
+        """Take what the page tells with an answer: it lives, and gamepad and keys."""
+        stops = state.get("stops", 0)
+        if isinstance(stops, int) and stops > self._stops:
+            self._stops = stops
+            self._do("estop")
+        now = time.monotonic()
+        if state.get("hidden"):
+            self._wheel.lose(self.number, "was hidden")
+            return
+        device = _vector(state.get("device"))
+        if device is not None and device != self._device:
+            self._device = device
+            bounds = self._shown.command_bounds
+            velocity = [abs(x) * (high if x > 0 else low) for x, (low, high) in zip(device, bounds)]
+            if self._wheel.steer(self.number, velocity, now):
+                self.panel.show_velocity(self._wheel.velocity)
+            return
+        self._wheel.heard(self.number, now)
+
+    def _do(self, what: str, *given: Any) -> None:
+        now, wheel = time.monotonic(), self._wheel
+        if what == "estop":
+            self._remote.estop()
+        elif what == "wheel":
+            if wheel.driver == self.number:
+                wheel.let_go(self.number)
+            else:
+                self._said = wheel.take(self.number, now) or self._said
+                self.panel.show_velocity((0.0, 0.0, 0.0))
+            self._due["texts"] = 0.0
+        elif what == "zero":
+            wheel.steer(self.number, (0.0, 0.0, 0.0), now)
+            self.panel.show_velocity((0.0, 0.0, 0.0))
+        elif what == "steer":
+            wheel.steer(self.number, given[0], now)
+        elif what == "act":
+            self._act(*given)
+        elif self._recorded is not None:
+            self._recorded(what, *given)
+
+    def _act(self, name: str, arguments: dict[str, Any]) -> None:
+        """Ask the run for something; while somebody drives, only he may, but for a stop."""
+        driver = self._wheel.driver
+        if driver is not None and driver != self.number and name != "stop":
+            self._said = f"viewer {driver} drives: only he may {name}"
+            return
+        self.acts.add(self._remote.act(name, **arguments))
+
+
+def _vector(given: Any) -> list[float] | None:
+    if not isinstance(given, list) or len(given) != 3:
+        return None
+    return given if all(isinstance(x, (int, float)) for x in given) else None

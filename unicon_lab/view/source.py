@@ -1,0 +1,235 @@
+"""The ring of a run, as a viewer's process reads it; and what it sends back."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from unicon_base.arrays import Array, Int64
+from unicon_core.handles import FrameRing
+from unicon_core.states import Layout, States
+from unicon_core.states.states import aligned_buffer
+from unicon_lab.view.shown import DEAD_MAN, DRIVING, GIVEN_BACK, HEAD
+from unicon_ros.peripheral_process import Feed
+
+
+class Snapshot:
+    """One tick, copied out of the ring.
+
+    Attributes:
+        handle: its number in the ring.
+        tick: its number in the run.
+        wall_ns: time of the day, [ns].
+        phase: its number in `Shown.phases`.
+        paused: the simulator stands still.
+        late_ns: how late the tick before it began.
+        busy_ns: how long that one took.
+        overruns: of the run so far.
+        driving: a viewer's velocity is the command.
+        robots: of a batch; the states are those of the first.
+        counters: of the graph, int64.
+        states: views by name.
+        buffer: of all robots' states, uint8.
+    """
+
+    def __init__(self, layout: Layout, size: int) -> None:
+        self.handle = self.tick = self.wall_ns = self.phase = self.late_ns = self.busy_ns = 0
+        self.overruns, self.robots, self.paused, self.driving = 0, 1, False, False
+        self._raw = aligned_buffer(size)  # its start, as the states' own, is aligned to 8 B
+        self._begin = size - layout.nbytes
+        states = States(layout, buffer=aligned_buffer(layout.nbytes))
+        self.buffer = states.buffer
+        many = layout.num_robots is not None
+        self.states: Mapping[str, Array] = {
+            name: states[name][0, ...] if many else states[name] for name in states
+        }
+        self.counters: Int64 = self._raw[HEAD.size : self._begin].view(np.int64)
+
+    def take(self, ring: FrameRing, handle: int) -> bool:
+        """Copy a frame; False when it was overwritten meanwhile."""
+        frame = ring.frame(handle)
+        if frame is None:
+            return False
+        self._raw[:] = frame
+        if not ring.holds(handle):
+            return False
+        head = HEAD.unpack_from(self._raw.data)
+        self.tick, stamp, self.phase, paused, self.late_ns, self.busy_ns = head[:6]
+        self.wall_ns = time.time_ns() - (time.perf_counter_ns() - stamp)
+        self.overruns, driving, self.robots = head[6:9]
+        self.paused, self.driving, self.handle = bool(paused), bool(driving), handle
+        self.buffer[:] = self._raw[self._begin :]
+        return True
+
+
+@dataclass(frozen=True)
+class Answered:
+    """What became of an act."""
+
+    number: int
+    done: bool
+    text: str
+
+
+class Source(Protocol):
+    """Where a sink finds what it shows.
+
+    Attributes:
+        texts: `waits_for`, `faults` (lines) and `notes` (what the run has told of late).
+        answers: to acts, the newest last; the sink takes them out.
+        span: first and last moment of a recording in [s]; None of a live run.
+    """
+
+    texts: dict[str, Any]
+    answers: list[Answered]
+    span: tuple[float, float] | None
+
+    def latest(self) -> Snapshot | None:
+        """Return the newest tick; None before the first. Valid until the next call."""
+        ...
+
+    def since(self, handle: int) -> Iterator[Snapshot]:
+        """Yield each tick behind one, as far as they are still there; each valid until the next."""
+        ...
+
+
+class LiveSource:
+    """Source of a run.
+
+    Args:
+        layout: of its states.
+        ring: of its ticks.
+    """
+
+    span = None
+
+    def __init__(self, layout: Layout, ring: FrameRing) -> None:
+        self._ring = ring
+        self._latest, self._each = (Snapshot(layout, ring.nbytes) for _ in range(2))
+        self.texts: dict[str, Any] = {"waits_for": "", "faults": [], "notes": []}
+        self.answers: list[Answered] = []
+
+    def latest(self) -> Snapshot | None:
+        """Return the newest tick; None before the first. Valid until the next call."""
+        for _ in range(3):
+            handle = self._ring.latest
+            if not handle:
+                return None
+            if handle == self._latest.handle or self._latest.take(self._ring, handle):
+                return self._latest
+        return self._latest if self._latest.handle else None
+
+    def since(self, handle: int) -> Iterator[Snapshot]:
+        """Yield each tick behind one, as far as they are still there; each valid until the next."""
+        newest = self._ring.latest
+        for number in range(max(handle, newest - self._ring.slots + 2, 0) + 1, newest + 1):
+            if self._each.take(self._ring, number):
+                yield self._each
+
+    def hear(self, feed: Feed) -> bool:
+        """Take what the run has told; return whether texts are among it."""
+        wishes, feed.wishes = feed.wishes, []
+        for what, *given in wishes:
+            if what == "answer":
+                self.answers.append(Answered(*given))
+            elif what == "texts":
+                self.texts |= given[0]
+        return any(what == "texts" for what, *_ in wishes)
+
+
+class Remote:
+    """What a viewer sends to the run; its methods may be called in any thread.
+
+    Args:
+        feed: of this process; None of a recording, which nobody can drive.
+    """
+
+    def __init__(self, feed: Feed | None) -> None:
+        self._feed, self._lock = feed, threading.Lock()
+        self._velocity = np.zeros(3, np.float32)
+        self._mode = self._touch = self._estop = self._acts = self._heard_ns = 0
+
+    def touch(self) -> None:
+        """Begin to drive: `drive` counts from here on. After a stall it has to be called again."""
+        with self._lock:
+            self._touch += 1
+            self._mode, self._heard_ns = DRIVING, time.monotonic_ns()
+            self._velocity[:] = 0.0
+            self._publish()
+
+    def drive(self, velocity: Array) -> None:
+        """Command a velocity, [m/s, m/s, rad/s]; it counts for `DEAD_MAN` seconds.
+
+        What is not finite is not taken. Whoever was silent for that long has to touch anew.
+        """
+        velocity = np.asarray(velocity, np.float32)
+        if velocity.shape != (3,) or not np.isfinite(velocity).all():
+            return
+        with self._lock:
+            now = time.monotonic_ns()
+            if self._mode != DRIVING or now - self._heard_ns > DEAD_MAN * 1e9:
+                return
+            self._velocity[:] = velocity
+            self._heard_ns = now
+            self._publish()
+
+    def let_go(self) -> None:
+        """Give the command back to the workflow."""
+        with self._lock:
+            self._mode = GIVEN_BACK
+            self._publish()
+
+    def estop(self) -> None:
+        """Press the emergency stop."""
+        with self._lock:
+            self._estop += 1
+            self._publish()
+
+    def act(self, name: str, /, **arguments: Any) -> int:
+        """Wish `start`, `stop`, `reset`, `pause`, `step`, `skill` (name) or `set_parameter` (name,
+        value); return the number under which the answer comes."""
+        with self._lock:
+            self._acts += 1
+            if self._feed is not None:
+                self._feed.words(act=[name, self._acts, arguments])
+            self._publish()
+            return self._acts
+
+    def beat(self) -> None:
+        """Tell that this process lives; not that a driver does."""
+        with self._lock:
+            self._publish()
+
+    def _publish(self) -> None:
+        if self._feed is not None:
+            self._feed.publish(
+                self._heard_ns,
+                view_velocity=self._velocity,
+                view_mode=self._mode,
+                view_touch=self._touch,
+                view_estop=self._estop,
+                view_acts=self._acts,
+            )
+
+
+class Sink(Protocol):
+    """What shows a source; made as `Sink(shown, source, remote, options)`.
+
+    Attributes:
+        address: where it is seen.
+    """
+
+    address: str
+
+    def poll(self) -> None:
+        """Show what is new; called about 60 times a second, always in the same thread."""
+        ...
+
+    def close(self) -> None:
+        """Close what is open."""
+        ...

@@ -1,0 +1,73 @@
+"""What goes with a run: its recording, pages, viewers, records of faults.
+
+Other packages bring them by entry points of group `unicon.run`, each of which names an object with
+`OPTIONS`, which `unicon run` adds to its own, `CHECKS` of texts by option, which raise,
+`refuse(options)`, which raises where options contradict each other, and `attachments(asked)`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from unicon_base.registered import loaded
+
+if TYPE_CHECKING:
+    from unicon_core.runtime import Report, Runner
+    from unicon_core.workflow import Hook, WorkflowDocument
+    from unicon_ros.bridge import RosSession
+
+File = tuple[str, str, Callable[[], object]]
+"""What a run leaves: its name, its path, and what writes it."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a run was asked for.
+
+    Attributes:
+        options: values by name, such as `record`; one that is missing is not asked for.
+        document: the workflow.
+        map_name: message map, name or path; None for `default`.
+        session: of ROS; None without.
+        warn: takes lines for the operator.
+    """
+
+    options: dict[str, Any]
+    document: WorkflowDocument
+    map_name: str | None
+    session: RosSession | None
+    warn: Callable[[str], None]
+
+
+class Attachment:
+    """Goes with one run.
+
+    Attributes:
+        hook: returns its blocks while the program is built.
+        drives: an operator can start and stop the run there.
+    """
+
+    hook: Hook
+    drives = False
+
+    def attach(self, runner: Runner) -> str:
+        """Get to know the runner before its first tick; return a line for the operator, or ""."""
+        return ""
+
+    def ended(self, report: Report) -> str:
+        """Add what there is to say to the report of a run that ended; return a line, or ""."""
+        return ""
+
+    def files(self, report: Report) -> Iterator[File]:
+        """Return what it writes at the end."""
+        return iter(())
+
+    def close(self) -> None:
+        """Let go of what it holds, after the run."""
+
+
+def attached(asked: Asked) -> list[Attachment]:
+    """Return what goes with a run, in the order of their hooks."""
+    return [each for extension in loaded("run").values() for each in extension.attachments(asked)]

@@ -1,7 +1,0 @@
-"""Replay: recorded ticks run again, compared to the bit, fed to other workflows, or shown."""
-
-from unicon_ros.replay.difference import Difference
-from unicon_ros.replay.verify import Verdict, verify
-from unicon_ros.replay.workflow import workflow_of
-
-__all__ = ["Difference", "Verdict", "verify", "workflow_of"]

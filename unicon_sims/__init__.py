@@ -1,0 +1,1 @@
+"""Simulators as platforms, one folder each; MuJoCo is one of the core."""
