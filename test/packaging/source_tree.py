@@ -7,6 +7,11 @@ import subprocess
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent.parent
+PACKAGES = (
+    *("unicon_base", "unicon_core", "unicon_msgs_map", "unicon_ros", "unicon_sims"),
+    *("unicon_hardware", "unicon_manipulation", "unicon_lab"),
+)
+"""Import packages of the distribution."""
 BUILT = {"build", "install", "log", "out", "dist", "__pycache__"}
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from source_tree import ROOT, copy_source
+from source_tree import PACKAGES, ROOT, copy_source
 
 LOW = "3.10"
 
@@ -44,7 +44,7 @@ def test_the_archive_has_code_and_configurations_and_no_tests(built: Path) -> No
         names = [name.partition("/")[2] for name in archive.getnames()]
     tops = {name.partition("/")[0] for name in names if name}
     assert not tops & {"test", "tools", "docs", "examples", ".ci", ".github"}
-    assert {"config", "launch", "resource", "unicon_core", "unicon_msgs_map", "unicon_ros"} <= tops
+    assert {"config", "launch", "resource", *PACKAGES} <= tops
     assert "config/assets.yaml" in names
     assert "config/policies/go2_velocity/policy.yaml" in names
 

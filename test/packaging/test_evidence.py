@@ -96,7 +96,9 @@ def test_an_entry_claims_no_more_than_its_test_shows(key: tuple[str, str]) -> No
 def test_all_that_there_is_has_an_entry_and_nothing_else() -> None:
     names = {kind: {n for of, n in LEDGER if of == kind} for kind, _ in LEDGER}
     assert names["robot"] == set(robot_names())
-    simulators = {n for n, at in known("platforms").items() if ".hardware." not in at}
+    simulators = {
+        n for n, at in known("platforms").items() if not at.startswith("unicon_hardware.")
+    }
     assert names["simulator"] == simulators - set(OURS)
 
 

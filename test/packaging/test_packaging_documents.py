@@ -10,13 +10,13 @@ from pathlib import Path
 
 import pytest
 import yaml
-from source_tree import ROOT, tracked_files
+from source_tree import PACKAGES, ROOT, tracked_files
 
 DOCUMENTS = (
     *("README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md"),
     *sorted(name for name in tracked_files() if re.fullmatch(r"docs/[\w/]+\.md", name)),
 )
-FOLDERS = ("unicon_core/", "unicon_msgs_map/", "unicon_ros/", "config/", "launch/", "test/")
+FOLDERS = (*(f"{package}/" for package in PACKAGES), "config/", "launch/", "test/")
 
 
 def text_of(document: str) -> str:

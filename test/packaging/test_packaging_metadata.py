@@ -11,11 +11,10 @@ from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
-from source_tree import ROOT, tracked_files
+from source_tree import PACKAGES, ROOT, tracked_files
 
 import unicon_core
 
-PACKAGES = ("unicon_core", "unicon_msgs_map", "unicon_ros")
 ROS_DEPENDS = {
     "diagnostic_msgs",
     "geometry_msgs",
@@ -113,8 +112,15 @@ def test_every_ros_module_that_the_code_imports_is_an_exec_depend() -> None:
     assert used - names("exec_depend") == set()
 
 
-def test_unicon_core_and_unicon_msgs_map_import_no_ros() -> None:
-    assert {m for p in ("unicon_core", "unicon_msgs_map") for m in imports()[p] if is_ros(m)} == (
+def test_only_packages_above_the_bridge_import_ros() -> None:
+    without = (
+        "unicon_base",
+        "unicon_core",
+        "unicon_msgs_map",
+        "unicon_sims",
+        "unicon_manipulation",
+    )
+    assert {module for package in without for module in imports()[package] if is_ros(module)} == (
         set()
     )
 

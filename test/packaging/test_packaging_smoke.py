@@ -40,7 +40,9 @@ def heavy_modules_after(code: str, cwd: Path) -> list[str]:
     return loaded
 
 
-@pytest.mark.parametrize("package", ["unicon_core", "unicon_msgs_map", "unicon_ros"])
+@pytest.mark.parametrize(
+    "package", ["unicon_base", "unicon_core", "unicon_msgs_map", "unicon_ros", "unicon_lab"]
+)
 def test_importing_a_package_loads_neither_ros_nor_simulator_nor_onnx(
     package: str, tmp_path: Path
 ) -> None:

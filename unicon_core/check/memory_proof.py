@@ -29,6 +29,7 @@ TICKS = 16
 """Ticks in front of the snapshot, and behind it."""
 MOST = 20_000
 """Objects that the walk looks into."""
+_OURS = ("unicon_base", "unicon_core", "unicon_manipulation")
 _ATOMS = (type(None), bool, int, float, complex, str, bytes)
 
 
@@ -211,7 +212,7 @@ class _Walker:
             yield from _enumerated(path, value)
         elif isinstance(value, dict):
             yield from ((f"{path}[{key!r}]", each) for key, each in value.items())
-        elif isinstance(value, type) or _package(value) in (self._module, "unicon_core"):
+        elif isinstance(value, type) or _package(value) in {self._module, *_OURS}:
             yield from self._of_object(value, path)
 
     def _of_function(self, function: FunctionType, path: str) -> Iterator[tuple[str, Any]]:

@@ -292,7 +292,7 @@ def _options(factory: Factory, use: Use) -> dict[str, Any]:
     return options
 
 
-_OURS = "unicon_core.blocks."  # all of them are pure
+_OURS = ("unicon_core.blocks.", "unicon_manipulation.")  # all of them are pure
 
 LARGEST = 65_536
 """Bytes of states beyond which a block is not warmed up: they alone would take 5 µs and more to

@@ -42,7 +42,9 @@ def level_of(record: Record, workflow: Mapping[str, Any], hardware: bool) -> tup
     """
     at = known("platforms")
     makers = [at.get(name, "") for name in record.facts["platform"].split("+")]
-    if simulated(record) or any(maker.startswith("unicon_core.") for maker in makers):
+    if simulated(record) or any(
+        maker.startswith(("unicon_core.", "unicon_sims.")) for maker in makers
+    ):
         return "never", "its platform, or a part of it, is simulated"
     if record.facts["dry"] == "true":
         return "never", "nothing was sent (--dry)"

@@ -11,20 +11,23 @@ from pathlib import Path
 from typing import Any
 
 import unicon_core
-import unicon_lab.analysis
-import unicon_lab.sweep
 from unicon_core import __version__
 
 PACKAGES = ("numpy", "mujoco", "onnxruntime", "scipy")
 """Packages whose version may move the last bit of a row."""
+ROWS = (
+    *("unicon_base", "unicon_core", "unicon_manipulation", "unicon_sims"),
+    *("unicon_lab/sweep", "unicon_lab/analysis"),
+)
+"""Folders of the code that makes rows."""
 
 
 @lru_cache
 def code_sha256() -> str:
-    """Return the SHA-256 of the code that makes rows: `unicon_core`, this folder, the analysis."""
+    """Return the SHA-256 of the code that makes rows."""
     digest = hashlib.sha256()
-    for package in (unicon_core, unicon_lab.sweep, unicon_lab.analysis):
-        folder = Path(str(package.__file__)).parent
+    ours = Path(str(unicon_core.__file__)).parents[1]
+    for folder in (ours / name for name in ROWS):
         for path in sorted(folder.rglob("*.py")):
             digest.update(f"{path.relative_to(folder)}\n".encode())
             digest.update(path.read_bytes())

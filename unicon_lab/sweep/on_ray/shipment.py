@@ -28,7 +28,10 @@ from unicon_lab.sweep.plan import Plan
 FILES = "files"
 MOST_BYTES = 400_000_000
 """Of an archive; Ray takes 500 MiB."""
-PACKAGES = ("unicon_core", "unicon_msgs_map", "unicon_ros")
+PACKAGES = (
+    *("unicon_base", "unicon_core", "unicon_msgs_map", "unicon_ros", "unicon_sims"),
+    *("unicon_hardware", "unicon_manipulation", "unicon_lab"),
+)
 FOLDERS = ("UNICON_PATH", "AMENT_PREFIX_PATH")
 """Variables that list folders in which files are looked for."""
 _SOURCE = Path(__file__).resolve().parents[3]
@@ -98,6 +101,10 @@ def _places(files: Iterable[str]) -> Iterator[tuple[str, Path | None]]:
     """Yield names in the archive and their files; None for a folder."""
     for package in PACKAGES:
         yield from _below(_SOURCE / package, package)
+    for file in importlib.metadata.distribution("unicon_ros").files or ():
+        path = Path(str(file.locate()))  # what it registers: blocks, platforms, commands
+        if path.name in ("METADATA", "entry_points.txt") and path.is_file():
+            yield f"{path.parent.name}/{path.name}", path
     yield from _below(_own_config(), "config")
     yield f"{FILES}{os.getcwd()}", None
     for text in files:
