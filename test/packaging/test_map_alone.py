@@ -1,0 +1,34 @@
+"""The map and its codec are a distribution of their own: installed alone, it passes its tests."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from source_tree import ROOT, copy_source
+
+pytestmark = pytest.mark.slow
+ALONE = "import importlib.util as u; assert u.find_spec('unicon_core') is None; "
+MAP = "from unicon_msgs_map import load_map; load_map('default')"
+
+
+def test_the_map_alone_passes_its_tests(tmp_path: Path, under_colcon: bool) -> None:
+    if under_colcon:
+        pytest.skip("colcon tests its own installation")
+    source = copy_source(tmp_path / "source")
+    subprocess.run([sys.executable, "-m", "venv", tmp_path / "venv"], check=True, timeout=120)
+    python = tmp_path / "venv" / "bin" / "python"
+    pip = [python, "-m", "pip", "install", "-q", source / "unicon_msgs_map", "pytest", "hypothesis"]
+    installed = subprocess.run(pip, capture_output=True, text=True, timeout=600)
+    if installed.returncode:
+        pytest.skip(f"pip cannot install: {installed.stderr.splitlines()[-1]}")
+    work = tmp_path / "work"
+    shutil.copytree(ROOT / "test" / "map", work / "test" / "map")
+    shutil.copytree(ROOT / "config" / "maps", work / "config" / "maps")
+    subprocess.run([python, "-c", ALONE + MAP], cwd=work, check=True, timeout=60)
+    pytest_of_it = [python, "-m", "pytest", "-q", "--noconftest", "-m", "not slow", "test/map"]
+    done = subprocess.run(pytest_of_it, cwd=work, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stdout[-2000:]
