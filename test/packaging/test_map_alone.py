@@ -12,7 +12,10 @@ from source_tree import ROOT, copy_source
 
 pytestmark = pytest.mark.slow
 ALONE = "import importlib.util as u; assert u.find_spec('unicon_core') is None; "
-MAP = "from unicon_msgs_map import load_map; load_map('default')"
+MAP = (
+    "from unicon_base.resources import find_config; from unicon_msgs_map import load_map; "
+    "load_map(find_config('maps', 'default'))"
+)
 
 
 def test_the_map_alone_passes_its_tests(tmp_path: Path, under_colcon: bool) -> None:

@@ -14,6 +14,8 @@ import numpy as np
 import pytest
 from map_helpers import MAPS, get, serialize, zero_message
 
+pytest.importorskip("unicon_ros", reason="the map is installed alone")
+
 from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states
 from unicon_msgs_map import Decoder, Messages, load_map
