@@ -84,6 +84,8 @@ def is_ros(module: str) -> bool:
 
 def test_package_xml_setup_py_and_the_core_say_the_same_version() -> None:
     assert manifest().findtext("version") == metadata()["version"] == unicon_core.__version__
+    map_alone = (ROOT / "unicon_msgs_map" / "pyproject.toml").read_text("utf-8")
+    assert f'version = "{unicon_core.__version__}"' in map_alone
 
 
 def test_package_xml_and_setup_py_agree_on_name_licence_and_maintainer() -> None:
