@@ -216,7 +216,7 @@ def test_the_table_of_the_documentation_names_what_there_is() -> None:
     section = (root / "docs" / "howto" / "reports.md").read_text("utf-8").split("## Metrics")[1]
     rows = [line for line in section.splitlines() if line.startswith("| `")]
     named = {name for row in rows for name in re.findall(r"`([a-z_]+)", row.split("|")[1])}
-    code = (root / "unicon_ros" / "view" / "metrics.py").read_text("utf-8")
+    code = (root / "unicon_lab" / "view" / "metrics.py").read_text("utf-8")
     made = set(re.findall(r'_(?:metric|single)\("(\w+)"', code)) | {row[2] for row in _OF_STATES}
     made |= set(re.findall(r'\.lines\("(\w+)"', code))
     made |= {f"ros_messages_{way}_total" for way in ("published", "received")}

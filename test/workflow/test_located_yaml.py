@@ -100,8 +100,7 @@ def test_nobody_else_reads_yaml() -> None:
     reading = re.compile(r"\byaml\.\w*(?:load|Loader|compose|parse|scan)|from yaml import")
     readers = {
         path.relative_to(root).as_posix()
-        for package in ("unicon_core", "unicon_msgs_map", "unicon_ros")
-        for path in (root / package).rglob("*.py")
+        for path in root.glob("unicon_*/**/*.py")
         if reading.search(path.read_text("utf-8"))
     }
     assert readers == {"unicon_base/bounded_yaml.py"}
