@@ -15,9 +15,9 @@ import numpy as np
 from benchmarks.samples import Samples
 from unicon_base.arrays import Float64
 from unicon_base.errors import MissingDependencyError
-from unicon_core.platforms import BUILTIN
 from unicon_core.platforms.kit.stepped import SteppedSimulator
 from unicon_core.workflow import load_workflow
+from unicon_core.workflow.registry import known
 from unicon_ros.bench.report import Bench
 
 TICKS = 40
@@ -36,7 +36,8 @@ def run(rounds: int | None = None) -> Bench:
     bench = Bench("simulators", rounds or 10)
     times = Samples()
     platforms: dict[str, SteppedSimulator] = {}
-    for name in BUILTIN:
+    ours = ("unicon_core.", "unicon_sims.")
+    for name in (n for n, at in known("platforms").items() if at.startswith(ours)):
         try:
             workflow = load_workflow("go2_stand", [f"platform={name}", "flow=hold"])
         except MissingDependencyError as error:

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from source_tree import copy_source, tracked_files
+from source_tree import PACKAGES, copy_source, tracked_files
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +61,7 @@ def test_every_resource_is_installed_below_share(installed: Path) -> None:
 
 
 def test_every_module_and_what_stands_beside_it_is_installed(site_packages: Path) -> None:
-    packages = ("unicon_core/", "unicon_msgs_map/", "unicon_ros/")
+    packages = tuple(f"{package}/" for package in PACKAGES)
     endings = (".py", "py.typed", ".msg", ".h")
     expected = {n for n in tracked_files() if n.startswith(packages) and n.endswith(endings)}
     missing = {name for name in expected if not (site_packages / name).is_file()}

@@ -65,9 +65,10 @@ def _rows(
     file: str, tests: tuple[str, ...], *rows: tuple[str, str] | tuple[str, str, str]
 ) -> list[Row]:
     made = []
+    path = file if file.startswith("unicon_") else f"unicon_core/{file}"
     for where, *rest in rows:
         old, new = rest if len(rest) == 2 else ("", rest[0])
-        made.append(Row(f"unicon_core/{file}", where, old, new, tests))
+        made.append(Row(path, where, old, new, tests))
     return made
 
 
@@ -645,7 +646,7 @@ ROWS = [
         ("_carried", "if bears.any():", "if False:"),
     ),
     *_rows(
-        "ik/differential.py",
+        "unicon_manipulation/ik/differential.py",
         REACHED,
         ("DifferentialIk.begin", "np.clip(joint_pos, *self._limits)", "joint_pos"),
         ("DifferentialIk.__call__", "np.maximum(bounds, self._least, out=bounds)", "pass"),
@@ -654,20 +655,20 @@ ROWS = [
         ("DifferentialIk._hold_back", REMOVED),
     ),
     *_rows(
-        "ik/differential.py",
+        "unicon_manipulation/ik/differential.py",
         REACHED,
         ("Quadratic.solve", "total - total == 0.0", "True"),
         ("Quadratic.solve", "self.solution[:] = 0.0", "pass"),
     ),
     *_rows(
-        "ik/tasks.py",
+        "unicon_manipulation/ik/tasks.py",
         REACHED,
         ("Target.__call__", "abs(length - 1.0) <= _UNIT", "True"),
         ("Target.__call__", "not all(map(math.isfinite, velocity))", "False"),
         ("Target.__call__", "self._look_ahead + max(age, 0.0)", "self._look_ahead + age"),
     ),
     *_rows(
-        "blocks/whole_body/reach.py",
+        "unicon_manipulation/reach.py",
         REACHED,
         ("Reach.__call__", "measured.dot(measured) < _SENSE", "True"),
         ("Reach.__call__", "pos[self._silent] = vel[self._silent] = np.nan", "pass"),
