@@ -165,9 +165,9 @@ class _Recorded(Attachment):
         )
         self.hook = self.recording.hook
 
-    def ended(self, report: Report) -> str:
+    def ended(self, report: Report) -> tuple[str, str]:
         report.extra["recording"] = self.recording.counts()
-        return f"recording     {self.recording.summary()}"
+        return "recording", self.recording.summary()
 
 
 class _Drawn(Attachment):
@@ -262,9 +262,9 @@ class _Faults(Attachment):
         self._record.attach(runner)
         return ""
 
-    def ended(self, report: Report) -> str:
+    def ended(self, report: Report) -> tuple[str, str] | None:
         path = self._record.write(report)
         if path is None:
-            return ""
+            return None
         report.extra["fault_record"] = str(path)
-        return f"fault record  {path}"
+        return "fault record", str(path)

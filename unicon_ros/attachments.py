@@ -56,9 +56,9 @@ class Attachment:
         """Get to know the runner before its first tick; return a line for the operator, or ""."""
         return ""
 
-    def ended(self, report: Report) -> str:
-        """Add what there is to say to the report of a run that ended; return a line, or ""."""
-        return ""
+    def ended(self, report: Report) -> tuple[str, str] | None:
+        """Complete the report of a run that ended; return a name and what to say, if anything."""
+        return None
 
     def files(self, report: Report) -> Iterator[File]:
         """Return what it writes at the end."""

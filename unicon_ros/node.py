@@ -182,8 +182,8 @@ class UniconNode(LifecycleNode):
         try:
             report = runner.run()
             faults = report.faults
-            for line in filter(None, [each.ended(report) for each in reversed(self._attachments)]):
-                self.log.info(line)
+            for name, text in filter(None, [a.ended(report) for a in reversed(self._attachments)]):
+                self.log.info(f"{name}: {text}")
             counts = session.counts()
             self.log.info(
                 f"ended after {report.ticks} ticks, {report.overruns} overruns; "

@@ -135,7 +135,8 @@ def _run(
             guard.damp = None
         if session is not None:
             report.bridge = session.counts()
-        lines = [*filter(None, [each.ended(report) for each in reversed(attachments)])]
+        said = filter(None, [each.ended(report) for each in reversed(attachments)])
+        lines = [f"{name:<14}{text}" for name, text in said]
     except BaseException:
         if session is not None:
             session.close()
