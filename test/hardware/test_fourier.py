@@ -18,7 +18,7 @@ from unicon_core.robots import Robot, load_robot
 from unicon_core.runtime.runner import Runner, RunOptions
 from unicon_core.workflow import load_workflow
 from unicon_hardware.fourier.actuator_wire import TRIES
-from unicon_hardware.fourier.codec import Actuators
+from unicon_hardware.fourier.codec import COMMAND, Actuators
 from unicon_hardware.fourier.platform import Fourier, FourierWire, make
 from unicon_hardware.udp import Udp
 
@@ -400,3 +400,23 @@ def test_a_run_enables_poses_and_damps(tmp_path: Path) -> None:
         time.sleep(1.1)
     assert [event["event"] for event in said] == ["first", "damping", "silence"]
     assert said[0]["distance"] < 0.05
+
+
+def test_a_command_counts_when_every_actuator_has_one(pair: Pair) -> None:
+    """Its datagrams come one after the other: half of them is no posture that is commanded."""
+    pair.prepared()
+    face, actuators = pair.emulated.face, pair.actuators
+    command = struct.pack(">Bfff", COMMAND, 0.0, 0.0, 0.0)
+    sender = Udp(("127.0.0.1", 0), ("", 0), "sender")
+    try:
+        for joint, address in enumerate(actuators.addresses):
+            sender.peer = (address, actuators.port)
+            sender.send(command)
+            time.sleep(0.002)
+            assert face.hear() == (joint == len(actuators.names) - 1)
+        sender.peer = (actuators.addresses[3], actuators.port)
+        sender.send(command)
+        time.sleep(0.002)
+        assert face.hear()
+    finally:
+        sender.close()

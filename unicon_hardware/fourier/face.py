@@ -94,7 +94,9 @@ class FourierFace(ActuatorFace):
         """See `Face`."""
         heard = False
         for joint, data, socket in self._said(self._sockets):
-            heard |= self._heard(joint, data, socket.send)
+            if self._heard(joint, data, socket.send):
+                self._commanded.add(joint)
+                heard = True
         states, facts = self._states, self._facts
         for joint, actuator in enumerate(self._actuators):
             if time.monotonic() - actuator.commanded > actuator.timeout:
@@ -103,7 +105,7 @@ class FourierFace(ActuatorFace):
             states["joint_stiffness"][joint] = on * actuator.kp / facts.kp[joint]
             if on:
                 states["joint_damping"][joint] = actuator.kd / facts.kd[joint]
-        return heard
+        return heard and len(self._commanded) == len(self._actuators)
 
     def _heard(self, joint: int, data: bytes, reply: Callable[[bytes], None]) -> bool:
         """Carry out a datagram; True where it was a command that acts."""

@@ -44,6 +44,7 @@ class ActuatorFace:
     def __init__(self, states: States, where: str) -> None:
         self._states, self.reach = states, {"address": where}
         self._sockets: list[Udp] = []
+        self._commanded: set[int] = set()  # joints; until it has all, a command is not whole
 
     def _listening(self, addresses: tuple[str, ...], port: int) -> list[Udp]:
         """Open a socket at each address; where one fails, all are closed."""
@@ -111,14 +112,16 @@ class Fsa1Face(ActuatorFace):
             if (understood(data) or {}).get("reqTarget") == "/measured":
                 socket.send(self._angle(encoder))
         for joint, data, socket in self._said(self._fast):
-            heard |= self._heard(joint, data, socket)
+            if self._heard(joint, data, socket):
+                self._commanded.add(joint)
+                heard = True
         for joint in range(len(self._fast)):
             on = self.enabled[joint] and self.mode[joint] == POSITION_MODE
             stiffness, damping = self._servos.joint_gains(joint, *self.gains[:, joint].tolist())
             states["joint_stiffness"][joint] = on * stiffness
             if on:
                 states["joint_damping"][joint] = damping
-        return heard
+        return heard and len(self._commanded) == len(self._fast)
 
     def _set(self, joint: int, asked: dict[str, Any], reply: Callable[[bytes], None]) -> None:
         """Carry out a setting, or answer a question, of JSON."""
