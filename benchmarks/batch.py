@@ -48,12 +48,12 @@ flow: {policy: walk}
 safety: [finite, joint_limits]
 """
 
+# In place of the above; our own policy walks, where a random one would fall.
 _PHYSICS: dict[str, Any] = {
     "platform": "mujoco",
     "scene": {"initial_pose": "policy:walk"},
     "policies": {"walk": "go2_velocity"},
 }
-"""In place of the above; our own policy walks, where a random one would fall."""
 
 
 def run(rounds: int | None = None) -> Bench:

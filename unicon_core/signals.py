@@ -28,8 +28,8 @@ _UNTOUCHED = {
     # Python turns these two into errors of the call that met them.
     *("SIGPIPE", "SIGXFSZ"),
 }
+# A background job that writes to its terminal would be stopped, motors and all.
 _BACKGROUND = ("SIGTTOU", "SIGTTIN")
-"""A background job that writes to its terminal would be stopped, motors and all."""
 
 BOUNCE_NS = 250_000_000
 """Signals that follow the first so closely are the same press: a terminal and `ros2 launch` both

@@ -33,6 +33,7 @@ from unicon_lab.recording.mcap_file import Taken
 from unicon_lab.recording.records import attachment, metadata
 from unicon_lab.recording.tick_file import add_ticks
 from unicon_lab.recording.tick_message import tick_channel
+from unicon_ros.attachments import Attachment
 
 if TYPE_CHECKING:
     from unicon_core.runtime import Report, Runner
@@ -56,7 +57,7 @@ def fault_folder(given: str | None = None) -> Path | None:
     return None if named == OFF else user_folder("faults", named)
 
 
-class FaultRecord:
+class FaultRecord(Attachment):
     """Keeps the last ticks, and writes them where a fault cut the run off.
 
     Args:
@@ -99,7 +100,15 @@ class FaultRecord:
         self._ring.attach(runner)
         self._facts = facts_of(runner, dict.fromkeys(self._ring.moments))
         if self._recording is not None:
-            self._recording.attach(self._facts, runner.statistics)
+            self._recording.begin(self._facts, runner.statistics)
+
+    def ended(self, report: Report) -> tuple[str, str] | None:
+        """See `Attachment`."""
+        path = self.write(report)
+        if path is None:
+            return None
+        report.extra["fault_record"] = str(path)
+        return "fault record", str(path)
 
     def write(self, report: Report) -> Path | None:
         """Write the record of a run with a fault, and return where; never raises.

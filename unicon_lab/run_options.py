@@ -10,14 +10,12 @@ from typing import TYPE_CHECKING, Any
 from unicon_base.errors import UniconError
 from unicon_core.page import refuse_unwritable
 from unicon_lab.view import LOCAL, PORT, SINKS
-from unicon_ros.attachments import Asked, Attachment, File
+from unicon_ros.attachments import Asked, Attachment
 from unicon_ros.cli.options import argument, option, port, positive, whole
 
 if TYPE_CHECKING:
     from unicon_core.flow import Block, Stage
-    from unicon_core.runtime import Report, Runner
     from unicon_core.workflow import Program
-    from unicon_lab.view.view import Metered, View
 
 VIEW_OPTIONS = (
     argument("--view-host", "HOST", "where the viewer is served", default=LOCAL),
@@ -127,31 +125,11 @@ def attachments(asked: Asked) -> Iterator[Attachment]:
         UniconError: an option's value is of no use.
     """
     get = asked.options.get
-    recording = _Recorded(asked) if get("record") else None
-    if recording is not None:
-        yield recording
-    picture, page = get("picture") or "", get("report") or ""
-    if picture:
-        refuse_unwritable(Path(picture))
-    if picture or page.lower().endswith(".html"):
-        yield _Drawn(picture, page if page.lower().endswith(".html") else "")
-    if get("view") == "window":
-        yield _Window()
-    elif get("view"):
-        yield _Viewed(asked)
-    if get("metrics") is not None:
-        yield _Metered(asked)
-    yield _Faults(asked, recording)  # the last one: it looks behind the others
-
-
-class _Recorded(Attachment):
-    """`--record`."""
-
-    def __init__(self, asked: Asked) -> None:
+    recording = None
+    if get("record"):
         from unicon_lab.recording.run_recording import Recording, names_in
 
-        get = asked.options.get
-        self.recording = Recording(
+        recording = Recording(
             asked.options["record"],
             asked.map_name,
             asked.session,
@@ -163,108 +141,42 @@ class _Recorded(Attachment):
             names_in(get("record_frames") or ""),
             get("record_jpeg") or 0,
         )
-        self.hook = self.recording.hook
-
-    def ended(self, report: Report) -> tuple[str, str]:
-        report.extra["recording"] = self.recording.counts()
-        return "recording", self.recording.summary()
-
-
-class _Drawn(Attachment):
-    """`--picture` and `--report FILE.html`."""
-
-    def __init__(self, picture: str, page: str) -> None:
+        yield recording
+    picture, page = get("picture") or "", get("report") or ""
+    page = page if page.lower().endswith(".html") else ""
+    if picture:
+        refuse_unwritable(Path(picture))
+    if picture or page:
         from unicon_lab.report.run_page import Pictured
 
-        self._picture, self._page, self._pictured = picture, page, Pictured(picture, page)
-        self.hook = self._pictured.hook
+        yield Pictured(picture, page)
+    if get("view") == "window":
+        yield _Window()
+    elif get("view"):
+        from unicon_lab.view.view import View
 
-    def attach(self, runner: Runner) -> str:
-        self._pictured.attach(runner)
-        return ""
+        options, prefix = view_options(asked.options), asked.options["frame_prefix"]
+        view = View(options, asked.session, asked.map_name, prefix, asked.warn)
+        view.declare(asked.document)
+        yield view
+    if get("metrics") is not None:
+        from unicon_lab.view.view import Metered
 
-    def files(self, report: Report) -> Iterator[File]:
-        if self._page:
-            yield "report", self._page, lambda: self._pictured.write(report)
-        if self._picture:
-            yield "picture", self._picture, lambda: self._pictured.draw(report)
+        yield Metered(asked.options["metrics"], asked.session, asked.warn)
+    from unicon_lab.fault_record import FaultRecord
+
+    yield FaultRecord(get("faults"), asked.warn, recording)  # the last one: it looks behind them
 
 
 class _Window(Attachment):
     """`--view=window`: the simulator's own."""
 
-    def __init__(self) -> None:
-        self.hook = _window
+    def hook(self, program: Program) -> dict[Stage, list[Block]]:
+        """See `Attachment`."""
+        from unicon_core.flow import Stage, as_block
+        from unicon_core.platforms.platform import Viewable
 
-
-def _window(program: Program) -> dict[Stage, list[Block]]:
-    from unicon_core.flow import Stage, as_block
-    from unicon_core.platforms.platform import Viewable
-
-    platform = program.platform
-    if not isinstance(platform, Viewable):
-        raise UniconError(f"platform {platform.facts.name!r} has no window; give --view alone")
-    return {Stage.OBSERVE: [as_block(platform.viewer())]}
-
-
-class _Served(Attachment):
-    """What a process of its own shows at an address."""
-
-    name: str
-    shown: View | Metered
-
-    def attach(self, runner: Runner) -> str:
-        self.shown.attach(runner)
-        return f"{self.name}: {self.shown.address}"
-
-    def close(self) -> None:
-        self.shown.close()
-
-
-class _Viewed(_Served):
-    """`--view`."""
-
-    drives, name = True, "view"
-
-    def __init__(self, asked: Asked) -> None:
-        from unicon_lab.view.view import View
-
-        options = view_options(asked.options)
-        prefix = asked.options["frame_prefix"]
-        self.shown = view = View(options, asked.session, asked.map_name, prefix, asked.warn)
-        view.declare(asked.document)
-        self.hook = view.hook
-
-
-class _Metered(_Served):
-    """`--metrics`."""
-
-    name = "metrics"
-
-    def __init__(self, asked: Asked) -> None:
-        from unicon_lab.view.view import Metered
-
-        self.shown = metered = Metered(asked.options["metrics"], asked.session, asked.warn)
-        self.hook = metered.hook
-
-
-class _Faults(Attachment):
-    """The record of a fault."""
-
-    def __init__(self, asked: Asked, recorded: _Recorded | None) -> None:
-        from unicon_lab.fault_record import FaultRecord
-
-        recording = None if recorded is None else recorded.recording
-        self._record = FaultRecord(asked.options.get("faults"), asked.warn, recording)
-        self.hook = self._record.hook
-
-    def attach(self, runner: Runner) -> str:
-        self._record.attach(runner)
-        return ""
-
-    def ended(self, report: Report) -> tuple[str, str] | None:
-        path = self._record.write(report)
-        if path is None:
-            return None
-        report.extra["fault_record"] = str(path)
-        return "fault record", str(path)
+        platform = program.platform
+        if not isinstance(platform, Viewable):
+            raise UniconError(f"platform {platform.facts.name!r} has no window; give --view alone")
+        return {Stage.OBSERVE: [as_block(platform.viewer())]}

@@ -20,13 +20,13 @@ from unicon_manipulation.teleop.operator import Headset
 PRESSED = 0.5
 """How far a button is pressed that counts, 0 to 1."""
 
+# Side to the controller's button and ours.
 _BUTTONS: Mapping[str, Mapping[str, str]] = {
     "left": {"squeeze": "L1", "trigger": "L2", "thumbstick": "F1", "a": "X", "b": "Y"},
     "right": {"squeeze": "R1", "trigger": "R2", "thumbstick": "F2", "a": "A", "b": "B"},
 }
-"""Side to the controller's button and ours."""
+# Side to the elements of `sticks`: thumbstick x and y, of which y is positive to the back.
 _STICKS = {"left": (0, 1), "right": (2, 3)}
-"""Side to the elements of `sticks`: thumbstick x and y, of which y is positive to the back."""
 
 
 class HeadsetControls:

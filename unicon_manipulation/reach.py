@@ -37,8 +37,8 @@ HELD = ("joint_pos_target", "joint_stiffness")
 """States of the tick before: where a joint begins that is held."""
 FARTHEST = 0.2
 """In [rad], that a joint is brought on at most: a tick of 20 ms at 10 rad/s."""
+# Squared norm of joint positions in [rad²]: no robot has so much.
 _SENSE = 1e6
-"""Squared norm of joint positions in [rad²]: no robot has so much."""
 
 
 class Reach:

@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any
 from unicon_base.registered import loaded
 
 if TYPE_CHECKING:
+    from unicon_core.flow import Block, Stage
     from unicon_core.runtime import Report, Runner
-    from unicon_core.workflow import Hook, WorkflowDocument
+    from unicon_core.workflow import Program, WorkflowDocument
     from unicon_ros.bridge import RosSession
 
 File = tuple[str, str, Callable[[], object]]
@@ -45,16 +46,19 @@ class Attachment:
     """Goes with one run.
 
     Attributes:
-        hook: returns its blocks while the program is built.
+        address: where it is seen, once it is attached; "" where nowhere.
+        label: says in the operator's line what is there.
         drives: an operator can start and stop the run there.
     """
 
-    hook: Hook
-    drives = False
+    address, label, drives = "", "", False
 
-    def attach(self, runner: Runner) -> str:
-        """Get to know the runner before its first tick; return a line for the operator, or ""."""
-        return ""
+    def hook(self, program: Program) -> dict[Stage, list[Block]]:
+        """Return its blocks, while the program is built."""
+        return {}
+
+    def attach(self, runner: Runner) -> None:
+        """Get to know the runner before its first tick."""
 
     def ended(self, report: Report) -> tuple[str, str] | None:
         """Complete the report of a run that ended; return a name and what to say, if anything."""

@@ -86,8 +86,8 @@ def examine() -> Iterator[Finding]:
             yield Finding(area, "", "warning", f"{type(error).__name__}: {error}", "report this")
 
 
+# Name, what was found, the remedy, and the level where there is one.
 _Rows = Iterator[tuple[str, str, str, str]]
-"""Name, what was found, the remedy, and the level where there is one."""
 
 
 def _python() -> _Rows:

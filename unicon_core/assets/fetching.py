@@ -155,8 +155,8 @@ def _alone(staging: Path, waits: Callable[[], None] | None) -> Iterator[None]:
 # -- one file -----------------------------------------------------------------------------------
 
 
+# Opens a file behind so many bytes; returns it and where it really begins.
 _Opener = Callable[[Asset, AssetFile, int], tuple[io.BufferedIOBase, int]]
-"""Opens a file behind so many bytes; returns it and where it really begins."""
 
 
 def _file(

@@ -197,6 +197,8 @@ def _sine(cycles: float) -> float:
     return math.sin(2.0 * math.pi * cycles)
 
 
+# Signal to its largest |slope| at amplitude 1 and 1 Hz in [1/s], of a square's steps none to check,
+# and to what makes it of cycles: None for `random`, which is of each joint by itself.
 _SIGNALS: dict[str, tuple[float, Callable[[float], Any] | None]] = {
     "sine": (2 * math.pi, _sine),
     "chirp": (2 * math.pi, _sine),
@@ -204,8 +206,6 @@ _SIGNALS: dict[str, tuple[float, Callable[[float], Any] | None]] = {
     "square": (0.0, lambda cycles: 1.0 if cycles % 1.0 < 0.5 else -1.0),
     "random": (math.pi, None),
 }
-"""Signal to its largest |slope| at amplitude 1 and 1 Hz in [1/s], of a square's steps none to
-check, and to what makes it of cycles: None for `random`, which is of each joint by itself."""
 
 
 @lru_cache(maxsize=8)

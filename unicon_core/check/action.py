@@ -140,12 +140,12 @@ def _action(subject: Subject, policy: PolicyResult) -> None:
     _reach(subject, policy, outside)
 
 
+# Of a target: its state, and the block that limits it, NAME_limits.
 _KINDS: tuple[tuple[ActionKind, str, str, type], ...] = (
     ("position", "joint_pos_target", "joint", JointLimits),
     ("velocity", "joint_vel_target", "velocity", VelocityLimits),
     ("torque", "joint_effort_ff", "effort", EffortLimits),
 )
-"""Of a target: its state, and the block that limits it, NAME_limits."""
 
 
 def _reach(subject: Subject, policy: PolicyResult, outside: Bool) -> None:

@@ -24,8 +24,8 @@ KNEE_INERTIA = 0.003 + 0.4 * 0.1**2
 YAW_INERTIA = 0.003 + 0.5 * 0.1**2
 """Of the mast about its joint in [kg·m²]."""
 
+# Torques in [N·m] with which the box turns about all of its axes.
 _TUMBLE = {"left": 2.0, "knee": -1.0, "right": 3.0, "yaw": 1.5}
-"""Torques in [N·m] with which the box turns about all of its axes."""
 
 
 class Mechanics(Case):

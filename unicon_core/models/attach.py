@@ -13,11 +13,11 @@ from unicon_core.models.loaded import import_mujoco
 from unicon_core.robots import Robot
 from unicon_core.robots.robot import plain_name
 
+# [kg·m²]; 0.01 s of the servo's 1 N·m·s/rad: it does not show in how a hand moves.
 _ROTOR = 0.01
-"""[kg·m²]; 0.01 s of the servo's 1 N·m·s/rad: it does not show in how a hand moves."""
 
+# Name of a key frame, and joint to its part of `qpos`.
 _Key = tuple[str, dict[str, Any]]
-"""Name of a key frame, and joint to its part of `qpos`."""
 
 
 def lacking_members(spec: Any, robot: Robot) -> list[str]:

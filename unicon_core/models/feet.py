@@ -22,11 +22,11 @@ from unicon_core.robots import Robot
 
 GRAVITY = 9.81
 """In [m/s²]."""
+# Damping of the least squares, in [m²] and none: legs move a foot by 0.1 m for a radian or more,
+# and where their joints cannot tell force from moment, 10 N are as likely as 1 N·m.
 _OF_FORCE, _OF_MOMENT = 1e-5, 1e-3
-"""Damping of the least squares, in [m²] and none: legs move a foot by 0.1 m for a radian or more,
-and where their joints cannot tell force from moment, 10 N are as likely as 1 N·m."""
+# Squared norm of all that is measured, in [rad²], [rad²/s²], [N²·m²]: no robot has so much.
 _SENSE = 1e8
-"""Squared norm of all that is measured, in [rad²], [rad²/s²], [N²·m²]: no robot has so much."""
 # a × r = a @ M(r), and M(r) = (r @ _CROSS).reshape(3, 3)
 _CROSS = np.zeros((3, 9))
 for _i, _j, _k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):

@@ -23,8 +23,8 @@ from unicon_core.robots import Robot, joint_index
 _log = logging.getLogger(__name__)
 
 _GL = "MUJOCO_GL"
+# Where `GLContext` is, in newer versions of MuJoCo and in older ones.
 _CONTEXTS = ("mujoco.rendering.classic.gl_context", "mujoco.gl_context")
-"""Where `GLContext` is, in newer versions of MuJoCo and in older ones."""
 
 
 def import_mujoco() -> Any:

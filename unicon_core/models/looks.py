@@ -30,13 +30,13 @@ from unicon_core.models.quaternions import about, multiply, rotate
 from unicon_core.models.touching import solid
 from unicon_core.robots import Robot
 
+# Opacity below which a geom is there for contacts alone.
 _FAINT = 0.05
-"""Opacity below which a geom is there for contacts alone."""
+# Times a unit quaternion: its inverse.
 _BACK = np.array((1.0, -1.0, -1.0, -1.0))
-"""Times a unit quaternion: its inverse."""
 
+# Of a mesh: `refpos` [m], shape (3,), `refquat`, wxyz, shape (4,), and its `meshdir`.
 _Reference = tuple[Float64, Float64, str]
-"""Of a mesh: `refpos` [m], shape (3,), `refquat`, wxyz, shape (4,), and its `meshdir`."""
 
 
 def dressed(path: Path, robot: Robot) -> tuple[LoadedModel, list[Link], str]:
@@ -125,8 +125,8 @@ def _mesh(geom: Geom, model: Any, references: dict[str, _Reference], files: Mesh
 
 FORMATS = (".stl", ".dae", ".obj")
 """What RViz and Foxglove both read."""
+# Folders of models alone: their meshes lie beside them, in `../meshes`.
 _PARTED = ("urdf", "mjcf", "xml", "robots")
-"""Folders of models alone: their meshes lie beside them, in `../meshes`."""
 _FILE = "file://"
 
 

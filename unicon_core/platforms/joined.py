@@ -27,8 +27,8 @@ from unicon_core.states.standard import JOINT_STATES, MOTOR_STATES
 
 _OF_BASE = ("wait", "arrivals", "push", "viewer")
 _OF_EACH = ("reset", "pause", "warm_up")
+# Methods: what the base alone does, what all do that can, and what is put together.
 _OF_SOME = ("prepare", "commanders", "require")
-"""Methods: what the base alone does, what all do that can, and what is put together."""
 
 
 def joined_facts(each: Mapping[str, Facts]) -> Facts:

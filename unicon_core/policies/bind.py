@@ -227,10 +227,10 @@ class Binding:
         ]
 
 
+# Values of what most policies see, the last one of one phase.
 _OFTEN = {"projected_gravity": 3, "base_ang_vel": 3, "velocity_command": 3, "gait_phase": 2}
-"""Values of what most policies see, the last one of one phase."""
+# Many policies do without: it is named where nothing else would fit.
 _SELDOM = {"base_lin_vel": 3}
-"""Many policies do without: it is named where nothing else would fit."""
 
 
 def explain_size(

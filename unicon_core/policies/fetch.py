@@ -53,8 +53,8 @@ class FetchReport:
         return "\n".join([f"fetched {self.source}", *digests, str(self.report)])
 
 
+# Where a policy lies by now, and what exactly it is.
 _Fetched: TypeAlias = tuple[Path, str]
-"""Where a policy lies by now, and what exactly it is."""
 
 
 def fetch_policy(

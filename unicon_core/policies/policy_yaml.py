@@ -163,8 +163,8 @@ def contract_values(contract: PolicyContract) -> dict[str, Any]:
     return {key: value for key, value in found.items() if value is not None}
 
 
+# Of these what is as it would be unless it were said is left out.
 _BRIEF = (PolicyContract, ObservationTerm, MotionSpec)
-"""Of these what is as it would be unless it were said is left out."""
 
 
 def _plain(value: Any, alone: bool = False) -> Any:

@@ -143,8 +143,8 @@ def _array(values: Iterable[float | None]) -> Float32:
     return array
 
 
+# Keys of `transport` that are about the joints of one member.
 _OF_A_MEMBER = ("motors", "command")
-"""Keys of `transport` that are about the joints of one member."""
 
 
 def compose(members: Mapping[str, Robot], mounts: Mapping[str, Place] | None = None) -> Robot:

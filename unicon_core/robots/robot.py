@@ -35,8 +35,8 @@ JOINT_ORDER = "order `joints:` as the robot does and take joint_order out of `un
 _NEEDED = ("lower", "upper", "default")
 # What a servo needs besides whose loop is closed by us; a hand that takes positions has its own.
 _NEEDED_FOR_TORQUE = ("velocity", "effort", "stiffness", "damping")
+# Keys of `transport` without whose figure drivers and gates do the rest, or refuse by name.
 _MAY_LACK = ("current_scale", "mode_machine", "motors", "rate_hz", "stop_buttons")
-"""Keys of `transport` without whose figure drivers and gates do the rest, or refuse by name."""
 
 
 @dataclass(frozen=True, eq=False)

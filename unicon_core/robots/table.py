@@ -25,6 +25,7 @@ _UNITS = {
     "damping": "N·m·s/rad",
 }
 _WIDTH = 100
+# Levels of evidence, short.
 _AGAINST = {
     "never": "nothing",
     "stand_in": "our stand-in",
@@ -33,7 +34,6 @@ _AGAINST = {
     "hardware": "hardware",
     None: "-",
 }
-"""Levels of evidence, short."""
 _UNKNOWN = "unknown"
 
 

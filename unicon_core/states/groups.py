@@ -97,8 +97,8 @@ def difference(mine: Layout, theirs: Layout) -> str:
     return "the states stand in another order"
 
 
+# What must be the same for bytes to mean the same; descriptions and initial values may differ.
 _MEANING = ("shape", "dtype", "unit", "frame", "names")
-"""What must be the same for bytes to mean the same; descriptions and initial values may differ."""
 
 
 class Copies:

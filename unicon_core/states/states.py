@@ -228,5 +228,5 @@ class States:
         return json.dumps({"layout": self._layout.hash, "states": values})
 
 
+# Names that attribute access would not find as states.
 _MEMBERS = frozenset(name for name in dir(States) if not name.startswith("__"))
-"""Names that attribute access would not find as states."""

@@ -32,8 +32,8 @@ MODES = ("damping", "prepare", "walking", "custom")
 REQUESTS = ("change_mode", "get_mode")
 MOTOR = MEASURED | {"temperature": "motor_temperature", "reserve[0]": "motor_error"}
 """Field of MotorState to state."""
+# Place of the first length in a LowState, and bytes of a motor in it.
 _PARALLEL_AT, _MOTOR = 40, 36
-"""Place of the first length in a LowState, and bytes of a motor in it."""
 MOST_MOTORS = 64
 REMOTE = "booster_interface/msg/RemoteControllerState"
 SLOTS = Annotated[list[int], Key("motors"), slots()]

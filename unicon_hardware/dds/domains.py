@@ -31,8 +31,8 @@ AGAIN = 1.0
 LARGEST = 65536
 _DATA, _SENTINEL = 0x15, 0x01
 _LITTLE, _INLINE_QOS, _PAYLOAD = 1, 2, 4
+# Of the participant, in the header of a message.
 _PREFIX = slice(8, 20)
-"""Of the participant, in the header of a message."""
 
 
 def without(raw: bytes, unwanted: int = FOREIGN) -> bytes | None:

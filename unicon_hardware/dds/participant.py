@@ -75,10 +75,10 @@ LARGEST_DOMAIN = 230
 DEPTH = 8
 """Frames that are kept for the next look: a tick at 50 Hz sees 500 Hz only in part, and who sends
 garbage beside the robot does not hide its good frames."""
+# Mask of samples in any state.
 _ANY = 0x7F
-"""Mask of samples in any state."""
+# For header, destination and submessage in front of a message (RTPS 2.5, 9.4).
 _RTPS = bytes(44)
-"""For header, destination and submessage in front of a message (RTPS 2.5, 9.4)."""
 Echo = tuple[socket.socket, tuple[str, int]]
 
 

@@ -34,8 +34,8 @@ FOOT_FORCE = "foot_force"
 theirs, in the order of the robot's legs."""
 
 _NM = np.float32(1.0 / TORQUE)
+# Fields of a datagram, in the order of `IMU_STATES`.
 _IMU = ("quat", "gyro", "acc")
-"""Fields of a datagram, in the order of `IMU_STATES`."""
 _COMMAND_BYTES = {state: command for command, state in LAYOUTS}
 
 

@@ -150,12 +150,12 @@ def _effort(figure: Any, comparison: Comparison) -> bool:
     return True
 
 
+# State, label, and what is drawn of it.
 _OF_BASE: tuple[tuple[str, str, Callable[[Float64], Float64]], ...] = (
     ("projected_gravity", "lean [rad]", lambda rows: np.arccos(np.clip(-rows[:, 2], -1.0, 1.0))),
     ("base_ang_vel", "turning: z [rad/s]", lambda rows: rows[:, 2]),
     ("base_lin_vel", "speed: x [m/s]", lambda rows: rows[:, 0]),
 )
-"""State, label, and what is drawn of it."""
 
 
 def _base(figure: Any, comparison: Comparison) -> bool:

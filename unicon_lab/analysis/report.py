@@ -20,6 +20,7 @@ from unicon_lab.analysis.run import Run
 
 SCHEMA = "unicon.analysis/1"
 
+# Figure of a joint to heading and unit in the table; the JSON has all of them.
 _COLUMNS = {
     "gap": "gap\nrad",
     "position_rmse": "RMSE of position\nrad",
@@ -35,7 +36,6 @@ _COLUMNS = {
     "temperature_rise_real": "warming, real\nK",
     "temperature_rise_sim": "warming, simulated\nK",
 }
-"""Figure of a joint to heading and unit in the table; the JSON has all of them."""
 
 _STATE_COLUMNS = {
     "rmse_step_by_step": "RMSE sample by sample",

@@ -109,8 +109,8 @@ def _fallen(states: Mapping[str, Array]) -> Bool:
 Joints = Mapping[str, Mapping[str, float]]
 """Joint to figures, as of `scene.joints`."""
 
+# In [rad]: how far off a joint counts whose physics blew up.
 _WORST = np.pi
-"""In [rad]: how far off a joint counts whose physics blew up."""
 
 
 def replayed(robot: Robot, scene: Scene, motion: Motion, joints: Joints) -> Float64:

@@ -20,8 +20,8 @@ from unicon_lab.recording.read import missing
 from unicon_msgs_map import Decoder, MapStateError, load_map
 from unicon_ros.bridge.bindings import robot_variables
 
+# States without which there is no tick; others are NaN where nothing tells them yet.
 _SENSED = frozenset((*JOINT_STATES, *BASE_STATES))
-"""States without which there is no tick; others are NaN where nothing tells them yet."""
 
 MAP = "ros_robot"
 """The map that says what a bag's topics mean, unless told: those of a robot behind ROS."""

@@ -162,8 +162,8 @@ _HISTORY = {"keep_last": 1, "keep_all": 2}
 _RELIABILITY = {"reliable": 1, "best_effort": 2}
 _DURABILITY = {"transient_local": 1, "volatile": 2}
 _LIVELINESS = {"automatic": 1, "manual_by_topic": 3}
+# In [ns]; RMW_DURATION_INFINITE.
 _FOREVER = (1 << 63) - 1
-"""In [ns]; RMW_DURATION_INFINITE."""
 
 
 def offered_qos(qos: Qos) -> str:

@@ -20,8 +20,10 @@ from unicon_lab.recording.facts import content_of, layout_facts
 from unicon_lab.recording.recorder import Recorder
 from unicon_lab.recording.records import attachment, metadata
 from unicon_lab.recording.tick_message import kept_moments
+from unicon_ros.attachments import Attachment
 
 if TYPE_CHECKING:
+    from unicon_core.runtime import Report
     from unicon_core.runtime.statistics import TickStatistics
     from unicon_core.workflow import Program
     from unicon_lab.recording.recorded_frames import RecordedFrames
@@ -29,7 +31,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(eq=False)
-class Recording:
+class Recording(Attachment):
     """Records the messages of a run, what came in and what goes out, and every state of every tick.
 
         recording = Recording("walk.mcap")
@@ -132,7 +134,12 @@ class Recording:
         assert self._recorder is not None
         self._ticks = RecordedTicks(self._recorder, ring)
 
-    def attach(self, facts: Mapping[str, str], statistics: TickStatistics) -> None:
+    def ended(self, report: Report) -> tuple[str, str]:
+        """See `Attachment`."""
+        report.extra["recording"] = self.counts()
+        return "recording", self.summary()
+
+    def begin(self, facts: Mapping[str, str], statistics: TickStatistics) -> None:
         """Get facts and statistics of the run, and begin to write, before the first tick."""
         assert self._recorder is not None
         self._statistics = statistics

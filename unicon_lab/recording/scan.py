@@ -237,6 +237,7 @@ def _attachment(raw: memoryview) -> tuple[str, bytes]:
     return name, data
 
 
+# `MESSAGE_HEAD`; the sequence is the frame's handle, of which 32 bits are kept.
 _FRAME = np.dtype(
     [
         ("opcode", "u1"),
@@ -247,7 +248,6 @@ _FRAME = np.dtype(
         ("stamp", "<u8"),
     ]
 )
-"""`MESSAGE_HEAD`; the sequence is the frame's handle, of which 32 bits are kept."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ import numpy as np
 from unicon_base.arrays import Array
 from unicon_core.drawing import require
 from unicon_core.flow import Block, Stage
+from unicon_ros.attachments import Attachment
 from unicon_ros.bridge.bindings import told_states
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ ROWS = 8192
 """Of what is kept: 164 s at 50 Hz tick by tick. Then a row stands for two ticks, four, …"""
 
 
-class Keeper:
+class Keeper(Attachment):
     """Keeps states of all ticks; of long runs the first, lowest and highest values of stretches.
 
     Args:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import html
 import json
 import time
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +17,7 @@ from unicon_core.runtime.phases import describe
 from unicon_lab.recording.facts import facts_of
 from unicon_lab.report.kept import Keeper
 from unicon_lab.report.pictures import PICTURES, beyond, write_overview
+from unicon_ros.attachments import File
 
 if TYPE_CHECKING:
     from unicon_core.runtime import Report, Runner
@@ -49,6 +52,11 @@ class Pictured(Keeper):
             self._facts = facts_of(runner, {})
             self._begun = time.strftime("%Y-%m-%d %H:%M:%S %z")
             self._phases = dict(describe(runner.program))
+
+    def files(self, report: Report) -> Iterator[File]:
+        """See `Attachment`."""
+        yield "report", str(self.page), partial(self.write, report)
+        yield "picture", self._picture, partial(self.draw, report)
 
     def draw(self, report: Report) -> None:
         """Write the PNG.

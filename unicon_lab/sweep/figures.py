@@ -72,8 +72,8 @@ NEAR = 0.01
 FULL = 0.99
 """Share of the limit of effort that counts as hit."""
 
+# Ends of a rollout that a lean has no part in.
 _BY_ITSELF = ("done", "duration")
-"""Ends of a rollout that a lean has no part in."""
 
 _LOOKED_AT = (
     *("joint_pos", "joint_vel", "joint_effort", "base_pos_w", "base_quat", "projected_gravity"),

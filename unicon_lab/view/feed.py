@@ -12,6 +12,7 @@ from unicon_core.runtime.phases import Phase
 from unicon_core.states import States
 from unicon_lab.view import PORT
 from unicon_lab.view.shown import HEAD, shown_of
+from unicon_ros.attachments import Attachment
 from unicon_ros.peripheral import Peripheral
 
 if TYPE_CHECKING:
@@ -27,8 +28,8 @@ KEPT_S = 1.0
 RARELY = 0.01
 """How often it is looked who drives, at the phase and the overruns, in [s]."""
 
+# Places of the numbers of `HEAD`.
 _TICK, _STAMP, _PHASE, _PAUSED, _LATE, _TOOK, _OVERRUNS, _DRIVES, _ROBOTS, _COUNTERS = range(10)
-"""Places of the numbers of `HEAD`."""
 
 FEWEST, LARGEST = 16, 32 << 20
 """Ticks in the ring at least, and its bytes at most beyond those."""
@@ -95,7 +96,7 @@ def _filling(
     return fill
 
 
-class Fed:
+class Fed(Attachment):
     """A run whose ticks a process of its own is given; whoever made it closes it.
 
     Args:

@@ -36,8 +36,8 @@ BOUNDS = (
 )
 """Of the histograms, in [s]."""
 
+# Labels and a value.
 _Labelled = tuple[Mapping[str, str], Any]
-"""Labels and a value."""
 
 _OF_STATES = (
     # state, elements, metric, what it is

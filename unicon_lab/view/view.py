@@ -50,6 +50,8 @@ class View(Fed):
         address: where it is seen, once it is attached.
     """
 
+    drives, label = True, "view"
+
     def __init__(
         self,
         options: Mapping[str, Any],
@@ -178,6 +180,8 @@ class Metered(Fed):
     Attributes:
         address: where the figures are, once it is attached.
     """
+
+    label = METRICS
 
     def __init__(
         self, port: int, session: RosSession | None = None, warn: Callable[[str], None] = print

@@ -221,10 +221,10 @@ def _body(spec: Any, name: str, what: str, robot: Robot, path: Path) -> Any:
     return body
 
 
+# Margin in [m] within which all of a robot is.
 _FAR = 1e2
-"""Margin in [m] within which all of a robot is."""
+# In [m]: pairs this much nearer than wanted at the default pose are so by their shape.
 _BY_SHAPE = 1e-3
-"""In [m]: pairs this much nearer than wanted at the default pose are so by their shape."""
 
 
 @dataclass(frozen=True)

@@ -20,19 +20,19 @@ from unicon_core.robots import Robot
 from unicon_manipulation.ik.chain import Chain
 from unicon_manipulation.ik.tasks import Pose, Settings, Tasks, Weights
 
+# Damping that is always there, squared: keeps the problem definite.
 _LEAST = 1e-8
-"""Damping that is always there, squared: keeps the problem definite."""
+# In [1/s]: of what two capsules are farther apart than wanted, how much they may come nearer in a
+# second (Faverjon, Tournassoud, A local based approach for path planning of manipulators with a
+# high number of degrees of freedom, ICRA 1987).
 _AWAY = 8.0
-"""In [1/s]: of what two capsules are farther apart than wanted, how much they may come nearer in a
-second (Faverjon, Tournassoud, A local based approach for path planning of manipulators with a high
-number of degrees of freedom, ICRA 1987)."""
+# In [m], beyond what is wanted, within which pairs are looked at; or what 1 m moves in a tick.
 _NEAR = 0.08
-"""In [m], beyond what is wanted, within which pairs are looked at; or what 1 m moves in a tick."""
+# Of the distance that is wanted, which no step goes below.
 _GUARD = 0.5
-"""Of the distance that is wanted, which no step goes below."""
 _HALVINGS = 5
+# In [1/s], of the way to the default pose.
 _HOME = 0.5
-"""In [1/s], of the way to the default pose."""
 
 
 class DifferentialIk:

@@ -23,14 +23,14 @@ Pose: TypeAlias = tuple[Sequence[float], Sequence[float]]
 
 FARTHEST, WIDEST = 0.15, 0.8
 """Errors in [m] and [rad] beyond which no farther step is asked for: what is linear ends there."""
+# Of the squared weighted error, as damping (Sugihara, Solvability-unconcerned inverse kinematics by
+# the Levenberg-Marquardt method, IEEE T-RO 27(5), 2011): with a target 40 mm out of reach that
+# shakes by 1 mm, the joints of a G1's arm move at 0.25 rad/s and not at 2.8.
 _OF_ERROR = 1.0
-"""Of the squared weighted error, as damping (Sugihara, Solvability-unconcerned inverse kinematics
-by the Levenberg-Marquardt method, IEEE T-RO 27(5), 2011): with a target 40 mm out of reach that
-shakes by 1 mm, the joints of a G1's arm move at 0.25 rad/s and not at 2.8."""
+# Damping at a singularity, and the share of the usual manipulability from which it grows (Nakamura,
+# Hanafusa, Inverse kinematic solutions with singularity robustness for robot manipulator control,
+# 1986): the stretched arm then moves a quarter less.
 _SINGULAR, _POOR = 0.1, 0.3
-"""Damping at a singularity, and the share of the usual manipulability from which it grows
-(Nakamura, Hanafusa, Inverse kinematic solutions with singularity robustness for robot manipulator
-control, 1986): the stretched arm then moves a quarter less."""
 _SAMPLES = 200
 
 
@@ -181,8 +181,8 @@ class Settings:
 
 LONGEST = 0.3
 """In [s], over which a target's velocity is believed: a hand turns round in as much."""
+# By which the length of a quaternion may be off: float32 and averages of it are within 1e-3.
 _UNIT = 0.05
-"""By which the length of a quaternion may be off: float32 and averages of it are within 1e-3."""
 
 
 class Target:

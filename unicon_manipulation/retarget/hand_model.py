@@ -22,11 +22,11 @@ from unicon_core.robots import Robot
 from unicon_core.robots.places import Hand
 
 _SITE = "retarget_"
+# How many poses of a finger are tried for its reach on a grid, of one joint at most, and on how
+# many grids, each around the best pose of the one before.
 _POSES, _EACH, _GRIDS = 250, 15, 5
-"""How many poses of a finger are tried for its reach on a grid, of one joint at most, and on how
-many grids, each around the best pose of the one before."""
+# Driven joints with which a thumb may have its tip at one place in two ways.
 _MANY = 3
-"""Driven joints with which a thumb may have its tip at one place in two ways."""
 
 
 class HandModel:

@@ -15,8 +15,8 @@ from unicon_ros import compat
 
 ACCEPTED, EXECUTING, CANCELING, SUCCEEDED, CANCELED, ABORTED = range(1, 7)
 """action_msgs/msg/GoalStatus."""
+# `return_code` of action_msgs/srv/CancelGoal.
 _NONE, _REJECTED, _UNKNOWN, _TERMINATED = range(4)
-"""`return_code` of action_msgs/srv/CancelGoal."""
 
 MOST_GOALS = 32
 """Goals that are remembered; the oldest that has ended is forgotten first."""

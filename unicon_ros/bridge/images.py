@@ -23,8 +23,8 @@ INFO, JPEG = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/CompressedImage"
 KINDS = ("color", "depth", "cloud")
 """`color` rgb8; `depth` 32FC1 in [m] along the view axis (REP-118); `cloud` x, y, z in [m]."""
 
+# NumPy's name of a type to that of PointField.
 _FIELDS = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
-"""NumPy's name of a type to that of PointField."""
 STAMP = slice(4, 12)
 """Where the header's stamp stands in all these messages: behind the encapsulation header."""
 

@@ -84,6 +84,7 @@ def _module(name: str) -> ModuleType:
     return import_module(module)
 
 
+# Bench to its own options, which its `run` takes.
 _OPTIONS = {
     "faults": (
         flag("--quick", "a handful of cases only"),
@@ -101,7 +102,6 @@ _OPTIONS = {
     "sweep": (argument("--rollouts", "N", "of each side, 2,000 unless told", type=int),),
     "view": (_SECONDS, option("--sink", help="word of --view, page unless told")),
 }
-"""Bench to its own options, which its `run` takes."""
 
 add = several(
     "bench",

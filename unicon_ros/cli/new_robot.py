@@ -27,8 +27,8 @@ from unicon_core.robots.robot import JOINT_FIELDS
 from unicon_ros.cli.robot_kind import feet_of, kind_of, legs_of, wheels_of
 
 _IMU = re.compile(r"(^|_)imu", re.IGNORECASE)
+# What MuJoCo calls a model that has no name.
 _NAMELESS = "MuJoCo Model"
-"""What MuJoCo calls a model that has no name."""
 _STANDING = re.compile(r"home|stand|default|init", re.IGNORECASE)
 _LEGS = {"humanoid": 2, "quadruped": 4}
 UNITS = "rad, rad/s, N·m, N·m/rad, N·m·s/rad; bring them into the vendor's motor order"

@@ -28,15 +28,15 @@ _ARM = re.compile(r"shoulder|elbow|wrist|gripper|(^|_)arm", re.IGNORECASE)
 _FINGER = re.compile(r"thumb|finger|palm", re.IGNORECASE)
 _WHEEL = re.compile(r"wheel|caster|whl", re.IGNORECASE)
 _FOOT = re.compile(r"foot|feet|toe", re.IGNORECASE)
+# FL, HR and the like: of its leg's last body, the sphere that touches the ground.
 _CORNER = re.compile(r"^[A-Z]{2}$")
-"""FL, HR and the like: of its leg's last body, the sphere that touches the ground."""
+# Share of a robot's height within which limbs end on one ground, with all joints at 0: a G1's hands
+# hang at half of its height, an ANYmal's feet differ by nothing.
 _NEAR = 0.15
-"""Share of a robot's height within which limbs end on one ground, with all joints at 0: a G1's
-hands hang at half of its height, an ANYmal's feet differ by nothing."""
+# Joints that a hand may turn on as a whole; more of them are an arm, whose gripper it is.
 _OF_WRIST = 2
-"""Joints that a hand may turn on as a whole; more of them are an arm, whose gripper it is."""
+# Range in [rad] beyond which a limit stands for none: LimX writes ±1e3 and ±1e6 for wheels.
 _TURNS = 8.0 * math.pi
-"""Range in [rad] beyond which a limit stands for none: LimX writes ±1e3 and ±1e6 for wheels."""
 
 
 @dataclass(frozen=True)

@@ -123,8 +123,10 @@ def _run(
                 runner = Runner(program, run_options)
                 if session is not None:
                     session.attach(runner)
-                for line in filter(None, [each.attach(runner) for each in attachments]):
-                    console.say(line)
+                for each in attachments:
+                    each.attach(runner)
+                    if each.label:
+                        console.say(f"{each.label}: {each.address}")
                 if runner.asks:
                     _listen(runner, session is not None or any(a.drives for a in attachments))
                 SIGNALS.check()

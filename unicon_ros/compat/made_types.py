@@ -77,13 +77,13 @@ _Callbacks = _structure(
     **dict.fromkeys(("serialize", "deserialize", "size", "max_size"), _POINTER),
     following=_FOLLOWING,
 )
+# Of a message with no field. Fast DDS makes a type object of it, which it keeps to itself.
 _Members = _structure(
     "rosidl_typesupport_introspection_c__MessageMembers",
     **_NAMES,
     count=ctypes.c_uint32,
     following=_FOLLOWING,
 )
-"""Of a message with no field. Fast DDS makes a type object of it, which it keeps to itself."""
 _Hash = _structure("Hash", version=ctypes.c_uint8, value=ctypes.c_uint8 * 32)
 _Text = _structure("Text", data=_CHARS, size=_SIZE, capacity=_SIZE)
 _Sequence = _structure("Sequence", data=_POINTER, size=_SIZE, capacity=_SIZE)

@@ -28,8 +28,8 @@ QUEUED = 8
 """Messages of one subscription in a round at most, and callbacks that the executor runs itself. One
 a round would lose messages of 100 Hz at a tick of 50 Hz."""
 
+# Subscriptions that are polled; QoS events, each with its handle.
 _Parts: TypeAlias = tuple[list[Any], list[tuple[Any, Any]]]
-"""Subscriptions that are polled; QoS events, each with its handle."""
 
 
 class Piece(NamedTuple):

@@ -120,8 +120,8 @@ class GenesisPlatform(SteppedSimulator):
         return np.asarray(self._robots.get_dofs_velocity().cpu().numpy(), np.float64)
 
 
+# Steps and resets after which nothing is left to be compiled.
 _FIRST = 3
-"""Steps and resets after which nothing is left to be compiled."""
 
 
 def begun() -> Any:

@@ -219,8 +219,8 @@ class IsaacLabPlatform(SteppedSimulator):
         self._folder.cleanup()
 
 
+# Isaac Sim's application, of which a process has one.
 _APP: list[Any] = []
-"""Isaac Sim's application, of which a process has one."""
 
 
 def _launch(device: str, headless: bool) -> None:

@@ -28,6 +28,7 @@ _WHOLE = ("solver", "integrator", "cone", "iterations", "ls_iterations")
 _NUMBERS = ("impratio", "tolerance", "ls_tolerance", "density", "viscosity")
 _WORLD = -1  # Newton's number of the body that does not move
 
+# Kind of a geom to Newton's words for its sizes.
 _SIZES = {
     "sphere": ("radius",),
     "box": ("hx", "hy", "hz"),
@@ -35,7 +36,6 @@ _SIZES = {
     "cylinder": ("radius", "half_height"),
     "ellipsoid": ("rx", "ry", "rz"),
 }
-"""Kind of a geom to Newton's words for its sizes."""
 
 # Newton's words for what MuJoCo has of geoms, joints, their friction and pairs, to its arrays.
 _OF_GEOM = {word: f"geom_{word}" for word in ("contype", "conaffinity", "condim", "solref")} | {

@@ -189,11 +189,11 @@ def _tell_world(supervisor: Any, start: Start) -> bool:
     return False
 
 
+# Of which a process has one, for ever.
 _SUPERVISORS: list[Any] = []
-"""Of which a process has one, for ever."""
 
+# Whether a platform has it.
 _HELD: list[bool] = []
-"""Whether a platform has it."""
 
 
 def _supervisor() -> Any:

@@ -20,6 +20,7 @@ from typing import Literal
 
 INPUT = Path("/dev/input")
 
+# BTN_TL … BTN_THUMBR and BTN_DPAD_*; F1 and F2 are the sticks pressed.
 _OTHERS = {
     0x136: "L1",
     0x137: "R1",
@@ -34,36 +35,35 @@ _OTHERS = {
     0x222: "left",
     0x223: "right",
 }
-"""BTN_TL … BTN_THUMBR and BTN_DPAD_*; F1 and F2 are the sticks pressed."""
+# BTN_SOUTH, BTN_EAST, BTN_NORTH, BTN_WEST; xpad has X where others have what is above.
 _FACES = {
     "xbox": {0x130: "A", 0x131: "B", 0x133: "X", 0x134: "Y"},
     "playstation": {0x130: "A", 0x131: "B", 0x134: "X", 0x133: "Y"},
     "nintendo": {0x130: "A", 0x131: "B", 0x134: "X", 0x133: "Y"},
     "8bitdo": {0x131: "A", 0x130: "B", 0x134: "X", 0x133: "Y"},
 }
-"""BTN_SOUTH, BTN_EAST, BTN_NORTH, BTN_WEST; xpad has X where others have what is above."""
+# BTN_TRIGGER … BTN_BASE6, in the order of Logitech's pads.
 _GENERIC = dict(enumerate(("X", "A", "B", "Y", "L1", "R1", "L2", "R2"), 0x120)) | {
     0x128: "select",
     0x129: "start",
     0x12A: "F1",
     0x12B: "F2",
 }
-"""BTN_TRIGGER … BTN_BASE6, in the order of Logitech's pads."""
 Mapped = Literal["auto", "xbox", "playstation", "nintendo", "8bitdo", "generic"]
 """Kinds of pads; `auto` goes by what the device is."""
 
+# ABS_X, ABS_Y: element of `sticks` and sign; down is positive there.
 _LEFT = {0x00: (0, 1.0), 0x01: (1, -1.0)}
-"""ABS_X, ABS_Y: element of `sticks` and sign; down is positive there."""
+# ABS_RX, ABS_RY; without these ABS_Z, ABS_RZ.
 _RIGHT = {0x03: (2, 1.0), 0x04: (3, -1.0)}, {0x02: (2, 1.0), 0x05: (3, -1.0)}
-"""ABS_RX, ABS_RY; without these ABS_Z, ABS_RZ."""
+# ABS_Z, ABS_RZ; where these are a stick ABS_BRAKE, ABS_GAS. Pressed from the middle on.
 _TRIGGERS = {0x02: "L2", 0x05: "R2"}, {0x0A: "L2", 0x09: "R2"}
-"""ABS_Z, ABS_RZ; where these are a stick ABS_BRAKE, ABS_GAS. Pressed from the middle on."""
 HATS = {0x10: ("left", "right"), 0x11: ("up", "down")}
 """ABS_HAT0X, ABS_HAT0Y."""
 
 _VENDORS = {0x054C: "playstation", 0x057E: "nintendo", 0x2DC8: "8bitdo"}
+# 8BitDo's that have A below, as an Xbox pad; the others have it to the right.
 _ULTIMATE = (0x3012, 0x3015, 0x3016, 0x301B, 0x301D, 0x3100)
-"""8BitDo's that have A below, as an Xbox pad; the others have it to the right."""
 
 
 @dataclass(frozen=True)

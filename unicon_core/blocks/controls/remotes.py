@@ -27,17 +27,17 @@ _UNITREE = struct.Struct("<2xH3f4xf16x")
 _DOBOT = struct.Struct("<2xBB4f20x")
 _PND = struct.Struct("<19f")
 _BOOSTER = struct.Struct("<I4f21Bx")
+# The two in between are the sticks, pressed; the cross follows.
 _BOOSTER_BUTTONS = ("A", "B", "X", "Y", "L1", "R1", "L2", "R2", "", "", "select", "start")
-"""The two in between are the sticks, pressed; the cross follows."""
 _BOOSTER_CROSS = (
     *("", "up", "down", "left", "right"),
     *("up left", "down left", "up right", "down right"),
 )
 _BOOSTER_GONE = 0x606
+# Bits 0 to 5 of byte 2.
 _DOBOT_2 = ("RB", "LB", "start", "select", "RT", "LT")
-"""Bits 0 to 5 of byte 2."""
+# Bits 0 to 7 of byte 3.
 _DOBOT_3 = ("A", "B", "X", "Y", "up", "right", "down", "left")
-"""Bits 0 to 7 of byte 3."""
 _OURS = {"RB": "R1", "LB": "L1", "RT": "R2", "LT": "L2"}
 _PND_BUTTONS = ("A", "B", "X", "Y", "L1", "R1", "select", "start")
 PND_FULL, PND_DEAD = 32767.0, 5000.0

@@ -21,16 +21,16 @@ from unicon_core.robots import Robot
 from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext
 
+# Of an equal share of the weight: what a foot bears that surely hangs, and surely stands. A leg
+# that swings asks its joints for up to a third of it.
 _LEAST, _SURE = 0.4, 0.8
-"""Of an equal share of the weight: what a foot bears that surely hangs, and surely stands. A leg
-that swings asks its joints for up to a third of it."""
+# Over the lowest foot in [m]: a foot so high surely stands, and surely hangs, of an even floor.
 _NEAR, _FAR = 0.01, 0.04
-"""Over the lowest foot in [m]: a foot so high surely stands, and surely hangs, of an even floor."""
+# What an accelerometer reads at most in the air, [m/s²].
 _FALLS = 0.3 * GRAVITY
-"""What an accelerometer reads at most in the air, [m/s²]."""
+# What a foot moves though it stands, at its touchdown in [m/s], and the time in [s] in which that
+# goes: rubber and ground give way, and the foot slides until it bears.
 _TOUCH, _SETTLES = 0.25, 0.05
-"""What a foot moves though it stands, at its touchdown in [m/s], and the time in [s] in which that
-goes: rubber and ground give way, and the foot slides until it bears."""
 
 
 class Standing:
@@ -131,9 +131,9 @@ HANGS = 0.5
 """Time without a foot that stands in [s], after which the robot is taken to hang, not to jump."""
 DRIFT = 0.03
 """Of the position, as a share of the way."""
+# Squared, in [m²/s²], [rad²/s²] and [m²/s⁴]: a base that moves at 100 m/s, turns at 100 rad/s, or
+# feels 100 g is one that a sensor makes up.
 _FASTEST, _QUICKEST, _HARDEST = 1e4, 1e4, 1e6
-"""Squared, in [m²/s²], [rad²/s²] and [m²/s⁴]: a base that moves at 100 m/s, turns at 100 rad/s, or
-feels 100 g is one that a sensor makes up."""
 _FORCE, _POS_VARIANCE = "foot_force", "base_pos_w_variance"
 
 

@@ -23,17 +23,17 @@ GRAVITY = 9.81
 """In [m/s²]."""
 PERIOD = 0.02
 """For which noises are given in [s]; at other rates they are scaled so that the bandwidth stays."""
+# Squared distance in units of its variance, of three axes, from which a foot counts as slipping: 95
+# % of those that do not are nearer (chi square).
 _GATE = 8.0
-"""Squared distance in units of its variance, of three axes, from which a foot counts as slipping:
-95 % of those that do not are nearer (chi square)."""
+# Of the accelerometer's bias in [m/s²/√s]: tilt errors of an IMU come and go within seconds.
 _BIAS_WALK = 0.02
-"""Of the accelerometer's bias in [m/s²/√s]: tilt errors of an IMU come and go within seconds."""
+# At the beginning, and at most, in [m/s²]: a tilt of 3° and of 12°.
 _BIAS, _LARGEST_BIAS = 0.5, 2.0
-"""At the beginning, and at most, in [m/s²]: a tilt of 3° and of 12°."""
+# Standard deviation of a velocity that nobody has told yet in [m/s].
 _UNKNOWN = 1.0
-"""Standard deviation of a velocity that nobody has told yet in [m/s]."""
+# Time constant in [s] with which a base that no foot carries is believed to be at rest.
 _REST = 0.5
-"""Time constant in [s] with which a base that no foot carries is believed to be at rest."""
 
 
 class VelocityFilter:

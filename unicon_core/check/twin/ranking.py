@@ -183,8 +183,8 @@ def chosen(finals: Sequence[Tried], given: Measures, least: float) -> list[Tried
 PRESSING = 0.2
 """Share of a walk that a joint stays at a limit. Right contracts of ten published policies keep to
 0.15 (T1's hip roll, whose effort limit is 25 N·m), nine of them to 0.00."""
+# A default pose within this of a position limit in [rad] is to be there.
 _NEAR = 0.1
-"""A default pose within this of a position limit in [rad] is to be there."""
 
 
 def evident_changes(

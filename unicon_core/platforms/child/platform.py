@@ -52,8 +52,8 @@ DAMPING = 5.0
 HUNG = 0.5
 """The same for one that does not answer any more; then it is killed."""
 
+# How often a child that is waited for is looked at, in [s]: a death is noticed within it.
 _LOOK = 0.005
-"""How often a child that is waited for is looked at, in [s]: a death is noticed within it."""
 
 
 class ChildPlatform:

@@ -31,11 +31,11 @@ ABILITIES = ("reset", "push", "require", "variant", "commanders", "prepare", "ar
 A call goes through the pipe, and what the method returns or raises comes back. None is called once
 commands are sent but those of simulators. A new ability needs its word here and nothing else."""
 
+# How often a robot's data are taken, in [s]; a command is sent at once.
 _ROBOT_LOOK = 0.001
-"""How often a robot's data are taken, in [s]; a command is sent at once."""
 
+# How often a simulator that waits for commands looks whether its parent lives, in [s].
 _LOOK = 0.005
-"""How often a simulator that waits for commands looks whether its parent lives, in [s]."""
 
 
 def main() -> int:

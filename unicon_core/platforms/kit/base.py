@@ -37,12 +37,12 @@ def _products(*terms: str) -> Float64:
     return matrix
 
 
+# Of a quaternion's elements, for the nine of its matrix, row by row.
 _ROTATION = _products(
     *("+00+11-22-33", "+12+12-03-03", "+13+13+02+02"),
     *("+12+12+03+03", "+00-11+22-33", "+23+23-01-01"),
     *("+13+13-02-02", "+23+23+01+01", "+00-11-22+33"),
 )
-"""Of a quaternion's elements, for the nine of its matrix, row by row."""
 
 _CROSS = _products("+12-21", "+20-02", "+01-10")
 

@@ -13,8 +13,8 @@ from unicon_core.models.loaded import import_mujoco
 from unicon_core.models.posed import PosedModel
 from unicon_core.platforms.mujoco.simulated_robot import SimulatedRobot
 
+# Results of the tick that the next one reads, and `mj_step1` does not compute.
 _COMPUTED = ("sensordata", "qacc", "qfrc_actuator")
-"""Results of the tick that the next one reads, and `mj_step1` does not compute."""
 
 
 def put(robot: SimulatedRobot, measured: Mapping[str, Array], posed: PosedModel) -> None:

@@ -33,8 +33,8 @@ from unicon_core.robots.poses import JOINT_PHYSICS, JointPhysics, joint_physics
 from unicon_core.states import States
 from unicon_core.states.standard import BASE_STATES
 
+# Rotor in [kg·m²] that no joint moves: 300 N·m turn it by 4 mrad in 0.5 s.
 _IMMOVABLE = 1e4
-"""Rotor in [kg·m²] that no joint moves: 300 N·m turn it by 4 mrad in 0.5 s."""
 
 
 def make(

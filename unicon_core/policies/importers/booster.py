@@ -18,6 +18,7 @@ _STILL = 1e-5  # [m/s], [rad/s]: no command below it, in policy.py
 
 
 _GAINS = {"stiffness": "stiffness", "damping": "damping", "default_joint_pos": "default_qpos"}
+# Term to the keys of its scale under `policy.normalization`, in the order of policy.py.
 _SCALES: dict[str, list[str]] = {
     "gravity": ["gravity"],
     "ang_vel": ["ang_vel"],
@@ -28,7 +29,6 @@ _SCALES: dict[str, list[str]] = {
     "dof_vel": ["dof_vel"],
     "actions": [],
 }
-"""Term to the keys of its scale under `policy.normalization`, in the order of policy.py."""
 
 
 def booster_facts(source: Source) -> Facts:

@@ -19,6 +19,7 @@ _PERIOD = 0.8  # of the clock in [s]; it stands in both programs
 _ROOT = "{LEGGED_GYM_ROOT_DIR}/"
 _LEGS, _REST = "leg_joint2motor_idx", "arm_waist_joint2motor_idx"
 _GAINS = {"stiffness": "kps", "damping": "kds", "default_joint_pos": "default_angles"}
+# Term to the key of its scale, in the order of the programs.
 _SCALES = {
     "ang_vel": "ang_vel_scale",
     "gravity": "",
@@ -28,7 +29,6 @@ _SCALES = {
     "last_action": "",
     "phase": "",
 }
-"""Term to the key of its scale, in the order of the programs."""
 _HELD = {"kps": "arm_waist_kps", "kds": "arm_waist_kds", "default_angles": "arm_waist_target"}
 
 

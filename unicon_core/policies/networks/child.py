@@ -29,11 +29,11 @@ START = 120.0
 PATIENCE = 10.0
 """Longest wait for an answer in [s], where it is waited for."""
 
+# How long the child may take to end in [s]; it holds no motor and is killed then.
 _CLOSING = 1.0
-"""How long the child may take to end in [s]; it holds no motor and is killed then."""
 
+# How often a child that is waited for is looked at, in [s].
 _LOOK = 0.005
-"""How often a child that is waited for is looked at, in [s]."""
 
 _MODULE = "unicon_core.policies.networks.child_process"
 

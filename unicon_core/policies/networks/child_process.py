@@ -23,8 +23,8 @@ from unicon_core.policies.networks.child import ANSWER, QUESTION, START
 from unicon_core.states import Layout, States
 from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter
 
+# How often it looks whether its parent lives while nothing is asked, in [s].
 _LOOK = 0.005
-"""How often it looks whether its parent lives while nothing is asked, in [s]."""
 
 
 def main() -> int:

@@ -13,11 +13,11 @@ from unicon_base.arrays import Float32, Float64
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.platforms.kit.base import rotation
 
+# MuJoCo's own viewers hide the groups of geoms from here on.
 _SHOWN = 3
-"""MuJoCo's own viewers hide the groups of geoms from here on."""
 
+# Thinnest and thickest bone, by its radius in [m].
 _BONE = (0.012, 0.045)
-"""Thinnest and thickest bone, by its radius in [m]."""
 
 _BONE_COLOUR = (0.55, 0.58, 0.63, 1.0)
 _FAINT = 0.05  # a geom below this opacity is there for contacts alone

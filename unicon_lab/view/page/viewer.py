@@ -15,12 +15,12 @@ from unicon_lab.view.page.words import graph_html
 from unicon_lab.view.shown import Shown
 from unicon_lab.view.source import Remote, Snapshot
 
+# Between two of them, in [s]; of the charts one at a time.
 _TEXTS, _CHARTS, _PATH = 0.25, 0.1, 0.2
-"""Between two of them, in [s]; of the charts one at a time."""
 
+# A page that needs longer for a picture, in [s], has as long to itself before the next one: its
+# buttons and its heartbeat come first. One picture is on its way at most, so that none is late.
 _QUICK = 0.06
-"""A page that needs longer for a picture, in [s], has as long to itself before the next one: its
-buttons and its heartbeat come first. One picture is on its way at most, so that none is late."""
 
 
 class Viewer:
