@@ -29,7 +29,7 @@ from unicon_manipulation.retarget.human_hand import CHAINS, JOINTS
 from unicon_manipulation.retargeting_block import Retarget
 from unicon_ros.bench.report import Bench
 
-Side: TypeAlias = Callable[[Float32, Float32], NDArray[np.floating]]
+Retargeter: TypeAlias = Callable[[Float32, Float32], NDArray[np.floating]]
 """Returns the joints for a human hand, and for the vectors of the tips from the palm's body."""
 
 ROBOT = "inspire_rh56_left"
@@ -47,7 +47,7 @@ def run(rounds: int | None = None) -> Bench:
     bench = Bench("retarget", rounds or 5)
     robot = load_robot(ROBOT)
     model = HandModel(robot)
-    sides: dict[str, Side] = {"unicon": _ours(robot)}
+    sides: dict[str, Retargeter] = {"unicon": _ours(robot)}
     if find_spec("dex_retargeting"):
         sides[OTHER] = _other(robot)
     times, errors = Samples(), Samples()
@@ -78,7 +78,7 @@ def run(rounds: int | None = None) -> Bench:
     return bench
 
 
-def _ours(robot: Robot) -> Side:
+def _ours(robot: Robot) -> Retargeter:
     name = "webxr_left_hand"
     declared = {**Retarget.declares(robot=robot, side="left"), name: StateSpec((JOINTS, 7))}
     bed = BlockBench(robot, period=1.0 / RATE, states=declared)
@@ -93,7 +93,7 @@ def _ours(robot: Robot) -> Side:
     return side
 
 
-def _other(robot: Robot) -> Side:
+def _other(robot: Robot) -> Retargeter:
     assert robot.hand is not None
     logging.getLogger("dex_retargeting").setLevel(logging.CRITICAL)  # of meshes that are absent
     config = import_module("dex_retargeting.retargeting_config").RetargetingConfig

@@ -31,7 +31,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.samples import Samples
-from benchmarks.store_ways import WAYS, Receiver, Sender, group, segment_name
+from benchmarks.store_pairs import WAYS, Receiver, Sender, group, segment_name
 from unicon_base.arrays import Int64
 from unicon_base.resources import same_modules
 from unicon_core.signals import SIGNALS

@@ -26,7 +26,7 @@ from urllib.parse import quote, unquote
 from unicon_base.errors import PlatformError
 from unicon_base.resources import user_folder
 from unicon_core.interfaces import ipv4_of
-from unicon_core.outlet import Outlet
+from unicon_core.non_blocking_writer import NonBlockingWriter
 
 if TYPE_CHECKING:
     from unicon_core.robots import Robot
@@ -209,7 +209,7 @@ class Latch:
         self.path = None if folder is None else folder / ".".join([*name, kind, "json"])
         self.trouble, self.robot = "", robot
         self._latched, self._warn = Latched(node, domain, kind), warn
-        self._outlet: Outlet[str] = Outlet(self._write)
+        self._outlet: NonBlockingWriter[str] = NonBlockingWriter(self._write)
 
     def read(self) -> Latched | None:
         """Return what is latched, None if nothing is."""

@@ -146,7 +146,7 @@ class Clocked(Protocol):
 
 
 @runtime_checkable
-class Commanded(Protocol):
+class ReportsCommanders(Protocol):
     """A wire that sees who else commands the robot."""
 
     def commanders(self) -> dict[str, int]:

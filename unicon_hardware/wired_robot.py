@@ -31,7 +31,7 @@ from unicon_core.signals import SIGNALS
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_hardware.robot_clock import RobotClock
-from unicon_hardware.wire import Clocked, Commanded, Guarded, Prepared, Wire
+from unicon_hardware.wire import Clocked, Guarded, Prepared, ReportsCommanders, Wire
 
 SILENCE = 0.05
 """Without a good frame for so long, in [s], a robot at 500 Hz is silent: 25 frames are missing."""
@@ -232,7 +232,7 @@ class WiredRobot:
 
     def commanders(self) -> Mapping[str, int]:
         """Return where the robot takes commands, with the number of others that send there."""
-        return self._wire.commanders() if isinstance(self._wire, Commanded) else {}
+        return self._wire.commanders() if isinstance(self._wire, ReportsCommanders) else {}
 
     def info(self) -> Mapping[str, Any]:
         """Return where the robot is, and what came from it."""

@@ -29,7 +29,7 @@ from unicon_core.memory_json import to_json
 from unicon_core.runtime.tick_ring import FEWEST, TickRing
 from unicon_lab.recording import McapFile, recover
 from unicon_lab.recording.facts import content_of, facts_of
-from unicon_lab.recording.mcap_file import Taken
+from unicon_lab.recording.mcap_file import FileInUse
 from unicon_lab.recording.records import attachment, metadata
 from unicon_lab.recording.tick_file import add_ticks
 from unicon_lab.recording.tick_message import tick_channel
@@ -202,7 +202,7 @@ def _new_file(folder: Path, workflow: str) -> McapFile:
         path = folder / f"{name}-{number}.mcap"
         if path.exists():
             continue
-        with suppress(Taken):  # by another run of this process
+        with suppress(FileInUse):  # by another run of this process
             file = McapFile(path)
             if not path.exists():
                 return file

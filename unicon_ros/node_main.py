@@ -11,10 +11,10 @@ from collections.abc import Sequence
 from typing import Any
 
 from unicon_base.errors import UniconError
-from unicon_core.outlet import open_standard_files, relayed_stderr
+from unicon_core.non_blocking_writer import open_standard_files, relayed_stderr
 from unicon_core.signals import SIGNALS, Interrupted
 from unicon_ros import compat
-from unicon_ros.ending import end_with
+from unicon_ros.process_exit import exit_with_parent
 
 USAGE = """\
 usage: unicon_node [--end-with PID|parent|nobody] --ros-args -p workflow:=NAME [-p name:=value …]
@@ -51,7 +51,7 @@ def _main(arguments: list[str]) -> int:
                 return 0
             print(f"unicon_node: unknown argument {own[0]!r}\n{USAGE}", end="", file=sys.stderr)
             return 2
-        end_with(whom)
+        exit_with_parent(whom)
         return _spin(rclpy, arguments)
     except Interrupted:  # while building: nothing has moved, and all is closed
         return 0
@@ -73,8 +73,8 @@ def _refused(error: Exception) -> UniconError:
 
 
 def _spin(rclpy: Any, arguments: list[str]) -> int:
-    from unicon_ros.ending import exits_within
     from unicon_ros.node import UniconNode
+    from unicon_ros.process_exit import exit_watchdog
     from unicon_ros.transport import without_shared_memory
 
     context = rclpy.context.Context()
@@ -100,7 +100,7 @@ def _spin(rclpy: Any, arguments: list[str]) -> int:
         status = 0
         raise
     finally:
-        with exits_within(status):
+        with exit_watchdog(status):
             executor.shutdown()
             node.destroy_node()
             rclpy.try_shutdown(context=context)

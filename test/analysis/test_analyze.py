@@ -16,10 +16,10 @@ from pages import read_page
 from replaying import cut_off
 
 from unicon_lab.analysis.comparison import Comparison, compare_runs
+from unicon_lab.analysis.paired_runs import Options, bring_together
 from unicon_lab.analysis.pictures import PICTURES
 from unicon_lab.analysis.report import findings_of
 from unicon_lab.analysis.run import read_run
-from unicon_lab.analysis.together import Options, bring_together
 from unicon_ros.cli.main import main
 
 pytest.importorskip("matplotlib")
@@ -188,7 +188,7 @@ def test_another_rate_and_another_clock_find_the_same_shift(tmp_path: Path) -> N
 
 
 def test_a_long_run_is_thinned_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("unicon_lab.analysis.together.LONGEST", 200)
+    monkeypatch.setattr("unicon_lab.analysis.paired_runs.LONGEST", 200)
     found = compared(tmp_path, walk(begin=0.3), walk())
     assert int(found.together.aligned.overlap) <= 201
     assert "200 samples are compared at most" in found.together.method

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from unicon_lab.analysis.together import resample
+from unicon_lab.analysis.paired_runs import resample
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(20, 60), st.floats(0.3, 6.0))

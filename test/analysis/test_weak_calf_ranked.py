@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from unicon_lab.analysis.comparison import Comparison, compare_runs
+from unicon_lab.analysis.paired_runs import Options, bring_together
 from unicon_lab.analysis.run import read_run
-from unicon_lab.analysis.together import Options, bring_together
 from unicon_ros.cli.main import main
 
 pytest.importorskip("mujoco")

@@ -109,7 +109,7 @@ def test_the_log_of_ros_stops_no_commands(tmp_path: Path, full_pipe: int) -> Non
 
 RELAYED = """\
 import os, threading, time
-from unicon_core.outlet import relayed_stderr
+from unicon_core.non_blocking_writer import relayed_stderr
 
 with relayed_stderr():
     os.write(2, b"in time; ")

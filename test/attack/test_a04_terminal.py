@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 from runs import Run
 
-from unicon_core.outlet import Outlet
+from unicon_core.non_blocking_writer import NonBlockingWriter
 
 
 def gaps(run: Run) -> float:
@@ -101,7 +101,7 @@ def test_what_a_blocked_sink_does_not_take_is_dropped_and_counted() -> None:
         release.wait(20.0)
         taken.append(line)
 
-    outlet = Outlet(sink, capacity=10)
+    outlet = NonBlockingWriter(sink, capacity=10)
     for i in range(100):
         outlet(f"{i}")
     assert not outlet.flush(0.05)
@@ -121,7 +121,7 @@ def test_a_sink_that_fails_is_counted_and_the_next_line_comes() -> None:
             raise OSError("gone")
         taken.append(line)
 
-    outlet = Outlet(sink)
+    outlet = NonBlockingWriter(sink)
     outlet("bad")
     outlet("good")
     outlet.close()

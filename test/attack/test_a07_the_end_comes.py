@@ -15,8 +15,8 @@ STAND = "robot: go2\nplatform: fake\nrate: 50\npacing: {hang: 10}\nflow: {hold: 
 HANGS = """\
 import ctypes, sys
 from rclpy.node import Node
-import unicon_ros.ending
-unicon_ros.ending.exits_within.__wrapped__.__defaults__ = (1.0,)  # its PATIENCE
+import unicon_ros.process_exit
+unicon_ros.process_exit.exit_watchdog.__wrapped__.__defaults__ = (1.0,)  # its PATIENCE
 Node.destroy_node = lambda node: ctypes.PyDLL(None).sleep(600)
 """
 
@@ -60,9 +60,9 @@ def test_a_run_leaves_its_report_and_status(tmp_path: Path) -> None:
 
 def test_whoever_ends_in_time_is_left_alone() -> None:
     code = (
-        "from unicon_ros.ending import exits_within\n"
+        "from unicon_ros.process_exit import exit_watchdog\n"
         "import time\n"
-        "with exits_within(7, 0.1): pass\n"
+        "with exit_watchdog(7, 0.1): pass\n"
         "time.sleep(0.5); sys.exit(5)\n"
     )
     pytest.importorskip("rclpy")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks import stores
-from benchmarks.store_ways import WAYS, group
+from benchmarks.store_pairs import WAYS, group
 from unicon_core.states.backends.shm import segments
 from unicon_ros.bench.report import Bench
 from unicon_ros.cli.bench import BENCHES

@@ -14,7 +14,7 @@ from unicon_base.errors import Fault
 from unicon_core import Program, block, policy
 from unicon_core.check import check_workflow, refuse_errors
 from unicon_core.gates.gate import StartGate
-from unicon_core.runtime.beforehand import prepared
+from unicon_core.runtime.startup_sequence import prepared
 
 ROBOT = "gate_robots:make"
 

@@ -23,7 +23,7 @@ from unicon_hardware.inspire.face import face as inspire_face
 from unicon_hardware.inspire.platform import make as inspire
 from unicon_hardware.modbus.frames import Rtu
 from unicon_hardware.modbus.hand import HandWire
-from unicon_hardware.modbus.link import Link
+from unicon_hardware.modbus.link import ModbusConnection
 from unicon_hardware.rohand.face import face as rohand_face
 from unicon_hardware.rohand.platform import check_protocol, registers_of
 
@@ -84,7 +84,7 @@ def test_our_driver_with_their_hand_over_a_serial_line() -> None:
     }
     states = hand_states(ROHAND)
     with pymodbus_hand(blocks, unit=2, port=os.ttyname(slave)) as written:
-        link = Link(master, Rtu(), lambda: None)
+        link = ModbusConnection(master, Rtu(), lambda: None)
         check_protocol(link, ROHAND)
         wire = HandWire(states, registers_of(ROHAND), lambda: link, "a pty")
         until(lambda: wire.take() > 0)

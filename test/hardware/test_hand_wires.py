@@ -31,7 +31,7 @@ from unicon_hardware.inspire.face import face as inspire_face
 from unicon_hardware.inspire.platform import Inspire
 from unicon_hardware.inspire.platform import make as inspire
 from unicon_hardware.modbus.frames import Frame, Refused, Rtu, Tcp, read_request, write_request
-from unicon_hardware.modbus.link import Link, open_serial
+from unicon_hardware.modbus.link import ModbusConnection, open_serial
 from unicon_hardware.modbus.served import HandFace, PtyServer, _Served
 from unicon_hardware.rohand.face import face as rohand_face
 from unicon_hardware.rohand.platform import make as rohand
@@ -327,7 +327,7 @@ def test_a_stranger_at_the_face_is_left(tcp: tuple[Hand, Pumped]) -> None:
 def test_who_takes_nothing_holds_no_exchange_up() -> None:
     """A peer that was stopped: what is sent to it piles up, and a write would wait for ever."""
     ours, theirs = socket.socketpair()
-    link = Link(ours.fileno(), Tcp(), ours.close)
+    link = ModbusConnection(ours.fileno(), Tcp(), ours.close)
     began = time.monotonic()
     with pytest.raises(TimeoutError, match="takes nothing"):  # noqa: PT012
         while time.monotonic() < began + 20.0:
@@ -455,7 +455,7 @@ def test_a_link_gives_up_in_time_though_old_answers_keep_coming() -> None:
 
     thread = threading.Thread(target=flood, daemon=True)
     thread.start()
-    link = Link(ours.fileno(), Tcp(), ours.close)
+    link = ModbusConnection(ours.fileno(), Tcp(), ours.close)
     with pytest.raises(Refused, match=r"no answer|short"):
         link.exchange(1, read_request(1546, 1), timeout=0.1)
     ending.set()

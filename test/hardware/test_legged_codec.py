@@ -18,7 +18,7 @@ from unicon_hardware.unitree_legged.codec import (
     Frame,
     encrypted_crc,
 )
-from unicon_hardware.unitree_legged.link import link_of
+from unicon_hardware.unitree_legged.transport import link_of
 
 EVIDENCE = "frames"
 """What these tests run against, the most that config/evidence.yaml may say by them."""

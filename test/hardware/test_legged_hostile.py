@@ -19,7 +19,7 @@ from unicon_core.states import States, StateSpec
 from unicon_hardware.udp import Udp
 from unicon_hardware.unitree_legged.codec import LAYOUTS, CommandFrame, Frame
 from unicon_hardware.unitree_legged.face import face
-from unicon_hardware.unitree_legged.link import link_of
+from unicon_hardware.unitree_legged.transport import link_of
 from unicon_hardware.unitree_legged.wire import StateReader
 from unicon_hardware.wire import Counts
 

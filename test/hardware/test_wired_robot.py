@@ -11,7 +11,7 @@ import pytest
 from unicon_base.errors import Fault, PlatformError
 from unicon_core.platforms.platform import Facts, Prepares
 from unicon_core.robots import Robot, load_robot
-from unicon_core.runtime.beforehand import Waiting
+from unicon_core.runtime.startup_sequence import Waiting
 from unicon_core.states import States, standard_states
 from unicon_hardware.udp import Udp
 from unicon_hardware.wire import Counts

@@ -11,8 +11,8 @@ import pytest
 from worn_meshes import WEDGE, write_stl
 
 from unicon_core.models.load import load_model
-from unicon_core.models.looks import dressed
 from unicon_core.models.urdf_write import urdf
+from unicon_core.models.visual_meshes import dressed
 from unicon_core.robots import Robot, load_robot
 
 pytest.importorskip("mujoco")

@@ -21,7 +21,7 @@ from unicon_core.robots import load_robot
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.runtime.phases import Phase
 from unicon_core.workflow import Program
-from unicon_lab.report import kept
+from unicon_lab.report import run_samples
 from unicon_lab.report.pictures import PICTURES
 from unicon_lab.report.run_page import Pictured
 from unicon_ros.cli.main import main
@@ -38,7 +38,7 @@ def walked(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, dict[str, Any
     page, report = folder / "new" / "run.html", folder / "run.json"
     # 40 rows for 100 ticks: each row stands for four.
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(kept, "ROWS", 40)
+        patch.setattr(run_samples, "ROWS", 40)
         some = {name: PICTURES[name] for name in SOME}  # drawing takes its time
         patch.setattr("unicon_lab.report.run_page.PICTURES", some)
         assert main([*RUN, "--duration", "2", "--report", str(page)]) == 0
@@ -238,7 +238,7 @@ def test_phases_beside_the_run_are_marked() -> None:
 
 
 def test_long_runs_keep_their_peaks_in_the_same_room(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(kept, "ROWS", 64)
+    monkeypatch.setattr(run_samples, "ROWS", 64)
     count = [0]
 
     def wave(joint_pos: Amends) -> Tick:

@@ -129,9 +129,9 @@ def test_what_cannot_wait_runs_at_once() -> None:
 
 
 def test_robots_of_a_batch_do_not_wait() -> None:
-    from unicon_core.platforms.platform import Postpones
+    from unicon_core.platforms.platform import DefersPhysics
 
     program = Program(load_document("go2_stand", {"platform": "mujoco", "num_robots": 2}))
-    assert isinstance(program.platform, Postpones)
+    assert isinstance(program.platform, DefersPhysics)
     assert program.platform.postpone() is None
     program.close()

@@ -18,8 +18,8 @@ from unicon_core.platforms.fake import FakeRobot, make_robot
 from unicon_core.platforms.kit.damping import BLEND, DAMPING_TIME
 from unicon_core.robots import Robot
 from unicon_core.runtime import Runner, RunOptions
-from unicon_core.runtime.beforehand import Waiting
 from unicon_core.runtime.phases import Phase, describe
+from unicon_core.runtime.startup_sequence import Waiting
 from unicon_core.states import States
 
 RATE = 50
@@ -45,7 +45,7 @@ class Sent:
 
 @pytest.fixture(autouse=True)
 def told_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("unicon_core.runtime.beforehand.GRACE", 0.0)
+    monkeypatch.setattr("unicon_core.runtime.startup_sequence.GRACE", 0.0)
 
 
 class Battery:
@@ -163,7 +163,7 @@ def test_a_gate_that_cannot_hold_refuses() -> None:
 
 @TIME_PASSES
 def test_where_nobody_looks_on_waiting_ends(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("unicon_core.runtime.beforehand.PATIENCE", 0.1)
+    monkeypatch.setattr("unicon_core.runtime.startup_sequence.PATIENCE", 0.1)
     sent = Sent()
     program = made(sent, flow=block("hold"))
     program.gates[:] = [Battery()]
@@ -174,7 +174,7 @@ def test_where_nobody_looks_on_waiting_ends(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_what_is_waited_for_is_told_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("unicon_core.runtime.beforehand.REPEAT", 0.05)
+    monkeypatch.setattr("unicon_core.runtime.startup_sequence.REPEAT", 0.05)
     told: list[str] = []
     waiting = Waiting([Battery(holds_at=3)], True, told.append)
     assert not waiting()

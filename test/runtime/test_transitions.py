@@ -19,9 +19,9 @@ from unicon_core.platforms.child.platform import SILENCE, WATCHDOG
 from unicon_core.platforms.kit.damping import BLEND, DAMPING_TIME, Damping, LastSent
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
-from unicon_core.runtime.beforehand import PATIENCE, REPEAT, Waiting
 from unicon_core.runtime.phases import WIND_DOWN
 from unicon_core.runtime.phases import Damp as DampPhase
+from unicon_core.runtime.startup_sequence import PATIENCE, REPEAT, Waiting
 from unicon_core.states import States, standard_states
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow.gate import Gate
@@ -107,7 +107,7 @@ def test_a_robot_s_flow_comes_in_through_an_entry_before_the_safety_blocks() -> 
 
 
 def test_go_counts_only_where_nothing_else_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("unicon_core.runtime.beforehand.GRACE", 0.0)
+    monkeypatch.setattr("unicon_core.runtime.startup_sequence.GRACE", 0.0)
     said = ["it is cold"]
 
     class Warm:

@@ -15,7 +15,7 @@ import pytest
 from unicon_base.errors import Fault, StateError, UniconError, WorkflowError
 from unicon_base.schema.read import read_value
 from unicon_core.states.backends.shm import segments
-from unicon_core.together.meeting import Meeting, Party
+from unicon_core.synchronised_start.meeting import Meeting, Party
 
 GROUP = f"test-{os.getpid()}"
 PERIOD = 0.01

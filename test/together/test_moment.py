@@ -9,8 +9,8 @@ import pytest
 
 from unicon_base.errors import Fault, UniconError, WorkflowError
 from unicon_base.located_yaml import Located
-from unicon_core.together import rendezvous as module
-from unicon_core.together.rendezvous import WallClock, moment_of
+from unicon_core.synchronised_start import rendezvous as module
+from unicon_core.synchronised_start.rendezvous import WallClock, moment_of
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.settings import StartSettings
 from unicon_core.workflow.settings import start_of as start_of_document

@@ -52,7 +52,7 @@ FARTHEST = 0.25
 
 
 @dataclass(frozen=True, eq=False)
-class Commanded(Bundle):
+class CommandStates(Bundle):
     """What somebody else wants of the joints, each of shape (..., n); NaN where nothing.
 
     Attributes:
@@ -110,7 +110,7 @@ class ForwardCommand:
     def __init__(
         self,
         command: JointCommand,
-        commanded: Commanded,
+        commanded: CommandStates,
         *,
         context: BuildContext,
         max_rate: MaxRate = MAX_RATE,

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from unicon_base.errors import UniconError, alternatives
-from unicon_core.aligned import aligned
 from unicon_core.check.rules import CODES, FIRM
 from unicon_core.page import write_file
 from unicon_core.terminal import WIDTH, near, wrapped
+from unicon_core.text_table import aligned
 
 if TYPE_CHECKING:
     from unicon_core.policies import PolicyContract

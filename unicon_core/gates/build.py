@@ -12,7 +12,7 @@ from unicon_core.bounds import POSITION
 from unicon_core.flow import Block, blocks_of
 from unicon_core.flow.stage import Stage
 from unicon_core.gates.data import Changing, Imu, Rate, Told
-from unicon_core.gates.gate import Alone, Heeding, NoCommand, Passing, StartGate, Variant
+from unicon_core.gates.gate import Heeding, NoCommand, Passing, SoleCommander, StartGate, Variant
 from unicon_core.platforms.joined import members_of
 from unicon_core.platforms.platform import (
     CountsArrivals,
@@ -96,7 +96,7 @@ def _gates(program: ProgramData) -> list[StartGate]:
             gates.append(Variant(each.variant, own))
         # Behind the gates `prepare` may be what makes the robot's own controller let go.
         if isinstance(each, SeesCommanders) and not isinstance(each, Prepares):
-            gates.append(Alone(each.commanders))
+            gates.append(SoleCommander(each.commanders))
     if program.command_bounds:
         gates.append(NoCommand(states["velocity_command"]))
     return gates

@@ -122,7 +122,7 @@ class Variant:
         return ""
 
 
-class Alone:
+class SoleCommander:
     """Gate `commanders`: nobody else sends where the robot takes its commands.
 
     Args:

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 from unicon_base.arrays import Array, Float64
 from unicon_base.errors import ModelError, alternatives
 from unicon_core.models.loaded import LoadedModel, import_mujoco
-from unicon_core.models.plain_turns import Quat, conjugate, multiply
 from unicon_core.models.posed import PosedModel
+from unicon_core.models.scalar_rotations import Quat, conjugate, multiply
 from unicon_core.robots import Robot
 from unicon_core.robots.places import Place
 

@@ -193,7 +193,7 @@ class Changeable(Protocol):
 
 
 @runtime_checkable
-class Postpones(Protocol):
+class DefersPhysics(Protocol):
     """A simulator whose physics may wait behind `send`, for rollouts side by side in one thread."""
 
     def postpone(self) -> Callable[[], None] | None:

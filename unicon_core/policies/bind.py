@@ -10,9 +10,9 @@ import numpy as np
 from unicon_base.arrays import Array, Float32
 from unicon_base.errors import PolicyError
 from unicon_core.policies.contract import ObservationSpec, ObservationTerm, PolicyContract
-from unicon_core.policies.lane import Input, Lane, Published
 from unicon_core.policies.networks import Network, Tensor
 from unicon_core.policies.observation import Observation
+from unicon_core.policies.policy_step import Input, PolicyStep, Published
 from unicon_core.policies.prefixed import PackedStates
 from unicon_core.policies.terms import TermSlice
 
@@ -45,7 +45,7 @@ class Binding:
         self._fetches: dict[str, Array] = {}
         self._published: list[Published] = []
 
-    def lane(self) -> Lane:
+    def lane(self) -> PolicyStep:
         """Bind the network to arrays and those to the states.
 
         Raises:
@@ -74,7 +74,7 @@ class Binding:
                 raise self._fail(
                     f"nothing feeds input {tensor}; name it in 'inputs' or 'recurrent'"
                 )
-        return Lane(observation, obs, action, inputs, memory, self._calls(), self._published)
+        return PolicyStep(observation, obs, action, inputs, memory, self._calls(), self._published)
 
     def _fail(self, message: str) -> PolicyError:
         return PolicyError(f"policy {self._contract.name}: {message}")

@@ -81,9 +81,11 @@ def each(number: Any) -> Made:
 
 
 Limit = Annotated[float, Within(endless=True)]
-Side = Limit | list[Limit]
+ClipBound = Limit | list[Limit]
 Pair = Annotated[tuple[Limit, Limit], Write("[lowest, highest]")]
-Clip = Annotated[Float32, Made(_clip, Annotated[tuple[Side, Side], Write("[lowest, highest]")])]
+Clip = Annotated[
+    Float32, Made(_clip, Annotated[tuple[ClipBound, ClipBound], Write("[lowest, highest]")])
+]
 Range = Annotated[tuple[float, float], Made(_range, Pair)]
 Ranges = Annotated[Mapping[str, tuple[float, float]], Made(_said, Mapping[str, Range | None])]
 Rate = Annotated[

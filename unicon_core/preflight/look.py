@@ -20,7 +20,7 @@ from unicon_core.flow import Node, Zip, compile_graph
 from unicon_core.flow.stage import Stage
 from unicon_core.gates.beginning import beginning, first_command
 from unicon_core.gates.data import Rate
-from unicon_core.gates.gate import Alone
+from unicon_core.gates.gate import SoleCommander
 from unicon_core.platforms.joined import members_of
 from unicon_core.platforms.platform import (
     CountsArrivals,
@@ -189,9 +189,9 @@ def _around(program: Program, result: PreflightResult) -> None:
     """What is around: others who command, room for a recording."""
     platform = program.platform
     if isinstance(platform, SeesCommanders) and not any(
-        gate.name == Alone.name for gate in program.gates
+        gate.name == SoleCommander.name for gate in program.gates
     ):
-        alone = Alone(platform.commanders)
+        alone = SoleCommander(platform.commanders)
         others = alone()
         if platform.commanders():
             result.add(alone.name, not others, others or alone.about)

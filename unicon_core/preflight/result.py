@@ -7,9 +7,9 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from unicon_core.aligned import aligned
 from unicon_core.check.rules import live_code
 from unicon_core.page import write_file
+from unicon_core.text_table import aligned
 
 
 @dataclass(frozen=True)

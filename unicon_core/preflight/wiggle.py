@@ -23,7 +23,7 @@ from unicon_core.bounds import within
 from unicon_core.figures import figure
 from unicon_core.flow import Zip, as_block
 from unicon_core.flow.stage import Stage
-from unicon_core.runtime.beforehand import Waiting, prepared, waiting_tree
+from unicon_core.runtime.startup_sequence import Waiting, prepared, waiting_tree
 from unicon_core.runtime.ticker import Ticker
 from unicon_core.signals import SIGNALS
 from unicon_core.states.standard import COMMAND_STATES

@@ -27,7 +27,7 @@ from unicon_core.flow import compile_graph
 from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.flow.scope import LABEL
 from unicon_core.flow.stage import Stage
-from unicon_core.platforms.platform import Changeable, Postpones
+from unicon_core.platforms.platform import Changeable, DefersPhysics
 from unicon_core.runtime.phases import Phase
 from unicon_core.runtime.report import reason_of
 from unicon_core.states import States
@@ -99,7 +99,7 @@ class Rollouts:
         self._built = self._memory.take()
         self.why_not = self._obstacle()
         self._act: Callable[[], None] | None = None
-        if beside and not self.why_not and isinstance(program.platform, Postpones):
+        if beside and not self.why_not and isinstance(program.platform, DefersPhysics):
             self._act = program.platform.postpone()
 
     def graphs(self) -> dict[str, CompiledGraph]:

@@ -13,10 +13,10 @@ from unicon_core.flow import Node
 from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.pacing import prepare_process, process_age_s
 from unicon_core.platforms.platform import Resettable
-from unicon_core.runtime.beforehand import Beforehand
 from unicon_core.runtime.options import RunOptions, refuse_pace
 from unicon_core.runtime.phases import WIND_DOWN, Damp, Phase
 from unicon_core.runtime.report import Report, SpareFiles, reason_of
+from unicon_core.runtime.startup_sequence import StartupSequence
 from unicon_core.runtime.statistics import Starvation, advice_of
 from unicon_core.runtime.ticker import Ticker
 from unicon_core.signals import SIGNALS, Interrupted, signal_name
@@ -74,7 +74,7 @@ class Runner:
         self._ending = None if root is None else Ticker(program, root, self._ending_ticks, None)
         self.operator = self.options.operator
         self._damp = Damp(program) if program.has_platform else None
-        self._before = Beforehand(program, self.options, self._ticked)
+        self._before = StartupSequence(program, self.options, self._ticked)
         self.graph, self.statistics = self._run.graph, self._run.statistics
         self.pacing, self.period_ns = program.pacing, self._run.period_ns
         self.faults: list[str] = []

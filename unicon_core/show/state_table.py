@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from unicon_core.aligned import aligned
 from unicon_core.flow import Node, blocks_of
 from unicon_core.show.tree import shortened
 from unicon_core.states import Layout, States
+from unicon_core.text_table import aligned
 
 if TYPE_CHECKING:
     from unicon_core.workflow.parts import Parts

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping
 from typing import TYPE_CHECKING
 
-from unicon_core.aligned import aligned
 from unicon_core.flow import Block, Node
 from unicon_core.show.state_table import state_rows
 from unicon_core.show.tree import (
@@ -21,6 +20,7 @@ from unicon_core.show.tree import (
     title,
 )
 from unicon_core.states import States
+from unicon_core.text_table import aligned
 
 if TYPE_CHECKING:
     from unicon_core.policies import PolicyContract

@@ -2,7 +2,7 @@
 
     start: {operator: false, approach: 0.3, fade_in: 2.0}
     start: none                    # a test bench: commands at once, as told at every start
-    start: {at: "2026-11-22T21:00:00", late: go}     # with others: unicon_core/together
+    start: {at: "2026-11-22T21:00:00", late: go}     # with others: unicon_core/synchronised_start
     start: {together: {robots: [left, right], me: left}}
 
 In a simulator gates are shown and pass by themselves, and there is neither approach nor fade-in.
@@ -17,8 +17,8 @@ from unicon_base.schema.marks import Made, Within, positive
 from unicon_base.schema.types import Here
 from unicon_core.bounds import POSE_SPEED
 from unicon_core.pacing import Pacing
-from unicon_core.together.meeting import Party
-from unicon_core.together.rendezvous import Moment, moment_of
+from unicon_core.synchronised_start.meeting import Party
+from unicon_core.synchronised_start.rendezvous import Moment, moment_of
 from unicon_core.workflow.document import WorkflowDocument, read_part
 
 DEFAULT_SAFETY: tuple[Any, ...] = ("finite", "joint_limits")

@@ -77,7 +77,7 @@ def part(kind: np.dtype[Any], first: str, behind: str) -> slice:
 
 
 @dataclass(frozen=True)
-class Link(Transport):
+class LoongTransport(Transport):
     """What both ends of the protocol know of it, from the robot file.
 
     Attributes:

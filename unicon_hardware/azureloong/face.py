@@ -16,7 +16,7 @@ from unicon_core.platforms.kit.base import rpy_of_quat
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
-from unicon_hardware.azureloong.codec import COPIED, KEYS, Link
+from unicon_hardware.azureloong.codec import COPIED, KEYS, LoongTransport
 from unicon_hardware.facts import Port, fact, ipv4
 from unicon_hardware.udp import Udp
 
@@ -55,7 +55,7 @@ class AzureFace:
             raise PlatformError(
                 f"emulated azureloong: plan {plan!r} is not known; {alternatives(plan, KEYS)}"
             )
-        address, link = ipv4(address, "azureloong"), Link.of(robot)
+        address, link = ipv4(address, "azureloong"), LoongTransport.of(robot)
         self._states, self._link, self._limits = states, link, link.limits
         self.rate, self.dead_man = link.rate, link.lost
         self._plan, self.where = plan, f"{address}:{link.port}"

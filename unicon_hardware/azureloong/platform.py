@@ -22,7 +22,7 @@ from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import JOINT_STATES
-from unicon_hardware.azureloong.codec import COPIED, Link, part
+from unicon_hardware.azureloong.codec import COPIED, LoongTransport, part
 from unicon_hardware.facts import fact, ipv4
 from unicon_hardware.udp import Udp
 from unicon_hardware.wire import Counts
@@ -54,7 +54,7 @@ class AzureWire:
         torque_limit_rate: float,
         filter_rate: float,
     ) -> None:
-        link = self._link = Link.of(robot)
+        link = self._link = LoongTransport.of(robot)
         self._lower, self._upper = link.limits
         self.counts, self.where = Counts(), f"{address}:{link.port}"
         self._mounting = Mounting.of(robot)

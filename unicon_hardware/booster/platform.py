@@ -80,7 +80,7 @@ class BoosterWire(DdsEnd):
             arrays = arrays_of(states)
             self.listen(facts.state, facts.state_in(arrays | {"rpy": self._rpy}, self.counts))
             controls = Controls(states) if "sticks" in states else None
-            self._side = Side(self.participant, facts, arrays, controls)
+            self._side = SideTopics(self.participant, facts, arrays, controls)
             self.watch(facts.command_topic)
             if not silent:
                 self.speak(facts.command, self._sent)
@@ -178,7 +178,7 @@ class BoosterWire(DdsEnd):
         time.sleep(0.002 * LAST)  # for it to leave this machine
 
 
-class Side:
+class SideTopics:
     """What a T1 tells besides LowState, each on a topic of its own: mode, battery, gamepad.
 
     A robot need not tell any of it, and none of it counts as a sign of life.

@@ -31,9 +31,9 @@ from unicon_core.states.standard import COMMAND_STATES, hardware_states
 from unicon_core.workflow.autowire import read_options
 from unicon_core.workflow.hardware import refuse_incomplete
 from unicon_hardware.emulate.body import Body, body_of
+from unicon_hardware.emulate.command_log import CommandLog, Say, say
 from unicon_hardware.emulate.defects import Defects
 from unicon_hardware.emulate.face import Face, Timed
-from unicon_hardware.emulate.telling import Say, Telling, say
 
 SILENCE = 0.5
 """After so long without a command, or its dead man's time, the next one is a first one, [s]."""
@@ -60,7 +60,7 @@ class Emulator:
         body: its physics, over these states.
         defects: what is wrong with it.
         let_go: so long after the first command its gantry lets go, [s].
-        say: takes what it saw, see `Telling`.
+        say: takes what it saw, see `CommandLog`.
         each: say every command.
 
     Attributes:
@@ -99,7 +99,7 @@ class Emulator:
         self._commands = commands
         self._finite = FiniteCheck(commands, robot.joint_names)
         self._acting = LastSent(states)
-        self._telling = Telling(states, robot.joint_names, say, each=each)
+        self._telling = CommandLog(states, robot.joint_names, say, each=each)
         self._heard, self._obeyed, self._damped = 0.0, False, False
         self._stop = self._closed = False
         self.ticks = self.missed = 0

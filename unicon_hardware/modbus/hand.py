@@ -25,7 +25,7 @@ from unicon_hardware.modbus.frames import (
     write_answer,
     write_request,
 )
-from unicon_hardware.modbus.link import Link
+from unicon_hardware.modbus.link import ModbusConnection
 from unicon_hardware.modbus.registers import HandRegisters
 from unicon_hardware.speed import Speed
 from unicon_hardware.wire import Counts
@@ -64,12 +64,12 @@ class HandWire:
         self,
         states: States,
         registers: HandRegisters,
-        open_link: Callable[[], Link],
+        open_link: Callable[[], ModbusConnection],
         where: str,
         *,
         rate: float = RATE,
         silent: bool = False,
-        first: Callable[[Link], None] | None = None,
+        first: Callable[[ModbusConnection], None] | None = None,
     ) -> None:
         self.counts, self.where = Counts(), where
         self._registers, self._open, self._silent = registers, open_link, silent
@@ -89,7 +89,7 @@ class HandWire:
         self._ending = threading.Event()
         self._clear = "" if silent or registers.clear is None else "not asked"
         try:
-            self._link: Link | None = open_link()
+            self._link: ModbusConnection | None = open_link()
             if first is not None:
                 first(self._link)
         except (OSError, Refused) as error:
@@ -179,7 +179,7 @@ class HandWire:
                 return
             self._ending.wait(max(due - time.monotonic(), 0.0))
 
-    def _exchange(self, link: Link, ending: bool) -> None:
+    def _exchange(self, link: ModbusConnection, ending: bool) -> None:
         registers = self._registers
         with self._lock:
             wanted, self._wanted = self._wanted, None
@@ -214,11 +214,11 @@ class HandWire:
             self._came += 1
             self._news.set()
 
-    def _read(self, link: Link, start: int, count: int) -> NDArray[np.uint16]:
+    def _read(self, link: ModbusConnection, start: int, count: int) -> NDArray[np.uint16]:
         answer = link.exchange(self._registers.unit, read_request(start, count))
         return read_answer(answer, count)
 
-    def _write(self, link: Link, start: int, values: NDArray[np.uint16]) -> None:
+    def _write(self, link: ModbusConnection, start: int, values: NDArray[np.uint16]) -> None:
         answer = link.exchange(self._registers.unit, write_request(start, values))
         write_answer(answer, start, len(values))
 

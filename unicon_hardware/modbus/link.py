@@ -1,4 +1,4 @@
-"""Link: one Modbus exchange after the other, over TCP or a serial line; it waits for answers."""
+"""ModbusConnection: one exchange after the other, over TCP or a serial line; waits for answers."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class Line:
         return self._framing.unpack(frame)
 
 
-class Link(Line):
+class ModbusConnection(Line):
     """An open connection.
 
     Args:
@@ -131,7 +131,7 @@ class Link(Line):
         self._data.clear()
 
 
-def open_tcp(address: str, port: int, timeout: float = 1.0) -> Link:
+def open_tcp(address: str, port: int, timeout: float = 1.0) -> ModbusConnection:
     """Connect.
 
     Raises:
@@ -139,10 +139,10 @@ def open_tcp(address: str, port: int, timeout: float = 1.0) -> Link:
     """
     connection = socket.create_connection((address, port), timeout)
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    return Link(connection.fileno(), Tcp(), connection.close)
+    return ModbusConnection(connection.fileno(), Tcp(), connection.close)
 
 
-def open_serial(device: str, baudrate: int) -> Link:
+def open_serial(device: str, baudrate: int) -> ModbusConnection:
     """Open a serial line, 8N1, for this process alone.
 
     Raises:
@@ -168,7 +168,7 @@ def open_serial(device: str, baudrate: int) -> Link:
     except OSError:
         os.close(file)
         raise
-    return Link(file, Rtu(), partial(_close_serial, file))
+    return ModbusConnection(file, Rtu(), partial(_close_serial, file))
 
 
 def _close_serial(file: int) -> None:
@@ -180,7 +180,7 @@ def _close_serial(file: int) -> None:
 
 def reached(
     robot: Robot, platform: str, address: str | None, port: int | None, device: str | None
-) -> tuple[str, Callable[[], Link]]:
+) -> tuple[str, Callable[[], ModbusConnection]]:
     """Return where a hand is, in words, and what connects to it.
 
     Args:

@@ -24,7 +24,7 @@ from unicon_core.states import States
 from unicon_hardware.facts import Octet, Word, fact
 from unicon_hardware.modbus.frames import read_answer, read_request
 from unicon_hardware.modbus.hand import HandWire
-from unicon_hardware.modbus.link import Link, reached
+from unicon_hardware.modbus.link import ModbusConnection, reached
 from unicon_hardware.modbus.registers import HandRegisters, Told
 from unicon_hardware.wired_robot import WiredRobot, opened
 
@@ -50,7 +50,7 @@ def registers_of(robot: Robot) -> HandRegisters:
     )
 
 
-def check_protocol(link: Link, robot: Robot) -> None:
+def check_protocol(link: ModbusConnection, robot: Robot) -> None:
     """Ask for the version of the hand's protocol.
 
     Raises:

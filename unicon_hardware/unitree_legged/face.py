@@ -22,7 +22,7 @@ from unicon_hardware.unitree_legged.codec import (
     TORQUE,
     Frame,
 )
-from unicon_hardware.unitree_legged.link import link_of
+from unicon_hardware.unitree_legged.transport import link_of
 
 BRAKE = 2.0
 """Damping of an emulated motor in mode 0x00 in [N·m·s/rad]; a real one's is not public."""

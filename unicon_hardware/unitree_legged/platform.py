@@ -17,7 +17,7 @@ from unicon_core.platforms.platform import Binding, Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import CONTROL_STATES, JOINT_STATES
-from unicon_hardware.unitree_legged.link import NAME, Link, link_of
+from unicon_hardware.unitree_legged.transport import NAME, LeggedTransport, link_of
 from unicon_hardware.unitree_legged.wire import FOOT_FORCE, LeggedWire
 from unicon_hardware.wired_robot import SILENCE, WiredRobot, opened
 
@@ -39,7 +39,7 @@ _WRITES = (
 )
 
 
-def _told(states: States, link: Link) -> tuple[str, ...]:
+def _told(states: States, link: LeggedTransport) -> tuple[str, ...]:
     """Return the states that a robot of this generation tells, as far as they are there."""
     without = () if "bms" in (link.layout.state.names or ()) else _BATTERY
     names = (*_WRITES, FOOT_FORCE)

@@ -25,8 +25,8 @@ from unicon_hardware.modes import ModeGuard
 from unicon_hardware.robot_clock import Repeats
 from unicon_hardware.udp import Udp
 from unicon_hardware.unitree_legged.codec import CELL_VOLT, LAYOUTS, TORQUE, CommandFrame, Frame
-from unicon_hardware.unitree_legged.link import NAME, Link
 from unicon_hardware.unitree_legged.repeater import Repeater
+from unicon_hardware.unitree_legged.transport import NAME, LeggedTransport
 from unicon_hardware.wire import Counts, newer
 
 FOOT_FORCE = "foot_force"
@@ -60,7 +60,7 @@ class StateReader:
     """
 
     def __init__(
-        self, states: States, robot: Robot, link: Link, counts: Counts, encrypted: bool
+        self, states: States, robot: Robot, link: LeggedTransport, counts: Counts, encrypted: bool
     ) -> None:
         frame = self._frame = Frame(link.layout.state)
         motors, count = frame["motors"][link.motors], robot.num_joints
@@ -188,7 +188,7 @@ class LeggedWire:
         self,
         states: States,
         robot: Robot,
-        link: Link,
+        link: LeggedTransport,
         watchdog: float,
         *,
         encrypted: bool = False,

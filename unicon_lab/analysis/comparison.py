@@ -24,7 +24,7 @@ from unicon_core.metrics import (
 )
 from unicon_core.metrics.elements import windows
 from unicon_core.page import plain
-from unicon_lab.analysis.together import Together
+from unicon_lab.analysis.paired_runs import Together
 
 LAG_S = 0.1
 """Largest lag of a joint against the others in [s]: less than a quarter of a stride."""

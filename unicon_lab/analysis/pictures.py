@@ -11,7 +11,7 @@ from unicon_base.arrays import Float64
 from unicon_core.drawing import INK, MARK, PALE, Pictures, curve, grid, zoomed
 from unicon_core.metrics import rmse, shift_losses
 from unicon_lab.analysis.comparison import Comparison, tracking_error
-from unicon_lab.analysis.together import Together
+from unicon_lab.analysis.paired_runs import Together
 
 REAL, SIM = MARK, "#e07b00"
 CLOCK = "time of the real run [s]"

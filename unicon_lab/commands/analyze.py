@@ -26,9 +26,9 @@ def _analyze(arguments: argparse.Namespace) -> int:
             return status
     from unicon_core.drawing import require
     from unicon_lab.analysis.comparison import compare_runs
+    from unicon_lab.analysis.paired_runs import Options, bring_together
     from unicon_lab.analysis.report import write_report
     from unicon_lab.analysis.run import read_run
-    from unicon_lab.analysis.together import Options, bring_together
 
     require("unicon analyze")
     folder = _folder(arguments.out)

@@ -25,7 +25,7 @@ from unicon_core.runtime import Runner
 from unicon_core.runtime.tick_ring import PHASES, KeptMemory
 from unicon_core.states import Layout
 from unicon_core.workflow import Program
-from unicon_lab.recording.tick_message import Kept
+from unicon_lab.recording.tick_message import RecordedSubset
 
 SCHEMA = "unicon.record/1"
 VERSIONS = (
@@ -34,7 +34,7 @@ VERSIONS = (
 )
 
 
-def layout_facts(layout: Layout, kept: Kept) -> dict[str, str]:
+def layout_facts(layout: Layout, kept: RecordedSubset) -> dict[str, str]:
     """Return what a reader needs to know of the ticks.
 
     Args:
@@ -66,7 +66,7 @@ def network_hash(path: Path) -> str:
     return digest.hexdigest()
 
 
-def facts_of(runner: Runner, kept: Kept) -> dict[str, str]:
+def facts_of(runner: Runner, kept: RecordedSubset) -> dict[str, str]:
     """Return the facts of a run; call it before the first tick: files may be others later."""
     program = runner.program
     document = program.document

@@ -19,7 +19,7 @@ from unicon_core.states.standard import COMMAND_STATES, hardware_states, standar
 from unicon_lab.recording.facts import robot_facts, versions_here
 from unicon_lab.recording.read import LONGEST, SHORTEST
 from unicon_lab.recording.tick_file import write_ticks
-from unicon_lab.recording.tick_message import Kept, kept_moments
+from unicon_lab.recording.tick_message import RecordedSubset, kept_moments
 
 CDR = bytes((0, 1, 0, 0))
 
@@ -59,7 +59,7 @@ def write_imported(
     made = {"projected_gravity"} if "base_quat" in states else set()
     layout = layout_of(robot, {*states, *made})
     given = frozenset({*layout.specs} - {*COMMAND_STATES})
-    kept: Kept = {"received": given, "sent": None}
+    kept: RecordedSubset = {"received": given, "sent": None}
     period = float(np.median(np.diff(stamps))) * 1e-9 if len(stamps) > 1 else 0.0
     if not SHORTEST <= period <= LONGEST:
         raise UniconError(
@@ -81,7 +81,7 @@ def write_imported(
 
 
 def _ticks(
-    layout: Layout, kept: Kept, stamps: Int64, states: Mapping[str, Array]
+    layout: Layout, kept: RecordedSubset, stamps: Int64, states: Mapping[str, Array]
 ) -> Iterator[bytes]:
     live = States(layout)
     turn = None

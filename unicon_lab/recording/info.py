@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from unicon_base.errors import UniconError
-from unicon_core.aligned import aligned
+from unicon_core.text_table import aligned
 from unicon_lab.recording.import_bag import open_bag
 from unicon_lab.recording.read import Record, files_of, missing, open_record
 from unicon_lab.recording.scan import Scan, scan

@@ -35,7 +35,7 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 Buffer: TypeAlias = bytes | bytearray | memoryview
 
 
-class Taken(Exception):
+class FileInUse(Exception):
     """Another process writes this file."""
 
 
@@ -55,7 +55,7 @@ class McapFile:
 
     Raises:
         OSError: it cannot be written.
-        Taken: another process writes it.
+        FileInUse: another process writes it.
     """
 
     def __init__(self, path: Path) -> None:
@@ -77,7 +77,7 @@ class McapFile:
                 there = os.stat(self.partial.name, dir_fd=self._folder)
                 if os.path.samestat(there, os.fstat(self._file)):
                     return
-            raise Taken  # finished and renamed since it was opened, or deleted while it was empty
+            raise FileInUse  # finished and renamed since, or deleted while it was empty
         except BaseException:
             self.leave()
             raise
@@ -260,11 +260,11 @@ def lock(descriptor: int) -> None:
     """Hold a file for this process; the kernel lets go of it even when the process is killed.
 
     Raises:
-        Taken: another process holds it.
+        FileInUse: another process holds it.
     """
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        raise Taken from None
+        raise FileInUse from None
     except OSError:  # a file system without locks
         pass

@@ -21,7 +21,7 @@ from unicon_core.runtime.tick_ring import DONE, HEAD
 from unicon_core.states import Layout, States
 from unicon_lab.recording.facts import SCHEMA
 from unicon_lab.recording.scan import Frames, Scan, frames_in, gather, scan
-from unicon_lab.recording.tick_message import FRAMES, Kept, Moment, kept_moments
+from unicon_lab.recording.tick_message import FRAMES, Moment, RecordedSubset, kept_moments
 
 _T = TypeVar("_T")
 
@@ -309,7 +309,7 @@ def _record(paths: Sequence[Path], scans: Sequence[Scan]) -> Record:
                 )
     layout = Layout.from_json(facts["layout"])
     moments = tuple(json.loads(facts["moments"]))
-    some: Kept = {m: frozenset(n) for m, n in json.loads(facts.get("kept", "{}")).items()}
+    some: RecordedSubset = {m: frozenset(n) for m, n in json.loads(facts.get("kept", "{}")).items()}
     places = kept_moments(layout, {moment: some.get(moment) for moment in moments})
     width = HEAD.size + sum(moment.size for moment in places.values())
     if any((each.sizes != width).any() for each in scans):

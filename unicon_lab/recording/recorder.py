@@ -22,10 +22,10 @@ from unicon_lab.recording import McapFile, recover
 from unicon_lab.recording.background import Background, Write
 from unicon_lab.recording.bag_folder import BagFolder, Split
 from unicon_lab.recording.large import Large
-from unicon_lab.recording.mcap_file import Taken
+from unicon_lab.recording.mcap_file import FileInUse
 from unicon_lab.recording.records import Channel
 from unicon_lab.recording.recover import recover_aside
-from unicon_lab.recording.tick_message import Kept, tick_channel
+from unicon_lab.recording.tick_message import RecordedSubset, tick_channel
 from unicon_msgs_map import Qos
 from unicon_msgs_map.layout.messages import MessageDefinition, Messages, shared_messages
 
@@ -83,7 +83,7 @@ class Recorder(Background):
             try:
                 self.path.parent.mkdir(parents=True, exist_ok=True)
                 file = BagFolder(self.path, self._split) if self._folder else McapFile(self.path)
-            except Taken:
+            except FileInUse:
                 raise UniconError(
                     f"recording {self.path} is being written by another run; give another name"
                 ) from None
@@ -151,7 +151,7 @@ class Recorder(Background):
             known = shared_messages().definition(kind)
             return self.add_large(self._described(topic, known), nbytes)
 
-    def tick_channel(self, layout: Layout, kept: Kept) -> Write:
+    def tick_channel(self, layout: Layout, kept: RecordedSubset) -> Write:
         """Add the channel of ticks, before `start`, and return what takes them."""
         with self._writing():
             return self.add(tick_channel(self._file.channels + 1, layout, kept))

@@ -15,7 +15,7 @@ import numpy as np
 
 from unicon_base.errors import UniconError, cannot
 from unicon_lab.recording.bag_folder import BagFile, write_metadata
-from unicon_lab.recording.mcap_file import McapFile, Taken
+from unicon_lab.recording.mcap_file import FileInUse, McapFile
 from unicon_lab.recording.read import files_of, missing
 from unicon_lab.recording.records import (
     ATTACHMENT,
@@ -170,7 +170,7 @@ def _recovered(
     with cannot(f"recover {path}", "make room, move it away or give another name"):
         try:
             file = McapFile(final)
-        except Taken:
+        except FileInUse:
             raise UniconError(
                 f"recording {path} is being written by another run; let that end first, or give "
                 "another name"

@@ -12,9 +12,9 @@ from unicon_core.page import ROOM, refuse_existing
 from unicon_core.runtime.tick_ring import HEAD
 from unicon_core.states import Layout
 from unicon_lab.recording.facts import layout_facts
-from unicon_lab.recording.mcap_file import Buffer, McapFile, Taken
+from unicon_lab.recording.mcap_file import Buffer, FileInUse, McapFile
 from unicon_lab.recording.records import MESSAGE, MESSAGE_HEAD, ROW, metadata
-from unicon_lab.recording.tick_message import Kept, tick_channel
+from unicon_lab.recording.tick_message import RecordedSubset, tick_channel
 
 CHUNK_BYTES = 1 << 18
 
@@ -50,7 +50,11 @@ def add_ticks(file: McapFile, ticks: Iterable[Buffer]) -> None:
 
 
 def write_ticks(
-    path: Path, layout: Layout, kept: Kept, facts: Mapping[str, str], ticks: Iterable[Buffer]
+    path: Path,
+    layout: Layout,
+    kept: RecordedSubset,
+    facts: Mapping[str, str],
+    ticks: Iterable[Buffer],
 ) -> int:
     """Write a record of ticks; return how many. What goes wrong leaves no file.
 
@@ -69,7 +73,7 @@ def write_ticks(
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             file = McapFile(path)
-        except Taken:
+        except FileInUse:
             raise UniconError(
                 f"{path} is being written by another process; give another name"
             ) from None

@@ -23,7 +23,7 @@ TOPIC = "/unicon/ticks"
 FRAMES = "/unicon/frames/"
 """Topics of frames begin so; behind it stands the name of their handle without `_handle`."""
 
-Kept = Mapping[str, frozenset[str] | None]
+RecordedSubset = Mapping[str, frozenset[str] | None]
 """Moment to the states that are kept there; None for all."""
 
 _ROS_TYPES = {
@@ -63,7 +63,7 @@ class Moment:
         return [(slice(a, b), slice(c, d)) for a, b, c, d in runs]
 
 
-def kept_moments(layout: Layout, kept: Kept) -> dict[str, Moment]:
+def kept_moments(layout: Layout, kept: RecordedSubset) -> dict[str, Moment]:
     """Return where the moments stand in a message, in their order."""
     slots = sorted(layout.slots.items(), key=lambda item: item[1].offset)
     found: dict[str, Moment] = {}
@@ -83,7 +83,7 @@ def kept_moments(layout: Layout, kept: Kept) -> dict[str, Moment]:
     return found
 
 
-def tick_channel(number: int, layout: Layout, kept: Kept) -> Channel:
+def tick_channel(number: int, layout: Layout, kept: RecordedSubset) -> Channel:
     """Return the channel of kept ticks.
 
     Args:

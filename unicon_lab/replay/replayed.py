@@ -20,8 +20,8 @@ from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.memory import Snapshot
 from unicon_core.memory_json import changes, from_json
 from unicon_core.runtime import Runner, RunOptions
-from unicon_core.runtime.beforehand import approach_tree, waiting_tree
 from unicon_core.runtime.phases import Phase
+from unicon_core.runtime.startup_sequence import approach_tree, waiting_tree
 from unicon_core.signals import SIGNALS
 from unicon_core.states.standard import COMMAND_STATES, GAIN_SCALE, GAIN_SCALE_SPEC
 from unicon_core.workflow import Program, WorkflowDocument

@@ -15,7 +15,7 @@ from unicon_lab.sweep.piped import PipedProcess
 from unicon_lab.sweep.plan import Plan, Row
 from unicon_lab.sweep.pool import LOOK, ONE_THREAD, Engine, Pool, PoolWorker
 from unicon_lab.sweep.sweep_file import SweepFile
-from unicon_ros.ending import LOG_BYTES
+from unicon_ros.process_exit import LOG_BYTES
 
 ENGINES = ("local", "batch", "ray")
 BATCH = 4

@@ -16,8 +16,8 @@ import numpy as np
 
 from unicon_base.arrays import Array, Float64
 from unicon_core.metrics import fall_time, mse, unfolded_mse
+from unicon_lab.analysis.paired_runs import Options, bring_together
 from unicon_lab.analysis.run import Run
-from unicon_lab.analysis.together import Options, bring_together
 
 MOVED = (
     *("distance_m", "commanded_m", "speed_error", "turn_error", "speed_bias", "turn_bias"),

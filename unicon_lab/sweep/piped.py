@@ -15,7 +15,7 @@ from typing import Any
 
 from unicon_base.resources import same_modules
 from unicon_core.signals import signal_name
-from unicon_ros.ending import die_with_parent, last_words
+from unicon_ros.process_exit import die_with_parent, last_log_line
 
 
 class Line:
@@ -100,4 +100,4 @@ class PipedProcess(Line):
         status = self._process.wait()
         self.connection.close()
         how = f"ended by {signal_name(-status)}" if status < 0 else f"exit status {status}"
-        return f"{how}: {last_words(self.log)}"
+        return f"{how}: {last_log_line(self.log)}"

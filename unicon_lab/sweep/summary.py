@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from unicon_base.errors import UniconError, imported
-from unicon_core.aligned import aligned
+from unicon_core.text_table import aligned
 from unicon_lab.sweep.figures import COLUMNS, NUMBERS
 from unicon_lab.sweep.results import Results, wilson
 

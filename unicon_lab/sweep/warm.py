@@ -37,7 +37,7 @@ DISTURBS = ("delay", "noise", "push")
 
 
 @dataclass(eq=False)
-class Kept:
+class WarmProgram:
     """A program that is kept.
 
     Attributes:
@@ -77,11 +77,11 @@ class WarmPrograms:
 
     def __init__(self, look: LookAt, reference: Run | None, beside: int = 1) -> None:
         self._look, self._reference, self._beside = look, reference, beside
-        self._kept: list[Kept] = []
+        self._kept: list[WarmProgram] = []
         self.built = 0
         self.why_not = ""
 
-    def begun(self, document: WorkflowDocument) -> Kept:
+    def begun(self, document: WorkflowDocument) -> WarmProgram:
         """Return a program of a document at its beginning, which the caller has until `keep`.
 
         Raises:
@@ -101,13 +101,13 @@ class WarmPrograms:
             kept.close()
         return self._build(document, key)
 
-    def keep(self, kept: Kept) -> None:
+    def keep(self, kept: WarmProgram) -> None:
         """Take a program back for another row; its rollout is of no use then."""
         self._kept.append(kept)
         if len(self._kept) >= MOST + self._beside:
             self._kept.pop(0).close()
 
-    def _build(self, document: WorkflowDocument, key: str) -> Kept:
+    def _build(self, document: WorkflowDocument, key: str) -> WarmProgram:
         refuse_robot(document)
         program = Program(document)
         try:
@@ -122,7 +122,7 @@ class WarmPrograms:
         self.built += 1
         gc.freeze()  # no pass over what stays: 2 ms each
         self.why_not = rollouts.why_not or self.why_not
-        return Kept(key, rollouts, figures, facts, program_sha256(program), program.period)
+        return WarmProgram(key, rollouts, figures, facts, program_sha256(program), program.period)
 
     def close(self) -> None:
         """Let all go."""

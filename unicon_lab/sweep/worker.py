@@ -23,7 +23,7 @@ from unicon_lab.analysis.run import read_run
 from unicon_lab.sweep.figures import FallLook, Keeper, empty_row
 from unicon_lab.sweep.piped import Line
 from unicon_lab.sweep.plan import document_with
-from unicon_lab.sweep.warm import Kept, WarmPrograms
+from unicon_lab.sweep.warm import WarmProgram, WarmPrograms
 
 Tell = Callable[[dict[str, Any]], None]
 """Tells the parent something, while a row runs too."""
@@ -56,7 +56,7 @@ class RowRunner:
         keep = task.get("keep")
         self._keep = None if keep is None else Keeper(Path(keep["folder"]), keep["states"])
         self._told: set[str] = set()
-        self._running: Lockstep[tuple[int, str, Kept]] = Lockstep()
+        self._running: Lockstep[tuple[int, str, WarmProgram]] = Lockstep()
 
     def __call__(self, settings: list[str], name: str = "") -> dict[str, Any]:
         """Return `row` of some settings; where a program is new, also its `facts`.
@@ -100,7 +100,7 @@ class RowRunner:
             for (index, name, kept), rollout in self._running.tick()
         ]
 
-    def _ended(self, name: str, kept: Kept, rollout: Rollout) -> dict[str, Any]:
+    def _ended(self, name: str, kept: WarmProgram, rollout: Rollout) -> dict[str, Any]:
         if self._keep is not None:
             self._keep(name, kept.rollouts.program, rollout)
         told = self.of(kept, rollout)
@@ -112,7 +112,7 @@ class RowRunner:
         stops = self._stops and program.robot.floats
         return (lambda states: FallLook(states, program.period)) if stops else None
 
-    def of(self, kept: Kept, rollout: Rollout) -> dict[str, Any]:
+    def of(self, kept: WarmProgram, rollout: Rollout) -> dict[str, Any]:
         """Return what is told of a rollout."""
         result: dict[str, Any] = {"row": kept.figures(rollout) | {"program": kept.sha256}}
         if kept.sha256 not in self._told:

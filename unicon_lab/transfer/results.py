@@ -13,8 +13,8 @@ import yaml
 
 from unicon_base.errors import UniconError
 from unicon_core import __version__
-from unicon_core.aligned import aligned
 from unicon_core.page import plain
+from unicon_core.text_table import aligned
 from unicon_lab.analysis.run import read_run
 from unicon_lab.sweep.motion import apart
 from unicon_lab.transfer.plan import Plan

@@ -35,10 +35,10 @@ from unicon_lab.sweep.motion import finite_rows
 from unicon_lab.sweep.piped import PipedProcess
 from unicon_lab.sweep.plan import Row
 from unicon_lab.sweep.pool import LOOK
-from unicon_lab.sweep.warm import Kept
+from unicon_lab.sweep.warm import WarmProgram
 from unicon_lab.sweep.worker import RowRunner, Tell, serve
 from unicon_lab.transfer.plan import Plan
-from unicon_ros.ending import LOG_BYTES
+from unicon_ros.process_exit import LOG_BYTES
 
 KEPT = (
     *("joint_pos", "joint_vel", "joint_pos_target", "joint_effort"),
@@ -105,7 +105,7 @@ class TimedRunner(RowRunner):
 
         return watch
 
-    def of(self, kept: Kept, rollout: Rollout) -> dict[str, Any]:
+    def of(self, kept: WarmProgram, rollout: Rollout) -> dict[str, Any]:
         """Return `row`, and `run` besides."""
         watch, program = self._watch, kept.rollouts.program
         if not rollout.ticks and not rollout.fault:

@@ -11,12 +11,12 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from unicon_base.errors import WorkflowError
-from unicon_core.models.plain_turns import Quat, Vector
+from unicon_core.models.scalar_rotations import Quat, Vector
 from unicon_core.states import States
 from unicon_core.states.standard import pose_of as pose_state
 from unicon_core.states.standard import target_of
 from unicon_manipulation.teleop.hand import Hand
-from unicon_manipulation.teleop.operator import Headset, Side, pose_of
+from unicon_manipulation.teleop.operator import Headset, OperatorHand, pose_of
 
 Mode: TypeAlias = Literal["hold", "toggle", "always"]
 
@@ -86,7 +86,7 @@ class Arm:
     def __init__(
         self,
         element: int,
-        theirs: Side,
+        theirs: OperatorHand,
         clutches: Mapping[str, Clutch],
         hand: Hand,
         states: States,

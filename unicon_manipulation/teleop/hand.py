@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from unicon_core.models.plain_turns import (
+from unicon_core.models.scalar_rotations import (
     Quat,
     Vector,
     conjugate,

@@ -15,7 +15,14 @@ from typing import Literal
 
 from unicon_base.arrays import Array
 from unicon_base.errors import WorkflowError, alternatives
-from unicon_core.models.plain_turns import Quat, Vector, conjugate, multiply, towards, vector_of
+from unicon_core.models.scalar_rotations import (
+    Quat,
+    Vector,
+    conjugate,
+    multiply,
+    towards,
+    vector_of,
+)
 from unicon_core.states import States
 
 SPEED_CUTOFF = 1.0
@@ -190,7 +197,7 @@ class Headset:
         return None if pose is None else heading(pose[1])
 
 
-class Side:
+class OperatorHand:
     """One of the operator's hands: the controller in it where that is tracked, else the bare hand.
 
     Args:

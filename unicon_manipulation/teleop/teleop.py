@@ -20,13 +20,13 @@ from unicon_base.arrays import Float32, Int32, Int64
 from unicon_base.errors import WorkflowError
 from unicon_base.schema.marks import Within, Write, positive
 from unicon_core.blocks.joint_command import ticks_of
-from unicon_core.models.plain_turns import Vector
+from unicon_core.models.scalar_rotations import Vector
 from unicon_core.states import StateSpec
 from unicon_core.states.standard import target_states
 from unicon_core.workflow.autowire import BuildContext
 from unicon_manipulation.teleop.arm import Arm, Clutch, Mode
 from unicon_manipulation.teleop.hand import Hand, Workspace
-from unicon_manipulation.teleop.operator import SIDES, Finger, Headset, OneEuro, Side
+from unicon_manipulation.teleop.operator import SIDES, Finger, Headset, OneEuro, OperatorHand
 
 SPEED, TURN = 5.0, 20.0
 """Largest `max_speed` in [m/s] and `max_turn` in [rad/s]: a hand that throws has 10 m/s."""
@@ -107,7 +107,7 @@ class Teleop:
         headset, arms = Headset(context.states, device), []
         for side, name in effectors.items():
             smoother = None if smooth is None else OneEuro(*smooth)
-            theirs = Side(headset, side, pinch, "squeeze", home, smoother)
+            theirs = OperatorHand(headset, side, pinch, "squeeze", home, smoother)
             clutches = {
                 kind: Clutch(mode, ticks_of(STEADY, period) if mode == "always" else sure[kind])
                 for kind, mode in modes.items()

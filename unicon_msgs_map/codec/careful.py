@@ -18,7 +18,7 @@ from unicon_msgs_map.codec.binding import SINGLE_MAX, Conversion, limits
 from unicon_msgs_map.codec.targets import Target
 from unicon_msgs_map.errors import count_of
 from unicon_msgs_map.layout.messages import Primitive
-from unicon_msgs_map.layout.walker import Found
+from unicon_msgs_map.layout.walker import WalkedFields
 from unicon_msgs_map.spec import SubscribeSpec
 
 STAMP, COVARIANCE = -1, -2
@@ -60,7 +60,9 @@ class Run:
     conversion: Conversion | None = None
 
 
-def select(found: Found, spec: SubscribeSpec, targets: list[Target], stamp: list[int]) -> list[Run]:
+def select(
+    found: WalkedFields, spec: SubscribeSpec, targets: list[Target], stamp: list[int]
+) -> list[Run]:
     """Return what to read and where to write it.
 
     Raises:
@@ -107,7 +109,7 @@ def select(found: Found, spec: SubscribeSpec, targets: list[Target], stamp: list
     return runs
 
 
-def orientation(found: Found, runs: list[Run], state: str) -> list[Run]:
+def orientation(found: WalkedFields, runs: list[Run], state: str) -> list[Run]:
     """Return what makes sure that a message tells an orientation.
 
     A quaternion of zeros is what a driver sends that has none, and so is -1 in the first element of
@@ -138,7 +140,9 @@ def state_of(run: Run) -> str:
     return "" if bound is None else bound.field.source.name
 
 
-def _ranks(found: Found, spec: SubscribeSpec, target: Target, count: int) -> list[int | None]:
+def _ranks(
+    found: WalkedFields, spec: SubscribeSpec, target: Target, count: int
+) -> list[int | None]:
     assert target.bound is not None
     ours = len(target.bound.elements)
     path = target.field.path
@@ -168,7 +172,7 @@ def _ranks(found: Found, spec: SubscribeSpec, target: Target, count: int) -> lis
     return [k if k < ours else None for k in range(count)]
 
 
-def _require(found: Found, target: Target, runs: list[Run]) -> None:
+def _require(found: WalkedFields, target: Target, runs: list[Run]) -> None:
     path, wanted = target.field.path, target.required
     texts = found.texts.get(target.number)
     if texts is not None:

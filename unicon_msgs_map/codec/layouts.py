@@ -14,7 +14,7 @@ from unicon_msgs_map.codec.fast import compile_fast, merge
 from unicon_msgs_map.codec.targets import Target
 from unicon_msgs_map.layout.messages import HEADER, TIME, Struct
 from unicon_msgs_map.layout.paths import Path, parse_path
-from unicon_msgs_map.layout.walker import Found, Want, walk
+from unicon_msgs_map.layout.walker import WalkedFields, Want, walk
 from unicon_msgs_map.spec import SubscribeSpec
 
 KEPT_LAYOUTS = 4  # publishers with layouts of their own that may alternate on one topic
@@ -98,7 +98,7 @@ class Layouts:
         if not done:
             apply(raw, runs, self.spec.nonfinite)
 
-    def _remember(self, raw: bytes, found: Found, runs: list[Run]) -> None:
+    def _remember(self, raw: bytes, found: WalkedFields, runs: list[Run]) -> None:
         self.derived += 1
         hard = merge(found.hard)
         structure = tuple(raw[start:end] for start, end in hard)

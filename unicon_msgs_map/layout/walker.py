@@ -63,7 +63,7 @@ class Want:
 
 
 @dataclass
-class Found:
+class WalkedFields:
     """What a walk found.
 
     Attributes:
@@ -80,7 +80,7 @@ class Found:
     hard: list[tuple[int, int]] = field(default_factory=list)
 
 
-def walk(raw: bytes, message: Struct, want: Want) -> Found:
+def walk(raw: bytes, message: Struct, want: Want) -> WalkedFields:
     """Walk a payload.
 
     Args:
@@ -110,7 +110,7 @@ class _Walker:
         self.raw = raw
         self.size = len(raw)
         self.empty = 0
-        self.found = Found(order, hard=[(0, 4)])
+        self.found = WalkedFields(order, hard=[(0, 4)])
         self.word = struct.Struct(order + "I").unpack_from
 
     def any(self, kind: TypeRef, at: int, want: Want | None) -> int:

@@ -23,7 +23,7 @@ from unicon_base.arrays import Bool, Float64, Int64
 from unicon_base.errors import UniconError
 from unicon_core.signals import SIGNALS
 from unicon_ros.bench.pipelines.log import beside
-from unicon_ros.ending import die_with_parent
+from unicon_ros.process_exit import die_with_parent
 
 LEASE = 9.0
 """s for which a loop may be held: after 10 participants with `config/dds/no_shared_memory.xml` take

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from unicon_base.errors import UniconError
-from unicon_core.aligned import aligned
 from unicon_core.drawing import as_png, require
 from unicon_core.page import plain, write_file
+from unicon_core.text_table import aligned
 
 PACKAGES = ("numpy", "mujoco", "onnxruntime", "rosbags", "rclpy", "pyzmq", "numba", "daqp", "mink")
 """Packages whose version may move a number."""

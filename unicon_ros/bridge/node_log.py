@@ -10,7 +10,7 @@ from __future__ import annotations
 import select
 from typing import Any
 
-from unicon_core.outlet import Outlet
+from unicon_core.non_blocking_writer import NonBlockingWriter
 
 STDERR = 2
 
@@ -26,7 +26,7 @@ class NodeLog:
         self._logger = logger
         self._poll = select.poll()
         self._poll.register(STDERR, select.POLLOUT)
-        self._outlet: Outlet[tuple[str, str]] = Outlet(self._say)
+        self._outlet: NonBlockingWriter[tuple[str, str]] = NonBlockingWriter(self._say)
 
     @property
     def dropped(self) -> int:

@@ -13,7 +13,7 @@ from typing import Any
 
 from unicon_base.errors import UniconError, one_line
 from unicon_ros import compat
-from unicon_ros.ending import exits_within
+from unicon_ros.process_exit import exit_watchdog
 from unicon_ros.transport import without_shared_memory
 
 
@@ -64,7 +64,7 @@ class OwnNode:
         if not self._closed:
             self._closed = True
             # A middleware that never ends is a fault; whoever knows better asks for it sooner.
-            with exits_within(3, 20.0):
+            with exit_watchdog(3, 20.0):
                 self.executor.shutdown()
                 self.node.destroy_node()
                 self._rclpy.try_shutdown(context=self.context)

@@ -10,8 +10,8 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from unicon_core.aligned import Rows, aligned
-from unicon_core.outlet import Outlet, to_stderr
+from unicon_core.non_blocking_writer import NonBlockingWriter, to_stderr
+from unicon_core.text_table import Rows, aligned
 
 CLEAR = "\r\x1b[K"
 
@@ -50,7 +50,7 @@ class Console:
 
     def __init__(self) -> None:
         self.terminal = is_terminal()
-        self._outlet = Outlet(to_stderr())
+        self._outlet = NonBlockingWriter(to_stderr())
         self._shown = False
         self._next = 0.0
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import asdict
 
-from unicon_core.aligned import aligned
+from unicon_core.text_table import aligned
 from unicon_ros.cli.console import print_json
 from unicon_ros.cli.options import command, flag
 

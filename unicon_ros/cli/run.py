@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from unicon_base.errors import UniconError
 from unicon_base.registered import loaded
-from unicon_core.outlet import relayed_stderr
+from unicon_core.non_blocking_writer import relayed_stderr
 from unicon_core.page import refuse_unwritable
 from unicon_core.signals import SIGNALS, Guard
 from unicon_ros.attachments import Asked, Attachment, File, attached
@@ -200,10 +200,10 @@ def _listen(runner: Runner, with_ros: bool) -> None:
 
 def close_session(session: Any, status: int) -> None:
     """Take ROS down, after all is written and told: it may fail or never end."""
-    from unicon_ros.ending import exits_within
+    from unicon_ros.process_exit import exit_watchdog
 
     try:
-        with exits_within(status):
+        with exit_watchdog(status):
             session.close()
     except Exception as error:
         with suppress(OSError):

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from unicon_base.errors import StateError
-from unicon_core.aligned import number_text
 from unicon_core.page import write_file
+from unicon_core.text_table import number_text
 from unicon_ros.cli.console import print_table
 from unicon_ros.cli.options import (
     OVERRIDES,

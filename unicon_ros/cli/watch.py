@@ -10,10 +10,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from unicon_base.errors import StateError, alternatives
-from unicon_core.aligned import number_text
 from unicon_core.signals import SIGNALS
 from unicon_core.states import Layout, States
 from unicon_core.states.backends.shm import Segment, ShmWatcher, segment_path
+from unicon_core.text_table import number_text
 from unicon_ros.cli.console import note
 
 SILENCE = 1.0

@@ -18,7 +18,7 @@ from geometry_msgs.msg import Twist
 
 from faults.command_log import FAULT, SEND, CommandLog
 from unicon_core.states.backends.shm import remove_dead
-from unicon_ros.ending import die_with_parent
+from unicon_ros.process_exit import die_with_parent
 
 PART = "desk"
 SAID = 0.3  # m/s; the workflow's own command is another one

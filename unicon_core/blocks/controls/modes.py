@@ -46,7 +46,7 @@ class Mode(Entry):
 
 
 @dataclass(frozen=True)
-class Way:
+class ModeEntry:
     """How a mode is entered.
 
     Attributes:
@@ -105,7 +105,7 @@ def modes(
     return Modes((sticks, buttons, projected_gravity), mode, names, ways, context)
 
 
-def check_buttons(ways: Sequence[Way]) -> None:
+def check_buttons(ways: Sequence[ModeEntry]) -> None:
     """Refuse a button that leads to two modes from one.
 
     Raises:
@@ -131,7 +131,7 @@ setattr(modes, "declares", _declares)  # noqa: B010  a function has none to mypy
 
 def way_of(
     name: str, said: Mapping[str, Any], names: Sequence[str], period: float, place: str
-) -> Way:
+) -> ModeEntry:
     """Return how a mode is entered.
 
     Args:
@@ -150,7 +150,7 @@ def way_of(
             raise WorkflowError(
                 f"{place}{name}.from: no mode {source!r}; {alternatives(str(source), names)}"
             )
-    return Way(
+    return ModeEntry(
         name,
         BUTTONS.index(button) if button else -1,
         button or "",
@@ -174,7 +174,7 @@ class Modes:
         seen: Seen,
         mode: Int32,
         names: Sequence[str],
-        ways: Sequence[Way],
+        ways: Sequence[ModeEntry],
         context: BuildContext,
     ) -> None:
         self._sticks, self._buttons, self._gravity = seen
@@ -210,7 +210,7 @@ class Modes:
         self._now, self._ticks = mode, 0
         self._tell(f"{self.word}: {mode}")
 
-    def _refused(self, way: Way) -> str:
+    def _refused(self, way: ModeEntry) -> str:
         if way.sources and self._now not in way.sources:
             return f"{way.mode} is entered from {', '.join(way.sources)}, and this is {self._now}"
         if way.after and self._ticks <= way.after:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 from unicon_base.arrays import Array, Int32
-from unicon_core.blocks.controls.modes import Modes, Seen, Way
+from unicon_core.blocks.controls.modes import ModeEntry, Modes, Seen
 from unicon_core.workflow.autowire import BuildContext
 
 SKILL = "skill"
@@ -43,7 +43,7 @@ class Skills(Modes):
         self,
         seen: Seen,
         number: Int32,
-        ways: Sequence[Way],
+        ways: Sequence[ModeEntry],
         following: Mapping[str, str],
         wish: Array | None,
         context: BuildContext,

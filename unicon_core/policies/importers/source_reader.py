@@ -17,7 +17,7 @@ from unicon_base.schema.types import Mistakes
 from unicon_core.policies.contract import TORCHSCRIPT
 from unicon_core.policies.facts import Facts
 from unicon_core.policies.given import given_joints
-from unicon_core.policies.hints import Side, listed
+from unicon_core.policies.hints import ClipBound, listed
 from unicon_core.robots import Robot
 
 _SUFFIXES = {".onnx": "onnx", **dict.fromkeys(TORCHSCRIPT, "torchscript")}
@@ -151,7 +151,7 @@ class SourceReader:
         Raises:
             PolicyError: it is missing, or something else.
         """
-        return list(listed(self.value(Side, place)))
+        return list(listed(self.value(ClipBound, place)))
 
     def vector(self, key: str, count: int, of: str) -> list[float]:
         """Return one number for each joint; a single number is that of all.

@@ -25,7 +25,7 @@ import numpy as np
 
 from unicon_base.arrays import Float32
 from unicon_base.errors import PolicyError
-from unicon_core.models.plain_turns import (
+from unicon_core.models.scalar_rotations import (
     Quat,
     Vector,
     conjugate,
@@ -35,9 +35,9 @@ from unicon_core.models.plain_turns import (
     yaw_of,
 )
 from unicon_core.policies.contract import PolicyContract
-from unicon_core.policies.lane import Lane
 from unicon_core.policies.motion.anchor import Chain, chain_in_model, chain_of_axes
 from unicon_core.policies.motion.clip import Clip, read_clip
+from unicon_core.policies.policy_step import PolicyStep
 from unicon_core.policies.prefixed import PackedStates
 from unicon_core.robots import Robot, joint_index
 
@@ -250,7 +250,7 @@ def tracker_of(
     contract: PolicyContract,
     states: PackedStates,
     robot: Robot,
-    lane: Lane,
+    lane: PolicyStep,
     model: Path | None,
 ) -> MotionTracker | None:
     """Return what writes the motion's states, None for a policy that follows none.
@@ -306,7 +306,7 @@ def _chain(contract: PolicyContract, robot: Robot, model: Path | None) -> Chain:
     return chain_in_model(robot, model, spec.anchor_body, what)
 
 
-def _length(lane: Lane, states: PackedStates, contract: PolicyContract) -> int | None:
+def _length(lane: PolicyStep, states: PackedStates, contract: PolicyContract) -> int | None:
     """Return how many frames a network's own motion has from its start on; None for no end.
 
     From its end on a network holds the last frame (HybridRobotics/whole_body_tracking

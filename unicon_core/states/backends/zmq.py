@@ -22,7 +22,7 @@ import time
 from pathlib import Path
 
 from unicon_base.errors import StateError
-from unicon_core.outlet import Outlet
+from unicon_core.non_blocking_writer import NonBlockingWriter
 from unicon_core.states.backends.freshness import SILENCE, Freshness
 from unicon_core.states.backends.zmq_socket import Endpoint
 from unicon_core.states.groups import Copies, difference, groups_from_json, groups_hash, groups_json
@@ -193,7 +193,9 @@ class ZmqReader:
         self._held = b""  # a frame that passed and has not been taken
         self._held_number = self._held_stamp = self._held_at = 0
         self._told = b""  # hash of the layout that was refused last
-        self._foreign: Outlet[tuple[bytes, bytes, int]] = Outlet(self._parse, capacity=1)
+        self._foreign: NonBlockingWriter[tuple[bytes, bytes, int]] = NonBlockingWriter(
+            self._parse, capacity=1
+        )
         self._next_parse = self._next_rejoin = 0
         self._started = time.clock_gettime_ns(_CLOCK)
         self.number = self.stamp_ns = self.skipped = self.garbage = 0

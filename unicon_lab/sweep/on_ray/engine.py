@@ -21,7 +21,7 @@ from unicon_lab.sweep.on_ray.shipment import files_of, manifest, pack
 from unicon_lab.sweep.piped import PipedProcess
 from unicon_lab.sweep.plan import Plan, Row
 from unicon_lab.sweep.pool import LOOK, Result
-from unicon_ros.ending import last_words
+from unicon_ros.process_exit import last_log_line
 
 JOIN_S, START_S = 60.0, 120.0
 """Wall time in [s] until a cluster takes us (1 s on two nodes), and until our own is up (5 s)."""
@@ -124,8 +124,8 @@ class RayEngine:
                 return
             if process.over and not ready:
                 raise UniconError(
-                    f"ray: Ray did not start: {last_words(self._log)}; mend it (all that it said "
-                    f"is in {self._log}), or try --engine local"
+                    f"ray: Ray did not start: {last_log_line(self._log)}; mend it (all that it "
+                    f"said is in {self._log}), or try --engine local"
                 )
             if process.over:
                 raise self._lost("Ray has ended")

@@ -1,4 +1,4 @@
-"""Link: the line to one browser, where viser has no word for it.
+"""PageConnection: the line to one browser, where viser has no word for it.
 
 viser has no heartbeat, no gamepad, no origin check and no token. What is used of its inside stands
 here alone, and setup.py holds its version. A page answers the question for one key of the browser's
@@ -81,7 +81,7 @@ def move(node: Any, position: Sequence[float], quat: Sequence[float] | None = No
         queue(_messages.SetOrientationMessage(inside.name, tuple(quat)))
 
 
-class Link:
+class PageConnection:
     """The line to one page.
 
     Args:

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from unicon_lab.view.page.link import Link
+from unicon_lab.view.page.link import PageConnection
 from unicon_lab.view.page.panel import Panel
 from unicon_lab.view.page.plots import History
 from unicon_lab.view.page.scene import Pose, Scene, Stage
@@ -68,7 +68,7 @@ class Viewer:
             client.camera.look_at = (0.0, 0.0, 0.3 * size)
             self._scene = Scene(client.scene, stage)
             self.panel = Panel(client, shown, history, self._scene, number, self._do, span)
-            self.link = Link(client, self._heard, self.panel.stop)
+            self.link = PageConnection(client, self._heard, self.panel.stop)
             self.link.ask()
 
     def show(

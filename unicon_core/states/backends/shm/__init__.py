@@ -23,7 +23,7 @@ that the lock tells of the parent alone. It must neither publish nor read with w
 """
 
 from unicon_core.states.backends.shm.files import (
-    Found,
+    SegmentFile,
     clean,
     remove_dead,
     segment_path,
@@ -33,8 +33,8 @@ from unicon_core.states.backends.shm.ring import ShmReader, ShmWatcher, ShmWrite
 from unicon_core.states.backends.shm.segment import Segment, places
 
 __all__ = [
-    "Found",
     "Segment",
+    "SegmentFile",
     "ShmReader",
     "ShmWatcher",
     "ShmWriter",

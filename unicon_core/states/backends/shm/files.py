@@ -160,7 +160,7 @@ def _living_writer(path: Path) -> int:
 
 
 @dataclass(frozen=True)
-class Found:
+class SegmentFile:
     """A segment's file in the folder.
 
     Attributes:
@@ -174,7 +174,7 @@ class Found:
     alive: bool
 
 
-def segments() -> Iterator[Found]:
+def segments() -> Iterator[SegmentFile]:
     """Yield this user's segments, by name; what is not a file of ours is not one."""
     prefix = f"unicon-{os.getuid()}-"
     for path in sorted(FOLDER.glob(prefix + "*")):
@@ -185,7 +185,7 @@ def segments() -> Iterator[Found]:
             fd = open_file(path, os.O_RDONLY)
             try:
                 alive = not lock(fd, fcntl.F_RDLCK, WRITER_LOCK, ask=True)
-                yield Found(name, os.fstat(fd).st_size, alive)
+                yield SegmentFile(name, os.fstat(fd).st_size, alive)
             finally:
                 os.close(fd)
 

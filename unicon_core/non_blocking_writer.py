@@ -1,4 +1,4 @@
-"""Outlet: hands lines to a terminal, pipe or log without ever waiting for it; for ticking threads.
+"""NonBlockingWriter: hands lines to a terminal, pipe or log without waiting; for ticking threads.
 
 A terminal that Ctrl-S has stopped, a pipe that nobody reads and a log on a slow disk all block who
 writes. Here the writing is a thread's, and what does not fit in its queue is dropped and counted.
@@ -29,7 +29,7 @@ LAST = b"\0"
 Line = TypeVar("Line")
 
 
-class Outlet(Generic[Line]):
+class NonBlockingWriter(Generic[Line]):
     """A function that takes lines and returns at once.
 
     Args:

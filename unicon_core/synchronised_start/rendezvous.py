@@ -18,7 +18,7 @@ from typing import Any
 
 from unicon_base.errors import Fault, UniconError, WorkflowError
 from unicon_core.bounds import within
-from unicon_core.together.meeting import Meeting
+from unicon_core.synchronised_start.meeting import Meeting
 
 REPEAT = 5.0
 """How often what is waited for is told again, [s]."""

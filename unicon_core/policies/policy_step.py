@@ -38,7 +38,7 @@ class Input:
 
 
 @dataclass(eq=False)
-class Lane:
+class PolicyStep:
     """Arrays and bound calls.
 
     Attributes:

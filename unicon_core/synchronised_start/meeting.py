@@ -24,7 +24,7 @@ from unicon_base.schema.types import Here, show
 from unicon_core.states import Layout, States, StateSpec
 from unicon_core.states.backends import Reader, Writer
 from unicon_core.states.links import AGAIN_NS
-from unicon_core.together.agreement import BEGUN, FRESH_NS, READY, Agreement, Word
+from unicon_core.synchronised_start.agreement import BEGUN, FRESH_NS, READY, Agreement, Word
 
 PATIENCE = 30.0
 """How long the others are waited for in [s], unless told."""

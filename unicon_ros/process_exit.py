@@ -26,7 +26,7 @@ SET_PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of linux/prctl.h
 PROC = Path("/proc")
 
 
-def end_with(whom: str | None) -> None:
+def exit_with_parent(whom: str | None) -> None:
     """Let this process get SIGTERM when another one ends, by whatever signal.
 
     Args:
@@ -145,7 +145,7 @@ class _Times(ctypes.Structure):
 
 
 @contextmanager
-def exits_within(status: int, seconds: float = PATIENCE) -> Iterator[None]:
+def exit_watchdog(status: int, seconds: float = PATIENCE) -> Iterator[None]:
     """End the process with this status where what is done inside takes longer.
 
     Fast DDS 2.14 sometimes spins for ever in `DomainParticipant::set_listener` when a node is
@@ -178,7 +178,7 @@ LOG_BYTES = 10_000_000
 """Of a log that is kept: an engine that warns in every step must not fill the disk."""
 
 
-def last_words(path: Path) -> str:
+def last_log_line(path: Path) -> str:
     """Return the last line of a log, in words if there is none."""
     try:
         with path.open("rb") as log:

@@ -1,4 +1,4 @@
-"""Link: what a robot file and the options say of the connection, checked, for wire and face."""
+"""LeggedTransport: the connection of robot file and options, checked, for wire and endpoint."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ NAME = "unitree_legged"
 
 
 @dataclass(frozen=True)
-class Link:
+class LeggedTransport:
     """Addresses, layout and modes.
 
     Attributes:
@@ -67,7 +67,7 @@ def link_of(
     address: str | None = None,
     port: int | None = None,
     local_port: int | None = None,
-) -> Link:
+) -> LeggedTransport:
     """Return what the robot file says, with the options in place of it where they are given.
 
     Args:
@@ -97,7 +97,7 @@ def link_of(
     port = fact(robot, "port", Port) if port is None else port
     local_port = spoken.get("local_port") if local_port is None else local_port
     return facts_of(
-        Link,
+        LeggedTransport,
         robot,
         generation=chosen,
         layout=layout,

@@ -1,4 +1,4 @@
-"""Beforehand: the ticks of a robot's run before its flow, for the runner and for replays."""
+"""StartupSequence: the ticks of a robot's run before its flow, for the runner and for replays."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from unicon_base.errors import Fault
 from unicon_core.blocks.approach import Approach
 from unicon_core.flow import Deferred, Node, Zip, as_block
 from unicon_core.gates.beginning import beginning
-from unicon_core.gates.gate import Alone, StartGate
+from unicon_core.gates.gate import SoleCommander, StartGate
 from unicon_core.platforms.joined import members_of
 from unicon_core.platforms.platform import Prepares, SeesCommanders
 from unicon_core.runtime.options import RunOptions
 from unicon_core.runtime.phases import Phase
-from unicon_core.together.meeting import Meeting
-from unicon_core.together.rendezvous import Rendezvous, WallClock
+from unicon_core.synchronised_start.meeting import Meeting
+from unicon_core.synchronised_start.rendezvous import Rendezvous, WallClock
 from unicon_core.workflow import Program
 from unicon_core.workflow.gate import NEVER_NS
 
@@ -26,7 +26,7 @@ Ticked = Callable[[Phase, Node, int | None], bool]
 The last argument is how late ticks may be in [ns], None where that is as in the run."""
 
 
-class Beforehand:
+class StartupSequence:
     """A run before its flow: gates and operator are waited for, then others, where it begins.
 
     Args:
@@ -169,7 +169,7 @@ def prepared(program: Program) -> Callable[[], str] | None:
         return None
     members = [] if program.silent else members_of(platform, program.robot)
     alone = [
-        Alone(each.commanders)
+        SoleCommander(each.commanders)
         for _, each, _ in members
         if isinstance(each, Prepares) and isinstance(each, SeesCommanders)
     ]

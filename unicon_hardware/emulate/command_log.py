@@ -1,4 +1,4 @@
-"""Telling: what an emulated robot saw of its commands, as JSON lines, for tests and users.
+"""CommandLog: what an emulated robot saw of its commands, as JSON lines, for tests and users.
 
 | kind | says |
 |---|---|
@@ -38,7 +38,7 @@ def say(kind: str, **facts: Any) -> None:
     print(json.dumps({"kind": kind, **facts}), flush=True)
 
 
-class Telling:
+class CommandLog:
     """Follows the commands of one robot.
 
     Args:

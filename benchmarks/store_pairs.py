@@ -302,7 +302,7 @@ class IceoryxReceiver(_Iceoryx):
 
 
 @dataclass(frozen=True)
-class Way:
+class StorePair:
     """Two ends, made of a place and the states.
 
     Attributes:
@@ -314,14 +314,18 @@ class Way:
     needs: tuple[str, ...] = ()
 
 
-WAYS: Mapping[str, Way] = {
-    "shm, sleeping": Way(_shm_sender, lambda *of: _Waiting(_shm_reader(*of))),
-    "shm, polling": Way(_shm_sender, lambda *of: _Polling(_shm_reader(*of))),
-    "zmq ipc": Way(partial(_zmq_sender, address="ipc://{place}"), _zmq_receiver, ("zmq",)),
-    "zmq tcp": Way(partial(_zmq_sender, address="tcp://127.0.0.1:*"), _zmq_receiver, ("zmq",)),
-    "unix datagram": Way(_DatagramSender, _DatagramReceiver),
-    "rclpy, raw": Way(partial(RosSender, raw=True), partial(RosReceiver, raw=True), ("rclpy",)),
-    "rclpy": Way(partial(RosSender, raw=False), partial(RosReceiver, raw=False), ("rclpy",)),
-    "iceoryx2": Way(IceoryxSender, IceoryxReceiver, ("iceoryx2",)),
+WAYS: Mapping[str, StorePair] = {
+    "shm, sleeping": StorePair(_shm_sender, lambda *of: _Waiting(_shm_reader(*of))),
+    "shm, polling": StorePair(_shm_sender, lambda *of: _Polling(_shm_reader(*of))),
+    "zmq ipc": StorePair(partial(_zmq_sender, address="ipc://{place}"), _zmq_receiver, ("zmq",)),
+    "zmq tcp": StorePair(
+        partial(_zmq_sender, address="tcp://127.0.0.1:*"), _zmq_receiver, ("zmq",)
+    ),
+    "unix datagram": StorePair(_DatagramSender, _DatagramReceiver),
+    "rclpy, raw": StorePair(
+        partial(RosSender, raw=True), partial(RosReceiver, raw=True), ("rclpy",)
+    ),
+    "rclpy": StorePair(partial(RosSender, raw=False), partial(RosReceiver, raw=False), ("rclpy",)),
+    "iceoryx2": StorePair(IceoryxSender, IceoryxReceiver, ("iceoryx2",)),
 }
 """Name of each way to its ends."""
