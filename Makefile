@@ -4,6 +4,7 @@
 #   make test       set up, run the tests            make test-slow   soaks and second distributions
 #   make check      format, lint, types, imports     make bench       side by side measurements
 #   make venv       only the set-up                  make docs       write the API reference to out/docs
+#   make test-fast  a minute of them, at each save   make test-changed  those that a change touches
 #   make clean      remove what was built            make faults     measure each fault, write out/faults.md
 
 PYTHON ?= python3
@@ -36,11 +37,11 @@ demo bench faults: export ROS_DOMAIN_ID ?= 42
 bench faults: export FASTRTPS_DEFAULT_PROFILES_FILE ?= $(CURDIR)/config/dds/fast_discovery.xml
 bench faults: export FASTDDS_DEFAULT_PROFILES_FILE ?= $(FASTRTPS_DEFAULT_PROFILES_FILE)
 
-.PHONY: help venv demo test test-slow check format docs bench faults clean clean-venv
+.PHONY: help venv demo test test-fast test-changed test-slow check format docs bench faults clean clean-venv
 .DEFAULT_GOAL := help
 
 help:
-	@sed -n '3,7s/^# *//p' Makefile
+	@sed -n '3,8s/^# *//p' Makefile
 
 venv: $(STAMP)
 
@@ -56,6 +57,20 @@ demo: $(STAMP)
 test: $(STAMP)
 	$(BIN)/python -m pytest -q --timeout=$(TEST_TIMEOUT) -n $(TEST_JOBS) --dist loadfile \
 		--no-loadscope-reorder $(TEST_ARGS)
+
+# What one runs at each save: folders that take no processes, no ROS and a minute.
+FAST := analysis blocks controls flow gap identify map members models schema teleop trajectory
+SINCE ?= HEAD
+
+test-fast: $(STAMP)
+	$(BIN)/python -m pytest -q --timeout=$(TEST_TIMEOUT) -n $(TEST_JOBS) --dist worksteal \
+		-m "not slow and not alone" $(TEST_ARGS) $(addprefix test/,$(FAST))
+
+# By the imports of the tests; SINCE=main for all of a branch.
+test-changed: $(STAMP)
+	@files=$$($(BIN)/python tools/lib/changed_tests.py $(SINCE)); test -z "$$files" || \
+		$(BIN)/python -m pytest -q --timeout=$(TEST_TIMEOUT) -n $(TEST_JOBS) --dist loadfile \
+		--no-loadscope-reorder $(TEST_ARGS) $$files
 
 # Parts of the slow tests, by folders of test/; `others` is what no part names.
 SLOW_ros := ros
