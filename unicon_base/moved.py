@@ -18,7 +18,7 @@ _NAMES = {
     "registered resources schema",
     ("unicon_core", "unicon_manipulation"): "ik retarget",
     ("unicon_ros", "unicon_lab"): "analysis datasets fault_record recording replay report "
-    "run_report sweep transfer view",
+    "sweep transfer view",
     ("unicon_ros", "unicon_lab.recording"): "recorded_frames recorded_topics recorder "
     "run_recording",
     ("unicon_ros", "unicon_hardware"): "emulate peripherals",
@@ -40,6 +40,7 @@ MOVED = {
     "unicon_ros.peripherals.child": "unicon_ros.peripheral_process",
     "unicon_ros.peripherals.peripheral": "unicon_ros.peripheral",
     "unicon_ros.report.drawing": "unicon_core.drawing",
+    "unicon_ros.run_report": "unicon_lab.evidence_report",
     "unicon_ros.view.front": "unicon_ros.web_front",
 }
 """Old module or package to new."""

@@ -11,7 +11,7 @@ from peer import Peer
 from vendor_robots import serve
 
 from unicon_base.errors import UniconError
-from unicon_lab.run_report.report import report_of
+from unicon_lab.evidence_report.report import report_of
 
 pytest.importorskip("rosbags")
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]

@@ -22,8 +22,8 @@ def _report_run(arguments: argparse.Namespace) -> int:
 
 
 def _write(arguments: argparse.Namespace) -> int:
-    from unicon_lab.run_report import signed
-    from unicon_lab.run_report.report import report_of
+    from unicon_lab.evidence_report import signed
+    from unicon_lab.evidence_report.report import report_of
 
     report = report_of(arguments.recording, arguments.hardware)
     robot = "-".join(report["robots"]) if isinstance(report["robots"], dict) else "robot"
@@ -41,9 +41,9 @@ def _write(arguments: argparse.Namespace) -> int:
 
 
 def _verify(arguments: argparse.Namespace) -> int:
+    from unicon_lab.evidence_report import signed
+    from unicon_lab.evidence_report.report import recording_of
     from unicon_lab.recording import open_record
-    from unicon_lab.run_report import signed
-    from unicon_lab.run_report.report import recording_of
 
     path, bag = arguments.verify, arguments.bag
     report = signed.read_report(path)

@@ -16,10 +16,10 @@ from unicon_base.resources import config_roots, sha256_of
 from unicon_core.evidence import load_evidence
 from unicon_core.robots import load_robot
 from unicon_core.workflow.registry import known
+from unicon_lab.evidence_report.figures import faults_of, figures_of, level_of
 from unicon_lab.recording import Record, open_record
 from unicon_lab.recording.facts import VERSIONS
 from unicon_lab.replay.workflow import recorded_workflow
-from unicon_lab.run_report.figures import faults_of, figures_of, level_of
 
 SCHEMA = "unicon.run/1"
 OTHER = "other"

@@ -15,7 +15,7 @@ import yaml
 from unicon_base.errors import UniconError
 from unicon_base.located_yaml import read_yaml
 from unicon_core.page import write_file
-from unicon_lab.run_report.report import SCHEMA
+from unicon_lab.evidence_report.report import SCHEMA
 
 NAMESPACE = "unicon-run"
 """Of signatures: one that was made for another purpose signs no report."""
