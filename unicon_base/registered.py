@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from functools import cache
 from importlib.metadata import EntryPoint, distribution, distributions
 from pathlib import Path
@@ -22,15 +24,38 @@ def registered(kind: str) -> Mapping[str, EntryPoint]:
     return all_registered().get(f"unicon.{kind}", {})
 
 
-def loaded(kind: str) -> dict[str, Any]:
-    """Return name to object of a group, by name; without those whose package was removed."""
-    found = {}
+NEEDED = {"commands": ("add",), "run": ("OPTIONS", "CHECKS", "refuse", "attachments")}
+"""What an object of a group has."""
+
+
+@cache
+def loaded(kind: str) -> Mapping[str, Any]:
+    """Return name to object of a group, by name; without those whose package was removed.
+
+    Another package that is broken is named on standard error and left out.
+
+    Args:
+        kind: a key of `NEEDED`.
+    """
+    found: dict[str, Any] = {}
     for name, entry in sorted(registered(kind).items()):
         try:
-            found[name] = entry.load()
-        except ModuleNotFoundError as error:
-            if error.name != entry.module.partition(".")[0]:
-                raise
+            each = entry.load()
+            why = "".join(f"it has no {word!r}" for word in NEEDED[kind] if not hasattr(each, word))
+        except Exception as wrong:  # whatever another package's code raises
+            gone = wrong.name or "?" if isinstance(wrong, ModuleNotFoundError) else "?"
+            if f"{entry.module}.".startswith(f"{gone}."):
+                continue
+            why = f"{type(wrong).__name__}: {wrong}".splitlines()[0]
+        if not why:
+            found[name] = each
+            continue
+        with suppress(OSError):
+            print(
+                f"unicon: warning: unicon.{kind} {name!r} (entry point {entry.value}) is left out: "
+                f"{why}; mend or uninstall its package",
+                file=sys.stderr,
+            )
     return found
 
 

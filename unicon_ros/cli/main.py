@@ -67,7 +67,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.set_defaults(quiet=False, verbose=False)
     parser.add_argument("--version", action="version", version=unicon_core.__version__)
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    modules = {each.__name__.rpartition(".")[2]: each for each in OURS} | loaded("commands")
+    ours = {each.__name__.rpartition(".")[2]: each for each in OURS}
+    modules = {**loaded("commands"), **ours}
     for name in dict.fromkeys((*ORDER, *modules)):
         if name in modules:
             modules[name].add(commands)
