@@ -45,3 +45,11 @@ def test_only_subscriptions_that_say_no_qos_take_the_reader_s(heard: Qos | None)
     assert mapping.publish[0].qos == Qos()
     said = {spec.topic: spec.qos for spec in mapping.subscribe}
     assert said == {"unsaid": heard or Qos(), "default": Qos(), "depth": Qos(depth=3)}
+
+
+def test_a_key_of_null_is_as_one_that_is_left_out() -> None:
+    entry = "topic: a, type: std_msgs/msg/String, fields: {{data: {{state: tick{}}}}}"
+    plain, null = (
+        parse_map(f"publish: [{{{entry.format(more)}}}]").publish for more in ("", ", text: null")
+    )
+    assert null == plain

@@ -217,8 +217,8 @@ def _checked(rules: Sequence[Checked]) -> Callable[[Any], Any]:
     """Return what refuses a value that is against a rule."""
 
     def check(value: Any) -> Any:
-        wrong = next(filter(None, (rule.wrong(value) for rule in rules)), "")
-        if wrong:
+        said = () if value is None else (rule.wrong(value) for rule in rules)  # null, where allowed
+        if wrong := next(filter(None, said), ""):
             raise UniconError(wrong)
         return value
 
