@@ -14,6 +14,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ from seeds import (
     LEGGED_GYM,
     MEMBERS,
     SET_PATHS,
+    SWEEP,
     URDF,
     WORKFLOWS,
     XML_SNIPPETS,
@@ -47,6 +49,8 @@ from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import Layout, States, standard_states
 from unicon_lab.recording import open_record, recover
 from unicon_lab.recording.recorder import Recorder
+from unicon_lab.sweep.plan import Plan
+from unicon_lab.sweep.sweep_file import read_sweep
 from unicon_msgs_map import Decoder, Encoder, load_map
 
 __all__ = ["KINDS"]
@@ -242,6 +246,19 @@ def cut_off() -> bytes:
         return path.read_bytes()
 
 
+def sweep(dice: random.Random, folder: Path) -> Reader:
+    import_module("scipy.stats")  # which runs code of its own where it is imported
+    seeds = [ROOT / "examples" / name for name in ("terrain.yaml", "go2_exam.yaml")]
+    path = folder / "sweep.yaml"
+    write(path, dice.choice([*(seed.read_text("utf-8") for seed in seeds), SWEEP]), dice)
+
+    def read() -> object:
+        plan = Plan(read_sweep(path))
+        return [plan.row(i).settings for i in (0, len(plan) - 1)]
+
+    return read
+
+
 def fault_record(dice: random.Random, folder: Path) -> Reader:
     raw, way = cut_off(), dice.random()
     raw = mutate_mcap(raw, dice) if way < 0.6 else mutate_bytes(raw, dice)
@@ -313,6 +330,7 @@ KINDS: dict[str, Callable[[random.Random, Path], Reader]] = {
     "record": fault_record,
     "model": model,
     "safety": safety,
+    "sweep": sweep,
     "scene": scene,
     "preflight": preflight,
     "bag": bags,

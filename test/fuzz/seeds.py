@@ -19,6 +19,7 @@ __all__ = [
     "SCENES",
     "SET_PATHS",
     "STARTS",
+    "SWEEP",
     "URDF",
     "WORKFLOWS",
     "XML_SNIPPETS",
@@ -467,4 +468,23 @@ normalization:
   clip_actions: 100.0
 commands:
   ranges: {lin_vel_x: [-1.0, 1.0], ang_vel_yaw: [-2.0, 2.0]}
+"""
+
+SWEEP = """\
+schema: unicon.sweep/1
+workflow: go2_walk
+set: {platform: mujoco}
+vary:
+  scene.payload: {uniform: [0.0, 2.0]}
+  policies.walk.given.action.scale: [0.2, 0.25]
+sample: random
+rollouts: 10
+seed: 3
+repeat: 2
+duration: 2.0
+early_stop: fall
+keep: [joint_pos, base_pos_w]
+timeout: 60.0
+engine: local
+gate: [fall<0.1]
 """

@@ -34,6 +34,7 @@ KINDS = (
     "record",
     "model",
     "safety",
+    "sweep",
     "scene",
     "preflight",
     "bag",
