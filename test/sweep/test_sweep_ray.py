@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import json
 import shutil
 import socket
@@ -278,3 +279,15 @@ def test_a_scratch_folder_outlives_its_owner_only_until_the_next(
     first.close()
     second.close()
     assert not list(tmp_path.iterdir())
+
+
+def test_an_archive_has_what_we_register(tmp_path: Path) -> None:
+    """A node without us finds blocks and platforms of other packages of ours by it."""
+    archive = tmp_path / "files.zip"
+    shipment.pack(archive, [])
+    with zipfile.ZipFile(archive) as packed:
+        packed.extractall(tmp_path / "there")
+    there = [*importlib.metadata.distributions(path=[str(tmp_path / "there")])]
+    [ours] = [each for each in there if each.metadata["Name"].replace("-", "_") == "unicon_ros"]
+    registered = {(entry.group, entry.name) for entry in ours.entry_points}
+    assert {("unicon.platforms", "pybullet"), ("unicon.blocks", "reach")} <= registered

@@ -103,7 +103,7 @@ def _places(files: Iterable[str]) -> Iterator[tuple[str, Path | None]]:
         yield from _below(_SOURCE / package, package)
     for file in importlib.metadata.distribution("unicon_ros").files or ():
         path = Path(str(file.locate()))  # what it registers: blocks, platforms, commands
-        if path.name in ("METADATA", "entry_points.txt") and path.is_file():
+        if path.name in ("METADATA", "PKG-INFO", "entry_points.txt") and path.is_file():
             yield f"{path.parent.name}/{path.name}", path
     yield from _below(_own_config(), "config")
     yield f"{FILES}{os.getcwd()}", None
