@@ -18,6 +18,7 @@ from unicon_base.errors import MissingDependencyError
 from unicon_core.platforms.kit.stepped import SteppedSimulator
 from unicon_core.workflow import load_workflow
 from unicon_core.workflow.registry import known
+from unicon_lab.transfer.plan import OURS
 from unicon_ros.bench.report import Bench
 
 TICKS = 40
@@ -36,8 +37,7 @@ def run(rounds: int | None = None) -> Bench:
     bench = Bench("simulators", rounds or 10)
     times = Samples()
     platforms: dict[str, SteppedSimulator] = {}
-    ours = ("unicon_core.", "unicon_sims.")
-    for name in (n for n, at in known("platforms").items() if at.startswith(ours)):
+    for name in (n for n, at in known("platforms").items() if at.startswith(OURS)):
         try:
             workflow = load_workflow("go2_stand", [f"platform={name}", "flow=hold"])
         except MissingDependencyError as error:

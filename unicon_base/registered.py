@@ -41,7 +41,8 @@ def loaded(kind: str) -> Mapping[str, Any]:
     for name, entry in sorted(registered(kind).items()):
         try:
             each = entry.load()
-            why = "".join(f"it has no {word!r}" for word in NEEDED[kind] if not hasattr(each, word))
+            lacking = [repr(word) for word in NEEDED[kind] if not hasattr(each, word)]
+            why = f"it has no {', '.join(lacking)}" if lacking else ""
         except Exception as wrong:  # whatever another package's code raises
             gone = wrong.name or "?" if isinstance(wrong, ModuleNotFoundError) else "?"
             if f"{entry.module}.".startswith(f"{gone}."):

@@ -72,6 +72,20 @@ class Attachment:
         """Let go of what it holds, after the run."""
 
 
+def said_at_end(attachments: list[Attachment], report: Report) -> Iterator[tuple[str, str]]:
+    """Yield what attachments say of a run that ended, the last one first, name and text each.
+
+    One that raises is named: neither the report nor a fault's status is lost by it.
+    """
+    for each in reversed(attachments):
+        try:
+            said = each.ended(report)
+        except Exception as wrong:  # whatever another package's code raises
+            said = type(each).__name__, f"failed: {type(wrong).__name__}: {wrong}"
+        if said is not None:
+            yield said
+
+
 def attached(asked: Asked) -> list[Attachment]:
     """Return what goes with a run, in the order of their hooks."""
     return [each for extension in loaded("run").values() for each in extension.attachments(asked)]

@@ -33,7 +33,7 @@ from unicon_core.runtime.phases import Phase
 from unicon_core.signals import SIGNALS
 from unicon_core.workflow import Hook, Program, load_document
 from unicon_ros import compat
-from unicon_ros.attachments import Asked, Attachment, attached
+from unicon_ros.attachments import Asked, Attachment, attached, said_at_end
 from unicon_ros.bridge import RosSession
 from unicon_ros.bridge.diagnostics import Diagnostics
 from unicon_ros.bridge.estop import FAULT, STOP_SERVICES, EmergencyStop, latch_of
@@ -182,7 +182,7 @@ class UniconNode(LifecycleNode):
         try:
             report = runner.run()
             faults = report.faults
-            for name, text in filter(None, [a.ended(report) for a in reversed(self._attachments)]):
+            for name, text in said_at_end(self._attachments, report):
                 self.log.info(f"{name}: {text}")
             counts = session.counts()
             self.log.info(
@@ -334,8 +334,9 @@ class UniconNode(LifecycleNode):
     def _release(self) -> None:
         """Close what was built; the platform damps first."""
         runner, session = self.runner, self.session
+        attachments, self._attachments = self._attachments, []
         self.runner, self.session, self._fresh = None, None, False
-        for what in (runner, session):
+        for what in (runner, *attachments, session):
             try:
                 if what is not None:
                     what.close()

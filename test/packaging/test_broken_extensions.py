@@ -50,7 +50,7 @@ def test_a_command_of_another_package_is_one_of_ours(tmp_path: Path) -> None:
     [
         ("import missing_one", "ModuleNotFoundError: No module named 'missing_one'"),
         ("raise SystemError('at once')", "SystemError: at once"),
-        ("", "it has no 'add'"),
+        ("", "it has no 'add';"),
         ("(", "SyntaxError: '(' was never closed"),
     ],
 )
@@ -71,10 +71,33 @@ def test_broken_options_of_a_run_leave_a_run_as_it_is(tmp_path: Path) -> None:
     words = ("run", "go2_stand", "--set", "platform=fake", "--no-ros", "--quiet")
     done = unicon(tmp_path, *words, "--speed", "max", "--duration", "0.1")
     assert done.returncode == 0, done.stderr
-    assert done.stderr.count("is left out: it has no 'CHECKS'") == 1
+    assert done.stderr.count("is left out: it has no 'CHECKS', 'refuse', 'attachments';") == 1
 
 
 def test_what_was_removed_is_not_missed(tmp_path: Path) -> None:
     package(tmp_path, "[unicon.commands]\nhello = gone_with_its_folder.command\n")
     done = unicon(tmp_path, "platforms", "fake")
     assert (done.returncode, done.stderr) == (0, "")
+
+
+ATTACHED = """
+from unicon_ros.attachments import Attachment
+
+OPTIONS, CHECKS = (), {}
+
+class Broken(Attachment):
+    def ended(self, report):
+        raise RuntimeError("at the end")
+
+def refuse(options): ...
+def attachments(asked): return [Broken()]
+"""
+
+
+def test_one_that_fails_at_the_end_loses_neither_report_nor_status(tmp_path: Path) -> None:
+    package(tmp_path, "[unicon.run]\nanother = another_options\n", another_options=ATTACHED)
+    words = ("run", "go2_stand", "--set", "platform=fake", "--no-ros", "--report", "run.json")
+    done = unicon(tmp_path, *words, "--speed", "max", "--duration", "0.1")
+    assert done.returncode == 0, done.stderr
+    assert "Broken        failed: RuntimeError: at the end" in done.stdout
+    assert (tmp_path / "run.json").is_file()

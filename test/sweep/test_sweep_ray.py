@@ -290,4 +290,6 @@ def test_an_archive_has_what_we_register(tmp_path: Path) -> None:
     there = [*importlib.metadata.distributions(path=[str(tmp_path / "there")])]
     [ours] = [each for each in there if each.metadata["Name"].replace("-", "_") == "unicon_ros"]
     registered = {(entry.group, entry.name) for entry in ours.entry_points}
+    packages = {path.parent.name for path in shipment._SOURCE.glob("unicon_*/__init__.py")}
+    assert packages == {*shipment.PACKAGES}
     assert {("unicon.platforms", "pybullet"), ("unicon.blocks", "reach")} <= registered

@@ -74,7 +74,7 @@ class FourierFace(ActuatorFace):
     """See `Face`; `face` builds it."""
 
     def __init__(self, states: States, actuators: Actuators) -> None:
-        super().__init__(states, actuators.addresses[0])
+        super().__init__(states, actuators.addresses[0], len(actuators.names))
         self._facts, n = actuators, len(actuators.names)
         self.where = f"{actuators.addresses[0]}:{actuators.port} and {n - 1} more"
         self._actuators = [Actuator() for _ in actuators.names]
@@ -94,9 +94,7 @@ class FourierFace(ActuatorFace):
         """See `Face`."""
         heard = False
         for joint, data, socket in self._said(self._sockets):
-            if self._heard(joint, data, socket.send):
-                self._commanded.add(joint)
-                heard = True
+            heard |= self._acts(joint, self._heard(joint, data, socket.send))
         states, facts = self._states, self._facts
         for joint, actuator in enumerate(self._actuators):
             if time.monotonic() - actuator.commanded > actuator.timeout:
@@ -105,7 +103,7 @@ class FourierFace(ActuatorFace):
             states["joint_stiffness"][joint] = on * actuator.kp / facts.kp[joint]
             if on:
                 states["joint_damping"][joint] = actuator.kd / facts.kd[joint]
-        return heard and len(self._commanded) == len(self._actuators)
+        return heard
 
     def _heard(self, joint: int, data: bytes, reply: Callable[[bytes], None]) -> bool:
         """Carry out a datagram; True where it was a command that acts."""

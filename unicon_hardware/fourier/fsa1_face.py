@@ -37,14 +37,15 @@ class ActuatorFace:
     Args:
         states: of the emulator.
         where: first address of the actuators.
+        joints: how many they are.
     """
 
     platform, rate = "fourier", 500.0
 
-    def __init__(self, states: States, where: str) -> None:
-        self._states, self.reach = states, {"address": where}
+    def __init__(self, states: States, where: str, joints: int) -> None:
+        self._states, self.reach, self._joints = states, {"address": where}, joints
         self._sockets: list[Udp] = []
-        self._commanded: set[int] = set()  # joints; until it has all, a command is not whole
+        self._commanded: set[int] = set()
 
     def _listening(self, addresses: tuple[str, ...], port: int) -> list[Udp]:
         """Open a socket at each address; where one fails, all are closed."""
@@ -56,6 +57,12 @@ class ActuatorFace:
             self.close()
             raise
         return self._sockets[first:]
+
+    def _acts(self, joint: int, commanded: bool) -> bool:
+        """Return whether a command is whole: datagrams come one after the other, all count."""
+        if commanded:
+            self._commanded.add(joint)
+        return commanded and len(self._commanded) == self._joints
 
     @staticmethod
     def _said(sockets: list[Udp]) -> Iterator[tuple[int, bytes, Udp]]:
@@ -87,7 +94,7 @@ class Fsa1Face(ActuatorFace):
     dead_man = math.inf
 
     def __init__(self, states: States, servos: Servos) -> None:
-        super().__init__(states, servos.addresses[0])
+        super().__init__(states, servos.addresses[0], len(servos.names))
         self._servos, n = servos, len(servos.names)
         self.enabled, self.mode = np.zeros(n, bool), np.zeros(n, int)
         self.gains = np.zeros((2, n))
@@ -112,16 +119,14 @@ class Fsa1Face(ActuatorFace):
             if (understood(data) or {}).get("reqTarget") == "/measured":
                 socket.send(self._angle(encoder))
         for joint, data, socket in self._said(self._fast):
-            if self._heard(joint, data, socket):
-                self._commanded.add(joint)
-                heard = True
+            heard |= self._acts(joint, self._heard(joint, data, socket))
         for joint in range(len(self._fast)):
             on = self.enabled[joint] and self.mode[joint] == POSITION_MODE
             stiffness, damping = self._servos.joint_gains(joint, *self.gains[:, joint].tolist())
             states["joint_stiffness"][joint] = on * stiffness
             if on:
                 states["joint_damping"][joint] = damping
-        return heard and len(self._commanded) == len(self._fast)
+        return heard
 
     def _set(self, joint: int, asked: dict[str, Any], reply: Callable[[bytes], None]) -> None:
         """Carry out a setting, or answer a question, of JSON."""

@@ -23,6 +23,7 @@ from unicon_core.workflow.registry import known
 from unicon_lab.fault_record import fault_folder
 from unicon_lab.recording import Record
 from unicon_lab.recording.scan import scan
+from unicon_lab.transfer.plan import OURS
 
 HERE = re.compile(
     r"(.*[/:@])?(127(\.\d+){1,3}|0\.0\.0\.0|\[?::1\]?|localhost\S*|lo\d*)([:/]\d+)?"
@@ -42,9 +43,7 @@ def level_of(record: Record, workflow: Mapping[str, Any], hardware: bool) -> tup
     """
     at = known("platforms")
     makers = [at.get(name, "") for name in record.facts["platform"].split("+")]
-    if simulated(record) or any(
-        maker.startswith(("unicon_core.", "unicon_sims.")) for maker in makers
-    ):
+    if simulated(record) or any(maker.startswith(OURS) for maker in makers):
         return "never", "its platform, or a part of it, is simulated"
     if record.facts["dry"] == "true":
         return "never", "nothing was sent (--dry)"

@@ -163,6 +163,7 @@ def _every(document: WorkflowDocument, notes: list[str]) -> tuple[str, ...]:
 
 
 OURS = ("unicon_core.", "unicon_sims.")
+"""Factories of our own simulators begin so."""
 
 
 def simulators() -> tuple[str, ...]:

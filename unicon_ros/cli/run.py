@@ -18,7 +18,7 @@ from unicon_base.registered import loaded
 from unicon_core.non_blocking_writer import relayed_stderr
 from unicon_core.page import refuse_unwritable
 from unicon_core.signals import SIGNALS, Guard
-from unicon_ros.attachments import Asked, Attachment, File, attached
+from unicon_ros.attachments import Asked, Attachment, File, attached, said_at_end
 from unicon_ros.cli.console import Console
 from unicon_ros.cli.options import RUN_OPTIONS, WORKFLOW, Adder, command
 
@@ -137,8 +137,7 @@ def _run(
             guard.damp = None
         if session is not None:
             report.bridge = session.counts()
-        said = filter(None, [each.ended(report) for each in reversed(attachments)])
-        lines = [f"{name:<14}{text}" for name, text in said]
+        lines = [f"{name:<14}{text}" for name, text in said_at_end(attachments, report)]
     except BaseException:
         if session is not None:
             session.close()
@@ -239,10 +238,13 @@ def _write(arguments: argparse.Namespace, ended: _Ended) -> tuple[list[str], lis
     written: list[str] = []
     problems: list[str] = []
     trace = partial(runner.statistics.write_trace, arguments.trace, f"unicon {report.workflow}")
-    files: list[File] = [("trace", arguments.trace, trace)]
-    if not (arguments.report or "").lower().endswith(".html"):
-        files.append(("report", arguments.report, partial(report.write, arguments.report)))
-    for name, path, write in (*files, *(f for a in ended.attachments for f in a.files(report))):
+    files: dict[str, File] = {
+        "trace": ("trace", arguments.trace, trace),
+        "report": ("report", arguments.report, partial(report.write, arguments.report)),
+    }
+    # A page takes the place of the JSON.
+    files |= {file[0]: file for each in ended.attachments for file in each.files(report) if file[1]}
+    for name, path, write in files.values():
         if not path:
             continue
         if path.endswith(".html") and sys.stderr.isatty():  # its pictures take seconds
