@@ -11,7 +11,6 @@ from source_tree import ROOT
 
 @pytest.fixture(scope="module")
 def tool() -> ModuleType:
-    pytest.importorskip("numpy")
     path = ROOT / "tools" / "lib" / "changed_tests.py"
     spec = importlib.util.spec_from_file_location("changed_tests", path)
     assert spec is not None

@@ -21,6 +21,7 @@ def python(tmp_path_factory: pytest.TempPathFactory, under_colcon: bool) -> list
     if under_colcon:
         pytest.skip("colcon tests its own installation")
     pytest.importorskip("mujoco")
+    pytest.importorskip("onnxruntime")
     folder = tmp_path_factory.mktemp("part")
     source = copy_source(folder / "source")
     for package in REMOVED:

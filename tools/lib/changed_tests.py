@@ -75,7 +75,7 @@ def _named(path: Path) -> Iterator[str]:
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
             if node.value.startswith("unicon_") and path.name != "moved.py":
                 yield node.value.partition(":")[0]  # a place, as of a patch
-            if "test" in path.relative_to(ROOT).parts[0]:
+            if path.is_relative_to(ROOT / "test"):
                 yield from (
                     REGISTERED[word] for word in WORD.findall(node.value) if word in REGISTERED
                 )
