@@ -115,6 +115,8 @@ def mutate(rows: Sequence[Row], jobs: int = 2) -> Iterator[Outcome]:
     for row in rows:
         mutated(row, (ROOT / row.file).read_text("utf-8"))
     with tempfile.TemporaryDirectory(prefix="mutation-") as folder:
+        # Beside the copies as beside the tree: tests that lack their models are skipped.
+        (Path(folder) / "shared").symlink_to(ROOT.parent / "shared")
         trees: Queue[Path] = Queue()
         for k in range(jobs):
             tree = Path(folder) / str(k)
@@ -153,8 +155,6 @@ def _failed(tree: Path, tests: Sequence[str], timeout: float) -> str:
     """Run tests in a tree; return the first that fails, "" for none."""
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *tests]
     environment = os.environ | {"PYTHONPATH": str(tree)}
-    # The copy has no folder `shared` beside it, and tests without their models are skipped.
-    environment.setdefault("UNICON_ASSETS", str(ROOT.parent / "shared" / "assets"))
     if timeout == TIMEOUT:  # a mutated file leaves nothing compiled
         environment["PYTHONDONTWRITEBYTECODE"] = "1"
     process = subprocess.Popen(
