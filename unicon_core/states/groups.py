@@ -4,8 +4,8 @@ group = subset(states.layout, ("joint_pos", "joint_vel"))
 copies = Copies(states, group, memory)     # memory: group.nbytes bytes, anywhere
 copies.pack()                              # states -> memory
 
-The states of a member of a robot are such a part, too: a platform or a block that is built with them
-sees a robot of its own, and writes slices of the whole without a copy.
+The states of a member of a robot are such a part, too: a platform or a block that is built with
+them sees a robot of its own, and writes slices of the whole without a copy.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""ProgramData: what a program consists of, with the gate that its commands pass; `Program` builds it.
+"""ProgramData: what a program consists of, with the gate of its commands; `Program` builds it.
 
-The gate is the last check before `send`: a closed workflow and a tick that hung send nothing. A silent
-run (`unicon run --dry`, preflight) computes everything and sends nothing.
+The gate is the last check before `send`: a closed workflow and a tick that hung send nothing. A
+silent run (`unicon run --dry`, preflight) computes everything and sends nothing.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Sockets of a message queue (addresses, bounds, keys), and which of their values may pass.
 
 One live sender passes, in order, and not late. Clocks of two machines differ, so that nobody can
-tell how long a value was under way; by how much longer than the fastest one, everybody can. The smallest
-(arrival − sent) of a sender is its offset. After a cut link TCP delivers what it kept, in order and
-whole, and only the offset tells it from news.
+tell how long a value was under way; by how much longer than the fastest one, everybody can. The
+smallest (arrival − sent) of a sender is its offset. After a cut link TCP delivers what it kept, in
+order and whole, and only the offset tells it from news.
 """
 
 from __future__ import annotations

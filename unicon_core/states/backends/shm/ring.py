@@ -1,8 +1,8 @@
 """The ring of a group: its writer, its readers, and how readers sleep and are woken.
 
 They sleep on a futex, a word in shared memory: the kernel puts a caller to sleep only while the
-word still has the value that the caller saw, so that no wake is lost between looking and sleeping. Any
-number of processes may wait (futex(2)).
+word still has the value that the caller saw, so that no wake is lost between looking and sleeping.
+Any number of processes may wait (futex(2)).
 """
 
 from __future__ import annotations
