@@ -36,7 +36,7 @@ from unicon_core.handles import FrameRing
 from unicon_core.models.camera import ModelCamera
 from unicon_core.models.find import find_model, model_of, terrain_of
 from unicon_core.robots import Robot, load_files, robot_files
-from unicon_core.robots.places import Place
+from unicon_core.robots.robot import Place
 from unicon_core.states import StateSpec
 from unicon_core.states.groups import subset
 from unicon_core.terrain.words import Terrain

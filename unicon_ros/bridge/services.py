@@ -10,7 +10,7 @@ from unicon_core.blocks.controls.skills import Skills
 from unicon_core.platforms.platform import Pausable
 from unicon_core.runtime import Runner
 from unicon_core.workflow import Program
-from unicon_core.workflow.skills import skills_of
+from unicon_core.workflow.flow_yaml import skills_of
 from unicon_ros import compat
 
 Answer = tuple[bool, str]

@@ -23,8 +23,7 @@ from pathlib import Path
 
 import unicon_core
 from unicon_base.errors import PlatformError, UniconError, cannot
-from unicon_core.interfaces import flags_of, ipv4_of
-from unicon_core.latches import Latched, clearing, latch_folder, latches
+from unicon_core.latches import Latched, clearing, flags_of, ipv4_of, latch_folder, latches
 from unicon_core.pacing import REAL_TIME
 from unicon_core.text_table import aligned
 from unicon_ros.cli.console import print_json, print_table
