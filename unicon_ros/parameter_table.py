@@ -1,4 +1,6 @@
-"""The table of unicon_node's parameters, for the node, launch files and documents; without ROS."""
+"""The table of unicon_node's parameters, and declaring parameters: integers are numbers, lists may be
+empty. For the node, sessions, launch files and documents; the table needs no ROS.
+"""
 
 from __future__ import annotations
 

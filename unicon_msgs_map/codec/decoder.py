@@ -1,8 +1,9 @@
 """Decoders: the bytes of one ROS message in, state arrays written; for bridges and replays.
 
-Two paths, one meaning. The careful path (`layouts.py`) walks the payload with every length checked,
+Two paths, one meaning. The careful path (`careful.py`) walks the payload with every length checked,
 applies the declared policies, and compiles what it found; the fast path (`fast.py`) reads at those
-offsets as long as every structural byte is the same. Any difference goes back to the walk.
+offsets as long as every structural byte is the same. Any difference goes back to the walk. Layouts
+that the payloads of a topic have had are remembered, each with its fast path.
 """
 
 from __future__ import annotations
@@ -41,19 +42,17 @@ class _Layout:
     runs: list[Run]
 
 
-class Layouts:
-    """Reads payloads carefully, and remembers how to read the like of them fast.
-
-    Args:
-        spec: the mapping entry.
-        message: its type.
-        targets: what it writes and requires.
+class Decoder:
+    """State arrays from one message type; make it with `Decoder.build`.
 
     Attributes:
         spec: the mapping entry.
+        received: number of accepted messages.
+        rejected: number of refused ones.
+        last_error: why the last refused message was refused; empty if none was.
         targets: what it writes and requires.
         fast: the fast path of the last layout.
-        derived: number of times that a layout was derived anew.
+        derived: how often a layout was derived.
         stamp: one element, stamp of the last message in [ns].
         kept: the layouts that are remembered, the latest first.
     """
@@ -61,7 +60,8 @@ class Layouts:
     def __init__(self, spec: SubscribeSpec, message: Struct, targets: list[Target]) -> None:
         self.spec, self._message, self.targets = spec, message, targets
         self.fast: Callable[[bytes], bool | None] = _miss
-        self.derived = 0
+        self.derived = self.received = self.rejected = 0
+        self.last_error = ""
         self.stamp = [0]
         self.kept: list[_Layout] = []
         self._loose = False
@@ -72,83 +72,6 @@ class Layouts:
         stamp = _stamp_path(message)
         if stamp:
             self._want.add(STAMP, stamp, message)
-
-    def need_orientation(self, state: str) -> None:
-        """Refuse messages without an orientation from now on.
-
-        A robot that balances by one that is not there would be blind: a quaternion whose norm is
-        not 1, or an Imu that says it has none (-1 in `orientation_covariance`).
-
-        Args:
-            state: that the quaternion is written to.
-        """
-        self._orientation = state
-        if self.spec.type == IMU:
-            self._want.add(COVARIANCE, parse_path("orientation_covariance[0]"), self._message)
-        self.kept.clear()
-        self.fast = _miss
-
-    def read(self, raw: bytes) -> None:
-        """Write the states that a message carries.
-
-        Raises:
-            Malformed: it is not a message of this type.
-            Rejected: the policies of the entry refuse it; nothing was written.
-        """
-        for kept in self.kept:
-            done = kept.fast(raw)
-            if done is not None:
-                self.fast, runs = kept.fast, kept.runs
-                break
-        else:
-            found = walk(raw, self._message, self._want)
-            runs = select(found, self.spec, self.targets, self.stamp)
-            if self._orientation:
-                runs += orientation(found, runs, self._orientation)
-            self._remember(raw, found, runs)
-            done = self.fast(raw)
-        if not done:
-            apply(raw, runs, self.spec.nonfinite)
-
-    def _remember(self, raw: bytes, found: WalkedFields, runs: list[Run]) -> None:
-        self.derived += 1
-        hard = merge(found.hard)
-        structure = tuple(raw[start:end] for start, end in hard)
-        if any(kept.size == len(raw) and kept.structure == structure for kept in self.kept):
-            # Only padding or unread bytes differ: from now on they are not compared.
-            self._loose = True
-            self.kept.clear()
-        reject = self.spec.nonfinite == "reject"
-        self.fast = compile_fast(raw, found.order, hard, runs, reject, self._loose)
-        self.kept.insert(0, _Layout(len(raw), structure, self.fast, runs))
-        del self.kept[KEPT_LAYOUTS:]
-
-
-def _miss(_: bytes) -> bool | None:
-    return None
-
-
-def _stamp_path(message: Struct) -> Path:
-    for path, owner in (("header.stamp", HEADER), ("stamp", TIME), ("clock", TIME)):
-        steps = parse_path(path)
-        kind = message.fields.get(steps[0][0])
-        if isinstance(kind, Struct) and kind.name == owner:
-            return steps
-    return ()
-
-
-class Decoder(Layouts):
-    """State arrays from one message type; make it with `Decoder.build`.
-
-    Attributes:
-        spec: the mapping entry.
-        received: number of accepted messages.
-        rejected: number of refused ones.
-        last_error: why the last refused message was refused; empty if none was.
-    """
-
-    received = rejected = 0
-    last_error = ""
 
     @classmethod
     def build(
@@ -223,3 +146,66 @@ class Decoder(Layouts):
             return False
         self.received += 1
         return True
+
+    def need_orientation(self, state: str) -> None:
+        """Refuse messages without an orientation from now on.
+
+        A robot that balances by one that is not there would be blind: a quaternion whose norm is
+        not 1, or an Imu that says it has none (-1 in `orientation_covariance`).
+
+        Args:
+            state: that the quaternion is written to.
+        """
+        self._orientation = state
+        if self.spec.type == IMU:
+            self._want.add(COVARIANCE, parse_path("orientation_covariance[0]"), self._message)
+        self.kept.clear()
+        self.fast = _miss
+
+    def read(self, raw: bytes) -> None:
+        """Write the states that a message carries.
+
+        Raises:
+            Malformed: it is not a message of this type.
+            Rejected: the policies of the entry refuse it; nothing was written.
+        """
+        for kept in self.kept:
+            done = kept.fast(raw)
+            if done is not None:
+                self.fast, runs = kept.fast, kept.runs
+                break
+        else:
+            found = walk(raw, self._message, self._want)
+            runs = select(found, self.spec, self.targets, self.stamp)
+            if self._orientation:
+                runs += orientation(found, runs, self._orientation)
+            self._remember(raw, found, runs)
+            done = self.fast(raw)
+        if not done:
+            apply(raw, runs, self.spec.nonfinite)
+
+    def _remember(self, raw: bytes, found: WalkedFields, runs: list[Run]) -> None:
+        self.derived += 1
+        hard = merge(found.hard)
+        structure = tuple(raw[start:end] for start, end in hard)
+        if any(kept.size == len(raw) and kept.structure == structure for kept in self.kept):
+            # Only padding or unread bytes differ: from now on they are not compared.
+            self._loose = True
+            self.kept.clear()
+        reject = self.spec.nonfinite == "reject"
+        self.fast = compile_fast(raw, found.order, hard, runs, reject, self._loose)
+        self.kept.insert(0, _Layout(len(raw), structure, self.fast, runs))
+        del self.kept[KEPT_LAYOUTS:]
+
+
+def _miss(_: bytes) -> bool | None:
+    return None
+
+
+def _stamp_path(message: Struct) -> Path:
+    for path, owner in (("header.stamp", HEADER), ("stamp", TIME), ("clock", TIME)):
+        steps = parse_path(path)
+        kind = message.fields.get(steps[0][0])
+        if isinstance(kind, Struct) and kind.name == owner:
+            return steps
+    return ()

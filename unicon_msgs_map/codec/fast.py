@@ -14,7 +14,7 @@ value needs the careful path. It never writes before every check has passed. Thi
         return True
 
 Everything but its own words is bound as a value. The lines about single numbers come from
-`scalars.py`, those about long arrays, which NumPy reads, from `bulk.py`.
+`bulk.py`, as those about long arrays, which NumPy reads.
 """
 
 from __future__ import annotations

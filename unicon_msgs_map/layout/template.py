@@ -1,8 +1,9 @@
-"""The CDR template of a message: constants written, every mapped number at a known offset.
+"""Paths checked against message types, and the CDR template with every mapped number's offset.
 
-For encoders. Lengths and strings are fixed here, at build; what changes per message comes back
-as `Numbers`, `Time` and `Text` slots. The plain CDR rules (XCDR1, little endian): every number is
-aligned to its size, counted from the end of the 4-byte encapsulation header.
+The checks need no arrays: a file is checked when it is read. The template is for encoders: lengths
+and strings are fixed when it is built; what changes per message comes back as slots. The plain CDR
+rules (XCDR1, little endian): every number is aligned to its size, counted from the end of the
+4-byte encapsulation header.
 """
 
 from __future__ import annotations

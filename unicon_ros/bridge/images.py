@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +17,9 @@ import numpy as np
 from unicon_base.arrays import Array, Float32
 from unicon_base.errors import UniconError, alternatives
 from unicon_core.models.camera import Intrinsics
+from unicon_msgs_map import Encoder, FieldSpec, PublishSpec
+from unicon_msgs_map.layout.messages import shared_messages
+from unicon_msgs_map.layout.paths import Reference, parse_path
 
 IMAGE, CLOUD = "sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2"
 INFO, JPEG = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/CompressedImage"
@@ -88,18 +91,14 @@ def frame_message(kind: str, width: int, height: int, frame_id: str) -> FrameMes
     shape = (height, width) if kind == "depth" else (height, width, 3)
     dtype = "|u1" if kind == "color" else "<f4"
     row = np.dtype(dtype).itemsize * math.prod(shape[1:])
-    out = _Cdr(frame_id, height, width)
+    size = {"header.frame_id": frame_id, "height": height, "width": width}
     if kind == "cloud":
-        out.fields([("x", 0, "f4"), ("y", 4, "f4"), ("z", 8, "f4")])
-        out.pack("BII", 0, 12, row)
-    else:
-        out.text("rgb8" if kind == "color" else "32FC1")
-        out.pack("BI", 0, row)
-    offset = out.data(row * height)
-    if kind == "cloud":
-        out.pack("B", 0)  # is_dense: no, what is too far is NaN
-    kind = CLOUD if kind == "cloud" else IMAGE
-    return FrameMessage(kind, bytes(out.bytes), offset, shape, dtype, frame_id)
+        fields = _point_fields([("x", 0, "f4"), ("y", 4, "f4"), ("z", 8, "f4")])
+        empty = _message(CLOUD, size | fields | {"point_step": 12, "row_step": row})
+        return _with_data(CLOUD, empty, row * height, shape, dtype, frame_id)
+    encoding = "rgb8" if kind == "color" else "32FC1"
+    empty = _message(IMAGE, size | {"encoding": encoding, "step": row})
+    return _with_data(IMAGE, empty, row * height, shape, dtype, frame_id)
 
 
 def cloud_message(width: int, point: np.dtype[np.void], frame_id: str) -> FrameMessage:
@@ -110,14 +109,13 @@ def cloud_message(width: int, point: np.dtype[np.void], frame_id: str) -> FrameM
         point: what a point is: named fields, little endian.
         frame_id: of the header.
     """
-    out = _Cdr(frame_id, 1, width)
     assert point.fields is not None
     fields = ((name, at, kind.str[1:]) for name, (kind, at, *_) in point.fields.items())
-    out.fields(sorted(fields, key=lambda field: field[1]))
-    out.pack("BII", 0, point.itemsize, point.itemsize * width)
-    offset = out.data(point.itemsize * width)
-    out.pack("B", 0)  # is_dense: no, see width
-    return FrameMessage(CLOUD, bytes(out.bytes), offset, (width,), point)
+    size = point.itemsize * width
+    given = {"header.frame_id": frame_id, "height": 1, "width": width, "row_step": size}
+    given |= _point_fields(sorted(fields, key=lambda field: field[1]))
+    empty = _message(CLOUD, given | {"point_step": point.itemsize})
+    return _with_data(CLOUD, empty, size, (width,), point, frame_id)
 
 
 def jpeg_message(most: int, frame_id: str) -> FrameMessage:
@@ -127,11 +125,8 @@ def jpeg_message(most: int, frame_id: str) -> FrameMessage:
         most: largest size of the JPEG, [B].
         frame_id: of the header, an optical frame.
     """
-    out = _Cdr(frame_id)
-    out.text("jpeg")
-    out.pack("I", 0)
-    offset = len(out.bytes)
-    return FrameMessage(JPEG, bytes(out.bytes) + bytes(most), offset, (most,), "|u1", frame_id)
+    empty = _message(JPEG, {"header.frame_id": frame_id, "format": "jpeg"})
+    return FrameMessage(JPEG, empty + bytes(most), len(empty), (most,), "|u1", frame_id)
 
 
 def info_message(
@@ -156,15 +151,14 @@ def info_message(
     """
     fx, fy, cx, cy = pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy
     known = float(fx > 0.0)
-    out = _Cdr(frame_id, height, width)
-    out.text("plumb_bob")
-    out.pack("I", 5)
-    out.pack("d" * 5, *distortion)
-    out.pack("d" * 9, fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, known)
-    out.pack("d" * 9, known, 0.0, 0.0, 0.0, known, 0.0, 0.0, 0.0, known)
-    out.pack("d" * 12, fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, known, 0.0)
-    out.pack("IIIIIIB", *[0] * 7)
-    return bytes(out.bytes)
+    given = {"header.frame_id": frame_id, "height": height, "width": width}
+    matrices = {
+        "d": [*distortion],
+        "k": [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, known],
+        "r": [known, 0.0, 0.0, 0.0, known, 0.0, 0.0, 0.0, known],
+        "p": [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, known, 0.0],
+    }
+    return _message(INFO, given | {"distortion_model": "plumb_bob"} | matrices)
 
 
 def rays(width: int, height: int, pinhole: Intrinsics) -> Float32:
@@ -181,36 +175,36 @@ def rays(width: int, height: int, pinhole: Intrinsics) -> Float32:
     return found
 
 
-class _Cdr:
-    """Little-endian CDR, written once: of messages that begin with a header, and with a size."""
+def _message(kind: str, values: Mapping[str, object]) -> bytes:
+    """Return a message with these values by path, zeros else and empty data."""
+    fields = [FieldSpec(p, parse_path(p), Reference("const", value=v)) for p, v in values.items()]
+    return Encoder.build(PublishSpec(kind, kind, tuple(fields), shared_messages()), {}).encode()
 
-    def __init__(self, frame_id: str, *size: int) -> None:
-        self.bytes = bytearray(b"\x00\x01\x00\x00")
-        self.pack("iI", 0, 0)
-        self.text(frame_id)
-        self.pack("I" * len(size), *size)
 
-    def pack(self, codes: str, *values: float) -> None:
-        for code, value in zip(codes, values):
-            size = struct.calcsize(code)
-            self.bytes += bytes(-(len(self.bytes) - 4) % size)
-            self.bytes += struct.pack("<" + code, value)
+def _point_fields(fields: Iterable[tuple[str, int, str]]) -> dict[str, object]:
+    """Return PointField[] by path: name, place in the point in [B], NumPy's name of the type."""
+    return {
+        f"fields[{number}].{key}": value
+        for number, (name, at, kind) in enumerate(fields)
+        for key, value in {
+            "name": name,
+            "offset": at,
+            "datatype": _FIELDS[kind],
+            "count": 1,
+        }.items()
+    }
 
-    def text(self, value: str) -> None:
-        raw = value.encode() + b"\0"
-        self.pack("I", len(raw))
-        self.bytes += raw
 
-    def fields(self, fields: Iterable[tuple[str, int, str]]) -> None:
-        """Write PointField[]: name, place in the point in [B] and NumPy's name of the type."""
-        given = list(fields)
-        self.pack("I", len(given))
-        for name, at, kind in given:
-            self.text(name)
-            self.pack("IBI", at, _FIELDS[kind], 1)
-
-    def data(self, size: int) -> int:
-        """Leave room for uint8[] and return where it begins, [B]."""
-        self.pack("I", size)
-        self.bytes += bytes(size)
-        return len(self.bytes) - size
+def _with_data(
+    kind: str,
+    empty: bytes,
+    size: int,
+    shape: tuple[int, ...],
+    dtype: str | np.dtype[np.void],
+    frame_id: str,
+) -> FrameMessage:
+    """Return the layout of a message with data of some bytes, from one without."""
+    behind = kind == CLOUD  # is_dense: no, points that are too far or not there are NaN
+    offset = len(empty) - behind
+    template = empty[: offset - 4] + struct.pack("<I", size) + bytes(size + behind)
+    return FrameMessage(kind, template, offset, shape, dtype, frame_id)

@@ -1,6 +1,14 @@
 """OwnNode: a node in a ROS context of its own, for a session or a platform without a host.
 
-`calm_middleware_threads` keeps the middleware's threads out of the tick's way.
+`calm_middleware_threads` keeps the middleware's threads out of the tick's way, and so does
+`NodeLog`: rclpy keeps Python's interpreter lock while it writes to standard error, so on a terminal
+that Ctrl-S has stopped all threads would stand still. It gets lines where it takes them at once.
+
+Our nodes reach others by UDP, where Fast DDS by itself would take shared memory too. A process that
+ends by SIGKILL leaves its ports there. A later process gets such a port, and a writer checks its
+health first: 335 ms in the tick's thread, now and then 1 to 3 s. UDP has no such check, and takes
+messages of a robot's joints as well. Fast DDS reads the environment when a node is made; so the
+environment differs meanwhile, and processes that are started later inherit what the user set.
 """
 
 from __future__ import annotations

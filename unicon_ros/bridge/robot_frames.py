@@ -1,7 +1,8 @@
 """What rviz shows a robot with: robot_description, /tf of the links, /tf_static.
 
-`RobotMessages` makes them, for recordings too, where nobody may publish them; `RobotFrames`
-publishes them.
+`RobotMessages` makes them, for recordings too, which publish nothing; `RobotFrames` publishes them.
+The pose of a link is its joint's fixed pose and one turn about (or shift along) the joint's axis,
+so all moving links are one vectorized half-angle formula, 8 µs for 29 joints.
 """
 
 from __future__ import annotations

@@ -1,4 +1,10 @@
-"""Services of type std_srvs/srv/Trigger, for whatever a node lets others do."""
+"""Services of type std_srvs/srv/Trigger, what they act on (`Controls`), and when they are served.
+
+`SlackServer` is a block after `send`: services, parameters, timers and events are asked in rounds,
+25 to 200 a second, as there is work. A round is made of pieces of some 10 µs, one for each service;
+a piece is done where it ends before the next tick's warm-up begins, else in a later tick. So a tick
+pays for a piece and not for a round, and one with little slack still hears its services.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Topics in: polls every subscription raw and drained to its latest message, in one input block.
+"""Topics: subscriptions, polled raw in one input block, and publishers, one block for each.
+
+A publisher sends bytes after the motors have their command. A subscription is drained to its latest
+message.
 
 Until a topic's first message its states are left alone, so that scripted commands rule. From then
 on the topic rules: its latest message is applied in every tick, since the script goes on writing.

@@ -1,4 +1,8 @@
-"""`unicon robots`, `policies`, `platforms`, `faces`, `blocks`, `workflows`: all that is known."""
+"""`unicon robots`, `policies`, `platforms`, `faces`, `blocks`, `workflows`: all that is known.
+
+Their names complete a command line in a shell, by argcomplete, where that is installed:
+eval "$(register-python-argcomplete unicon)"    # in ~/.bashrc; zsh likewise
+"""
 
 from __future__ import annotations
 
@@ -13,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from unicon_base.errors import PlatformError, PolicyError, UniconError, WorkflowError
 from unicon_ros.cli.console import print_json, print_table
-from unicon_ros.cli.options import argument, command, flag
+from unicon_ros.cli.options import Adder, argument, command, flag
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -199,13 +203,6 @@ LISTS: dict[str, tuple[Run, str]] = {
 }
 """Commands that list names: what runs each, and what it lists."""
 
-VERBS = {
-    "robots new": (_new, "write a robot file of what a model knows"),
-    "policies import": (_import, "convert a policy to policy.yaml and its network"),
-    "policies fetch": (_fetch, "fetch a policy from where it is published, and convert it"),
-}
-"""Commands of two words, each with its own help: what runs it, and what it does."""
-
 _ROBOT = argument("--robot", "ROBOT", "robot that orders the joints")
 _OUT = (
     argument("--out", "DIR", "where to write", required=True),
@@ -219,23 +216,36 @@ _OUT = (
         "'{from: model, only: [PATTERN, …]}'",
     ),
 )
-_TAKEN = {
+VERBS: dict[str, tuple[Run, str, tuple[Adder, ...]]] = {
     "robots new": (
-        argument("model", "MODEL", "MJCF or URDF"),
-        argument("--out", "FILE", "where to write (default: NAME.yaml)"),
-        argument("--kind", "KIND", "what the robot is, where its model does not say"),
-    ),
-    "policies import": (argument("source", "FILE_OR_FOLDER", "what to read"), *_OUT),
-    "policies fetch": (
-        argument(
-            "source",
-            "URL",
-            "hf://OWNER/REPO[@REV][/PATH], wandb://ENTITY/PROJECT/RUN or file:///PATH",
+        _new,
+        "write a robot file of what a model knows",
+        (
+            argument("model", "MODEL", "MJCF or URDF"),
+            argument("--out", "FILE", "where to write (default: NAME.yaml)"),
+            argument("--kind", "KIND", "what the robot is, where its model does not say"),
         ),
-        argument("--sha256", "HEX", "of the network; another one is refused"),
-        *_OUT,
+    ),
+    "policies import": (
+        _import,
+        "convert a policy to policy.yaml and its network",
+        (argument("source", "FILE_OR_FOLDER", "what to read"), *_OUT),
+    ),
+    "policies fetch": (
+        _fetch,
+        "fetch a policy from where it is published, and convert it",
+        (
+            argument(
+                "source",
+                "URL",
+                "hf://OWNER/REPO[@REV][/PATH], wandb://ENTITY/PROJECT/RUN or file:///PATH",
+            ),
+            argument("--sha256", "HEX", "of the network; another one is refused"),
+            *_OUT,
+        ),
     ),
 }
+"""Commands of two words, each with its own help: what runs it, what it does, what it takes."""
 
 
 def add(commands: Any) -> None:
@@ -252,8 +262,8 @@ def add(commands: Any) -> None:
             *[_ROBOT] * (name == "policies"),
             epilog=f"See also: {', '.join(verbs)}." if verbs else "",
         )(commands)
-    for verb, (run, what) in VERBS.items():
-        command(verb, run, what, what, *_TAKEN[verb])(commands)
+    for verb, (run, what, taken) in VERBS.items():
+        command(verb, run, what, what, *taken)(commands)
 
 
 ASSETS = ("fetch", "path", "verify")

@@ -1,4 +1,8 @@
-"""Services: responses that block no tick, and lifecycle transitions that are answered truly."""
+"""Messages as bytes, services and lifecycle transitions, by the tick's thread without an executor.
+
+Responses block no tick, transitions are answered truly, and the QoS events of publishers and
+subscriptions bear one set of names on all distributions.
+"""
 
 from __future__ import annotations
 
