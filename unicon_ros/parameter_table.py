@@ -1,5 +1,6 @@
-"""The table of unicon_node's parameters, and declaring parameters: integers are numbers, lists may be
-empty. For the node, sessions, launch files and documents; the table needs no ROS.
+"""The table of unicon_node's parameters, and how they are declared; the table needs no ROS.
+
+For the node, sessions, launch files and documents. Integers are numbers, lists may be empty.
 """
 
 from __future__ import annotations

@@ -42,8 +42,15 @@ from unicon_core.states.groups import subset
 from unicon_core.terrain.words import Terrain
 from unicon_core.workflow.autowire import BuildContext
 from unicon_ros.bridge.bindings import checked_prefix
-from unicon_ros.bridge.camera_topics import RELIABILITIES, CameraTopics, large_data, topic_options
-from unicon_ros.bridge.images import frame_message, info_message, rays
+from unicon_ros.bridge.images import (
+    RELIABILITIES,
+    CameraTopics,
+    frame_message,
+    info_message,
+    large_data,
+    rays,
+    topic_options,
+)
 from unicon_ros.peripheral import (
     Peripheral,
     check_positive,

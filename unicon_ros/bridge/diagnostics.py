@@ -1,9 +1,9 @@
-"""Diagnostics: what /diagnostics says about a run, once a second; and `Neighbours`, who would harm it.
+"""Diagnostics: what /diagnostics says about a run, once a second; `Neighbours`: what would harm it.
 
-Every status bears the fully qualified name of the node, which tells robots in one ROS domain apart.
-A second node of our name answers our services too, a second publisher of /clock lets the time jump,
-and a publisher of another type than the map's is received by no node, without a word of the
-middleware. A look takes some 10 µs for each topic; the answers are rcl's own copy of the graph.
+Every status bears the fully qualified name of the node, which tells robots in one ROS domain
+apart. A second node of our name answers our services too, a second publisher of /clock lets the
+time jump, and a publisher of another type than the map's is received by no node, without a word of
+the middleware. A look takes some 10 µs for each topic; the answers are rcl's own copy of the graph.
 """
 
 from __future__ import annotations

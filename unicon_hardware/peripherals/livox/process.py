@@ -250,7 +250,7 @@ class Topic:
     """
 
     def __init__(self, feed: Feed) -> None:
-        from unicon_ros.bridge.camera_topics import CameraTopics
+        from unicon_ros.bridge.images import CameraTopics
 
         topics = CameraTopics(feed.options["ros"], feed.tell)
         self.publish = topics.add(feed.options["topic"], CLOUD)
