@@ -25,7 +25,7 @@ from unicon_core.states import States, standard_states
 from unicon_core.states.standard import BUTTONS, COMMAND_STATES, control_states, hardware_states
 from unicon_hardware.booster import takeover
 from unicon_hardware.booster.codec import REMOTE, BoosterFacts
-from unicon_hardware.booster.face import BoosterFace, face
+from unicon_hardware.booster.face import BoosterEndpoint, face
 from unicon_hardware.booster.platform import BoosterWire, make
 from unicon_hardware.booster.takeover import number
 from unicon_hardware.dds.maps import arrays_of, command_arrays
@@ -236,7 +236,7 @@ def test_a_robot_in_custom_mode_is_taken_as_after_a_crash(pair: Ends) -> None:
 def test_a_refusal_and_silence_of_the_service_are_faults(
     pair: Ends, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(BoosterFace, "_changed", lambda *_: 502)
+    monkeypatch.setattr(BoosterEndpoint, "_changed", lambda *_: 502)
     with pytest.raises(Fault, match=r"refuses request 2000 with status 502: its state machine"):
         until(lambda: not pair.wire.prepare(), pair.face.hear)
     monkeypatch.setattr(takeover.Takeover, "timeout", 0.1)
@@ -269,7 +269,7 @@ def test_an_answer_that_comes_again_answers_nothing(pair: Ends) -> None:
 def test_who_says_done_without_doing_it_is_found_out(
     pair: Ends, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(BoosterFace, "_changed", lambda *_: 0)
+    monkeypatch.setattr(BoosterEndpoint, "_changed", lambda *_: 0)
     monkeypatch.setattr(takeover.Takeover, "timeout", 0.3)
     with pytest.raises(Fault, match=r"not in custom mode 0.3 s after it was asked"):
         until(lambda: not pair.wire.prepare(), pair.face.hear)

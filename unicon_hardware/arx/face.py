@@ -17,7 +17,7 @@ EMPTY = 0.1
 """[N·m]: torques of 12 bits have no zero."""
 
 
-class ArxFace:
+class ArxEndpoint:
     """The arm's end of the bus; see `Face`.
 
     Args:
@@ -109,4 +109,4 @@ class ArxFace:
         self._bus.shutdown()
 
 
-face = ArxFace
+face = ArxEndpoint

@@ -32,7 +32,7 @@ FOLLOWS = {
 `idle` count in any."""
 
 
-class AzureFace:
+class AzureEndpoint:
     """The robot's end of its protocol; see `Face`.
 
     Args:
@@ -125,4 +125,4 @@ class AzureFace:
         self._remote.close()
 
 
-face = AzureFace
+face = AzureEndpoint

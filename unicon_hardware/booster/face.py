@@ -18,14 +18,14 @@ from unicon_core.states import States
 from unicon_hardware.booster.codec import BoosterFacts
 from unicon_hardware.booster.platform import EXTRA
 from unicon_hardware.booster.takeover import SUCCESS, Server, number
-from unicon_hardware.dds.face import DdsFace
+from unicon_hardware.dds.face import DdsEndpoint
 
 SELDOM = 50
 """Mode and battery are told with every so many a frame."""
 BAD_REQUEST, NOT_FROM_HERE = 400, 502
 
 
-class BoosterFace(DdsFace):
+class BoosterEndpoint(DdsEndpoint):
     """What a driver sees of an emulated T1.
 
     Args:
@@ -131,4 +131,4 @@ class BoosterFace(DdsFace):
         return SUCCESS
 
 
-face = BoosterFace
+face = BoosterEndpoint

@@ -1,4 +1,4 @@
-"""DdsFace: the robot's end of its topics, for faces of emulators."""
+"""DdsEndpoint: the robot's end of its topics, for faces of emulators."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from unicon_hardware.dds.maps import Arrays, arrays_of, command_arrays
 from unicon_hardware.modes import EmulatedModes
 
 
-class DdsFace(DdsEnd):
+class DdsEndpoint(DdsEnd):
     """The robot's end: it tells `facts.state`, and hears `facts.command`.
 
     Args:

@@ -11,14 +11,14 @@ import numpy as np
 from unicon_base.arrays import Array
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_hardware.dds.face import DdsFace
+from unicon_hardware.dds.face import DdsEndpoint
 from unicon_hardware.dobot.codec import DobotFacts, own_arrays
 from unicon_hardware.dobot.platform import EXTRA
 from unicon_hardware.torso import IMU_STATES, turned
 from unicon_hardware.wire import Counts
 
 
-class DobotFace(DdsFace):
+class DobotEndpoint(DdsEndpoint):
     """What a driver sees of an emulated Atom.
 
     Args:
@@ -106,4 +106,4 @@ class DobotFace(DdsFace):
         return self._right("motor mode", self._heard["modes"], self._facts.mode)
 
 
-face = DobotFace
+face = DobotEndpoint

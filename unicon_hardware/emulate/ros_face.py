@@ -31,7 +31,7 @@ MOST = 8
 """Messages that are looked at in a tick."""
 
 
-class RosFace:
+class RosEndpoint:
     """A node with two publishers and two subscriptions; see the module.
 
     Args:
@@ -137,4 +137,4 @@ class RosFace:
         self._own.close()
 
 
-face = RosFace
+face = RosEndpoint

@@ -28,7 +28,7 @@ from unicon_hardware.fourier.codec import (
     Actuators,
 )
 from unicon_hardware.fourier.fsa1_codec import Servos
-from unicon_hardware.fourier.fsa1_face import ActuatorFace, Fsa1Face
+from unicon_hardware.fourier.fsa1_face import ActuatorEndpoint, Fsa1Endpoint
 
 ACKNOWLEDGED = {
     ACKNOWLEDGED_GAINS: ">ff",
@@ -70,7 +70,7 @@ class Actuator:
             self.enabled = True
 
 
-class FourierFace(ActuatorFace):
+class FourierEndpoint(ActuatorEndpoint):
     """See `Face`; `face` builds it."""
 
     def __init__(self, states: States, actuators: Actuators) -> None:
@@ -154,7 +154,7 @@ class FourierFace(ActuatorFace):
             actuator.asked.clear()
 
 
-def face(states: States, robot: Robot, *, address: str = "127.0.0.1") -> FourierFace | Fsa1Face:
+def face(states: States, robot: Robot, *, address: str = "127.0.0.1") -> FourierEndpoint | Fsa1Endpoint:
     """Return the robot's end of its protocol.
 
     Args:
@@ -169,5 +169,5 @@ def face(states: States, robot: Robot, *, address: str = "127.0.0.1") -> Fourier
     """
     network = ipv4(address, "fourier")
     if robot.transport.get("fsa") == 1:
-        return Fsa1Face(states, Servos.of(robot, network))
-    return FourierFace(states, Actuators.of(robot, network))
+        return Fsa1Endpoint(states, Servos.of(robot, network))
+    return FourierEndpoint(states, Actuators.of(robot, network))

@@ -31,7 +31,7 @@ MODES = {0x04: POSITION_MODE, 0x05: 3, 0x06: 6, 0x07: 4}
 GAINS = ("control_position_kp_imm", "control_velocity_kp_imm")
 
 
-class ActuatorFace:
+class ActuatorEndpoint:
     """Sockets of actuators, for the faces of both versions.
 
     Args:
@@ -78,7 +78,7 @@ class ActuatorFace:
             socket.close()
 
 
-class Fsa1Face(ActuatorFace):
+class Fsa1Endpoint(ActuatorEndpoint):
     """See `Face`; `face` of `fourier.face` builds it.
 
     An actuator counts from where its joint is when this is built, as if it were switched on then.

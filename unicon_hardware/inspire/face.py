@@ -6,12 +6,12 @@ from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_hardware.facts import Port, fact
 from unicon_hardware.inspire.platform import registers_of
-from unicon_hardware.modbus.served import HandFace, PtyServer, TcpServer
+from unicon_hardware.modbus.served import HandEndpoint, PtyServer, TcpServer
 
 
 def face(
     states: States, robot: Robot, *, port: int | None = None, serial: bool = False
-) -> HandFace:
+) -> HandEndpoint:
     """Return the face of a hand.
 
     Args:
@@ -21,4 +21,4 @@ def face(
     if port is None:
         port = fact(robot, "port", Port)
     server = PtyServer() if serial else TcpServer(port)
-    return HandFace(states, registers_of(robot), server, "inspire")
+    return HandEndpoint(states, registers_of(robot), server, "inspire")

@@ -130,7 +130,7 @@ class PtyServer:
         os.close(self._master)
 
 
-class HandFace:
+class HandEndpoint:
     """The hand behind a server; it is a `Face`.
 
     Args:

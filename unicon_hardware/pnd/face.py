@@ -12,12 +12,12 @@ import numpy as np
 
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_hardware.dds.face import DdsFace
+from unicon_hardware.dds.face import DdsEndpoint
 from unicon_hardware.dds.maps import Arrays
 from unicon_hardware.pnd.platform import EXTRA, REMOTE, PndFacts
 
 
-class PndFace(DdsFace):
+class PndEndpoint(DdsEndpoint):
     """What a driver sees of an emulated Adam.
 
     Args:
@@ -64,4 +64,4 @@ class PndFace(DdsFace):
         )
 
 
-face = PndFace
+face = PndEndpoint

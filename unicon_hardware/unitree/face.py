@@ -24,7 +24,7 @@ from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import control_states
 from unicon_core.workflow.autowire import BuildContext
-from unicon_hardware.dds.face import DdsFace
+from unicon_hardware.dds.face import DdsEndpoint
 from unicon_hardware.robot_clock import Milliseconds
 from unicon_hardware.torso import IMU_STATES, turned
 from unicon_hardware.unitree.facts import UnitreeFacts
@@ -73,7 +73,7 @@ def _say(line: str) -> None:
     print(f"unicon: {line}", file=sys.stderr)  # standard output has the robot's own lines
 
 
-class UnitreeFace(DdsFace):
+class UnitreeEndpoint(DdsEndpoint):
     """What driver and vendor's SDK see of an emulated robot.
 
     Args:
@@ -202,4 +202,4 @@ class UnitreeFace(DdsFace):
         super().close()
 
 
-face = UnitreeFace
+face = UnitreeEndpoint

@@ -10,11 +10,11 @@ import numpy as np
 
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_hardware.dds.face import DdsFace
+from unicon_hardware.dds.face import DdsEndpoint
 from unicon_hardware.unitree_dex3.platform import TIMEOUT, Dex3Facts, own_arrays
 
 
-class Dex3Face(DdsFace):
+class Dex3Endpoint(DdsEndpoint):
     """What a driver sees of an emulated hand.
 
     Args:
@@ -64,4 +64,4 @@ class Dex3Face(DdsFace):
         return True
 
 
-face = Dex3Face
+face = Dex3Endpoint

@@ -30,7 +30,7 @@ CELLS = 8
 """Of the emulated battery, of ten places."""
 
 
-class LeggedFace:
+class LeggedEndpoint:
     """The board; see `Face`.
 
     Args:
@@ -167,4 +167,4 @@ class LeggedFace:
         self._udp.close()
 
 
-face = LeggedFace
+face = LeggedEndpoint

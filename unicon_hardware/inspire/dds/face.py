@@ -10,14 +10,14 @@ import numpy as np
 
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_hardware.dds.face import DdsFace
+from unicon_hardware.dds.face import DdsEndpoint
 from unicon_hardware.inspire.dds.wire import ANGLES, EXTRA, HandFacts
 
 AS_IT_IS = -1
 """In an angle of the FTP: leave the finger as it is."""
 
 
-class InspireDdsFace(DdsFace):
+class InspireDdsEndpoint(DdsEndpoint):
     """What a driver sees of an emulated hand.
 
     Args:
@@ -71,4 +71,4 @@ class InspireDdsFace(DdsFace):
         np.copyto(self._states["joint_pos_target"], targets, where=~kept, casting="same_kind")
 
 
-face = InspireDdsFace
+face = InspireDdsEndpoint
