@@ -221,7 +221,7 @@ setup(
             "inspire = unicon_hardware.inspire.face:face",
             "inspire_dfx = unicon_hardware.inspire.dds.face:face",
             "inspire_ftp = unicon_hardware.inspire.dds.face:face",
-            "pnd_adam = unicon_hardware.pnd.face:face",
+            "pnd_adam = unicon_hardware.pnd.platform:face",
             "rohand = unicon_hardware.rohand.face:face",
             "ros = unicon_hardware.emulate.ros_face:face",
             "unitree_dex3 = unicon_hardware.unitree_dex3.face:face",

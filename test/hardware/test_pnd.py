@@ -22,8 +22,7 @@ from unicon_core.robots import Robot, load_robot
 from unicon_core.states import States, standard_states
 from unicon_core.states.standard import BUTTONS, COMMAND_STATES, control_states, hardware_states
 from unicon_hardware.dds import maps, participant
-from unicon_hardware.pnd.face import face
-from unicon_hardware.pnd.platform import REMOTE, LowStates, Pnd, PndFacts, PndWire, make
+from unicon_hardware.pnd.platform import REMOTE, LowStates, Pnd, PndFacts, PndWire, face, make
 from unicon_hardware.wire import Counts
 
 EVIDENCE = "frames"
