@@ -224,7 +224,7 @@ setup(
             "pnd_adam = unicon_hardware.pnd.platform:face",
             "rohand = unicon_hardware.rohand.face:face",
             "ros = unicon_hardware.emulate.ros_face:face",
-            "unitree_dex3 = unicon_hardware.unitree_dex3.face:face",
+            "unitree_dex3 = unicon_hardware.unitree_dex3.platform:face",
             "unitree_go = unicon_hardware.unitree.face:face",
             "unitree_hg = unicon_hardware.unitree.face:face",
             "unitree_legged = unicon_hardware.unitree_legged.face:face",

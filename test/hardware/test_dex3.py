@@ -22,8 +22,7 @@ from unicon_core.robots import load_robot
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow.hardware import declared_facts, refuse_incomplete
 from unicon_hardware.dds import maps
-from unicon_hardware.unitree_dex3.face import face
-from unicon_hardware.unitree_dex3.platform import Dex3, Dex3Facts, Dex3Wire, make, own_arrays
+from unicon_hardware.unitree_dex3.platform import Dex3, Dex3Facts, Dex3Wire, face, make, own_arrays
 from unicon_hardware.wire import Counts
 
 EVIDENCE = "frames"
