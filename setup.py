@@ -222,7 +222,7 @@ setup(
             "inspire_dfx = unicon_hardware.inspire.dds.face:face",
             "inspire_ftp = unicon_hardware.inspire.dds.face:face",
             "pnd_adam = unicon_hardware.pnd.platform:face",
-            "rohand = unicon_hardware.rohand.face:face",
+            "rohand = unicon_hardware.rohand.platform:face",
             "ros = unicon_hardware.emulate.ros_face:face",
             "unitree_dex3 = unicon_hardware.unitree_dex3.platform:face",
             "unitree_go = unicon_hardware.unitree.face:face",

@@ -24,8 +24,8 @@ from unicon_hardware.inspire.platform import make as inspire
 from unicon_hardware.modbus.frames import Rtu
 from unicon_hardware.modbus.hand import HandWire
 from unicon_hardware.modbus.link import ModbusConnection
-from unicon_hardware.rohand.face import face as rohand_face
 from unicon_hardware.rohand.platform import check_protocol, registers_of
+from unicon_hardware.rohand.platform import face as rohand_face
 
 EVIDENCE = "stand_in"
 """What these tests run against, the most that config/evidence.yaml may say by them."""

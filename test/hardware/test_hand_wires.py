@@ -33,7 +33,7 @@ from unicon_hardware.inspire.platform import make as inspire
 from unicon_hardware.modbus.frames import Frame, Refused, Rtu, Tcp, read_request, write_request
 from unicon_hardware.modbus.link import ModbusConnection, open_serial
 from unicon_hardware.modbus.served import HandEndpoint, PtyServer, _Served
-from unicon_hardware.rohand.face import face as rohand_face
+from unicon_hardware.rohand.platform import face as rohand_face
 from unicon_hardware.rohand.platform import make as rohand
 
 LEFT = load_robot("inspire_rh56_left")

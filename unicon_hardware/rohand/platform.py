@@ -26,6 +26,7 @@ from unicon_hardware.modbus.frames import read_answer, read_request
 from unicon_hardware.modbus.hand import HandWire
 from unicon_hardware.modbus.link import ModbusConnection, reached
 from unicon_hardware.modbus.registers import HandRegisters, Told
+from unicon_hardware.modbus.served import HandEndpoint, PtyServer
 from unicon_hardware.wired_robot import WiredRobot, opened
 
 SCALE = Annotated[float, Within(1e-3, 1.0)]
@@ -107,3 +108,13 @@ def make(
     check = partial(check_protocol, robot=robot)
     wire = HandWire(states, registers_of(robot), link, where, silent=silent, first=check)
     return opened(Rohand(states, robot, period, wire, silence=silence, silent=silent), connect)
+
+
+def face(states: States, robot: Robot, *, version: int = 0x0100) -> HandEndpoint:
+    """Return the face of a hand on a pty, `face.where`.
+
+    Args:
+        version: of its protocol, the major one in the high byte.
+    """
+    extra = {fact(robot, "register_protocol", Word): version}
+    return HandEndpoint(states, registers_of(robot), PtyServer(), "rohand", extra)
