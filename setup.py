@@ -218,7 +218,7 @@ setup(
             "booster = unicon_hardware.booster.face:face",
             "dobot_atom = unicon_hardware.dobot.face:face",
             "fourier_fsa = unicon_hardware.fourier.face:face",
-            "inspire = unicon_hardware.inspire.face:face",
+            "inspire = unicon_hardware.inspire.platform:face",
             "inspire_dfx = unicon_hardware.inspire.dds.face:face",
             "inspire_ftp = unicon_hardware.inspire.dds.face:face",
             "pnd_adam = unicon_hardware.pnd.platform:face",

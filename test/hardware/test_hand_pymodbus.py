@@ -19,7 +19,7 @@ from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 from pymodbus.framer import FramerType
 
 from unicon_core.robots import load_robot
-from unicon_hardware.inspire.face import face as inspire_face
+from unicon_hardware.inspire.platform import face as inspire_face
 from unicon_hardware.inspire.platform import make as inspire
 from unicon_hardware.modbus.frames import Rtu
 from unicon_hardware.modbus.hand import HandWire

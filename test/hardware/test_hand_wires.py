@@ -27,8 +27,8 @@ from unicon_core.robots import Robot, load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import States
 from unicon_core.workflow import Program
-from unicon_hardware.inspire.face import face as inspire_face
 from unicon_hardware.inspire.platform import Inspire
+from unicon_hardware.inspire.platform import face as inspire_face
 from unicon_hardware.inspire.platform import make as inspire
 from unicon_hardware.modbus.frames import Frame, Refused, Rtu, Tcp, read_request, write_request
 from unicon_hardware.modbus.link import ModbusConnection, open_serial
