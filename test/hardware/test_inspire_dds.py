@@ -20,8 +20,7 @@ from dds_ends import DOMAIN, LOOPBACK, Ends, golden_frame, states_of, until
 
 from unicon_base.errors import Fault, MissingDependencyError, PlatformError, RobotError
 from unicon_core.robots import load_robot
-from unicon_hardware.inspire.dds.face import face
-from unicon_hardware.inspire.dds.wire import Both, HandFacts, InspireDdsWire
+from unicon_hardware.inspire.dds.wire import Both, HandFacts, InspireDdsWire, face
 from unicon_hardware.inspire.platform import Inspire, make
 from unicon_hardware.wire import Counts
 
