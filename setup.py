@@ -213,7 +213,7 @@ setup(
         "unicon.documents": ["sweep = unicon_lab.sweep.sweep_file:SweepDocument"],
         "unicon.run": ["lab = unicon_lab.run_options"],
         "unicon.faces": [
-            "arx = unicon_hardware.arx.face:face",
+            "arx = unicon_hardware.arx.platform:face",
             "azureloong = unicon_hardware.azureloong.face:face",
             "booster = unicon_hardware.booster.face:face",
             "dobot_atom = unicon_hardware.dobot.face:face",

@@ -104,7 +104,7 @@ def test_an_arm_goes_to_its_pose_on_a_bus_of_this_process(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("can", reason="needs python-can: pip install 'unicon_ros[hw-arx]'")
-    from unicon_hardware.arx.face import face
+    from unicon_hardware.arx.platform import face
     from unicon_ros.cli.main import main
 
     robot, bus = load_robot("arx_x5"), f"can-{tmp_path.name}"
