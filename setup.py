@@ -214,7 +214,7 @@ setup(
         "unicon.run": ["lab = unicon_lab.run_options"],
         "unicon.faces": [
             "arx = unicon_hardware.arx.platform:face",
-            "azureloong = unicon_hardware.azureloong.face:face",
+            "azureloong = unicon_hardware.azureloong.codec:face",
             "booster = unicon_hardware.booster.face:face",
             "dobot_atom = unicon_hardware.dobot.face:face",
             "fourier_fsa = unicon_hardware.fourier.face:face",
