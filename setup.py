@@ -215,7 +215,7 @@ setup(
         "unicon.faces": [
             "arx = unicon_hardware.arx.platform:face",
             "azureloong = unicon_hardware.azureloong.codec:face",
-            "booster = unicon_hardware.booster.face:face",
+            "booster = unicon_hardware.booster.takeover:face",
             "dobot_atom = unicon_hardware.dobot.face:face",
             "fourier_fsa = unicon_hardware.fourier.face:face",
             "inspire = unicon_hardware.inspire.platform:face",

@@ -25,9 +25,8 @@ from unicon_core.states import States, standard_states
 from unicon_core.states.standard import BUTTONS, COMMAND_STATES, control_states, hardware_states
 from unicon_hardware.booster import takeover
 from unicon_hardware.booster.codec import REMOTE, BoosterFacts
-from unicon_hardware.booster.face import BoosterEndpoint, face
 from unicon_hardware.booster.platform import BoosterWire, make
-from unicon_hardware.booster.takeover import number
+from unicon_hardware.booster.takeover import BoosterEndpoint, face, number
 from unicon_hardware.dds.maps import arrays_of, command_arrays
 from unicon_hardware.wire import Counts
 from unicon_msgs_map.layout.messages import shared_messages

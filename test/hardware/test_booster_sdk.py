@@ -27,8 +27,8 @@ from unitree_helpers import until
 from unicon_core.platforms.kit.base import quat_of_rpy
 from unicon_core.states.standard import BUTTONS
 from unicon_hardware.booster.codec import BoosterFacts
-from unicon_hardware.booster.face import face
 from unicon_hardware.booster.platform import BoosterWire
+from unicon_hardware.booster.takeover import face
 from unicon_hardware.dds.maps import command_arrays
 from unicon_ros.bench.domains import free_domain
 
