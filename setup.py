@@ -216,7 +216,7 @@ setup(
             "arx = unicon_hardware.arx.platform:face",
             "azureloong = unicon_hardware.azureloong.codec:face",
             "booster = unicon_hardware.booster.takeover:face",
-            "dobot_atom = unicon_hardware.dobot.face:face",
+            "dobot_atom = unicon_hardware.dobot.codec:face",
             "fourier_fsa = unicon_hardware.fourier.face:face",
             "inspire = unicon_hardware.inspire.platform:face",
             "inspire_dfx = unicon_hardware.inspire.dds.wire:face",

@@ -23,8 +23,7 @@ from unicon_core.states import States, standard_states
 from unicon_core.states.standard import BUTTONS, COMMAND_STATES, control_states, hardware_states
 from unicon_core.workflow.hardware import refuse_incomplete
 from unicon_hardware.dobot import platform as takeover
-from unicon_hardware.dobot.codec import DobotFacts, own_arrays
-from unicon_hardware.dobot.face import face
+from unicon_hardware.dobot.codec import DobotFacts, face, own_arrays
 from unicon_hardware.dobot.platform import DobotWire, make
 from unicon_hardware.wire import Counts
 
