@@ -27,9 +27,8 @@ from unicon_core.workflow.autowire import BuildContext
 from unicon_hardware.dds.face import DdsEndpoint
 from unicon_hardware.robot_clock import Milliseconds
 from unicon_hardware.torso import IMU_STATES, turned
-from unicon_hardware.unitree.facts import UnitreeFacts
+from unicon_hardware.unitree.facts import CHECK_MODE, RELEASE_MODE, SWITCHER, Server, UnitreeFacts
 from unicon_hardware.unitree.platform import REMOTE, own_arrays
-from unicon_hardware.unitree.release import CHECK_MODE, RELEASE_MODE, SWITCHER, Server
 from unicon_hardware.wire import known
 
 MODE = "normal"
