@@ -17,8 +17,8 @@ from unicon_hardware.unitree_legged.codec import (
     CommandFrame,
     Frame,
     encrypted_crc,
+    link_of,
 )
-from unicon_hardware.unitree_legged.transport import link_of
 
 EVIDENCE = "frames"
 """What these tests run against, the most that config/evidence.yaml may say by them."""

@@ -21,8 +21,8 @@ from unicon_hardware.unitree_legged.codec import (
     STIFFNESS,
     TORQUE,
     Frame,
+    link_of,
 )
-from unicon_hardware.unitree_legged.transport import link_of
 
 BRAKE = 2.0
 """Damping of an emulated motor in mode 0x00 in [N·m·s/rad]; a real one's is not public."""

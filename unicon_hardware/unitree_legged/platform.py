@@ -17,7 +17,7 @@ from unicon_core.platforms.platform import Binding, Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import CONTROL_STATES, JOINT_STATES
-from unicon_hardware.unitree_legged.transport import NAME, LeggedTransport, link_of
+from unicon_hardware.unitree_legged.codec import NAME, LeggedTransport, link_of
 from unicon_hardware.unitree_legged.wire import FOOT_FORCE, LeggedWire
 from unicon_hardware.wired_robot import SILENCE, WiredRobot, opened
 

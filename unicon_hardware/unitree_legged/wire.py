@@ -24,9 +24,16 @@ from unicon_core.states.standard import COMMAND_STATES
 from unicon_hardware.modes import ModeGuard
 from unicon_hardware.robot_clock import Repeats
 from unicon_hardware.udp import Udp
-from unicon_hardware.unitree_legged.codec import CELL_VOLT, LAYOUTS, TORQUE, CommandFrame, Frame
+from unicon_hardware.unitree_legged.codec import (
+    CELL_VOLT,
+    LAYOUTS,
+    NAME,
+    TORQUE,
+    CommandFrame,
+    Frame,
+    LeggedTransport,
+)
 from unicon_hardware.unitree_legged.repeater import Repeater
-from unicon_hardware.unitree_legged.transport import NAME, LeggedTransport
 from unicon_hardware.wire import Counts, newer
 
 FOOT_FORCE = "foot_force"
