@@ -227,7 +227,7 @@ setup(
             "unitree_dex3 = unicon_hardware.unitree_dex3.platform:face",
             "unitree_go = unicon_hardware.unitree.face:face",
             "unitree_hg = unicon_hardware.unitree.face:face",
-            "unitree_legged = unicon_hardware.unitree_legged.face:face",
+            "unitree_legged = unicon_hardware.unitree_legged.platform:face",
         ],
     },
     zip_safe=False,

@@ -21,7 +21,7 @@ from unicon_core.platforms.mujoco.platform import make as make_mujoco
 from unicon_core.robots import Robot, load_robot
 from unicon_core.states import States, standard_states
 from unicon_core.states.standard import hardware_states
-from unicon_hardware.unitree_legged.face import LeggedEndpoint, face
+from unicon_hardware.unitree_legged.platform import LeggedEndpoint, face
 
 LENGTHS = {"a1": (610, 771), "aliengo": (610, 771), "go1": (614, 807)}
 ALIENGO = ("legged_sdk_3.3.1", "legged_sdk_3.8.4")

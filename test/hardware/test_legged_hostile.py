@@ -18,7 +18,7 @@ from legged_peer import LENGTHS, free_port, robot_of, sealed, slow_state, states
 from unicon_core.states import States, StateSpec
 from unicon_hardware.udp import Udp
 from unicon_hardware.unitree_legged.codec import LAYOUTS, CommandFrame, Frame, link_of
-from unicon_hardware.unitree_legged.face import face
+from unicon_hardware.unitree_legged.platform import face
 from unicon_hardware.unitree_legged.wire import StateReader
 from unicon_hardware.wire import Counts
 

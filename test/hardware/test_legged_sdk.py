@@ -20,7 +20,7 @@ from legged_peer import LENGTHS, free_port, robot_of, states_of
 
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_hardware.unitree_legged.codec import LAYOUTS, CommandFrame
-from unicon_hardware.unitree_legged.face import face
+from unicon_hardware.unitree_legged.platform import face
 
 CHECKOUTS = [
     Path(each) for each in os.environ.get("UNICON_UNITREE_LEGGED_SDK", "").split(":") if each
