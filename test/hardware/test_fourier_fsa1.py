@@ -22,8 +22,8 @@ from unicon_core.robots import Robot, load_robot
 from unicon_core.runtime.runner import Runner, RunOptions
 from unicon_core.workflow import load_workflow
 from unicon_hardware.fourier import fsa1_codec as codec
+from unicon_hardware.fourier.face import Fsa1Endpoint
 from unicon_hardware.fourier.fsa1_codec import Servos
-from unicon_hardware.fourier.fsa1_face import Fsa1Endpoint
 from unicon_hardware.fourier.fsa1_wire import SAMPLES, Fsa1Wire, Zero
 from unicon_hardware.fourier.platform import Fourier, make
 from unicon_hardware.udp import Udp

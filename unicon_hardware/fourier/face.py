@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import math
 import struct
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 
@@ -27,8 +29,184 @@ from unicon_hardware.fourier.codec import (
     TIMED_OUT,
     Actuators,
 )
-from unicon_hardware.fourier.fsa1_codec import Servos
-from unicon_hardware.fourier.fsa1_face import ActuatorEndpoint, Fsa1Endpoint
+from unicon_hardware.fourier.fsa1_codec import (
+    ENABLE,
+    ERROR,
+    POSITION,
+    POSITION_MODE,
+    SERVO_OFF,
+    SERVO_ON,
+    STATE,
+    Servos,
+    number,
+    understood,
+)
+from unicon_hardware.udp import Udp
+
+MODES = {0x04: POSITION_MODE, 0x05: 3, 0x06: 6, 0x07: 4}
+"""Code to mode of operation."""
+GAINS = ("control_position_kp_imm", "control_velocity_kp_imm")
+
+
+class ActuatorEndpoint:
+    """Sockets of actuators, for the faces of both versions.
+
+    Args:
+        states: of the emulator.
+        where: first address of the actuators.
+        joints: how many they are.
+    """
+
+    platform, rate = "fourier", 500.0
+
+    def __init__(self, states: States, where: str, joints: int) -> None:
+        self._states, self.reach, self._joints = states, {"address": where}, joints
+        self._sockets: list[Udp] = []
+        self._commanded: set[int] = set()
+
+    def _listening(self, addresses: tuple[str, ...], port: int) -> list[Udp]:
+        """Open a socket at each address; where one fails, all are closed."""
+        first = len(self._sockets)
+        try:
+            for address in addresses:
+                self._sockets.append(Udp((address, port), ("", 0), "emulated fourier"))
+        except BaseException:
+            self.close()
+            raise
+        return self._sockets[first:]
+
+    def _acts(self, joint: int, commanded: bool) -> bool:
+        """Return whether a command is whole: datagrams come one after the other, all count."""
+        if commanded:
+            self._commanded.add(joint)
+        return commanded and len(self._commanded) == self._joints
+
+    @staticmethod
+    def _said(sockets: list[Udp]) -> Iterator[tuple[int, bytes, Udp]]:
+        """Give what has come: number of the socket, datagram, and the socket to answer with."""
+        for joint, socket in enumerate(sockets):
+            for data, sender in socket.datagrams():
+                socket.peer = sender
+                yield joint, data, socket
+
+    def close(self) -> None:
+        """See `Face`."""
+        for socket in self._sockets:
+            socket.close()
+
+
+class Fsa1Endpoint(ActuatorEndpoint):
+    """See `Face`; `face` of `fourier.face` builds it.
+
+    An actuator counts from where its joint is when this is built, as if it were switched on then.
+
+    Args:
+        states: of the emulator.
+        servos: of the robot file.
+
+    Raises:
+        PlatformError: an address is taken.
+    """
+
+    dead_man = math.inf
+
+    def __init__(self, states: States, servos: Servos) -> None:
+        super().__init__(states, servos.addresses[0], len(servos.names))
+        self._servos, n = servos, len(servos.names)
+        self.enabled, self.mode = np.zeros(n, bool), np.zeros(n, int)
+        self.gains = np.zeros((2, n))
+        self._begun = states["joint_pos"] * servos.degrees
+        self._begun[len(servos.encoders) :] = 0.0
+        self._asked: list[tuple[Udp, int, int]] = []
+        self._fast = self._listening(servos.addresses, servos.port)
+        self._controls = self._listening(servos.addresses, servos.control_port)
+        self._encoders = self._listening(servos.encoders, servos.control_port)
+
+    @property
+    def obeys(self) -> bool:
+        """Whether all actuators are enabled in position mode."""
+        return bool((self.enabled & (self.mode == POSITION_MODE)).all())
+
+    def hear(self) -> bool:
+        """See `Face`."""
+        heard, states = False, self._states
+        for joint, data, socket in self._said(self._controls):
+            self._set(joint, understood(data) or {}, socket.send)
+        for encoder, data, socket in self._said(self._encoders):
+            if (understood(data) or {}).get("reqTarget") == "/measured":
+                socket.send(self._angle(encoder))
+        for joint, data, socket in self._said(self._fast):
+            heard |= self._acts(joint, self._heard(joint, data, socket))
+        for joint in range(len(self._fast)):
+            on = self.enabled[joint] and self.mode[joint] == POSITION_MODE
+            stiffness, damping = self._servos.joint_gains(joint, *self.gains[:, joint].tolist())
+            states["joint_stiffness"][joint] = on * stiffness
+            if on:
+                states["joint_damping"][joint] = damping
+        return heard
+
+    def _set(self, joint: int, asked: dict[str, Any], reply: Callable[[bytes], None]) -> None:
+        """Carry out a setting, or answer a question, of JSON."""
+        target, status, told = asked.get("reqTarget"), "OK", {}
+        if asked.get("method") == "GET" and target == "/get_ntc_temperature":
+            hot = float(self._states["motor_temperature"][joint])
+            told = {"mos_temperature": hot, "armature_temperature": hot}
+        elif asked.get("method") != "SET":
+            status = "ERROR"
+        elif target == "/control_word" and asked.get("control_word") in (SERVO_ON, SERVO_OFF):
+            self.enabled[joint] = asked["control_word"] == SERVO_ON
+        elif target == "/mode_of_operation" and type(asked.get("mode_of_operation")) is int:
+            self.mode[joint] = asked["mode_of_operation"]
+        elif target == "/pid_param_imm" and None not in (
+            values := [*map(number, map(asked.get, GAINS))]
+        ):
+            self.gains[:, joint] = values
+        else:
+            status = "ERROR"
+        reply(json.dumps({"status": status, **told}).encode())
+
+    def _angle(self, encoder: int) -> bytes:
+        servos, pos = self._servos, float(self._states["joint_pos"][encoder])
+        turned = pos * servos.degrees[encoder] / servos.encoder_degrees[encoder]
+        angle = (float(turned) + servos.encoder_zero[encoder]) % 360.0
+        return json.dumps({"status": "OK", "angle": angle}).encode()
+
+    def _heard(self, joint: int, data: bytes, socket: Udp) -> bool:
+        """Carry out a code; True where it was a command that acts."""
+        code, size = data[0] if data else 0, len(data)
+        if code in (STATE, ERROR) and size == 1:
+            self._asked.append((socket, joint, code))
+        elif code in (ENABLE, DISABLE) and size == 1:
+            self.enabled[joint] = code == ENABLE
+        elif code in MODES and size == 1:
+            self.mode[joint] = MODES[code]
+        elif code == POSITION and size == 13:
+            if not (self.enabled[joint] and self.mode[joint] == POSITION_MODE):
+                return False
+            pos, _, current = struct.unpack_from(">fff", data, 1)
+            servos, states = self._servos, self._states
+            pos += self._begun[joint]
+            if not math.isfinite(pos + current):
+                return False
+            states["joint_pos_target"][joint] = pos / servos.degrees[joint]
+            states["joint_effort_ff"][joint] = current * servos.torque[joint]
+            return True
+        return False
+
+    def tell(self) -> None:
+        """See `Face`: the answers to what was asked."""
+        states, servos = self._states, self._servos
+        for socket, joint, code in self._asked:
+            if code == ERROR:
+                socket.send(struct.pack(">Bi", code, int(states["motor_error"][joint])))
+                continue
+            degrees = servos.degrees[joint]
+            pos = states["joint_pos"][joint] * degrees - self._begun[joint]
+            current = states["joint_effort"][joint] / servos.torque[joint]
+            vel = states["joint_vel"][joint] * degrees
+            socket.send(struct.pack(">Bfff", code, pos, vel, current))
+        self._asked.clear()
+
 
 ACKNOWLEDGED = {
     ACKNOWLEDGED_GAINS: ">ff",
@@ -154,7 +332,9 @@ class FourierEndpoint(ActuatorEndpoint):
             actuator.asked.clear()
 
 
-def face(states: States, robot: Robot, *, address: str = "127.0.0.1") -> FourierEndpoint | Fsa1Endpoint:
+def face(
+    states: States, robot: Robot, *, address: str = "127.0.0.1"
+) -> FourierEndpoint | Fsa1Endpoint:
     """Return the robot's end of its protocol.
 
     Args:
