@@ -21,9 +21,8 @@ from pymodbus.framer import FramerType
 from unicon_core.robots import load_robot
 from unicon_hardware.inspire.platform import face as inspire_face
 from unicon_hardware.inspire.platform import make as inspire
-from unicon_hardware.modbus.frames import Rtu
 from unicon_hardware.modbus.hand import HandWire
-from unicon_hardware.modbus.link import ModbusConnection
+from unicon_hardware.modbus.link import ModbusConnection, Rtu
 from unicon_hardware.rohand.platform import check_protocol, registers_of
 from unicon_hardware.rohand.platform import face as rohand_face
 

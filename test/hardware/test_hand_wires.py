@@ -30,8 +30,16 @@ from unicon_core.workflow import Program
 from unicon_hardware.inspire.platform import Inspire
 from unicon_hardware.inspire.platform import face as inspire_face
 from unicon_hardware.inspire.platform import make as inspire
-from unicon_hardware.modbus.frames import Frame, Refused, Rtu, Tcp, read_request, write_request
-from unicon_hardware.modbus.link import ModbusConnection, open_serial
+from unicon_hardware.modbus.link import (
+    Frame,
+    ModbusConnection,
+    Refused,
+    Rtu,
+    Tcp,
+    open_serial,
+    read_request,
+    write_request,
+)
 from unicon_hardware.modbus.served import HandEndpoint, PtyServer, _Served
 from unicon_hardware.rohand.platform import face as rohand_face
 from unicon_hardware.rohand.platform import make as rohand

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from unicon_core.robots import load_robot
 from unicon_hardware.inspire.platform import registers_of as inspire
-from unicon_hardware.modbus.frames import (
+from unicon_hardware.modbus.link import (
     Frame,
     Framing,
     Refused,

@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 from unicon_base.arrays import Float64, Int64
 from unicon_base.errors import PlatformError
 from unicon_core.states import States
-from unicon_hardware.modbus.frames import (
+from unicon_hardware.modbus.link import (
+    ModbusConnection,
     Refused,
     read_answer,
     read_request,
     write_answer,
     write_request,
 )
-from unicon_hardware.modbus.link import ModbusConnection
 from unicon_hardware.modbus.registers import HandRegisters
 from unicon_hardware.speed import Speed
 from unicon_hardware.wire import Counts

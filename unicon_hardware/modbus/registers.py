@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_base.arrays import Float32, Float64, Int64
-from unicon_hardware.modbus.frames import Refused
+from unicon_hardware.modbus.link import Refused
 
 BEYOND = 0.1
 """A measured angle that is further outside the range, as a share of it, is not a measurement."""

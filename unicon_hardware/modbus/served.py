@@ -15,18 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.states import States
-from unicon_hardware.modbus.frames import (
+from unicon_hardware.modbus.link import (
     READ,
     WRITE,
     WRITE_ONE,
     Frame,
     Framing,
+    Line,
     Refused,
     Rtu,
     Tcp,
     refusal,
 )
-from unicon_hardware.modbus.link import Line
 from unicon_hardware.modbus.registers import HandRegisters
 
 MOST = 4
