@@ -24,9 +24,8 @@ from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_hardware.facts import Octet, Port, Word, fact
 from unicon_hardware.inspire.dds.wire import InspireDdsWire
-from unicon_hardware.modbus.hand import HandWire
+from unicon_hardware.modbus.hand import HandRegisters, HandWire, Told
 from unicon_hardware.modbus.link import reached
-from unicon_hardware.modbus.registers import HandRegisters, Told
 from unicon_hardware.modbus.served import HandEndpoint, PtyServer, TcpServer
 from unicon_hardware.wire import Wire
 from unicon_hardware.wired_robot import WiredRobot, opened

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.states import States
+from unicon_hardware.modbus.hand import HandRegisters
 from unicon_hardware.modbus.link import (
     READ,
     WRITE,
@@ -27,7 +28,6 @@ from unicon_hardware.modbus.link import (
     Tcp,
     refusal,
 )
-from unicon_hardware.modbus.registers import HandRegisters
 
 MOST = 4
 """Clients at once, of a hand over TCP."""

@@ -22,9 +22,8 @@ from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_hardware.facts import Octet, Word, fact
-from unicon_hardware.modbus.hand import HandWire
+from unicon_hardware.modbus.hand import HandRegisters, HandWire, Told
 from unicon_hardware.modbus.link import ModbusConnection, reached, read_answer, read_request
-from unicon_hardware.modbus.registers import HandRegisters, Told
 from unicon_hardware.modbus.served import HandEndpoint, PtyServer
 from unicon_hardware.wired_robot import WiredRobot, opened
 
