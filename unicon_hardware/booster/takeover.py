@@ -27,7 +27,7 @@ from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_hardware.booster.codec import BoosterFacts
 from unicon_hardware.booster.platform import EXTRA
-from unicon_hardware.dds.face import DdsEndpoint
+from unicon_hardware.dds.end import DdsEndpoint
 from unicon_hardware.dds.service import Procedure, ServiceEnd
 
 SUCCESS = 0

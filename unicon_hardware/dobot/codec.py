@@ -18,7 +18,7 @@ from unicon_base.errors import PlatformError
 from unicon_base.schema.marks import Key, Text
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_hardware.dds.face import DdsEndpoint
+from unicon_hardware.dds.end import DdsEndpoint
 from unicon_hardware.dds.maps import (
     COMMANDS,
     IMU,

@@ -27,8 +27,7 @@ from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import CONTROL_STATES, JOINT_STATES
-from unicon_hardware.dds.end import DdsEnd, factory_of
-from unicon_hardware.dds.face import DdsEndpoint
+from unicon_hardware.dds.end import DdsEnd, DdsEndpoint, factory_of
 from unicon_hardware.dds.maps import (
     COMMANDS,
     IMU,

@@ -24,7 +24,7 @@ from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import control_states
 from unicon_core.workflow.autowire import BuildContext
-from unicon_hardware.dds.face import DdsEndpoint
+from unicon_hardware.dds.end import DdsEndpoint
 from unicon_hardware.robot_clock import Milliseconds
 from unicon_hardware.torso import IMU_STATES, turned
 from unicon_hardware.unitree.facts import CHECK_MODE, RELEASE_MODE, SWITCHER, Server, UnitreeFacts

@@ -26,8 +26,7 @@ from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import JOINT_STATES
-from unicon_hardware.dds.end import DdsEnd, factory_of
-from unicon_hardware.dds.face import DdsEndpoint
+from unicon_hardware.dds.end import DdsEnd, DdsEndpoint, factory_of
 from unicon_hardware.dds.maps import COMMANDS, MEASURED, DdsFacts, Message, arrays_of, motors
 from unicon_hardware.facts import slots
 from unicon_hardware.modes import UNDOCUMENTED, ModeGuard

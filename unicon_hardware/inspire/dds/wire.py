@@ -19,8 +19,7 @@ from unicon_base.arrays import Array, Float32, Float64, Index
 from unicon_base.schema.marks import Key, Within
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_hardware.dds.end import DdsEnd
-from unicon_hardware.dds.face import DdsEndpoint
+from unicon_hardware.dds.end import DdsEnd, DdsEndpoint
 from unicon_hardware.dds.maps import Arrays, DdsFacts, Frames, Message
 from unicon_hardware.facts import fact, facts_of, one_of, slots
 from unicon_hardware.speed import Speed
