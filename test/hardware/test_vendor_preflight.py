@@ -19,7 +19,7 @@ from peer import Peer
 from vendor_robots import serve, stepped
 
 from unicon_core.robots import load_robot
-from unicon_hardware.emulate.defects import Defects
+from unicon_hardware.emulate.body import Defects
 from unicon_hardware.unitree.face import face as unitree_face
 from unicon_hardware.unitree_legged.platform import face as legged_face
 from unicon_ros.bench.domains import free_domain

@@ -30,9 +30,8 @@ from unicon_core.states import States, standard_states
 from unicon_core.states.standard import COMMAND_STATES, hardware_states
 from unicon_core.workflow.autowire import read_options
 from unicon_core.workflow.hardware import refuse_incomplete
-from unicon_hardware.emulate.body import Body, body_of
+from unicon_hardware.emulate.body import Body, Defects, body_of
 from unicon_hardware.emulate.command_log import CommandLog, Say, say
-from unicon_hardware.emulate.defects import Defects
 from unicon_hardware.emulate.face import Face, Timed
 
 SILENCE = 0.5
