@@ -11,14 +11,23 @@ class MyWire:
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Sequence
+import math
+import select
+import socket
+from collections import Counter, deque
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from unicon_base.arrays import Array, Float64
+from unicon_base.errors import Fault, PlatformError
+from unicon_core.platforms.kit.base import IMU_STATES
 from unicon_core.states import States
 from unicon_hardware.modes import ModeGuard
+
+__all__ = ["IMU_STATES", "turned"]
+
 
 _HALF = 1 << 31
 
@@ -187,3 +196,185 @@ class Answers:
             return f"all {len(self._labels)} motors ({self._labels[0]}, …)"
         more = f" and {len(missing) - NAMED} more" if len(missing) > NAMED else ""
         return f"{', '.join(missing[:NAMED])}{more}"
+
+
+LARGEST = 65536
+"""Bytes of a datagram."""
+MOST = 64
+"""Datagrams that are looked at in a tick: a flood must not hold it up."""
+
+
+class Udp:
+    """A bound socket whose peer is fixed.
+
+    Datagrams of others are counted in `strangers` and left.
+
+    Args:
+        local: address and port to bind; port 0 for any.
+        peer: address and port of the robot.
+        what: in front of messages.
+        counts: count those of others, too.
+
+    Raises:
+        PlatformError: it cannot be bound.
+    """
+
+    def __init__(
+        self,
+        local: tuple[str, int],
+        peer: tuple[str, int],
+        what: str,
+        counts: Counts | None = None,
+    ) -> None:
+        self._what, self.peer, self._counts = what, peer, counts
+        self.strangers = 0
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.setblocking(False)
+            self._socket.bind(local)
+        except OSError as error:
+            self._socket.close()
+            raise PlatformError(
+                f"{what}: cannot listen at {local[0]}:{local[1]}: {error.strerror}; end the "
+                "program that does, or check the network interface (ip addr)"
+            ) from error
+        self._buffer = bytearray(LARGEST)
+
+    @property
+    def port(self) -> int:
+        """The port that it is bound to."""
+        return int(self._socket.getsockname()[1])
+
+    def fileno(self) -> int:
+        """Return the socket's, for `select` over several."""
+        return self._socket.fileno()
+
+    @property
+    def source(self) -> str:
+        """The address of this machine from which the peer is reached, as the routes are now.
+
+        Raises:
+            PlatformError: there is no way to it.
+        """
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.connect(self.peer)  # sends nothing
+            except OSError as error:
+                raise PlatformError(
+                    f"{self._what}: no way to {self.peer[0]}: {error.strerror}; plug the cable in, "
+                    "and give this machine an address in the robot's network (ip addr)"
+                ) from error
+            return str(probe.getsockname()[0])
+
+    def received(self) -> list[bytes]:
+        """Return what the peer has sent since the last call, the oldest first."""
+        found: list[bytes] = []
+        for datagram, sender in self.datagrams():
+            if sender == self.peer:
+                found.append(datagram)
+            else:
+                self.strangers += 1
+                if self._counts is not None:
+                    self._counts.refused["of a stranger"] += 1
+        return found
+
+    def datagrams(self) -> list[tuple[bytes, tuple[str, int]]]:
+        """Return what anybody has sent since the last call, with the senders, the oldest first.
+
+        For a robot's end, which answers to whoever commands it: set `peer`.
+        """
+        found: list[tuple[bytes, tuple[str, int]]] = []
+        for _ in range(MOST):
+            try:
+                size, sender = self._socket.recvfrom_into(self._buffer)
+            except BlockingIOError:
+                break
+            except OSError:  # such as a refused port, told by an earlier datagram of ours
+                continue
+            found.append((bytes(self._buffer[:size]), sender))
+        return found
+
+    def send(self, data: bytes | bytearray | memoryview) -> None:
+        """Send a datagram to the peer.
+
+        Raises:
+            Fault: the network does not take it.
+        """
+        try:
+            self._socket.sendto(data, self.peer)
+        except ConnectionRefusedError:  # told of an earlier one: the peer is not there (yet)
+            pass
+        except OSError as error:
+            raise Fault(
+                f"{self._what}: cannot send to {self.peer[0]}:{self.peer[1]}: {error.strerror}"
+            ) from error
+
+    def wait(self, timeout: float) -> bool:
+        """Return True once a datagram is there, False after `timeout` in [s]."""
+        return bool(select.select([self._socket], [], [], timeout)[0])
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+
+SHORTEST_NS = 1_000_000
+"""Two looks may be as close as they like, and are taken as so far apart, [ns]."""
+
+
+class Speed:
+    """The mean over the last while: one step of a finger's coarse angle would be a jerk.
+
+    Args:
+        over: how far the two angles are apart at least, once that much is known, in [s].
+    """
+
+    def __init__(self, over: float) -> None:
+        self._over = round(over * 1e9)
+        self._past: deque[tuple[int, Float64]] = deque()
+
+    def __call__(self, stamp_ns: int, angles: Float64) -> Float64:
+        """Return it in [rad/s], shape (n,); zero for the first angles.
+
+        Args:
+            stamp_ns: when the angles were told, [ns].
+            angles: in [rad], shape (n,); they are kept.
+        """
+        past = self._past
+        past.append((stamp_ns, angles))
+        while len(past) > 2 and stamp_ns - past[1][0] >= self._over:
+            past.popleft()
+        before, then = past[0]
+        speed: Float64 = (angles - then) / (max(stamp_ns - before, SHORTEST_NS) * 1e-9)
+        return speed
+
+
+def turned(
+    source: Mapping[str, Array],
+    into: Mapping[str, Array],
+    angle: float,
+    rate: float,
+) -> None:
+    """Write an IMU's readings as one below a joint about z would have them.
+
+    The other way, from pelvis to torso, angle and rate are the negative ones.
+
+    Args:
+        source: quaternion wxyz, angular velocity in [rad/s], specific force in [m/s²], by state.
+        into: takes the same.
+        angle: of the upper to the lower body in [rad].
+        rate: its change in [rad/s].
+    """
+    c, s = math.cos(angle), math.sin(angle)
+    half_c, half_s = math.cos(angle / 2), math.sin(angle / 2)
+    w, x, y, z = source["base_quat"].tolist()
+    # q ⊗ conj(cos(θ/2), 0, 0, sin(θ/2))
+    into["base_quat"][...] = (
+        w * half_c + z * half_s,
+        x * half_c - y * half_s,
+        y * half_c + x * half_s,
+        z * half_c - w * half_s,
+    )
+    for state, less in (("base_ang_vel", rate), ("base_lin_acc", 0.0)):
+        x, y, z = source[state].tolist()
+        into[state][...] = (c * x - s * y, s * x + c * y, z - less)

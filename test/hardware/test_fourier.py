@@ -20,7 +20,7 @@ from unicon_core.workflow import load_workflow
 from unicon_hardware.fourier.actuator_wire import TRIES
 from unicon_hardware.fourier.codec import COMMAND, Actuators
 from unicon_hardware.fourier.platform import Fourier, FourierWire, make
-from unicon_hardware.udp import Udp
+from unicon_hardware.wire import Udp
 
 EVIDENCE = "vendor"
 """What these tests run against, the most that config/evidence.yaml may say by them."""

@@ -26,7 +26,7 @@ from unicon_hardware.fourier.face import Fsa1Endpoint
 from unicon_hardware.fourier.fsa1_codec import Servos
 from unicon_hardware.fourier.fsa1_wire import SAMPLES, Fsa1Wire, Zero
 from unicon_hardware.fourier.platform import Fourier, make
-from unicon_hardware.udp import Udp
+from unicon_hardware.wire import Udp
 
 EVIDENCE = "vendor"
 """What these tests run against, the most that config/evidence.yaml may say by them."""

@@ -16,11 +16,10 @@ from hypothesis import strategies as st
 from legged_peer import LENGTHS, free_port, robot_of, sealed, slow_state, states_of
 
 from unicon_core.states import States, StateSpec
-from unicon_hardware.udp import Udp
 from unicon_hardware.unitree_legged.codec import LAYOUTS, CommandFrame, Frame, link_of
 from unicon_hardware.unitree_legged.platform import face
 from unicon_hardware.unitree_legged.wire import StateReader
-from unicon_hardware.wire import Counts
+from unicon_hardware.wire import Counts, Udp
 
 FLOAT = st.floats(width=32)
 PLAIN = st.floats(-1e6, 1e6, width=32)

@@ -15,9 +15,8 @@ from hypothesis import strategies as st
 
 from unicon_base.errors import RobotError
 from unicon_core.robots import Robot, load_robot
-from unicon_hardware.torso import turned
 from unicon_hardware.unitree.facts import UnitreeFacts
-from unicon_hardware.wire import Counts
+from unicon_hardware.wire import Counts, turned
 from unicon_msgs_map.layout.messages import shared_messages
 
 ROBOTS = ("go2", "h1", "g1_29dof", "g1_23dof", "h1_2")

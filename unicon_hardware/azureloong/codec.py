@@ -21,7 +21,7 @@ from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_hardware.facts import AskingRate, Port, Transport, each, fact, ipv4, named
-from unicon_hardware.udp import Udp
+from unicon_hardware.wire import Udp
 
 KEYS = ("enable", "reset", "idle", "walk", "damp", "disable", "commands")
 """Of `transport.keys`: what the remote is told, and what the robot then does."""

@@ -28,8 +28,7 @@ from unicon_hardware.booster.takeover import Client, Takeover
 from unicon_hardware.dds.end import DdsEnd, Inlet, factory_of
 from unicon_hardware.dds.maps import HEADER, Arrays, Message, arrays_of, command_arrays
 from unicon_hardware.dds.participant import Participant
-from unicon_hardware.torso import IMU_STATES
-from unicon_hardware.wire import Counts
+from unicon_hardware.wire import IMU_STATES, Counts
 from unicon_hardware.wired_robot import WiredRobot
 
 EXTRA = "hw-booster"

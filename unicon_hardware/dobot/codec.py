@@ -30,8 +30,7 @@ from unicon_hardware.dds.maps import (
 )
 from unicon_hardware.dobot.platform import EXTRA
 from unicon_hardware.facts import Octet, Rate, facts_of, joint_number, wrong_fact
-from unicon_hardware.torso import IMU_STATES, turned
-from unicon_hardware.wire import Counts
+from unicon_hardware.wire import IMU_STATES, Counts, turned
 
 LAYOUTS = {"sdk": "dobot_atom/msg/UpperState", "ros2": "dobot_atom/msg/UpperStateImu"}
 """Option `layout` to the type of UpperState."""

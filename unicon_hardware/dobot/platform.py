@@ -32,7 +32,7 @@ from unicon_hardware.dds.participant import Participant
 from unicon_hardware.dds.service import Procedure
 from unicon_hardware.dobot.codec import DobotFacts, own_arrays
 from unicon_hardware.modes import UNDOCUMENTED, ModeGuard
-from unicon_hardware.torso import IMU_STATES, turned
+from unicon_hardware.wire import IMU_STATES, turned
 from unicon_hardware.wired_robot import SILENCE, WiredRobot, opened
 
 AGAIN = 0.2

@@ -17,8 +17,7 @@ from unicon_base.arrays import Float64
 from unicon_base.errors import Fault
 from unicon_core.states import States
 from unicon_hardware.fourier.codec import COMMAND_TYPE, DISABLE, Addressed
-from unicon_hardware.udp import Udp
-from unicon_hardware.wire import Answers, Counts, known
+from unicon_hardware.wire import Answers, Counts, Udp, known
 
 AGAIN = 0.05
 """After so long without an answer a step is sent again, [s]."""

@@ -41,7 +41,7 @@ from unicon_hardware.fourier.fsa1_codec import (
     number,
     understood,
 )
-from unicon_hardware.udp import Udp
+from unicon_hardware.wire import Udp
 
 MODES = {0x04: POSITION_MODE, 0x05: 3, 0x06: 6, 0x07: 4}
 """Code to mode of operation."""

@@ -27,8 +27,7 @@ from unicon_hardware.modbus.link import (
     write_answer,
     write_request,
 )
-from unicon_hardware.speed import Speed
-from unicon_hardware.wire import Counts
+from unicon_hardware.wire import Counts, Speed
 
 BEYOND = 0.1
 """A measured angle that is further outside the range, as a share of it, is not a measurement."""

@@ -26,10 +26,9 @@ from unicon_core.states.standard import control_states
 from unicon_core.workflow.autowire import BuildContext
 from unicon_hardware.dds.end import DdsEndpoint
 from unicon_hardware.robot_clock import Milliseconds
-from unicon_hardware.torso import IMU_STATES, turned
 from unicon_hardware.unitree.facts import CHECK_MODE, RELEASE_MODE, SWITCHER, Server, UnitreeFacts
 from unicon_hardware.unitree.platform import REMOTE, own_arrays
-from unicon_hardware.wire import known
+from unicon_hardware.wire import IMU_STATES, known, turned
 
 MODE = "normal"
 """Of its own controller, until it lets go."""

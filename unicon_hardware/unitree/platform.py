@@ -29,9 +29,8 @@ from unicon_hardware.dds.end import DdsEnd
 from unicon_hardware.dds.maps import arrays_of, offset_of
 from unicon_hardware.modes import ModeGuard
 from unicon_hardware.robot_clock import Repeats
-from unicon_hardware.torso import IMU_STATES, turned
 from unicon_hardware.unitree.facts import PROTOCOLS, Release, UnitreeFacts
-from unicon_hardware.wire import newer
+from unicon_hardware.wire import IMU_STATES, newer, turned
 from unicon_hardware.wired_robot import SILENCE, WiredRobot, opened
 from unicon_msgs_map import Decoder
 

@@ -22,7 +22,6 @@ from unicon_core.states import States
 from unicon_core.states.standard import CONTROL_STATES, JOINT_STATES
 from unicon_hardware.modes import EmulatedModes
 from unicon_hardware.robot_clock import Milliseconds
-from unicon_hardware.udp import Udp
 from unicon_hardware.unitree_legged.codec import (
     CELL_VOLT,
     DAMPING,
@@ -34,6 +33,7 @@ from unicon_hardware.unitree_legged.codec import (
     link_of,
 )
 from unicon_hardware.unitree_legged.wire import FOOT_FORCE, LeggedWire
+from unicon_hardware.wire import Udp
 from unicon_hardware.wired_robot import SILENCE, WiredRobot, opened
 
 WATCHDOG = 0.25

@@ -26,7 +26,6 @@ from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_hardware.modes import ModeGuard
 from unicon_hardware.robot_clock import Repeats
-from unicon_hardware.udp import Udp
 from unicon_hardware.unitree_legged.codec import (
     CELL_VOLT,
     LAYOUTS,
@@ -36,7 +35,7 @@ from unicon_hardware.unitree_legged.codec import (
     Frame,
     LeggedTransport,
 )
-from unicon_hardware.wire import Counts, newer
+from unicon_hardware.wire import Counts, Udp, newer
 
 
 class Repeater(threading.Thread):

@@ -22,8 +22,7 @@ from unicon_core.states import States
 from unicon_hardware.dds.end import DdsEnd, DdsEndpoint
 from unicon_hardware.dds.maps import Arrays, DdsFacts, Frames, Message
 from unicon_hardware.facts import fact, facts_of, one_of, slots
-from unicon_hardware.speed import Speed
-from unicon_hardware.wire import Counts
+from unicon_hardware.wire import Counts, Speed
 
 ANGLES = 1
 """Bit of `mode` of the FTP: `angle_set` counts."""
