@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from unicon_base.arrays import Bool
 from unicon_core.handles import FrameRing
-from unicon_hardware.peripherals.livox.protocol import HEAD, POINTS, SAMPLES, Packet
+from unicon_hardware.peripherals.livox.livox import HEAD, POINTS, SAMPLES, Packet
 from unicon_ros.bridge.images import FrameMessage, cloud_message
 
 FRAME_NS = 100_000_000
