@@ -21,7 +21,7 @@ from websockets.http11 import Request, Response
 
 from unicon_base.errors import UniconError
 from unicon_hardware.peripherals.webxr.certificate import certificate, fingerprint, secured
-from unicon_hardware.peripherals.webxr.frames import ANSWER, FRAME, PARTS, PING, Frame, Refused
+from unicon_hardware.peripherals.webxr.webxr import ANSWER, FRAME, PARTS, PING, Frame, Refused
 from unicon_ros.peripheral_process import SLICE, Feed, end, serve
 from unicon_ros.web_front import netloc, refusal
 
