@@ -7,7 +7,6 @@ there before, under whichever count.
 
 from __future__ import annotations
 
-import math
 import time
 from collections import deque
 
@@ -87,34 +86,6 @@ class RobotClock:
                 "machine queueing them?"
             )
         return now - age
-
-
-class Milliseconds:
-    """The clock of an emulated robot, for faces: of 1 ms, and newer with each frame.
-
-    Args:
-        period: of its frames, [ms].
-
-    Attributes:
-        count: of the last frame, [ms].
-    """
-
-    def __init__(self, period: float) -> None:
-        self._period, self.count, self._began = period, 0.0, math.nan
-
-    def __call__(self, now: float) -> int:
-        """Return the count of the next frame, 32 bits.
-
-        Args:
-            now: its time in [s]; where it is NaN frames are counted.
-        """
-        if math.isnan(now):
-            self.count += self._period
-        else:
-            if math.isnan(self._began):
-                self._began = now - self.count * 1e-3
-            self.count = max(self.count + 1.0, (now - self._began) * 1e3)
-        return round(self.count) % WRAP
 
 
 class Repeats:

@@ -152,7 +152,7 @@ def test_commands_are_those_of_the_vendor_s_layout() -> None:
     rng = np.random.default_rng(1)
     for values in arrays.values():
         values[...] = rng.normal(size=N)
-    raw = FACTS.command_out(arrays)()
+    raw = FACTS.command.encoder(arrays).encode()
     assert len(raw) == 4 + 8 + N * COMMAND.size
     assert struct.unpack_from("<4s2I", raw) == (b"\0\1\0\0", 1, N)
     for joint in range(N):
@@ -309,7 +309,7 @@ def test_battery_and_gamepad_are_heard_and_are_no_sign_of_life(pair: Ends) -> No
 
 def test_the_emulated_robot_refuses_what_is_not_for_its_joints(pair: Ends) -> None:
     taken_over(pair)
-    raw = bytearray(FACTS.command_out(command_arrays(N))())
+    raw = bytearray(FACTS.command.encoder(command_arrays(N)).encode())
     writer = pair.wire._outlets[0][0]
     struct.pack_into("<I", raw, 4, 0)  # parallel
     until(

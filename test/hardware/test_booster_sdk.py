@@ -90,7 +90,7 @@ def test_as_controller_two_thousand_states_and_commands_are_equal(
 
     inlet._read = seen
     mine = command_arrays(N)
-    encode = BoosterFacts.of(T1).command_out(mine)
+    encode = BoosterFacts.of(T1).command.encoder(mine).encode
     try:
         until(lambda: said(vendor, "mode_now") is not None, robot.hear)
         assert said(vendor, "there")

@@ -22,7 +22,7 @@ from unicon_core.robots import load_robot
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow.hardware import declared_facts, refuse_incomplete
 from unicon_hardware.dds import maps
-from unicon_hardware.unitree_dex3.platform import Dex3, Dex3Facts, Dex3Wire, face, make, own_arrays
+from unicon_hardware.unitree_dex3.platform import Dex3, Dex3Facts, Dex3Wire, face, make
 from unicon_hardware.wire import Counts
 
 EVIDENCE = "frames"
@@ -37,7 +37,7 @@ STATE = struct.Struct("<B3x4f2hf2II4I")
 
 
 def arrays_of() -> dict[str, np.ndarray]:
-    return maps.arrays_of(states_of(HAND)) | own_arrays(HAND)
+    return maps.arrays_of(states_of(HAND)) | FACTS.own(HAND.num_joints)
 
 
 @pytest.fixture
@@ -75,7 +75,7 @@ def test_commands_have_the_vendor_s_mode_bytes() -> None:
     rng = np.random.default_rng(1)
     for name in COMMAND_STATES:
         arrays[name][...] = rng.normal(size=7)
-    raw = FACTS.command_out(arrays)()
+    raw = FACTS.command.encoder(arrays).encode()
     assert raw[:8] == b"\0\1\0\0\7\0\0\0"
     assert len(raw) == 8 + 7 * COMMAND.size + 16
     names = ("joint_pos_target", "joint_vel_target", "joint_effort_ff")
@@ -98,7 +98,7 @@ def test_garbage_never_raises_and_never_writes_what_is_not_finite(
 ) -> None:
     arrays, counts = arrays_of(), Counts()
     frames = FACTS.state_in(arrays, counts)
-    good = FACTS.state_out(arrays)()
+    good = FACTS.state.encoder(arrays).encode()
     for raw in (noise, good[:at], good[:at] + value[:4] + good[at + 4 :], good + noise):
         if frames.good(raw):
             frames.read(raw)
@@ -143,7 +143,7 @@ def test_wrong_frames_are_counted_and_left(hand: Ends) -> None:
 
 
 def test_the_hand_leaves_commands_with_other_modes(hand: Ends) -> None:
-    raw = bytearray(FACTS.command_out(arrays_of())())
+    raw = bytearray(FACTS.command.encoder(arrays_of()).encode())
     raw[8] = 0x21  # motor 1 in the place of motor 0, status 2
     hand.wire._outlets[0][0].write(bytes(raw))
     until(lambda: hand.face.hear() or hand.face.counts.refused["motor mode"])

@@ -22,8 +22,9 @@ from unicon_core.robots import Robot, load_robot
 from unicon_core.states import States, standard_states
 from unicon_core.states.standard import BUTTONS, COMMAND_STATES, control_states, hardware_states
 from unicon_core.workflow.hardware import refuse_incomplete
+from unicon_hardware.dds.maps import zeros
 from unicon_hardware.dobot import platform as takeover
-from unicon_hardware.dobot.codec import DobotFacts, face, own_arrays
+from unicon_hardware.dobot.codec import DobotFacts, face
 from unicon_hardware.dobot.platform import DobotWire, make
 from unicon_hardware.wire import Counts
 
@@ -51,7 +52,9 @@ def arrays_of() -> dict[str, Any]:
     states["base_ang_vel"][...] = (1.0, -2.0, 3.0)
     states["motor_temperature"][...] = np.arange(29) + 20
     states["battery_charge"][...] = 0.57
-    return {name: states[name] for name in states} | own_arrays()
+    return {name: states[name] for name in states} | zeros(
+        "fsm_id u2, upper_control u1, remote u1 40, modes u1 29"
+    )
 
 
 def ends(layout: str = "sdk") -> Ends:
@@ -87,7 +90,7 @@ def test_messages_are_those_of_the_sdk_s_headers() -> None:
     facts, arrays = DobotFacts.of(ATOM, "sdk"), arrays_of()
     arrays["fsm_id"][...] = 301
     arrays["remote"][...] = np.arange(40)
-    raw = facts.lower.state_out(arrays)()
+    raw = facts.halves[0].state.encoder(arrays).encode()
     head = struct.Struct("<H2x" + IMU)
     told = head.unpack_from(raw, 4)
     assert told[0] == 301
@@ -106,7 +109,7 @@ def test_messages_are_those_of_the_sdk_s_headers() -> None:
     level = struct.unpack_from("<H", raw, at + 8)[0]
     assert level == 57
     assert bytes(range(40)) in raw
-    command = facts.upper.command_out(arrays)()
+    command = facts.halves[1].command.encoder(arrays).encode()
     element = struct.Struct("<B3x5f")
     assert len(command) == 4 + 17 * element.size
     names = ("joint_pos_target", "joint_vel_target", "joint_effort_ff", "joint_stiffness")
@@ -120,8 +123,8 @@ def test_messages_are_those_of_the_sdk_s_headers() -> None:
 @pytest.mark.parametrize("layout", ["sdk", "ros2"])
 def test_the_two_layouts_refuse_each_other(layout: str) -> None:
     arrays = arrays_of()
-    raw = DobotFacts.of(ATOM, layout).upper.state_out(arrays)()
-    other = DobotFacts.of(ATOM, "ros2" if layout == "sdk" else "sdk").upper
+    raw = DobotFacts.of(ATOM, layout).halves[1].state.encoder(arrays).encode()
+    other = DobotFacts.of(ATOM, "ros2" if layout == "sdk" else "sdk").halves[1]
     counts = Counts()
     assert not other.state_in(arrays, counts).good(raw)
     assert counts.refused == {"long" if layout == "ros2" else "short": 1}
@@ -133,8 +136,8 @@ def test_garbage_never_raises_and_never_writes_what_is_not_finite(
     noise: bytes, at: int, value: bytes
 ) -> None:
     facts, arrays = DobotFacts.of(ATOM, "sdk"), arrays_of()
-    for half in (facts.lower, facts.upper):
-        frames, good = half.state_in(arrays, Counts()), half.state_out(arrays)()
+    for half in facts.halves:
+        frames, good = half.state_in(arrays, Counts()), half.state.encoder(arrays).encode()
         for raw in (noise, good[:at], good[:at] + value[:4] + good[at + 4 :], good + noise):
             if frames.good(raw):
                 frames.read(raw)

@@ -61,10 +61,10 @@ def ftp_state(angles: list[int], errors: list[int], heat: list[int]) -> bytes:
 def test_the_ftp_s_messages_are_those_of_its_idl() -> None:
     facts = HandFacts.of(FTP)
     targets = np.array([0, 1, 500, 999, 1000, 250], np.int16)
-    assert facts.command_out({"targets": targets})() == ftp_command(targets.tolist(), 1)
+    assert facts.command.encoder({"targets": targets}).encode() == ftp_command(targets.tolist(), 1)
     arrays = {"told": targets, "motor_error": np.arange(6, dtype=np.int32)}
     arrays["motor_temperature"] = np.arange(200.0, 206.0, dtype=np.float32)
-    raw = facts.state_out(arrays)()
+    raw = facts.state.encoder(arrays).encode()
     assert raw == ftp_state(targets.tolist(), list(range(6)), list(range(200, 206)))
     read = {name: np.zeros_like(value) for name, value in arrays.items()}
     frames = facts.state_in(read, Counts())
@@ -83,7 +83,7 @@ def test_the_dfx_s_golden_command_is_read(assets: Path) -> None:
     element = struct.Struct("<B3x5f3I")
     told = [element.unpack_from(raw, 8 + k * element.size)[1] for k in range(12)]
     assert heard["targets"].tolist() == told
-    ours = facts.command_out(heard)()
+    ours = facts.command.encoder(heard).encode()
     assert len(ours) == len(raw)
     made = [element.unpack_from(ours, 8 + k * element.size) for k in range(12)]
     assert made == [(0, q, 0, 0, 0, 0, 0, 0, 0) for q in told]
@@ -116,7 +116,7 @@ def test_garbage_never_raises_and_never_writes_what_is_not_finite(
     arrays: dict[str, Any] = {"told": facts.zeros()}
     arrays |= {"motor_error": np.zeros(6, np.int32), "motor_temperature": np.zeros(6, np.float32)}
     frames = facts.state_in(arrays, counts)
-    good = facts.state_out(arrays)()
+    good = facts.state.encoder(arrays).encode()
     for raw in (noise, good[:at], good[:at] + value[:4] + good[at + 4 :], good + noise):
         if frames.good(raw):
             frames.read(raw)

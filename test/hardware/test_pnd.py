@@ -94,7 +94,7 @@ def test_commands_are_those_of_the_vendor_s_layout(assets: Path) -> None:
     rng = np.random.default_rng(1)
     for name in COMMAND_STATES:
         arrays[name][...] = rng.normal(size=MOTORS)
-    raw = FACTS.command_out(arrays)()
+    raw = FACTS.command.encoder(arrays).encode()
     assert len(raw) == len(golden)
     assert raw[:5] == b"\0\1\0\0\0"
     assert raw[8:12] == golden[8:12]  # 23
@@ -120,7 +120,7 @@ def test_garbage_never_raises_and_never_writes_what_is_not_finite(
 ) -> None:
     arrays = arrays_of()
     facts = replace(FACTS, battery=battery)
-    frames, good = LowStates(facts, arrays, Counts()), facts.state_out(arrays)()
+    frames, good = LowStates(facts, arrays, Counts()), facts.state.encoder(arrays).encode()
     for raw in (noise, good[:at], good[:at] + value[:4] + good[at + 4 :], good + noise):
         frames.forget()
         if frames.good(raw):
@@ -160,7 +160,7 @@ def test_its_remote_is_heard(adam: Ends) -> None:
 
 
 def test_wrong_frames_are_counted_and_left(adam: Ends) -> None:
-    adam.face._tick[...] = 1000
+    adam.face.own["tick"][...] = 1000
     adam.told()
     good = bytearray(adam.face._outlets[0][1]())
     before, refused = adam.ours["joint_pos"].copy(), adam.wire.counts.refused
@@ -206,7 +206,7 @@ def test_another_adam_is_told_by_its_number_of_motors() -> None:
 
 def test_strangers_and_a_robot_that_comes_back() -> None:
     adam = Ends(ADAM, PndWire, face, states=adam_states, battery=True)
-    adam.face._tick[...] = 10**6
+    adam.face.own["tick"][...] = 10**6
     stranger = face(adam_states(ADAM), ADAM, domain=DOMAIN)
     try:
         adam.theirs["joint_pos"][...] = 0.5

@@ -137,7 +137,7 @@ def test_the_sdk_as_robot_and_we_agree_on_every_message(
     peer = peers("robot", kind, domain)
     n, states = robot.num_joints, whole(robot)
     facts = UnitreeFacts.of(robot)
-    wire = UnitreeWire(states, robot, facts, domain, "lo", release=False)
+    wire = UnitreeWire(states, robot, domain, "lo")
     try:
         until(lambda: peer.heard("ready") and wire.matched)
         until(lambda: reader_of(wire).sources)

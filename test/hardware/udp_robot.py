@@ -43,7 +43,7 @@ def command_type(n: int) -> np.dtype[Any]:
     return np.dtype([("magic", "<u4"), ("rows", "<f4", (len(COMMAND_STATES), n))])
 
 
-class UdpWire:
+class UdpWire(Wire):
     """The driver's end."""
 
     def __init__(self, states: States, robot: Robot, address: str, port: int) -> None:
@@ -146,7 +146,7 @@ def promised(
     return opened(PromisedRobot(states, robot, period, wire, silence=5.0, silent=silent), 20.0)
 
 
-class UdpFace:
+class UdpFace(Endpoint):
     """The robot's end: it tells whoever has said hello."""
 
     def __init__(

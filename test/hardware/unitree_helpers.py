@@ -66,7 +66,9 @@ class Pair:
         options = {"mode": "normal" if release else ""} | options
         self.face: UnitreeEndpoint = face(self.theirs, robot, domain=DOMAIN, **options)
         facts = UnitreeFacts.of(robot)
-        self.wire = UnitreeWire(self.ours, robot, facts, DOMAIN, LOOPBACK, release=release)
+        self.wire = UnitreeWire(self.ours, robot, DOMAIN, LOOPBACK)
+        if not release:
+            self.wire._release = None
         until(self.wire.take, self.face.tell)
         until(lambda: self.wire.matched)
 

@@ -17,7 +17,7 @@ from stepping import stepping
 
 from unicon_core.robots import Robot
 from unicon_hardware.emulate.emulator import emulated
-from unicon_hardware.emulate.face import Face
+from unicon_hardware.endpoint import Endpoint
 from unicon_ros.bench.domains import free_domain
 
 __all__ = ["DRIVES", "UNSEEING", "completed", "serve", "stepped"]
@@ -139,7 +139,7 @@ def serve(
 
 @contextmanager
 def stepped(
-    robot: Robot, face: Callable[..., Face], options: dict[str, Any], **more: Any
+    robot: Robot, face: Callable[..., Endpoint], options: dict[str, Any], **more: Any
 ) -> Iterator[list[dict[str, Any]]]:
     """Step an emulated robot of joints alone in a thread, for quick tests; yield what it says."""
     said: list[dict[str, Any]] = []

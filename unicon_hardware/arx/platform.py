@@ -31,7 +31,8 @@ from unicon_hardware.arx.codec import (
     command_of,
     reply_of,
 )
-from unicon_hardware.modes import UNDOCUMENTED, EmulatedModes, ModeGuard
+from unicon_hardware.endpoint import EmulatedModes
+from unicon_hardware.modes import UNDOCUMENTED, ModeGuard
 from unicon_hardware.wire import Answers, Counts, known
 from unicon_hardware.wired_robot import WiredRobot, opened
 

@@ -19,14 +19,11 @@ from collections.abc import Callable, Generator
 from functools import partial
 from typing import Any
 
-import numpy as np
-
 from unicon_base.errors import Fault, PlatformError
 from unicon_core.platforms.kit.base import rpy_of_quat
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_hardware.booster.codec import BoosterFacts
-from unicon_hardware.booster.platform import EXTRA
 from unicon_hardware.dds.end import DdsEndpoint
 from unicon_hardware.dds.service import Procedure, ServiceEnd
 
@@ -186,7 +183,11 @@ BAD_REQUEST, NOT_FROM_HERE = 400, 502
 
 
 class BoosterEndpoint(DdsEndpoint):
-    """What a driver sees of an emulated T1.
+    """An emulated T1: LowState, LowCmd, the service that changes its mode, battery and gamepad.
+
+    Its state machine is stricter than what is public: custom mode from prepare mode alone, and only
+    once a command is there. Not emulated, as it is not public: what the robot does when LowCmd
+    stops, and its cranks, which are sent as its joints.
 
     Args:
         states: of the emulator.
@@ -204,7 +205,8 @@ class BoosterEndpoint(DdsEndpoint):
         UniconError: the robot file lacks a fact, or the network cannot be used.
     """
 
-    label, extra, platform = "emulated booster", EXTRA, "booster"
+    label, extra, announced = "emulated booster", "hw-booster", True
+    table, platform = BoosterFacts, "booster"
     _facts: BoosterFacts
 
     def __init__(
@@ -221,20 +223,19 @@ class BoosterEndpoint(DdsEndpoint):
             raise PlatformError(
                 f"{self.label}: mode is {mode!r}; give one of {', '.join(sorted(facts.modes))}"
             )
-        self.mode = np.array(facts.modes[mode], np.int32)
         self._commanded, self._told = False, 0
-        self._rpy = np.zeros(3, np.float32)
-        own, heard = {"rpy": self._rpy, "mode": self.mode}, {"cmd_type": np.zeros((), np.uint32)}
-        super().__init__(states, robot, facts, domain, address, own, heard, announced=True)
-        with self.closing():
-            self._server = Server(self.participant, facts.rpc_topic)
-            self._seldom = [
-                (
-                    self.participant.writer(message.topic, message.struct),
-                    message.encoder(self._arrays).encode,
-                )
-                for message in (facts.mode, facts.battery)
-            ]
+        self._build(states, robot, facts, address, domain)
+        self.mode[...] = facts.modes[mode]
+
+    def _open(self) -> None:
+        super()._open()
+        facts, joined = self._facts, self.participant
+        self.mode = self.own["mode"]
+        self._server = Server(joined, facts.rpc_topic)
+        self._seldom = [
+            (joined.writer(told.topic, told.struct), told.encoder(self._arrays).encode)
+            for told in (facts.mode, facts.battery)
+        ]
 
     @property
     def obeys(self) -> bool:
@@ -248,7 +249,7 @@ class BoosterEndpoint(DdsEndpoint):
 
     def tell(self) -> None:
         """Send what the robot measures."""
-        self._rpy[...] = rpy_of_quat(self._states["base_quat"])
+        self.own["rpy"][...] = rpy_of_quat(self._states["base_quat"])
         self.put()
         if self._told % SELDOM == 0:
             for writer, encode in self._seldom:

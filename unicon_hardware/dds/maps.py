@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, TypeAlias
 
@@ -16,7 +16,7 @@ from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_hardware.dds.participant import LARGEST_DOMAIN
 from unicon_hardware.facts import Rate, Transport
-from unicon_hardware.wire import Counts
+from unicon_hardware.wire import Counts, frame_type
 from unicon_msgs_map import Decoder, Encoder, MessageMap, PublishSpec, SubscribeSpec, parse_map
 from unicon_msgs_map.codec.checksum import unitree_crc
 from unicon_msgs_map.layout.messages import Struct, shared_messages
@@ -146,6 +146,12 @@ def command_arrays(joints: int) -> dict[str, Array]:
     return {name: np.zeros(joints, np.float32) for name in COMMAND_STATES}
 
 
+def zeros(fields: str) -> dict[str, Array]:
+    """Return arrays that a table declares, zero: `"tick u4, modes u1 12"`, as of `frame_type`."""
+    kind = frame_type(fields)
+    return {name: np.zeros(kind[name].shape, kind[name].base) for name in kind.names or ()}
+
+
 def motors(
     array: str, slots: Sequence[int], fields: Mapping[str, str], first: int = 0, size: int = 1
 ) -> dict[str, str]:
@@ -248,11 +254,11 @@ def _sent(said: Any) -> Any:
 
 
 class Messages:
-    """What robot and driver say: the base of facts that have `state` and `command`."""
+    """Messages of robot and driver: the base of facts that have `state` and `command`."""
 
     @property
     def state(self) -> Message:
-        """What the robot tells."""
+        """What the robot sends."""
         raise NotImplementedError
 
     @property
@@ -260,21 +266,17 @@ class Messages:
         """What the robot takes."""
         raise NotImplementedError
 
+    def own(self, joints: int) -> dict[str, Array]:
+        """Return the arrays of the messages that are not states, zero."""
+        return {}
+
     def state_in(self, arrays: Arrays, counts: Counts) -> Any:
         """Return what reads the state into those arrays that are there."""
         return self.state.frames(arrays, counts)
 
-    def state_out(self, arrays: Arrays) -> Callable[[], bytes]:
-        """Return what makes the state."""
-        return self.state.encoder(arrays).encode
-
     def command_in(self, arrays: Arrays, counts: Counts) -> Frames:
         """Return what reads the command, as the robot does."""
         return self.command.frames(arrays, counts)
-
-    def command_out(self, arrays: Arrays) -> Callable[[], bytes]:
-        """Return what makes the command."""
-        return self.command.encoder(arrays).encode
 
 
 @dataclass(frozen=True)

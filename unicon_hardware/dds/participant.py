@@ -288,12 +288,12 @@ class Writer:
         self._idle: tuple[Any, Echo] | None = None
 
     def write(self, raw: bytes) -> None:
-        """Send a message, encapsulation header and body, of a multiple of 4 bytes.
+        """Send encapsulation header and body, with zeros behind to a multiple of 4 bytes.
 
         Raises:
             Fault: CycloneDDS refuses it.
         """
-        code = self._write(self._ref, raw)
+        code = self._write(self._ref, raw + bytes(-len(raw) % 4))
         if code < 0:
             raise Fault(f"{self._what} cannot be sent: CycloneDDS error {code}")
 

@@ -32,7 +32,7 @@ from unicon_core.workflow.autowire import read_options
 from unicon_core.workflow.hardware import refuse_incomplete
 from unicon_hardware.emulate.body import Body, Defects, body_of
 from unicon_hardware.emulate.command_log import CommandLog, Say, say
-from unicon_hardware.emulate.face import Face, Timed
+from unicon_hardware.endpoint import Endpoint
 
 SILENCE = 0.5
 """After so long without a command, or its dead man's time, the next one is a first one, [s]."""
@@ -71,7 +71,7 @@ class Emulator:
         self,
         states: States,
         robot: Robot,
-        face: Face,
+        face: Endpoint,
         body: Body,
         *,
         defects: Defects | None = None,
@@ -80,7 +80,6 @@ class Emulator:
         each: bool = False,
     ) -> None:
         self._states, self._face, self._body = states, face, body
-        self._timed = face if isinstance(face, Timed) else None
         self._let_go, self._goes_at = let_go, float("inf")
         self._leaves_at = float("inf")
         self._say = say
@@ -128,8 +127,7 @@ class Emulator:
             Fault: the physics blew up.
         """
         states, face = self._states, self._face
-        if self._timed is not None:
-            self._timed.now = now
+        face.now = now
         self._body.platform.recv()
         self._pos[...] = states["joint_pos"]
         self._defects.sensed(states)
@@ -259,7 +257,7 @@ class Emulator:
 
 def emulated(
     robot: Robot,
-    factory: Callable[..., Face],
+    factory: Callable[..., Endpoint],
     options: Mapping[str, Any] | None = None,
     *,
     name: str = "",
@@ -322,7 +320,7 @@ def emulated(
         raise
 
 
-def reaching(robot: Robot, face: Face) -> dict[str, str]:
+def reaching(robot: Robot, face: Endpoint) -> dict[str, str]:
     """Return `command`, which drives an emulated robot to its default pose in a shell.
 
     A robot whose file lacks what driving it needs has none, and `refused` says what is lacking.

@@ -26,6 +26,7 @@ from unicon_hardware.dds.maps import (
     DdsFacts,
     Message,
     motors,
+    zeros,
 )
 from unicon_hardware.dds.participant import Participant
 from unicon_hardware.dds.service import Procedure, ServiceEnd
@@ -76,6 +77,13 @@ class UnitreeFacts(DdsFacts):
     waist: Annotated[int | None, Key("waist_joint"), joint_number] = None
     battery: bool = False
     mode_machine: Annotated[int | None, Within(0, 255)] = None
+
+    def own(self, joints: int) -> dict[str, Any]:
+        """Return the arrays of the messages that are not states, zero."""
+        return zeros(
+            f"tick u4, mode_machine u1, mode_pr u1, modes u1 {joints}, "
+            f"temperatures i2 {2 * joints}, remote u1 40"
+        )
 
     @property
     def go(self) -> bool:

@@ -18,9 +18,8 @@ import numpy as np
 from unicon_base.arrays import Array, Float32, Float64, Index
 from unicon_base.schema.marks import Key, Within
 from unicon_core.robots import Robot
-from unicon_core.states import States
-from unicon_hardware.dds.end import DdsEnd, DdsEndpoint
-from unicon_hardware.dds.maps import Arrays, DdsFacts, Frames, Message
+from unicon_hardware.dds.end import DdsEndpoint, DdsWire
+from unicon_hardware.dds.maps import Arrays, DdsFacts, Frames, Message, zeros
 from unicon_hardware.facts import fact, facts_of, one_of, slots
 from unicon_hardware.wire import Counts, Speed
 
@@ -84,9 +83,18 @@ class HandFacts(DdsFacts):
         """Smallest and largest number that may be sent."""
         return min(self.open, self.closed), max(self.open, self.closed)
 
+    @property
+    def dtype(self) -> str:
+        """Of the angles in a message, as they are sent."""
+        return f"{'f4' if self.both else 'i2'} {COUNTS[self.protocol]}"
+
+    def own(self, joints: int) -> dict[str, Array]:
+        """Return the arrays of the messages that are not states, zero."""
+        return zeros(f"told {self.dtype}, targets {self.dtype}, mode i1")
+
     def zeros(self) -> Array:
         """Return an array of the angles in a message, as they are sent."""
-        return np.zeros(COUNTS[self.protocol], np.float32 if self.both else np.int16)
+        return self.own(0)["told"]
 
     def to_wire(self, angles: Array) -> tuple[Float64, bool]:
         """Return what is sent for angles in [rad], and whether one was beyond the ends."""
@@ -188,55 +196,31 @@ class Both:
             _open.pop((domain, topic), None)
 
 
-EXTRA = "hw-inspire"
 OVER = 0.05
 """Over which the speed is taken, [s]: a step of 1/1000 within 10 ms would be up to 0.17 rad/s."""
 
 
-class InspireDdsWire(DdsEnd):
+class InspireDdsWire(DdsWire):
     """The connection to one hand.
 
-    Neither interface has a number in its state: a hand that repeats itself is not told from one
-    that does not move.
-
-    Args:
-        states: what is measured goes into these, commands come from these.
-        robot: its file.
-        domain: of DDS; None for the robot file's.
-        address: of this machine's network interface, or its name; None for the default.
-        silent: nothing is sent.
-
-    Raises:
-        UniconError: it cannot be opened.
+    Neither interface has a number in its state: a hand that repeats itself is not distinguished
+    from one that does not move.
     """
 
-    label, extra = "platform 'inspire'", EXTRA
+    label, extra, table = "platform 'inspire'", "hw-inspire", HandFacts
+    _both: Both | None = None
 
-    def __init__(
-        self,
-        states: States,
-        robot: Robot,
-        domain: int | None,
-        address: str | None,
-        *,
-        silent: bool = False,
-    ) -> None:
-        facts = HandFacts.of(robot)
-        self._facts, self._told, self._targets = facts, facts.zeros(), facts.zeros()
-        self._both: Both | None = None
-        self._states = states
+    def _built(self) -> None:
+        self._told, self._targets = self._own["told"], self._own["targets"]
         self._speed = Speed(OVER)
-        arrays = {name: states[name] for name in states} | {"told": self._told}
-        super().__init__(facts.state_topic, facts.domain, domain, address)
+
+    def _open(self) -> None:
+        facts = self._facts
         self._key = self.participant.domain, facts.command_topic
-        with self.closing():
-            self.listen(facts.state, facts.state_in(arrays, self.counts))
-            self.watch(facts.command_topic)
-            if not silent:
-                if facts.both:
-                    self._both = Both.of(*self._key, len(self._told))
-                    self._targets = self._both.targets
-                self.speak(facts.command, {"targets": self._targets})
+        if facts.both and not self._silent:
+            self._both = Both.of(*self._key, len(self._told))
+            self._targets = self._arrays["targets"] = self._both.targets
+        super()._open()
 
     def _measured(self) -> None:
         angles = self._facts.to_angles(self._told[self._facts.slots])
@@ -274,38 +258,23 @@ AS_IT_IS = -1
 
 
 class InspireDdsEndpoint(DdsEndpoint):
-    """What a driver sees of an emulated hand.
+    """An emulated hand: its state, and commands by position.
 
-    Args:
-        states: of the emulator.
-        robot: its file.
-        address: of this machine's network interface, or its name.
-        domain: of DDS, instead of the robot file's.
+    Of a DFX both hands are sent, the other one as `told` has it. Not emulated: forces, currents,
+    status, touch sensors, and what the hand does when commands stop.
 
     Attributes:
-        told: all that it tells, those of a DFX's other hand among them.
-        asked: all that it was told last.
-
-    Raises:
-        UniconError: the robot file lacks a fact, or the network cannot be used.
+        told: all that it sends, those of a DFX's other hand among them.
+        asked: all that it was commanded last.
     """
 
-    label, extra, platform = "emulated inspire", EXTRA, "inspire"
+    label, extra, table = "emulated inspire", "hw-inspire", HandFacts
+    platform = "inspire"
 
-    def __init__(
-        self,
-        states: States,
-        robot: Robot,
-        *,
-        address: str | None = "127.0.0.1",
-        domain: int | None = None,
-    ) -> None:
-        facts = HandFacts.of(robot)
-        self.told, self.asked = facts.zeros(), facts.zeros()
-        self.told[...] = facts.open
-        self._mode = np.full((), ANGLES, np.int8)
-        own, heard = {"told": self.told}, {"targets": self.asked, "mode": self._mode}
-        super().__init__(states, robot, facts, domain, address, own, heard)
+    def _built(self) -> None:
+        self.told, self.asked = self.own["told"], self._heard["targets"]
+        self.told[...] = self._facts.open
+        self._heard["mode"][...] = ANGLES
 
     def tell(self) -> None:
         """Send what the hand measures."""
@@ -314,10 +283,10 @@ class InspireDdsEndpoint(DdsEndpoint):
         self.put()
 
     def _acts(self) -> bool:
-        acts = bool(int(self._mode) & ANGLES)
-        if not acts:
-            self.counts.refuse("mode", f"{int(self._mode)}, which sets no angle")
-        return acts
+        mode = int(self._heard["mode"])
+        if not mode & ANGLES:
+            self.counts.refuse("mode", f"{mode}, which sets no angle")
+        return bool(mode & ANGLES)
 
     def _act(self) -> None:
         facts = self._facts
