@@ -39,7 +39,7 @@ def newer(number: int, last: int) -> bool:
 
 def known(states: States, name: str) -> Any:
     """Return a state, or None where there is none of that name."""
-    return states[name] if name in states else None
+    return states[name] if name in states else None  # noqa: SIM401  no mapping
 
 
 def frame_type(fields: str, **types: np.dtype[Any]) -> np.dtype[Any]:

@@ -18,8 +18,7 @@ from unicon_core.robots import Robot, load_robot
 from unicon_core.runtime.runner import Runner, RunOptions
 from unicon_core.workflow import load_workflow
 from unicon_hardware.fourier.actuator_wire import TRIES
-from unicon_hardware.fourier.codec import COMMAND, Actuators
-from unicon_hardware.fourier.platform import Fourier, FourierWire, make
+from unicon_hardware.fourier.platform import COMMAND, Actuators, Fourier, FourierWire, make
 from unicon_hardware.wire import Udp
 
 EVIDENCE = "vendor"

@@ -27,7 +27,6 @@ from unicon_core.states import States, standard_states
 from unicon_core.states.spec import StateSpec
 from unicon_core.states.standard import COMMAND_STATES, hardware_states
 from unicon_hardware.unitree.face import face
-from unicon_hardware.unitree.facts import UnitreeFacts
 from unicon_hardware.unitree.platform import UnitreeWire
 from unicon_ros.bench.domains import free_domain
 
@@ -136,7 +135,6 @@ def test_the_sdk_as_robot_and_we_agree_on_every_message(
     domain, robot = free_domain(), load_robot(ROBOTS[kind])
     peer = peers("robot", kind, domain)
     n, states = robot.num_joints, whole(robot)
-    facts = UnitreeFacts.of(robot)
     wire = UnitreeWire(states, robot, domain, "lo")
     try:
         until(lambda: peer.heard("ready") and wire.matched)

@@ -217,13 +217,13 @@ def test_senders_are_known_by_the_same_number_everywhere(go2: Pair) -> None:
 def test_strangers_and_a_robot_that_comes_back(go2: Pair) -> None:
     go2.told()
     stranger = face(states_of(go2.robot), go2.robot, domain=DOMAIN, mode="")
-    stranger._tick[...] = 10**6
+    stranger.own["tick"][...] = 10**6
     counts = go2.wire.counts
     until(lambda: counts.refused["another sender"], lambda: (stranger.tell(), go2.wire.take()))
     assert go2.ours["joint_pos"][0] == go2.theirs["joint_pos"][0]
     assert go2.told() + go2.wire.take() >= 0
     go2.face.close()  # the robot dies: whoever tells now is the robot
-    stranger._tick[...] = 0
+    stranger.own["tick"][...] = 0
     until(go2.wire.take, stranger.tell)
     assert go2.ours["joint_pos"][0] == 0.0
     stranger.close()
@@ -249,11 +249,11 @@ def test_the_robot_leaves_bad_commands(pair: Pair) -> None:
     writer_of(pair.wire).write(good[:-1] + bytes((good[-1] ^ 1,)))
     refused = pair.face.counts.refused
     until(lambda: refused["wrong CRC"], pair.face.hear)
-    pair.face._modes[0] = 7
+    pair.face._facts.modes[0] = 7
     pair.wire.put()
     until(lambda: refused["motor mode"], pair.face.hear)
     pair.face.mode = "ai"
-    pair.face._modes[0] = pair.robot.transport["motor_mode"]
+    pair.face._facts.modes[0] = pair.robot.transport["motor_mode"]
     pair.wire.put()
     until(lambda: refused["its own controller commands"], pair.face.hear)
     assert pair.face.counts.good == 0

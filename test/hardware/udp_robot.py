@@ -20,7 +20,8 @@ from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES, JOINT_STATES
-from unicon_hardware.wire import Counts, Udp
+from unicon_hardware.endpoint import Endpoint
+from unicon_hardware.wire import Counts, Udp, Wire
 from unicon_hardware.wired_robot import WiredRobot, opened
 
 MAGIC = 0x1C0

@@ -14,7 +14,6 @@ from unicon_core.states.standard import hardware_states
 from unicon_hardware.dds.end import DdsEnd
 from unicon_hardware.dds.participant import Reader, Writer
 from unicon_hardware.unitree.face import UnitreeEndpoint, face
-from unicon_hardware.unitree.facts import UnitreeFacts
 from unicon_hardware.unitree.platform import UnitreeWire
 from unicon_ros.bench.domains import free_domain
 
@@ -65,7 +64,6 @@ class Pair:
         self.theirs["base_lin_acc"][...] = (0.1, 0.2, 9.8)
         options = {"mode": "normal" if release else ""} | options
         self.face: UnitreeEndpoint = face(self.theirs, robot, domain=DOMAIN, **options)
-        facts = UnitreeFacts.of(robot)
         self.wire = UnitreeWire(self.ours, robot, DOMAIN, LOOPBACK)
         if not release:
             self.wire._release = None

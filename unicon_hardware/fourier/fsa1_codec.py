@@ -22,18 +22,19 @@ from unicon_base.errors import RobotError
 from unicon_base.schema.marks import Key, Size, Within, Write
 from unicon_core.robots import Robot
 from unicon_hardware.facts import Port, each, fact
-from unicon_hardware.fourier.codec import (
+from unicon_hardware.fourier.actuator_wire import (
     Addressed,
     addressed,
     addresses,
     complete,
     of_actuators,
 )
+from unicon_hardware.wire import frame_type
 
 ENABLE, POSITION, STATE, ERROR = 0x01, 0x0A, 0x1A, 0x1B
-STATE_TYPE = np.dtype([("code", "u1"), ("measured", ">f4", (3,))])
+STATE_TYPE = frame_type("code u1, measured >f4 3")
 """Position, speed and current."""
-ERROR_TYPE = np.dtype([("code", "u1"), ("error", ">u4")])
+ERROR_TYPE = frame_type("code u1, error >u4")
 SERVO_OFF, SERVO_ON = 0x06, 0x0F
 """Control words."""
 POSITION_MODE = 1

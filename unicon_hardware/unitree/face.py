@@ -117,7 +117,8 @@ class UnitreeEndpoint(DdsEndpoint):
         if dead_man is not None:
             label = f"{self.label}: dead_man"
             dead_man = within(dead_man, label, "s", LONGEST, 1.0 / facts.rate)
-        self.mode, self._variant = mode, (facts.mode_machine or 0) if variant is None else variant
+        self.mode = mode
+        self._variant: Any = (facts.mode_machine or 0) if variant is None else variant
         self._dead_man = math.inf if dead_man is None else dead_man
         self.held: Remote | None = None
         self.asked: dict[str, list[int]] = {}
@@ -131,8 +132,9 @@ class UnitreeEndpoint(DdsEndpoint):
 
     def _built(self) -> None:
         own, facts, states = self.own, self._facts, self._states
-        self.remote = own["remote"]
+        self.remote = memoryview(own["remote"].data)
         own["mode_machine"][...] = self._variant
+        self._variant = own["mode_machine"]
         own["modes"][...] = facts.modes if self.mode else 0
         if "foot_force" not in states:
             own["foot_force"] = np.zeros(4, np.float32)

@@ -35,7 +35,7 @@ from unicon_hardware.unitree_legged.codec import (
     Frame,
     LeggedTransport,
 )
-from unicon_hardware.wire import Counts, Udp, newer
+from unicon_hardware.wire import Counts, Udp, Wire, newer
 
 
 class Repeater(threading.Thread):
@@ -233,7 +233,7 @@ LATELY = 2.0
 """For so long it counts, [s]: of two who send as often, one may be heard last for a while."""
 
 
-class LeggedWire:
+class LeggedWire(Wire):
     """A socket, what was understood last, and a thread that repeats commands.
 
     Args:
@@ -273,22 +273,13 @@ class LeggedWire:
         self._reader = StateReader(states, robot, link, self.counts, encrypted)
         self._repeats = Repeats(f"platform {NAME!r}", self._reader.measured)
         self.link = link
-        self.modes: ModeGuard | None = None
         if check_mode:
             names, called = robot.joint_names, "servo mode"
             self.modes = ModeGuard(f"platform {NAME!r}", names, link.servo, called=called)
             self.modes.reported = self._reader.modes
         self._commands = [states[name] for name in COMMAND_STATES]
         self._nothing = np.zeros(robot.num_joints, np.float32)
-        self._out = CommandFrame(
-            link.layout,
-            link.motors,
-            link.level_flag,
-            link.servo,
-            link.pos_stop,
-            link.vel_stop,
-            encrypted,
-        )
+        self._out = CommandFrame(link, encrypted)
         idle, zero = bytes(self._out.buffer), self._nothing
         limp = self._out.write(zero, zero, zero, zero, np.nan_to_num(robot.joint_damping))
         self._watchdog, self._damped = watchdog, False
@@ -328,7 +319,7 @@ class LeggedWire:
         return 0
 
     @property
-    def clock_ms(self) -> int | None:
+    def clock_ms(self) -> int | None:  # type: ignore[override]  # of a class that sets it
         """The robot's tick."""
         return self._reader.newest
 
