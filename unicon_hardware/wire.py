@@ -152,8 +152,8 @@ class Answers:
         heard: which have answered, shape (n,).
     """
 
+    # How many missing motors the text names.
     NAMED = 3
-    """How many missing motors the text names."""
 
     def __init__(self, labels: Sequence[str]) -> None:
         self._labels = labels
@@ -182,8 +182,8 @@ class Speed:
         over: how far the two angles are apart at least, once that much is known, in [s].
     """
 
+    # Two measurements that are closer are taken as so far apart, [ns].
     SHORTEST_NS = 1_000_000
-    """Two measurements that are closer are taken as so far apart, [ns]."""
 
     def __init__(self, over: float) -> None:
         self._over = round(over * 1e9)
@@ -252,10 +252,10 @@ class Udp:
         PlatformError: it cannot be bound.
     """
 
+    # Bytes of a datagram.
     LARGEST = 65536
-    """Bytes of a datagram."""
+    # Datagrams that are looked at in a tick: a flood must not hold it up.
     MOST = 64
-    """Datagrams that are looked at in a tick: a flood must not hold it up."""
 
     def __init__(
         self,

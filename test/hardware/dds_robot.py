@@ -22,8 +22,8 @@ from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states
 from unicon_core.states.standard import hardware_states
 
+# Share of the way to the target that a joint goes in a frame.
 FOLLOWS = 0.02
-"""Share of the way to the target that a joint goes in a frame."""
 
 
 def say(**words: Any) -> None:

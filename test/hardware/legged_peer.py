@@ -11,6 +11,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from unicon_core.platforms.mujoco.platform import make as make_mujoco
 from unicon_core.robots import Robot, load_robot
 from unicon_core.states import States, standard_states
 from unicon_core.states.standard import hardware_states
+from unicon_hardware.unitree_legged.codec import LAYOUTS
 from unicon_hardware.unitree_legged.platform import LeggedEndpoint, face
 
 LENGTHS = {"a1": (610, 771), "aliengo": (610, 771), "go1": (614, 807)}
@@ -48,6 +50,15 @@ def robot_of(name: str) -> Robot:
 def states_of(robot: Robot) -> States:
     """Return the states that a workflow on this platform has."""
     return States(standard_states(robot.joint_names) | hardware_states(robot.joint_names))
+
+
+def servo_link(name: str, motors: int) -> Any:
+    """Return what a command frame takes of a link to a robot of so many joints."""
+    layout = LAYOUTS[LENGTHS[name]]
+    stops = {"pos_stop": 2.146e9, "vel_stop": 16000.0}
+    return SimpleNamespace(
+        layout=layout, motors=slice(0, motors), level_flag=255, servo=10, **stops
+    )
 
 
 def slow_crc(words: bytes) -> int:

@@ -25,8 +25,8 @@ from unicon_core.workflow import load_workflow
 from unicon_hardware.azureloong.codec import command_type, state_type
 from unicon_hardware.azureloong.platform import AzureWire, make
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "vendor"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 FACE = "unicon_hardware.azureloong.codec:face"
 COMMAND = (

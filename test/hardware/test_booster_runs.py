@@ -21,10 +21,10 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 UNICON = (sys.executable, "-m", "unicon_ros")
 PACKAGE = "unicon_hardware.booster"
 PLATFORM = f"{PACKAGE}.platform:make"
+# How far a first command may be from where the joints are, [rad].
 FIRST = 0.05
-"""How far a first command may be from where the joints are, [rad]."""
+# Patient with a robot that a busy machine holds up.
 SAFETY = "[finite, joint_limits, {stale_stop: {timeout: 2.0}}, {imu_stop: {timeout: 2.0}}]"
-"""Patient with a robot that a busy machine holds up."""
 Start = Callable[..., Peer]
 
 

@@ -32,8 +32,8 @@ from unicon_hardware.booster.takeover import face
 from unicon_hardware.dds.maps import command_arrays
 from unicon_ros.bench.domains import free_domain
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "vendor"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 

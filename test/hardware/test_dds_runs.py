@@ -37,13 +37,13 @@ flow:
     - hold: {{duration: 1.5}}
 safety: [finite, joint_limits]
 """
+# Robot to the modules of its driver and of its end.
 CASES = {
     "adam_lite": ("pnd.platform", "pnd.face"),
     "dex3_left": ("unitree_dex3.platform", "unitree_dex3.face"),
     "inspire_rh56_ftp_left": ("inspire.platform", "inspire.dds.face"),
     "inspire_rh56_dfx_right": ("inspire.platform", "inspire.dds.face"),
 }
-"""Robot to the modules of its driver and of its end."""
 
 
 class Served:

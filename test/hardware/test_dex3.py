@@ -25,8 +25,8 @@ from unicon_hardware.dds import maps
 from unicon_hardware.unitree_dex3.platform import Dex3, Dex3Facts, Dex3Wire, face, make
 from unicon_hardware.wire import Counts
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "frames"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 HAND = load_robot("dex3_left")
 FACTS = Dex3Facts.of(HAND)

@@ -28,8 +28,8 @@ from unicon_hardware.dobot.codec import DobotFacts, face
 from unicon_hardware.dobot.platform import DobotWire, make
 from unicon_hardware.wire import Counts
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "stand_in"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 ATOM = load_robot("atom")
 TELLS = ("joint_pos", "joint_vel", "joint_effort", "base_quat", "base_ang_vel", "base_lin_acc")

@@ -21,8 +21,8 @@ from unicon_hardware.fourier.actuator_wire import TRIES
 from unicon_hardware.fourier.platform import COMMAND, Actuators, Fourier, FourierWire, make
 from unicon_hardware.wire import Udp
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "vendor"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 FACE = "unicon_hardware.fourier.face:face"
 NETWORK = "127.84.1.1"

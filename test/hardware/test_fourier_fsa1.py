@@ -28,8 +28,8 @@ from unicon_hardware.fourier.fsa1_wire import SAMPLES, Fsa1Wire, Zero
 from unicon_hardware.fourier.platform import Fourier, make
 from unicon_hardware.wire import Udp
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "vendor"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 FACE = "unicon_hardware.fourier.face:face"
 NETWORK = "127.85.1.1"

@@ -26,8 +26,8 @@ from unicon_hardware.modbus.link import ModbusConnection, Rtu
 from unicon_hardware.rohand.platform import check_protocol, registers_of
 from unicon_hardware.rohand.platform import face as rohand_face
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "stand_in"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 LEFT, ROHAND = load_robot("inspire_rh56_left"), load_robot("rohand")
 RNG = np.random.default_rng(0)

@@ -24,8 +24,8 @@ from unicon_hardware.inspire.dds.wire import Both, HandFacts, InspireDdsWire, fa
 from unicon_hardware.inspire.platform import Inspire, make
 from unicon_hardware.wire import Counts
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "stand_in"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 FTP, DFX, DFX_RIGHT = map(
     load_robot, ("inspire_rh56_ftp_left", "inspire_rh56_dfx_left", "inspire_rh56_dfx_right")

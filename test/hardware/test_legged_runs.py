@@ -29,14 +29,14 @@ from unicon_core.workflow.uses import block, pose
 
 MAKE = "unicon_hardware.unitree_legged.platform:make"
 ROBOTS = Path(__file__).resolve().parents[2] / "config" / "robots"
+# What all three can do, on the belly.
 LYING = {"*_hip_joint": 0.0, "*_thigh_joint": 1.2, "*_calf_joint": -2.6}
-"""What all three can do, on the belly."""
+# A busy machine starves the emulator, which is an encoder that stands still.
 PATIENT = [
     {"stale_stop": {"timeout": 5.0}},
     {"joint_sensor_stop": {"step": 10.0, "drift": 10.0}},
     {"encoder_stop": {"timeout": 2.0}},
 ]
-"""A busy machine starves the emulator, which is an encoder that stands still."""
 
 
 @pytest.fixture

@@ -55,6 +55,8 @@ def arx() -> tuple[dict[str, Any], dict[str, Any]]:
     return options, options | {"unverified": True}
 
 
+# Robot to the protocol's folder, what it needs, options of both ends, and the mode of a motor that
+# has left: 8 is too hot, 0xA an overcurrent, 0x85 has the bit of a time-out.
 CASES: dict[str, tuple[str, str, Callable[[], Any], int]] = {
     "go2": ("unitree", "cyclonedds", unitree, 0),
     "h1": ("unitree", "cyclonedds", unitree, 0),
@@ -68,8 +70,6 @@ CASES: dict[str, tuple[str, str, Callable[[], Any], int]] = {
     "aliengo": ("unitree_legged", "", lambda: legged("legged_sdk_3.8.4"), 0),
     "arx_x5": ("arx", "can", arx, 0xA),
 }
-"""Robot to the protocol's folder, what it needs, options of both ends, and the mode of a motor that
-has left: 8 is too hot, 0xA an overcurrent, 0x85 has the bit of a time-out."""
 
 
 @contextmanager

@@ -19,13 +19,14 @@ from vendor_robots import DRIVES, UNSEEING, completed, serve, stepped
 
 from unicon_core.robots import load_robot
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "stand_in"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
+# How far a joint may hang below its target, [rad]: some gains are weak, and hands have steps.
 SAG = 0.35
-"""How far a joint may hang below its target, [rad]: some gains are weak, and hands have steps."""
+# Those whose models are at hand; a humanoid hangs, since nobody balances it.
 MODELLED = {
     "a1": (),
     "adam_lite": ("--hang",),
@@ -36,7 +37,6 @@ MODELLED = {
     "h1": ("--hang",),
     "h1_2": ("--hang",),
 }
-"""Those whose models are at hand; a humanoid hangs, since nobody balances it."""
 ALONE = ("--model=fake", "--posture=random", "--seed=3")
 NEEDS = {"booster": "cyclonedds", "dobot": "cyclonedds", "pnd": "cyclonedds", "ros": "rclpy"}
 NEEDS |= {"unitree": "cyclonedds", "unitree_dex3": "cyclonedds"}

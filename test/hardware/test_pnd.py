@@ -25,8 +25,8 @@ from unicon_hardware.dds import maps, participant
 from unicon_hardware.pnd.platform import REMOTE, LowStates, Pnd, PndFacts, PndWire, face, make
 from unicon_hardware.wire import Counts
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "frames"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 ADAM = load_robot("adam_lite")
 FACTS = PndFacts.of(ADAM)
@@ -38,8 +38,8 @@ MOTORS = 23
 COMMAND = struct.Struct("<B3x6fI")
 STATE = struct.Struct("<B3x4fII")
 FIRST_COMMAND, FIRST_STATE, TICK_AT, QUAT_AT = 12, 72, 8, 12
+# Of a LowState without battery: reserve stands at 788 of the body.
 PLAIN_SIZE = 796
-"""Of a LowState without battery: reserve stands at 788 of the body."""
 
 
 def adam_states(robot: Robot) -> States:

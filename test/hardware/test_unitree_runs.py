@@ -24,8 +24,8 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 ROBOT = Path(__file__).with_name("unitree_robot.py")
 PLATFORM = "unicon_hardware.unitree.platform:make"
 PATIENCE = 60.0
+# Of the workflow, patient with a robot that a busy machine holds up.
 SAFETY = "[finite, joint_limits, {stale_stop: {timeout: 2.0}}, {imu_stop: {timeout: 2.0}}]"
-"""Of the workflow, patient with a robot that a busy machine holds up."""
 
 
 class Process:

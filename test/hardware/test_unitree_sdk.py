@@ -30,8 +30,8 @@ from unicon_hardware.unitree.face import face
 from unicon_hardware.unitree.platform import UnitreeWire
 from unicon_ros.bench.domains import free_domain
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "vendor"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 

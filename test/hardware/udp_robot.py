@@ -28,8 +28,8 @@ MAGIC = 0x1C0
 PORT = 28017
 IMU = ("base_quat", "base_ang_vel", "base_lin_acc")
 RELEASE = np.uint32(MAGIC).tobytes()
+# Who has not commanded for so long does not any more, [s].
 FORGOTTEN = 1.0
-"""Who has not commanded for so long does not any more, [s]."""
 
 
 def state_type(n: int) -> np.dtype[Any]:

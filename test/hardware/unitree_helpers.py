@@ -17,8 +17,8 @@ from unicon_hardware.unitree.face import UnitreeEndpoint, face
 from unicon_hardware.unitree.platform import UnitreeWire
 from unicon_ros.bench.domains import free_domain
 
+# Of DDS: runs of the tests at the same time do not hear each other.
 DOMAIN = free_domain()
-"""Of DDS: runs of the tests at the same time do not hear each other."""
 LOOPBACK = "127.0.0.1"
 PATIENCE = 10.0
 

@@ -23,6 +23,7 @@ from unicon_ros.bench.domains import free_domain
 __all__ = ["DRIVES", "UNSEEING", "completed", "serve", "stepped"]
 
 ROBOTS = Path(__file__).resolve().parents[2] / "config" / "robots"
+# The platform of each robot that can be served to another process.
 DRIVES = {
     "a1": "unitree_legged",
     "adam_lite": "pnd",
@@ -44,11 +45,11 @@ DRIVES = {
     "t1": "booster",
     "x2": "ros",
 }
-"""The platform of each robot that can be served to another process."""
+# Platforms that tell of no IMU.
 BLIND = ("fourier", "inspire", "rohand", "unitree_dex3")
-"""Platforms that tell of no IMU."""
+# Safety of the workflows before a robot without an IMU.
 UNSEEING = re.sub(r"tilt_stop, |\{imu_stop[^}]*\}\}, ", "", PATIENT)
-"""Safety of the workflows before a robot without an IMU."""
+# Figures in place of facts that are not public, as somebody would measure them.
 STAND_INS: dict[str, tuple[tuple[str, str], ...]] = {
     "aliengo": (
         ("stiffness: null, damping: null", "stiffness: 20.0, damping: 2.0"),
@@ -70,7 +71,6 @@ STAND_INS: dict[str, tuple[tuple[str, str], ...]] = {
     ),
     "x2": (("default: null", "default: 0.0"), (r"unknown: \[.*\]", "unknown: [joints.rest]")),
 }
-"""Figures in place of facts that are not public, as somebody would measure them."""
 
 
 def completed(name: str, folder: Path) -> str:

@@ -23,8 +23,9 @@ from unicon_core.states.standard import COMMAND_STATES
 from unicon_hardware.facts import AskingRate, Port, Transport, each, fact, ipv4, named
 from unicon_hardware.wire import Udp
 
+# Of `transport.keys`: what the remote is told, and what the robot then does.
 KEYS = ("enable", "reset", "idle", "walk", "damp", "disable", "commands")
-"""Of `transport.keys`: what the remote is told, and what the robot then does."""
+# State to the field of a state's frame that it is.
 COPIED = {
     "joint_pos": "pos",
     "joint_vel": "vel",
@@ -32,7 +33,6 @@ COPIED = {
     "motor_temperature": "temperature",
     "motor_error": "error",
 }
-"""State to the field of a state's frame that it is."""
 
 _HEAD = ("checker", "<i2"), ("size", "<i2"), ("state", "<i4")
 
@@ -141,16 +141,16 @@ class LoongTransport(Transport):
         )
 
 
+# Bytes of the remote's frame, and which of them is the key: tools/py_ui.py of the vendor.
 KEY_FRAME, KEY_AT = 96, 84
-"""Bytes of the remote's frame, and which of them is the key: tools/py_ui.py of the vendor."""
+# Key of the remote to the plan in which it counts and the one that follows; `damp`, `disable` and
+# `idle` count in any.
 FOLLOWS = {
     "enable": ("disable", "idle"),
     "reset": ("idle", "idle"),
     "walk": ("idle", "walk"),
     "commands": ("walk", "commands"),
 }
-"""Key of the remote to the plan in which it counts and the one that follows; `damp`, `disable` and
-`idle` count in any."""
 
 
 class AzureEndpoint:

@@ -24,9 +24,10 @@ from unicon_core.states import States
 from unicon_core.states.standard import JOINT_STATES
 from unicon_core.workflow.registry import find_factory
 
+# In place of a model: joints follow their targets, the base stands still.
 JOINTS_ALONE = "fake"
-"""In place of a model: joints follow their targets, the base stands still."""
 POSTURES = ("rest", "default", "random")
+# Standard deviation of what sensors tell, in the states' units: of a good encoder and a MEMS.
 NOISE = {
     "joint_pos": 1e-4,
     "joint_vel": 1e-3,
@@ -34,17 +35,16 @@ NOISE = {
     "base_ang_vel": 2e-3,
     "base_lin_acc": 0.02,
 }
-"""Standard deviation of what sensors tell, in the states' units: of a good encoder and a MEMS."""
+# Longest physics step in [s].
 STEP = 0.002
-"""Longest physics step in [s]."""
+# Of joints without a model, in [s].
 TIME_CONSTANT = 0.03
-"""Of joints without a model, in [s]."""
+# Time constant with which they sink where they are limp, in [s].
 SINKING = 20.0
-"""Time constant with which they sink where they are limp, in [s]."""
+# How far above the floor a robot hangs that would stand on it, in [m].
 LIFT = 0.3
-"""How far above the floor a robot hangs that would stand on it, in [m]."""
+# Share of a joint's range that a posture drawn at random keeps from either limit.
 SPARE = 0.05
-"""Share of a joint's range that a posture drawn at random keeps from either limit."""
 
 
 @dataclass(frozen=True)

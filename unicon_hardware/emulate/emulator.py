@@ -34,19 +34,19 @@ from unicon_hardware.emulate.body import Body, Defects, body_of
 from unicon_hardware.emulate.command_log import CommandLog, Say, say
 from unicon_hardware.endpoint import Endpoint
 
+# After so long without a command, or its dead man's time, the next one is a first one, [s].
 SILENCE = 0.5
-"""After so long without a command, or its dead man's time, the next one is a first one, [s]."""
+# Share of a second's frames that a busy machine may miss untold.
 LATE = 0.1
-"""Share of a second's frames that a busy machine may miss untold."""
+# A busy machine may be late by so much and the robot makes up for it, [s]: bodies never stop.
 CATCH_UP = 0.05
-"""A busy machine may be late by so much and the robot makes up for it, [s]: bodies never stop."""
+# Of faces in [Hz]: a tick of Python takes 0.1 ms.
 FASTEST = 5000.0
-"""Of faces in [Hz]: a tick of Python takes 0.1 ms."""
+# Of motors in [°C].
 ROOM_TEMPERATURE = 25.0
-"""Of motors in [°C]."""
 
+# What `reaching` runs: it goes to the default pose; any robot does.
 WORKFLOW = "h1_stand"
-"""What `reaching` runs: it goes to the default pose; any robot does."""
 
 
 class Emulator:

@@ -23,12 +23,12 @@ from unicon_core.states import States
 from unicon_ros.bridge.own_node import OwnNode
 from unicon_ros.compat.loading import message_class
 
+# Its own dead man, [s].
 WATCHDOG = 0.5
-"""Its own dead man, [s]."""
+# Of its states, [Hz].
 FASTEST = 1000.0
-"""Of its states, [Hz]."""
+# Messages that are looked at in a tick.
 MOST = 8
-"""Messages that are looked at in a tick."""
 
 
 class RosEndpoint:

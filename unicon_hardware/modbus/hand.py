@@ -29,8 +29,8 @@ from unicon_hardware.modbus.link import (
 )
 from unicon_hardware.wire import Counts, Speed
 
+# A measured angle that is further outside the range, as a share of it, is not a measurement.
 BEYOND = 0.1
-"""A measured angle that is further outside the range, as a share of it, is not a measurement."""
 
 
 @dataclass(frozen=True)
@@ -111,18 +111,18 @@ class HandRegisters:
         return angles
 
 
+# Exchanges a second: the vendors' examples ask so often.
 RATE = 100.0
-"""Exchanges a second: the vendors' examples ask so often."""
+# Every so many exchanges one of the slow blocks is read: temperatures and errors change slowly.
 SLOW = 10
-"""Every so many exchanges one of the slow blocks is read: temperatures and errors change slowly."""
+# Velocity is the difference of two angles so far apart, [s]: a step of 1.7 mrad is 0.06 rad/s.
 OVER = 0.03
-"""Velocity is the difference of two angles so far apart, [s]: a step of 1.7 mrad is 0.06 rad/s."""
+# Between two attempts to connect anew, [s].
 AGAIN = 0.1
-"""Between two attempts to connect anew, [s]."""
+# How long the last target may take to leave when it closes, [s].
 END = 1.0
-"""How long the last target may take to leave when it closes, [s]."""
+# So often the last target is sent where it is not answered.
 TRIES = 3
-"""So often the last target is sent where it is not answered."""
 
 
 class HandWire:

@@ -43,12 +43,12 @@ from unicon_hardware.wire import Counts, newer
 from unicon_hardware.wired_robot import WiredRobot
 from unicon_msgs_map import Decoder
 
+# LowState with the battery and without.
 STATES = {True: "pnd_adam/msg/LowState", False: "pnd_adam/msg/PlainLowState"}
-"""LowState with the battery and without."""
+# Numbers of the remote.
 REMOTE = 19
-"""Numbers of the remote."""
+# Of an emulated battery; what a real one says is not public.
 VOLTAGE, STATUS = 48.0, "=normal"
-"""Of an emulated battery; what a real one says is not public."""
 
 
 @dataclass(frozen=True)

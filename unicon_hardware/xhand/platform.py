@@ -27,11 +27,11 @@ from unicon_hardware.facts import Baud, Word, fact
 from unicon_hardware.wire import Counts
 from unicon_hardware.wired_robot import WiredRobot, opened
 
+# Mode in which a joint gives no torque; the robot file says that of positions.
 POWERLESS = 0
-"""Mode in which a joint gives no torque; the robot file says that of positions."""
+# For so long the module may tell the very same numbers, [s]: then its thread hears nothing more.
+# Twelve measured currents have noise; unverified on a real hand.
 FROZEN = 2.0
-"""For so long the module may tell the very same numbers, [s]: then its thread hears nothing more.
-Twelve measured currents have noise; unverified on a real hand."""
 
 
 class XhandWire:

@@ -18,16 +18,17 @@ from unicon_hardware.peripherals.livox.livox import HEAD, POINTS, SAMPLES, Packe
 from unicon_ros.bridge.images import FrameMessage, cloud_message
 
 FRAME_NS = 100_000_000
+# Most datagrams of a cloud: 2083.3 a second, and some to spare.
 PACKETS = 212
-"""Most datagrams of a cloud: 2083.3 a second, and some to spare."""
+# Bytes that are kept of each; the longest has 1380.
 ROW = 1408
-"""Bytes that are kept of each; the longest has 1380."""
+# Lasers of a Mid-360, which take turns (livox_ros_driver2: line_num).
 LINES = 4
-"""Lasers of a Mid-360, which take turns (livox_ros_driver2: line_num)."""
+# The scanner's clock was set where it moves so far between two datagrams.
 JUMP_NS = 1_000_000_000
-"""The scanner's clock was set where it moves so far between two datagrams."""
 WINDOW_NS = 5_000_000_000
 
+# x, y, z in [m]; reflectivity 0 to 255; the tag's bits; laser; time after the stamp in [ns].
 POINT = np.dtype(
     {
         "names": ["x", "y", "z", "intensity", "tag", "line", "offset_time"],
@@ -36,7 +37,6 @@ POINT = np.dtype(
         "itemsize": 24,
     }
 )
-"""x, y, z in [m]; reflectivity 0 to 255; the tag's bits; laser; time after the stamp in [ns]."""
 
 
 def livox_message(frame_id: str) -> FrameMessage:
