@@ -24,7 +24,7 @@ from pathlib import Path
 
 import unicon_core
 from unicon_base.errors import PlatformError
-from unicon_core.interfaces import flags_of, ipv4_of
+from unicon_core.latches import flags_of, ipv4_of
 from unicon_core.pacing import REAL_TIME
 
 OLDEST = (3, 10)

@@ -24,7 +24,7 @@ from unitree_helpers import reader_of, states_of, until
 
 from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states
-from unicon_core.states.spec import StateSpec
+from unicon_core.states.layout import StateSpec
 from unicon_core.states.standard import COMMAND_STATES, hardware_states
 from unicon_hardware.unitree.face import face
 from unicon_hardware.unitree.platform import UnitreeWire

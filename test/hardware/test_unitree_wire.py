@@ -36,7 +36,7 @@ from unicon_core.blocks.controls.remotes import unitree
 from unicon_core.platforms.platform import Prepares, ReportsVariant, SeesCommanders, WaitsForData
 from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states
-from unicon_core.states.spec import StateSpec
+from unicon_core.states.layout import StateSpec
 from unicon_core.states.standard import BUTTONS, COMMAND_STATES, CONTROL_STATES, control_states
 from unicon_hardware.dds import participant as dds
 from unicon_hardware.dds.participant import OCTETS, Participant, dds_type

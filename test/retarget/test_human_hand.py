@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from unicon_core.robots.places import FINGERS
+from unicon_core.robots.robot import FINGERS
 from unicon_hardware.peripherals.webxr.webxr import JOINTS
 from unicon_manipulation.retarget.human_hand import ABSENT, CHAINS, HumanHand
 

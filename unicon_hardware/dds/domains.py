@@ -20,7 +20,7 @@ from threading import Event, Lock, Thread
 from typing import Any
 
 from unicon_base.errors import PlatformError
-from unicon_core.interfaces import ipv4_of
+from unicon_core.latches import ipv4_of
 
 # The parameter that is left out.
 FOREIGN = 0x8007

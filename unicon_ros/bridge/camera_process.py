@@ -18,7 +18,7 @@ from unicon_base.errors import ModelError
 from unicon_core.handles import FrameRing
 from unicon_core.models.camera import ModelCamera
 from unicon_core.robots import load_files
-from unicon_core.robots.places import Place
+from unicon_core.robots.robot import Place
 from unicon_core.terrain.words import Terrain
 from unicon_ros.bridge.camera_topics import CameraTopics
 from unicon_ros.bridge.images import frame_message, info_message, rays

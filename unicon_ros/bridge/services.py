@@ -7,7 +7,7 @@ from typing import Any
 
 from unicon_core.blocks.controls.skills import Skills
 from unicon_core.workflow import Program
-from unicon_core.workflow.skills import skills_of
+from unicon_core.workflow.flow_yaml import skills_of
 from unicon_ros.controls import Answer
 
 SERVICES = {

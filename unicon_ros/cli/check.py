@@ -21,7 +21,7 @@ def check(arguments: argparse.Namespace) -> int:
     """Run the command; exit status 0 clean, 1 findings."""
     from unicon_core.check import CheckResult, check_workflow
     from unicon_core.check.subject import Subject
-    from unicon_core.terminal import terminal_width
+    from unicon_core.text_table import terminal_width
 
     def mirror(subject: Subject, result: CheckResult) -> None:
         values = subject.document.values
