@@ -43,15 +43,18 @@ def known(states: States, name: str) -> Any:
 
 
 def frame_type(fields: str, **types: np.dtype[Any]) -> np.dtype[Any]:
-    """Return the packed layout that a table of fields declares: `"mode u1, reserve <u4 3"`.
+    """Return the packed layout that a table of fields declares: `"mode u1, poses <f4 55x7"`.
 
     Args:
-        fields: name, NumPy type and, of arrays, length of each.
+        fields: name, NumPy type and, of arrays, shape of each.
         types: layouts that stand for a type, by name.
     """
     table = [field.split() for field in fields.split(",")]
     return np.dtype(
-        [(name, types.get(kind, kind), *((int(n),) for n in size)) for name, kind, *size in table]
+        [
+            (name, types.get(kind, kind), *(tuple(map(int, n.split("x"))) for n in shape))
+            for name, kind, *shape in table
+        ]
     )
 
 

@@ -40,7 +40,7 @@ class Served:
         options: of the platform; those that depend on where it is served may come later.
     """
 
-    safety = PATIENT
+    safety, name = PATIENT, ""
 
     def __init__(
         self,

@@ -42,6 +42,14 @@ NEEDS = {"booster": "cyclonedds", "dobot": "cyclonedds", "pnd": "cyclonedds", "r
 NEEDS |= {"unitree": "cyclonedds", "unitree_dex3": "cyclonedds"}
 
 
+def needed(name: str) -> None:
+    """Skip where a robot's platform lacks what it needs."""
+    dds = name.startswith("inspire") and name != "inspire_rh56_left"
+    needs = "cyclonedds" if dds else NEEDS.get(DRIVES[name])
+    if needs is not None:
+        pytest.importorskip(needs, reason=f"needs {needs}")
+
+
 def stands(
     processes: Callable[..., Peer],
     name: str,
@@ -50,9 +58,7 @@ def stands(
     generation: str = "",
 ) -> None:
     """Let `h1_stand` drive an emulated robot to its default pose."""
-    needs = "cyclonedds" if "dfx" in name else NEEDS.get(DRIVES[name])
-    if needs is not None:
-        pytest.importorskip(needs, reason=f"needs {needs}")
+    needed(name)
     file = completed(name, folder)
     served = serve(processes, name, file, "--each", *more, generation=generation)
     run = served.run("h1_stand", folder, f"--set=robot={file}", "--duration=4")

@@ -39,6 +39,7 @@ DRIVES = {
     "h1": "unitree",
     "h1_2": "unitree",
     "inspire_rh56_dfx_left": "inspire",
+    "inspire_rh56_ftp_left": "inspire",
     "inspire_rh56_left": "inspire",
     "n1": "fourier",
     "rohand": "rohand",
@@ -119,7 +120,7 @@ def serve(
     elif platform == "ros":
         given.clear()
         arguments.append("--face=ros")
-    elif platform == "inspire" and "dfx" not in name:
+    elif name == "inspire_rh56_left":
         arguments.append("--set=port=0")
     elif platform != "rohand":
         given |= {"address": "127.0.0.1", "domain": free_domain()}
@@ -129,7 +130,7 @@ def serve(
     served = Served(processes, robot, *arguments, platform=platform, options=given)
     if platform == "rohand":
         given["device"] = served.where
-    elif platform == "inspire" and "dfx" not in name:
+    elif name == "inspire_rh56_left":
         address, _, port = served.where.rpartition(":")
         given |= {"address": address, "port": int(port)}
     if platform in BLIND:

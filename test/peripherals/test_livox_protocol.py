@@ -14,7 +14,7 @@ from rosbags.typesys import Stores, get_typestore
 from unicon_core.handles import FrameRing
 from unicon_hardware.peripherals.livox import protocol
 from unicon_hardware.peripherals.livox.cloud import Clouds, Counter, SensorClock, livox_message
-from unicon_hardware.peripherals.livox.livox import Refused
+from unicon_hardware.peripherals.livox.protocol import Refused
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 SAMPLES = mid360_peer.cartesian([(1000 * i, -500, 20, i, 3) for i in range(96)])

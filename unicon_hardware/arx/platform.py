@@ -31,9 +31,9 @@ from unicon_hardware.arx.codec import (
     command_of,
     reply_of,
 )
-from unicon_hardware.endpoint import EmulatedModes
+from unicon_hardware.endpoint import EmulatedModes, Endpoint
 from unicon_hardware.modes import UNDOCUMENTED, ModeGuard
-from unicon_hardware.wire import Answers, Counts, known
+from unicon_hardware.wire import Answers, Counts, Wire, known
 from unicon_hardware.wired_robot import WiredRobot, opened
 
 # Frames that are looked at in a tick: a flood must not hold it up. More than a bus of 1 Mbit/s
@@ -74,7 +74,7 @@ def open_bus(channel: str, interface: str) -> Any:
         ) from error
 
 
-class ArxWire:
+class ArxWire(Wire):
     """See the module.
 
     Args:
@@ -254,7 +254,7 @@ def make(
 EMPTY = 0.1
 
 
-class ArxEndpoint:
+class ArxEndpoint(Endpoint):
     """The arm's end of the bus; see `Face`.
 
     Args:

@@ -20,8 +20,9 @@ from unicon_core.platforms.kit.base import rpy_of_quat
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
+from unicon_hardware.endpoint import Endpoint
 from unicon_hardware.facts import AskingRate, Port, Transport, each, fact, ipv4, named
-from unicon_hardware.wire import Udp
+from unicon_hardware.wire import Udp, frame_type
 
 # Of `transport.keys`: what the remote is told, and what the robot then does.
 KEYS = ("enable", "reset", "idle", "walk", "damp", "disable", "commands")
@@ -34,8 +35,6 @@ COPIED = {
     "motor_error": "error",
 }
 
-_HEAD = ("checker", "<i2"), ("size", "<i2"), ("state", "<i4")
-
 
 def command_type(joints: int, left: int, right: int) -> np.dtype[Any]:
     """Return the layout of a command: targets [rad], [rad/s], [N·m], gains, fingers.
@@ -45,10 +44,11 @@ def command_type(joints: int, left: int, right: int) -> np.dtype[Any]:
         left: fingers of the left hand.
         right: fingers of the right hand.
     """
-    rows = [(name, "<f4", (joints,)) for name in COMMAND_STATES]
-    fingers = [("finger_left", "<f4", (left,)), ("finger_right", "<f4", (right,))]
-    rates = [("torque_limit_rate", "<f4"), ("filter_rate", "<f4")]
-    return np.dtype([*_HEAD, *rates, *rows, *fingers])
+    rows = ", ".join(f"{name} <f4 {joints}" for name in COMMAND_STATES)
+    return frame_type(
+        f"checker <i2, size <i2, state <i4, torque_limit_rate <f4, filter_rate <f4, {rows}, "
+        f"finger_left <f4 {left}, finger_right <f4 {right}"
+    )
 
 
 def state_type(joints: int, left: int, right: int) -> np.dtype[Any]:
@@ -56,24 +56,13 @@ def state_type(joints: int, left: int, right: int) -> np.dtype[Any]:
 
     `key` is the remote's key and that of the plan that runs, `state` that of the run and the task.
     """
-    return np.dtype(
-        [
-            ("size", "<i4"),
-            ("timestamp", "<f8"),
-            ("key", "<i2", (2,)),
-            ("plan", "S16"),
-            ("state", "<i2", (2,)),
-            ("joy", "<f4", (4,)),
-            *((name, "<f4", (3,)) for name in ("rpy", "gyro", "acc")),
-            *((name, "<f4", (joints,)) for name in ("pos", "vel", "effort")),
-            *((name, "<i2", (joints,)) for name in ("temperature", "status", "error")),
-            *((name, "<f4", (joints,)) for name in ("pos_target", "vel_target", "effort_target")),
-            *(
-                (f"{which}_{side}", "<f4", (fingers,))
-                for which in ("finger", "finger_target")
-                for side, fingers in (("left", left), ("right", right))
-            ),
-        ]
+    n = joints
+    return frame_type(
+        "size <i4, timestamp <f8, key <i2 2, plan S16, state <i2 2, joy <f4 4, rpy <f4 3, "
+        f"gyro <f4 3, acc <f4 3, pos <f4 {n}, vel <f4 {n}, effort <f4 {n}, temperature <i2 {n}, "
+        f"status <i2 {n}, error <i2 {n}, pos_target <f4 {n}, vel_target <f4 {n}, "
+        f"effort_target <f4 {n}, finger_left <f4 {left}, finger_right <f4 {right}, "
+        f"finger_target_left <f4 {left}, finger_target_right <f4 {right}"
     )
 
 
@@ -153,7 +142,7 @@ FOLLOWS = {
 }
 
 
-class AzureEndpoint:
+class AzureEndpoint(Endpoint):
     """The robot's end of its protocol; see `Face`.
 
     Args:

@@ -24,13 +24,13 @@ from unicon_core.states import States
 from unicon_core.states.standard import JOINT_STATES
 from unicon_hardware.azureloong.codec import COPIED, LoongTransport, part
 from unicon_hardware.facts import fact, ipv4
-from unicon_hardware.wire import Counts, Udp
+from unicon_hardware.wire import Counts, Udp, Wire
 from unicon_hardware.wired_robot import WiredRobot, opened
 
 STAMP = struct.Struct("<d")
 
 
-class AzureWire:
+class AzureWire(Wire):
     """See the module.
 
     Args:

@@ -20,6 +20,7 @@ import numpy as np
 from unicon_base.errors import PlatformError
 from unicon_core.robots import Robot
 from unicon_core.states import States
+from unicon_hardware.endpoint import Endpoint
 from unicon_ros.bridge.own_node import OwnNode
 from unicon_ros.compat.loading import message_class
 
@@ -31,7 +32,7 @@ FASTEST = 1000.0
 MOST = 8
 
 
-class RosEndpoint:
+class RosEndpoint(Endpoint):
     """A node with two publishers and two subscriptions; see the module.
 
     Args:

@@ -27,7 +27,7 @@ from unicon_hardware.modbus.link import (
     write_answer,
     write_request,
 )
-from unicon_hardware.wire import Counts, Speed
+from unicon_hardware.wire import Counts, Speed, Wire
 
 # A measured angle that is further outside the range, as a share of it, is not a measurement.
 BEYOND = 0.1
@@ -125,7 +125,7 @@ END = 1.0
 TRIES = 3
 
 
-class HandWire:
+class HandWire(Wire):
     """See the module; it is a `Wire` and `Prepared`.
 
     Args:

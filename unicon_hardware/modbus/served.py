@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.states import States
+from unicon_hardware.endpoint import Endpoint
 from unicon_hardware.modbus.hand import HandRegisters
 from unicon_hardware.modbus.link import (
     READ,
@@ -130,7 +131,7 @@ class PtyServer:
         os.close(self._master)
 
 
-class HandEndpoint:
+class HandEndpoint(Endpoint):
     """The hand behind a server; it is a `Face`.
 
     Args:

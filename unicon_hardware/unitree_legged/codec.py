@@ -85,7 +85,7 @@ class Layout:
 LAYOUTS = {
     (layout.command.itemsize, layout.state.itemsize): layout
     for layout in (
-        Layout(_command(_A1, "led u1 12"), _state(_A1)),
+        Layout(_command(_A1, "led u1 4x3"), _state(_A1)),
         Layout(_command(_GO1, "bms u1 4"), _state(_GO1, "bms bms, "), b"\xfe\xef"),
     )
 }

@@ -20,7 +20,7 @@ from unicon_core.platforms.platform import Binding, Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import CONTROL_STATES, JOINT_STATES
-from unicon_hardware.endpoint import EmulatedModes, Milliseconds
+from unicon_hardware.endpoint import EmulatedModes, Endpoint, Milliseconds
 from unicon_hardware.unitree_legged.codec import (
     CELL_VOLT,
     DAMPING,
@@ -160,7 +160,7 @@ BRAKE = 2.0
 CELLS = 8
 
 
-class LeggedEndpoint:
+class LeggedEndpoint(Endpoint):
     """The board; see `Face`.
 
     Args:

@@ -24,7 +24,7 @@ from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_hardware.facts import Baud, Word, fact
-from unicon_hardware.wire import Counts
+from unicon_hardware.wire import Counts, Wire
 from unicon_hardware.wired_robot import WiredRobot, opened
 
 # Mode in which a joint gives no torque; the robot file says that of positions.
@@ -34,7 +34,7 @@ POWERLESS = 0
 FROZEN = 2.0
 
 
-class XhandWire:
+class XhandWire(Wire):
     """The hand behind the module.
 
     Args:

@@ -14,7 +14,7 @@ import numpy as np
 from unicon_base.errors import UniconError
 from unicon_hardware.peripherals.livox import protocol
 from unicon_hardware.peripherals.livox.cloud import ROW, Clouds, Counter, SensorClock, livox_message
-from unicon_hardware.peripherals.livox.livox import Packet, Refused
+from unicon_hardware.peripherals.livox.protocol import Packet, Refused
 from unicon_ros.bridge.images import CLOUD
 from unicon_ros.peripheral_process import SLICE, Feed, Gone, end, serve
 

@@ -21,6 +21,7 @@ from unicon_base.schema.marks import Within
 from unicon_core.flow import Block
 from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext
+from unicon_hardware.wire import frame_type
 from unicon_ros.peripheral import Peripheral, peripheral_block, peripheral_states
 from unicon_ros.web_front import LOOPBACK
 
@@ -58,16 +59,8 @@ AXES = ("touchpad_x", "touchpad_y", "thumbstick_x", "thumbstick_y")
 
 VERSION = 1
 # 1652 B: `time` is the page's in [ms]; a pose is position [m] and quaternion xyzw, by WebXR.
-FRAME = np.dtype(
-    [
-        ("version", "<u2"),
-        ("flags", "<u2"),
-        ("number", "<u4"),
-        ("time", "<f8"),
-        ("poses", "<f4", (55, 7)),
-        ("buttons", "<f4", (2, 8)),
-        ("axes", "<f4", (2, 4)),
-    ]
+FRAME = frame_type(
+    "version <u2, flags <u2, number <u4, time <f8, poses <f4 55x7, buttons <f4 2x8, axes <f4 2x4"
 )
 
 # Our time in [ns], and in the answer the page's in [ms].
