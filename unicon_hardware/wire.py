@@ -169,7 +169,7 @@ class Answers:
         return complete
 
     def __str__(self) -> str:
-        missing = [self._labels[i] for i in np.flatnonzero(~self.heard)]
+        missing = [label for label, heard in zip(self._labels, self.heard) if not heard]
         if len(missing) in (0, len(self._labels)):
             return f"all {len(self._labels)} motors ({self._labels[0]}, …)"
         more = f" and {len(missing) - self.NAMED} more" if len(missing) > self.NAMED else ""

@@ -21,6 +21,7 @@ from vendor_robots import completed, serve
 from unicon_base.errors import Fault
 from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states
+from unicon_core.workflow.registry import known
 from unicon_hardware.modes import UNDOCUMENTED, ModeGuard
 from unicon_ros.bench.domains import free_domain
 
@@ -93,7 +94,7 @@ def driven(name: str, folder: Path) -> Iterator[tuple[Emulated, Any, States]]:
     file = load_robot(completed(name, folder))
     theirs, ours = options()
     states = States(standard_states(file.joint_names))
-    with stepped(Emulated(file, f"{module}.face:face", **theirs)) as robot:
+    with stepped(Emulated(file, known("faces")[file.transport["protocol"]], **theirs)) as robot:
         platform = make(states, file, PERIOD, silence=5.0, connect=10.0, **ours)
         try:
             until(lambda: not platform.prepare(), platform.recv)

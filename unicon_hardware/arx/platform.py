@@ -87,20 +87,22 @@ class ArxWire(Wire):
         modes: of the motors; those of EC motors, which report none, are always 0.
     """
 
+    modes: ModeGuard
+
     def __init__(self, states: States, motors: Motors, bus: Any, rate: float) -> None:
         self._can, self._bus, self._states, self._motors = import_can(), bus, states, motors
         self.counts, self._rate = Counts(), rate
         labels = map("{} (motor {})".format, motors.names, motors.numbers)
         self._answered = Answers(list(labels))
-        kinds = zip(motors.layouts, motors.numbers)
-        self._joints = {(layout is DM, number): i for i, (layout, number) in enumerate(kinds)}
+        damiao = [layout is DM for layout in motors.layouts]
+        self._joints = {each: i for i, each in enumerate(zip(damiao, motors.numbers))}
         self._packing = Packing(motors)
-        enabled = [ENABLED if layout is DM else 0 for layout in motors.layouts]
+        enabled = np.array(damiao) * ENABLED
         self.modes = ModeGuard("arx", motors.names, enabled, settles=UNDOCUMENTED)
         self._command = Command(states, motors.names, dtype=np.float32)
         self._packing(self._command.rows)
         empty = [frame.tobytes() for frame in self._packing.frames]
-        self._asking = [ENABLE if lay is DM else e for lay, e in zip(motors.layouts, empty)]
+        self._asking = [ENABLE if each else frame for each, frame in zip(damiao, empty)]
         self._error = known(states, "motor_error")
         self._pending: list[Any] = []
         self._asked, self._commanding, self._foreign = -np.inf, False, -np.inf

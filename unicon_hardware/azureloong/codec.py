@@ -101,29 +101,16 @@ class LoongTransport(Transport):
     damping: Annotated[Float64, Key("damping_limit"), each(0.0, 2000.0)]
 
     @property
-    def joints(self) -> int:
-        """How many there are."""
-        return len(self.torque)
-
-    @property
-    def lost(self) -> float:
-        """`lost_ms` in [s]."""
-        return 1e-3 * self.lost_ms
-
-    @property
-    def command(self) -> np.dtype[Any]:
-        """Layout of a command."""
-        return command_type(self.joints, self.left, self.right)
-
-    @property
-    def state(self) -> np.dtype[Any]:
-        """Layout of a state."""
-        return state_type(self.joints, self.left, self.right)
+    def layouts(self) -> tuple[np.dtype[Any], np.dtype[Any]]:
+        """Layouts of a command and of a state."""
+        sizes = len(self.torque), self.left, self.right
+        return command_type(*sizes), state_type(*sizes)
 
     @property
     def limits(self) -> tuple[Float32, Float32]:
         """Smallest and largest commands, rows as of `COMMAND_STATES`, shape (5, n)."""
-        free, none = np.full(self.joints, np.inf), np.zeros(self.joints)
+        none = np.zeros_like(self.torque)
+        free = none + np.inf
         return (
             np.array((-free, -free, -self.torque, none, none), np.float32),
             np.array((free, free, self.torque, self.stiffness, self.damping), np.float32),
@@ -167,10 +154,11 @@ class AzureEndpoint(Endpoint):
             )
         address, link = ipv4(address, "azureloong"), LoongTransport.of(robot)
         self._states, self._link, self._limits = states, link, link.limits
-        self.rate, self.dead_man = link.rate, link.lost
+        self.rate, self.dead_man = link.rate, 1e-3 * link.lost_ms
         self._plan, self.where = plan, f"{address}:{link.port}"
         self.reach = {"address": address}
-        self._kind, self._frame = link.command, np.zeros(1, link.state)
+        self._kind, state = link.layouts
+        self._frame = np.zeros(1, state)
         self._frame["size"] = self._frame.nbytes
         self._views = [states[name] for name in COMMAND_STATES]
         self._heard = -math.inf
@@ -216,7 +204,7 @@ class AzureEndpoint(Endpoint):
 
     def tell(self) -> None:
         """See `Face`."""
-        if time.monotonic() - self._heard > self._link.lost:
+        if time.monotonic() - self._heard > self.dead_man:
             return
         frame, states = self._frame, self._states
         frame["timestamp"] = time.time()

@@ -58,15 +58,15 @@ class AzureWire(Wire):
         self.counts, self.where = Counts(), f"{address}:{link.port}"
         self._mounting = Mounting.of(robot)
         self._command = Command(states, robot.joint_names, dtype=np.float32)
-        frame = self._frame = np.zeros(1, link.command)
+        command, kind = link.layouts
+        frame = self._frame = np.zeros(1, command)
         frame["checker"], frame["size"] = link.checker, frame.nbytes
         frame["torque_limit_rate"], frame["filter_rate"] = torque_limit_rate, filter_rate
         self._bytes = self._frame.view(np.uint8).data
-        block = frame.view(np.uint8)[part(link.command, "joint_pos_target", "finger_left")]
+        block = frame.view(np.uint8)[part(command, "joint_pos_target", "finger_left")]
         self._block = block.view("<f4").reshape(self._lower.shape)
         self._stamp, self._plan = -math.inf, 0
         self._asked, self._commanding = -math.inf, False
-        kind = link.state
         self._floats, self._size = part(kind, "rpy", "temperature"), kind.itemsize
         self._heard = bytearray(self._size)
         heard = np.frombuffer(self._heard, kind)[0:1]

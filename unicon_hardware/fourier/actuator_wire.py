@@ -263,7 +263,7 @@ class ActuatorWire(Wire):
         return self._opened[first:]
 
     @property
-    def where(self) -> str:  # type: ignore[override]  # of a class that sets it
+    def where(self) -> str:
         """The actuators that have not answered since all did last."""
         return str(self._answered)
 

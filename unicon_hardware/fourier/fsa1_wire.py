@@ -121,7 +121,7 @@ class Fsa1Wire(ActuatorWire):
         self._measurements, self._errors = np.zeros((n, 3)), np.zeros(n, np.uint32)
 
     @property
-    def where(self) -> str:  # type: ignore[override]  # of a class that sets it
+    def where(self) -> str:
         """The actuators that have not answered since all did last, or the encoders that miss."""
         missing = self._zero.missing
         if missing and self._answered.heard.all():

@@ -101,6 +101,10 @@ class PndFacts(DdsFacts):
             lengths={"motor_cmd": len(self.slots)},
         )
 
+    def state_in(self, arrays: Arrays, counts: Counts) -> LowStates:
+        """Return what reads LowState into those arrays that are there."""
+        return LowStates(self, arrays, counts)
+
 
 class LowStates:
     """Checks and reads LowState of one of the two kinds, for `Inlet`.
@@ -160,7 +164,7 @@ class PndWire(DdsWire):
     def _open(self) -> None:
         facts = self._facts
         kinds = [replace(facts, battery=battery) for battery in STATES]
-        self._kinds = [LowStates(kind, self._arrays, self.counts) for kind in kinds]
+        self._kinds = [kind.state_in(self._arrays, self.counts) for kind in kinds]
         for kind, frames in zip(kinds, self._kinds):
             self.listen(kind.state, frames, forget=frames.forget)
         self.watch(facts.command_topic)

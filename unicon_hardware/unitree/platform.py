@@ -99,7 +99,8 @@ class UnitreeWire(DdsWire):
         if not self._silent:
             self.speak(facts.command, self._arrays)
             if self._checked:
-                self._release = Release(self.participant, *facts.release, self.label)
+                before, wait = facts.release
+                self._release = Release(self.participant, before, wait, self.label)
 
     def warm_up(self) -> None:
         """Read ahead, and do what `put` does, but send nothing to the robot."""
@@ -115,7 +116,7 @@ class UnitreeWire(DdsWire):
         self._last = -1
 
     @property
-    def clock_ms(self) -> int | None:  # type: ignore[override]  # of a class that sets it
+    def clock_ms(self) -> int | None:
         """The robot's tick; unitree_mujoco's is the time of its physics."""
         return self._last if self._checked and self._last >= 0 else None
 

@@ -319,7 +319,7 @@ class LeggedWire(Wire):
         return 0
 
     @property
-    def clock_ms(self) -> int | None:  # type: ignore[override]  # of a class that sets it
+    def clock_ms(self) -> int | None:
         """The robot's tick."""
         return self._reader.newest
 
