@@ -14,8 +14,8 @@ from types import ModuleType
 from typing import Any
 
 _NAMES = {
-    ("unicon_core", "unicon_base"): "arrays bounded_yaml errors generated located_yaml packages "
-    "registered resources schema",
+    ("unicon_core", "unicon_base"): "arrays errors generated located_yaml packages resources "
+    "schema",
     ("unicon_core", "unicon_manipulation"): "ik retarget",
     ("unicon_ros", "unicon_lab"): "analysis datasets fault_record recording replay report "
     "sweep transfer view",
@@ -30,11 +30,13 @@ MOVED = {
     "unicon_core.blocks.retarget": "unicon_manipulation.retargeting_block",
     "unicon_core.blocks.teleop": "unicon_manipulation.teleop",
     "unicon_core.blocks.whole_body.reach": "unicon_manipulation.reach",
+    "unicon_core.bounded_yaml": "unicon_base.located_yaml",
     "unicon_core.gap": "unicon_core.metrics",
     "unicon_core.identify": "unicon_lab.identify",
     "unicon_core.outlet": "unicon_core.non_blocking_writer",
     "unicon_core.platforms.sim": "unicon_sims",
     "unicon_core.platforms.sim.mujoco": "unicon_core.platforms.mujoco",
+    "unicon_core.registered": "unicon_base.packages",
     "unicon_core.together": "unicon_core.synchronised_start",
     "unicon_ros.cli.emulate": "unicon_hardware.emulate.command",
     "unicon_ros.hardware": "unicon_hardware",

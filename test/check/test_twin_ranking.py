@@ -14,16 +14,16 @@ pytest.importorskip("mujoco", reason="the twin runs in MuJoCo")
 from unicon_core.check import CheckResult
 from unicon_core.check.result import PolicyResult
 from unicon_core.check.twin.check import _Twin
-from unicon_core.check.twin.measures import Measures
-from unicon_core.check.twin.perturb import Change, perturbations, rivals
-from unicon_core.check.twin.ranking import (
+from unicon_core.check.twin.measures import (
     MENDED,
     Compared,
+    Measures,
     Tried,
     chosen,
     evident_changes,
     find_pressing,
 )
+from unicon_core.check.twin.perturb import Change, perturbations, rivals
 from unicon_core.policies import PolicyContract
 from unicon_core.policies.contract import ActionSpec, ObservationSpec, ObservationTerm, PhaseSpec
 from unicon_core.robots import load_robot

@@ -11,8 +11,7 @@ import pytest
 
 from unicon_base.errors import Fault
 from unicon_core import Program, block
-from unicon_core.gates.data import Changing, Imu, Rate
-from unicon_core.gates.gate import Heeding
+from unicon_core.gates.gate import Changing, Heeding, Imu, Rate
 
 PERIOD = 0.02
 LEVEL = {

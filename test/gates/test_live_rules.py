@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 
 from unicon_core.check.rules import LIVE
-from unicon_core.preflight.look import look
-from unicon_core.preflight.result import PreflightResult
+from unicon_core.preflight.look import PreflightResult, look
 from unicon_core.workflow import Program
 
 ROBOT = "gate_robots:make"
@@ -37,8 +36,8 @@ BROKEN: dict[str, dict[str, Any]] = {
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """A look takes less than a second."""
-    monkeypatch.setattr("unicon_core.gates.data.Rate.WINDOW", 0.1)
-    monkeypatch.setattr("unicon_core.gates.data.Changing.FROZEN", 0.2)
+    monkeypatch.setattr("unicon_core.gates.gate.Rate.WINDOW", 0.1)
+    monkeypatch.setattr("unicon_core.gates.gate.Changing.FROZEN", 0.2)
 
 
 def looked(

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from unicon_core.synchronised_start.agreement import (
+from unicon_core.synchronised_start.meeting import (
     BEGUN,
     FRESH_NS,
     LEAD_NS,

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.check.order import check_mirrored, mirror_pairs
+from unicon_core.check.joints import check_mirrored, mirror_pairs
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import Subject, listed
 from unicon_core.figures import figure, figures, span, spans

@@ -9,7 +9,7 @@ from pkgutil import resolve_name
 from typing import Any
 
 from unicon_base.errors import UniconError, alternatives
-from unicon_base.registered import registered
+from unicon_base.packages import registered
 from unicon_core.page import write_file
 from unicon_ros.cli.options import argument, command
 
@@ -28,7 +28,7 @@ def schema_of(kind: str) -> dict[str, Any]:
     Raises:
         UniconError: there is no such kind.
     """
-    from unicon_base.schema.read import json_schema
+    from unicon_base.schema.records import json_schema
 
     if kind not in KINDS:
         raise UniconError(f"schema: unknown kind {kind!r}; {alternatives(kind, KINDS)}")

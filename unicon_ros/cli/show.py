@@ -14,10 +14,8 @@ def show(arguments: argparse.Namespace) -> int:
     from unicon_core.flow import compile_graph
     from unicon_core.page import write_file
     from unicon_core.runtime.phases import describe
-    from unicon_core.show.page import show_page
-    from unicon_core.show.state_table import parts_table
-    from unicon_core.show.svg import show_svg
-    from unicon_core.show.text import show_mermaid, show_text
+    from unicon_core.show.svg import show_page, show_svg
+    from unicon_core.show.text import parts_table, show_mermaid, show_text
     from unicon_core.workflow import Program, load_document
 
     # Dry: nothing is opened or published only to be shown.

@@ -12,19 +12,19 @@ from unicon_base.errors import UniconError
 from unicon_core.check.pose import check_collision
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import listed, on_platform
-from unicon_core.check.twin.measures import Measures
-from unicon_core.check.twin.perturb import GAIT, Change, perturbations, rivals
-from unicon_core.check.twin.ranking import (
+from unicon_core.check.twin.measures import (
     FOLLOWS,
     MENDED,
     SLIGHT,
     Compared,
+    Measures,
     Tried,
     chosen,
     evident_changes,
     find_pressing,
     poor,
 )
+from unicon_core.check.twin.perturb import GAIT, Change, perturbations, rivals
 from unicon_core.check.twin.repair import repairs
 from unicon_core.check.twin.session import TwinBlindError, TwinSession
 from unicon_core.figures import figure

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from unicon_core.check.order import mirror_pairs, other_order
+from unicon_core.check.joints import mirror_pairs, other_order
 from unicon_core.policies.contract import ObservationTerm, PolicyContract
 from unicon_core.robots import joint_index
 

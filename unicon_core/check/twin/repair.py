@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.check.order import joint_orders, mirror_pairs, other_order
+from unicon_core.check.joints import joint_orders, mirror_pairs, other_order
 from unicon_core.check.twin.perturb import (
     Change,
     clock_reordered,

@@ -16,7 +16,7 @@ import numpy as np
 
 from unicon_base.arrays import Float32, Float64
 from unicon_base.errors import Fault, PlatformError, UniconError
-from unicon_core.check.model_facts import joint_depths
+from unicon_core.check.joints import joint_depths
 from unicon_core.check.twin.measures import JUDGED, Measures, Recorder
 from unicon_core.check.twin.perturb import AS_GIVEN, Change
 from unicon_core.flow import Block, Stage
