@@ -357,7 +357,7 @@ ROWS = [
         ("completed", "add([FIRST]) if not begin else []", "[]"),
     ),
     *_rows(
-        "gates/data.py",
+        "gates/gate.py",
         GATES,
         ("Told.__call__", "''"),
         ("Told.__call__", "~np.isfinite(view)", "np.zeros(view.shape, np.bool_)"),
@@ -376,7 +376,7 @@ ROWS = [
         ("", "FROZEN = 1.0", "FROZEN = 10.0"),
     ),
     *_rows(
-        "gates/data.py",
+        "gates/gate.py",
         GATES,
         ("Imu.__call__", "''"),
         ("Imu._orientation", "''"),
@@ -430,7 +430,7 @@ ROWS = [
         ("_tilt", "isinstance(block.tick, TiltStop)", "False"),
     ),
     *_rows(
-        "gates/beginning.py",
+        "gates/build.py",
         (*BEGINNING, *PHASES),
         (
             "beginning",

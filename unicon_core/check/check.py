@@ -21,7 +21,7 @@ from unicon_base.errors import (
     alternatives,
 )
 from unicon_base.resources import sha256_of
-from unicon_core.check.gains import check_action, check_fed, check_gains, check_held, check_limits
+from unicon_core.check.gains import check_gains, check_held, check_limits
 from unicon_core.check.graph import (
     check_blocks,
     check_gates,
@@ -39,7 +39,7 @@ from unicon_core.check.observation import (
     check_observation,
     check_timing,
 )
-from unicon_core.check.pose import check_pose
+from unicon_core.check.pose import check_action, check_fed, check_pose
 from unicon_core.check.result import CheckResult
 from unicon_core.check.rules import CODES, FIRM
 from unicon_core.check.subject import Subject, build_subject, declared_platform, listed

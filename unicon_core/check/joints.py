@@ -367,3 +367,9 @@ def _odd(joints: Sequence[str], figures: Figures) -> list[tuple[str, str]]:
     limits = {"default_joint_pos": POSE_TOLERANCE}
     found = (odd_pairs(joints, values, limits.get(what)) for what, values in figures.items())
     return list(chain(*found))
+
+
+def robot_values(robot: Robot, joints: Sequence[str], *names: str) -> list[Float64]:
+    """Return facts of the robot file by name, of some joints, in double precision."""
+    own = joint_index(joints, robot.joint_names)
+    return [getattr(robot, name)[own].astype(np.float64) for name in names]
