@@ -17,20 +17,18 @@ exp(−e² / 0.0625) with e, the root mean square of its joints' distance from t
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from unicon_base.arrays import Array, Float64
 from unicon_core.blocks.monitor import Monitor
-from unicon_core.check.gains import counted_twice
 from unicon_core.check.result import PolicyResult
-from unicon_core.check.subject import listed
 from unicon_core.check.twin.perturb import Change
 from unicon_core.figures import figure, span
-from unicon_core.policies import PolicyContract
-from unicon_core.robots import Robot, joint_index
+from unicon_core.robots import Robot
 from unicon_core.states import States
 
 JUDGED = (
@@ -108,7 +106,7 @@ class Measures:
     @property
     def score(self) -> float:
         """The score in [0, 1], greater is better."""
-        if not self.tracks and self.motion_error is None:
+        if not self.follows:
             return self.survival * self.smoothness
         return self.survival * (0.7 * self.tracking + 0.3 * self.smoothness)
 
@@ -129,10 +127,8 @@ class Measures:
 
     def outcome(self) -> str:
         """Return in a few words how it ended."""
-        if self.fell:
-            return f"falls after {self.survived_s:.2f} s"
-        if self.fault:
-            return f"stops after {self.survived_s:.2f} s"
+        if not self.stands:
+            return f"{'falls' if self.fell else 'stops'} after {self.survived_s:.2f} s"
         return f"stays up for {self.survived_s:.1f} s"
 
 
@@ -195,40 +191,34 @@ class Recorder:
         """
         if not self.rows:
             return Measures(asked_s, fault)
-        robot, period = self._robot, self._period
-        columns = (np.stack(part) for part in zip(*self.rows))
-        pos, effort, target, command, velocity, motion = columns
+        robot, period, names = self._robot, self._period, self._robot.joint_names
+        pos, effort, target, command, velocity, motion = map(np.stack, zip(*self.rows))
         survived = len(self.rows) * period
-        error = velocity - command
-        from_start = error[min(round(START / period), max(len(error) - 1, 0)) :]
-        squared = (from_start**2).sum(axis=1)
-        off = None if tracks or self._motion is None else motion[len(error) - len(from_start) :]
-        kernel = squared / TRACKING_SIGMA if off is None else (off**2)[:, 0] / MOTION_SIGMA
+        begin = min(round(START / period), len(self.rows) - 1)
+        squared = ((velocity - command)[begin:] ** 2).sum(axis=1)
+        off = None if tracks or self._motion is None else motion[begin:, 0]
+        kernel = squared / TRACKING_SIGMA if off is None else off**2 / MOTION_SIGMA
         rates = np.diff(target[:, ~robot.endless], axis=0) / period
         rate = float(np.sqrt((rates**2).mean())) if rates.size else 0.0
         use = np.sqrt((effort**2).mean(axis=0)) / self._effort
-        worst = int(np.argmax(use))
-        hits = (pos <= robot.lower + AT_LIMIT) | (pos >= robot.upper - AT_LIMIT)
-        shares = hits.mean(axis=0)
-        saturated = np.abs(effort) >= 0.999 * self._effort
-        longest = int(np.argmax(saturated.mean(axis=0)))
+        hits = ((pos <= robot.lower + AT_LIMIT) | (pos >= robot.upper - AT_LIMIT)).mean(axis=0)
+        saturated = (np.abs(effort) >= 0.999 * self._effort).mean(axis=0)
+        worst, longest = int(use.argmax()), int(saturated.argmax())
         return Measures(
-            asked_s=asked_s,
+            asked_s,
+            fault,
             survived_s=survived,
             fell=self.fell,
-            fault=fault,
             velocity_error=float(np.sqrt(squared).mean()),
             velocity=_three(velocity.mean(axis=0)),
             command=_three(command.mean(axis=0)),
             target_rate=rate,
             torque_use=float(use[worst]),
-            torque_joint=robot.joint_names[worst],
+            torque_joint=names[worst],
             saturated=float(saturated.mean()),
-            saturated_joint=robot.joint_names[longest],
-            saturated_share=float(saturated.mean(axis=0)[longest]),
-            limit_hits={
-                robot.joint_names[i]: float(shares[i]) for i in np.argsort(-shares) if shares[i]
-            },
+            saturated_joint=names[longest],
+            saturated_share=float(saturated[longest]),
+            limit_hits={names[i]: float(hits[i]) for i in np.argsort(-hits) if hits[i]},
             tracking=float(np.exp(-kernel).mean()),
             smoothness=float(np.exp(-((rate / SMOOTH_RATE) ** 2))),
             survival=min(1.0, survived / asked_s) if self.fell or fault else 1.0,
@@ -278,23 +268,28 @@ class Compared:
     given: tuple[Measures, ...]
     other: tuple[Measures, ...]
 
+    @cached_property
+    def _runs(self) -> Float64:
+        """Score, tracking and rate of targets, given and other, shape (2, walks, 3)."""
+        both = self.given, self.other
+        return np.array([[(m.score, m.tracking, m.target_rate) for m in each] for each in both])
+
     @property
     def gain(self) -> float:
         """Mean gain in score."""
-        return float(self._gains.mean())
+        return float(np.diff(self._runs[..., 0], axis=0).mean())
 
     @property
     def error(self) -> float:
         """Standard error of that mean, 0 of a single walk."""
-        gains = self._gains
+        gains = np.diff(self._runs[..., 0], axis=0)
         return float(gains.std(ddof=1) / np.sqrt(gains.size)) if gains.size > 1 else 0.0
 
     @property
     def clear(self) -> bool:
         """Whether the other contract is clearly better."""
-        before, _ = self._means
-        least = max(CLEAR, CLOSES * (1.0 - before[0]), 2.0 * self.error)
-        return self.gain >= least
+        lacking = 1.0 - float(self._runs[0, :, 0].mean())
+        return self.gain >= max(CLEAR, CLOSES * lacking, 2.0 * self.error)
 
     @property
     def slight(self) -> bool:
@@ -309,34 +304,19 @@ class Compared:
     @property
     def calmer(self) -> bool:
         """Whether the other follows as well with targets that change much less."""
-        before, after = self._means
-        rates = after[2] <= CALMER * before[2]
-        return bool(rates and all(m.stands for m in self.other) and after[1] >= before[1] - CLEAR)
+        (_, follows, rate), (_, followed, calm) = self._runs.mean(axis=1)
+        stands = all(m.stands for m in self.other)
+        return bool(stands and calm <= CALMER * rate and followed >= follows - CLEAR)
 
     def __str__(self) -> str:
         """Both in numbers."""
-        before, after = self._means
+        before, after = self._runs.mean(axis=1)
         walks = len(self.given)
-        scores = f"score {after[0]:.2f} against {before[0]:.2f}"
-        if walks > 1:
-            scores += f" ± {self.error:.2f}, mean of {walks} commands"
+        more = f" ± {self.error:.2f}, mean of {walks} commands" if walks > 1 else ""
         return (
-            f"{scores}; tracking {after[1]:.2f} against {before[1]:.2f}, targets change at "
-            f"{after[2]:.2f} against {before[2]:.2f} rad/s"
+            f"score {after[0]:.2f} against {before[0]:.2f}{more}; tracking {after[1]:.2f} against "
+            f"{before[1]:.2f}, targets change at {after[2]:.2f} against {before[2]:.2f} rad/s"
         )
-
-    @property
-    def _gains(self) -> Float64:
-        return np.array([b.score - a.score for a, b in zip(self.given, self.other)])
-
-    @property
-    def _means(self) -> tuple[list[float], list[float]]:
-        """Score, tracking and rate of targets of both."""
-        before, after = (
-            np.mean([[m.score, m.tracking, m.target_rate] for m in runs], axis=0).tolist()
-            for runs in (self.given, self.other)
-        )
-        return before, after
 
 
 @dataclass(frozen=True)
@@ -376,65 +356,25 @@ def chosen(finals: Sequence[Tried], given: Measures, least: float) -> list[Tried
     better = [
         tried
         for tried in finals
-        if tried.measures.stands
-        and tried.measures.score >= given.score + least
-        and not (tried.measures.follows and tried.measures.tracking < FOLLOWS)
+        if (run := tried.measures).stands
+        and run.score >= given.score + least
+        and not (run.follows and run.tracking < FOLLOWS)
     ]
     best = max((tried.measures.score for tried in better), default=0.0)
-    evident = [
+    good = [
         tried
         for tried in better
         if tried.change.evidence
         and not poor(tried.measures)
         and tried.measures.score >= best - MENDED
-    ]
-    good = evident or [t for t in better if t.measures.score >= best - ALIKE]
+    ] or [tried for tried in better if tried.measures.score >= best - ALIKE]
     return sorted(good, key=lambda tried: tried.number)
 
 
 PRESSING = 0.2
 """Share of a walk that a joint stays at a limit. Right contracts of ten published policies keep to
 0.15 (T1's hip roll, whose effort limit is 25 N·m), nine of them to 0.00."""
-# A default pose within this of a position limit in [rad] is to be there.
-_NEAR = 0.1
-
-
-def evident_changes(
-    contract: PolicyContract, robot: Robot, passive: Float64, platform: str
-) -> Iterator[Change]:
-    """Yield the changes of the model for which the model itself speaks.
-
-    Args:
-        contract: of the policy, as given.
-        robot: the robot.
-        passive: damping of the robot's joints themselves in [N·m·s/rad], shape (n,).
-        platform: name of the simulator.
-    """
-    own = passive[joint_index(contract.joints, robot.joint_names)]
-    twice = counted_twice(contract.damping, own)
-    if twice.size:
-        i = twice[0]
-        yield Change(
-            "passive damping removed",
-            "passive damping of the model",
-            contract,
-            undamped=True,
-            evidence=f"{twice.size} of {len(own)} joints damp themselves beside the policy's "
-            f"damping, {contract.joints[i]} by {own[i]:g} and {contract.damping[i]:g} N·m·s/rad",
-            remedy=f"let the policy's damping replace it (platforms: {{{platform}: {{passive: "
-            "replace}}), or correct <joint damping> of the model",
-        )
-    unseen = tuple(name for name in robot.joint_names if name not in contract.joints)
-    if unseen:
-        yield Change(
-            "the other joints welded",
-            "joints of the model that the policy does not know",
-            contract,
-            locked=unseen,
-            evidence=f"it neither moves nor sees {listed(unseen)}, {len(unseen)} of "
-            f"{robot.num_joints} joints, which give way here",
-            remedy="take the model that it was trained on, or hold these joints as stiffly",
-        )
+_NEAR = 0.1  # [rad]; a default pose within this of a position limit is to be there
 
 
 def find_pressing(policy: PolicyResult, robot: Robot, given: Measures) -> None:
@@ -446,15 +386,15 @@ def find_pressing(policy: PolicyResult, robot: Robot, given: Measures) -> None:
             f"the joint is at its effort limit for {given.saturated_share:.0%} of the time, and "
             f"targets change at {given.target_rate:.2f} rad/s: its motor does not follow",
         )
-    pose = dict(zip(policy.contract.joints, policy.contract.default_joint_pos))
+    rest = dict(zip(robot.joint_names, robot.default_joint_pos))
+    rest |= zip(policy.contract.joints, policy.contract.default_joint_pos)
     for joint, share in given.limit_hits.items():
         i = robot.joint_names.index(joint)
-        rest = float(pose.get(joint, robot.default_joint_pos[i]))
-        if share < PRESSING or not robot.lower[i] + _NEAR < rest < robot.upper[i] - _NEAR:
-            continue
-        policy.find(
-            "twin.saturated",
-            f"position of {joint}",
-            f"the joint is at its position limit for {share:.0%} of the time "
-            f"({span(robot.lower[i], robot.upper[i])} rad, default {figure(rest)})",
-        )
+        low, high = robot.lower[i], robot.upper[i]
+        if share >= PRESSING and low + _NEAR < float(rest[joint]) < high - _NEAR:
+            policy.find(
+                "twin.saturated",
+                f"position of {joint}",
+                f"the joint is at its position limit for {share:.0%} of the time "
+                f"({span(low, high)} rad, default {figure(rest[joint])})",
+            )

@@ -17,10 +17,12 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base.arrays import Array
+from unicon_base.arrays import Array, Float64
+from unicon_core.check.gains import counted_twice
 from unicon_core.check.joints import mirror_pairs, other_order
+from unicon_core.check.subject import listed
 from unicon_core.policies.contract import ObservationTerm, PolicyContract
-from unicon_core.robots import joint_index
+from unicon_core.robots import Robot, joint_index
 
 
 @dataclass(frozen=True)
@@ -265,3 +267,41 @@ def rivals(contract: PolicyContract) -> Iterator[Change]:
             clock = replace(phase, period=phase.period * factor)
             what = f"a gait clock of {clock.period:g} s"
             yield Change(what, GAIT, replace(contract, phase=clock))
+
+
+def evident_changes(
+    contract: PolicyContract, robot: Robot, passive: Float64, platform: str
+) -> Iterator[Change]:
+    """Yield the changes of the model for which the model itself speaks.
+
+    Args:
+        contract: of the policy, as given.
+        robot: the robot.
+        passive: damping of the robot's joints themselves in [N·m·s/rad], shape (n,).
+        platform: name of the simulator.
+    """
+    own = passive[joint_index(contract.joints, robot.joint_names)]
+    twice = counted_twice(contract.damping, own)
+    if twice.size:
+        i = twice[0]
+        yield Change(
+            "passive damping removed",
+            "passive damping of the model",
+            contract,
+            undamped=True,
+            evidence=f"{twice.size} of {len(own)} joints damp themselves beside the policy's "
+            f"damping, {contract.joints[i]} by {own[i]:g} and {contract.damping[i]:g} N·m·s/rad",
+            remedy=f"let the policy's damping replace it (platforms: {{{platform}: {{passive: "
+            "replace}}), or correct <joint damping> of the model",
+        )
+    unseen = tuple(name for name in robot.joint_names if name not in contract.joints)
+    if unseen:
+        yield Change(
+            "the other joints welded",
+            "joints of the model that the policy does not know",
+            contract,
+            locked=unseen,
+            evidence=f"it neither moves nor sees {listed(unseen)}, {len(unseen)} of "
+            f"{robot.num_joints} joints, which give way here",
+            remedy="take the model that it was trained on, or hold these joints as stiffly",
+        )
