@@ -14,8 +14,10 @@ from types import ModuleType
 from typing import Any
 
 _NAMES = {
-    ("unicon_core", "unicon_base"): "arrays errors generated located_yaml packages resources "
-    "schema",
+    (
+        "unicon_core",
+        "unicon_base",
+    ): "arrays bounded_yaml errors generated located_yaml packages resources schema",
     ("unicon_core", "unicon_manipulation"): "ik retarget",
     ("unicon_ros", "unicon_lab"): "analysis datasets fault_record recording replay report "
     "sweep transfer view",
@@ -30,7 +32,6 @@ MOVED = {
     "unicon_core.blocks.retarget": "unicon_manipulation.retargeting_block",
     "unicon_core.blocks.teleop": "unicon_manipulation.teleop",
     "unicon_core.blocks.whole_body.reach": "unicon_manipulation.reach",
-    "unicon_core.bounded_yaml": "unicon_base.located_yaml",
     "unicon_core.gap": "unicon_core.metrics",
     "unicon_core.identify": "unicon_lab.identify",
     "unicon_core.outlet": "unicon_core.non_blocking_writer",

@@ -10,8 +10,9 @@ from typing import Any
 import pytest
 from attack_files import BASE, one_line, run_bounded, workflow
 
+from unicon_base.bounded_yaml import MAX_SIZE
 from unicon_base.errors import PolicyError, RobotError, UniconError, WorkflowError
-from unicon_base.located_yaml import MAX_SIZE, parse_value, parse_yaml, read_yaml
+from unicon_base.located_yaml import parse_value, parse_yaml, read_yaml
 from unicon_core.policies import load_policy
 from unicon_core.robots import load_robot
 from unicon_core.workflow.document import load_document

@@ -11,7 +11,8 @@ import pytest
 
 from unicon_base.errors import Fault
 from unicon_core import Program, block
-from unicon_core.gates.gate import Changing, Heeding, Imu, Rate
+from unicon_core.gates.data import Changing, Imu, Rate
+from unicon_core.gates.gate import Heeding
 
 PERIOD = 0.02
 LEVEL = {

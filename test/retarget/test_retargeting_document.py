@@ -11,7 +11,7 @@ import yaml
 
 from benchmarks.retarget import run
 from unicon_base.errors import RobotError
-from unicon_base.schema.records import read_value
+from unicon_base.schema.read import read_value
 from unicon_core.robots import load_robot
 from unicon_core.robots.places import Hand
 from unicon_manipulation.retargeting_block import Retarget

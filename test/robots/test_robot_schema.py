@@ -9,7 +9,7 @@ import jsonschema
 import pytest
 import yaml
 
-from unicon_base.schema.records import json_schema
+from unicon_base.schema.read import json_schema
 from unicon_core.robots.file import SCHEMA, Overlay, RobotFile
 
 HERE = Path(__file__).parent

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from unicon_base.errors import UniconError
-from unicon_base.schema.records import read_value
+from unicon_base.schema.read import read_value
 from unicon_core.runtime import Pacing, Runner, RunOptions, WallClock, prepare_process
 from unicon_core.runtime.ticker import Ticker
 from unicon_core.workflow import load_workflow

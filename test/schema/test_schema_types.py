@@ -13,7 +13,8 @@ import pytest
 from unicon_base.errors import UniconError
 from unicon_base.located_yaml import parse_yaml
 from unicon_base.schema.marks import Key, Like, NotAKey, Point, Quat, Size, Text, Unit, Within
-from unicon_base.schema.records import check_made, json_schema, option_type, read, read_value
+from unicon_base.schema.read import check_made, json_schema, read, read_value
+from unicon_base.schema.records import option_type
 from unicon_base.schema.types import Here
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from unicon_base.errors import Fault, StateError, UniconError, WorkflowError
-from unicon_base.schema.records import read_value
+from unicon_base.schema.read import read_value
 from unicon_core.states.backends.shm import segments
 from unicon_core.synchronised_start.meeting import Meeting, Party
 

@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from unicon_base.errors import UniconError
-from unicon_base.schema.records import read_value
+from unicon_base.schema.read import read_value
 from unicon_core.runtime import Pacing, Runner, RunOptions
 from unicon_core.states import StateSpec, standard_states
 from unicon_core.workflow import load_workflow

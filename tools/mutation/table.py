@@ -357,7 +357,7 @@ ROWS = [
         ("completed", "add([FIRST]) if not begin else []", "[]"),
     ),
     *_rows(
-        "gates/gate.py",
+        "gates/data.py",
         GATES,
         ("Told.__call__", "''"),
         ("Told.__call__", "~np.isfinite(view)", "np.zeros(view.shape, np.bool_)"),
@@ -376,7 +376,7 @@ ROWS = [
         ("", "FROZEN = 1.0", "FROZEN = 10.0"),
     ),
     *_rows(
-        "gates/gate.py",
+        "gates/data.py",
         GATES,
         ("Imu.__call__", "''"),
         ("Imu._orientation", "''"),

@@ -15,18 +15,8 @@ from unicon_core.bounds import POSITION
 from unicon_core.flow import Block, Node, Switch, Zip, blocks_of, children_of, compile_graph
 from unicon_core.flow.nodes import chooser_of
 from unicon_core.flow.stage import Stage
-from unicon_core.gates.gate import (
-    Changing,
-    Heeding,
-    Imu,
-    NoCommand,
-    Passing,
-    Rate,
-    SoleCommander,
-    StartGate,
-    Told,
-    Variant,
-)
+from unicon_core.gates.data import Changing, Imu, Rate, Told
+from unicon_core.gates.gate import Heeding, NoCommand, Passing, SoleCommander, StartGate, Variant
 from unicon_core.memory import Memory
 from unicon_core.platforms.joined import members_of
 from unicon_core.platforms.platform import (

@@ -12,7 +12,8 @@ from unicon_base.arrays import Float32
 from unicon_base.errors import PolicyError
 from unicon_base.located_yaml import Where
 from unicon_base.resources import file_beside
-from unicon_base.schema.records import record_of, refuse
+from unicon_base.schema.read import refuse
+from unicon_base.schema.records import record_of
 from unicon_base.schema.types import Mistakes
 from unicon_core.policies.contract import (
     ActionSpec,

@@ -19,7 +19,7 @@ from typing import Annotated, Any, Literal
 from unicon_base.arrays import Float64
 from unicon_base.errors import PolicyError, UniconError, alternatives
 from unicon_base.schema.marks import Key, Made
-from unicon_base.schema.records import read_value
+from unicon_base.schema.read import read_value
 from unicon_core.figures import figure
 from unicon_core.models.find import pick_model
 from unicon_core.models.load import load_model

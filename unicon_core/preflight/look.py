@@ -24,7 +24,8 @@ from unicon_core.figures import figure
 from unicon_core.flow import Node, Zip, compile_graph
 from unicon_core.flow.stage import Stage
 from unicon_core.gates.build import beginning, first_command
-from unicon_core.gates.gate import Rate, SoleCommander
+from unicon_core.gates.data import Rate
+from unicon_core.gates.gate import SoleCommander
 from unicon_core.page import write_file
 from unicon_core.platforms.joined import members_of
 from unicon_core.platforms.platform import (

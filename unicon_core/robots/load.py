@@ -23,7 +23,7 @@ from unicon_base.arrays import Float32
 from unicon_base.errors import RobotError, WorkflowError
 from unicon_base.located_yaml import Located, read_yaml
 from unicon_base.resources import find_config, list_config
-from unicon_base.schema.records import read, refuse
+from unicon_base.schema.read import read, refuse
 from unicon_base.schema.types import Mistakes
 from unicon_core.file_kinds import other_kind
 from unicon_core.robots.file import Overlay, RobotFile

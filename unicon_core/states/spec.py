@@ -12,7 +12,7 @@ import numpy as np
 
 from unicon_base.errors import StateError
 from unicon_base.schema.marks import Made
-from unicon_base.schema.records import read_value
+from unicon_base.schema.read import read_value
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
 _KINDS = "biuf"  # bool, signed, unsigned, float: what every backend and every language can carry

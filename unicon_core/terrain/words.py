@@ -11,7 +11,8 @@ from typing import Annotated, Any
 
 from unicon_base.errors import PlatformError, alternatives
 from unicon_base.schema.marks import Checked, Within
-from unicon_base.schema.records import record_of, refuse
+from unicon_base.schema.read import refuse
+from unicon_base.schema.records import record_of
 from unicon_base.schema.types import Mistakes
 
 FLAT = "flat"

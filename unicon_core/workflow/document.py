@@ -14,10 +14,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from unicon_base.bounded_yaml import MAX_DEPTH, YamlError
 from unicon_base.errors import WorkflowError
-from unicon_base.located_yaml import MAX_DEPTH, Located, YamlError, parse_value, read_yaml
+from unicon_base.located_yaml import Located, parse_value, read_yaml
 from unicon_base.resources import find_config, list_config
-from unicon_base.schema.records import record_of, refuse, type_of
+from unicon_base.schema.read import refuse
+from unicon_base.schema.records import record_of, type_of
 from unicon_base.schema.types import Mistakes
 from unicon_core.file_kinds import other_kind
 from unicon_core.workflow.file import Workflow

@@ -17,8 +17,9 @@ from typing import Any
 
 import yaml
 
+from unicon_base.bounded_yaml import YamlError
 from unicon_base.errors import UniconError, alternatives
-from unicon_base.located_yaml import YamlError, parse_value
+from unicon_base.located_yaml import parse_value
 
 DIGITS = 6
 """Of a number that is drawn: few enough to be read and typed, and then the very same number."""

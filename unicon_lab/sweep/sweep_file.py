@@ -23,7 +23,7 @@ from typing import Annotated, Any, Literal
 from unicon_base.errors import UniconError, alternatives
 from unicon_base.located_yaml import Located, read_yaml
 from unicon_base.schema.marks import NotEmpty, Text, Within, Write, positive
-from unicon_base.schema.records import read
+from unicon_base.schema.read import read
 from unicon_base.schema.types import Here, Mistakes
 from unicon_core.bounds import DURATION
 from unicon_core.file_kinds import other_kind

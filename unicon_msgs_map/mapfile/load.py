@@ -13,7 +13,7 @@ from typing import Any
 from unicon_base.errors import UniconError
 from unicon_base.located_yaml import Where, read_text
 from unicon_base.packages import PACKAGE, package_file
-from unicon_base.schema.records import read
+from unicon_base.schema.read import read
 from unicon_msgs_map.errors import MapError, MapFileError
 from unicon_msgs_map.layout.check import check_published, check_received
 from unicon_msgs_map.layout.messages import DEFAULT_DISTRO, Messages, full_name

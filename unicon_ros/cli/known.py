@@ -100,7 +100,8 @@ def _told(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def _joints(text: str) -> Any:
     """Return what `--joints` says: names with commas, a file of a list, or a mapping."""
-    from unicon_base.located_yaml import YamlError, parse_value, read_yaml
+    from unicon_base.bounded_yaml import YamlError
+    from unicon_base.located_yaml import parse_value, read_yaml
 
     path = Path(text).expanduser()
     if os.path.isfile(path):

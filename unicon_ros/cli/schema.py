@@ -28,7 +28,7 @@ def schema_of(kind: str) -> dict[str, Any]:
     Raises:
         UniconError: there is no such kind.
     """
-    from unicon_base.schema.records import json_schema
+    from unicon_base.schema.read import json_schema
 
     if kind not in KINDS:
         raise UniconError(f"schema: unknown kind {kind!r}; {alternatives(kind, KINDS)}")

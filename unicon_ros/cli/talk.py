@@ -72,7 +72,8 @@ def _fitted(present: Any, value: Any, kind: str, where: str) -> Any:
 
 
 def _pub(arguments: argparse.Namespace) -> int:
-    from unicon_base.located_yaml import YamlError, parse_value
+    from unicon_base.bounded_yaml import YamlError
+    from unicon_base.located_yaml import parse_value
     from unicon_ros import compat
     from unicon_ros.bridge.own_node import OwnNode
 

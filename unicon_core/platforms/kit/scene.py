@@ -16,7 +16,8 @@ import numpy as np
 from unicon_base.arrays import Float32, Float64
 from unicon_base.errors import PlatformError, alternatives
 from unicon_base.schema.marks import Like, NotAKey, Unit, Within, Write, positive
-from unicon_base.schema.records import check_made, record_of
+from unicon_base.schema.read import check_made
+from unicon_base.schema.records import record_of
 from unicon_core.models.find import pick_model
 from unicon_core.platforms.kit.bodies import BODY_PHYSICS, GANTRY, ROUGHEST, Payload
 from unicon_core.robots import Robot

@@ -11,7 +11,8 @@ from typing import Annotated, Any, TypeAlias
 from unicon_base.errors import PolicyError, UniconError, alternatives
 from unicon_base.located_yaml import Located, Where
 from unicon_base.schema.marks import Checked, Within, twice
-from unicon_base.schema.records import refuse, type_of
+from unicon_base.schema.read import refuse
+from unicon_base.schema.records import type_of
 from unicon_base.schema.types import Mistakes
 from unicon_core.policies.contract import TORCHSCRIPT
 from unicon_core.policies.facts import Facts
