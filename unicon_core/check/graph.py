@@ -1,4 +1,4 @@
-"""The graph of blocks: what the flow's own checks say, and, of one in parts, who writes a state.
+"""The graph of blocks: the flow's own checks, who writes a state, and what stands before motors.
 
 In a divided workflow each state has one part that writes it, and has to reach its readers.
 """
@@ -242,14 +242,11 @@ def check_safety(subject: Subject, result: CheckResult) -> None:
     blocks = _safety(subject)
     if sent and not any(sent & {*block.reads, *block.amends} for block in blocks):
         what = "safety: none" if not blocks else f"safety: {listed([b.name for b in blocks])}"
-        result.note(
-            "safety.none",
-            what,
+        evidence = (
             "no block looks at commands before they are sent: what is not finite or beyond the "
-            "limits of a joint leaves as it is",
-            "",
-            where,
+            "limits of a joint leaves as it is"
         )
+        result.note("safety.none", what, evidence, "", where)
     elif less := subject.program.safety_left_out:
         reasons = {why: [n for n in less if less[n] == why] for why in less.values()}
         parts = [f"{', '.join(names)} ({why})" for why, names in reasons.items()]
@@ -266,14 +263,8 @@ def check_safety(subject: Subject, result: CheckResult) -> None:
     _check_remote(subject, result, blocks)
     told = {*subject.program.platform.facts.writes, *GIVEN, *subject.written}
     for block in blocks:
-        blind = _blind(block, sent, told)
-        if blind:
-            result.find(
-                "safety.partial",
-                f"safety block {block.name!r}",
-                blind,
-                where=block.where or where,
-            )
+        name, blind = f"safety block {block.name!r}", _blind(block, sent, told)
+        result.find("safety.partial", name, blind, where=block.where or where)
 
 
 def _check_remote(subject: Subject, result: CheckResult, blocks: list[Block]) -> None:

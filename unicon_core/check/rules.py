@@ -393,26 +393,3 @@ def live_code(name: str) -> str:
     """Return the code of a gate, or of another row of preflight; "" for a name that has none."""
     codes = (f"{group}.{name.replace(' ', '_')}" for group in ("gate", "preflight"))
     return next((code for code in codes if code in LIVE), "")
-
-
-def markdown() -> str:
-    """Return all rules as the page docs/reference/rules.md."""
-    lines = [_PAGE]
-    for rule in RULES:
-        cells = (f"`{rule.code}`", rule.kind, rule.needs, rule.what, rule.why, rule.remedy)
-        lines.append(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |")
-    return "\n".join(lines) + "\n"
-
-
-_PAGE = """\
-# Rules
-
-What `unicon check` looks at; `unicon run` refuses by the same errors, the twin's aside. \
-Gates and `unicon preflight` look at *live* data. \
-`unicon explain CODE` prints one. Generated: `unicon explain --markdown`.
-
-A workflow accepts a finding with `check: {accept: [CODE]}`, a run with `--force CODE`; \
-those marked *firm* cannot be accepted.
-
-| code | kind | looks at | what | why | remedy |
-| --- | --- | --- | --- | --- | --- |"""

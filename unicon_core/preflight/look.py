@@ -109,8 +109,7 @@ class PreflightResult:
             f"{self.seconds:.1f} s, no joint was commanded"
         )
         lines = aligned([(row.word, row.name, row.line) for row in self.rows], underlined=False)
-        failed = sum(row.ok is False for row in self.rows)
-        passed = sum(row.ok is True for row in self.rows)
+        passed, failed = (sum(row.ok is ok for row in self.rows) for ok in (True, False))
         end = [f"fault: {self.fault}"] if self.fault else []
         return "\n".join([head, *(f"  {x}" for x in lines), *end, f"{passed} pass, {failed} fail"])
 
@@ -167,8 +166,8 @@ def look(program: Program, seconds: float) -> PreflightResult:
     seen = {"rate": gaps.told(), "imu": _imu(program), "posture": _posture(program)}
     for gate in program.gates:
         reason = said.get(gate.name, "it was not asked")
-        figures = seen.get(gate.name, "") or getattr(gate, "about", "")
-        result.add(gate.name, not reason, reason or figures, "gate.stop")
+        told = reason or seen.get(gate.name, "") or getattr(gate, "about", "")
+        result.add(gate.name, not reason, told, "gate.stop")
     if not program.gates:
         result.add("gates", None, "none are asked (start: {gates: false})")
     if not result.fault:
@@ -397,8 +396,6 @@ def tell_frames(program: Program, result: PreflightResult) -> None:
     told = f"{hz:.3g} frames a second, {promised:g} are promised"
     good = hz >= SHARE * promised
     if not good:
-        told += (
-            f"; see whether the robot is in another mode and the network loses frames, or correct "
-            f"rate_hz of {program.robot.path.name}"
-        )
+        told += "; see whether the robot is in another mode and the network loses frames, or "
+        told += f"correct rate_hz of {program.robot.path.name}"
     result.add("frames", good, told)
