@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.models.loaded import LoadedModel
-from unicon_core.robots.places import Place
+from unicon_core.robots.robot import Place
 
 Float = NDArray[np.float64]
 

@@ -6,8 +6,7 @@ import numpy as np
 
 from unicon_core.blocks.joint_command import Counting, ticks_of
 from unicon_core.bounds import Seconds
-from unicon_core.flow.block import Amends
-from unicon_core.flow.stage import Stage
+from unicon_core.flow.block import Amends, Stage
 from unicon_core.workflow.autowire import BuildContext
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from unicon_base.arrays import Array
 from unicon_base.errors import StateError, alternatives
-from unicon_core.flow.linear import LinearMap
+from unicon_core.flow.block import LinearMap
 from unicon_core.states import States
 
 

@@ -26,8 +26,8 @@ from unicon_core.show.text import is_critical
 from unicon_core.states.backends.zmq_socket import WITHOUT_KEYS, is_exposed
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow.division import is_divided, owner_of
+from unicon_core.workflow.members import read_platforms
 from unicon_core.workflow.parts import Parts, read_store
-from unicon_core.workflow.platform_use import read_platforms
 from unicon_core.workflow.tick_tree import given_in
 
 

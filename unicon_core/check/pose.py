@@ -15,7 +15,6 @@ from unicon_core.check.graph import has_limits
 from unicon_core.check.joints import check_mirrored, mirror_pairs, robot_values
 from unicon_core.check.result import CheckResult, PolicyResult, first
 from unicon_core.check.subject import Subject, listed
-from unicon_core.figures import figure, figures, span, spans
 from unicon_core.flow import Stage
 from unicon_core.models.loaded import LoadedModel
 from unicon_core.models.posed import PosedModel, foot_bodies, foot_geoms
@@ -23,6 +22,7 @@ from unicon_core.models.touching import floors, on_floor
 from unicon_core.platforms.platform import Resettable
 from unicon_core.policies.contract import ActionKind
 from unicon_core.robots import Robot, joint_index
+from unicon_core.text_table import figure, figures, span, spans
 
 BELOW_FEET = 0.01
 """How far another part may be below the feet in [m]."""

@@ -13,8 +13,8 @@ from unicon_core.blocks.safety.stops import TiltStop
 from unicon_core.blocks.safety.stuck import ImuStop
 from unicon_core.bounds import POSITION
 from unicon_core.flow import Block, Node, Switch, Zip, blocks_of, children_of, compile_graph
+from unicon_core.flow.block import Stage
 from unicon_core.flow.nodes import chooser_of
-from unicon_core.flow.stage import Stage
 from unicon_core.gates.data import Changing, Imu, Rate, Told
 from unicon_core.gates.gate import Heeding, NoCommand, Passing, SoleCommander, StartGate, Variant
 from unicon_core.memory import Memory
@@ -29,7 +29,7 @@ from unicon_core.policies.controller import controller_contract
 from unicon_core.robots import joint_index, robot_files
 from unicon_core.states.standard import JOINT_STATES
 from unicon_core.workflow.program_data import ProgramData
-from unicon_core.workflow.program_memory import holders_of
+from unicon_core.workflow.tick_tree import holders_of
 
 MARGIN = 0.05
 """How far beyond its limits a joint may be measured at the start, [rad]: encoders have offsets."""

@@ -13,7 +13,7 @@ from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.posed import PosedModel
 from unicon_core.models.scalar_rotations import Quat, conjugate, multiply
 from unicon_core.robots import Robot
-from unicon_core.robots.places import Place
+from unicon_core.robots.robot import Place
 
 _HERE = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 

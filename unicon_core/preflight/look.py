@@ -20,9 +20,8 @@ from unicon_base.arrays import Float32
 from unicon_base.errors import Fault, UniconError
 from unicon_core.blocks.approach import Target
 from unicon_core.check.rules import live_code
-from unicon_core.figures import figure
 from unicon_core.flow import Node, Zip, compile_graph
-from unicon_core.flow.stage import Stage
+from unicon_core.flow.block import Stage
 from unicon_core.gates.build import beginning, first_command
 from unicon_core.gates.data import Rate
 from unicon_core.gates.gate import SoleCommander
@@ -36,7 +35,7 @@ from unicon_core.platforms.platform import (
     info_of,
 )
 from unicon_core.signals import SIGNALS
-from unicon_core.text_table import aligned
+from unicon_core.text_table import aligned, figure
 from unicon_core.workflow import Program
 
 

@@ -10,7 +10,6 @@ from html import escape
 from typing import TYPE_CHECKING
 
 from unicon_core import __version__
-from unicon_core.figures import span
 from unicon_core.flow import Block, Chain, Node, Switch
 from unicon_core.page import figure, page, pairs, place, table
 from unicon_core.show.text import (
@@ -23,6 +22,7 @@ from unicon_core.show.text import (
     title,
 )
 from unicon_core.states import States
+from unicon_core.text_table import span
 
 if TYPE_CHECKING:
     from unicon_core.workflow import Program

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 from unicon_base.schema.marks import Within
 from unicon_core.blocks.controls.device import Controls, declares_controls, device_block
 from unicon_core.blocks.joint_command import ticks_of
-from unicon_core.buttons import BUTTONS
+from unicon_core.bounds import BUTTONS
 from unicon_core.flow import Block
 from unicon_core.workflow.autowire import BuildContext
 

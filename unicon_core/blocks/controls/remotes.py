@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from unicon_core.blocks.controls.device import Controls
-from unicon_core.buttons import BUTTONS
+from unicon_core.bounds import BUTTONS
 
 _UNITREE = struct.Struct("<2xH3f4xf16x")
 _DOBOT = struct.Struct("<2xBB4f20x")

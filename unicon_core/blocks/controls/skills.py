@@ -1,4 +1,4 @@
-"""Skills: what chooses between the skills of a workflow, see `unicon_core/workflow/skills.py`.
+"""Skills: what chooses between the skills of a workflow, see `unicon_core/workflow/flow_yaml.py`.
 
 A state machine as `modes` is one, whose modes are asked for by buttons, by a state and by whoever
 calls `ask`, such as a service. Who is refused is told why.

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from unicon_base.errors import Fault, WorkflowError
 from unicon_base.schema.marks import Within, positive
-from unicon_core.flow.stage import Stage
+from unicon_core.flow.block import Stage
 from unicon_core.workflow.autowire import BuildContext
 
 LONGEST = 60.0

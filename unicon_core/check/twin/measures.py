@@ -27,9 +27,9 @@ from unicon_base.arrays import Array, Float64
 from unicon_core.blocks.monitor import Monitor
 from unicon_core.check.result import PolicyResult
 from unicon_core.check.twin.perturb import Change
-from unicon_core.figures import figure, span
 from unicon_core.robots import Robot
 from unicon_core.states import States
+from unicon_core.text_table import figure, span
 
 JUDGED = (
     "joint_pos", "joint_effort", "base_ang_vel", "base_lin_vel", "base_pos_w", "projected_gravity"

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from unicon_base.arrays import Array, Float64, Int64
-from unicon_core.robots.poses import JointPhysics
+from unicon_core.robots.load import JointPhysics
 
 
 class Servo:
