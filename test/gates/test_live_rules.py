@@ -36,8 +36,8 @@ BROKEN: dict[str, dict[str, Any]] = {
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """A look takes less than a second."""
-    monkeypatch.setattr("unicon_core.gates.gate.Rate.WINDOW", 0.1)
-    monkeypatch.setattr("unicon_core.gates.gate.Changing.FROZEN", 0.2)
+    monkeypatch.setattr("unicon_core.gates.data.Rate.WINDOW", 0.1)
+    monkeypatch.setattr("unicon_core.gates.data.Changing.FROZEN", 0.2)
 
 
 def looked(

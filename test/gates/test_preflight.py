@@ -39,7 +39,7 @@ def nothing_sent(monkeypatch: pytest.MonkeyPatch) -> None:
     """Begin anew; a look takes 0.2 s here."""
     gate_robots.SENT.clear()
     monkeypatch.setattr("unicon_ros.cli.preflight.SHORTEST", 0.2)
-    monkeypatch.setattr("unicon_core.gates.gate.Rate.WINDOW", 0.1)
+    monkeypatch.setattr("unicon_core.gates.data.Rate.WINDOW", 0.1)
 
 
 @pytest.fixture

@@ -82,7 +82,7 @@ def check_held(subject: Subject, result: CheckResult) -> None:
     robot = subject.robot
     own = robot.joint_stiffness, robot.joint_damping
     sets: dict[bytes, tuple[str, Any, Any]] = {}
-    named = [(f"robot {robot.name}", own, robot.path)]
+    named: list[tuple[str, Any, Any]] = [(f"robot {robot.name}", own, robot.path)]
     named += [
         (f"block {b.name!r}", getattr(b.tick, "gains", None), b.where) for b in subject.blocks
     ]
@@ -139,7 +139,7 @@ def _table(robot: Robot, policy: PolicyResult, model: ModelJoints | None) -> Non
     own = joint_index(joints, robot.joint_names)
     gains = np.array([contract.stiffness, contract.damping], np.float64)
     known = np.array(robot_values(robot, joints, "joint_stiffness", "joint_damping"))
-    shown = {}
+    shown: dict[str, Float64] = {}
     for what, name, value, other in zip(("kp", "kd"), ("stiffness", "damping"), gains, known):
         shown |= {f"{what} policy": value, f"{what} robot": other}
         if model is not None:

@@ -129,7 +129,7 @@ def _scales(contract: PolicyContract) -> Change:
     return Change("observation scales doubled (all are 1)", culprit, doubled, unlikely=True)
 
 
-def _gains(contract: PolicyContract, order: Sequence[int]) -> Change:
+def _gains(contract: PolicyContract, order: Array) -> Change:
     gains = gains_of(contract)
     for broken in (gains[:, order], gains[:, order[::-1]]):
         if not np.allclose(broken, gains, rtol=1e-3):

@@ -15,7 +15,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from unicon_base.arrays import Float32, Float64
+from unicon_base.arrays import Array, Float32, Float64
 from unicon_base.errors import Fault, PlatformError, UniconError
 from unicon_core.check.joints import joint_depths
 from unicon_core.check.twin.measures import JUDGED, Measures, Recorder
@@ -171,7 +171,7 @@ class TwinSession:
     def poses(self) -> dict[str, dict[str, float]]:
         """Return default poses that somebody else names: the robot file's and key frames'."""
         robot = self.program.robot
-        found = {"the robot file's default pose": robot.default_joint_pos}
+        found: dict[str, Array] = {"the robot file's default pose": robot.default_joint_pos}
         keys = self.model.key_poses().items()
         found |= {f"the pose of the model's key frame {key!r}": pose for key, pose in keys}
         return {name: dict(zip(robot.joint_names, map(float, p))) for name, p in found.items()}
