@@ -412,7 +412,9 @@ class Clock:
 
     def __init__(self, patch: pytest.MonkeyPatch) -> None:
         self.now = 1_000_000_000_000
-        patch.setattr("unicon_core.blocks.safety.overrun.time.perf_counter_ns", lambda: self.now)
+        patch.setattr(
+            "unicon_core.blocks.safety.servo_stops.time.perf_counter_ns", lambda: self.now
+        )
 
     def tick(self, block: Any, ticks: float = 1.0) -> None:
         self.now += round(ticks * 20e6)
@@ -445,7 +447,7 @@ def test_overrun_stop_leaves_simulators_alone(
 ) -> None:
     from types import SimpleNamespace
 
-    from unicon_core.blocks.safety.overrun import OverrunStop
+    from unicon_core.blocks.safety.servo_stops import OverrunStop
     from unicon_core.workflow.autowire import BuildContext
 
     it, clock = made(bench), Clock(monkeypatch)

@@ -14,10 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as some
 
 from unicon_base.errors import WorkflowError
-from unicon_core.blocks.controls.device import Controls, device_block
+from unicon_core.blocks.controls.device import REMOTES, Controls, Keyboard, device_block, keyboard
 from unicon_core.blocks.controls.gamepad import EVENT, Gamepad, gamepad
-from unicon_core.blocks.controls.keyboard import Keyboard, keyboard
-from unicon_core.blocks.controls.remotes import REMOTES
 from unicon_core.robots import load_robot
 from unicon_core.states import States
 from unicon_core.states.standard import BUTTONS, control_states, standard_states

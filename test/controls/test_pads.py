@@ -12,10 +12,20 @@ import pytest
 
 from unicon_base.errors import WorkflowError
 from unicon_core.blocks.controls import gamepad as module
-from unicon_core.blocks.controls import pads
+from unicon_core.blocks.controls import gamepad as pads
 from unicon_core.blocks.controls.device import Controls
-from unicon_core.blocks.controls.gamepad import ABS, EVENT, KEY, SYN, Gamepad, gamepad
-from unicon_core.blocks.controls.pads import Finder, Identity, Mapped, pad_of
+from unicon_core.blocks.controls.gamepad import (
+    ABS,
+    EVENT,
+    KEY,
+    SYN,
+    Finder,
+    Gamepad,
+    Identity,
+    Mapped,
+    gamepad,
+    pad_of,
+)
 from unicon_core.robots import load_robot
 from unicon_core.states import States
 from unicon_core.states.standard import BUTTONS, control_states

@@ -30,9 +30,8 @@ from unitree_helpers import (
 )
 
 from unicon_base.errors import Fault, MissingDependencyError, PlatformError, UniconError
-from unicon_core.blocks.controls.device import Controls
+from unicon_core.blocks.controls.device import Controls, unitree
 from unicon_core.blocks.controls.gamepad import EVENT
-from unicon_core.blocks.controls.remotes import unitree
 from unicon_core.platforms.platform import Prepares, ReportsVariant, SeesCommanders, WaitsForData
 from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states

@@ -12,9 +12,8 @@ from unicon_base.errors import ModelError
 from unicon_core.models.feet import Feet
 from unicon_core.models.find import pick_model
 from unicon_core.models.load import load_model
-from unicon_core.models.loaded import LoadedModel
+from unicon_core.models.loaded import LoadedModel, rows_of
 from unicon_core.models.posed import PosedModel, foot_geoms
-from unicon_core.models.rows import rows_of
 from unicon_core.robots import Robot, load_robot
 
 LEGGED = ["go1", "a1", "go2", "g1_29dof", "g1_23dof", "h1", "h1_2", "t1", "adam_lite"]

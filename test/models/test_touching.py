@@ -13,9 +13,8 @@ from unicon_core.check import CheckResult, check_workflow
 from unicon_core.check.check import refuse_errors
 from unicon_core.models.feet import Feet
 from unicon_core.models.load import load_model
-from unicon_core.models.loaded import LoadedModel
+from unicon_core.models.loaded import LoadedModel, floors, may_touch, on_floor, solid
 from unicon_core.models.posed import Footprint, PosedModel
-from unicon_core.models.touching import floors, may_touch, on_floor, solid
 from unicon_core.robots import load_robot
 from unicon_core.workflow import Program
 from unicon_core.workflow.document import load_document

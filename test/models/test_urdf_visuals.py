@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from worn_meshes import WEDGE, write_stl
 
+from unicon_core.models.kinematic_tree import urdf
 from unicon_core.models.load import load_model
-from unicon_core.models.urdf_write import urdf
 from unicon_core.models.visual_meshes import dressed
 from unicon_core.robots import Robot, load_robot
 

@@ -14,7 +14,7 @@ import pytest
 from scenes import in_scene
 
 from unicon_base.errors import PlatformError, WorkflowError
-from unicon_core.platforms.kit.servo import JointDelay
+from unicon_core.platforms.kit.command import JointDelay
 from unicon_core.platforms.mujoco import make
 from unicon_core.platforms.platform import info_of
 from unicon_core.robots import load_robot, robot_table

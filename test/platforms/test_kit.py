@@ -23,8 +23,7 @@ from unicon_core.platforms.kit.base import (
     rotation,
     rpy_of_quat,
 )
-from unicon_core.platforms.kit.command import Command
-from unicon_core.platforms.kit.servo import Servo
+from unicon_core.platforms.kit.command import Command, Servo
 from unicon_core.robots import Robot, load_robot
 from unicon_core.states import States, standard_states
 from unicon_core.states.standard import BASE_STATES, COMMAND_STATES

@@ -13,7 +13,8 @@ import pytest
 
 from unicon_base.errors import Fault
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.mujoco import MujocoPlatform, make, rehearsal
+from unicon_core.platforms.mujoco import MujocoPlatform, make
+from unicon_core.platforms.mujoco import reader as rehearsal
 from unicon_core.platforms.platform import WarmsUp
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions

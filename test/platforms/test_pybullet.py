@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from unicon_base.errors import Fault, MissingDependencyError
-from unicon_core.models.kinematic_tree import read_tree
-from unicon_core.models.urdf_write import physical_links
+from unicon_core.models.kinematic_tree import physical_links, read_tree
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.kit.start import start_of
 from unicon_core.platforms.platform import Resettable

@@ -10,8 +10,8 @@ import pytest
 
 from unicon_base.errors import PlatformError, UniconError
 from unicon_core.models.load import load_model
-from unicon_core.platforms.kit.bodies import tell_bodies
 from unicon_core.platforms.kit.scene import Scene
+from unicon_core.platforms.kit.start import tell_bodies
 from unicon_core.robots import load_robot
 from unicon_core.runtime.rollouts import Rollouts
 from unicon_core.workflow import Program, load_document

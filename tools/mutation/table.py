@@ -159,7 +159,7 @@ ROWS = [
         ("rate_limit", "rate * np.float32(period)", "rate * np.float32(10 * period)"),
     ),
     *_rows(
-        "blocks/safety/speeds.py",
+        "blocks/safety/limits.py",
         BLOCKS,
         ("velocity_limits", "robot.velocity_limit,", "10 * robot.velocity_limit,"),
         ("velocity_limits", 'if beyond == "trip"', 'if beyond != "trip"'),

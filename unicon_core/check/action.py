@@ -8,8 +8,7 @@ from itertools import compress
 import numpy as np
 
 from unicon_base.arrays import Bool
-from unicon_core.blocks.safety.limits import EffortLimits, JointLimits
-from unicon_core.blocks.safety.speeds import VelocityLimits
+from unicon_core.blocks.safety.limits import EffortLimits, JointLimits, VelocityLimits
 from unicon_core.check.order import check_mirrored
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.safety import has_limits

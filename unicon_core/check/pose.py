@@ -12,9 +12,8 @@ from unicon_core.check.order import check_mirrored, mirror_pairs
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import Subject, listed
 from unicon_core.figures import figure, figures, span, spans
-from unicon_core.models.loaded import LoadedModel
+from unicon_core.models.loaded import LoadedModel, floors, on_floor
 from unicon_core.models.posed import PosedModel, foot_bodies, foot_geoms
-from unicon_core.models.touching import floors, on_floor
 from unicon_core.platforms.platform import Resettable
 from unicon_core.robots import Robot, joint_index
 

@@ -17,10 +17,9 @@ import numpy as np
 
 from unicon_base.arrays import Array, Float64
 from unicon_base.errors import ModelError, UniconError, alternatives, one_line
-from unicon_core.models.kinematic_tree import frame_of
+from unicon_core.models.kinematic_tree import frame_of, multiply
 from unicon_core.models.loaded import body_in, import_mujoco
 from unicon_core.models.posed import PosedModel
-from unicon_core.models.quaternions import multiply
 from unicon_core.models.terrain import load_on
 from unicon_core.robots import Robot
 from unicon_core.terrain.words import Terrain
@@ -29,10 +28,10 @@ NO_GL = (
     "camera: no offscreen OpenGL ({reason}); on Debian and Ubuntu: apt install libegl1 "
     "libgl1-mesa-dri, or libosmesa6 with MUJOCO_GL=osmesa"
 )
+# The frame of the world that the states' base poses are in (REP-105).
 ODOM = "odom"
-"""The frame of the world that the states' base poses are in (REP-105)."""
+# Optical frame to MuJoCo's camera frame, wxyz.
 OPTICAL = np.array((0.0, 1.0, 0.0, 0.0))
-"""Optical frame to MuJoCo's camera frame, wxyz."""
 
 
 @dataclass(frozen=True)

@@ -14,14 +14,19 @@ from numpy.lib.stride_tricks import as_strided
 
 from unicon_base.arrays import Array, Float64, Index
 from unicon_base.errors import ModelError
-from unicon_core.models.loaded import LoadedModel, dofs_above, import_mujoco
+from unicon_core.models.loaded import (
+    LoadedModel,
+    dofs_above,
+    import_mujoco,
+    index_of,
+    rows_of,
+    solid,
+)
 from unicon_core.models.posed import foot_bodies, foot_geoms
-from unicon_core.models.rows import index_of, rows_of
-from unicon_core.models.touching import solid
 from unicon_core.robots import Robot
 
+# In [m/s²].
 GRAVITY = 9.81
-"""In [m/s²]."""
 # Damping of the least squares, in [m²] and none: legs move a foot by 0.1 m for a radian or more,
 # and where their joints cannot tell force from moment, 10 N are as likely as 1 N·m.
 _OF_FORCE, _OF_MOMENT = 1e-5, 1e-3

@@ -12,9 +12,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from unicon_base.arrays import Array, Bool, Float64
-from unicon_core.models.loaded import LoadedModel, bodies_above, import_mujoco
-from unicon_core.models.rows import index_of
-from unicon_core.models.touching import floors, may_touch, on_floor, solid
+from unicon_core.models.loaded import (
+    LoadedModel,
+    bodies_above,
+    floors,
+    import_mujoco,
+    index_of,
+    may_touch,
+    on_floor,
+    solid,
+)
 from unicon_core.robots import Robot
 
 _FAR = 100.0  # [m]

@@ -12,10 +12,8 @@ import numpy as np
 
 from unicon_base.arrays import Float32
 from unicon_base.schema.marks import Unit, Within
-from unicon_core.platforms.kit.bodies import GANTRY
-from unicon_core.platforms.kit.command import Command
-from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.kit.servo import Servo
+from unicon_core.platforms.kit.command import Command, Servo
+from unicon_core.platforms.kit.scene import GANTRY, Scene
 from unicon_core.platforms.kit.start import start_of
 from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.robots import Robot
@@ -172,8 +170,8 @@ class FakeRobot(FakePlatform):
 
     facts = replace(FakePlatform.facts, name="fake_robot", simulated=False, batch=False)
 
+    # After so long a first move takes one period, [ns].
     PAUSE = 100_000_000
-    """After so long a first move takes one period, [ns]."""
 
     def __init__(
         self, states: States, robot: Robot, period: float, scene: Scene, time_constant: float

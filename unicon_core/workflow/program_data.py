@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 
-from unicon_core.blocks.monitor import Monitor
+from unicon_core.blocks.approach import Monitor
 from unicon_core.flow import Block, Node
 from unicon_core.flow.stage import Stage
 from unicon_core.gates.gate import StartGate

@@ -7,7 +7,7 @@
     flow: skills                       # begins with the first; or {skills: {on: STATE}}
 
 It is the switch that one would write by hand: `blend_in` behind each skill, and a selector that
-`unicon_core/blocks/controls/skills.py` has.
+`unicon_core/blocks/controls/modes.py` has.
 """
 
 from __future__ import annotations
@@ -20,8 +20,7 @@ import numpy as np
 
 from unicon_base.errors import WorkflowError
 from unicon_base.schema.marks import Write
-from unicon_core.blocks.controls.modes import check_buttons, way_of
-from unicon_core.blocks.controls.skills import SKILL, Ended, Skills
+from unicon_core.blocks.controls.modes import SKILL, Ended, Skills, check_buttons, way_of
 from unicon_core.flow import Block, Chain, Node, Switch, Zip
 from unicon_core.robots import Robot
 from unicon_core.states import StateSpec

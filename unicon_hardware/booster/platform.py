@@ -16,8 +16,7 @@ import numpy as np
 
 from unicon_base.arrays import Array
 from unicon_base.errors import Fault
-from unicon_core.blocks.controls.device import Controls
-from unicon_core.blocks.controls.remotes import REMOTES
+from unicon_core.blocks.controls.device import REMOTES, Controls
 from unicon_core.platforms.kit.base import Mounting, quat_of_rpy
 from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot

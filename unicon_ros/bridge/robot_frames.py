@@ -14,8 +14,8 @@ from unicon_base.arrays import Array
 from unicon_base.errors import UniconError
 from unicon_core.flow import Block
 from unicon_core.models.find import model_of
+from unicon_core.models.kinematic_tree import urdf
 from unicon_core.models.posed import Footprint
-from unicon_core.models.urdf_write import urdf
 from unicon_core.models.visual_meshes import dressed
 from unicon_core.workflow import Program
 from unicon_msgs_map import Encoder

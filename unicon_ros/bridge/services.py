@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from unicon_core.blocks.controls.skills import Skills
+from unicon_core.blocks.controls.modes import Skills
 from unicon_core.workflow import Program
 from unicon_core.workflow.skills import skills_of
 from unicon_ros.controls import Answer

@@ -11,8 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from unicon_base.arrays import Float32
-from unicon_core.models.kinematic_tree import Link
-from unicon_core.models.quaternions import multiply, rotate
+from unicon_core.models.kinematic_tree import Link, multiply, rotate
 from unicon_msgs_map import Encoder, FieldSpec, PublishSpec, Qos
 from unicon_msgs_map.layout.messages import shared_messages
 from unicon_msgs_map.layout.paths import parse_path, parse_reference

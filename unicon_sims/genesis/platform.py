@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from unicon_base.errors import Fault, MissingDependencyError, ModelError, one_line
-from unicon_core.models.touching import contact_of, floors, may_touch, on_floor
-from unicon_core.platforms.kit.quiet import patience
+from unicon_core.models.loaded import contact_of, floors, may_touch, on_floor
 from unicon_core.platforms.kit.stepped import (
     SIMULATED,
     Facts,
@@ -31,6 +30,7 @@ from unicon_core.platforms.kit.stepped import (
     SteppedSimulator,
     WorldPose,
     import_mujoco,
+    patience,
     rotation,
     setup_of,
 )

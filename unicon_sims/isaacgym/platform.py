@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from unicon_base.errors import MissingDependencyError, PlatformError
-from unicon_core.models.urdf_write import physical_urdf
+from unicon_core.models.kinematic_tree import physical_urdf
 from unicon_core.platforms.kit.stepped import (
     SIMULATED,
     Facts,

@@ -16,9 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from unicon_base.errors import MissingDependencyError, ModelError, one_line
-from unicon_core.models.actuators import effort_ranges
-from unicon_core.platforms.kit.quiet import patience, quiet
-from unicon_core.platforms.kit.servo import strength_of
+from unicon_core.models.load import effort_ranges
+from unicon_core.platforms.kit.command import strength_of
 from unicon_core.platforms.kit.stepped import (
     BODY_PHYSICS,
     JOINT_PHYSICS,
@@ -34,13 +33,15 @@ from unicon_core.platforms.kit.stepped import (
     SteppedSimulator,
     WorldPose,
     import_mujoco,
+    patience,
+    quiet,
     rotation,
     setup_of,
 )
 
+# Tolerance of the solver: float32 seldom gets further, however often it iterates. With MuJoCo's own
+# 1e-8 sixteen Go2 took 1.6 times as long.
 FINEST = 1e-6
-"""Tolerance of the solver: float32 seldom gets further, however often it iterates. With MuJoCo's
-own 1e-8 sixteen Go2 took 1.6 times as long."""
 
 
 class MjxPlatform(SteppedSimulator):

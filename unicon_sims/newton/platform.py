@@ -18,7 +18,6 @@ import numpy as np
 
 from unicon_base.arrays import Float32
 from unicon_base.errors import MissingDependencyError, PlatformError, alternatives, one_line
-from unicon_core.platforms.kit.quiet import patience, quiet
 from unicon_core.platforms.kit.stepped import (
     SIMULATED,
     DampedSimulator,
@@ -31,13 +30,15 @@ from unicon_core.platforms.kit.stepped import (
     States,
     WorldPose,
     import_mujoco,
+    patience,
+    quiet,
     rotation,
     setup_of,
 )
 from unicon_sims.newton.world import build_world, not_told, solver_options
 
+# MuJoCo's own library, robot by robot, or MuJoCo Warp, all of them in one step.
 Solver = Literal["mujoco", "warp"]
-"""MuJoCo's own library, robot by robot, or MuJoCo Warp, all of them in one step."""
 
 _COMPILES = "newton: loading its kernels, which compile for a minute or two the first time"
 

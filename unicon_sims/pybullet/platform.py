@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from unicon_base.errors import imported
-from unicon_core.models.urdf_write import physical_urdf
-from unicon_core.platforms.kit.quiet import quiet
+from unicon_core.models.kinematic_tree import physical_urdf
 from unicon_core.platforms.kit.stepped import (
     BODY_PHYSICS,
     SIMULATED,
@@ -24,6 +23,7 @@ from unicon_core.platforms.kit.stepped import (
     States,
     WorldPose,
     ground_friction,
+    quiet,
     setup_of,
 )
 

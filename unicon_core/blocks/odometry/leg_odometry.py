@@ -125,12 +125,12 @@ class Standing:
 
 
 ACCELERATION_NOISE, JOINT_NOISE = 1.5, 0.4
+# Between two data in [s], over which an acceleration tells nothing any more.
 LONGEST = 0.1
-"""Between two data in [s], over which an acceleration tells nothing any more."""
+# Time without a foot that stands in [s], after which the robot is taken to hang, not to jump.
 HANGS = 0.5
-"""Time without a foot that stands in [s], after which the robot is taken to hang, not to jump."""
+# Of the position, as a share of the way.
 DRIFT = 0.03
-"""Of the position, as a share of the way."""
 # Squared, in [m²/s²], [rad²/s²] and [m²/s⁴]: a base that moves at 100 m/s, turns at 100 rad/s, or
 # feels 100 g is one that a sensor makes up.
 _FASTEST, _QUICKEST, _HARDEST = 1e4, 1e4, 1e6

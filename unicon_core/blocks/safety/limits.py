@@ -20,11 +20,11 @@ from unicon_core.flow.stage import Stage
 from unicon_core.robots import Robot
 from unicon_core.states.stacked import Range
 
+# A target that `rate_limit` has held back is not beyond the same limit.
 ROUNDING = np.float32(1.0001)
-"""A target that `rate_limit` has held back is not beyond the same limit."""
 
+# What a limit does with a command that is beyond it.
 Beyond = Literal["clamp", "trip"]
-"""What a limit does with a command that is beyond it."""
 
 
 def limits_of(known: Float32, scale: float | None, usual: float, beyond: Beyond) -> Float32:
@@ -133,6 +133,34 @@ class JointLimitStop(Trip, JointLimits):
     said = "is sent to {:.3f} rad, allowed are {:.3f} to {:.3f}"
 
 
+def velocity_limits(
+    joint_vel_target: Amends, *, robot: Robot, scale: Scale = None, beyond: Beyond = "clamp"
+) -> VelocityLimits:
+    """Hold velocity targets within the robot's velocity limits; an unknown limit does not bind.
+
+    Args:
+        joint_vel_target: in [rad/s], shape (..., n).
+        scale: of the robot's limits: 1, and at most that, where it clamps; at most 10 where it
+            trips.
+        beyond: `clamp` clips the target, `trip` is a fault.
+    """
+    limit = limits_of(robot.velocity_limit, scale, 1.0, beyond)
+    made = VelocityLimitStop if beyond == "trip" else VelocityLimits
+    return made(joint_vel_target, -limit, limit, robot)
+
+
+class VelocityLimits(Clamp):
+    """The tick of `velocity_limits`."""
+
+    limits = "joint_vel_target"
+
+
+class VelocityLimitStop(Trip, VelocityLimits):
+    """The tick of `velocity_limits` with `beyond: trip`."""
+
+    said = "is sent a velocity of {0:.2f} rad/s, allowed are {2:.2f}"
+
+
 @dataclass(frozen=True, eq=False)
 class Servo(Bundle):
     """What a servo makes a torque of, each of shape (..., n); the targets may be changed."""
@@ -221,7 +249,7 @@ class EffortStop(EffortLimits):
         )
 
 
-def velocity_limits(robot: Robot, remedy: str, hands: float | None = None) -> Float32:
+def known_velocity_limits(robot: Robot, remedy: str, hands: float | None = None) -> Float32:
     """Return the velocity limits of a robot file in [rad/s], shape (n,).
 
     Args:
@@ -257,7 +285,7 @@ def rates_of(max_rate: MaxRate, robot: Robot, block: str) -> Float32:
         RobotError: `robot` is asked for, and its file does not say them.
     """
     if isinstance(max_rate, str):
-        return velocity_limits(robot, f"give {block} a max_rate in [rad/s]")
+        return known_velocity_limits(robot, f"give {block} a max_rate in [rad/s]")
     return np.fmin(np.float32(max_rate), robot.velocity_limit)
 
 
@@ -280,7 +308,7 @@ def rate_limit(
         RobotError: the robot file does not say them.
     """
     if isinstance(max_rate, str):
-        rate = velocity_limits(robot, "give rate_limit a max_rate in [rad/s]")
+        rate = known_velocity_limits(robot, "give rate_limit a max_rate in [rad/s]")
     else:
         rate = np.full(robot.num_joints, max_rate, np.float32)
     made = RateStop if beyond == "trip" else RateLimit

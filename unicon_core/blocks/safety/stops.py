@@ -17,7 +17,7 @@ from unicon_base.schema.marks import NotEmpty, Unit, Within, Write, positive
 from unicon_core.blocks.controls.device import declares_controls
 from unicon_core.blocks.joint_command import Commands, end_of, ticks_of
 from unicon_core.blocks.predicates import largest
-from unicon_core.blocks.safety.limits import velocity_limits
+from unicon_core.blocks.safety.limits import known_velocity_limits
 from unicon_core.blocks.safety.ranges import RangeStop
 from unicon_core.bounds import TILT, VELOCITY, VELOCITY_FACTOR, Seconds, Speed, Timeout
 from unicon_core.buttons import BUTTONS, Button
@@ -28,11 +28,11 @@ from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.stacked import Range, Screen
 
+# Ticks that a block looks at before it stops a robot, from which on it may look after `send`.
 PATIENT = 5
-"""Ticks that a block looks at before it stops a robot, from which on it may look after `send`."""
 
+# In [m]: what stands on a mountain.
 HEIGHT = 10_000.0
-"""In [m]: what stands on a mountain."""
 Height = Annotated[float, Unit("m"), Within(-HEIGHT, HEIGHT, above=True)]
 
 
@@ -136,7 +136,7 @@ class VelocityStop:
         if limit is not None:
             bound = np.full(robot.num_joints, limit, np.float32)
         else:
-            limits = velocity_limits(robot, "give velocity_stop a limit in [rad/s]", VELOCITY)
+            limits = known_velocity_limits(robot, "give velocity_stop a limit in [rad/s]", VELOCITY)
             bound = limits * np.float32(factor)
         self._vel, self._bound, self._names = joint_vel, bound, robot.joint_names
         self.ranges = [Range(joint_vel, -bound, bound)]
@@ -192,8 +192,8 @@ class StaleStop:
 
 
 Buttons = Annotated[Sequence[Button], NotEmpty, Write("a list of buttons, such as [select]")]
+# For how many ticks all buttons of an emergency stop are pressed: one frame may be garbage.
 STEADY = 2
-"""For how many ticks all buttons of an emergency stop are pressed: one frame may be garbage."""
 
 
 class ButtonStop:

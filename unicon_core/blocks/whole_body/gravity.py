@@ -17,8 +17,8 @@ from unicon_base.arrays import Bool, Index
 from unicon_base.errors import WorkflowError
 from unicon_core.blocks.joint_command import single
 from unicon_core.flow.block import Amends, Reads
+from unicon_core.models.loaded import index_of
 from unicon_core.models.posed import Weight, bearing_joints
-from unicon_core.models.rows import index_of
 from unicon_core.robots import Robot
 from unicon_core.workflow.autowire import BuildContext
 

@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from unicon_base.arrays import Array, Float64
-from unicon_core.blocks.monitor import Monitor
+from unicon_core.blocks.approach import Monitor
 from unicon_core.robots import Robot
 from unicon_core.states import States
 

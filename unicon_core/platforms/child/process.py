@@ -18,18 +18,17 @@ from typing import Any
 
 from unicon_base.errors import Fault, UniconError
 from unicon_core.models.find import terrain_of
-from unicon_core.platforms.child.parent import ALARM, LONGEST, Parent, text_of
+from unicon_core.platforms.child.pipe import ALARM, LONGEST, Parent, text_of
 from unicon_core.platforms.child.platform import START
 from unicon_core.platforms.platform import Platform, info_of
 from unicon_core.states import Layout, States
 from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter
 from unicon_core.states.groups import COMMAND, MEASURED, subset
 
+# What a platform can do for its parent besides a tick: methods of its protocols. A call goes
+# through the pipe, and what the method returns or raises comes back. None is called once commands
+# are sent but those of simulators. A new ability needs its word here and nothing else.
 ABILITIES = ("reset", "push", "require", "variant", "commanders", "prepare", "arrivals")
-"""What a platform can do for its parent besides a tick: methods of its protocols.
-
-A call goes through the pipe, and what the method returns or raises comes back. None is called once
-commands are sent but those of simulators. A new ability needs its word here and nothing else."""
 
 # How often a robot's data are taken, in [s]; a command is sent at once.
 _ROBOT_LOOK = 0.001

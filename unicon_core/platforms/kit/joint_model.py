@@ -14,14 +14,22 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 
 from unicon_base.arrays import Float64
-from unicon_core.models.actuators import actuator_kind
-from unicon_core.models.loaded import LoadedModel, drives, import_mujoco
-from unicon_core.models.touching import around, contact_of, floors, may_touch, on_floor
+from unicon_core.models.load import actuator_kind
+from unicon_core.models.loaded import (
+    LoadedModel,
+    around,
+    contact_of,
+    drives,
+    floors,
+    import_mujoco,
+    may_touch,
+    on_floor,
+)
 from unicon_core.platforms.kit.start import Start
 from unicon_core.robots import Robot
 
+# `keep` the damping of a model's joints beside that of the command, or let that `replace` it.
 Passive: TypeAlias = Literal["keep", "replace"]
-"""`keep` the damping of a model's joints beside that of the command, or let that `replace` it."""
 
 
 @dataclass(frozen=True, eq=False)

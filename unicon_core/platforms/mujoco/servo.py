@@ -17,11 +17,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from unicon_base.arrays import Float64
-from unicon_core.models.actuators import actuator_kind, effort_ranges
-from unicon_core.models.loaded import LoadedModel, drives, import_mujoco
-from unicon_core.models.rows import index_of
+from unicon_base.arrays import Array, Float64
+from unicon_core.models.load import actuator_kind, effort_ranges
+from unicon_core.models.loaded import LoadedModel, drives, import_mujoco, index_of
 from unicon_core.robots import Robot
+
+# Controls, gains and biases of one robot's actuators: shapes (n,), (n,) and (n, 3).
+Told = tuple[Array, Array, Array]
 
 
 class Servo:
@@ -102,6 +104,28 @@ class Servo:
             self._bias[index, 1] = -stiffness
             self._bias[index, 2] = -damping
             self._written = gains
+
+    def told(self, command: Array) -> list[Told]:
+        """Return what `push` would bring into the model, of every robot of a batch at once.
+
+        Args:
+            command: rows as of `push`, shape (5, N, n).
+
+        Returns:
+            What `write` takes, for each robot.
+        """
+        if self._strength is not None:
+            command = np.concatenate((command[:2], command[2:] * self._strength))
+        stiffness, damping = command[3:] / self.gear**2
+        b0 = (command[4] * command[1] + command[2]) / self.gear
+        bias = np.stack((b0, -stiffness, -damping), axis=-1)
+        return list(zip(command[0] * self.gear, stiffness, bias))
+
+    def write(self, ctrl: Array, told: Told) -> None:
+        """Put what `told` returned of one robot into the model and its controls (`MjData.ctrl`)."""
+        index = self.index
+        ctrl[index], self._gain[index], self._bias[index, :3] = told
+        self._written = b""  # it is not what was pushed any more
 
     def holding(self, qpos: Float64) -> Float64:
         """Return controls that hold the joints of other position actuators (hands, objects).

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -10,15 +10,16 @@ import numpy as np
 
 from unicon_base.arrays import Array, Float64, Int64
 from unicon_base.errors import Fault
+from unicon_core import memory
 from unicon_core.models.loaded import LoadedModel
-from unicon_core.platforms.kit.clock import tick_ns
-from unicon_core.platforms.kit.command import Command
-from unicon_core.platforms.kit.servo import JointDelay
-from unicon_core.platforms.mujoco.reader import Reader, without_sensors
-from unicon_core.platforms.mujoco.rehearsal import Rehearsal
+from unicon_core.models.posed import PosedModel
+from unicon_core.platforms.kit.command import Command, JointDelay, tick_ns
+from unicon_core.platforms.mujoco.reader import Reader, Rehearsal, without_sensors
 from unicon_core.platforms.mujoco.servo import Servo
 
 _TOO_FAST = 1e10  # squared norm of all velocities: no robot's joint turns at 1e5 rad/s
+# Results of the tick that the next one reads, and `mj_step1` does not compute.
+_COMPUTED = ("sensordata", "qacc", "qfrc_actuator")
 
 
 class SimulatedRobot:
@@ -194,3 +195,60 @@ class SimulatedRobot:
         """Add to the base's horizontal velocity in [m/s], shape (2,)."""
         start = int(self.model.jnt_dofadr[self._base])
         self.data.qvel[start : start + 2] += velocity
+
+    def put(self, measured: Mapping[str, Array], posed: PosedModel) -> None:
+        """Put the robot where one was measured; commands on their way stay on it.
+
+        Args:
+            measured: as of `Placeable`.
+            posed: the model on flat ground.
+        """
+        data, loaded, model = self.data, self.loaded, self.model
+        if "joint_pos" in measured:
+            data.qpos[loaded.addresses] = measured["joint_pos"]
+        if "joint_vel" in measured:
+            data.qvel[loaded.dofs] = measured["joint_vel"]
+        if self._base is not None:
+            mujoco = self._mujoco
+            pose = data.qpos[model.jnt_qposadr[self._base] :][:7]
+            twist = data.qvel[model.jnt_dofadr[self._base] :][:6]
+            if "base_quat" in measured:
+                pose[3:] = measured["base_quat"]
+                mujoco.mju_normalize4(pose[3:])
+            if "base_pos_w" in measured:
+                pose[:3] = measured["base_pos_w"]
+            else:
+                posed.put(data.qpos[loaded.addresses], pose)
+                pose[2] -= min(posed.heights().values(), default=0.0)
+            if "base_ang_vel" in measured:
+                twist[3:] = measured["base_ang_vel"]
+            if "base_lin_vel" in measured:
+                in_base = np.asarray(measured["base_lin_vel"], np.float64)
+                mujoco.mju_rotVecQuat(twist[:3], in_base, pose[3:])
+        data.qacc_warmstart[:] = 0.0  # what comes follows from the measured state alone
+        self.forward()
+
+    def save(self) -> dict[str, Any]:
+        """Return what the physics go on from."""
+        mujoco, model, data = self._mujoco, self.model, self.data
+        kind = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+        state = np.zeros(mujoco.mj_stateSize(model, kind))
+        mujoco.mj_getState(model, data, state, kind)
+        return {
+            **{name: getattr(data, name).copy() for name in _COMPUTED},
+            "state": state,
+            "ticks": self.ticks,
+            "command": self.command.copy(),
+            "delay": None if self.delay is None else memory.save(self.delay),
+        }
+
+    def load(self, kept: dict[str, Any]) -> None:
+        """Go on as a robot of another platform would that was built alike."""
+        mujoco, model, data = self._mujoco, self.model, self.data
+        mujoco.mj_setState(model, data, kept["state"], int(mujoco.mjtState.mjSTATE_INTEGRATION))
+        self.ticks, self.command[...] = kept["ticks"], kept["command"]
+        if self.delay is not None:
+            memory.load(self.delay, kept["delay"])
+        mujoco.mj_step1(model, data)
+        for name in _COMPUTED:
+            getattr(data, name)[:] = kept[name]
