@@ -15,6 +15,7 @@ from unicon_core.workflow import Program, load_workflow
 
 Float = NDArray[np.float64]
 
+# Standard deviations in [rad], [rad/s], [rad/s], [m/s²] and of a quaternion's elements.
 NOISE = {
     "joint_pos": 0.005,
     "joint_vel": 0.25,
@@ -22,20 +23,19 @@ NOISE = {
     "base_lin_acc": 0.3,
     "base_quat": 0.005,
 }
-"""Standard deviations in [rad], [rad/s], [rad/s], [m/s²] and of a quaternion's elements."""
 
 
 class Odometry(NamedTuple):
     """A run: what was so, and what was estimated, tick by tick."""
 
     report: Report
+    # Of `base_lin_vel` in [m/s], shape (ticks, 3).
     truth: Float
-    """Of `base_lin_vel` in [m/s], shape (ticks, 3)."""
     estimate: Float
+    # As told, in [m²/s²], shape (ticks,).
     variance: Float
-    """As told, in [m²/s²], shape (ticks,)."""
+    # True position in [m], shape (ticks, 3).
     place: Float
-    """True position in [m], shape (ticks, 3)."""
     contact: Float
 
     @property

@@ -68,14 +68,8 @@ def test_ramp_and_limits_bound_the_command(bench: Build) -> None:
     ("options", "message"),
     [
         ({}, "give either constant: [vx, vy, wz] or schedule: [[t, vx, vy, wz], …]"),
-        (
-            {"constant": [1.0]},
-            "constant is [1.0]; write [vx, vy, wz], or null",
-        ),
-        (
-            {"schedule": [[0, 1, 0]]},
-            "schedule.0 is [0, 1, 0]; write [t, vx, vy, wz]",
-        ),
+        ({"constant": [1.0]}, "constant is [1.0]; write [vx, vy, wz], or null"),
+        ({"schedule": [[0, 1, 0]]}, "schedule.0 is [0, 1, 0]; write [t, vx, vy, wz]"),
         (
             {"schedule": [[1, 0, 0, 0], [1, 0, 0, 0]]},
             "the schedule's times [1.0, 1.0] do not rise; correct them",
@@ -85,10 +79,7 @@ def test_ramp_and_limits_bound_the_command(bench: Build) -> None:
             "limits are [[1.0, 0.0], [0.0, 1.0], [0.0, 1.0]]; give [[lowest, highest]] of vx, vy "
             "and wz",
         ),
-        (
-            {"constant": [0, 0, 0], "ramp": 0.0},
-            "ramp is 0.0; write a number above 0, or null",
-        ),
+        ({"constant": [0, 0, 0], "ramp": 0.0}, "ramp is 0.0; write a number above 0, or null"),
     ],
 )
 def test_wrong_commands(bench: Build, options: dict[str, Any], message: str) -> None:
@@ -127,7 +118,8 @@ def test_projected_gravity_is_the_rotated_vertical(bench: Build, num_robots: int
         quats = np.atleast_2d(it.states.base_quat).astype(np.float64)
         for (w, *v), got in zip(quats, np.atleast_2d(it.states.projected_gravity)):
             # q* (0, 0, -1) q, with u = -v: g + 2 u x (u x g + w g)
-            u, g = -np.array(v), np.array((0.0, 0.0, -1.0))
+            u = -np.array(v)
+            g = np.array((0.0, 0.0, -1.0))
             expected = g + 2 * np.cross(u, np.cross(u, g) + w * g)
             np.testing.assert_allclose(got, expected, atol=1e-6)
 

@@ -56,10 +56,8 @@ def test_pose_is_smooth_and_ends_exactly_in_its_time(bench: Build) -> None:
 def test_pose_can_run_again_after_it_was_done(bench: Build) -> None:
     it = bench()
     it.stand()
-    lie, stand = (
-        it.block("pose", to="rest", duration=0.5),
-        it.block("pose", to="stand", duration=0.5),
-    )
+    lie = it.block("pose", to="rest", duration=0.5)
+    stand = it.block("pose", to="stand", duration=0.5)
     for _ in range(2):
         assert it.ticks(lie) == 25
         assert it.states.joint_pos_target.tolist() == it.robot.rest_joint_pos.tolist()

@@ -137,7 +137,8 @@ def test_fade_in_scales_velocities_and_torques_once(bench: Build) -> None:
 
 def test_velocity_limits_clamp_or_trip(bench: Build) -> None:
     it = bench()
-    block, stop = it.block("velocity_limits"), it.block("velocity_limits", beyond="trip")
+    block = it.block("velocity_limits")
+    stop = it.block("velocity_limits", beyond="trip")
     limit = it.robot.velocity_limit
     it.states.joint_vel_target = 0.5 * limit
     stop.tick()

@@ -174,7 +174,8 @@ def test_all_joints_by_name_are_all_joints(following: Bench) -> None:
         for name in ("joint_pos_command", "joint_vel_command", "joint_effort_command"):
             said = rng.uniform(-2.0, 2.0, 12)
             following.states[name] = np.where(rng.uniform(size=12) < 0.3, np.nan, said)
-        before, after = following.states.snapshot(), []
+        before = following.states.snapshot()
+        after = []
         for block in made:
             following.states.restore(before)
             block.tick()
@@ -183,13 +184,15 @@ def test_all_joints_by_name_are_all_joints(following: Bench) -> None:
 
 
 def test_in_silence_it_goes_home_slowly_and_comes_back_without_a_jump(following: Bench) -> None:
-    states, home = following.states, following.robot.default_joint_pos
+    states = following.states
+    home = following.robot.default_joint_pos
     block = following.block("forward_command", max_rate=5.0, silent="home", home_rate=0.5)
     states.joint_pos_command[...] = BEGIN + 0.4
     away = ticked(following, block, 50)
     np.testing.assert_allclose(away, BEGIN + 0.4, atol=1e-6)
     states.joint_pos_command[...] = np.nan
-    before, most = away, 0.5 * following.period * 1.001
+    before = away
+    most = 0.5 * following.period * 1.001
     for _ in range(20):
         now = ticked(following, block)
         assert (np.abs(now - home) <= np.abs(before - home)).all()
@@ -206,7 +209,8 @@ def test_in_silence_it_goes_home_slowly_and_comes_back_without_a_jump(following:
 
 
 def test_home_may_be_another_pose(following: Bench) -> None:
-    states, robot = following.states, following.robot
+    states = following.states
+    robot = following.robot
     block = following.block("forward_command", silent="home", home={"*_hip_joint": 0.2})
     states.joint_pos_command[...] = np.nan
     wanted = [
@@ -261,7 +265,8 @@ def test_a_first_command_after_home_may_be_refused_and_holds(
 
 
 def test_gains_may_be_given_in_place_of_the_robots(following: Bench) -> None:
-    robot, states = following.robot, following.states
+    robot = following.robot
+    states = following.states
     block = following.block(
         "forward_command", stiffness={"*_hip_joint": 33.0}, damping=4.0, stiffness_scale=0.5
     )

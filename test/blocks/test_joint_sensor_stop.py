@@ -28,20 +28,28 @@ class Gait:
     """
 
     def __init__(self, it: Any, noise: float = 0.0) -> None:
-        self.it, self.noise, self.rng = rest(it), noise, np.random.default_rng(3)
-        self.time, self.turns = 100.0, 0.6
+        self.it = rest(it)
+        self.noise = noise
+        self.rng = np.random.default_rng(3)
+        self.time = 100.0
+        self.turns = 0.6
         self.phase = np.arange(len(it.robot.joint_names)) * 1.3
 
     def frame(self, k: int, *, time: float | None = None) -> None:
         """Measure in tick k."""
-        states, rng, n = self.it.states, self.rng, len(self.phase)
+        states = self.it.states
+        rng = self.rng
+        n = len(self.phase)
         t = PERIOD * k if time is None else time
         swing = 12.0 * t + self.phase
         noise = [self.noise * scale * rng.uniform(-1, 1, n) for scale in (0.01, 1.0)]
         states.joint_pos = self.it.robot.default_joint_pos + 0.25 * np.sin(swing) + noise[0]
         states.joint_vel = 3.0 * np.cos(swing) + noise[1]
-        yaw, nod = self.turns * t, 0.06 * np.sin(12.0 * t)
-        w, z, y = np.cos(yaw / 2), np.sin(yaw / 2), np.sin(nod / 2)
+        yaw = self.turns * t
+        nod = 0.06 * np.sin(12.0 * t)
+        w = np.cos(yaw / 2)
+        z = np.sin(yaw / 2)
+        y = np.sin(nod / 2)
         quat = np.array([w * np.cos(nod / 2), -z * y, w * y, z * np.cos(nod / 2)])
         states.base_quat = quat
         rate = 0.06 * 12.0 * np.cos(12.0 * t)
@@ -115,7 +123,8 @@ def test_sensors_that_contradict_each_other_are_a_fault(
 def test_sound_sensors_are_none(bench: Build, block: str) -> None:
     """With noise; frames that come twice, are late, are lost; pauses; a clock that is set."""
     gait = Gait(bench(), 1.5)
-    made, rng = gait.it.block(block), np.random.default_rng(4)
+    made = gait.it.block(block)
+    rng = np.random.default_rng(4)
     last = 0.0
     for k in range(3000):
         if rng.random() > 0.05:  # else nothing has come
@@ -178,7 +187,8 @@ def test_an_old_frame_behind_a_pause_is_none(bench: Build) -> None:
 
 def test_velocities_of_the_same_bits_are_a_fault_where_joints_move_slowly(bench: Build) -> None:
     gait = Gait(bench())
-    made, pos = gait.it.block("joint_sensor_stop"), gait.it.states.joint_pos
+    made = gait.it.block("joint_sensor_stop")
+    pos = gait.it.states.joint_pos
     gait.it.states.joint_vel = 0.0
 
     def crept(k: int) -> None:
@@ -197,7 +207,8 @@ def test_velocities_of_the_same_bits_are_a_fault_where_joints_move_slowly(bench:
 
 def test_an_imu_of_another_topic_than_the_stamps_is_sound(bench: Build) -> None:
     gait = Gait(bench(), 1.0)
-    made, rng = gait.it.block("imu_stop"), np.random.default_rng(5)
+    made = gait.it.block("imu_stop")
+    rng = np.random.default_rng(5)
     gait.turns = 3.0
     stamp = 0
     for k in range(2000):
@@ -229,7 +240,8 @@ def test_joints_that_turn_for_ever_or_take_positions_are_not_looked_at(
     robot = load_robot("go2")
     knee = np.arange(robot.num_joints) == KNEE
     if what == "wheel":
-        lower, upper = np.where(knee, -np.inf, robot.lower), np.where(knee, np.inf, robot.upper)
+        lower = np.where(knee, -np.inf, robot.lower)
+        upper = np.where(knee, np.inf, robot.upper)
         robot = replace(robot, lower=lower, upper=upper)
     elif what == "finger":
         robot = replace(robot, transport={**robot.transport, "command": "position"})

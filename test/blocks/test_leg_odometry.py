@@ -171,7 +171,8 @@ def test_a_simulator_that_is_put_back_begins_anew() -> None:
     document = load_document("go2_walk", WALK)
     program = Program(document)
     blocks = {block.name: block for block in program.blocks}
-    tick, states = blocks["leg_odometry"].tick, program.states
+    tick = blocks["leg_odometry"].tick
+    states = program.states
     program.platform.recv()
     tick()
     states.stamp_ns += 10**9
@@ -332,7 +333,8 @@ class Plain:
     """The same filter as a book has it, with matrices: x = (v, b), F = [[1, -R dt], [0, 1]]."""
 
     def __init__(self, noise: float) -> None:
-        self.x, self.p = np.zeros(6), np.diag([1.0] * 3 + [0.25] * 3)
+        self.x = np.zeros(6)
+        self.p = np.diag([1.0] * 3 + [0.25] * 3)
         self.noise = noise
         self.last: Any = None
 
@@ -362,7 +364,8 @@ class Plain:
 @given(st.lists(step, min_size=1, max_size=12), st.sampled_from([0.002, 0.02]))
 def test_the_filter_is_that_of_the_book(steps: list[Any], dt: float) -> None:
     upright = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
-    fast, plain = VelocityFilter(1.5), Plain(1.5)
+    fast = VelocityFilter(1.5)
+    plain = Plain(1.5)
     for (x, y, z), feet in steps:
         force = (x, y, z + 9.81)
         fast.predict(dt, upright, force)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from odometry_runs import NOISE, Odometry, run
 
+# [s, m/s, m/s, rad/s]: forwards, in a curve, sideways, backwards, and all at once.
 COMMANDS = [
     *([0.0, 0.0, 0.0, 0.0], [2.0, 0.8, 0.0, 0.0], [12.0, 0.6, 0.0, 0.8], [22.0, 0.0, 0.3, 0.0]),
     *(
@@ -18,7 +19,6 @@ COMMANDS = [
         [56.0, 0.0, 0.0, 0.0],
     ),
 ]
-"""[s, m/s, m/s, rad/s]: forwards, in a curve, sideways, backwards, and all at once."""
 PUSHED: dict[str, Any] = {
     "duration": None,
     "commands": [{"velocity_command": {"schedule": COMMANDS}}],

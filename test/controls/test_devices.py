@@ -21,7 +21,9 @@ from unicon_core.states import States
 from unicon_core.states.standard import BUTTONS, control_states, standard_states
 from unicon_core.workflow.autowire import BuildContext, autowire
 
-KEY, ABS, SYN = 1, 3, 0
+KEY = 1
+ABS = 3
+SYN = 0
 
 
 class Pad:

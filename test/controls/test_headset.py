@@ -16,8 +16,8 @@ from unicon_hardware.peripherals.webxr.frames import PARTS
 from unicon_hardware.peripherals.webxr.webxr import webxr
 from unicon_manipulation.headset import HeadsetControls
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "stand_in"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 
 class Rig:

@@ -59,7 +59,8 @@ def hands() -> Hands:
 
 def test_sticks_drive_while_the_button_is_held(hands: Hands) -> None:
     tick = Drive(**hands.controls, speed=(1.0, 0.5, 2.0), dead_zone=0.2, hold="R1")
-    command, sticks = hands.states["velocity_command"], hands.states["sticks"]
+    command = hands.states["velocity_command"]
+    sticks = hands.states["sticks"]
     sticks[...] = (1.0, 0.6, 0.1, 0.0)
     tick()
     assert not command.any()
@@ -232,7 +233,8 @@ class Player:
         self.path = folder / "pad"
         os.mkfifo(self.path)
         self._file = os.open(self.path, os.O_RDWR | os.O_NONBLOCK)
-        self._script, self._tick = dict(script), 0
+        self._script = dict(script)
+        self._tick = 0
         self.modes: list[int] = []
         self.x: list[float] = []
         self.height: list[float] = []
@@ -301,7 +303,8 @@ def test_a_go2_goes_through_all_its_modes(tmp_path: Path) -> None:
     assert refused[0].startswith("start is refused: walk is entered from stand")
     assert refused[1].startswith("start is refused: stand is not at its end")
     assert len(refused) == 2
-    x, height = np.array(player.x), np.array(player.height)
+    x = np.array(player.x)
+    height = np.array(player.height)
     assert height[130] > 0.25  # stands
     assert height[255] < 0.15  # lies
     assert x[560] - x[410] > 1.0  # walks
@@ -343,7 +346,8 @@ def test_a_g1_goes_through_all_its_modes(tmp_path: Path, assets: Path) -> None:
         f"mode: {mode}" for mode in ("stand", "walk", "lie")
     ]
     assert any(line.startswith("start is refused: stand is not at its end") for line in told)
-    x, height = np.array(player.x), np.array(player.height)
+    x = np.array(player.x)
+    height = np.array(player.height)
     assert height[:310].min() > 0.65
     assert x[250] - x[100] > 0.8
     assert height[-1] < 0.6

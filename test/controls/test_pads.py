@@ -31,8 +31,8 @@ from unicon_core.states import States
 from unicon_core.states.standard import BUTTONS, control_states
 from unicon_core.workflow.autowire import BuildContext, autowire
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "stand_in"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 BELOW_RIGHT_LEFT_ABOVE = {
     "xbox": (0x130, 0x131, 0x133, 0x134),  # xpad.c: BTN_A, BTN_B, BTN_X, BTN_Y
@@ -41,8 +41,10 @@ BELOW_RIGHT_LEFT_ABOVE = {
     "8bitdo": (0x131, 0x130, 0x134, 0x133),  # B, A, Y, X, as plain HID
     "generic": (0x121, 0x122, 0x120, 0x123),  # Logitech: 2, 3, 1, 4
 }
-PAD_KEYS, JOYSTICK_KEYS = 1 << 0x130 | 1 << 0x131, 1 << 0x120
-WITH_RX, WITH_RZ = 0b11_1111, 0b110_0010_0111
+PAD_KEYS = 1 << 0x130 | 1 << 0x131
+JOYSTICK_KEYS = 1 << 0x120
+WITH_RX = 0b11_1111
+WITH_RZ = 0b110_0010_0111
 
 
 class Rig:
@@ -51,7 +53,8 @@ class Rig:
     def __init__(self, folder: Path, mapping: str = "auto") -> None:
         self.path = folder / "pad"
         os.mkfifo(self.path)
-        self.states, self.told = States(control_states()), list[str]()
+        self.states = States(control_states())
+        self.told = list[str]()
         self.context = BuildContext(self.states, load_robot("go2"), 0.02, tell=self.told.append)
         self.controls = Controls(self.states)
         self.pad = Gamepad(self.controls, str(self.path), self.context, mapping)
@@ -196,7 +199,8 @@ def test_unplugged_it_lets_go_at_once_and_works_when_it_is_back(
         return event
 
     monkeypatch.setattr(module.os, "read", read)
-    states, told = States(control_states()), list[str]()
+    states = States(control_states())
+    told = list[str]()
     context = BuildContext(states, load_robot("go2"), 0.02, tell=told.append)
     controls = Controls(states)
     pad = Gamepad(controls, "auto", context)

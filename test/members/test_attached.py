@@ -62,7 +62,8 @@ def test_what_is_pulled_along_follows_where_it_is_drawn(
     inspired: tuple[Robot, LoadedModel],
 ) -> None:
     robot, loaded = inspired
-    posed, pose = PosedModel(loaded), robot.default_joint_pos.copy()
+    posed = PosedModel(loaded)
+    pose = robot.default_joint_pos.copy()
     pose[robot.joint_names.index("L_index_proximal_joint")] = 1.2
     data = posed.put(pose)
     pulled = loaded.model.joint("L_index_intermediate_joint").qposadr[0]
@@ -76,7 +77,8 @@ def test_what_is_pulled_along_follows_where_it_is_drawn(
 
 def test_a_hand_sits_where_the_vendors_model_has_it(inspired: tuple[Robot, LoadedModel]) -> None:
     """The DFQ model of unitree_ros: fingers along the wrist's x, thumbs inwards, mirrored."""
-    model, mujoco = inspired[1].model, import_mujoco()
+    model = inspired[1].model
+    mujoco = import_mujoco()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     tips = {}

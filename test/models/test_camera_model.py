@@ -56,7 +56,8 @@ SCENE = f"""\
 </mujoco>
 """
 FIXED = ("standing", "post", "trunk", "sensor", "tip")
-WIDTH, HEIGHT = 320, 240
+WIDTH = 320
+HEIGHT = 240
 DRAW = """\
 import json, os, sys
 os.environ.setdefault("MUJOCO_GL", "egl")
@@ -134,9 +135,7 @@ def test_the_optical_frame_is_where_the_camera_is(
         np.testing.assert_allclose(rotate(turn, rotate(quat, axis)), there, atol=1e-9)
 
 
-def test_a_camera_in_the_world_of_a_robot_that_stands_there_hangs_on_its_base(
-    robot: Robot,
-) -> None:
+def test_a_camera_in_the_world_of_a_robot_that_stands_there_hangs_on_its_base(robot: Robot) -> None:
     fixed = mujoco.MjModel.from_xml_string(SCENE.replace("<freejoint/>", ""))
     mount = optical_frame(fixed, robot, fixed.camera("standing").id)
     assert mount is not None

@@ -47,9 +47,12 @@ def test_every_legged_robot_has_its_feet(name: str, assets: Path) -> None:
 def test_the_point_that_stands_still_tells_the_base_velocity(name: str, assets: Path) -> None:
     """The velocity of the foot's point in the whole model, which has a base velocity besides."""
     robot, loaded = model_of(name)
-    feet, rng = Feet(loaded, robot), np.random.default_rng(1)
-    model, data = loaded.model, mujoco.MjData(loaded.model)
-    start, first = model.jnt_qposadr[loaded.base], model.jnt_dofadr[loaded.base]
+    feet = Feet(loaded, robot)
+    rng = np.random.default_rng(1)
+    model = loaded.model
+    data = mujoco.MjData(loaded.model)
+    start = model.jnt_qposadr[loaded.base]
+    first = model.jnt_dofadr[loaded.base]
     for _ in range(5):
         quat, rates, pos, vel = at_random(robot, rng)
         assert feet(quat, rates, pos, vel, None)
@@ -70,13 +73,17 @@ def test_the_point_that_stands_still_tells_the_base_velocity(name: str, assets: 
 def test_torques_that_balance_a_force_tell_it(name: str, assets: Path) -> None:
     """τ = h - Jᵀ f, of legs that are bent: through a straight one a force asks for no torque."""
     robot, loaded = model_of(name)
-    feet, rng = Feet(loaded, robot), np.random.default_rng(2)
-    model, data = loaded.model, mujoco.MjData(loaded.model)
-    start, first = model.jnt_qposadr[loaded.base], model.jnt_dofadr[loaded.base]
+    feet = Feet(loaded, robot)
+    rng = np.random.default_rng(2)
+    model = loaded.model
+    data = mujoco.MjData(loaded.model)
+    start = model.jnt_qposadr[loaded.base]
+    first = model.jnt_dofadr[loaded.base]
     dofs = model.jnt_dofadr[loaded.joints]
     for _ in range(5):
         _, _, pos, vel = at_random(robot, rng)
-        quat, rates = np.array((1.0, 0.0, 0.0, 0.0)), rng.normal(size=3)
+        quat = np.array((1.0, 0.0, 0.0, 0.0))
+        rates = rng.normal(size=3)
         feet(quat, rates, pos, vel, None)
         data.qpos[start : start + 7] = (0.0, 0.0, 0.0, *quat)
         data.qpos[loaded.addresses] = pos
@@ -85,7 +92,8 @@ def test_torques_that_balance_a_force_tell_it(name: str, assets: Path) -> None:
         mujoco.mj_forward(model, data)
         share = feet.weight / len(feet.names)
         forces = rng.uniform(0.0, 2.0, len(feet.names)) * share
-        torque, jacobian = data.qfrc_bias.copy(), np.zeros((3, model.nv))
+        torque = data.qfrc_bias.copy()
+        jacobian = np.zeros((3, model.nv))
         for at, force, body in zip(feet.position, forces, _bodies(loaded, robot)):
             mujoco.mj_jac(model, data, jacobian, None, at, body)
             torque -= jacobian.T @ (0.1 * force, -0.1 * force, force)
@@ -96,12 +104,15 @@ def test_torques_that_balance_a_force_tell_it(name: str, assets: Path) -> None:
 @pytest.mark.parametrize("name", ["go2", "t1", "g1_29dof", "adam_lite"])
 def test_the_lowest_point_is_that_of_the_models_geometry(name: str, assets: Path) -> None:
     robot, loaded = model_of(name)
-    feet, posed = Feet(loaded, robot), PosedModel(loaded)
-    pose, none = np.nan_to_num(robot.default_joint_pos), np.zeros(robot.num_joints)
+    feet = Feet(loaded, robot)
+    posed = PosedModel(loaded)
+    pose = np.nan_to_num(robot.default_joint_pos)
+    none = np.zeros(robot.num_joints)
     half = np.sqrt(0.5) * np.array((np.cos(0.1), np.sin(0.1), 0.0, 0.0)) * np.sqrt(2.0)
     feet(half, np.zeros(3), pose, none, None)
     posed.put(pose, (0.0, 0.0, 2.0, *half))
-    heights, geoms = posed.heights(), foot_geoms(loaded.model, robot.feet)
+    heights = posed.heights()
+    geoms = foot_geoms(loaded.model, robot.feet)
     for foot, at in zip(feet.names, feet.position):
         lowest = min(heights[g] for g in geoms[foot] if g in heights)
         assert at[2] + 2.0 == pytest.approx(lowest, abs=2e-3)
@@ -111,7 +122,8 @@ def test_the_lowest_point_is_that_of_the_models_geometry(name: str, assets: Path
 @pytest.mark.parametrize("which", range(5))
 def test_nonsense_is_told(which: int, value: float, assets: Path) -> None:
     robot, loaded = model_of("go2")
-    feet, n = Feet(loaded, robot), robot.num_joints
+    feet = Feet(loaded, robot)
+    n = robot.num_joints
     arguments = [
         np.array(part, np.float32)
         for part in ((1, 0, 0, 0), np.zeros(3), robot.default_joint_pos, np.zeros(n), np.zeros(n))
@@ -131,7 +143,8 @@ def test_a_model_without_the_feet_is_refused(assets: Path) -> None:
 
 
 def test_rows_with_regular_numbers_are_a_view() -> None:
-    source, rng = np.arange(60.0).reshape(20, 3), np.random.default_rng(3)
+    source = np.arange(60.0).reshape(20, 3)
+    rng = np.random.default_rng(3)
     for index in ([2, 5, 8], [[4, 5], [9, 10]], [7], [[3], [1]], [[6, 5], [9, 8]]):
         rows, refresh = rows_of(source, np.array(index))
         assert refresh is None

@@ -86,7 +86,8 @@ def uris(root: Xml.Element) -> list[str]:
 
 def placed(visual: Xml.Element) -> np.ndarray:
     """The file's vertices in the link's frame, as a reader of URDF places them."""
-    origin, mesh = visual.find("origin"), visual.find("geometry/mesh")
+    origin = visual.find("origin")
+    mesh = visual.find("geometry/mesh")
     assert origin is not None
     assert mesh is not None
     roll, pitch, yaw = (float(word) for word in origin.get("rpy", "").split())
@@ -112,7 +113,8 @@ def test_a_vertex_of_a_file_is_where_mujoco_has_it(robot: Robot, tmp_path: Path)
         ("arm", 1, "second"),
     ):
         geom = compiled.geom(name)
-        mesh, turn = geom.dataid[0], np.zeros(9)
+        mesh = geom.dataid[0]
+        turn = np.zeros(9)
         mujoco.mju_quat2Mat(turn, geom.quat)
         vertices = compiled.mesh_vert[compiled.mesh_vertadr[mesh] :][: compiled.mesh_vertnum[mesh]]
         vertices = vertices @ turn.reshape(3, 3).T + geom.pos - anchor[link]
@@ -214,7 +216,8 @@ def test_meshes_of_an_attached_model_lie_in_its_own_folder(robot: Robot, tmp_pat
 
 
 def test_thirty_meshes_make_a_small_text(robot: Robot, tmp_path: Path) -> None:
-    meshes, geoms = "", ""
+    meshes = ""
+    geoms = ""
     for number in range(30):
         write_stl(tmp_path / "parts" / f"part_{number}.stl", np.repeat(WEDGE, 500, axis=0))
         meshes += f'<mesh file="part_{number}.stl"/>'

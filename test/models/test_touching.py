@@ -64,7 +64,8 @@ def test_geoms_touch_by_a_pair_that_names_both(tmp_path: Path) -> None:
 
 
 def test_feet_by_pairs_are_as_high_as_by_bits(tmp_path: Path) -> None:
-    paired, plain = load(go2(tmp_path)), load(MODEL)
+    paired = load(go2(tmp_path))
+    plain = load(MODEL)
     assert names(paired, on_floor(paired)) == {*FEET}
     pose = load_robot("go2").default_joint_pos
     heights = []
@@ -78,7 +79,8 @@ def test_feet_by_pairs_are_as_high_as_by_bits(tmp_path: Path) -> None:
 
 def test_odometry_and_footprint_take_the_feet_that_pairs_name(tmp_path: Path) -> None:
     robot = load_robot("go2")
-    pose, upright = robot.default_joint_pos, np.array((1.0, 0.0, 0.0, 0.0))
+    pose = robot.default_joint_pos
+    upright = np.array((1.0, 0.0, 0.0, 0.0))
     found = []
     for path in (go2(tmp_path), MODEL):
         loaded = load(path)

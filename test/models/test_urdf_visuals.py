@@ -83,7 +83,8 @@ def test_its_visuals_stay_as_they_stand(robot: Robot, tmp_path: Path, discard: s
     assert shapes(root, "trunk") == ["mesh", "cylinder", "mesh"]
     assert "mesh" not in shapes(root, "trunk", "collision")
     first, second, third = root.findall("link[@name='trunk']/visual")
-    origin, mesh = first.find("origin"), first.find("geometry/mesh")
+    origin = first.find("origin")
+    mesh = first.find("geometry/mesh")
     assert origin is not None
     assert mesh is not None
     assert origin.get("xyz") == "0.1 0.2 0.3"

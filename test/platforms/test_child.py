@@ -217,7 +217,8 @@ def cmdline(pid: int) -> bytes:
 def test_a_reset_comes_behind_the_last_command():
     """Else the robot would be a tick ahead of its commands from there on, now and then."""
     program = load_workflow("go2_stand", ["platform={child: fake, silence: 10}"])
-    platform, states = program.platform, program.states
+    platform = program.platform
+    states = program.states
     for _ in range(50):
         platform.recv()
         platform.send()

@@ -107,7 +107,7 @@ def test_command_that_is_not_finite_is_a_fault(build: Build) -> None:
             {"initial_pose": "defualt"},
             "scene.initial_pose is 'defualt'; did you mean 'default'? known: default, "
             "keyframe:NAME, lie, model, policy:NAME, rest, stand; or joints to [rad]",
-        ),
+        )
     ],
 )
 def test_wrong_options(build: Build, options: dict[str, Any], message: str) -> None:

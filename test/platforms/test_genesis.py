@@ -21,8 +21,8 @@ from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow
 from unicon_sims.genesis.platform import adapted, begun, otherwise
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "vendor"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 mujoco = pytest.importorskip("mujoco", reason="pip install 'unicon_ros[sim]'")
 INSTALL = "pip install 'unicon_ros[sim-genesis]'"
@@ -156,7 +156,8 @@ def test_without_genesis_the_install_command_is_told(monkeypatch: pytest.MonkeyP
 def test_masses_and_places_of_links_are_mujocos(name: str) -> None:
     workflow = load_workflow(name, ["platform=genesis"])
     platform: Any = workflow.platform
-    model, entity = platform.start.loaded.model, platform._robots
+    model = platform.start.loaded.model
+    entity = platform._robots
     data = mujoco.MjData(model)
     qpos = platform.start.qpos
     rng = np.random.default_rng(3)
@@ -174,7 +175,8 @@ def test_masses_and_places_of_links_are_mujocos(name: str) -> None:
         assert pos[i] == pytest.approx(data.xpos[body], abs=1e-6)
         assert np.abs(quat[i] @ data.xquat[body]) == pytest.approx(1.0, abs=1e-9)
         assert masses[i] == pytest.approx(model.body_mass[body], rel=1e-6)
-    joints, figures = platform._rates, platform.figures
+    joints = platform._rates
+    figures = platform.figures
     assert entity.get_dofs_armature(joints).numpy() == pytest.approx(figures.armature)
     assert entity.get_dofs_damping(joints).numpy() == pytest.approx(figures.damping)
     assert entity.get_dofs_frictionloss(joints).numpy() == pytest.approx(figures.friction)
@@ -190,7 +192,8 @@ def test_a_robot_in_the_air_moves_as_in_mujoco(name: str) -> None:
     platform: Any = workflow.platform
     model = adapted(platform.start, platform.figures)
     model.opt.timestep = platform.timestep
-    data, joints = mujoco.MjData(model), platform._rates
+    data = mujoco.MjData(model)
+    joints = platform._rates
     data.qpos[:] = platform._begin[0]
     for step in range(150):
         torque = 4.0 * np.sin(step // 10 + np.arange(len(joints)))
@@ -213,7 +216,8 @@ def test_a_joint_that_does_not_begin_at_0_is_where_it_says(tmp_path: Path) -> No
         states = workflow.states
         workflow.platform.recv()
         assert float(states.joint_pos[0]) == pytest.approx(0.5, abs=1e-6)
-        states.joint_stiffness, states.joint_pos_target = 10.0, -0.5
+        states.joint_stiffness = 10.0
+        states.joint_pos_target = -0.5
         for _ in range(10):
             workflow.platform.send()
         workflow.platform.recv()

@@ -202,16 +202,10 @@ def program(tmp_path: Path, text: str) -> Program:
 @pytest.mark.parametrize(
     ("said", "message"),
     [
-        (
-            "{RL_calf_joint: {strength: -1}}",
-            "RL_calf_joint.strength is -1; write a number from 0",
-        ),
+        ("{RL_calf_joint: {strength: -1}}", "RL_calf_joint.strength is -1; write a number from 0"),
         ("{RL_calf_joint: {friction: .inf}}", "scene.joints.RL_calf_joint.friction is inf"),
         ("{RL_calf_joint: {armature: true}}", "joints"),
-        (
-            "{RL_calf_joint: {mass: 1}}",
-            "unknown key 'mass'; known: armature, delay",
-        ),
+        ("{RL_calf_joint: {mass: 1}}", "unknown key 'mass'; known: armature, delay"),
         ("{RL_calf: {strength: 1}}", "no joint like 'RL_calf'; did you mean 'RL_calf_joint'"),
         ("{RL_calf_joint: 0.5}", "joints"),
         ("[RL_calf_joint]", "joints"),
@@ -248,7 +242,8 @@ def test_pybullet_knows_strength_friction_and_delay(tmp_path: Path) -> None:
     }.items():
         scene = f"{{initial_height: 2.0, joints: {said}}}"
         it = program(tmp_path, f"robot: go2\nplatform: pybullet\nscene: {scene}")
-        states, begin = it.states, load_robot("go2").default_joint_pos
+        states = it.states
+        begin = load_robot("go2").default_joint_pos
         states["joint_stiffness"][...], states["joint_damping"][...] = 30.0, 1.0
         states["joint_pos_target"][...] = begin
         it.platform.send()

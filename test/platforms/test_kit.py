@@ -55,7 +55,9 @@ def test_angles_become_quaternions_and_back(rpy: tuple[float, float, float]) -> 
 
 @given(mount=st.tuples(*[UNIT] * 4), base=st.tuples(*[UNIT] * 4), rate=st.tuples(*[UNIT] * 3))
 def test_a_turned_sensor_tells_the_same_of_the_base(mount: Any, base: Any, rate: Any) -> None:
-    mounted, base_quat, base_rate = unit(mount), unit(base), np.array(rate)
+    mounted = unit(mount)
+    base_quat = unit(base)
+    base_rate = np.array(rate)
     sensor_to_world = rotation(base_quat) @ rotation(mounted)
     told_rate = rotation(mounted).T @ base_rate
     (w, x, y, z), (a, b, c, d) = base_quat, mounted  # their product is sensor to world
@@ -81,7 +83,8 @@ def test_a_turned_sensor_tells_the_same_of_the_base(mount: Any, base: Any, rate:
 
 def test_the_servo_is_the_equation_within_the_limits() -> None:
     rng = np.random.default_rng(2)
-    rows, limit = rng.uniform(0.0, 3.0, (5, 4)), np.array([1.0, 5.0, np.nan, 0.5])
+    rows = rng.uniform(0.0, 3.0, (5, 4))
+    limit = np.array([1.0, 5.0, np.nan, 0.5])
     pos, vel = rng.uniform(-1.0, 1.0, (2, 4))
     torque = rows[3] * (rows[0] - pos) + rows[4] * (rows[1] - vel) + rows[2]
     wanted = np.clip(torque, -np.nan_to_num(limit, nan=1e9), np.nan_to_num(limit, nan=1e9))
@@ -109,7 +112,8 @@ def test_base_states_of_a_base_that_turns_and_falls() -> None:
     views = {n: states[n][None] for n in BASE_STATES}
     base = BaseStates(views, robot, 0.001, np.array((0.0, 0.0, -9.81)))
     left = np.array([(np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5))])  # looks along the world's y
-    none, ahead = np.zeros((1, 3)), np.array([(0.0, 2.0, 0.0)])
+    none = np.zeros((1, 3))
+    ahead = np.array([(0.0, 2.0, 0.0)])
     base(*[WorldPose(none, left, ahead, np.array([(0.0, 0.0, 1.0)]))] * 2)
     np.testing.assert_allclose(states.base_lin_vel, (2.0, 0.0, 0.0), atol=1e-6)
     np.testing.assert_allclose(states.base_ang_vel, (0.0, 0.0, 1.0), atol=1e-6)
@@ -182,7 +186,8 @@ class Driver:
 def test_the_platform_of_the_documentation_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     document = (ROOT / "docs" / "reference" / "platforms.md").read_text(encoding="utf-8")
     assert "`examples/my_robot.py`" in document
-    driver, vendor = Driver(), ModuleType("my_vendor")
+    driver = Driver()
+    vendor = ModuleType("my_vendor")
     vendor.open_driver = lambda port: driver  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "my_vendor", vendor)
     module: dict[str, Any] = {}

@@ -39,7 +39,8 @@ def threads() -> list[str]:
 
 def commanded(platform: MujocoPlatform, states: States, ticks: int) -> Trace:
     """Every robot gets commands and gains of its own, and is pushed; all bytes of every tick."""
-    rng, trace = np.random.default_rng(7), []
+    rng = np.random.default_rng(7)
+    trace = []
     for tick in range(ticks):
         platform.recv()
         for name in platform.facts.reads:
@@ -116,7 +117,9 @@ def test_what_is_told_of_a_batch_is_what_would_be_pushed(
     build: Build, scene: dict[str, Any]
 ) -> None:
     platform, _ = build(**scene)
-    servo, model, ctrl = platform._servo, platform.model, platform.data.ctrl
+    servo = platform._servo
+    model = platform.model
+    ctrl = platform.data.ctrl
     written = ctrl, model.actuator_gainprm, model.actuator_biasprm
 
     @settings(max_examples=40, deadline=None, derandomize=True)

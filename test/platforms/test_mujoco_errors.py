@@ -150,10 +150,7 @@ def test_unknown_key_frame(build: Build, tmp_path: Path) -> None:
             "scene.terrain is 'hills'; known: flat, gaps, obstacles, patches, pyramid, rough, "
             "slope, stairs; or put other ground into a model (scene: {model: PATH})",
         ),
-        (
-            {"noise": {"joint_pos": -1.0}},
-            "scene.noise.joint_pos is -1.0; write a number from 0",
-        ),
+        ({"noise": {"joint_pos": -1.0}}, "scene.noise.joint_pos is -1.0; write a number from 0"),
         (
             {"push": {"each": 1.0, "every": 1.0, "velocity": 1.0}},
             "scene.push: unknown key 'each'; known: every, velocity",

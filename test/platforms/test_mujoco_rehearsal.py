@@ -24,13 +24,14 @@ from unicon_core.workflow import load_workflow
 Build = Callable[..., tuple[MujocoPlatform, States]]
 
 INTEGRATORS = ["Euler", "implicitfast", "RK4"]
+# Arrays that nothing has written here: up to MuJoCo 3.16 they show what lay there before.
 UNWRITTEN = ("efc_AR", "efc_Y", "efm_", "tree_island", "map_itree2tree")
-"""Arrays that nothing has written here: up to MuJoCo 3.16 they show what lay there before."""
 
 
 def everything(platform: MujocoPlatform) -> dict[str, Any]:
     """All that can be seen of a robot's data, and what the platform goes on from."""
-    data, found = platform.data, {}
+    data = platform.data
+    found = {}
     for name in dir(data):
         value = None if name.startswith(("_", *UNWRITTEN)) else getattr(data, name)
         if isinstance(value, np.ndarray):
@@ -85,7 +86,8 @@ def test_nothing_that_can_be_seen_changes(build: Build, integrator: str, base: s
         command(states, rng)
         platform.send()
         platform.recv()
-        told, before = bytes(states.snapshot().data), everything(platform)
+        told = bytes(states.snapshot().data)
+        before = everything(platform)
         rehearsed(platform, 3)
         assert bytes(states.snapshot().data) == told
         after = everything(platform)
@@ -123,7 +125,8 @@ def test_the_ticks_that_follow_are_the_same_to_the_bit() -> None:
     traces = []
     for warm in (False, True):
         platform, states = standing()
-        rng, trace = np.random.default_rng(5), []
+        rng = np.random.default_rng(5)
+        trace = []
         for tick in range(60):
             for _ in range(int(rng.integers(0, 4))):
                 if warm:
@@ -150,7 +153,8 @@ def test_a_robot_of_a_batch_is_rehearsed_alike(build: Build) -> None:
     platform, states = build(num_robots=5)
     command(states, np.random.default_rng(1))
     platform.send()
-    told, before = bytes(states.snapshot().data), everything(platform)
+    told = bytes(states.snapshot().data)
+    before = everything(platform)
     rehearsed(platform, 3)
     assert (bytes(states.snapshot().data), everything(platform)) == (told, before)
     platform.close()
@@ -190,7 +194,8 @@ def test_nan_is_left_where_it_is(build: Build) -> None:
 def test_a_step_that_is_broken_off_is_set_back(build: Build) -> None:
     platform, _ = build()
     platform.warm_up()
-    before, real = everything(platform), mujoco
+    before = everything(platform)
+    real = mujoco
 
     class Broken:
         def __getattr__(self, name: str) -> Any:
@@ -217,7 +222,9 @@ def test_long_steps_are_not_rehearsed_but_for_a_look_now_and_then(
     for _ in range(80):
         calls.append(1)
         platform.warm_up()
-    first, second, third = ([2, 3, 4, 5], [16, 17, 18, 19], [40, 41, 42, 43])
+    first = [2, 3, 4, 5]
+    second = [16, 17, 18, 19]
+    third = [40, 41, 42, 43]
     assert steps == [*first, *second, *third]
     monkeypatch.setattr(rehearsal, "LONGEST_NS", 10**12)
     for _ in range(100):
@@ -241,7 +248,8 @@ def test_a_model_with_a_plugin_is_not_rehearsed(build: Build) -> None:
 
 @pytest.mark.usefixtures("time_passes")
 def test_a_run_in_real_time_sends_the_bytes_of_one_at_full_speed(tmp_path: Path) -> None:
-    digests, calls = set(), []
+    digests = set()
+    calls = []
     for options in ({"duration": 1.5}, {"duration": 1.5, "speed": "max"}):
         program = load_workflow("go2_walk")
         rehearse = program.platform.robots[0].rehearse  # type: ignore[attr-defined]

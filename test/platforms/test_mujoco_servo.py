@@ -51,8 +51,11 @@ def random_command(rng: np.random.Generator, count: int, strength: float = 1.0) 
 
 class Toy:
     def __init__(self, platform: MujocoPlatform, states: States, robot: Robot) -> None:
-        self.platform, self.states, self.robot = platform, states, robot
-        self.model, self.data = platform.model, platform.data
+        self.platform = platform
+        self.states = states
+        self.robot = robot
+        self.model = platform.model
+        self.data = platform.data
         ids = [self.model.joint(name).id for name in robot.joint_names]
         self.qpos = [int(self.model.jnt_qposadr[i]) for i in ids]
         self.dof = [int(self.model.jnt_dofadr[i]) for i in ids]
@@ -91,7 +94,8 @@ def test_torque_equals_the_equation_for_every_kind_of_actuator(toy: Callable[...
         it.data.qpos[it.qpos] = rng.uniform(-1.5, 1.5, 4)
         it.data.qvel[it.dof] = rng.uniform(-8, 8, 4)
         mujoco.mj_step1(it.model, it.data)
-        pos, vel = it.data.qpos[it.qpos].copy(), it.data.qvel[it.dof].copy()
+        pos = it.data.qpos[it.qpos].copy()
+        vel = it.data.qvel[it.dof].copy()
         command = random_command(rng, 4, strength)
         send_command(it.states, command)
         it.platform.send()
@@ -130,7 +134,8 @@ def test_gains_may_change_in_every_tick(toy: Callable[..., Toy]) -> None:
     it = toy()
     rng = np.random.default_rng(2)
     for tick in range(20):
-        pos, vel = it.data.qpos[it.qpos].copy(), it.data.qvel[it.dof].copy()
+        pos = it.data.qpos[it.qpos].copy()
+        vel = it.data.qvel[it.dof].copy()
         command = random_command(rng, 4)
         if tick % 2:
             command[3] = 0.0  # damping only
@@ -148,7 +153,8 @@ def test_effort_limits_are_the_tightest_of_all(toy: Callable[..., Toy]) -> None:
 
 def test_commands_act_after_the_delay(toy: Callable[..., Toy]) -> None:
     it = toy(delay=3)
-    sent, applied = [], []
+    sent = []
+    applied = []
     for tick in range(10):
         command = np.zeros((5, 4))
         command[2] = 0.1 * (tick + 1)

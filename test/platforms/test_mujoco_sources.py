@@ -132,9 +132,7 @@ def test_without_robot_descriptions_the_install_command_is_told(
 
 
 def test_what_stands_twice_in_a_urdf_is_read_once(
-    toy_robot: Callable[..., Robot],
-    toy_urdf: Callable[..., Path],
-    states_of: Callable[..., States],
+    toy_robot: Callable[..., Robot], toy_urdf: Callable[..., Path], states_of: Callable[..., States]
 ) -> None:
     """Unitree's go2_description.urdf gives a visual two materials, which MuJoCo refuses."""
     material = '<material name="a"/><material name="b"/>'
@@ -150,9 +148,7 @@ def test_what_stands_twice_in_a_urdf_is_read_once(
 
 
 def test_an_inertia_that_no_body_has_is_mended(
-    toy_robot: Callable[..., Robot],
-    toy_urdf: Callable[..., Path],
-    states_of: Callable[..., States],
+    toy_robot: Callable[..., Robot], toy_urdf: Callable[..., Path], states_of: Callable[..., States]
 ) -> None:
     """The XHand's URDF repeats one figure six times for its small links."""
     path = toy_urdf(
@@ -169,9 +165,7 @@ def test_an_inertia_that_no_body_has_is_mended(
 
 
 def test_principal_moments_of_which_two_sum_to_less_than_the_third_are_mended(
-    toy_robot: Callable[..., Robot],
-    toy_urdf: Callable[..., Path],
-    states_of: Callable[..., States],
+    toy_robot: Callable[..., Robot], toy_urdf: Callable[..., Path], states_of: Callable[..., States]
 ) -> None:
     """A camera of ANYbotics' ANYmal C has such an inertia; every figure of it is positive."""
     path = toy_urdf(('ixx=".05" iyy=".05" izz=".05"', 'ixx=".01" iyy=".02" izz=".05"'))
@@ -207,9 +201,7 @@ def test_a_shape_without_an_extent_is_left_out(
 
 
 def test_a_urdf_that_is_no_xml_is_told_with_its_place(
-    toy_robot: Callable[..., Robot],
-    toy_urdf: Callable[..., Path],
-    states_of: Callable[..., States],
+    toy_robot: Callable[..., Robot], toy_urdf: Callable[..., Path], states_of: Callable[..., States]
 ) -> None:
     path = toy_urdf(("</robot>", ""))
     robot = toy_robot()
@@ -218,9 +210,7 @@ def test_a_urdf_that_is_no_xml_is_told_with_its_place(
 
 
 def test_strong_damping_on_light_links_of_a_urdf_does_not_blow_up(
-    toy_robot: Callable[..., Robot],
-    toy_urdf: Callable[..., Path],
-    states_of: Callable[..., States],
+    toy_robot: Callable[..., Robot], toy_urdf: Callable[..., Path], states_of: Callable[..., States]
 ) -> None:
     """kd · step / inertia is 33 here: an explicit step is unstable from 2 on."""
     path = toy_urdf(
@@ -243,7 +233,10 @@ def test_strong_damping_on_light_links_of_a_urdf_does_not_blow_up(
 
 def write_box(path: Path) -> None:
     """Write a binary STL of a tetrahedron of 0.2 m."""
-    a, b, c, d = (0, 0, 0), (0.2, 0, 0), (0, 0.2, 0), (0, 0, 0.2)
+    a = (0, 0, 0)
+    b = (0.2, 0, 0)
+    c = (0, 0.2, 0)
+    d = (0, 0, 0.2)
     faces = [(a, c, b), (a, b, d), (a, d, c), (b, c, d)]
     path.parent.mkdir(parents=True, exist_ok=True)
     body = b"".join(
@@ -290,9 +283,7 @@ def test_a_mesh_in_a_format_that_mujoco_cannot_read_is_left_out(
 
 
 def test_a_robot_without_anything_that_collides_is_told_to_fall(
-    toy_robot: Callable[..., Robot],
-    toy_urdf: Callable[..., Path],
-    states_of: Callable[..., States],
+    toy_robot: Callable[..., Robot], toy_urdf: Callable[..., Path], states_of: Callable[..., States]
 ) -> None:
     old, new = COLLISION
     limb = '<geometry><sphere radius="0.03"/></geometry>'
@@ -355,11 +346,13 @@ def test_every_kind_of_actuator_becomes_the_same_servo(
     model = toy_model(actuators="".join(KINDS[kind].format(n) for n in robot.joint_names))
     platform = make(states, robot, 0.002, scene=Scene(model=model))
     platform.recv()
-    pos, vel = states.joint_pos.copy(), states.joint_vel.copy()
+    pos = states.joint_pos.copy()
+    vel = states.joint_vel.copy()
     states.joint_pos_target = np.float32([0.2, 0.0, 0.15, 0.05])
     states.joint_vel_target = np.float32([0.5, -0.5, 0.0, 1.0])
     states.joint_effort_ff = np.float32([0.1, 0.2, -0.3, 0.0])
-    states.joint_stiffness, states.joint_damping = np.float32(10.0), np.float32(0.3)
+    states.joint_stiffness = np.float32(10.0)
+    states.joint_damping = np.float32(0.3)
     platform.send()
     platform.recv()
     expected = 10.0 * (states.joint_pos_target - pos) + 0.3 * (states.joint_vel_target - vel)

@@ -38,8 +38,10 @@ def tumble(platform: MujocoPlatform, ticks: int = 20) -> None:
 
 
 def base_truth(platform: MujocoPlatform) -> dict[str, Any]:
-    model, data = platform.model, platform.data
-    qpos, qvel = data.qpos[model.jnt_qposadr[1] :], data.qvel[model.jnt_dofadr[1] :]
+    model = platform.model
+    data = platform.data
+    qpos = data.qpos[model.jnt_qposadr[1] :]
+    qvel = data.qvel[model.jnt_dofadr[1] :]
     turn = rotation(qpos[3:7])
     return {
         "base_quat": qpos[3:7],
@@ -97,7 +99,8 @@ def test_sensors_of_the_last_step_are_those_of_every_step(
         assert robot._unseen == mujoco.mjtDisableBit.mjDSBL_SENSOR
         if every:
             robot._unseen = 0
-        flags, data = platform.model.opt.disableflags, platform.data
+        flags = platform.model.opt.disableflags
+        data = platform.data
         data.qpos[2] = 0.1  # the ball touches the floor
         states.joint_stiffness = 20.0
         for tick in range(5):
@@ -206,7 +209,8 @@ def test_every_robot_of_a_batch_equals_a_run_of_its_own(build: Build) -> None:
 
 def test_noise_has_the_given_spread_and_quaternions_stay_unit(build: Build) -> None:
     platform, states = build(noise={"joint_vel": 0.5, "base_quat": 0.05}, seed=1)
-    readings, norms = [], []
+    readings = []
+    norms = []
     for _ in range(500):
         platform.recv()
         readings.append(states.joint_vel.copy())
@@ -245,7 +249,8 @@ def test_initial_pose_stands_on_the_floor(build: Build) -> None:
     platform, states = build()
     platform.recv()
     np.testing.assert_allclose(states.joint_pos, 0.1, rtol=1e-6)
-    model, data = platform.model, platform.data
+    model = platform.model
+    data = platform.data
     floor = model.geom("floor").id
     gaps = [
         mujoco.mj_geomDistance(model, data, floor, i, 10.0, None)

@@ -16,8 +16,8 @@ from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow
 from unicon_sims.newton.platform import NewtonPlatform
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "vendor"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 pytest.importorskip("mujoco", reason="pip install 'unicon_ros[sim]'")
 INSTALL = "pip install 'unicon_ros[sim-newton]'"
@@ -104,7 +104,8 @@ def test_joints_do_without_their_damping_for_a_while(
     model = {"joint": 'damping="0.05"', "gravity": 0.0}
     it = Rig("newton", tmp_path, {"solver": solver}, floating=False, model=model)
     it.command(joint_effort_ff={"yaw": 0.1})
-    platform, yaw = it.platform, it.joint("yaw")
+    platform = it.platform
+    yaw = it.joint("yaw")
     assert isinstance(platform, NewtonPlatform)
     assert platform.passive_damping.tolist() == pytest.approx([0.05] * 4)
     speeds = []

@@ -52,7 +52,8 @@ def made_of(robot: Robot, start: Start) -> tuple[Any, dict[str, int]]:
 def both(name: str, pose: str = "default") -> tuple[list[Any], list[list[int]]]:
     """Return MuJoCo's data of the model and of Newton's at the start, and degrees of freedom."""
     robot, start, made, dofs = built(name, pose)
-    loaded, given = start.loaded, start.loaded.model
+    loaded = start.loaded
+    given = start.loaded.model
     own = [*range(6), *(int(given.jnt_dofadr[joint]) for joint in loaded.joints)]
     other = [*range(6), *(dofs[joint] for joint in robot.joint_names)]
     found = []
@@ -85,7 +86,8 @@ def test_masses_inertias_and_places_are_the_models(newton: Any, name: str) -> No
     (given, made), orders = both(available(name))
     # Accelerations under gravity, with all the centrifugal forces of a random motion: masses,
     # centres, inertias, axes, anchors and armatures all count.
-    matrices, biases = [], []
+    matrices = []
+    biases = []
     for data, model, order in zip((given, made), (given.model, made.model), orders):
         full = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, full) if _new() else mujoco.mj_fullM(model, full, data.qM)
@@ -229,7 +231,8 @@ def test_all_kinds_of_geoms_joints_and_contacts_are_the_models(newton: Any, tmp_
     for _ in range(100):
         quat = rng.normal(size=4) * (0.4, 1.0, 1.0, 1.0)
         place = [*rng.normal(scale=0.1, size=3), *quat / np.linalg.norm(quat)]
-        angles, speeds = rng.uniform(-2.5, 2.5, 5), rng.normal(size=11)
+        angles = rng.uniform(-2.5, 2.5, 5)
+        speeds = rng.normal(size=11)
         told = []
         for model, order in ((given, orders), (made, others)):
             data = mujoco.MjData(model)

@@ -19,8 +19,8 @@ from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "vendor"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 needs_pybullet = pytest.mark.skipif(
     importlib.util.find_spec("pybullet") is None,
@@ -47,8 +47,8 @@ def ticked(name: str, overrides: list[str], seconds: float) -> dict[str, Any]:
     return {name: np.array(row) for name, row in rows.items()}
 
 
+# Enough for a Go2, in half the time.
 COARSE = "platforms={pybullet: {timestep: 0.001}}"
-"""Enough for a Go2, in half the time."""
 
 
 @needs_pybullet
@@ -65,7 +65,8 @@ def test_go2_stand_lies_stands_and_lies_as_on_mujoco() -> None:
     apart = np.abs(np.subtract(*heights.values()))
     assert len(apart) == 750
     assert float(apart[::25].max()) < 0.02  # every half second: measured 0.3 cm
-    low, high = heights["pybullet"][0], heights["pybullet"][150]
+    low = heights["pybullet"][0]
+    high = heights["pybullet"][150]
     assert low < 0.15 < 0.25 < high
     assert heights["pybullet"][-1] < 0.15
 
@@ -114,7 +115,9 @@ def test_it_is_disturbed_as_every_simulator() -> None:
 def test_a_reset_begins_anew_and_two_worlds_do_not_meet() -> None:
     first = load_workflow("go2_stand", ["platform=pybullet"])
     other = load_workflow("go2_stand", ["platform=pybullet"])
-    platform, states, robot = first.platform, first.states, first.robot
+    platform = first.platform
+    states = first.states
+    robot = first.robot
     assert isinstance(platform, Resettable)
     traces = []
     for _ in range(2):
@@ -124,7 +127,8 @@ def test_a_reset_begins_anew_and_two_worlds_do_not_meet() -> None:
         assert states.joint_pos == pytest.approx(robot.rest_joint_pos, abs=1e-6)
         for _ in range(20):
             states.joint_pos_target = robot.rest_joint_pos
-            states.joint_stiffness, states.joint_damping = 20.0, 1.0
+            states.joint_stiffness = 20.0
+            states.joint_damping = 1.0
             platform.send()
             platform.recv()
         traces.append(np.array([*states.joint_pos, *states.base_pos_w]))

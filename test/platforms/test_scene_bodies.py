@@ -35,7 +35,9 @@ def test_a_payload_moves_like_a_welded_point(body: str) -> None:
 
     def weld(spec: Any) -> None:
         point = spec.body(name).add_body(name="payload", pos=AT)
-        point.mass, point.ipos, point.inertia = 3.0, [0.0] * 3, [1e-12] * 3
+        point.mass = 3.0
+        point.ipos = [0.0] * 3
+        point.inertia = [1e-12] * 3
         point.explicitinertial = True
 
     welded = load_model(path, robot, quiet=True, prepare=weld).model

@@ -78,7 +78,8 @@ def test_once_closed_the_jobs_are_done_in_turn_and_no_thread_is_born() -> None:
 
 
 def test_what_an_interrupted_call_left_is_not_taken_for_the_next_ones() -> None:
-    hold, done = threading.Event(), []
+    hold = threading.Event()
+    done = []
 
     def waits() -> None:
         assert hold.wait(20.0)

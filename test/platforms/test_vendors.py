@@ -21,12 +21,12 @@ from unicon_sims.webots import platform as webots
 pytest.importorskip("mujoco", reason="mujoco is not installed: pip install 'unicon_ros[sim]'")
 
 MODULES = Path(__file__).parent / "vendor_modules"
+# What says how to install each.
 REMEDIES = {
     "isaacgym": "unpack NVIDIA's Isaac Gym Preview 4",
     "isaaclab": "pip install 'isaaclab[isaacsim,all]==2.3.2.post1'",
     "webots": "install Webots, and put $WEBOTS_HOME/lib/controller/python on PYTHONPATH",
 }
-"""What says how to install each."""
 
 OURS = tuple({path.stem for path in MODULES.iterdir()})
 
@@ -147,7 +147,8 @@ def test_the_stand_in_of_isaac_gym_refuses_what_gym_would() -> None:
     from isaacgym import gymapi
     from vendor_world import Refused
 
-    gym, params = gymapi.acquire_gym(), gymapi.SimParams()
+    gym = gymapi.acquire_gym()
+    params = gymapi.SimParams()
     params.up_axis = gymapi.UP_AXIS_Z
     sim = gym.create_sim(0, -1, gymapi.SIM_PHYSX, params)
     assert sim is not None
@@ -199,7 +200,8 @@ def test_the_stand_in_of_isaac_lab_refuses_what_lab_would(tmp_path: Path) -> Non
     with pytest.raises(Refused, match="modules of Isaac Sim before the app"):
         import_module("isaaclab.sim")
     it = Rig("isaaclab", tmp_path)
-    lab, torch = import_module("isaaclab.lab"), import_module("torch")
+    lab = import_module("isaaclab.lab")
+    torch = import_module("torch")
     context, robot = lab.SimulationContext.instance(), it.platform._robot  # type: ignore[attr-defined]
     it.run(1)
     with pytest.raises(Refused, match="a step without write_data_to_sim"):

@@ -18,8 +18,8 @@ from unicon_core.workflow import Program, load_workflow
 from unicon_core.workflow.document import load_document
 
 HANDS = ("left_hand", "right_hand")
+# In [s]: arms have come to their targets, and circles have their size.
 BEGUN = 3.0
-"""In [s]: arms have come to their targets, and circles have their size."""
 NOISE = (
     "scene.noise={joint_pos: 0.002, joint_vel: 0.1, base_ang_vel: 0.05, projected_gravity: 0.02}"
 )
@@ -47,11 +47,13 @@ class TrueErrors:
     """Looks where the simulated hands are, in every tick behind the targets, without noise."""
 
     def __init__(self, program: Program) -> None:
-        platform, robot = program.platform, program.robot
+        platform = program.platform
+        robot = program.robot
         assert isinstance(platform, MujocoPlatform)
         loaded = load_model(platform.model_path, robot, quiet=True)
         self._frames = Frames(loaded, robot, {hand: robot.end_effectors[hand] for hand in HANDS})
-        self._qpos, self._joints = platform.data.qpos, loaded.addresses
+        self._qpos = platform.data.qpos
+        self._joints = loaded.addresses
         self._targets = [program.states[f"{hand}_target"] for hand in HANDS]
         self.found: list[list[float]] = []
 

@@ -117,7 +117,8 @@ def test_a_hands_own_frames_are_of_its_own_model(assets: Path) -> None:
         flow=block("hold"),
     )
     Runner(program, RunOptions(duration=0.04, speed="max")).run()
-    hand, own = program.robot.members["left_hand"], program.states["joint_pos"][29:]
+    hand = program.robot.members["left_hand"]
+    own = program.states["joint_pos"][29:]
     loaded = load_model(pick_model(hand), hand, quiet=True)
     tip = Frames(loaded, hand, {"tip": Place("L_index_intermediate")}).of(own)["tip"]
     np.testing.assert_allclose(program.states["tip_pose"], tip, atol=1e-6)
@@ -137,7 +138,8 @@ def test_hands_of_a_humanoid_are_on_both_sides_with_x_along_the_fingers(
         for side in ("left", "right")
     }
     found = Frames(loaded, robot, {**robot.end_effectors, **elbows}).of(robot.default_joint_pos)
-    left, right = found["left_hand"], found["right_hand"]
+    left = found["left_hand"]
+    right = found["right_hand"]
     np.testing.assert_allclose(left[:3] * (1, -1, 1), right[:3], atol=0.012)
     assert left[1] > 0.05
     for side, hand in (("left", left), ("right", right)):

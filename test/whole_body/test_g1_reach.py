@@ -25,7 +25,8 @@ pytest.importorskip("onnxruntime", reason="the policies need onnxruntime")
 pytest.importorskip("daqp", reason="reach needs daqp")
 
 POLICIES = ("g1_walk", "g1_holosoma")
-WALKING, STANDING = 0.6, 0.0
+WALKING = 0.6
+STANDING = 0.0
 SPEED = "commands.0.velocity_command.constant.0"
 ARMS = slice(15, 29)
 
@@ -68,7 +69,8 @@ def test_pushes_are_walked_off_with_the_hands_on_their_targets(assets: Path) -> 
 
 def test_without_gravity_fed_forward_the_hands_hang_lower(assets: Path) -> None:
     none = 'flow.zip.2={when: {if: "tick < 0", do: {gravity: {moves: [arms]}}}}'
-    with_it, without = walk(duration=4.5), walk([none], duration=4.5)
+    with_it = walk(duration=4.5)
+    without = walk([none], duration=4.5)
     assert without.figures[0] > 1.7 * with_it.figures[0]
 
 

@@ -25,7 +25,8 @@ pytest.importorskip("mujoco", reason="weights need mujoco")
 
 def energy(robot: Robot, joint_pos: Any, quat: Any = (1.0, 0.0, 0.0, 0.0)) -> float:
     """Return the potential energy of a model in [J]."""
-    mujoco, loaded = import_mujoco(), load_model(pick_model(robot), robot, quiet=True)
+    mujoco = import_mujoco()
+    loaded = load_model(pick_model(robot), robot, quiet=True)
     loaded.model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
     data = mujoco.MjData(loaded.model)
     data.qpos[loaded.addresses] = joint_pos
@@ -37,7 +38,8 @@ def energy(robot: Robot, joint_pos: Any, quat: Any = (1.0, 0.0, 0.0, 0.0)) -> fl
 
 def test_the_torques_are_the_slope_of_the_potential_energy(reacher: Robot) -> None:
     weight = Weight(load_model(pick_model(reacher), reacher, quiet=True))
-    rng, found = np.random.default_rng(1), np.zeros(3)
+    rng = np.random.default_rng(1)
+    found = np.zeros(3)
     for _ in range(5):
         angles = rng.uniform(-1.5, 1.5, 3)
         weight(angles, found)
@@ -49,7 +51,8 @@ def test_the_torques_are_the_slope_of_the_potential_energy(reacher: Robot) -> No
 
 def test_a_base_that_leans_turns_the_weight_with_it(assets: Path) -> None:
     robot = load_robot("g1_29dof")
-    weight, found = Weight(load_model(pick_model(robot), robot, quiet=True)), np.zeros(29)
+    weight = Weight(load_model(pick_model(robot), robot, quiet=True))
+    found = np.zeros(29)
     quat = np.array((0.9, 0.2, -0.3, 0.1)) / np.linalg.norm((0.9, 0.2, -0.3, 0.1))
     arms = robot.group(["arms"])
     angles = robot.default_joint_pos.astype(float)

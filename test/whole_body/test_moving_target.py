@@ -54,7 +54,8 @@ def test_the_velocity_is_that_of_the_target(reacher: Robot) -> None:
     before = None
     for _ in range(200):
         made.tick()
-        now, velocity = bench.states.tool_target[:3].copy(), bench.states.tool_target_velocity[:3]
+        now = bench.states.tool_target[:3].copy()
+        velocity = bench.states.tool_target_velocity[:3]
         if before is not None:
             mean = 0.5 * (velocity + before[1])
             np.testing.assert_allclose((now - before[0]) / 0.01, mean, atol=2e-4)

@@ -309,7 +309,7 @@ ROWS = [
         ("", "COLDEST = -40.0", "COLDEST = -400.0"),
     ),
     *_rows(
-        "blocks/safety/overrun.py",
+        "blocks/safety/servo_stops.py",
         BLOCKS,
         ("OverrunStop.__call__", REMOVED),
         ("OverrunStop.__call__", "<= self._window_ns", "<= 0.1 * self._window_ns"),
@@ -320,7 +320,7 @@ ROWS = [
         ("OverrunStop.__init__", "platform is None or not platform.facts.simulated", "False"),
     ),
     *_rows(
-        "blocks/safety/learned.py",
+        "blocks/safety/ranges.py",
         LEARNED,
         ("ObservationStop._raise", REMOVED),
         ("ObservationStop.__init__", "margin * (upper - lower)", "10 * margin * (upper - lower)"),

@@ -1,4 +1,4 @@
-"""Around a flow: the approach, entry and blends that avoid a jump, and the monitor for the report."""
+"""Around a flow: approach, entry and blends that avoid a jump, and the monitor of a run."""
 
 from __future__ import annotations
 
@@ -68,7 +68,9 @@ class Approach:
         fade_in: float,
         then: Callable[[bool], bool] | None = None,
     ) -> None:
-        self._states, self._beginning, self._then = states, beginning, then
+        self._states = states
+        self._beginning = beginning
+        self._then = then
         self._from = states["joint_pos"].copy()
         self._way = beginning.joint_pos - self._from
         distance = float(np.abs(self._way).max(initial=0.0))
@@ -78,7 +80,8 @@ class Approach:
 
     def __call__(self) -> bool:
         self._tick += 1
-        states, tick = self._states, self._tick
+        states = self._states
+        tick = self._tick
         share = np.float32(min(tick / self._move, 1.0))
         np.multiply(self._way, share, out=states["joint_pos_target"])
         states["joint_pos_target"] += self._from
@@ -111,7 +114,9 @@ class Entry(Counting):
     def __init__(self, states: States, last: LastSent, ticks: int) -> None:
         self._held = [last.states[name].copy() for name in COMMAND_STATES]
         self._pairs = [(states[name], held) for name, held in zip(COMMAND_STATES, self._held)]
-        self._last, self._ticks, self._tick = last, ticks, 0
+        self._last = last
+        self._ticks = ticks
+        self._tick = 0
         self._measured = states["joint_pos"]
 
     def __call__(self) -> None:
@@ -160,8 +165,10 @@ class BlendIn(Counting):
         duration: Seconds = 0.5,
     ) -> None:
         live = (joint_pos_target, joint_stiffness, joint_damping, joint_vel_target, joint_effort_ff)
-        self._sent, self._live = context.sent, live
-        self._ticks, self._tick = ticks_of(duration, context.period), 0
+        self._sent = context.sent
+        self._live = live
+        self._ticks = ticks_of(duration, context.period)
+        self._tick = 0
         self._held, self._own, self._mixed = ([array.copy() for array in live] for _ in range(3))
         names = ("joint_pos_target", "joint_stiffness", "joint_damping")
         last = self._sent
@@ -213,7 +220,8 @@ class FadeIn(Counting):
         duration: Seconds = 1.0,
     ) -> None:
         faded = (joint_stiffness, joint_vel_target, joint_effort_ff)
-        self._ticks, self._tick = ticks_of(duration, period), 0
+        self._ticks = ticks_of(duration, period)
+        self._tick = 0
         # What is there, what it was whole, and what was left of it in the tick before.
         self._whole = [live.copy() for live in faded]
         self._left = [np.full_like(live, np.nan) for live in faded]
@@ -253,7 +261,9 @@ class Monitor:
     reads = ("base_pos_w", "projected_gravity", *COMMAND_STATES)
 
     def __init__(self, states: States, *, dry: bool = False, fixed: bool = False) -> None:
-        self._dry, self._fixed, self.held = dry, fixed, False
+        self._dry = dry
+        self._fixed = fixed
+        self.held = False
         self._pos = states["base_pos_w"].reshape(-1, 3)
         gravity = states["projected_gravity"].reshape(-1, 3)[:, 2]
         # `max` takes 1.3 µs where one number takes 0.1.

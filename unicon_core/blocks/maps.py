@@ -23,11 +23,7 @@ from unicon_core.states.standard import hardware_states
 
 
 def copy(
-    *,
-    states: States,
-    source: str,
-    target: str,
-    index: Sequence[int | str] | None = None,
+    *, states: States, source: str, target: str, index: Sequence[int | str] | None = None
 ) -> LinearMap:
     """Copy a state, or some of its elements, into another state.
 
@@ -67,7 +63,8 @@ def linear_map(
     """
     names = states.spec(source).names
     places = None if index is None else [_place(element, names, source) for element in index]
-    read, written = _vector(states, source), _vector(states, target)
+    read = _vector(states, source)
+    written = _vector(states, target)
     return LinearMap(read, written, places, scale, offset, source, target)
 
 
@@ -118,7 +115,8 @@ class BatchGravity:
         self._first, self._second = (np.zeros(quat.shape[:-1], np.float32) for _ in range(2))
 
     def __call__(self) -> None:
-        first, second = self._first, self._second
+        first = self._first
+        second = self._second
         (gx, gy, gz), (w, x, y, z) = self._parts, (self._w, self._x, self._y, self._z)
         np.multiply(w, y, out=first)
         np.multiply(x, z, out=second)
@@ -173,8 +171,11 @@ class MotorHeat:
         time_constant: Annotated[float, positive(DURATION, "s")] = 60.0,
     ) -> None:
         self._servo = Servo(tuple(command), robot.effort_limit)
-        self._measured, temperature = (joint_pos, joint_vel), motor_temperature
-        self._temperature, self._ambient, self._rise = temperature, ambient, rise
+        self._measured = (joint_pos, joint_vel)
+        temperature = motor_temperature
+        self._temperature = temperature
+        self._ambient = ambient
+        self._rise = rise
         self._share = -math.expm1(-period / time_constant)
         # In float64: 1e-4 K a tick would vanish in a float32 of 25.
         self._now = np.full(temperature.shape, ambient)

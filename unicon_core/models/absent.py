@@ -55,7 +55,8 @@ def drop_absent_meshes(
         floats: the robot needs geoms that keep it on the floor.
         shapes: takes up, for each body, the absent files of its geoms that may collide.
     """
-    urdf, folders = path.suffix.lower() == ".urdf", model_folders(path)
+    urdf = path.suffix.lower() == ".urdf"
+    folders = model_folders(path)
     absent: dict[str, Any] = {}
     pointers = 0
     for mesh in spec.meshes:

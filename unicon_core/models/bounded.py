@@ -130,13 +130,16 @@ class _Reader:
         return folders
 
     def _counted(self, tags: list[Tag], models: dict[str | None, float]) -> float:
-        size, copies, times = sum(models.values()), 0.0, [1.0]
+        size = sum(models.values())
+        copies = 0.0
+        times = [1.0]
         most = max(models.values(), default=0.0)
         for name, given, closes, empty in tags:
             if closes:
                 times = times[:-1] or [1.0]
                 continue
-            here, count = times[-1], prod(_numbers(given.get("count", "")))
+            here = times[-1]
+            count = prod(_numbers(given.get("count", "")))
             size += 1.0
             copies += here - 1.0
             if name in HEAVY:

@@ -119,8 +119,11 @@ def turned_by(quat: Floats, velocity: Floats, duration: float) -> tuple[float, f
     i, j, k = velocity
     speed = math.sqrt(i * i + j * j + k * k)
     half = 0.5 * speed * duration
-    c, s = math.cos(half), math.sin(half) / speed if speed > 1e-9 else 0.5 * duration
-    i, j, k = s * i, s * j, s * k
+    c = math.cos(half)
+    s = math.sin(half) / speed if speed > 1e-9 else 0.5 * duration
+    i = s * i
+    j = s * j
+    k = s * k
     return (
         c * w - i * x - j * y - k * z,
         c * x + i * w + j * z - k * y,
@@ -172,7 +175,8 @@ class Frames:
 
     def __init__(self, loaded: LoadedModel, robot: Robot, places: Mapping[str, Place]) -> None:
         self._posed = posed = PosedModel(loaded)
-        data, self._floats = posed.data, loaded.base is not None
+        data = posed.data
+        self._floats = loaded.base is not None
         self.names = tuple(places)
         self._bodies = []
         for name, place in places.items():
@@ -183,7 +187,8 @@ class Frames:
         if not self._floats:
             mujoco = import_mujoco()
             root = mujoco.mj_name2id(loaded.model, mujoco.mjtObj.mjOBJ_BODY, robot.base_frame)
-            place_of, turn = data.xpos[max(root, 0)].tolist(), data.xquat[max(root, 0)].tolist()
+            place_of = data.xpos[max(root, 0)].tolist()
+            turn = data.xquat[max(root, 0)].tolist()
             if [*place_of, *turn] != list(_HERE):
                 self._base = place_of, conjugate(turn)
 
@@ -204,7 +209,9 @@ class Frames:
             q = turn.tolist()
             x, y, z = at.tolist()
             u, v, w = _turned(q, a)
-            x, y, z = x + u, y + v, z + w
+            x = x + u
+            y = y + v
+            z = z + w
             q = multiply(q, r)
             if there is not None:
                 (u, v, w), back = there
@@ -214,7 +221,10 @@ class Frames:
             _, _, _, os, oi, oj, ok = out.tolist()
             along = s * os + i * oi + j * oj + k * ok
             if along < 0.0 or (along != along and s < 0.0):  # nothing stood there yet: w >= 0
-                s, i, j, k = -s, -i, -j, -k
+                s = -s
+                i = -i
+                j = -j
+                k = -k
             out[:] = x, y, z, s, i, j, k
 
     def of(self, joint_pos: ArrayLike) -> dict[str, Float64]:
@@ -227,7 +237,9 @@ class Frames:
 def _turned(q: Sequence[float], a: Sequence[float]) -> tuple[float, float, float]:
     """Return R(q) a = a + 2 w (u x a) + 2 u x (u x a), q = (w, u) a unit quaternion."""
     (w, x, y, z), (a0, a1, a2) = q, a
-    c0, c1, c2 = y * a2 - z * a1, z * a0 - x * a2, x * a1 - y * a0
+    c0 = y * a2 - z * a1
+    c1 = z * a0 - x * a2
+    c2 = x * a1 - y * a0
     return (
         a0 + 2.0 * (w * c0 + y * c2 - z * c1),
         a1 + 2.0 * (w * c1 + z * c0 - x * c2),

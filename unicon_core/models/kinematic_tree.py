@@ -4,9 +4,9 @@ A link's frame is where URDF has it: at its joint's anchor, turned as the body i
 0. MuJoCo's joint positions count from `qpos0`, so a body's pose is turned back by it here.
 
 Written as URDF, capsules become a cylinder and two spheres, meshes their bounding boxes, or in a
-`<visual>` their files where the links have `looks`. Names of links and joints are the model's, limits
-of effort and speed the robot file's. An engine gets links that have a mass each, and no frames
-without a body.
+`<visual>` their files where the links have `looks`. Names of links and joints are the model's,
+limits of effort and speed the robot file's. An engine gets links that have a mass each, and no
+frames without a body.
 """
 
 from __future__ import annotations

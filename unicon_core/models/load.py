@@ -27,7 +27,8 @@ from unicon_core.robots import Robot, joint_index
 
 def actuator_kind(model: Any, i: int) -> str:
     """Return what an actuator is: `motor`, `position`, `velocity` or `general`."""
-    mujoco, bias = import_mujoco(), model.actuator_biastype[i]
+    mujoco = import_mujoco()
+    bias = model.actuator_biastype[i]
     if model.actuator_gaintype[i] != int(mujoco.mjtGain.mjGAIN_FIXED):
         return "general"
     if bias == int(mujoco.mjtBias.mjBIAS_NONE):
@@ -52,12 +53,14 @@ def effort_ranges(loaded: LoadedModel, robot: Robot) -> tuple[Float64, Float64]:
     Returns:
         Lower and upper, shape (n,) each.
     """
-    model, driven = loaded.model, drives(loaded.model)
+    model = loaded.model
+    driven = drives(loaded.model)
     lower, upper = np.full((2, len(loaded.joints)), np.inf)
     lower *= -1.0
     for k, (joint, effort) in enumerate(zip(loaded.joints, robot.effort_limit)):
         actuator = driven[joint][0]
-        gear, ends = float(model.actuator_gear[actuator, 0]), []
+        gear = float(model.actuator_gear[actuator, 0])
+        ends = []
         if np.isfinite(effort):
             ends.append((-float(effort), float(effort)))
         if model.actuator_ctrllimited[actuator] and actuator_kind(model, actuator) == "motor":
@@ -73,14 +76,12 @@ def effort_ranges(loaded: LoadedModel, robot: Robot) -> tuple[Float64, Float64]:
 
 
 def mend_actuators(
-    spec: Any,
-    model: Any,
-    joints: Sequence[int],
-    names: Sequence[str],
-    notes: list[str],
+    spec: Any, model: Any, joints: Sequence[int], names: Sequence[str], notes: list[str]
 ) -> bool:
     """Give each joint a motor without dynamics of its own; return whether the spec was changed."""
-    mujoco, driven, changed = import_mujoco(), drives(model), False
+    mujoco = import_mujoco()
+    driven = drives(model)
+    changed = False
     added: list[str] = []
     for name, joint in zip(names, joints):
         if joint not in driven:
@@ -295,7 +296,8 @@ def weld_absent(spec: Any, model: Any, robot: Robot, notes: list[str]) -> tuple[
     """
     ids = simple_joints(model)
     names = list(ids)
-    there, absent = [], []
+    there = []
+    absent = []
     for name in robot.joint_names:
         try:
             there.append(ids[names[joint_index([name], names, loose=True)[0]]])
@@ -309,7 +311,8 @@ def weld_absent(spec: Any, model: Any, robot: Robot, notes: list[str]) -> tuple[
     for name in absent:
         body = base.add_body(name=f"unicon_{name}")
         body.explicitinertial = True
-        body.mass, body.inertia = _MASS, [_INERTIA] * 3
+        body.mass = _MASS
+        body.inertia = [_INERTIA] * 3
         body.add_joint(
             name=name,
             type=import_mujoco().mjtJoint.mjJNT_HINGE,

@@ -223,7 +223,8 @@ def position_gains(model: Any, actuator: int) -> tuple[float, float] | None:
     Returns:
         None for an actuator of another kind, such as a motor.
     """
-    gear, bias = float(model.actuator_gear[actuator, 0]), model.actuator_biasprm[actuator]
+    gear = float(model.actuator_gear[actuator, 0])
+    bias = model.actuator_biasprm[actuator]
     return (-bias[1] * gear**2, -bias[2] * gear**2) if bias[1] < 0.0 else None
 
 
@@ -283,7 +284,8 @@ def may_touch(model: Any, one: int, other: int) -> bool:
         or model.geom_contype[other] & model.geom_conaffinity[one]
     ):
         return True
-    firsts, seconds = model.pair_geom1, model.pair_geom2
+    firsts = model.pair_geom1
+    seconds = model.pair_geom2
     named = ((firsts == one) & (seconds == other)) | ((firsts == other) & (seconds == one))
     return bool(np.any(named))
 
@@ -298,7 +300,8 @@ def contact_of(model: Any, one: int, other: int) -> Contact:
             sliding, _, turning, rolling, _ = model.pair_friction[pair]
             return Contact(int(model.pair_dim[pair]), np.array((sliding, turning, rolling)))
     both = [one, other]
-    ranks, dims = model.geom_priority[both], model.geom_condim[both]
+    ranks = model.geom_priority[both]
+    dims = model.geom_condim[both]
     friction = model.geom_friction[both]
     if ranks[0] != ranks[1]:
         first = int(np.argmax(ranks))
@@ -319,14 +322,17 @@ def floors(model: Any) -> list[int]:
 
 def around(loaded: LoadedModel) -> list[int]:
     """Return what a robot may touch around it and is no floor: solid geoms that stand still."""
-    model, ours, planes = loaded.model, _ours(loaded), floors(loaded.model)
+    model = loaded.model
+    ours = _ours(loaded)
+    planes = floors(loaded.model)
     others = (geom for geom in still(model) if geom not in planes and not ours[geom])
     return [geom for geom in others if solid(model, geom)]
 
 
 def on_floor(loaded: LoadedModel) -> list[int]:
     """Return the robot's geoms that may touch a floor."""
-    model, planes = loaded.model, floors(loaded.model)
+    model = loaded.model
+    planes = floors(loaded.model)
     own = (geom for geom in np.flatnonzero(_ours(loaded)).tolist() if geom not in planes)
     return [geom for geom in own if any(may_touch(model, floor, geom) for floor in planes)]
 

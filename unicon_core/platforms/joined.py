@@ -85,7 +85,8 @@ class JoinedPlatform:
         base = next(iter(members))
         self._recvs = [(name, each.recv) for name, each in members.items()]
         self._sends = [(name, each.send) for name, each in members.items()]
-        self._stamp, self._of_base = states[STAMP], states[stamp_of(base)]
+        self._stamp = states[STAMP]
+        self._of_base = states[stamp_of(base)]
         # A simulator among robots keeps a time of its own, which is nobody else's.
         self._mixed = members[base].facts.simulated and not self.facts.simulated
         # Told again in every tick: gates find out by a mark whether anybody tells a state.

@@ -57,11 +57,14 @@ class Engine:
 
     def __init__(self, model: Any, solver: Any, joints: list[int]) -> None:
         self.worlds = max(int(model.world_count), 1)
-        self._model, self._solver = model, solver
+        self._model = model
+        self._solver = solver
         self._q = model.joint_q_start.numpy()[joints]
         self._v = model.joint_qd_start.numpy()[joints]
         self._centre = np.array(model.body_com.numpy()[0], np.float64)  # of the base
-        self._now, self._next, self._control = model.state(), model.state(), model.control()
+        self._now = model.state()
+        self._next = model.state()
+        self._control = model.control()
         self._force = np.zeros((self.worlds, model.joint_dof_count // self.worlds), np.float32)
 
     def _rows(self, array: Any) -> Float32:
@@ -83,7 +86,8 @@ class Engine:
         """Return the values of a `WorldPose`, shape (worlds, 3) or (worlds, 4)."""
         pose = self._rows(self._now.joint_q)[:, :7].astype(np.float64)
         twist = self._rows(self._now.joint_qd)[:, :6].astype(np.float64)
-        quat, rate = pose[:, (6, 3, 4, 5)], twist[:, 3:]
+        quat = pose[:, (6, 3, 4, 5)]
+        rate = twist[:, 3:]
         quat /= np.linalg.norm(quat, axis=1, keepdims=True)
         centre = rotation(quat) @ self._centre  # from the origin, along the world's axes
         return pose[:, :3], quat, twist[:, :3] - np.cross(rate, centre), rate
@@ -208,7 +212,8 @@ def make(
     world, numbers = build_world(newton, warp, start, robot, setup.figures)
     start.loaded.notes += not_told(start)
     joints = [numbers[name] for name in robot.joint_names]
-    count, options = setup.num_robots, solver_options(start)
+    count = setup.num_robots
+    options = solver_options(start)
 
     def engine(builder: Any, **more: Any) -> Engine:
         model = builder.finalize()

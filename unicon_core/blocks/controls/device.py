@@ -1,8 +1,8 @@
 """What an operator holds: control states, block `keyboard`, and the remotes of robots.
 
-Block `keyboard`: w s: forward, back; a d: left, right; q e: turn; space: all zero; 1 to 9: buttons. A key counts for
-half a second, which a key that is held down repeats in time: who lets go, or closes the terminal,
-drives nothing.
+Block `keyboard`: w s: forward, back; a d: left, right; q e: turn; space: all zero; 1 to 9: buttons.
+A key counts for half a second, which a key that is held down repeats in time: who lets go, or
+closes the terminal, drives nothing.
 
 Remotes: the bytes in which robots send their own remote, into sticks and buttons. Those of
 Unitree are written, too, for emulated robots.
@@ -101,7 +101,8 @@ _DOBOT_2 = ("RB", "LB", "start", "select", "RT", "LT")
 _DOBOT_3 = ("A", "B", "X", "Y", "up", "right", "down", "left")
 _OURS = {"RB": "R1", "LB": "L1", "RT": "R2", "LT": "L2"}
 _PND_BUTTONS = ("A", "B", "X", "Y", "L1", "R1", "select", "start")
-PND_FULL, PND_DEAD = 32767.0, 5000.0
+PND_FULL = 32767.0
+PND_DEAD = 5000.0
 
 
 def _take(controls: Controls, sticks: Iterable[float], pressed: Iterable[str]) -> None:
@@ -175,9 +176,7 @@ ESCAPE = "\x1b"
 
 
 def keyboard(
-    *,
-    context: BuildContext,
-    hold: Annotated[float, Within(0.05, 2.0, "s")] = 0.5,
+    *, context: BuildContext, hold: Annotated[float, Within(0.05, 2.0, "s")] = 0.5
 ) -> Block:
     """Write sticks and buttons as keys of the terminal say.
 
@@ -200,7 +199,9 @@ class Keyboard:
     memory = ("_left",)
 
     def __init__(self, controls: Controls, ticks: int, context: BuildContext) -> None:
-        self._controls, self._ticks, self._context = controls, ticks, context
+        self._controls = controls
+        self._ticks = ticks
+        self._context = context
         self._left = [0] * (4 + len(BUTTONS))
         self._before: list[Any] | None = None
         self._open = not context.dry

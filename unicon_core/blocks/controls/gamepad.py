@@ -133,7 +133,8 @@ def pad_of(identity: Identity | None, mapping: str = "auto") -> Pad:
     plain = name in ("8bitdo", "generic")
     if identity is not None:
         plain = not identity.axes >> 0x03 & 1
-    sticks, triggers = {**_LEFT, **_RIGHT[plain]}, _TRIGGERS[plain]
+    sticks = {**_LEFT, **_RIGHT[plain]}
+    triggers = _TRIGGERS[plain]
     wide = (-32768, 32767) if name in ("xbox", "nintendo") else (0, 255)
     ranges = dict.fromkeys(sticks, wide) | dict.fromkeys(triggers, (0, 255))
     return Pad(name, {**keys, **_OTHERS}, sticks, triggers, ranges)
@@ -211,7 +212,9 @@ class Finder:
 
 
 EVENT = struct.Struct("<qqHHi")
-SYN, KEY, ABS = 0, 1, 3
+SYN = 0
+KEY = 1
+ABS = 3
 # SYN_DROPPED: the kernel has thrown events away.
 DROPPED = 3
 # Events that are looked at in a tick.
@@ -220,12 +223,7 @@ MOST = 64
 AGAIN = 1.0
 
 
-def gamepad(
-    *,
-    context: BuildContext,
-    device: str = "auto",
-    mapping: Mapped = "auto",
-) -> Block:
+def gamepad(*, context: BuildContext, device: str = "auto", mapping: Mapped = "auto") -> Block:
     """Write sticks and buttons of a game pad; all zero while it is not there.
 
     It is looked for once a second, so that it may come and go. Buttons are named by place, as on a
@@ -259,8 +257,11 @@ class Gamepad:
     def __init__(
         self, controls: Controls, device: str, context: BuildContext, mapping: str = "auto"
     ) -> None:
-        self._controls, self._device, self._context = controls, device, context
-        self._mapping, self._finder = mapping, Finder()
+        self._controls = controls
+        self._device = device
+        self._context = context
+        self._mapping = mapping
+        self._finder = Finder()
         self._pad = pad_of(None, mapping)
         self._file = -1
         self._rest = b""
@@ -289,7 +290,8 @@ class Gamepad:
             self._take(kind, code, value)
 
     def _take(self, kind: int, code: int, value: int) -> None:
-        controls, pad = self._controls, self._pad
+        controls = self._controls
+        pad = self._pad
         if kind == KEY and code in pad.keys:
             controls.buttons[BUTTONS.index(pad.keys[code])] = int(value != 0)
         elif kind == ABS and code in pad.sticks:

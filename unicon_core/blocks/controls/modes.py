@@ -13,8 +13,8 @@
 
 A button that is not for the present mode is refused, and says why.
 
-Skills are a state machine of the same kind, see `unicon_core/workflow/skills.py`: modes that buttons,
-a state and callers of `Skills.ask` (a service) ask for; a refusal says why.
+Skills are a state machine of the same kind, see `unicon_core/workflow/skills.py`: modes that
+buttons, a state and callers of `Skills.ask` (a service) ask for; a refusal says why.
 """
 
 from __future__ import annotations
@@ -181,12 +181,15 @@ class Modes:
         context: BuildContext,
     ) -> None:
         self._sticks, self._buttons, self._gravity = seen
-        self._mode, self._names, self._ways = mode, tuple(names), tuple(ways)
+        self._mode = mode
+        self._names = tuple(names)
+        self._ways = tuple(ways)
         self.buttons_used = tuple(way.button for way in ways if way.button)
         self._period = context.period
         self._tell: Callable[[str], None] = context.tell
         self._before = np.ones_like(self._buttons)
-        self._now, self._ticks = self._names[0], 0
+        self._now = self._names[0]
+        self._ticks = 0
 
     def __call__(self) -> str:
         pressed = self._buttons > self._before
@@ -210,7 +213,8 @@ class Modes:
             self._tell(f"{way.button} is refused: {reason}")
 
     def _enter(self, mode: str) -> None:
-        self._now, self._ticks = mode, 0
+        self._now = mode
+        self._ticks = 0
         self._tell(f"{self.word}: {mode}")
 
     def _refused(self, way: ModeEntry) -> str:
@@ -229,7 +233,8 @@ class Modes:
 
     def reset(self) -> None:
         """Begin anew; what is held down counts once it is pressed again."""
-        self._now, self._ticks = self._names[0], 0
+        self._now = self._names[0]
+        self._ticks = 0
         self._before[...] = 1
 
 
@@ -273,10 +278,12 @@ class Skills(Modes):
         self.names = tuple(way.mode for way in ways)
         super().__init__(seen, number, self.names, ways, context)
         self._by_name = {way.mode: way for way in ways}
-        self._following, self._wish = dict(following), wish
+        self._following = dict(following)
+        self._wish = wish
         self._wished = self._value()
         self._asked = self._next = ""
-        self.reads, self.writes = tuple(reads), (SKILL,)
+        self.reads = tuple(reads)
+        self.writes = (SKILL,)
 
     @property
     def now(self) -> str:

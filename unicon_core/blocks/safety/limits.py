@@ -95,7 +95,10 @@ class Clamp:
     clamps = True
 
     def __init__(self, target: Float32, lower: Float32, upper: Float32, robot: Robot) -> None:
-        self._target, self._lower, self._upper, self._robot = target, lower, upper, robot
+        self._target = target
+        self._lower = lower
+        self._upper = upper
+        self._robot = robot
         self.ranges = [Range(target, lower, upper)]
 
     def __call__(self) -> None:
@@ -201,7 +204,10 @@ class EffortLimits:
     clamps = True
 
     def __init__(self, servo: Servo, limit: Float32, robot: Robot) -> None:
-        self._servo, self._lower, self._upper, self._robot = servo, -limit, limit, robot
+        self._servo = servo
+        self._lower = -limit
+        self._upper = limit
+        self._robot = robot
         target = servo.joint_pos_target
         self._torque, self._rest, self._clipped = (np.zeros_like(target) for _ in range(3))
         self._beyond = np.zeros(target.shape, np.bool_)
@@ -209,7 +215,10 @@ class EffortLimits:
 
     def __call__(self) -> None:
         servo = self._servo
-        torque, rest, clipped, beyond = self._torque, self._rest, self._clipped, self._beyond
+        torque = self._torque
+        rest = self._rest
+        clipped = self._clipped
+        beyond = self._beyond
         np.subtract(servo.joint_vel_target, servo.joint_vel, out=rest)
         rest *= servo.joint_damping  # what damping adds
         np.subtract(servo.joint_pos_target, servo.joint_pos, out=torque)
@@ -223,7 +232,10 @@ class EffortLimits:
             self._act()
 
     def _act(self) -> None:
-        servo, rest, clipped, beyond = self._servo, self._rest, self._clipped, self._beyond
+        servo = self._servo
+        rest = self._rest
+        clipped = self._clipped
+        beyond = self._beyond
         np.greater(servo.joint_stiffness, 0.0, out=self._stiff)
         np.logical_not(self._stiff, out=self._limp)
         self._stiff &= beyond
@@ -324,8 +336,12 @@ class RateLimit:
     clamps = True
 
     def __init__(self, pos: Float32, target: Float32, step: Float32, robot: Robot) -> None:
-        self._pos, self._target, self._step, self._robot = pos, target, step, robot
-        self._last, self._bound = np.zeros_like(target), np.zeros_like(target)
+        self._pos = pos
+        self._target = target
+        self._step = step
+        self._robot = robot
+        self._last = np.zeros_like(target)
+        self._bound = np.zeros_like(target)
         self._fresh = True
 
     def __call__(self) -> None:

@@ -1,4 +1,4 @@
-"""Stops where states leave bounds: measurements, commands, hardware, and what a network gets to see.
+"""Stops where states leave bounds: measurements, commands, hardware, observations and actions.
 
 They are `range_stop`, `command_stop`, `hardware_stop`, `observation_stop` and `action_stop`;
 `observation_range` learns the bounds of `observation_stop` in a good run:
@@ -67,7 +67,9 @@ def range_stop(
     Raises:
         WorkflowError: nothing is measured.
     """
-    robot, states, platform = context.robot, context.states, context.platform
+    robot = context.robot
+    states = context.states
+    platform = context.platform
     told = MEASURED if platform is None else platform.facts.writes
     names = [name for name in MEASURED if name in told and name in states]
     if not names:
@@ -146,7 +148,9 @@ class RangeStop:
             Range(states[name], *(np.broadcast_to(each, states[name].shape) for each in pair))
             for name, pair in bounds.items()
         ]
-        self._states, self._joints, self._said = states, robot.joint_names, said
+        self._states = states
+        self._joints = robot.joint_names
+        self._said = said
         self._screen = Screen(states, self.ranges)
 
     def __call__(self) -> None:
@@ -212,7 +216,8 @@ def hardware_stop(
     }
     if voltage is not None:
         bounds["battery_voltage"] = (voltage, HIGHEST_VOLTAGE)
-    states, platform = context.states, context.platform
+    states = context.states
+    platform = context.platform
     told = HARDWARE_STATES if platform is None else platform.facts.writes
     seen = {name: pair for name, pair in bounds.items() if name in states and name in told}
     if not seen:
@@ -267,11 +272,7 @@ class ObservationStop(RangeStop):
 
 
 def action_stop(
-    action: Reads,
-    *,
-    states: States,
-    robot: Robot,
-    limit: Annotated[float, positive(ACTION)] = 50.0,
+    action: Reads, *, states: States, robot: Robot, limit: Annotated[float, positive(ACTION)] = 50.0
 ) -> RangeStop:
     """Stop where a network's output is NaN or larger than any that moves a robot.
 

@@ -53,8 +53,12 @@ class TrackingStop:
         bound: Motion = 1.0,
         timeout: Timeout = 0.5,
     ) -> None:
-        self._pos, self._target, self._stiffness = joint_pos, joint_pos_target, joint_stiffness
-        self._robot, self._ticks, self._bound = robot, ticks_of(timeout, period), bound
+        self._pos = joint_pos
+        self._target = joint_pos_target
+        self._stiffness = joint_stiffness
+        self._robot = robot
+        self._ticks = ticks_of(timeout, period)
+        self._bound = bound
         self._apart = np.zeros_like(joint_pos)
         self._count = np.zeros(joint_pos.shape, np.int64)
         self._counting = False
@@ -119,7 +123,9 @@ class PowerStop:
     ) -> None:
         self._measured = joint_pos, joint_vel
         self._servo = Servo(tuple(command), robot.effort_limit)
-        self._ticks, self._limit, self._loss = ticks_of(timeout, period), limit, loss
+        self._ticks = ticks_of(timeout, period)
+        self._limit = limit
+        self._loss = loss
         self._work = np.zeros_like(joint_pos)
         self._count = 0
 
@@ -177,7 +183,9 @@ class TwinStop:
         period: float,
         timeout: Timeout = 0.2,
     ) -> None:
-        self._flag, self._gap, self._robot = twin_flag, twin_gap, robot
+        self._flag = twin_flag
+        self._gap = twin_gap
+        self._robot = robot
         self._ticks = ticks_of(timeout, period)
         self._count = np.zeros(twin_flag.shape, np.int64)
 
@@ -235,13 +243,15 @@ class OverrunStop:
         count: Annotated[int, Within(1)] = 10,
         window: Annotated[float, positive(LONGEST, "s")] = 1.0,
     ) -> None:
-        period, platform = context.period, context.platform
+        period = context.period
+        platform = context.platform
         ticks = round(window / period)
         if count > ticks:
             raise WorkflowError(
                 f"count is {count}; give 1 to {max(ticks, 1)}, the ticks of window: {window:g} s"
             )
-        self._period_ns, self._window_ns = period * 1e9, round(window * 1e9)
+        self._period_ns = period * 1e9
+        self._window_ns = round(window * 1e9)
         self._paced = platform is None or not platform.facts.simulated
         self._late_ns = 1.5 * self._period_ns
         self._pause_ns = max(PAUSE_NS, 5.0 * self._period_ns)
@@ -256,7 +266,8 @@ class OverrunStop:
             Fault: too many ticks were missed.
         """
         now = time.perf_counter_ns()
-        took, self._last = now - self._last, now
+        took = now - self._last
+        self._last = now
         if took < self._late_ns or took > self._pause_ns or not self._paced:
             return
         missed = self._missed

@@ -56,7 +56,9 @@ class Frames:
         frame: Literal["base", "world"] = "base",
     ) -> None:
         single(joint_pos)
-        loaded, states, robot = context.model("frames"), context.states, context.robot
+        loaded = context.model("frames")
+        states = context.states
+        robot = context.robot
         places = _places(of, robot)
         self.reads: tuple[str, ...] = ()
         if frame == "world" and loaded.base is not None:
@@ -67,7 +69,8 @@ class Frames:
                     "out beside it, and name bodies of the whole"
                 )
         self.writes = tuple(map(pose_of, places))
-        self._frames, self._joint_pos = BodyFrames(loaded, robot, places), joint_pos
+        self._frames = BodyFrames(loaded, robot, places)
+        self._joint_pos = joint_pos
         self._outs = [states[name] for name in self.writes]
         self._base = [states[name] for name in self.reads]
         self._world = np.array((0, 0, 0, 1.0, 0, 0, 0)) if frame == "world" else None
@@ -178,8 +181,12 @@ class MovingTarget:
             )
         self.writes = target_of(effector)
         self._target, self._velocity, self._said = (context.states[name] for name in self.writes)
-        self._stamp, self._radius, self._turn = stamp_ns, radius, 2.0 * math.pi * frequency
-        self._axes, self._ramp, self._period = PLANES[plane], ramp, context.period
+        self._stamp = stamp_ns
+        self._radius = radius
+        self._turn = 2.0 * math.pi * frequency
+        self._axes = PLANES[plane]
+        self._ramp = ramp
+        self._period = context.period
         self._ticks = 0
 
     @staticmethod
@@ -194,13 +201,15 @@ class MovingTarget:
         time = self._ticks * self._period
         self._ticks += 1
         # r(t) = R (1 - cos πt/T) / 2, and its velocity.
-        radius, grows = self._radius, 0.0
+        radius = self._radius
+        grows = 0.0
         if time < self._ramp:
             angle = math.pi * time / self._ramp
             grows = 0.5 * math.pi / self._ramp * radius * math.sin(angle)
             radius *= 0.5 - 0.5 * math.cos(angle)
         target, velocity, middle, (i, j) = self._target, self._velocity, self._middle, self._axes
-        c, s = math.cos(self._turn * time), math.sin(self._turn * time)
+        c = math.cos(self._turn * time)
+        s = math.sin(self._turn * time)
         target[:] = middle
         target[i], target[j] = middle[i] + radius * c, middle[j] + radius * s
         velocity[:] = 0.0

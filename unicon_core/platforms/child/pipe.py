@@ -50,7 +50,8 @@ class Pipe:
         module: str = PLATFORM,
         environment: Mapping[str, str] | None = None,
     ) -> None:
-        self._what, self._rest = what, b""
+        self._what = what
+        self._rest = b""
         try:
             packed = pickle.dumps(given)
         except (AttributeError, TypeError, pickle.PicklingError) as error:
@@ -96,7 +97,8 @@ class Pipe:
         size = int.from_bytes(self._rest[:8], "little")
         if len(self._rest) < 8 + size or not size:
             return {}
-        words, self._rest = self._rest[8 : 8 + size], self._rest[8 + size :]
+        words = self._rest[8 : 8 + size]
+        self._rest = self._rest[8 + size :]
         try:
             told = pickle.loads(words)  # of our own child, through our own pipe
         except Exception:  # in which its platform may have written
@@ -157,7 +159,8 @@ class Pipe:
         Args:
             patience: how long it may take in [s].
         """
-        process, words = self.process, dict[str, Any]()
+        process = self.process
+        words = dict[str, Any]()
         assert process.stdin is not None
         assert process.stdout is not None
         with suppress(OSError):
@@ -198,7 +201,8 @@ class Parent:
             signal.signal(number, signal.SIG_IGN)
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
         signal.alarm(round(patience) + ALARM)
-        self._told, self._telling = os.dup(1), threading.Lock()
+        self._told = os.dup(1)
+        self._telling = threading.Lock()
         os.dup2(2, 1)  # what libraries print is not for the parent
         size = int.from_bytes(_exactly(8), "little")
         self.given: dict[str, Any] = pickle.loads(_exactly(size))  # through our own pipe

@@ -134,7 +134,8 @@ class ChildPlatform:
         self._finite = FiniteCheck(
             {state: states[state] for state in self.facts.reads}, robot.joint_names
         )
-        self._due, self._told = 1, False
+        self._due = 1
+        self._told = False
         for ability in told["abilities"]:  # the protocols look for methods
             asked = getattr(self, f"_{ability}", partial(self._ask, ability))
             setattr(self, ability, asked)
@@ -274,7 +275,8 @@ class ChildPlatform:
         if self._closed:
             return
         self._closed = True
-        pipe, words = self._pipe, {}
+        pipe = self._pipe
+        words = {}
         if pipe is not None:
             words = pipe.close(HUNG if self._hung else DAMPING)
         if self._reader is not None:
@@ -297,7 +299,8 @@ def _place(factory: Callable[..., Any]) -> str:
     Raises:
         PlatformError: it has none.
     """
-    module, name = getattr(factory, "__module__", None), getattr(factory, "__qualname__", "")
+    module = getattr(factory, "__module__", None)
+    name = getattr(factory, "__qualname__", "")
     if module in (None, "__main__") or not name.replace(".", "_").isidentifier():
         raise PlatformError(
             f"platform {name or factory!r} cannot run in a child, which could not import it; put "

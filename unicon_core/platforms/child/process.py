@@ -84,7 +84,8 @@ class _Driver:
     """The platform, and the two segments between which it stands."""
 
     def __init__(self, parent: Parent) -> None:
-        self._parent, given = parent, parent.given
+        self._parent = parent
+        given = parent.given
         factory: Any = resolve_name(given["factory"])
         self._states = States(Layout.from_json(given["layout"]))
         self._commands = ShmReader(given["parent"], COMMAND, self._states)
@@ -95,7 +96,8 @@ class _Driver:
         facts = self.platform.facts
         self._watchdog = given["watchdog"]
         self._stepped = facts.simulated
-        self._stopped, self._heard = False, 0.0
+        self._stopped = False
+        self._heard = 0.0
         try:
             measured = subset(self._states.layout, facts.writes)
             self._segment = Segment.create(given["segment"], {MEASURED: measured})
@@ -116,10 +118,16 @@ class _Driver:
         Raises:
             Fault: of the platform, or the parent is silent.
         """
-        platform, commands, writer = self.platform, self._commands, self._writer
+        platform = self.platform
+        commands = self._commands
+        writer = self._writer
         slice_ = _LOOK if self._stepped else _ROBOT_LOOK
-        recv, send, publish, stepped = platform.recv, platform.send, writer.publish, self._stepped
-        self._heard, looked = 0.0, time.monotonic()
+        recv = platform.recv
+        send = platform.send
+        publish = writer.publish
+        stepped = self._stepped
+        self._heard = 0.0
+        looked = time.monotonic()
         while not self._stopped:
             signal.alarm(ALARM)
             came = commands.wait(slice_)

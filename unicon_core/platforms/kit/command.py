@@ -1,4 +1,4 @@
-"""Commands checked for finite numbers, servos in NumPy, late joints, and physics steps in a tick."""
+"""Commands checked for finite numbers, servos in NumPy, late joints, physics steps of a tick."""
 
 from __future__ import annotations
 
@@ -30,7 +30,9 @@ class FiniteCheck:
     def __init__(
         self, commands: Mapping[str, Array], joint_names: Sequence[str], who: str = ""
     ) -> None:
-        self._commands, self._names, self._said = dict(commands), joint_names, who
+        self._commands = dict(commands)
+        self._names = joint_names
+        self._said = who
         self._flat = flat(list(commands.values()))
 
     def __call__(self) -> None:
@@ -104,10 +106,7 @@ class Servo:
     """
 
     def __init__(
-        self,
-        rows: Array | Sequence[Array],
-        effort_limit: ArrayLike,
-        lower: ArrayLike | None = None,
+        self, rows: Array | Sequence[Array], effort_limit: ArrayLike, lower: ArrayLike | None = None
     ) -> None:
         self._rows = rows
         self._limit = np.nan_to_num(np.asarray(effort_limit, rows[0].dtype), nan=np.inf)
@@ -210,7 +209,8 @@ def steps_in(period: float, timestep: float, model: object, platform: str) -> in
     steps = round(ratio)
     if steps >= 1 and abs(ratio - steps) < 1e-6 * steps:
         return steps
-    down, up = max(math.floor(ratio), 1), max(math.ceil(ratio), 1)
+    down = max(math.floor(ratio), 1)
+    up = max(math.ceil(ratio), 1)
     first, *others = (f"{period / n:.10g}" for n in dict.fromkeys((down, up)))
     either = "".join(f" (or {each})" for each in others)
     periods = " or ".join(f"{n * timestep:.6g}" for n in dict.fromkeys((down, up)))

@@ -46,7 +46,8 @@ def disturb(
 
 def _refuse(platform: Platform, scene: Scene) -> None:
     """Refuse what a platform cannot be disturbed with."""
-    name, writes = platform.facts.name, set(platform.facts.writes) - {"stamp_ns"}
+    name = platform.facts.name
+    writes = set(platform.facts.writes) - {"stamp_ns"}
     for state in scene.noise:
         if state not in writes:
             raise PlatformError(
@@ -69,13 +70,16 @@ class Disturbances:
     def __init__(
         self, platform: Platform, scene: Scene, states: States, robot: Robot, period: float
     ) -> None:
-        self._recv, self._send = platform.recv, platform.send
+        self._recv = platform.recv
+        self._send = platform.send
         self.own: dict[str, Callable[..., Any]] = {
             name: getattr(platform, name) for name in _METHODS if hasattr(platform, name)
         }
         self._push = platform.push if isinstance(platform, Pushable) else None
-        self._platform, self._states = platform, states
-        self._period, self._batch = period, states.num_robots
+        self._platform = platform
+        self._states = states
+        self._period = period
+        self._batch = states.num_robots
         self._views = [states[name] for name in platform.facts.reads]
         self._command = Command(states, robot.joint_names, dtype=np.float32)
         self._take(scene)

@@ -59,7 +59,8 @@ class JointModel:
             model: the one of `loaded`, or a copy of it.
             loaded: says where the joints are.
         """
-        mujoco, dofs = import_mujoco(), loaded.dofs
+        mujoco = import_mujoco()
+        dofs = loaded.dofs
         model.dof_armature[dofs], model.dof_damping[dofs] = self.armature, self.damping
         model.dof_frictionloss[dofs] = self.friction
         mujoco.mj_setConst(model, mujoco.MjData(model))  # the solver's inverse inertias follow
@@ -72,9 +73,12 @@ def joint_model(start: Start, passive: Passive) -> JointModel:
         start: has the model, and what was said.
         passive: whether the model's damping acts.
     """
-    model, physics, joints = start.loaded.model, start.physics, start.loaded.joints
+    model = start.loaded.model
+    physics = start.physics
+    joints = start.loaded.joints
     dofs = start.loaded.dofs
-    armature, friction = model.dof_armature[dofs], model.dof_frictionloss[dofs]
+    armature = model.dof_armature[dofs]
+    friction = model.dof_frictionloss[dofs]
     limited = model.jnt_limited[joints].astype(bool)
     lower, upper = model.jnt_range[joints].T
     return JointModel(
@@ -113,7 +117,8 @@ def lost(start: Start, robot: Robot, figures: JointModel, represents: Collection
             of joints, `self-collision`, `meshes` that collide, `contact friction` that turns and
             rolls, `targets` cut by position actuators, `constraints`, `terrain`.
     """
-    mujoco, loaded = import_mujoco(), start.loaded
+    mujoco = import_mujoco()
+    loaded = start.loaded
     model = loaded.model
     has = {
         "armature": _joints(robot, "armature", figures.armature, "kg·m²"),
@@ -143,7 +148,9 @@ def lost(start: Start, robot: Robot, figures: JointModel, represents: Collection
 
 def _touch_themselves(model: Any) -> bool:
     """Return whether links of the robot may touch others than their own parents and children."""
-    types, affinities, bodies = model.geom_contype, model.geom_conaffinity, model.geom_bodyid
+    types = model.geom_contype
+    affinities = model.geom_conaffinity
+    bodies = model.geom_bodyid
     met = types[:, None] & affinities
     met = (met | met.T).astype(bool)
     parents = model.body_parentid[bodies]

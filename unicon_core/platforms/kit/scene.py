@@ -151,7 +151,8 @@ class Scene:
 
     def begins_as(self, other: Scene) -> bool:
         """Return whether a robot begins where it does in another scene of the same model."""
-        ours, theirs = self.pose, other.pose
+        ours = self.pose
+        theirs = other.pose
         return (
             (self.initial_pose, self.initial_height) == (other.initial_pose, other.initial_height)
             and (ours is None) == (theirs is None)
@@ -190,7 +191,8 @@ class Scene:
             PlatformError: no such pose, or only a model says it.
             WorkflowError: no such joint.
         """
-        poses, pose = robot_poses(robot), self.initial_pose
+        poses = robot_poses(robot)
+        pose = self.initial_pose
         standing = np.nan_to_num(poses["default"].astype(np.float64))
         if self.pose is not None:
             return self.pose.astype(np.float64)

@@ -80,7 +80,8 @@ def start_of(robot: Robot, scene: Scene) -> Start:
             f"{{{', '.join(f'{member}: …' for member in robot.members)}}}"
         ) from error
     tell_bodies(loaded, scene.payload, scene.contact_friction)
-    base, qpos = loaded.base, initial_positions(loaded, robot, scene)
+    base = loaded.base
+    qpos = initial_positions(loaded, robot, scene)
     pose = np.array((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
     if base is not None:
         pose = qpos[int(loaded.model.jnt_qposadr[base]) :][:7]
@@ -101,10 +102,12 @@ def initial_positions(loaded: LoadedModel, robot: Robot, scene: Scene) -> Float6
         PlatformError: no such pose.
     """
     mujoco = import_mujoco()
-    model, base = loaded.model, loaded.base
+    model = loaded.model
+    base = loaded.base
     posed = PosedModel(loaded)
     data = posed.data
-    pose, height = scene.initial_pose, scene.initial_height
+    pose = scene.initial_pose
+    height = scene.initial_height
     if isinstance(pose, str) and pose.startswith(KEYFRAME):
         keyframe = pose.removeprefix(KEYFRAME)
         names = [model.key(i).name for i in range(model.nkey)]
@@ -171,7 +174,8 @@ def _add(model: Any, body: int, mass: float, position: Any) -> None:
     centre to the old one and to the point.
     """
     mujoco = import_mujoco()
-    before, centre = float(model.body_mass[body]), np.array(model.body_ipos[body])
+    before = float(model.body_mass[body])
+    centre = np.array(model.body_ipos[body])
     point = centre if position is None else np.array(position, np.float64)
     total = before + mass
     model.body_mass[body] = total
@@ -219,8 +223,10 @@ def hold(model: Any, base: int, qpos: Float64) -> None:
         qpos: where the robot begins, shape (nq,).
     """
     model.opt.disableflags &= ~int(import_mujoco().mjtDisableBit.mjDSBL_EULERDAMP)
-    w, mass = 2.0 * math.pi * FREQUENCY, float(model.body_subtreemass[model.jnt_bodyid[base]])
-    pose, twist = int(model.jnt_qposadr[base]), int(model.jnt_dofadr[base])
+    w = 2.0 * math.pi * FREQUENCY
+    mass = float(model.body_subtreemass[model.jnt_bodyid[base]])
+    pose = int(model.jnt_qposadr[base])
+    twist = int(model.jnt_dofadr[base])
     model.jnt_stiffness[base] = mass * w * w
     model.qpos_spring[pose : pose + 7] = qpos[pose : pose + 7]
     model.qpos_spring[pose : pose + 3] -= model.opt.gravity / (w * w)

@@ -153,7 +153,9 @@ class SteppedSimulator(ABC):
         self.notes = [*start.loaded.notes, *lost(start, robot, figures, self.represents), *notes]
         told_of = (*self.facts.notes, *self.notes)
         self.facts = replace(self.facts, writes=tuple(told), notes=told_of)
-        self._names, self.start, self.model_path = robot.joint_names, start, start.loaded.path
+        self._names = robot.joint_names
+        self.start = start
+        self.model_path = start.loaded.path
         self.timestep = timestep
         self.decimation = steps_in(setup.period, timestep, self.model_path, self.facts.name)
         self._tick_ns = tick_ns(timestep, self.decimation)

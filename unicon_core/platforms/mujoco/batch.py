@@ -48,7 +48,8 @@ class SideBySide:
     """
 
     def __init__(self, jobs: Sequence[Job], name: str) -> None:
-        self._jobs, self._inboxes = tuple(jobs), [Inbox() for _ in jobs[1:]]
+        self._jobs = tuple(jobs)
+        self._inboxes = [Inbox() for _ in jobs[1:]]
         self._threads = [
             Thread(target=_serve, args=(rank, job, inbox), name=f"{name} {rank}", daemon=True)
             for rank, (job, inbox) in enumerate(zip(jobs[1:], self._inboxes), 1)
@@ -126,7 +127,9 @@ class Batch:
         shares: Sequence[range],
         servos: Sequence[Servo],
     ) -> None:
-        self._take, self._rows, self._robots = command.take, command.rows, robots
+        self._take = command.take
+        self._rows = command.rows
+        self._robots = robots
         self._decimation = decimation
         self._parts: list[Part] = []
         self._told = servos[0].told

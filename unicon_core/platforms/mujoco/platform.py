@@ -97,8 +97,11 @@ class MujocoPlatform:
         passive: Passive = "keep",
         qpos: Float64 | None = None,
     ) -> None:
-        self._mujoco, self._robot, self._read = mujoco, robot, models
-        self._states, self._period = states, period
+        self._mujoco = mujoco
+        self._robot = robot
+        self._read = models
+        self._states = states
+        self._period = period
         self.terrain = scene.uneven
         loaded = self._loaded = models.on(self.terrain)
         model = self.model = loaded.model

@@ -64,7 +64,8 @@ class BaseReader:
     """
 
     def __init__(self, loaded: LoadedModel, data: Any, views: Mapping[str, Array]) -> None:
-        model, joint = loaded.model, loaded.base
+        model = loaded.model
+        joint = loaded.base
         body = int(model.jnt_bodyid[joint])
         qpos = data.qpos[model.jnt_qposadr[joint] :][:7]
         qvel = data.qvel[model.jnt_dofadr[joint] :][:6]
@@ -77,7 +78,8 @@ class BaseReader:
         def sensor(kind: str) -> tuple[Float64, Float64]:
             """Return the sensor's data and the orientation of its site in the base."""
             self.source[kind] = model.sensor(imu[kind]).name or None
-            start, size = int(model.sensor_adr[imu[kind]]), int(model.sensor_dim[imu[kind]])
+            start = int(model.sensor_adr[imu[kind]])
+            size = int(model.sensor_dim[imu[kind]])
             quat = np.array(model.site_quat[model.sensor_objid[imu[kind]]], dtype=np.float64)
             return data.sensordata[start : start + size], quat
 
@@ -130,9 +132,12 @@ def _turned(out: Array, source: Float64, base_from_site: Float64) -> Copy:
     if np.allclose(np.abs(base_from_site), (1.0, 0.0, 0.0, 0.0), atol=1e-9):
         return _plain(out, source)
     mujoco = import_mujoco()
-    turn, by, result = mujoco.mju_rotVecQuat, base_from_site, np.zeros(len(source))
+    turn = mujoco.mju_rotVecQuat
+    by = base_from_site
+    result = np.zeros(len(source))
     if len(source) == 4:
-        turn, by = mujoco.mju_mulQuat, base_from_site * (1.0, -1.0, -1.0, -1.0)
+        turn = mujoco.mju_mulQuat
+        by = base_from_site * (1.0, -1.0, -1.0, -1.0)
 
     def turned() -> None:
         turn(result, source, by)
@@ -148,7 +153,8 @@ def _specific_force(
 
     A free joint's rates and their derivatives are along the body's own axes.
     """
-    world, base = np.zeros(3), np.zeros(3)
+    world = np.zeros(3)
+    base = np.zeros(3)
     if not arm.any():
 
         def at_origin() -> None:
@@ -183,7 +189,8 @@ class Reader:
     """
 
     def __init__(self, loaded: LoadedModel, data: Any, views: Mapping[str, Array]) -> None:
-        q_index, v_index = index_of(loaded.addresses.tolist()), index_of(loaded.dofs.tolist())
+        q_index = index_of(loaded.addresses.tolist())
+        v_index = index_of(loaded.dofs.tolist())
         sources = ((data.qpos, q_index), (data.qvel, v_index), (data.qfrc_actuator, v_index))
         self._copies = [
             (views[name], source[index] if isinstance(index, slice) else None, source, index)
@@ -226,8 +233,12 @@ class Rehearsal:
     """
 
     def __init__(self, mujoco: Any, model: Any, data: Any, read: Reader, split: bool) -> None:
-        self._mujoco, self._model, self._data = mujoco, model, data
-        self._read, self._split, self._kept = read, split, None
+        self._mujoco = mujoco
+        self._model = model
+        self._data = data
+        self._read = read
+        self._split = split
+        self._kept = None
         # What a plugin remembers is its own.
         self._able = not model.nplugin
         self._long = self._rest = 0
@@ -237,7 +248,10 @@ class Rehearsal:
         if self._rest or not self._able:
             self._rest = max(self._rest - 1, 0)
             return
-        mujoco, model, data, now = self._mujoco, self._model, self._data, time.perf_counter_ns
+        mujoco = self._mujoco
+        model = self._model
+        data = self._data
+        now = time.perf_counter_ns
         if self._kept is None:  # 0.5 ms, enough for once
             self._kept = mujoco.MjData(model)
             return
@@ -254,9 +268,11 @@ class Rehearsal:
             mujoco.mj_copyData(data, model, self._kept)
         self._read()
         if now() - begin <= LONGEST_NS:
-            self._long, self._next_rest = 0, REST
+            self._long = 0
+            self._next_rest = REST
             return
         self._long += 1
         if self._long == RUNNING:
-            self._long, self._rest = 0, self._next_rest
+            self._long = 0
+            self._rest = self._next_rest
             self._next_rest *= 2

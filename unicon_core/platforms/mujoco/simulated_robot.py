@@ -69,11 +69,15 @@ class SimulatedRobot:
         model = self.model = loaded.model
         data = self.data = mujoco.MjData(model)
         self.servo = servo
-        self._mujoco, self._base = mujoco, loaded.base
-        self._names, self._decimation, self._initial = tuple(joint_names), decimation, qpos
+        self._mujoco = mujoco
+        self._base = loaded.base
+        self._names = tuple(joint_names)
+        self._decimation = decimation
+        self._initial = qpos
         self._who = "" if rank is None else f"robot {rank}, "
         self._extra_ctrl = servo.holding(qpos)
-        self.loaded, self._views = loaded, views
+        self.loaded = loaded
+        self._views = views
         self._reader = Reader(loaded, data, views)
         self.sources = self._reader.sources
         self._stamp = views.get("stamp_ns")
@@ -81,8 +85,10 @@ class SimulatedRobot:
         self._take = command.take
         self.command = command.rows if rank is None else command.rows[:, rank]
         self.delay = None if delay is None else JointDelay(self.command, delay, decimation)
-        self._qvel, self._option = data.qvel, model.opt
-        self._unseen, self.postponed = without_sensors(model), False
+        self._qvel = data.qvel
+        self._option = model.opt
+        self._unseen = without_sensors(model)
+        self.postponed = False
         self._split = model.opt.integrator != int(mujoco.mjtIntegrator.mjINT_RK4)
         self.reset()
 
@@ -93,7 +99,8 @@ class SimulatedRobot:
 
     def reset(self) -> None:
         """Put the robot back where it began, time 0."""
-        mujoco, data = self._mujoco, self.data
+        mujoco = self._mujoco
+        data = self.data
         mujoco.mj_resetData(self.model, data)
         data.qpos[:] = self._initial
         data.ctrl[:] = self._extra_ctrl
@@ -144,8 +151,12 @@ class SimulatedRobot:
         Raises:
             Fault: the physics blew up.
         """
-        mujoco, model, data, option = self._mujoco, self.model, self.data, self._option
-        left, told = self._decimation, option.disableflags
+        mujoco = self._mujoco
+        model = self.model
+        data = self.data
+        option = self._option
+        left = self._decimation
+        told = option.disableflags
         fresh = self._split  # kinematics of the next step are there: the first one needs half
         option.disableflags = told | self._unseen
         try:
@@ -173,7 +184,9 @@ class SimulatedRobot:
 
     def _too_fast(self) -> str:
         """Return the joint that moves too fast; where it went through all, the likeliest cause."""
-        model, qvel, stiffness = self.model, self._qvel, self.command[3]
+        model = self.model
+        qvel = self._qvel
+        stiffness = self.command[3]
         if np.isfinite(qvel).any():
             dof = int(np.argmax(np.nan_to_num(np.abs(qvel), nan=np.inf)))
             joint = model.joint(int(model.dof_jntid[dof])).name or None
@@ -203,7 +216,9 @@ class SimulatedRobot:
             measured: as of `Placeable`.
             posed: the model on flat ground.
         """
-        data, loaded, model = self.data, self.loaded, self.model
+        data = self.data
+        loaded = self.loaded
+        model = self.model
         if "joint_pos" in measured:
             data.qpos[loaded.addresses] = measured["joint_pos"]
         if "joint_vel" in measured:
@@ -230,7 +245,9 @@ class SimulatedRobot:
 
     def save(self) -> dict[str, Any]:
         """Return what the physics go on from."""
-        mujoco, model, data = self._mujoco, self.model, self.data
+        mujoco = self._mujoco
+        model = self.model
+        data = self.data
         kind = int(mujoco.mjtState.mjSTATE_INTEGRATION)
         state = np.zeros(mujoco.mj_stateSize(model, kind))
         mujoco.mj_getState(model, data, state, kind)
@@ -244,7 +261,9 @@ class SimulatedRobot:
 
     def load(self, kept: dict[str, Any]) -> None:
         """Go on as a robot of another platform would that was built alike."""
-        mujoco, model, data = self._mujoco, self.model, self.data
+        mujoco = self._mujoco
+        model = self.model
+        data = self.data
         mujoco.mj_setState(model, data, kept["state"], int(mujoco.mjtState.mjSTATE_INTEGRATION))
         self.ticks, self.command[...] = kept["ticks"], kept["command"]
         if self.delay is not None:
