@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,7 +9,6 @@ from numpy.typing import NDArray
 
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Report, Runner, RunOptions
-from unicon_core.states import States
 from unicon_core.workflow import Program, load_workflow
 
 Float = NDArray[np.float64]
@@ -49,12 +47,7 @@ class Odometry(NamedTuple):
         return float(np.sqrt((self.error**2).mean()))
 
 
-def run(
-    workflow: str,
-    changes: dict[str, Any] | Sequence[str],
-    seconds: float,
-    spoil: Callable[[States, int], None] | None = None,
-) -> Odometry:
+def run(workflow, changes, seconds, spoil=None):
     """Run a workflow as fast as it goes, with what spoils the sensors behind recv.
 
     Args:

@@ -10,7 +10,6 @@ import pytest
 
 from unicon_base.errors import WorkflowError
 from unicon_core.blocks import BUILTIN
-from unicon_core.flow.block import Block
 from unicon_core.states import States, StateSpec, standard_states
 from unicon_core.workflow.registry import import_target
 
@@ -18,12 +17,12 @@ Bench = Any
 Build = Callable[..., Bench]
 
 
-def test_every_builtin_target_exists() -> None:
+def test_every_builtin_target_exists():
     for name, target in BUILTIN.items():
         assert callable(import_target(target, name, WorkflowError))
 
 
-def commands(it: Bench, block: Block, ticks: int) -> Any:
+def commands(it, block, ticks):
     rows = []
     for _ in range(ticks):
         block.tick()
@@ -31,13 +30,13 @@ def commands(it: Bench, block: Block, ticks: int) -> Any:
     return np.array(rows)
 
 
-def test_constant_command_is_written_every_tick(bench: Build) -> None:
+def test_constant_command_is_written_every_tick(bench):
     it = bench()
     rows = commands(it, it.block("velocity_command", constant=[0.5, 0.0, -0.2]), 3)
     np.testing.assert_allclose(rows, [[0.5, 0.0, -0.2]] * 3, rtol=1e-6)
 
 
-def test_schedule_switches_at_its_times_and_begins_anew(bench: Build) -> None:
+def test_schedule_switches_at_its_times_and_begins_anew(bench):
     it = bench()
     schedule = [[0.04, 1, 0, 0], [0.1, 0, 0, 0.5]]
     block = it.block("velocity_command", schedule=schedule, duration=0.16)
@@ -50,7 +49,7 @@ def test_schedule_switches_at_its_times_and_begins_anew(bench: Build) -> None:
         block.reset()
 
 
-def test_ramp_and_limits_bound_the_command(bench: Build) -> None:
+def test_ramp_and_limits_bound_the_command(bench):
     it = bench()
     block = it.block(
         "velocity_command",
@@ -82,13 +81,13 @@ def test_ramp_and_limits_bound_the_command(bench: Build) -> None:
         ({"constant": [0, 0, 0], "ramp": 0.0}, "ramp is 0.0; write a number above 0, or null"),
     ],
 )
-def test_wrong_commands(bench: Build, options: dict[str, Any], message: str) -> None:
+def test_wrong_commands(bench, options, message):
     with pytest.raises(WorkflowError) as error:
         bench().block("velocity_command", **options)
     assert str(error.value) == f"block 'velocity_command': {message}"
 
 
-def test_elapsed_counts_ticks_and_stays_true(bench: Build) -> None:
+def test_elapsed_counts_ticks_and_stays_true(bench):
     block = bench().block("elapsed", seconds=0.1)
     assert [block.tick() for _ in range(7)] == [False] * 4 + [True] * 3
     assert block.reset is not None
@@ -96,7 +95,7 @@ def test_elapsed_counts_ticks_and_stays_true(bench: Build) -> None:
     assert not block.tick()
 
 
-def test_settled_needs_uninterrupted_rest(bench: Build) -> None:
+def test_settled_needs_uninterrupted_rest(bench):
     it = bench()
     block = it.block("settled", velocity=0.1, duration=0.06)
     speeds = (0.0, 0.05, 0.2, -0.05, 0.0, 0.0, np.nan, 0.0)
@@ -108,7 +107,7 @@ def test_settled_needs_uninterrupted_rest(bench: Build) -> None:
 
 
 @pytest.mark.parametrize("num_robots", [None, 4])
-def test_projected_gravity_is_the_rotated_vertical(bench: Build, num_robots: int | None) -> None:
+def test_projected_gravity_is_the_rotated_vertical(bench, num_robots):
     it = bench(num_robots=num_robots)
     rng = np.random.default_rng(0)
     block = it.block("projected_gravity")
@@ -124,7 +123,7 @@ def test_projected_gravity_is_the_rotated_vertical(bench: Build, num_robots: int
             np.testing.assert_allclose(got, expected, atol=1e-6)
 
 
-def with_extra(it: Bench, num_robots: int | None = None) -> None:
+def with_extra(it, num_robots=None):
     it.states = States(
         {
             **standard_states(it.robot.joint_names),
@@ -137,7 +136,7 @@ def with_extra(it: Bench, num_robots: int | None = None) -> None:
 
 
 @pytest.mark.parametrize("num_robots", [None, 3])
-def test_linear_map_scales_and_shifts_chosen_elements(bench: Build, num_robots: int | None) -> None:
+def test_linear_map_scales_and_shifts_chosen_elements(bench, num_robots):
     it = bench()
     with_extra(it, num_robots)
     it.states.joint_pos = np.arange(12)
@@ -162,7 +161,7 @@ def test_linear_map_scales_and_shifts_chosen_elements(bench: Build, num_robots: 
     assert np.shares_memory(data.target, it.states.legs)
 
 
-def test_copy_converts_types_and_takes_scalars(bench: Build) -> None:
+def test_copy_converts_types_and_takes_scalars(bench):
     it = bench()
     with_extra(it)
     it.states.tick = 7
@@ -201,7 +200,7 @@ def test_copy_converts_types_and_takes_scalars(bench: Build) -> None:
         ),
     ],
 )
-def test_wrong_maps(bench: Build, options: dict[str, Any], message: str) -> None:
+def test_wrong_maps(bench, options, message):
     it = bench()
     with_extra(it)
     with pytest.raises(WorkflowError) as error:

@@ -58,21 +58,21 @@ class Gait:
         states.stamp_ns = round((self.time + t) * 1e9)
 
 
-def add(state: str, value: float, place: Any = ...) -> Callable[[Any, int], None]:
+def add(state, value, place=...):
     def lie(states: Any, k: int) -> None:
         states[state][place] += value
 
     return lie
 
 
-def scaled(state: str, factor: float) -> Callable[[Any, int], None]:
+def scaled(state, factor):
     def lie(states: Any, k: int) -> None:
         states[state] *= np.float32(factor)
 
     return lie
 
 
-def frozen(state: str) -> Callable[[Any, int], None]:
+def frozen(state):
     kept: list[Any] = []
 
     def lie(states: Any, k: int) -> None:
@@ -96,14 +96,7 @@ def frozen(state: str) -> Callable[[Any, int], None]:
     ],
 )
 @pytest.mark.parametrize("noise", [0.0, 1.0])
-def test_sensors_that_contradict_each_other_are_a_fault(
-    bench: Build,
-    block: str,
-    lie: Callable[[Any, int], None],
-    within: float,
-    words: str,
-    noise: float,
-) -> None:
+def test_sensors_that_contradict_each_other_are_a_fault(bench, block, lie, within, words, noise):
     gait = Gait(bench(), noise)
     made = gait.it.block(block)
     for k in range(150):
@@ -120,7 +113,7 @@ def test_sensors_that_contradict_each_other_are_a_fault(
 
 
 @pytest.mark.parametrize("block", ["joint_sensor_stop", "imu_stop"])
-def test_sound_sensors_are_none(bench: Build, block: str) -> None:
+def test_sound_sensors_are_none(bench, block):
     """With noise; frames that come twice, are late, are lost; pauses; a clock that is set."""
     gait = Gait(bench(), 1.5)
     made = gait.it.block(block)
@@ -144,7 +137,7 @@ def test_sound_sensors_are_none(bench: Build, block: str) -> None:
 
 
 @pytest.mark.parametrize("late", [0.008, 0.012, 0.016])
-def test_every_other_frame_stamped_late_is_none(bench: Build, late: float) -> None:
+def test_every_other_frame_stamped_late_is_none(bench, late):
     """On a busy machine: the next frame is on time, hence early against the one before it."""
     gait = Gait(bench(), 0.5)
     made = gait.it.block("joint_sensor_stop")
@@ -160,7 +153,7 @@ def test_every_other_frame_stamped_late_is_none(bench: Build, late: float) -> No
     assert (lies[0] + 1) * PERIOD <= 0.3 + 1e-9
 
 
-def _lie_on(gait: Gait, k: int, late: float) -> None:
+def _lie_on(gait, k, late):
     """Go on so, with velocities that stand at 0."""
     t = PERIOD * k
     gait.it.states.joint_pos = 0.5 * gait.phase + 6.0 * t
@@ -168,7 +161,7 @@ def _lie_on(gait: Gait, k: int, late: float) -> None:
     gait.it.states.stamp_ns = round((gait.time + t + late * (k % 2)) * 1e9)
 
 
-def test_an_old_frame_behind_a_pause_is_none(bench: Build) -> None:
+def test_an_old_frame_behind_a_pause_is_none(bench):
     """A burst: its first frame was measured 50 ms ago, and is stamped as if it had just been."""
     gait = Gait(bench())
     made, gait.phase = gait.it.block("joint_sensor_stop"), np.zeros(12)  # all are quick at once
@@ -185,7 +178,7 @@ def test_an_old_frame_behind_a_pause_is_none(bench: Build) -> None:
         made.tick()
 
 
-def test_velocities_of_the_same_bits_are_a_fault_where_joints_move_slowly(bench: Build) -> None:
+def test_velocities_of_the_same_bits_are_a_fault_where_joints_move_slowly(bench):
     gait = Gait(bench())
     made = gait.it.block("joint_sensor_stop")
     pos = gait.it.states.joint_pos
@@ -205,7 +198,7 @@ def test_velocities_of_the_same_bits_are_a_fault_where_joints_move_slowly(bench:
         made.tick()
 
 
-def test_an_imu_of_another_topic_than_the_stamps_is_sound(bench: Build) -> None:
+def test_an_imu_of_another_topic_than_the_stamps_is_sound(bench):
     gait = Gait(bench(), 1.0)
     made = gait.it.block("imu_stop")
     rng = np.random.default_rng(5)
@@ -219,7 +212,7 @@ def test_an_imu_of_another_topic_than_the_stamps_is_sound(bench: Build) -> None:
         made.tick()
 
 
-def test_nan_is_left_to_others_and_what_follows_is_looked_at(bench: Build) -> None:
+def test_nan_is_left_to_others_and_what_follows_is_looked_at(bench):
     gait = Gait(bench())
     made = gait.it.block("joint_sensor_stop")
     for k in range(100):
@@ -234,9 +227,7 @@ def test_nan_is_left_to_others_and_what_follows_is_looked_at(bench: Build) -> No
 
 
 @pytest.mark.parametrize("what", ["wheel", "finger", "leg"])
-def test_joints_that_turn_for_ever_or_take_positions_are_not_looked_at(
-    bench: Build, what: str
-) -> None:
+def test_joints_that_turn_for_ever_or_take_positions_are_not_looked_at(bench, what):
     robot = load_robot("go2")
     knee = np.arange(robot.num_joints) == KNEE
     if what == "wheel":
@@ -260,7 +251,7 @@ def test_joints_that_turn_for_ever_or_take_positions_are_not_looked_at(
         made.tick()
 
 
-def test_it_is_for_one_robot_and_plausible_bounds(bench: Build) -> None:
+def test_it_is_for_one_robot_and_plausible_bounds(bench):
     with pytest.raises(WorkflowError, match="one robot"):
         bench(num_robots=2).block("joint_sensor_stop")
     with pytest.raises(WorkflowError, match="step is -1"):

@@ -53,11 +53,11 @@ class Hands:
 
 
 @pytest.fixture
-def hands() -> Hands:
+def hands():
     return Hands()
 
 
-def test_sticks_drive_while_the_button_is_held(hands: Hands) -> None:
+def test_sticks_drive_while_the_button_is_held(hands):
     tick = Drive(**hands.controls, speed=(1.0, 0.5, 2.0), dead_zone=0.2, hold="R1")
     command = hands.states["velocity_command"]
     sticks = hands.states["sticks"]
@@ -78,7 +78,7 @@ def test_sticks_drive_while_the_button_is_held(hands: Hands) -> None:
     assert not command.any()
 
 
-def test_buttons_change_modes_and_wrong_ones_are_refused_with_the_reason(hands: Hands) -> None:
+def test_buttons_change_modes_and_wrong_ones_are_refused_with_the_reason(hands):
     tick = hands.modes()
     hands.hold("A")  # held down from before: it counts once it is pressed
     assert tick() == "passive"
@@ -138,13 +138,13 @@ def test_buttons_change_modes_and_wrong_ones_are_refused_with_the_reason(hands: 
         ({"stand": {"button": "A"}, "walk": {"button": "A"}}, "button A leads to stand and to"),
     ],
 )
-def test_wrong_modes_are_named(hands: Hands, to: Mapping[str, Any], message: str) -> None:
+def test_wrong_modes_are_named(hands, to, message):
     with pytest.raises(WorkflowError) as raised:
         hands.modes(to)
     assert message in str(raised.value)
 
 
-def test_a_button_or_a_lost_device_stops(hands: Hands) -> None:
+def test_a_button_or_a_lost_device_stops(hands):
     seen = {name: hands.states[name] for name in ("buttons", "controls_alive")}
     tick = ButtonStop(**seen, period=0.02, on=["select", "F1"], lost=0.04)
     tick()
@@ -166,7 +166,7 @@ def test_a_button_or_a_lost_device_stops(hands: Hands) -> None:
             autowire(stop, "stop", hands.context, {"on": "select"})
 
 
-def test_the_remote_stops_where_all_buttons_are_held_for_two_ticks(hands: Hands) -> None:
+def test_the_remote_stops_where_all_buttons_are_held_for_two_ticks(hands):
     buttons = hands.states["buttons"]
     tick = RemoteStop(buttons, robot=load_robot("go1"))
     assert tick.names == ("L2", "B")
@@ -193,8 +193,8 @@ def test_the_remote_stops_where_all_buttons_are_held_for_two_ticks(hands: Hands)
     ],
 )
 def test_check_names_the_buttons_that_stop_and_who_else_uses_them(
-    tmp_path: Path, robot: str, platform: str, commands: list[Any], found: str
-) -> None:
+    tmp_path, robot, platform, commands, found
+):
     inputs = [each for each in commands if "drive" in each]
     stops = [each for each in commands if "drive" not in each]
     values = {
@@ -290,7 +290,7 @@ GO2 = {
 }
 
 
-def test_a_go2_goes_through_all_its_modes(tmp_path: Path) -> None:
+def test_a_go2_goes_through_all_its_modes(tmp_path):
     pytest.importorskip("mujoco")
     pytest.importorskip("onnxruntime")
     player = Player(tmp_path, GO2)
@@ -313,7 +313,7 @@ def test_a_go2_goes_through_all_its_modes(tmp_path: Path) -> None:
     assert height[-1] < 0.2  # lets go
 
 
-def test_select_stops_the_run(tmp_path: Path) -> None:
+def test_select_stops_the_run(tmp_path):
     pytest.importorskip("mujoco")
     pytest.importorskip("onnxruntime")
     player = Player(tmp_path, {20: ("select", 1)})
@@ -322,7 +322,7 @@ def test_select_stops_the_run(tmp_path: Path) -> None:
     assert report.ticks < 25
 
 
-def test_a_g1_goes_through_all_its_modes(tmp_path: Path, assets: Path) -> None:
+def test_a_g1_goes_through_all_its_modes(tmp_path, assets):
     pytest.importorskip("mujoco")
     pytest.importorskip("onnxruntime")
     script = {

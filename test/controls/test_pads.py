@@ -72,7 +72,7 @@ class Rig:
 
 
 @pytest.mark.parametrize("mapping", get_args(Mapped)[1:])
-def test_the_same_place_is_the_same_button(mapping: str, tmp_path: Path) -> None:
+def test_the_same_place_is_the_same_button(mapping, tmp_path):
     rig = Rig(tmp_path, mapping)
     for code, name in zip(BELOW_RIGHT_LEFT_ABOVE[mapping], "ABXY"):
         rig.says((KEY, code, 1))
@@ -96,9 +96,9 @@ def test_the_same_place_is_the_same_button(mapping: str, tmp_path: Path) -> None
     ],
 )
 def test_sticks_and_triggers(
-    mapping: str, right: tuple[int, int], triggers: tuple[int, int], wide: tuple[int, int],
-    tmp_path: Path,
-) -> None:  # fmt: skip
+    mapping, right, triggers, wide,
+    tmp_path,
+):  # fmt: skip
     rig, (low, high) = Rig(tmp_path, mapping), wide
     rig.says((ABS, 0, high), (ABS, 1, low), (ABS, right[0], low), (ABS, right[1], high))
     assert rig.controls.sticks.tolist() == [1.0, 1.0, -1.0, -1.0]
@@ -126,9 +126,7 @@ def test_sticks_and_triggers(
         (0x1234, 0x5678, JOYSTICK_KEYS, WITH_RX, "generic", 0x03),
     ],
 )
-def test_a_pad_is_known_by_what_it_is(
-    vendor: int, product: int, keys: int, axes: int, mapping: str, right: int
-) -> None:
+def test_a_pad_is_known_by_what_it_is(vendor, product, keys, axes, mapping, right):
     found = pad_of(Identity(vendor, product, keys, axes))
     assert found.name == mapping
     assert found.sticks[right] == (2, 1.0)
@@ -137,15 +135,13 @@ def test_a_pad_is_known_by_what_it_is(
     assert found.ranges.keys() == found.sticks.keys() | found.triggers.keys()
 
 
-def test_an_unknown_mapping_is_named(tmp_path: Path) -> None:
+def test_an_unknown_mapping_is_named(tmp_path):
     rig = Rig(tmp_path)
     with pytest.raises(WorkflowError, match="mapping 'xbax' is not known; did you mean 'xbox'"):
         autowire(gamepad, "gamepad", rig.context, {"mapping": "xbax"})
 
 
-def test_a_pad_without_a_cable_is_found_among_the_others(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_pad_without_a_cable_is_found_among_the_others(tmp_path, monkeypatch):
     pad = Identity(0x054C, 0x0CE6, PAD_KEYS, WITH_RX)
     mouse = Identity(0x046D, 0xC077, 1 << 0x110, 0)
     motion = Identity(0x054C, 0x0CE6, 0, 0b111111)  # a pad's own sensors
@@ -179,9 +175,7 @@ def test_a_pad_without_a_cable_is_found_among_the_others(
     assert Finder(tmp_path / "none").find() == ""
 
 
-def test_unplugged_it_lets_go_at_once_and_works_when_it_is_back(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_unplugged_it_lets_go_at_once_and_works_when_it_is_back(tmp_path, monkeypatch):
     (tmp_path / "event5").touch()
     there = Identity(0x054C, 0x0CE6, PAD_KEYS, WITH_RX)
     monkeypatch.setattr(pads, "ask", lambda _: there)

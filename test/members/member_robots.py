@@ -87,16 +87,6 @@ class Noting(FakeRobot):
         return {"protocol": self._robot.transport["protocol"]}
 
 
-def make(
-    states: States,
-    robot: Robot,
-    period: float,
-    *,
-    wrong: str = "",
-    after: int = 0,
-    steps: int = 0,
-    others: int = 0,
-    silent: bool = False,
-) -> Noting:
+def make(states, robot, period, *, wrong="", after=0, steps=0, others=0, silent=False):
     """Build one."""
     return Noting(states, robot, period, wrong, after, steps, others)

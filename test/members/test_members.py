@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,11 +25,11 @@ MEMBERS = ("body", "left_hand", "left_hand")
 
 
 @pytest.fixture(autouse=True)
-def fresh() -> None:
+def fresh():
     LOG.clear()
 
 
-def go2_with(hand: str = "inspire_rh56_left", **more: str) -> Any:
+def go2_with(hand="inspire_rh56_left", **more):
     return compose(
         {"body": load_robot("go2"), "left_hand": load_robot(hand)}
         | {name: load_robot(robot) for name, robot in more.items()}
@@ -40,7 +39,7 @@ def go2_with(hand: str = "inspire_rh56_left", **more: str) -> Any:
 # -- the robot -----------------------------------------------------------------------------------
 
 
-def test_joints_stand_member_by_member_and_the_first_has_the_base() -> None:
+def test_joints_stand_member_by_member_and_the_first_has_the_base():
     go2, hand = load_robot("go2"), load_robot("inspire_rh56_left")
     whole = go2_with()
     assert whole.joint_names == go2.joint_names + hand.joint_names
@@ -58,7 +57,7 @@ def test_joints_stand_member_by_member_and_the_first_has_the_base() -> None:
     assert again.name == whole.name
 
 
-def test_a_name_of_two_members_is_told_apart_and_the_base_keeps_its_own() -> None:
+def test_a_name_of_two_members_is_told_apart_and_the_base_keeps_its_own():
     whole = go2_with("rohand", right_hand="rohand", spare="go2")
     assert whole.joint_names[:12] == load_robot("go2").joint_names
     assert whole.joint_names[12] == "left_hand_th_proximal_link"
@@ -67,7 +66,7 @@ def test_a_name_of_two_members_is_told_apart_and_the_base_keeps_its_own() -> Non
     assert whole.missing_facts() == []
 
 
-def test_two_joints_of_one_name_are_refused() -> None:
+def test_two_joints_of_one_name_are_refused():
     go2, hand = load_robot("go2"), load_robot("rohand")
     odd = replace(go2, joint_names=("left_hand_th_root_link", *go2.joint_names[1:]))
     with pytest.raises(RobotError, match="two joints are called"):
@@ -77,7 +76,7 @@ def test_two_joints_of_one_name_are_refused() -> None:
 # -- platforms -----------------------------------------------------------------------------------
 
 
-def test_each_platform_writes_its_slice_and_its_own_stamp(go2_with_hands: dict[str, Any]) -> None:
+def test_each_platform_writes_its_slice_and_its_own_stamp(go2_with_hands):
     del go2_with_hands["robot"]["right_hand"]
     hold = {"chain": [{"pose": {"to": {"L_index_proximal_joint": 1.0}, "duration": 0.2}}]}
     program = Program(**go2_with_hands, flow=hold)
@@ -100,7 +99,7 @@ def test_each_platform_writes_its_slice_and_its_own_stamp(go2_with_hands: dict[s
     assert "base_quat" not in own.facts.writes
 
 
-def test_a_policy_of_the_body_gets_the_bits_of_the_body_alone() -> None:
+def test_a_policy_of_the_body_gets_the_bits_of_the_body_alone():
     """The same observations, the same targets, whatever hands there are."""
     pytest.importorskip("mujoco")
     pytest.importorskip("onnxruntime")
@@ -136,7 +135,7 @@ def test_a_policy_of_the_body_gets_the_bits_of_the_body_alone() -> None:
     assert targets[0] == targets[1]
 
 
-def test_a_policy_without_a_member_holds_the_hands() -> None:
+def test_a_policy_without_a_member_holds_the_hands():
     pytest.importorskip("onnxruntime")
     program = Program(
         robot={"body": "go2", "left_hand": "inspire_rh56_left"},
@@ -177,7 +176,7 @@ def test_a_policy_without_a_member_holds_the_hands() -> None:
         ([{"hold": None, "of": 3}], "of: 3 is not a member; write of: NAME"),
     ],
 )
-def test_a_joint_has_one_writer(flow: list[Any], told: str) -> None:
+def test_a_joint_has_one_writer(flow, told):
     with pytest.raises(WorkflowError) as raised:
         Program(
             robot={"body": "go2", "left_hand": "inspire_rh56_left"},
@@ -188,9 +187,7 @@ def test_a_joint_has_one_writer(flow: list[Any], told: str) -> None:
     assert told in str(raised.value)
 
 
-def test_one_word_moves_a_workflow_of_members_to_one_platform(
-    go2_with_hands: dict[str, Any],
-) -> None:
+def test_one_word_moves_a_workflow_of_members_to_one_platform(go2_with_hands):
     """Options of members stay where they are, unread."""
     options = {"left_hand": {"address": "192.168.11.210"}, "fake": {"time_constant": 0.1}}
     whole = go2_with_hands | {"platform": "fake", "platforms": options}
@@ -200,7 +197,7 @@ def test_one_word_moves_a_workflow_of_members_to_one_platform(
     program.close()
 
 
-def test_members_divide_the_joints_among_blocks() -> None:
+def test_members_divide_the_joints_among_blocks():
     program = Program(
         robot={"body": "go2", "left_hand": "inspire_rh56_left"},
         platform={"body": "fake", "left_hand": "fake"},
@@ -224,7 +221,7 @@ def test_members_divide_the_joints_among_blocks() -> None:
     )
 
 
-def test_a_scene_is_of_the_whole(go2_with_hands: dict[str, Any]) -> None:
+def test_a_scene_is_of_the_whole(go2_with_hands):
     pytest.importorskip("mujoco")
     go2_with_hands["platform"] = {"body": "mujoco", "hands": "fake"}
     pose = {"*_calf_joint": -1.0, "L_index_proximal_joint": 0.7}
@@ -250,7 +247,7 @@ def test_a_scene_is_of_the_whole(go2_with_hands: dict[str, Any]) -> None:
 # -- robots ----------------------------------------------------------------------------------------
 
 
-def robots(body: dict[str, Any], hand: dict[str, Any], **more: Any) -> Program:
+def robots(body, hand, **more):
     values: dict[str, Any] = {
         "robot": {"body": "go2", "left_hand": "inspire_rh56_left"},
         "platform": {"body": MADE, "left_hand": MADE},
@@ -263,12 +260,12 @@ def robots(body: dict[str, Any], hand: dict[str, Any], **more: Any) -> Program:
     return Program(**values | more)
 
 
-def of(robot: str) -> list[str]:
+def of(robot):
     return [what for name, what in LOG if name == robot]
 
 
 @pytest.mark.usefixtures("time_passes")
-def test_two_robots_run_behind_their_gates_and_the_hands_get_ready_first() -> None:
+def test_two_robots_run_behind_their_gates_and_the_hands_get_ready_first():
     program = robots({"steps": 2}, {"steps": 3})
     assert not program.platform.facts.simulated
     variants = [gate for gate in program.gates if isinstance(gate, Variant)]
@@ -291,7 +288,7 @@ def test_two_robots_run_behind_their_gates_and_the_hands_get_ready_first() -> No
     ("where", "faulty"),
     [pytest.param("recv", "body", marks=pytest.mark.slow), ("send", "left_hand")],
 )
-def test_a_fault_of_one_damps_all(where: str, faulty: str) -> None:
+def test_a_fault_of_one_damps_all(where, faulty):
     wrong = {"wrong": where, "after": 80}
     program = robots(*((wrong, {}) if faulty == "body" else ({}, wrong)))
     report = Runner(program, RunOptions(speed="real")).run()
@@ -301,7 +298,7 @@ def test_a_fault_of_one_damps_all(where: str, faulty: str) -> None:
         assert of(name)[-2:] == ["limp", "closed"]
 
 
-def test_a_member_in_a_process_of_its_own_is_prepared_there() -> None:
+def test_a_member_in_a_process_of_its_own_is_prepared_there():
     program = robots(
         {},
         {"steps": 1, "others": 1},
@@ -314,7 +311,7 @@ def test_a_member_in_a_process_of_its_own_is_prepared_there() -> None:
     program.close()
 
 
-def test_all_are_closed_though_one_raises() -> None:
+def test_all_are_closed_though_one_raises():
     program = robots({"wrong": "close"}, {})
     with pytest.raises(Fault, match="close of go2 failed"):
         program.close()
@@ -323,14 +320,14 @@ def test_all_are_closed_though_one_raises() -> None:
     assert len(LOG) == 2
 
 
-def test_what_was_opened_is_closed_where_the_next_cannot_be_built() -> None:
+def test_what_was_opened_is_closed_where_the_next_cannot_be_built():
     with pytest.raises(UniconError, match="left_hand: build of inspire_rh56_left failed"):
         robots({}, {"wrong": "build"})
     assert LOG == [("go2", "closed")]
 
 
 @pytest.mark.slow
-def test_a_simulated_body_with_a_real_hand_counts_as_a_robot() -> None:
+def test_a_simulated_body_with_a_real_hand_counts_as_a_robot():
     program = robots({}, {}, platform={"body": "fake", "left_hand": MADE}, platforms={})
     assert not program.platform.facts.simulated
     assert program.gates
@@ -341,7 +338,7 @@ def test_a_simulated_body_with_a_real_hand_counts_as_a_robot() -> None:
     assert of("inspire_rh56_left")[-2:] == ["limp", "closed"]
 
 
-def test_a_mix_cannot_be_silent() -> None:
+def test_a_mix_cannot_be_silent():
     values: dict[str, Any] = {
         "robot": {"body": "go2", "left_hand": "inspire_rh56_left"},
         "platform": {"body": "fake", "left_hand": MADE},
@@ -354,7 +351,7 @@ def test_a_mix_cannot_be_silent() -> None:
     Program(**values, dry=True).close()
 
 
-def test_what_a_member_does_not_tell_is_zero_and_the_check_says_so() -> None:
+def test_what_a_member_does_not_tell_is_zero_and_the_check_says_so():
     from unicon_core.platforms.joined import joined_facts
     from unicon_core.platforms.platform import Facts
 
@@ -367,7 +364,7 @@ def test_what_a_member_does_not_tell_is_zero_and_the_check_says_so() -> None:
     )
 
 
-def test_a_safety_block_of_one_member_is_no_safety_of_the_others() -> None:
+def test_a_safety_block_of_one_member_is_no_safety_of_the_others():
     program = robots(
         {}, {}, safety=[{"finite": None, "of": "body"}, {"joint_limits": 0.01, "of": "body"}]
     )
@@ -380,7 +377,7 @@ def test_a_safety_block_of_one_member_is_no_safety_of_the_others() -> None:
     program.close()
 
 
-def test_a_body_keeps_its_stops_though_its_hands_say_no_limits() -> None:
+def test_a_body_keeps_its_stops_though_its_hands_say_no_limits():
     program = robots({}, {})
     assert program.safety_left_out.keys() <= {"hardware_stop"}
     program.close()
@@ -397,7 +394,7 @@ def test_a_body_keeps_its_stops_though_its_hands_say_no_limits() -> None:
         bench.block("rate_limit")
 
 
-def test_fingers_may_stop_at_what_they_grip() -> None:
+def test_fingers_may_stop_at_what_they_grip():
     bench = Bench(go2_with(), period=0.01)
     block = bench.block("encoder_stop")
     bench.stand()
@@ -413,7 +410,7 @@ def test_fingers_may_stop_at_what_they_grip() -> None:
 # -- records ---------------------------------------------------------------------------------------
 
 
-def test_a_recorded_run_replays_to_the_bit(tmp_path: Path, capsys: Any) -> None:
+def test_a_recorded_run_replays_to_the_bit(tmp_path, capsys):
     from unicon_ros.cli.main import main
 
     path = tmp_path / "hands.yaml"

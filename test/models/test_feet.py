@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import mujoco
 import numpy as np
 import pytest
@@ -12,26 +10,26 @@ from unicon_base.errors import ModelError
 from unicon_core.models.feet import Feet
 from unicon_core.models.find import pick_model
 from unicon_core.models.load import load_model
-from unicon_core.models.loaded import LoadedModel, rows_of
+from unicon_core.models.loaded import rows_of
 from unicon_core.models.posed import PosedModel, foot_geoms
-from unicon_core.robots import Robot, load_robot
+from unicon_core.robots import load_robot
 
 LEGGED = ["go1", "a1", "go2", "g1_29dof", "g1_23dof", "h1", "h1_2", "t1", "adam_lite"]
 
 
-def model_of(name: str) -> tuple[Robot, LoadedModel]:
+def model_of(name):
     robot = load_robot(name)
     return robot, load_model(pick_model(robot), robot, quiet=True)
 
 
-def at_random(robot: Robot, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
+def at_random(robot, rng):
     quat = rng.normal(size=4)
     pos = np.nan_to_num(robot.default_joint_pos) + rng.uniform(-0.1, 0.1, robot.num_joints)
     return quat / np.linalg.norm(quat), rng.normal(size=3), pos, rng.normal(size=robot.num_joints)
 
 
 @pytest.mark.parametrize("name", LEGGED)
-def test_every_legged_robot_has_its_feet(name: str, assets: Path) -> None:
+def test_every_legged_robot_has_its_feet(name, assets):
     robot, loaded = model_of(name)
     feet = Feet(loaded, robot)
     assert feet.names == robot.feet
@@ -44,7 +42,7 @@ def test_every_legged_robot_has_its_feet(name: str, assets: Path) -> None:
 
 
 @pytest.mark.parametrize("name", LEGGED)
-def test_the_point_that_stands_still_tells_the_base_velocity(name: str, assets: Path) -> None:
+def test_the_point_that_stands_still_tells_the_base_velocity(name, assets):
     """The velocity of the foot's point in the whole model, which has a base velocity besides."""
     robot, loaded = model_of(name)
     feet = Feet(loaded, robot)
@@ -70,7 +68,7 @@ def test_the_point_that_stands_still_tells_the_base_velocity(name: str, assets: 
 
 
 @pytest.mark.parametrize("name", ["go2", "go1", "a1", "g1_29dof"])
-def test_torques_that_balance_a_force_tell_it(name: str, assets: Path) -> None:
+def test_torques_that_balance_a_force_tell_it(name, assets):
     """τ = h - Jᵀ f, of legs that are bent: through a straight one a force asks for no torque."""
     robot, loaded = model_of(name)
     feet = Feet(loaded, robot)
@@ -102,7 +100,7 @@ def test_torques_that_balance_a_force_tell_it(name: str, assets: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["go2", "t1", "g1_29dof", "adam_lite"])
-def test_the_lowest_point_is_that_of_the_models_geometry(name: str, assets: Path) -> None:
+def test_the_lowest_point_is_that_of_the_models_geometry(name, assets):
     robot, loaded = model_of(name)
     feet = Feet(loaded, robot)
     posed = PosedModel(loaded)
@@ -120,7 +118,7 @@ def test_the_lowest_point_is_that_of_the_models_geometry(name: str, assets: Path
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 3e38, 1e20])
 @pytest.mark.parametrize("which", range(5))
-def test_nonsense_is_told(which: int, value: float, assets: Path) -> None:
+def test_nonsense_is_told(which, value, assets):
     robot, loaded = model_of("go2")
     feet = Feet(loaded, robot)
     n = robot.num_joints
@@ -135,14 +133,14 @@ def test_nonsense_is_told(which: int, value: float, assets: Path) -> None:
     assert (feet.velocity == good).all()
 
 
-def test_a_model_without_the_feet_is_refused(assets: Path) -> None:
+def test_a_model_without_the_feet_is_refused(assets):
     robot, loaded = model_of("go2")
     object.__setattr__(robot, "feet", ("paw",))
     with pytest.raises(ModelError, match=r"it has no feet \(feet of robot go2: paw\)"):
         Feet(loaded, robot)
 
 
-def test_rows_with_regular_numbers_are_a_view() -> None:
+def test_rows_with_regular_numbers_are_a_view():
     source = np.arange(60.0).reshape(20, 3)
     rng = np.random.default_rng(3)
     for index in ([2, 5, 8], [[4, 5], [9, 10]], [7], [[3], [1]], [[6, 5], [9, 8]]):
@@ -158,7 +156,7 @@ def test_rows_with_regular_numbers_are_a_view() -> None:
         assert (rows == source[index]).all()
 
 
-def _bodies(loaded: LoadedModel, robot: Robot) -> list[int]:
+def _bodies(loaded, robot):
     from unicon_core.models.posed import foot_bodies
 
     return list(foot_bodies(loaded.model, robot.feet).values())

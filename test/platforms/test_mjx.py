@@ -16,7 +16,7 @@ from unicon_core.workflow import load_workflow
 EVIDENCE = "vendor"
 
 
-def test_without_it_the_install_command_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_it_the_install_command_is_told(monkeypatch):
     monkeypatch.setitem(sys.modules, "jax", None)
     with pytest.raises(MissingDependencyError) as error:
         load_workflow("go2_stand", ["platform=mjx"])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,7 +27,7 @@ needs_pybullet = pytest.mark.skipif(
 )
 
 
-def ticked(name: str, overrides: list[str], seconds: float) -> dict[str, Any]:
+def ticked(name, overrides, seconds):
     """Run a workflow tick by tick; return what the platform measured, rows of ticks."""
     workflow = load_workflow(name, overrides)
     runner = Runner(workflow, RunOptions(speed="max"))
@@ -52,7 +51,7 @@ COARSE = "platforms={pybullet: {timestep: 0.001}}"
 
 
 @needs_pybullet
-def test_go2_stand_lies_stands_and_lies_as_on_mujoco() -> None:
+def test_go2_stand_lies_stands_and_lies_as_on_mujoco():
     heights = {}
     for platform in ("mujoco", "pybullet"):
         told = ticked("go2_stand", [f"platform={platform}", COARSE], 15.0)
@@ -73,7 +72,7 @@ def test_go2_stand_lies_stands_and_lies_as_on_mujoco() -> None:
 
 @pytest.mark.slow
 @needs_pybullet
-def test_go2_walk_walks_there() -> None:
+def test_go2_walk_walks_there():
     pytest.importorskip("onnxruntime", reason="the policy needs onnxruntime")
     workflow = load_workflow("go2_walk", ["platform=pybullet", COARSE])
     report = Runner(workflow, RunOptions(speed="max")).run()
@@ -85,7 +84,7 @@ def test_go2_walk_walks_there() -> None:
 
 @needs_pybullet
 @pytest.mark.slow
-def test_g1_walks_there(assets: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_g1_walks_there(assets, monkeypatch):
     monkeypatch.setenv("UNICON_ASSETS", str(assets))
     pytest.importorskip("onnxruntime", reason="the policy needs onnxruntime")
     workflow = load_workflow("g1_walk", ["platform=pybullet", "duration=20"])
@@ -96,7 +95,7 @@ def test_g1_walks_there(assets: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @needs_pybullet
-def test_it_is_disturbed_as_every_simulator() -> None:
+def test_it_is_disturbed_as_every_simulator():
     flow = "flow={hold: {duration: 0.6}}"
     calm = ticked("go2_stand", ["platform=pybullet", COARSE, flow], 0.6)
     pushes = "scene={initial_pose: rest, push: {every: 0.2, velocity: 2.0}, seed: 3}"
@@ -112,7 +111,7 @@ def test_it_is_disturbed_as_every_simulator() -> None:
 
 
 @needs_pybullet
-def test_a_reset_begins_anew_and_two_worlds_do_not_meet() -> None:
+def test_a_reset_begins_anew_and_two_worlds_do_not_meet():
     first = load_workflow("go2_stand", ["platform=pybullet"])
     other = load_workflow("go2_stand", ["platform=pybullet"])
     platform = first.platform
@@ -143,7 +142,7 @@ def test_a_reset_begins_anew_and_two_worlds_do_not_meet() -> None:
 
 
 @needs_pybullet
-def test_a_command_that_is_not_finite_moves_nothing() -> None:
+def test_a_command_that_is_not_finite_moves_nothing():
     workflow = load_workflow("go2_stand", ["platform=pybullet"])
     workflow.platform.recv()
     workflow.states.joint_pos_target[3] = np.nan
@@ -153,12 +152,12 @@ def test_a_command_that_is_not_finite_moves_nothing() -> None:
 
 
 @needs_pybullet
-def test_it_prints_nothing(capfd: pytest.CaptureFixture[str]) -> None:
+def test_it_prints_nothing(capfd):
     load_workflow("go2_stand", ["platform=pybullet"]).close()
     assert capfd.readouterr().out == ""
 
 
-def test_without_pybullet_the_install_command_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_pybullet_the_install_command_is_told(monkeypatch):
     monkeypatch.setitem(sys.modules, "pybullet_utils", None)
     monkeypatch.setitem(sys.modules, "pybullet_utils.bullet_client", None)
     with pytest.raises(MissingDependencyError) as error:
@@ -168,7 +167,7 @@ def test_without_pybullet_the_install_command_is_told(monkeypatch: pytest.Monkey
     )
 
 
-def test_its_links_weigh_what_the_model_weighs() -> None:
+def test_its_links_weigh_what_the_model_weighs():
     pytest.importorskip("mujoco", reason="mujoco reads the models")
     robot = load_robot("go2")
     loaded = start_of(robot, Scene()).loaded

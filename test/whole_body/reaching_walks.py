@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.flow import Amends, Block, Reads, Stage, Tick
+from unicon_core.flow import Block, Stage
 from unicon_core.models.frames import Frames
 from unicon_core.models.load import load_model
 from unicon_core.platforms.mujoco.platform import MujocoPlatform
@@ -25,15 +25,13 @@ NOISE = (
 )
 
 
-def under(policy: str) -> list[str]:
+def under(policy):
     """Return what makes `g1_reach` walk under the policy of another workflow."""
     said = load_document(policy).values["policies"]["walk"]
     return [f"policies.walk={json.dumps(said)}"]
 
 
-def lost(
-    left_hand_target: Amends, right_hand_target: Amends, tick: Reads, *, begin: int, end: int
-) -> Tick:
+def lost(left_hand_target, right_hand_target, tick, *, begin, end):
     """Take the targets away between two ticks."""
 
     def lose() -> None:
@@ -77,7 +75,7 @@ class Walk:
         return float(p50), float(p95), float(most)
 
 
-def walk(overrides: Sequence[str] = (), duration: float = 20.0, seed: int = 0) -> Walk:
+def walk(overrides=(), duration=20.0, seed=0):
     """Run `g1_reach`, with noise, and look at the hands."""
     kept: list[TrueErrors] = []
 

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
-
-from unicon_core.models.loaded import LoadedModel
-from unicon_core.robots.places import Place
 
 Float = NDArray[np.float64]
 
 
-def matrix(quat: Any) -> Float:
+def matrix(quat):
     w, x, y, z = quat
     return np.array(
         [
@@ -24,7 +19,7 @@ def matrix(quat: Any) -> Float:
     )
 
 
-def pose(loaded: LoadedModel, joint_pos: Any, place: Place, above: str) -> tuple[Float, Float]:
+def pose(loaded, joint_pos, place, above):
     """Return position and rotation of a place in the frame of a body above it, all hinges."""
     model = loaded.model
     angles = dict(zip(loaded.joints, joint_pos))
