@@ -11,9 +11,8 @@ from unicon_base.errors import WorkflowError
 from unicon_core.blocks.velocity_command import Drive
 from unicon_core.states import States, StateSpec
 from unicon_core.states.standard import BUTTONS
-from unicon_hardware.peripherals.webxr.frames import BUTTONS as THEIRS
-from unicon_hardware.peripherals.webxr.frames import PARTS
-from unicon_hardware.peripherals.webxr.webxr import webxr
+from unicon_hardware.peripherals.webxr.webxr import BUTTONS as THEIRS
+from unicon_hardware.peripherals.webxr.webxr import PARTS, webxr
 from unicon_manipulation.headset import HeadsetControls
 
 # What these tests run against, the most that config/evidence.yaml may say by them.

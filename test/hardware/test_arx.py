@@ -32,10 +32,10 @@ from unicon_hardware.arx.codec import (
     reply_of,
 )
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "frames"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
-FACE = "unicon_hardware.arx.face:face"
+FACE = "unicon_hardware.arx.platform:face"
 # What libhardware.so of real-stanford/arx5-sdk (lib/x86_64) wrote to the bus and read from it, its
 # socket being ours: four of 4,000 each, all of which are equal.
 # q*, qd*, tau, kp, kd and the frame; the third and the last are beyond the ranges.

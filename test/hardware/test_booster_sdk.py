@@ -27,13 +27,13 @@ from unitree_helpers import until
 from unicon_core.platforms.kit.base import quat_of_rpy
 from unicon_core.states.standard import BUTTONS
 from unicon_hardware.booster.codec import BoosterFacts
-from unicon_hardware.booster.face import face
 from unicon_hardware.booster.platform import BoosterWire
+from unicon_hardware.booster.takeover import face
 from unicon_hardware.dds.maps import command_arrays
 from unicon_ros.bench.domains import free_domain
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "vendor"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -90,7 +90,7 @@ def test_as_controller_two_thousand_states_and_commands_are_equal(
 
     inlet._read = seen
     mine = command_arrays(N)
-    encode = BoosterFacts.of(T1).command_out(mine)
+    encode = BoosterFacts.of(T1).command.encoder(mine).encode
     try:
         until(lambda: said(vendor, "mode_now") is not None, robot.hear)
         assert said(vendor, "there")

@@ -18,12 +18,11 @@ from unicon_core.robots import Robot, load_robot
 from unicon_core.runtime.runner import Runner, RunOptions
 from unicon_core.workflow import load_workflow
 from unicon_hardware.fourier.actuator_wire import TRIES
-from unicon_hardware.fourier.codec import COMMAND, Actuators
-from unicon_hardware.fourier.platform import Fourier, FourierWire, make
-from unicon_hardware.udp import Udp
+from unicon_hardware.fourier.platform import COMMAND, Actuators, Fourier, FourierWire, make
+from unicon_hardware.wire import Udp
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "vendor"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 FACE = "unicon_hardware.fourier.face:face"
 NETWORK = "127.84.1.1"

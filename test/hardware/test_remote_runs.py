@@ -21,12 +21,12 @@ pytest.importorskip("onnxruntime")
 pytestmark = [pytest.mark.slow, pytest.mark.alone, pytest.mark.timeout(300)]
 
 CODES = {name: code for code, name in pad_of(None).keys.items()}
+# ABS_Y, its end that is up.
 FORWARD = 0x01, -32768
-"""ABS_Y, its end that is up."""
+# Of the workflows, patient with a robot that a busy machine holds up.
 SAFETY = PATIENT.replace("tilt_stop", "{button_stop: {on: [select]}}")
-"""Of the workflows, patient with a robot that a busy machine holds up."""
+# How long a button is pressed, [s].
 HELD = 0.2
-"""How long a button is pressed, [s]."""
 
 
 class Hands:

@@ -35,12 +35,12 @@ from unicon_core.blocks.controls.gamepad import EVENT
 from unicon_core.platforms.platform import Prepares, ReportsVariant, SeesCommanders, WaitsForData
 from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states
-from unicon_core.states.spec import StateSpec
+from unicon_core.states.layout import StateSpec
 from unicon_core.states.standard import BUTTONS, COMMAND_STATES, CONTROL_STATES, control_states
 from unicon_hardware.dds import participant as dds
 from unicon_hardware.dds.participant import OCTETS, Participant, dds_type
+from unicon_hardware.unitree import facts as release
 from unicon_hardware.unitree import platform as wire
-from unicon_hardware.unitree import release
 from unicon_hardware.unitree.face import face
 from unicon_hardware.unitree.platform import Unitree, make
 from unicon_msgs_map.codec.checksum import unitree_crc
@@ -117,7 +117,7 @@ def test_errors_and_the_hotter_temperature_of_each_motor_are_told() -> None:
         assert pair.told() == 1
         assert pair.ours["motor_error"].tolist() == [0, 0, 0, -2, *[0] * 25]
         np.testing.assert_array_equal(pair.ours["motor_temperature"], np.arange(29.0))
-        pair.face._tick += 2
+        pair.face.own["tick"] += 2
         raw = bytearray(encode_of(pair.face)())
         struct.pack_into("<h", raw, 4 + 70 + 20, 77)  # the second one of motor 0
         assert sent(pair, summed(pair, bytes(raw))) == 1
@@ -147,7 +147,7 @@ def test_wrong_frames_are_counted_and_left(go2: Pair) -> None:
     assert sent(go2, good) == 0
     assert go2.wire.counts.refused["old tick"] == 1  # the same number again
     newer = bytearray(good)
-    tick = int(go2.face._tick)
+    tick = int(go2.face.own["tick"])
     at = good.index(tick.to_bytes(4, "little"))
     struct.pack_into("<I", newer, at, tick - 100)
     assert sent(go2, summed(go2, bytes(newer))) == 0
@@ -190,7 +190,7 @@ def test_the_frame_number_may_wrap() -> None:
 def test_a_bad_frame_does_not_hide_the_good_one_before_it(go2: Pair) -> None:
     go2.theirs["joint_pos"][...] = 0.5
     go2.face.tell()
-    go2.face._tick += 2
+    go2.face.own["tick"] += 2
     bad = bytearray(encode_of(go2.face)())
     struct.pack_into("<f", bad, 4 + 80, np.nan)
     assert sent(go2, summed(go2, bytes(bad))) + go2.wire.take() >= 0
@@ -216,13 +216,13 @@ def test_senders_are_known_by_the_same_number_everywhere(go2: Pair) -> None:
 def test_strangers_and_a_robot_that_comes_back(go2: Pair) -> None:
     go2.told()
     stranger = face(states_of(go2.robot), go2.robot, domain=DOMAIN, mode="")
-    stranger._tick[...] = 10**6
+    stranger.own["tick"][...] = 10**6
     counts = go2.wire.counts
     until(lambda: counts.refused["another sender"], lambda: (stranger.tell(), go2.wire.take()))
     assert go2.ours["joint_pos"][0] == go2.theirs["joint_pos"][0]
     assert go2.told() + go2.wire.take() >= 0
     go2.face.close()  # the robot dies: whoever tells now is the robot
-    stranger._tick[...] = 0
+    stranger.own["tick"][...] = 0
     until(go2.wire.take, stranger.tell)
     assert go2.ours["joint_pos"][0] == 0.0
     stranger.close()
@@ -248,11 +248,11 @@ def test_the_robot_leaves_bad_commands(pair: Pair) -> None:
     writer_of(pair.wire).write(good[:-1] + bytes((good[-1] ^ 1,)))
     refused = pair.face.counts.refused
     until(lambda: refused["wrong CRC"], pair.face.hear)
-    pair.face._modes[0] = 7
+    pair.face._facts.modes[0] = 7
     pair.wire.put()
     until(lambda: refused["motor mode"], pair.face.hear)
     pair.face.mode = "ai"
-    pair.face._modes[0] = pair.robot.transport["motor_mode"]
+    pair.face._facts.modes[0] = pair.robot.transport["motor_mode"]
     pair.wire.put()
     until(lambda: refused["its own controller commands"], pair.face.hear)
     assert pair.face.counts.good == 0
@@ -438,9 +438,8 @@ def test_states_that_a_workflow_declares_are_written() -> None:
     theirs["foot_force"][...] = (20, 21, -22, 23)
     made = face(theirs, robot, domain=DOMAIN, mode="")
     made.remote[2:4] = b"\x01\x02"
-    from unicon_hardware.unitree.facts import UnitreeFacts
 
-    ends = wire.UnitreeWire(ours, robot, UnitreeFacts.of(robot), DOMAIN, LOOPBACK, release=False)
+    ends = wire.UnitreeWire(ours, robot, DOMAIN, LOOPBACK)
     try:
         until(ends.take, made.tell)
         assert ours["foot_force"].tolist() == [20, 21, -22, 23]

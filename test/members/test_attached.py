@@ -18,7 +18,7 @@ from unicon_core.models.load import load_model
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.models.posed import PosedModel
 from unicon_core.robots import compose, load_robot
-from unicon_core.robots.places import Place
+from unicon_core.robots.robot import Place
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program
 

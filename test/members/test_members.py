@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,11 +26,11 @@ MEMBERS = ("body", "left_hand", "left_hand")
 
 
 @pytest.fixture(autouse=True)
-def fresh():
+def fresh() -> None:
     LOG.clear()
 
 
-def go2_with(hand="inspire_rh56_left", **more):
+def go2_with(hand: str = "inspire_rh56_left", **more: str) -> Any:
     return compose(
         {"body": load_robot("go2"), "left_hand": load_robot(hand)}
         | {name: load_robot(robot) for name, robot in more.items()}
@@ -39,7 +40,7 @@ def go2_with(hand="inspire_rh56_left", **more):
 # -- the robot -----------------------------------------------------------------------------------
 
 
-def test_joints_stand_member_by_member_and_the_first_has_the_base():
+def test_joints_stand_member_by_member_and_the_first_has_the_base() -> None:
     go2, hand = load_robot("go2"), load_robot("inspire_rh56_left")
     whole = go2_with()
     assert whole.joint_names == go2.joint_names + hand.joint_names
@@ -57,7 +58,7 @@ def test_joints_stand_member_by_member_and_the_first_has_the_base():
     assert again.name == whole.name
 
 
-def test_a_name_of_two_members_is_told_apart_and_the_base_keeps_its_own():
+def test_a_name_of_two_members_is_told_apart_and_the_base_keeps_its_own() -> None:
     whole = go2_with("rohand", right_hand="rohand", spare="go2")
     assert whole.joint_names[:12] == load_robot("go2").joint_names
     assert whole.joint_names[12] == "left_hand_th_proximal_link"
@@ -66,7 +67,7 @@ def test_a_name_of_two_members_is_told_apart_and_the_base_keeps_its_own():
     assert whole.missing_facts() == []
 
 
-def test_two_joints_of_one_name_are_refused():
+def test_two_joints_of_one_name_are_refused() -> None:
     go2, hand = load_robot("go2"), load_robot("rohand")
     odd = replace(go2, joint_names=("left_hand_th_root_link", *go2.joint_names[1:]))
     with pytest.raises(RobotError, match="two joints are called"):
@@ -76,7 +77,7 @@ def test_two_joints_of_one_name_are_refused():
 # -- platforms -----------------------------------------------------------------------------------
 
 
-def test_each_platform_writes_its_slice_and_its_own_stamp(go2_with_hands):
+def test_each_platform_writes_its_slice_and_its_own_stamp(go2_with_hands: dict[str, Any]) -> None:
     del go2_with_hands["robot"]["right_hand"]
     hold = {"chain": [{"pose": {"to": {"L_index_proximal_joint": 1.0}, "duration": 0.2}}]}
     program = Program(**go2_with_hands, flow=hold)
@@ -99,7 +100,7 @@ def test_each_platform_writes_its_slice_and_its_own_stamp(go2_with_hands):
     assert "base_quat" not in own.facts.writes
 
 
-def test_a_policy_of_the_body_gets_the_bits_of_the_body_alone():
+def test_a_policy_of_the_body_gets_the_bits_of_the_body_alone() -> None:
     """The same observations, the same targets, whatever hands there are."""
     pytest.importorskip("mujoco")
     pytest.importorskip("onnxruntime")
@@ -135,7 +136,7 @@ def test_a_policy_of_the_body_gets_the_bits_of_the_body_alone():
     assert targets[0] == targets[1]
 
 
-def test_a_policy_without_a_member_holds_the_hands():
+def test_a_policy_without_a_member_holds_the_hands() -> None:
     pytest.importorskip("onnxruntime")
     program = Program(
         robot={"body": "go2", "left_hand": "inspire_rh56_left"},
@@ -176,7 +177,7 @@ def test_a_policy_without_a_member_holds_the_hands():
         ([{"hold": None, "of": 3}], "of: 3 is not a member; write of: NAME"),
     ],
 )
-def test_a_joint_has_one_writer(flow, told):
+def test_a_joint_has_one_writer(flow: list[Any], told: str) -> None:
     with pytest.raises(WorkflowError) as raised:
         Program(
             robot={"body": "go2", "left_hand": "inspire_rh56_left"},
@@ -187,7 +188,9 @@ def test_a_joint_has_one_writer(flow, told):
     assert told in str(raised.value)
 
 
-def test_one_word_moves_a_workflow_of_members_to_one_platform(go2_with_hands):
+def test_one_word_moves_a_workflow_of_members_to_one_platform(
+    go2_with_hands: dict[str, Any],
+) -> None:
     """Options of members stay where they are, unread."""
     options = {"left_hand": {"address": "192.168.11.210"}, "fake": {"time_constant": 0.1}}
     whole = go2_with_hands | {"platform": "fake", "platforms": options}
@@ -197,7 +200,7 @@ def test_one_word_moves_a_workflow_of_members_to_one_platform(go2_with_hands):
     program.close()
 
 
-def test_members_divide_the_joints_among_blocks():
+def test_members_divide_the_joints_among_blocks() -> None:
     program = Program(
         robot={"body": "go2", "left_hand": "inspire_rh56_left"},
         platform={"body": "fake", "left_hand": "fake"},
@@ -221,7 +224,7 @@ def test_members_divide_the_joints_among_blocks():
     )
 
 
-def test_a_scene_is_of_the_whole(go2_with_hands):
+def test_a_scene_is_of_the_whole(go2_with_hands: dict[str, Any]) -> None:
     pytest.importorskip("mujoco")
     go2_with_hands["platform"] = {"body": "mujoco", "hands": "fake"}
     pose = {"*_calf_joint": -1.0, "L_index_proximal_joint": 0.7}
@@ -247,7 +250,7 @@ def test_a_scene_is_of_the_whole(go2_with_hands):
 # -- robots ----------------------------------------------------------------------------------------
 
 
-def robots(body, hand, **more):
+def robots(body: dict[str, Any], hand: dict[str, Any], **more: Any) -> Program:
     values: dict[str, Any] = {
         "robot": {"body": "go2", "left_hand": "inspire_rh56_left"},
         "platform": {"body": MADE, "left_hand": MADE},
@@ -260,12 +263,12 @@ def robots(body, hand, **more):
     return Program(**values | more)
 
 
-def of(robot):
+def of(robot: str) -> list[str]:
     return [what for name, what in LOG if name == robot]
 
 
 @pytest.mark.usefixtures("time_passes")
-def test_two_robots_run_behind_their_gates_and_the_hands_get_ready_first():
+def test_two_robots_run_behind_their_gates_and_the_hands_get_ready_first() -> None:
     program = robots({"steps": 2}, {"steps": 3})
     assert not program.platform.facts.simulated
     variants = [gate for gate in program.gates if isinstance(gate, Variant)]
@@ -288,7 +291,7 @@ def test_two_robots_run_behind_their_gates_and_the_hands_get_ready_first():
     ("where", "faulty"),
     [pytest.param("recv", "body", marks=pytest.mark.slow), ("send", "left_hand")],
 )
-def test_a_fault_of_one_damps_all(where, faulty):
+def test_a_fault_of_one_damps_all(where: str, faulty: str) -> None:
     wrong = {"wrong": where, "after": 80}
     program = robots(*((wrong, {}) if faulty == "body" else ({}, wrong)))
     report = Runner(program, RunOptions(speed="real")).run()
@@ -298,7 +301,7 @@ def test_a_fault_of_one_damps_all(where, faulty):
         assert of(name)[-2:] == ["limp", "closed"]
 
 
-def test_a_member_in_a_process_of_its_own_is_prepared_there():
+def test_a_member_in_a_process_of_its_own_is_prepared_there() -> None:
     program = robots(
         {},
         {"steps": 1, "others": 1},
@@ -311,7 +314,7 @@ def test_a_member_in_a_process_of_its_own_is_prepared_there():
     program.close()
 
 
-def test_all_are_closed_though_one_raises():
+def test_all_are_closed_though_one_raises() -> None:
     program = robots({"wrong": "close"}, {})
     with pytest.raises(Fault, match="close of go2 failed"):
         program.close()
@@ -320,14 +323,14 @@ def test_all_are_closed_though_one_raises():
     assert len(LOG) == 2
 
 
-def test_what_was_opened_is_closed_where_the_next_cannot_be_built():
+def test_what_was_opened_is_closed_where_the_next_cannot_be_built() -> None:
     with pytest.raises(UniconError, match="left_hand: build of inspire_rh56_left failed"):
         robots({}, {"wrong": "build"})
     assert LOG == [("go2", "closed")]
 
 
 @pytest.mark.slow
-def test_a_simulated_body_with_a_real_hand_counts_as_a_robot():
+def test_a_simulated_body_with_a_real_hand_counts_as_a_robot() -> None:
     program = robots({}, {}, platform={"body": "fake", "left_hand": MADE}, platforms={})
     assert not program.platform.facts.simulated
     assert program.gates
@@ -338,7 +341,7 @@ def test_a_simulated_body_with_a_real_hand_counts_as_a_robot():
     assert of("inspire_rh56_left")[-2:] == ["limp", "closed"]
 
 
-def test_a_mix_cannot_be_silent():
+def test_a_mix_cannot_be_silent() -> None:
     values: dict[str, Any] = {
         "robot": {"body": "go2", "left_hand": "inspire_rh56_left"},
         "platform": {"body": "fake", "left_hand": MADE},
@@ -351,7 +354,7 @@ def test_a_mix_cannot_be_silent():
     Program(**values, dry=True).close()
 
 
-def test_what_a_member_does_not_tell_is_zero_and_the_check_says_so():
+def test_what_a_member_does_not_tell_is_zero_and_the_check_says_so() -> None:
     from unicon_core.platforms.joined import joined_facts
     from unicon_core.platforms.platform import Facts
 
@@ -364,7 +367,7 @@ def test_what_a_member_does_not_tell_is_zero_and_the_check_says_so():
     )
 
 
-def test_a_safety_block_of_one_member_is_no_safety_of_the_others():
+def test_a_safety_block_of_one_member_is_no_safety_of_the_others() -> None:
     program = robots(
         {}, {}, safety=[{"finite": None, "of": "body"}, {"joint_limits": 0.01, "of": "body"}]
     )
@@ -377,7 +380,7 @@ def test_a_safety_block_of_one_member_is_no_safety_of_the_others():
     program.close()
 
 
-def test_a_body_keeps_its_stops_though_its_hands_say_no_limits():
+def test_a_body_keeps_its_stops_though_its_hands_say_no_limits() -> None:
     program = robots({}, {})
     assert program.safety_left_out.keys() <= {"hardware_stop"}
     program.close()
@@ -394,7 +397,7 @@ def test_a_body_keeps_its_stops_though_its_hands_say_no_limits():
         bench.block("rate_limit")
 
 
-def test_fingers_may_stop_at_what_they_grip():
+def test_fingers_may_stop_at_what_they_grip() -> None:
     bench = Bench(go2_with(), period=0.01)
     block = bench.block("encoder_stop")
     bench.stand()
@@ -410,7 +413,7 @@ def test_fingers_may_stop_at_what_they_grip():
 # -- records ---------------------------------------------------------------------------------------
 
 
-def test_a_recorded_run_replays_to_the_bit(tmp_path, capsys):
+def test_a_recorded_run_replays_to_the_bit(tmp_path: Path, capsys: Any) -> None:
     from unicon_ros.cli.main import main
 
     path = tmp_path / "hands.yaml"

@@ -28,8 +28,8 @@ from unicon_core.workflow.autowire import BuildContext
 from unicon_hardware.peripherals.realsense import _found, _quaternion, messages, realsense
 from unicon_ros.peripheral import Peripheral
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "vendor"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 LARGE = ROOT / "config" / "dds" / "large_data.xml"

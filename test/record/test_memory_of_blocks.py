@@ -27,8 +27,8 @@ from unicon_core.states.standard import forwarded_states, hardware_states
 from unicon_core.testing import Bench
 from unicon_core.workflow import Program, load_document, workflow_names
 from unicon_core.workflow.live_twin import twin_states
-from unicon_core.workflow.program_memory import memory_of
 from unicon_core.workflow.registry import known
+from unicon_core.workflow.tick_tree import memory_of
 
 OPTIONS: dict[str, dict[str, Any]] = {
     "action_stop": {},

@@ -16,7 +16,7 @@ from unicon_core.models.load import load_model
 from unicon_core.robots import Robot, load_robot
 from unicon_msgs_map import Encoder
 from unicon_ros.bridge.bindings import robot_variables
-from unicon_ros.bridge.transforms import LinkTransforms, tf_entry
+from unicon_ros.bridge.robot_frames import LinkTransforms, tf_entry
 
 mujoco = pytest.importorskip("mujoco")
 

@@ -24,7 +24,7 @@ from unicon_core.runtime.phases import Damp as DampPhase
 from unicon_core.runtime.startup_sequence import PATIENCE, REPEAT, Waiting
 from unicon_core.states import States, standard_states
 from unicon_core.states.standard import COMMAND_STATES
-from unicon_core.workflow.gate import Gate
+from unicon_core.workflow.program_data import Gate
 
 GO2 = load_robot("go2")
 PERIOD = 0.02

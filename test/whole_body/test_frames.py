@@ -16,7 +16,7 @@ from unicon_core.models.find import pick_model
 from unicon_core.models.frames import Frames
 from unicon_core.models.load import load_model
 from unicon_core.robots import load_robot
-from unicon_core.robots.places import Place
+from unicon_core.robots.robot import Place
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states.standard import pose_states
 from unicon_core.testing import Bench

@@ -14,8 +14,7 @@ import numpy as np
 from unicon_base.arrays import Float32
 from unicon_core.blocks.joint_command import Counting, ticks_of
 from unicon_core.bounds import Seconds
-from unicon_core.flow.block import Amends
-from unicon_core.flow.stage import Stage
+from unicon_core.flow.block import Amends, Stage
 from unicon_core.platforms.kit.damping import LastSent
 from unicon_core.states import States
 from unicon_core.states.stacked import flat

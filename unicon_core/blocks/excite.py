@@ -28,7 +28,7 @@ from unicon_core.bounds import (
     within,
 )
 from unicon_core.robots import Robot
-from unicon_core.robots.poses import joints_like, named_pose
+from unicon_core.robots.load import joints_like, named_pose
 
 Signal = Literal["sine", "chirp", "square", "triangle", "random"]
 

@@ -34,7 +34,7 @@ from unicon_core.bounds import (
 from unicon_core.flow.block import Bundle, Reads
 from unicon_core.models.loaded import index_of
 from unicon_core.robots import Robot
-from unicon_core.robots.poses import named_pose
+from unicon_core.robots.load import named_pose
 from unicon_core.states import StateSpec
 from unicon_core.states.standard import forwarded_states
 from unicon_core.workflow.autowire import BuildContext

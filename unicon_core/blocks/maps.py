@@ -14,8 +14,7 @@ from unicon_base.errors import StateError, alternatives
 from unicon_base.schema.marks import Within, positive
 from unicon_core.blocks.joint_command import Commands
 from unicon_core.bounds import DURATION
-from unicon_core.flow.block import Reads, Writes
-from unicon_core.flow.linear import LinearMap
+from unicon_core.flow.block import LinearMap, Reads, Writes
 from unicon_core.platforms.kit.command import Servo
 from unicon_core.robots import Robot
 from unicon_core.states import States, StateSpec

@@ -21,7 +21,7 @@ from unicon_core.bounds import (
 )
 from unicon_core.flow.block import Reads
 from unicon_core.robots import Robot
-from unicon_core.robots.poses import joints_like, named_pose
+from unicon_core.robots.load import joints_like, named_pose
 
 
 class Pose(Counting):

@@ -13,10 +13,10 @@ from unicon_core.check.order import check_mirrored
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.safety import has_limits
 from unicon_core.check.subject import Subject, listed
-from unicon_core.figures import figure, figures, span, spans
 from unicon_core.flow import Stage
 from unicon_core.policies.contract import ActionKind
 from unicon_core.robots import joint_index
+from unicon_core.text_table import figure, figures, span, spans
 
 PLAUSIBLE_ACTION = 1.0
 """Action that a trained policy reaches in every walk; used where the contract has no clip."""

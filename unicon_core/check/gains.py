@@ -14,11 +14,11 @@ from unicon_core.check.model_facts import ModelJoints, model_joints
 from unicon_core.check.order import check_mirrored
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import Subject, listed
-from unicon_core.figures import figure, figures, spans
 from unicon_core.models.find import model_of
 from unicon_core.models.load import load_model
 from unicon_core.platforms.platform import info_of
 from unicon_core.robots import Robot, joint_index
+from unicon_core.text_table import figure, figures, spans
 
 EFFORT_FACTOR = 3.0
 """Robot file and model may differ by variants of a motor (35 and 50 N·m), not by this."""

@@ -10,7 +10,6 @@ import numpy as np
 from unicon_base.arrays import Float32
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import Subject
-from unicon_core.figures import figure, span
 from unicon_core.platforms.kit.base import rotation
 from unicon_core.platforms.platform import info_of
 from unicon_core.policies import PolicyContract, TermSlice, term_slices
@@ -18,6 +17,7 @@ from unicon_core.policies.hints import Feed
 from unicon_core.policies.networks.onnx_file import read_onnx
 from unicon_core.policies.table import input_places
 from unicon_core.states.standard import ESTIMATORS
+from unicon_core.text_table import figure, span
 
 NOT_ON_HARDWARE = ("base_lin_vel", "base_pos_w")
 """What no sensor of a legged robot measures: it takes an estimator or a tracking system."""

@@ -12,9 +12,9 @@ from unicon_base.arrays import Float32, Index
 from unicon_core.check.model_facts import joint_depths
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import Subject, listed
-from unicon_core.figures import figure
 from unicon_core.models.loaded import LoadedModel
 from unicon_core.robots import Robot, joint_index
+from unicon_core.text_table import figure
 
 ROUNDING = 0.02
 """Relative difference by which mirrored figures may differ (exports round to 3 decimals)."""

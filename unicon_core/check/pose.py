@@ -11,11 +11,11 @@ import numpy as np
 from unicon_core.check.order import check_mirrored, mirror_pairs
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import Subject, listed
-from unicon_core.figures import figure, figures, span, spans
 from unicon_core.models.loaded import LoadedModel, floors, on_floor
 from unicon_core.models.posed import PosedModel, foot_bodies, foot_geoms
 from unicon_core.platforms.platform import Resettable
 from unicon_core.robots import Robot, joint_index
+from unicon_core.text_table import figure, figures, span, spans
 
 BELOW_FEET = 0.01
 """How far another part may be below the feet in [m]."""

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from unicon_base.errors import UniconError, alternatives
 from unicon_core.check.rules import CODES, FIRM
 from unicon_core.page import write_file
-from unicon_core.terminal import WIDTH, near, wrapped
-from unicon_core.text_table import aligned
+from unicon_core.text_table import WIDTH, aligned, near, wrapped
 
 if TYPE_CHECKING:
     from unicon_core.policies import PolicyContract

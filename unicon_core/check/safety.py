@@ -11,12 +11,12 @@ from unicon_core.blocks.safety.stops import Finite, RemoteStop
 from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject, listed
 from unicon_core.flow import Block, Chain, Every, Loop, Node, Switch, When, blocks_of
+from unicon_core.flow.block import Stage
 from unicon_core.flow.nodes import children_of, chooser_of
-from unicon_core.flow.stage import Stage
 from unicon_core.policies import PolicyContract
 from unicon_core.policies.controller import controller_contract
 from unicon_core.robots import joint_index
-from unicon_core.workflow.platform_use import read_platforms
+from unicon_core.workflow.members import read_platforms
 
 TARGET = "joint_pos_target"
 """What limits are for."""

@@ -8,8 +8,8 @@ import numpy as np
 
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import Subject
-from unicon_core.figures import figure, span
 from unicon_core.platforms.platform import info_of
+from unicon_core.text_table import figure, span
 
 TURN = 2.0 * np.pi + 1e-3
 """In [rad]: phases beyond it are in degrees."""

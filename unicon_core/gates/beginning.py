@@ -8,13 +8,13 @@ from unicon_core.blocks.approach import Target
 from unicon_core.blocks.joint_command import robot_gains
 from unicon_core.blocks.postures import Damp, Hold, Pose
 from unicon_core.flow import Block, Node, Switch, Zip, children_of, compile_graph
+from unicon_core.flow.block import Stage
 from unicon_core.flow.nodes import chooser_of
-from unicon_core.flow.stage import Stage
 from unicon_core.memory import Memory
 from unicon_core.policies.controller import controller_contract
 from unicon_core.robots import joint_index
 from unicon_core.workflow.program_data import ProgramData
-from unicon_core.workflow.program_memory import holders_of
+from unicon_core.workflow.tick_tree import holders_of
 
 TARGET = "joint_pos_target"
 

@@ -10,7 +10,7 @@ from unicon_core.blocks.safety.stops import TiltStop
 from unicon_core.blocks.safety.stuck import ImuStop
 from unicon_core.bounds import POSITION
 from unicon_core.flow import Block, blocks_of
-from unicon_core.flow.stage import Stage
+from unicon_core.flow.block import Stage
 from unicon_core.gates.data import Changing, Imu, Rate, Told
 from unicon_core.gates.gate import Heeding, NoCommand, Passing, SoleCommander, StartGate, Variant
 from unicon_core.platforms.joined import members_of

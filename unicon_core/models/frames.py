@@ -18,7 +18,7 @@ from unicon_base.errors import ModelError, alternatives
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.posed import PosedModel
 from unicon_core.robots import Robot
-from unicon_core.robots.places import Place
+from unicon_core.robots.robot import Place
 
 Quat: TypeAlias = tuple[float, float, float, float]
 Vector: TypeAlias = tuple[float, float, float]

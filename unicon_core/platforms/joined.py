@@ -23,8 +23,8 @@ from unicon_core.platforms.platform import (
 from unicon_core.robots import Robot
 from unicon_core.signals import SIGNALS
 from unicon_core.states import States
+from unicon_core.states.groups import STAMP, divided, stamp_of
 from unicon_core.states.links import Incoming
-from unicon_core.states.member import STAMP, divided, stamp_of
 from unicon_core.states.standard import JOINT_STATES, MOTOR_STATES
 
 _OF_BASE = ("wait", "arrivals", "push", "viewer")

@@ -15,9 +15,8 @@ import numpy as np
 from unicon_base.arrays import Float32
 from unicon_base.errors import Fault, UniconError
 from unicon_core.blocks.approach import Target
-from unicon_core.figures import figure
 from unicon_core.flow import Node, Zip, compile_graph
-from unicon_core.flow.stage import Stage
+from unicon_core.flow.block import Stage
 from unicon_core.gates.beginning import beginning, first_command
 from unicon_core.gates.data import Rate
 from unicon_core.gates.gate import SoleCommander
@@ -31,6 +30,7 @@ from unicon_core.platforms.platform import (
 )
 from unicon_core.preflight.result import PreflightResult
 from unicon_core.signals import SIGNALS
+from unicon_core.text_table import figure
 from unicon_core.workflow import Program
 
 FREE_BYTES = 1 << 30

@@ -7,10 +7,10 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from unicon_core import __version__
-from unicon_core.figures import span
 from unicon_core.page import figure, page, pairs, place, table
 from unicon_core.show.state_table import parts_rows, state_rows
 from unicon_core.show.svg import graph_svg
+from unicon_core.text_table import span
 
 if TYPE_CHECKING:
     from unicon_core.workflow import Program

@@ -27,9 +27,8 @@ from unicon_core.states import States, StateSpec
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow.autowire import BuildContext
 from unicon_core.workflow.document import WorkflowDocument, read_part
-from unicon_core.workflow.hardware import declared_facts
+from unicon_core.workflow.hardware import declared_facts, read_scene
 from unicon_core.workflow.registry import find_factory
-from unicon_core.workflow.scene import read_scene
 
 TWIN_STATES = ("twin_joint_pos", "twin_gap", "twin_lag", "twin_flag")
 """What a twin writes."""

@@ -56,9 +56,7 @@ class ServiceEnd:
                 yield said
 
     def _say(self, message: Any) -> None:
-        """Write a message, zeros behind it up to a multiple of 4."""
-        raw = bytes(self._store.serialize_cdr(message, message.__msgtype__))
-        self._writer.write(raw + bytes(-len(raw) % 4))
+        self._writer.write(bytes(self._store.serialize_cdr(message, message.__msgtype__)))
 
 
 class Procedure:

@@ -22,10 +22,9 @@ from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_hardware.facts import Octet, Word, fact
-from unicon_hardware.modbus.frames import read_answer, read_request
-from unicon_hardware.modbus.hand import HandWire
-from unicon_hardware.modbus.link import ModbusConnection, reached
-from unicon_hardware.modbus.registers import HandRegisters, Told
+from unicon_hardware.modbus.hand import HandRegisters, HandWire, Told
+from unicon_hardware.modbus.link import ModbusConnection, reached, read_answer, read_request
+from unicon_hardware.modbus.served import HandEndpoint, PtyServer
 from unicon_hardware.wired_robot import WiredRobot, opened
 
 SCALE = Annotated[float, Within(1e-3, 1.0)]
@@ -107,3 +106,13 @@ def make(
     check = partial(check_protocol, robot=robot)
     wire = HandWire(states, registers_of(robot), link, where, silent=silent, first=check)
     return opened(Rohand(states, robot, period, wire, silence=silence, silent=silent), connect)
+
+
+def face(states: States, robot: Robot, *, version: int = 0x0100) -> HandEndpoint:
+    """Return the face of a hand on a pty, `face.where`.
+
+    Args:
+        version: of its protocol, the major one in the high byte.
+    """
+    extra = {fact(robot, "register_protocol", Word): version}
+    return HandEndpoint(states, registers_of(robot), PtyServer(), "rohand", extra)

@@ -79,7 +79,7 @@ def _run(
     from unicon_core.check import refuse_errors
     from unicon_core.check.files import little_seen
     from unicon_core.runtime import Runner, RunOptions
-    from unicon_core.runtime.options import never_ends
+    from unicon_core.runtime.phases import never_ends
     from unicon_core.workflow import Program
 
     for extension in loaded("run").values():

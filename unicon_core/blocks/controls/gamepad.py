@@ -27,7 +27,7 @@ from typing import Literal
 
 from unicon_base.errors import WorkflowError
 from unicon_core.blocks.controls.device import Controls, declares_controls, device_block
-from unicon_core.buttons import BUTTONS
+from unicon_core.bounds import BUTTONS
 from unicon_core.flow import Block
 from unicon_core.workflow.autowire import BuildContext
 

@@ -15,8 +15,7 @@ from unicon_base.arrays import Bool, Float32
 from unicon_base.errors import Fault, RobotError, WorkflowError
 from unicon_base.schema.marks import Within
 from unicon_core.bounds import POSITION, SHARE, MaxRate, Scale
-from unicon_core.flow.block import Amends, Bundle, Reads
-from unicon_core.flow.stage import Stage
+from unicon_core.flow.block import Amends, Bundle, Reads, Stage
 from unicon_core.robots import Robot
 from unicon_core.states.stacked import Range
 

@@ -21,8 +21,7 @@ from unicon_base.errors import Fault, WorkflowError
 from unicon_base.schema.marks import Matches, Within, positive
 from unicon_core.blocks.joint_command import Commands
 from unicon_core.bounds import DAMPING, EFFORT, POSITION, STIFFNESS, VELOCITY
-from unicon_core.flow.block import Reads
-from unicon_core.flow.stage import Stage
+from unicon_core.flow.block import Reads, Stage
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.stacked import Range, Screen

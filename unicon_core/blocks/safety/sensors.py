@@ -7,8 +7,7 @@ import numpy as np
 from unicon_base.errors import Fault
 from unicon_core.blocks.joint_command import single
 from unicon_core.bounds import Motion
-from unicon_core.flow.block import Reads
-from unicon_core.flow.stage import Stage
+from unicon_core.flow.block import Reads, Stage
 from unicon_core.robots import Robot
 
 NEVER = -(1 << 62)

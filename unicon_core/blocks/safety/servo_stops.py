@@ -16,8 +16,7 @@ from unicon_base.schema.marks import Within, positive
 from unicon_core.blocks.joint_command import Commands, ticks_of
 from unicon_core.blocks.safety.limits import first_of
 from unicon_core.bounds import Motion, Timeout
-from unicon_core.flow.block import Reads
-from unicon_core.flow.stage import Stage
+from unicon_core.flow.block import Reads, Stage
 from unicon_core.platforms.kit.command import Servo
 from unicon_core.robots import Robot
 from unicon_core.workflow.autowire import BuildContext

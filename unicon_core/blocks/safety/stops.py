@@ -19,10 +19,17 @@ from unicon_core.blocks.joint_command import Commands, end_of, ticks_of
 from unicon_core.blocks.predicates import largest
 from unicon_core.blocks.safety.limits import known_velocity_limits
 from unicon_core.blocks.safety.ranges import RangeStop
-from unicon_core.bounds import TILT, VELOCITY, VELOCITY_FACTOR, Seconds, Speed, Timeout
-from unicon_core.buttons import BUTTONS, Button
-from unicon_core.flow.block import Reads
-from unicon_core.flow.stage import Stage
+from unicon_core.bounds import (
+    BUTTONS,
+    TILT,
+    VELOCITY,
+    VELOCITY_FACTOR,
+    Button,
+    Seconds,
+    Speed,
+    Timeout,
+)
+from unicon_core.flow.block import Reads, Stage
 from unicon_core.platforms.kit.command import FiniteCheck
 from unicon_core.robots import Robot
 from unicon_core.states import States

@@ -19,8 +19,7 @@ from unicon_core.blocks.joint_command import single, ticks_of
 from unicon_core.blocks.safety.limits import first_of
 from unicon_core.blocks.safety.stops import PATIENT
 from unicon_core.bounds import Motion, Timeout
-from unicon_core.flow.block import Reads
-from unicon_core.flow.stage import Stage
+from unicon_core.flow.block import Reads, Stage
 from unicon_core.robots import Robot
 
 

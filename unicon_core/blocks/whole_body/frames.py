@@ -20,9 +20,9 @@ from unicon_core.bounds import DURATION
 from unicon_core.flow.block import Reads
 from unicon_core.models.frames import Frames as BodyFrames
 from unicon_core.robots import Robot
-from unicon_core.robots.places import Place
+from unicon_core.robots.robot import Place
 from unicon_core.states import StateSpec
-from unicon_core.states.spec import check_name
+from unicon_core.states.layout import check_name
 from unicon_core.states.standard import pose_of, pose_states, target_of, target_states
 from unicon_core.workflow.autowire import BuildContext
 

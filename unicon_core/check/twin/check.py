@@ -27,11 +27,11 @@ from unicon_core.check.twin.ranking import (
 )
 from unicon_core.check.twin.repair import repairs
 from unicon_core.check.twin.session import TwinBlindError, TwinSession
-from unicon_core.figures import figure
 from unicon_core.models.find import Modelled
 from unicon_core.platforms.platform import Platform
+from unicon_core.text_table import figure
 from unicon_core.workflow.document import WorkflowDocument
-from unicon_core.workflow.platform_use import read_platforms
+from unicon_core.workflow.members import read_platforms
 
 MARGIN = 0.1
 """A broken contract that loses less in its first run is compared with the given one."""

@@ -25,9 +25,9 @@ from unicon_core.check.result import PolicyResult
 from unicon_core.check.subject import listed
 from unicon_core.check.twin.measures import Measures
 from unicon_core.check.twin.perturb import Change
-from unicon_core.figures import figure, span
 from unicon_core.policies import PolicyContract
 from unicon_core.robots import Robot, joint_index
+from unicon_core.text_table import figure, span
 
 CLEAR = 0.05
 """Gain in score from which a change is a finding. The greatest of a right contract was 0.039

@@ -21,8 +21,8 @@ from unicon_base.schema.records import record_of
 from unicon_core.models.find import pick_model
 from unicon_core.robots import Robot
 from unicon_core.robots.file import Simulated
-from unicon_core.robots.places import Places
-from unicon_core.robots.poses import named_pose, robot_poses
+from unicon_core.robots.load import named_pose, robot_poses
+from unicon_core.robots.robot import Places
 from unicon_core.terrain.ground import refuse_endless_ground
 from unicon_core.terrain.words import FLAT, Terrain, read_terrain
 

@@ -16,7 +16,7 @@ from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.posed import PosedModel
 from unicon_core.platforms.kit.scene import KEYFRAME, Scene
 from unicon_core.robots import Robot
-from unicon_core.robots.poses import JointPhysics, joint_physics
+from unicon_core.robots.load import JointPhysics, joint_physics
 
 _CLEARANCE = 0.0005  # [m] between the lowest geom and the floor
 

@@ -39,7 +39,7 @@ from unicon_core.platforms.kit.scene import BODY_PHYSICS, Scene
 from unicon_core.platforms.kit.start import Start, start_of
 from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.robots import Robot
-from unicon_core.robots.poses import JOINT_PHYSICS
+from unicon_core.robots.load import JOINT_PHYSICS
 from unicon_core.states import States
 from unicon_core.states.standard import BASE_STATES, JOINT_STATES
 

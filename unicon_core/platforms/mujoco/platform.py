@@ -28,7 +28,7 @@ from unicon_core.platforms.mujoco.servo import Servo
 from unicon_core.platforms.mujoco.simulated_robot import SimulatedRobot
 from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.robots import Robot
-from unicon_core.robots.poses import JOINT_PHYSICS, JointPhysics, joint_physics
+from unicon_core.robots.load import JOINT_PHYSICS, JointPhysics, joint_physics
 from unicon_core.states import States
 from unicon_core.states.standard import BASE_STATES
 
