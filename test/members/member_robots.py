@@ -12,8 +12,8 @@ from unicon_core.platforms.kit.scene import Scene
 from unicon_core.robots import Robot
 from unicon_core.states import States
 
-# Robot's name and what happened: `command`, `limp`, `closed`, `prepared`.
 LOG: list[tuple[str, str]] = []
+"""Robot's name and what happened: `command`, `limp`, `closed`, `prepared`."""
 
 
 class Noting(FakeRobot):
@@ -39,13 +39,9 @@ class Noting(FakeRobot):
         if wrong == "build":
             raise PlatformError(f"build of {robot.name} failed")
         super().__init__(states, robot, period, Scene(), 0.0)
-        self._states = states
-        self._robot = robot
-        self._wrong = wrong
-        self._after = after
-        self._left = steps
-        self.steps = steps
-        self._others = others
+        self._states, self._robot = states, robot
+        self._wrong, self._after, self._left = wrong, after, steps
+        self.steps, self._others = steps, others
 
     def _note(self, what: str) -> None:
         LOG.append((self._robot.name, what))
@@ -87,6 +83,16 @@ class Noting(FakeRobot):
         return {"protocol": self._robot.transport["protocol"]}
 
 
-def make(states, robot, period, *, wrong="", after=0, steps=0, others=0, silent=False):
+def make(
+    states: States,
+    robot: Robot,
+    period: float,
+    *,
+    wrong: str = "",
+    after: int = 0,
+    steps: int = 0,
+    others: int = 0,
+    silent: bool = False,
+) -> Noting:
     """Build one."""
     return Noting(states, robot, period, wrong, after, steps, others)

@@ -22,8 +22,9 @@ from unicon_core.platforms.platform import Facts
 from unicon_core.states.standard import COMMAND_STATES, CONTROL_STATES, JOINT_STATES
 from unicon_hardware.booster.codec import BoosterFacts
 from unicon_hardware.booster.takeover import Client, Takeover
-from unicon_hardware.dds.end import DdsWire, Inlet, factory_of
+from unicon_hardware.dds.end import DdsWire, factory_of
 from unicon_hardware.dds.maps import HEADER, Arrays, command_arrays
+from unicon_hardware.dds.service import Inlet
 from unicon_hardware.wire import IMU_STATES, Counts
 from unicon_hardware.wired_robot import WiredRobot
 
