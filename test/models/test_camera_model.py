@@ -15,7 +15,8 @@ pytest.importorskip("mujoco")
 import mujoco
 
 from unicon_core.models.camera import intrinsics, optical_frame
-from unicon_core.models.kinematic_tree import frame_of, rotate
+from unicon_core.models.kinematic_tree import frame_of
+from unicon_core.models.loaded import rotate
 from unicon_core.robots import Robot, load_robot
 
 HERE = Path(__file__).resolve().parent

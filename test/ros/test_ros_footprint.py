@@ -14,8 +14,8 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Imu
 
 from unicon_core.models.find import pick_model
-from unicon_core.models.kinematic_tree import about, multiply, rotate
 from unicon_core.models.load import load_model
+from unicon_core.models.loaded import about, multiply, rotate
 from unicon_core.models.posed import Footprint, PosedModel, foot_geoms
 from unicon_core.robots import load_robot
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.flow import Block, Stage
+from unicon_core.flow import Amends, Block, Reads, Stage, Tick
 from unicon_core.models.frames import Frames
 from unicon_core.models.load import load_model
 from unicon_core.platforms.mujoco.platform import MujocoPlatform
@@ -18,20 +18,22 @@ from unicon_core.workflow import Program, load_workflow
 from unicon_core.workflow.document import load_document
 
 HANDS = ("left_hand", "right_hand")
-# In [s]: arms have come to their targets, and circles have their size.
 BEGUN = 3.0
+"""In [s]: arms have come to their targets, and circles have their size."""
 NOISE = (
     "scene.noise={joint_pos: 0.002, joint_vel: 0.1, base_ang_vel: 0.05, projected_gravity: 0.02}"
 )
 
 
-def under(policy):
+def under(policy: str) -> list[str]:
     """Return what makes `g1_reach` walk under the policy of another workflow."""
     said = load_document(policy).values["policies"]["walk"]
     return [f"policies.walk={json.dumps(said)}"]
 
 
-def lost(left_hand_target, right_hand_target, tick, *, begin, end):
+def lost(
+    left_hand_target: Amends, right_hand_target: Amends, tick: Reads, *, begin: int, end: int
+) -> Tick:
     """Take the targets away between two ticks."""
 
     def lose() -> None:
@@ -45,13 +47,11 @@ class TrueErrors:
     """Looks where the simulated hands are, in every tick behind the targets, without noise."""
 
     def __init__(self, program: Program) -> None:
-        platform = program.platform
-        robot = program.robot
+        platform, robot = program.platform, program.robot
         assert isinstance(platform, MujocoPlatform)
         loaded = load_model(platform.model_path, robot, quiet=True)
         self._frames = Frames(loaded, robot, {hand: robot.end_effectors[hand] for hand in HANDS})
-        self._qpos = platform.data.qpos
-        self._joints = loaded.addresses
+        self._qpos, self._joints = platform.data.qpos, loaded.addresses
         self._targets = [program.states[f"{hand}_target"] for hand in HANDS]
         self.found: list[list[float]] = []
 
@@ -75,7 +75,7 @@ class Walk:
         return float(p50), float(p95), float(most)
 
 
-def walk(overrides=(), duration=20.0, seed=0):
+def walk(overrides: Sequence[str] = (), duration: float = 20.0, seed: int = 0) -> Walk:
     """Run `g1_reach`, with noise, and look at the hands."""
     kept: list[TrueErrors] = []
 

@@ -501,7 +501,7 @@ ROWS = [
         GATES,
         ("prepared", 'next(filter(None, (gate() for gate in alone)), "")', "''"),
     ),
-    *_rows("runtime/options.py", ENDS, ("refuse_pace", REMOVED)),
+    *_rows("runtime/phases.py", ENDS, ("refuse_pace", REMOVED)),
     *_rows(
         "runtime/runner.py",
         SIGNALS,
@@ -552,7 +552,7 @@ ROWS = [
         ("repeated", "raise error", "pass"),
     ),
     *_rows(
-        "workflow/gate.py",
+        "workflow/program_data.py",
         CLOSED,
         ("Gate.before", "if self.closed or now() > self.until_ns:", "if now() > self.until_ns:"),
         ("Gate.before", "if self.closed or now() > self.until_ns:", "if self.closed:"),

@@ -17,8 +17,8 @@ import numpy as np
 
 from unicon_base.arrays import Array, Float64
 from unicon_base.errors import ModelError, UniconError, alternatives, one_line
-from unicon_core.models.kinematic_tree import frame_of, multiply
-from unicon_core.models.loaded import body_in, import_mujoco
+from unicon_core.models.kinematic_tree import frame_of
+from unicon_core.models.loaded import body_in, import_mujoco, multiply
 from unicon_core.models.posed import PosedModel
 from unicon_core.models.terrain import load_on
 from unicon_core.robots import Robot

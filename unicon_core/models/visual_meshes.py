@@ -23,9 +23,9 @@ from unicon_base.errors import UniconError
 from unicon_base.packages import PACKAGE, package_file
 from unicon_core.models.absent import mesh_places, model_folders, repaired_urdf
 from unicon_core.models.find import pick_model
-from unicon_core.models.kinematic_tree import BASE, Geom, Link, about, multiply, read_tree, rotate
+from unicon_core.models.kinematic_tree import BASE, Geom, Link, read_tree
 from unicon_core.models.load import load_model
-from unicon_core.models.loaded import LoadedModel, import_mujoco, solid
+from unicon_core.models.loaded import LoadedModel, about, import_mujoco, multiply, rotate, solid
 from unicon_core.robots import Robot
 
 # Opacity below which a geom is there for contacts alone.

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from unicon_base.arrays import Float64
-from unicon_core.models.kinematic_tree import Link, physical_links, read_tree, rotate
-from unicon_core.models.loaded import import_mujoco, solid, still
+from unicon_core.models.kinematic_tree import Link, physical_links, read_tree
+from unicon_core.models.loaded import import_mujoco, rotate, solid, still
 from unicon_core.platforms.kit.base import rotation
 from unicon_core.platforms.kit.joint_model import JointModel
 from unicon_core.platforms.kit.start import Start
