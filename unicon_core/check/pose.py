@@ -9,16 +9,14 @@ from typing import Any
 import numpy as np
 
 from unicon_base.arrays import Bool
-from unicon_core.blocks.safety.limits import EffortLimits, JointLimits
-from unicon_core.blocks.safety.speeds import VelocityLimits
+from unicon_core.blocks.safety.limits import EffortLimits, JointLimits, VelocityLimits
 from unicon_core.check.graph import has_limits
 from unicon_core.check.joints import check_mirrored, mirror_pairs, robot_values
 from unicon_core.check.result import CheckResult, PolicyResult, first
 from unicon_core.check.subject import Subject, listed
 from unicon_core.flow import Stage
-from unicon_core.models.loaded import LoadedModel
+from unicon_core.models.loaded import LoadedModel, floors, on_floor
 from unicon_core.models.posed import PosedModel, foot_bodies, foot_geoms
-from unicon_core.models.touching import floors, on_floor
 from unicon_core.platforms.platform import Resettable
 from unicon_core.policies.contract import ActionKind
 from unicon_core.robots import Robot, joint_index

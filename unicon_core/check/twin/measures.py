@@ -24,7 +24,7 @@ from functools import cached_property
 import numpy as np
 
 from unicon_base.arrays import Array, Float64
-from unicon_core.blocks.monitor import Monitor
+from unicon_core.blocks.approach import Monitor
 from unicon_core.check.result import PolicyResult
 from unicon_core.check.twin.perturb import Change
 from unicon_core.robots import Robot
