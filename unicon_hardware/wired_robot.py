@@ -22,7 +22,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from unicon_base.errors import Fault, PlatformError, Silence
-from unicon_core.blocks.projected_gravity import projected_gravity
+from unicon_core.blocks.maps import projected_gravity
 from unicon_core.platforms.kit.command import FiniteCheck
 from unicon_core.platforms.kit.damping import DAMPING_TIME, Damping, LastSent, repeated
 from unicon_core.platforms.platform import Facts

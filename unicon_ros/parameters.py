@@ -15,7 +15,7 @@ import numpy as np
 from rcl_interfaces.msg import ParameterType, SetParametersResult
 
 from unicon_base.errors import UniconError, alternatives
-from unicon_base.registered import loaded
+from unicon_base.packages import loaded
 from unicon_base.resources import find_config
 from unicon_core.check.rules import CODES
 from unicon_core.flow import Block, Stage, Tick

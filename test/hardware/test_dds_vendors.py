@@ -32,6 +32,9 @@ from unicon_hardware.inspire.platform import make as inspire
 from unicon_hardware.pnd.platform import PndFacts
 from unicon_hardware.pnd.platform import face as adam
 from unicon_hardware.pnd.platform import make as pnd
+from unicon_hardware.unitree.face import face as go2
+from unicon_hardware.unitree.facts import UnitreeFacts
+from unicon_hardware.unitree.platform import make as unitree
 from unicon_hardware.unitree_dex3.platform import Dex3Facts
 from unicon_hardware.unitree_dex3.platform import face as dex3_face
 from unicon_hardware.unitree_dex3.platform import make as dex3
@@ -64,6 +67,7 @@ class Vendor:
 
 SDK = {"layout": "sdk", "fsm_id": 2}
 VENDORS = {
+    "go2": Vendor("go2", UnitreeFacts.of, unitree, go2, "rt/lowstate", "hw-unitree"),
     "dex3": Vendor("dex3_left", Dex3Facts.of, dex3, dex3_face, "rt/dex3/left/state", "hw-unitree"),
     "pnd": Vendor("adam_lite", PndFacts.of, pnd, adam, "rt/lowstate", "hw-pnd"),
     "dobot": Vendor(
@@ -146,6 +150,8 @@ def test_the_platform_sends_nothing_silently_knows_silence_and_damps_at_its_end(
             until(platform.recv)
         platform.close()
         until(lambda: not theirs["joint_stiffness"].any())
+        if vendor.make is unitree:
+            np.testing.assert_array_equal(theirs["joint_damping"], robot.joint_damping)
         if vendor.holds:
             assert abs(theirs["joint_pos_target"][0] - 0.2) < 2e-3
         if vendor.make is dex3:  # stopped, without damping

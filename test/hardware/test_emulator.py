@@ -13,7 +13,7 @@ import udp_robot
 from numpy.typing import NDArray
 
 from unicon_base.errors import UniconError
-from unicon_core.blocks.projected_gravity import projected_gravity
+from unicon_core.blocks.maps import projected_gravity
 from unicon_core.robots import Robot, load_robot
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES

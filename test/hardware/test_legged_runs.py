@@ -15,8 +15,7 @@ from legged_peer import Emulated, free_port
 from stepping import stepping
 
 from unicon_core import Program
-from unicon_core.blocks.controls.device import Controls
-from unicon_core.blocks.controls.remotes import unitree_pressed
+from unicon_core.blocks.controls.device import Controls, unitree_pressed
 from unicon_core.flow import Chain
 from unicon_core.robots import load_robot
 from unicon_core.runtime.report import Report

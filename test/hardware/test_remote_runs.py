@@ -12,8 +12,7 @@ import pytest
 from emulated_runs import FIRST, PATIENT, EmulatedUnitree
 from peer import Peer, wait_for
 
-from unicon_core.blocks.controls.gamepad import ABS, EVENT, KEY
-from unicon_core.blocks.controls.pads import pad_of
+from unicon_core.blocks.controls.gamepad import ABS, EVENT, KEY, pad_of
 
 pytest.importorskip("cyclonedds", reason="needs cyclonedds: pip install 'unicon_ros[hw-unitree]'")
 pytest.importorskip("mujoco")

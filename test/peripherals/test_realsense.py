@@ -238,7 +238,7 @@ def test_no_camera_names_those_that_are_there() -> None:
 
 
 def test_a_rotation_is_that_quaternion() -> None:
-    from unicon_core.models.quaternions import rotate
+    from unicon_core.models.loaded import rotate
 
     half = np.radians(35) / 2
     axis = np.array((0.6, 0.0, -0.8))

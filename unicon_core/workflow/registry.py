@@ -19,7 +19,7 @@ from importlib import import_module
 from typing import Annotated, Any, TypeAlias, get_args, get_origin
 
 from unicon_base.errors import MissingDependencyError, UniconError, alternatives
-from unicon_base.registered import registered
+from unicon_base.packages import registered
 from unicon_base.schema.records import option_hints
 from unicon_core.flow.block import Access, Block, Bundle, Tick
 from unicon_core.platforms.platform import Facts

@@ -16,15 +16,15 @@ import numpy as np
 
 from unicon_base.arrays import Array
 from unicon_base.errors import Fault
-from unicon_core.blocks.controls.device import Controls
-from unicon_core.blocks.controls.remotes import REMOTES
+from unicon_core.blocks.controls.device import REMOTES, Controls
 from unicon_core.platforms.kit.base import Mounting, quat_of_rpy
 from unicon_core.platforms.platform import Facts
 from unicon_core.states.standard import COMMAND_STATES, CONTROL_STATES, JOINT_STATES
 from unicon_hardware.booster.codec import BoosterFacts
 from unicon_hardware.booster.takeover import Client, Takeover
-from unicon_hardware.dds.end import DdsWire, Inlet, factory_of
+from unicon_hardware.dds.end import DdsWire, factory_of
 from unicon_hardware.dds.maps import HEADER, Arrays, command_arrays
+from unicon_hardware.dds.service import Inlet
 from unicon_hardware.wire import IMU_STATES, Counts
 from unicon_hardware.wired_robot import WiredRobot
 

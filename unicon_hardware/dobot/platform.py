@@ -20,7 +20,7 @@ import numpy as np
 
 from unicon_base.arrays import Array
 from unicon_base.errors import Fault, PlatformError
-from unicon_core.blocks.controls.remotes import dobot
+from unicon_core.blocks.controls.device import dobot
 from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States

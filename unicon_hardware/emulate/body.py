@@ -14,10 +14,9 @@ import numpy as np
 from unicon_base.arrays import Float32
 from unicon_base.errors import MissingDependencyError, ModelError, PlatformError
 from unicon_core.platforms.fake import FakePlatform
-from unicon_core.platforms.kit.bodies import let_go
 from unicon_core.platforms.kit.disturbances import disturb
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.kit.start import start_of
+from unicon_core.platforms.kit.start import let_go, start_of
 from unicon_core.platforms.platform import Platform
 from unicon_core.robots import Robot
 from unicon_core.states import States

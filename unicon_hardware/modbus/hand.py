@@ -22,10 +22,6 @@ from unicon_core.states import States
 from unicon_hardware.modbus.link import (
     ModbusConnection,
     Refused,
-    read_answer,
-    read_request,
-    write_answer,
-    write_request,
 )
 from unicon_hardware.wire import Counts, Speed, Wire
 
@@ -261,18 +257,18 @@ class HandWire(Wire):
             self._ending.wait(max(due - time.monotonic(), 0.0))
 
     def _exchange(self, link: ModbusConnection, ending: bool) -> None:
-        registers = self._registers
+        registers, unit = self._registers, self._registers.unit
         with self._lock:
             wanted, self._wanted = self._wanted, None
             clearing = self._clear == "asked"
         if clearing and registers.clear is not None:
             start, value = registers.clear
-            self._write(link, start, np.array([value], np.uint16))
+            link.write(unit, start, np.array([value], np.uint16))
             with self._lock:
                 self._clear, self._told = "", {}
         if wanted is not None and not self._silent:
             try:
-                self._write(link, registers.target, wanted)
+                link.write(unit, registers.target, wanted)
             except (OSError, Refused):
                 with self._lock:  # again with the next exchange, if there is no newer one
                     self._wanted = wanted if self._wanted is None else self._wanted
@@ -280,13 +276,13 @@ class HandWire(Wire):
         if ending:
             return
         joints = len(registers.at_zero)
-        answer = self._read(link, registers.angle, joints)
+        answer = link.read(unit, registers.angle, joints)
         stamp, angles = time.monotonic_ns(), registers.angles(answer)
         told = {}
         if self._turn and self._exchanges % SLOW < len(self._turn):
             name, block = self._turn[0]
             self._turn.rotate(-1)
-            slow = self._read(link, block.start, block.count(joints))
+            slow = link.read(unit, block.start, block.count(joints))
             told[name] = block.values(slow, joints)
         self._exchanges += 1
         with self._lock:
@@ -294,14 +290,6 @@ class HandWire(Wire):
             self._told |= told
             self._came += 1
             self._news.set()
-
-    def _read(self, link: ModbusConnection, start: int, count: int) -> NDArray[np.uint16]:
-        answer = link.exchange(self._registers.unit, read_request(start, count))
-        return read_answer(answer, count)
-
-    def _write(self, link: ModbusConnection, start: int, values: NDArray[np.uint16]) -> None:
-        answer = link.exchange(self._registers.unit, write_request(start, values))
-        write_answer(answer, start, len(values))
 
     def _let_go(self) -> None:
         link, self._link = getattr(self, "_link", None), None

@@ -270,6 +270,14 @@ class ModbusConnection(Line):
             if frame is None:
                 self._receive()
 
+    def read(self, unit: int, start: int, count: int, timeout: float = ANSWER) -> Registers:
+        """Return `count` holding registers from `start`; errors as of `exchange`."""
+        return read_answer(self.exchange(unit, read_request(start, count), timeout), count)
+
+    def write(self, unit: int, start: int, values: Registers) -> None:
+        """Write holding registers from `start`; errors as of `exchange`."""
+        write_answer(self.exchange(unit, write_request(start, values)), start, len(values))
+
     def close(self) -> None:
         """Let go, once: the number of a closed file may be another one's by now."""
         close, self._close = self._close, lambda: None

@@ -21,7 +21,7 @@ import numpy as np
 
 from unicon_base.arrays import Array
 from unicon_base.schema.marks import Key, Within
-from unicon_core.blocks.controls.remotes import pnd
+from unicon_core.blocks.controls.device import pnd
 from unicon_core.platforms.kit.base import IMU_STATES, Mounting
 from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot

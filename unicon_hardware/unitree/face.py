@@ -16,9 +16,8 @@ from typing import Annotated, Any
 import numpy as np
 
 from unicon_base.schema.marks import Within
-from unicon_core.blocks.controls.device import Controls
+from unicon_core.blocks.controls.device import Controls, unitree_pressed
 from unicon_core.blocks.controls.gamepad import gamepad
-from unicon_core.blocks.controls.remotes import unitree_pressed
 from unicon_core.bounds import within
 from unicon_core.robots import Robot
 from unicon_core.states import States

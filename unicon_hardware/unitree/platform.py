@@ -17,7 +17,7 @@ import numpy as np
 
 from unicon_base.errors import Fault, PlatformError
 from unicon_core.blocks.controls.device import Controls
-from unicon_core.blocks.controls.remotes import unitree as held
+from unicon_core.blocks.controls.device import unitree as held
 from unicon_core.platforms.kit.base import Mounting
 from unicon_core.platforms.platform import Binding, Facts
 from unicon_core.robots import Robot

@@ -272,12 +272,12 @@ class LeggedEndpoint(Endpoint):
         if not self._owed:
             return
         states, frame, motors = self._states, self._out, self._motors
-        motors["q"], motors["dq"] = states["joint_pos"], states["joint_vel"]
-        motors["q_raw"], motors["dq_raw"] = states["joint_pos"], states["joint_vel"]
+        motors["q"] = motors["q_raw"] = states["joint_pos"]
+        motors["dq"] = motors["dq_raw"] = states["joint_vel"]
         effort = np.nan_to_num(states["joint_effort"])
         motors["tau"] = np.clip(effort * TORQUE, -32768, 32767)
-        frame["quat"][...], frame["gyro"][...] = states["base_quat"], states["base_ang_vel"]
-        frame["acc"][...] = states["base_lin_acc"]
+        for field, state in zip(("quat", "gyro", "acc"), IMU_STATES):
+            frame[field][...] = states[state]
         motors["temperature"] = np.clip(states["motor_temperature"], -128, 127)
         if "bms" in frame:
             bms = frame["bms"]

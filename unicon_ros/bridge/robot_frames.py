@@ -17,10 +17,9 @@ from unicon_base.arrays import Array, Float32
 from unicon_base.errors import UniconError
 from unicon_core.flow import Block
 from unicon_core.models.find import model_of
-from unicon_core.models.kinematic_tree import Link
+from unicon_core.models.kinematic_tree import Link, urdf
+from unicon_core.models.loaded import multiply, rotate
 from unicon_core.models.posed import Footprint
-from unicon_core.models.quaternions import multiply, rotate
-from unicon_core.models.urdf_write import urdf
 from unicon_core.models.visual_meshes import dressed
 from unicon_core.workflow import Program
 from unicon_msgs_map import Encoder, FieldSpec, PublishSpec, Qos

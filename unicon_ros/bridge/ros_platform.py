@@ -28,10 +28,9 @@ import numpy as np
 
 from unicon_base.errors import Fault, MissingDependencyError, PlatformError, Silence, UniconError
 from unicon_base.resources import find_config
-from unicon_core.blocks.projected_gravity import projected_gravity
-from unicon_core.platforms.kit.command import FiniteCheck
+from unicon_core.blocks.maps import projected_gravity
+from unicon_core.platforms.kit.command import FiniteCheck, Servo
 from unicon_core.platforms.kit.damping import DAMPING_TIME, Damping, LastSent, repeated
-from unicon_core.platforms.kit.servo import Servo
 from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
 from unicon_core.signals import SIGNALS

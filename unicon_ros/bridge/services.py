@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any, Protocol
 
-from unicon_core.blocks.controls.skills import Skills
+from unicon_core.blocks.controls.modes import Skills
 from unicon_core.platforms.platform import Pausable
 from unicon_core.runtime import Runner
 from unicon_core.workflow import Program

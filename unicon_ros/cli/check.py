@@ -15,7 +15,7 @@ from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
 from unicon_base.errors import UniconError, alternatives
-from unicon_base.registered import registered
+from unicon_base.packages import registered
 from unicon_core.page import write_file
 from unicon_ros.cli.console import print_table
 from unicon_ros.cli.options import MAP, WORKFLOW, argument, command, exclusive, flag, together
@@ -71,7 +71,8 @@ def check(arguments: argparse.Namespace) -> int:
 
 def explain(arguments: argparse.Namespace) -> int:
     """Run the command."""
-    from unicon_core.check.rules import CODES, markdown
+    from unicon_core.check.result import markdown
+    from unicon_core.check.rules import CODES
 
     if arguments.markdown:
         print(markdown(), end="")
@@ -90,10 +91,8 @@ def show(arguments: argparse.Namespace) -> int:
     """Run the command."""
     from unicon_core.flow import compile_graph
     from unicon_core.runtime.phases import describe
-    from unicon_core.show.page import show_page
-    from unicon_core.show.state_table import parts_table
-    from unicon_core.show.svg import show_svg
-    from unicon_core.show.text import show_mermaid, show_text
+    from unicon_core.show.svg import show_page, show_svg
+    from unicon_core.show.text import parts_table, show_mermaid, show_text
     from unicon_core.workflow import Program, load_document
 
     # Dry: nothing is opened or published only to be shown.

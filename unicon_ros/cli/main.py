@@ -18,7 +18,7 @@ from typing import Any
 
 import unicon_core
 from unicon_base.errors import UniconError
-from unicon_base.registered import loaded
+from unicon_base.packages import loaded
 from unicon_core.non_blocking_writer import open_standard_files
 from unicon_core.signals import SIGNALS, Interrupted
 from unicon_ros.cli import assets, bench, check, doctor, known, preflight, run, states, talk
