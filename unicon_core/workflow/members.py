@@ -141,10 +141,10 @@ def load_robot_of(document: WorkflowDocument) -> Robot:
         RobotError: no such robot, or its file is wrong.
         WorkflowError: `robot:` has no known form.
     """
-    members, scene = read_members(document), document.get("scene", {})
-    mounts: dict[str, Place] = read_part(
-        document, Places, scene.get("mounts") or {}, "scene", "mounts"
-    )
+    members, said = read_members(document), document.get("scene", {}).get("mounts")
+    mounts: dict[str, Place] = {}
+    if said is not None:
+        mounts = read_part(document, Places, said, "scene", "mounts")
     carried = list(members)[1:]
     for member in mounts:
         if member not in carried:

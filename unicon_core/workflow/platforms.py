@@ -109,15 +109,19 @@ def build_platform(
             if use.child is None or dry:
                 built = factory(*place, **arguments)
             else:
-                times = {"silence": use.child.silence, "watchdog": use.child.watchdog}
-                built = ChildPlatform(factory, facts, *place, arguments, **times)
+                silence, watchdog = use.child.silence, use.child.watchdog
+                built = ChildPlatform(
+                    factory, facts, *place, arguments, silence=silence, watchdog=watchdog
+                )
         except (TypeError, ValueError) as error:
             text = f"platform {use.name!r}: {error}; correct platforms.{use.name}"
             raise document.error(text, "platforms", use.name) from error
         try:
             return checked(built, facts, context.states)
         except UniconError:
-            getattr(built, "close", bool)()  # it is open by now
+            close = getattr(built, "close", None)
+            if callable(close):  # it is open by now
+                close()
             raise
 
     scene = read_scene(document, context, facts)
@@ -271,9 +275,11 @@ def platform_options(
             text = f"platforms: no {what} {other!r}; {names}"
             raise document.error(text, "platforms", str(other))
         if ":" not in other:  # a module of somebody's, which may be elsewhere
-            with suppress(MissingDependencyError, PlatformError):  # it is not used
+            try:
                 factory = find_factory("platforms", other, PlatformError)
-                _checked_options(document, other, factory)
+            except (MissingDependencyError, PlatformError):
+                continue  # it is not used
+            _checked_options(document, other, factory)
     return {
         member: _checked_options(document, each.use.name, each.factory)
         | (_checked_options(document, member, each.factory) if member else {})
