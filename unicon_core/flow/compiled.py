@@ -28,47 +28,37 @@ class Scope:
         names: bound objects, parameters of the function around all others.
         state: variables that live from tick to tick, with their initial values.
         functions: name and body of each function.
+        counters: kind and `id` of an owner to the name of the owner's variable.
     """
 
     names: dict[str, Any] = field(default_factory=dict)
     state: dict[str, int] = field(default_factory=dict)
     functions: list[tuple[str, Lines]] = field(default_factory=list)
     _bound: dict[tuple[str, int], str] = field(default_factory=dict)
-    _counters: dict[tuple[str, int], str] = field(default_factory=dict)
+    counters: dict[tuple[str, int], str] = field(default_factory=dict)
     _temporaries: int = 0
 
     def bind(self, prefix: str, value: Any, label: str = "") -> str:
         """Return the name of an object, made from prefix, a number and what fits of the label."""
         key = (prefix, id(value))
         if key not in self._bound:
-            clean = "".join(c if c.isalnum() and c.isascii() else "_" for c in label)
+            clean = re.sub(r"(?a:\W)", "_", label)
             self._bound[key] = f"{prefix}{len(self.names)}" + (f"_{clean}" if clean else "")
             self.names[self._bound[key]] = value  # held here, so its id is not given away again
         return self._bound[key]
 
     def renamed(self, text: str, values: Mapping[str, Any]) -> str:
         """Return code with the names of `values` bound here; attributes stay."""
-
-        def replace(match: re.Match[str]) -> str:
-            word = match[0]
-            return self.bind("i", values[word], word) if word in values else match[0]
-
-        return _WORD.sub(replace, text)
+        return _WORD.sub(
+            lambda w: self.bind("i", values[w[0]], w[0]) if w[0] in values else w[0], text
+        )
 
     def counter(self, prefix: str, owner: object, initial: int = 0) -> str:
         """Return the name of an owner's variable, made on first use; the owner must stay alive."""
         key = (prefix, id(owner))
-        if key not in self._counters:
-            self._counters[key] = self.variable(prefix, initial)
-        return self._counters[key]
-
-    def has_counter(self, prefix: str, owner: object) -> bool:
-        """Return True where the owner's variable was asked for before."""
-        return (prefix, id(owner)) in self._counters
-
-    def places(self, *prefixes: str) -> dict[int, str]:
-        """Return `id` of each owner to the name of its variable with one of these prefixes."""
-        return {owner: name for (kind, owner), name in self._counters.items() if kind in prefixes}
+        if key not in self.counters:
+            self.counters[key] = self.variable(prefix, initial)
+        return self.counters[key]
 
     def variable(self, prefix: str, initial: int = 0) -> str:
         """Return the name of a new variable that lives from tick to tick."""
@@ -105,6 +95,9 @@ def indent(lines: Lines, levels: int = 1) -> Lines:
     """Return lines further to the right."""
     return ["    " * levels + line for line in lines]
 
+
+PLACED = ("chain", "case")
+"""Kinds of the variables that tell which child of a chain or switch runs."""
 
 WITHIN = ("due", "ending", "anew")
 """Variables that tell `deferred` what `step` put off: they are 0 between two ticks."""
