@@ -79,7 +79,7 @@ def _below(name: str, folder: Path) -> bool:
     return name[0].isalpha() and "/" in name and (folder / name.split("/")[0]).is_dir()
 
 
-LONGEST_PATH = 1200
+LONGEST_PATH = 1700
 """Lines of the files that a reader has to open on one way through the house."""
 
 

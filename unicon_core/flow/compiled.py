@@ -1,14 +1,103 @@
-"""CompiledGraph: the functions of a tree and what they remember; for runner and replays."""
+"""CompiledGraph: the functions of a tree and what they remember; Scope: the names in their code."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import CellType, FunctionType
+from typing import Any, TypeAlias
 
 from unicon_base.arrays import Int64
+from unicon_base.generated import define
 from unicon_core.flow.block import Block
-from unicon_core.flow.scope import LABEL
+
+Lines: TypeAlias = list[str]
+
+LABEL = "<unicon graph>"
+"""What Python calls generated code in a trace."""
+
+_WORD = re.compile(r"(?<![\w.])[A-Za-z_]\w*")
+
+
+@dataclass
+class Scope:
+    """What stands around the generated functions.
+
+    Attributes:
+        names: bound objects, parameters of the function around all others.
+        state: variables that live from tick to tick, with their initial values.
+        functions: name and body of each function.
+        counters: kind and `id` of an owner to the name of the owner's variable.
+    """
+
+    names: dict[str, Any] = field(default_factory=dict)
+    state: dict[str, int] = field(default_factory=dict)
+    functions: list[tuple[str, Lines]] = field(default_factory=list)
+    _bound: dict[tuple[str, int], str] = field(default_factory=dict)
+    counters: dict[tuple[str, int], str] = field(default_factory=dict)
+    _temporaries: int = 0
+
+    def bind(self, prefix: str, value: Any, label: str = "") -> str:
+        """Return the name of an object, made from prefix, a number and what fits of the label."""
+        key = (prefix, id(value))
+        if key not in self._bound:
+            clean = re.sub(r"(?a:\W)", "_", label)
+            self._bound[key] = f"{prefix}{len(self.names)}" + (f"_{clean}" if clean else "")
+            self.names[self._bound[key]] = value  # held here, so its id is not given away again
+        return self._bound[key]
+
+    def renamed(self, text: str, values: Mapping[str, Any]) -> str:
+        """Return code with the names of `values` bound here; attributes stay."""
+        return _WORD.sub(
+            lambda w: self.bind("i", values[w[0]], w[0]) if w[0] in values else w[0], text
+        )
+
+    def counter(self, prefix: str, owner: object, initial: int = 0) -> str:
+        """Return the name of an owner's variable, made on first use; the owner must stay alive."""
+        key = (prefix, id(owner))
+        if key not in self.counters:
+            self.counters[key] = self.variable(prefix, initial)
+        return self.counters[key]
+
+    def variable(self, prefix: str, initial: int = 0) -> str:
+        """Return the name of a new variable that lives from tick to tick."""
+        name = f"{prefix}{len(self.state)}"
+        self.state[name] = initial
+        return name
+
+    def temporary(self, prefix: str) -> str:
+        """Return a new name inside one function."""
+        self._temporaries += 1
+        return f"{prefix}{self._temporaries}"
+
+    def outline(self, prefix: str, lines: Lines) -> str:
+        """Put lines into a function of their own and return the call."""
+        name = f"{prefix}{len(self.functions)}"
+        self.functions.append((name, lines))
+        return f"{name}()"
+
+    def build(self, *exported: str) -> tuple[str, tuple[Callable[..., Any], ...]]:
+        """Return the text of all functions, and those of the given names, ready to call."""
+        nonlocals = [f"nonlocal {', '.join(self.state)}"] if self.state else []
+        lines = [
+            f"def build({', '.join(self.names)}):",
+            *(f"    {name} = {value}" for name, value in self.state.items()),
+        ]
+        for name, body in self.functions:
+            lines += [f"    def {name}():", *indent([*nonlocals, *(body or ["pass"])], 2)]
+        source = "\n".join([*lines, f"    return {', '.join(exported)}", ""])
+        namespace = define(source, {}, LABEL)
+        return source, namespace["build"](**self.names)
+
+
+def indent(lines: Lines, levels: int = 1) -> Lines:
+    """Return lines further to the right."""
+    return ["    " * levels + line for line in lines]
+
+
+PLACED = ("chain", "case")
+"""Kinds of the variables that tell which child of a chain or switch runs."""
 
 WITHIN = ("due", "ending", "anew")
 """Variables that tell `deferred` what `step` put off: they are 0 between two ticks."""

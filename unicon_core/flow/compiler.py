@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from unicon_core.flow.block import Block
-from unicon_core.flow.compiled import CompiledGraph
+from unicon_core.flow.compiled import PLACED, CompiledGraph, Lines, Scope, indent
 from unicon_core.flow.nodes import (
     Chain,
     Deferred,
@@ -25,7 +25,6 @@ from unicon_core.flow.nodes import (
     Zip,
     children_of,
 )
-from unicon_core.flow.scope import Lines, Scope, indent
 
 
 def compile_graph(root: Node, *, trace: bool = False) -> CompiledGraph:
@@ -69,37 +68,41 @@ class _Compiler:
         scope = self.scope
         bodies = [self.step(root)]
         if self.trace:
-            self.groups()
+            # Blocks share time stamps from here on: those of the last one of each group. The last
+            # group of all has none: it ends when the tick does, which its caller knows.
+            for later in (False, True):
+                own = [i for i in range(len(self.blocks)) if (i in self.deferred_blocks) is later]
+                self.shared += [tuple(own[i : i + GROUP]) for i in range(0, len(own), GROUP)]
+            self.stamped = {group[-1] for group in self.shared[:-1]}
             bodies.append(self.step(root))
-        warm_up = self.warm_up(root)
-        fresh = self.reset(root)
+        warm_up, fresh = self.warm_up(root), self.reset(root)
         after = [f"{name} = 0" for name in scope.state if name.startswith(("due", "ending"))]
-        late = self.late_resets(root)
+        late: Lines = []  # makes fresh what was put off, after it has run in the last tick
+        for node in _ending(root):
+            if ("anew", id(node)) in scope.counters:
+                flag = scope.counter("anew", node)
+                late += [f"if {flag}:", f"    {flag} = 0", *indent(self.reset(node.child))]
         reset = [*fresh, *after, *late]
         stamps = np.zeros(2 + len(self.blocks) if self.trace else 0, dtype=np.int64)
-        begin: dict[str, Lines] = {}
+        begin, begin_deferred = Lines(), Lines()
         if self.trace:
             zeros = memoryview(np.zeros_like(stamps).data)
             scope.names |= {"now": time.perf_counter_ns, "T": memoryview(stamps.data), "Z": zeros}
-            begin = {"step": ["T[:] = Z", "T[0] = now()"], "deferred": ["T[1] = now()"]}
+            begin, begin_deferred = ["T[:] = Z", "T[0] = now()"], ["T[1] = now()"]
         ending = ["if ending:", *indent([*reset, "return True"])] if "ending" in scope.state else []
-        scope.functions += [("warm_up", warm_up), ("reset", reset)]
-        names = ["warm_up", "reset"]
+        made = {"warm_up": warm_up, "reset": reset}
         for way, (body, tail) in zip(("", "_groups"), bodies):
-            step = ["done = False", *body, "return done"]
-            deferred = [*tail, *ending, *late, "return False"]
-            for name, lines in (("step", step), ("deferred", deferred)):
-                stamped = [] if way else begin.get(name, [])
-                scope.functions.append((name + way, [*stamped, *lines]))
-                names.append(name + way)
-        source, functions = scope.build(*names)
-        (warm, renew), ways = functions[:2], list(functions[2:])
+            made[f"step{way}"] = [*begin, "done = False", *body, "return done"]
+            made[f"deferred{way}"] = [*begin_deferred, *tail, *ending, *late, "return False"]
+            begin, begin_deferred = [], []
+        scope.functions += made.items()
+        source, (warm, renew, *ways) = scope.build(*made)
         if self.trace and not (bodies[1][1] or ending or late):
             ways[3] = bool  # nothing is put off: False, without a function of Python's
-        later, groups = frozenset(self.deferred_blocks), tuple(self.shared)
-        blocks, places = tuple(self.blocks), scope.places("chain", "case")
         return CompiledGraph(
-            *(ways[0], ways[1], warm, renew, source, blocks, later, stamps, groups, ways, places)
+            *(ways[0], ways[1], warm, renew, source, tuple(self.blocks)),
+            *(frozenset(self.deferred_blocks), stamps, tuple(self.shared), ways),
+            {owner: name for (kind, owner), name in scope.counters.items() if kind in PLACED},
         )
 
     def step(self, root: Node) -> tuple[Lines, Lines]:
@@ -107,16 +110,6 @@ class _Compiler:
         self.tail, self.depth = [], 0
         body = self.node(root, ["done = True"], conditional=False, idempotent=True)
         return body, self.tail
-
-    def groups(self) -> None:
-        """Let blocks share time stamps from now on: those of the last one of each group.
-
-        The last group of all has none: it ends when the tick does, which its caller knows.
-        """
-        for later in (False, True):
-            own = [i for i in range(len(self.blocks)) if (i in self.deferred_blocks) is later]
-            self.shared += [tuple(own[i : i + GROUP]) for i in range(0, len(own), GROUP)]
-        self.stamped = {group[-1] for group in self.shared[:-1]}
 
     def call(self, block: Block) -> str:
         if not block.inline:
@@ -146,24 +139,36 @@ class _Compiler:
     def composite(
         self, node: Node, on_done: Lines, *, conditional: bool, idempotent: bool
     ) -> Lines:
-        if isinstance(node, Zip):
-            return self.zip(node, on_done, conditional, idempotent)
-        if isinstance(node, Chain):
-            return self.chain(node, on_done, conditional, idempotent)
-        if isinstance(node, Loop):
-            return self.loop(node, on_done, conditional)
-        if isinstance(node, Every):
-            return self.every(node, on_done)
-        if isinstance(node, When):
-            return self.when(node, on_done)
-        if isinstance(node, Switch):
-            return self.switch(node, on_done)
+        match node:
+            case Zip():
+                return self.zip(node, on_done, conditional, idempotent)
+            case Chain():
+                return self.chain(node, on_done, conditional, idempotent)
+            case Loop():
+                return self.loop(node, on_done, conditional)
+            case Switch():
+                return self.switch(node, on_done)
+            case Every():
+                wait = self.scope.counter("every", node)
+                after = [f"{wait} = 0", *on_done]
+                child = self.node(node.child, after, conditional=True, idempotent=False)
+                fresh = [f"    {wait} -= 1", "else:", f"    {wait} = {node.n - 1}"]
+                return [f"if {wait}:", *fresh, *indent(child)]
+            case When():
+                after = [*self.reset(node.predicate), *on_done]
+                child = self.node(node.child, after, conditional=True, idempotent=False)
+                return [f"if {self.call(node.predicate)}:", *indent(child)]
         assert isinstance(node, Deferred)
         return self.defer(node, conditional)
 
     def block(self, block: Block, on_done: Lines) -> Lines:
-        column = self.column(block)
-        stamp = []
+        key = id(block), self.in_tail
+        if key not in self.columns:
+            self.columns[key] = len(self.blocks)
+            if self.in_tail:
+                self.deferred_blocks.add(len(self.blocks))
+            self.blocks.append(block)
+        column, stamp = self.columns[key], Lines()
         if self.trace and (self.stamped is None or column in self.stamped):
             stamp = [f"T[{2 + column}] = now()"]
         if block.endless:
@@ -174,15 +179,6 @@ class _Compiler:
             return [call, *stamp]
         asked = [f"r = {call}", *stamp, "if r:"] if stamp else [f"if {call}:"]
         return [*asked, *indent(after)]
-
-    def column(self, block: Block) -> int:
-        key = (id(block), self.in_tail)
-        if key not in self.columns:
-            self.columns[key] = len(self.blocks)
-            if self.in_tail:
-                self.deferred_blocks.add(len(self.blocks))
-            self.blocks.append(block)
-        return self.columns[key]
 
     def zip(self, node: Zip, on_done: Lines, conditional: bool, idempotent: bool) -> Lines:
         resets = [self.reset(child) for child in node.children]
@@ -234,63 +230,39 @@ class _Compiler:
             *indent(on_until or ["pass"]),
         ]
 
-    def every(self, node: Every, on_done: Lines) -> Lines:
-        wait = self.scope.counter("every", node)
-        after = [f"{wait} = 0", *on_done]
-        child = self.node(node.child, after, conditional=True, idempotent=False)
-        return [
-            f"if {wait}:",
-            f"    {wait} -= 1",
-            "else:",
-            f"    {wait} = {node.n - 1}",
-            *indent(child),
-        ]
-
-    def when(self, node: When, on_done: Lines) -> Lines:
-        after = [*self.reset(node.predicate), *on_done]
-        child = self.node(node.child, after, conditional=True, idempotent=False)
-        return [f"if {self.call(node.predicate)}:", *indent(child)]
-
     def switch(self, node: Switch, on_done: Lines) -> Lines:
+        bind = self.scope.bind
         current = self.scope.counter("case", node, -1)
         blender = node.blender if node.blend else None
         blend = self.scope.counter("blend", node) if node.blend else ""
-        index = self.scope.bind("index", node.index)
+        index = bind("index", node.index)
         new, ended = self.scope.temporary("s"), self.scope.temporary("d")
-        capture = []
+        capture: Lines = []
         if blender:
-            capture = [
-                f"if {current} >= 0:",
-                f"    {self.scope.bind('capture', blender.capture)}()",
-                f"    {blend} = {node.blend + 1}",
-            ]
+            capture = [f"if {current} >= 0:", f"    {bind('capture', blender.capture)}()"]
+            capture.append(f"    {blend} = {node.blend + 1}")
+        chosen, leave = self.call(node.selector), Lines()
+        for i, child in enumerate(node.children):
+            if reset := self.reset(child):
+                leave += [f"if {current} == {i}:", *indent(reset)]
         lines = [
-            f"{new} = {index}({self.call(node.selector)})",
+            f"{new} = {index}({chosen})",
             f"if {new} != {current}:",
-            *indent([*self.reset_case(node, current), *capture, f"{current} = {new}"]),
+            *indent([*leave, *capture, f"{current} = {new}"]),
             f"{ended} = False",
         ]
         if blender:
-            lines += [f"if {blend}:", f"    {self.scope.bind('resume', blender.resume)}()"]
+            lines += [f"if {blend}:", f"    {bind('resume', blender.resume)}()"]
         for i, child in enumerate(node.children):
             body = self.node(child, [f"{ended} = True"], conditional=True, idempotent=True)
-            lines += [f"{'if' if i == 0 else 'elif'} {new} == {i}:", *indent(body)]
+            lines += [f"{'elif' if i else 'if'} {new} == {i}:", *indent(body)]
         if blender:
             weight = f"({node.blend + 1} - {blend}) / {node.blend + 1}"
-            mix = self.scope.bind("mix", blender.mix)
-            lines += [f"if {blend}:", f"    {blend} -= 1"]
-            lines += [f"    if {blend}:", f"        {mix}({weight})"]
+            mix = f"        {bind('mix', blender.mix)}({weight})"
+            lines += [f"if {blend}:", f"    {blend} -= 1", f"    if {blend}:", mix]
         fresh = [f"{current} = -1", *([f"{blend} = 0"] if blend else [])]
         after = [*fresh, *self.reset(node.selector), *on_done]
         return [*lines, f"if {ended}:", *indent(after)]
-
-    def reset_case(self, node: Switch, current: str) -> Lines:
-        lines: Lines = []
-        for i, child in enumerate(node.children):
-            reset = self.reset(child)
-            if reset:
-                lines += [f"if {current} == {i}:", *indent(reset)]
-        return lines
 
     def defer(self, node: Deferred, conditional: bool) -> Lines:
         ends = []
@@ -314,36 +286,25 @@ class _Compiler:
     def reset(self, node: Node) -> Lines:
         """Return the lines that make a node and all below it fresh."""
         if id(node) not in self.resets:
-            lines = self.reset_lines(node)
+            counter = self.scope.counter
+            if isinstance(node, Block):
+                call = self.scope.bind("reset", node.reset, node.name) if node.reset else ""
+                lines = [f"{call}()"] if call else []
+            elif isinstance(node, Deferred) and node.ends:
+                lines = [f"{counter('anew', node)} = 1"]
+            else:
+                lines = [line for child in children_of(node) for line in self.reset(child)]
+            if isinstance(node, Chain) and len(node.children) > 1:
+                lines.append(f"{counter('chain', node)} = 0")
+            elif isinstance(node, Every):
+                lines.append(f"{counter('every', node)} = 0")
+            elif isinstance(node, Switch):
+                lines.append(f"{counter('case', node, -1)} = -1")
+                lines += [f"{counter('blend', node)} = 0"] if node.blend else []
             if len(lines) > OUTLINE_RESETS:
                 lines = [self.scope.outline("fresh", lines)]
             self.resets[id(node)] = lines
         return self.resets[id(node)]
-
-    def reset_lines(self, node: Node) -> Lines:
-        if isinstance(node, Block):
-            return [f"{self.scope.bind('reset', node.reset, node.name)}()"] if node.reset else []
-        if isinstance(node, Deferred) and node.ends:
-            return [f"{self.scope.counter('anew', node)} = 1"]
-        lines = [line for child in children_of(node) for line in self.reset(child)]
-        if isinstance(node, Chain) and len(node.children) > 1:
-            lines.append(f"{self.scope.counter('chain', node)} = 0")
-        elif isinstance(node, Every):
-            lines.append(f"{self.scope.counter('every', node)} = 0")
-        elif isinstance(node, Switch):
-            lines.append(f"{self.scope.counter('case', node, -1)} = -1")
-            if node.blend:
-                lines.append(f"{self.scope.counter('blend', node)} = 0")
-        return lines
-
-    def late_resets(self, root: Node) -> Lines:
-        """Return the lines that make fresh what was put off, after it has run in the last tick."""
-        lines = []
-        for node in _ending(root):
-            if self.scope.has_counter("anew", node):
-                flag = self.scope.counter("anew", node)
-                lines += [f"if {flag}:", f"    {flag} = 0", *indent(self.reset(node.child))]
-        return lines
 
     def warm_up(self, node: Node, depth: int = 0) -> Lines:
         """Return the lines that call `warm_up` of the blocks that are up next; no predicates."""

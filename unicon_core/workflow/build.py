@@ -11,15 +11,14 @@ from typing import Any
 from unicon_base.errors import UniconError, WorkflowError, alternatives
 from unicon_core.blocks.safety.stops import Finite
 from unicon_core.flow import Blender, Block, Every, Node, Switch, blocks_of, children_of
-from unicon_core.flow.block import Tick
+from unicon_core.flow.block import Stage, Tick
 from unicon_core.flow.nodes import chooser_of, with_children
-from unicon_core.flow.stage import Stage
 from unicon_core.policies.action_map import lacking_joints
 from unicon_core.policies.controller import controller_contract
 from unicon_core.robots import Robot
 from unicon_core.signals import SIGNALS
 from unicon_core.states import States, StateSpec, standard_states
-from unicon_core.states.spec import check_name
+from unicon_core.states.layout import check_name
 from unicon_core.states.stacked import spans
 from unicon_core.states.standard import COMMAND_STATES, control_states, hardware_states
 from unicon_core.workflow.autowire import (
@@ -49,23 +48,21 @@ from unicon_core.workflow.uses import EXPRESSION, Use
 Sections = dict[Stage, list[Node]]
 """What a workflow says for each stage."""
 
-_KEYS = {
-    Stage.ESTIMATE: "estimate",
-    Stage.COMMAND: "commands",
-    Stage.OBSERVE: "deferred",
-}
-
 
 def sections_of(document: WorkflowDocument) -> tuple[Sections, Node | None]:
     """Return what a workflow says for each stage, and the flow of its wind-down or None."""
-    reader = FlowReader(document)
+    reader, safety = FlowReader(document), safety_of(document)
+    listed = {
+        Stage.ESTIMATE: "estimate",
+        Stage.COMMAND: "commands",
+        Stage.OBSERVE: "deferred",
+    }
 
     def read(items: Sequence[Any], *path: str) -> list[Node]:
         return [reader.node(item, (*path, i)) for i, item in enumerate(items)]
 
-    sections = {stage: read(document.get(key, []), key) for stage, key in _KEYS.items()}
+    sections = {stage: read(document.get(key, []), key) for stage, key in listed.items()}
     sections[Stage.FLOW] = [reader.node(document.values["flow"], ("flow",))]
-    safety = safety_of(document)
     sections[Stage.SAFETY] = read(safety.blocks, *safety.path)
     ending = document.values.get("wind_down")
     return sections, None if ending is None else reader.node(ending, ("wind_down",))
@@ -91,41 +88,37 @@ class Builder:
         Raises:
             WorkflowError: a block cannot be built; with its place.
         """
+        program = self._program
         if isinstance(node, Use):
             made = self._block(node)
             for each in blocks_of(made):
                 each.part = node.part
             return made
         if isinstance(node, Block):
-            if node not in self._program.blocks:
-                self._program.blocks.append(node)
+            if node not in program.blocks:
+                program.blocks.append(node)
             return node
-        chooser = chooser_of(node)
-        children = []
-        for child in children_of(node):
-            new = self.built(child)
-            if child is chooser and not isinstance(new, Block):
+        children = [self.built(child) for child in children_of(node)]
+        for child, new in zip(children_of(node), children):
+            if child is chooser_of(node) and not isinstance(new, Block):
                 raise WorkflowError(
                     f"{child.name!r} is a flow at this rate; it needs a block or an expression",
                     child.where,
                 )
-            children.append(new)
         made = with_children(copy(node), children)  # a node of its own for each place
         if isinstance(made, Switch) and isinstance(made.blend, float):
-            states = self._program.states
-            made.blender = Blender({name: states[name] for name in COMMAND_STATES})
-            made.blend = round(made.blend / self._program.period)
+            made.blender = Blender({name: program.states[name] for name in COMMAND_STATES})
+            made.blend = round(made.blend / program.period)
         return made
 
     def _block(self, use: Use) -> Node:
         SIGNALS.check()
+        program, context = self._program, self._context
         if use.word == EXPRESSION:
-            return expression(str(use.first), self._program.states, use.where)
+            return expression(str(use.first), program.states, use.where)
         is_policy = use.word == "policy"
-        factory = policy_factory(use, self._context.policies) if is_policy else factory_of(use)
-        options = _options(factory, use)
-
-        robots = self._program.states.num_robots
+        factory = policy_factory(use, context.policies) if is_policy else factory_of(use)
+        options, robots = _options(factory, use), program.states.num_robots
         if use.of and robots is not None:
             raise WorkflowError(
                 f"block {use.name!r}: of: {use.of} gives it a part of the states of one robot, and "
@@ -142,47 +135,43 @@ class Builder:
                 made.share = share_of(context, use.of, moves)
             return made
 
-        block = build(self._context)
+        block = build(context)
         self.warm_ups.add(block, factory, build)
-        self._program.blocks.append(block)
-        return self._at_its_period(block, member_robot(self._context.robot, use.of))
-
-    def _at_its_period(self, block: Block, robot: Robot) -> Node:
-        """Run a controller every n-th tick where the program ticks faster than it is made for."""
+        program.blocks.append(block)
         contract = controller_contract(block)
         if contract is None:
             return block
-        if lacking := lacking_joints(contract, robot):
+        # A controller runs every n-th tick where the program ticks faster than it is made for.
+        if lacking := lacking_joints(contract, member_robot(context.robot, use.of)):
             raise WorkflowError(f"block {block.name!r}: {lacking}", block.where)
-        period = self._program.period
-        ticks = contract.period / period
+        ticks = contract.period / program.period
         n = round(ticks)
         if n < 1 or abs(ticks - n) > 1e-6 * n:
-            rate, wanted = 1.0 / period, 1.0 / contract.period
+            wanted = 1.0 / contract.period
             raise WorkflowError(
                 f"block {block.name!r}: {contract.name} is made for {wanted:g} Hz, which does not "
-                f"divide the workflow's rate of {rate:g} Hz; set rate: {wanted:.10g} or a "
-                f"multiple, or correct the period of {contract.name} (training: dt × decimation)",
+                f"divide the workflow's rate of {1.0 / program.period:g} Hz; set rate: "
+                f"{wanted:.10g} or a multiple, or correct the period of {contract.name} "
+                "(training: dt × decimation)",
                 block.where,
             )
-        own = getattr(block.tick, "every_tick", False)
-        return block if n == 1 or own else Every(n, block, where=block.where)
+        if n == 1 or getattr(block.tick, "every_tick", False):
+            return block
+        return Every(n, block, where=block.where)
 
 
 def finite_first(document: WorkflowDocument, safety: Sequence[Node]) -> None:
     """Refuse limits before `finite`: they turn an infinite command into a limit, unseen."""
     clamp = ""
-    for i, node in enumerate(safety):
-        for block in blocks_of(node):
-            if isinstance(block.tick, Finite) and clamp:
-                raise document.error(
-                    f"safety: {block.name!r} stands behind {clamp!r}, which hides infinite "
-                    f"commands from it; move {block.name!r} before {clamp!r}",
-                    "safety",
-                    i,
-                )
-            if not clamp and getattr(block.tick, "clamps", False):
-                clamp = block.name
+    for i, block in ((i, block) for i, node in enumerate(safety) for block in blocks_of(node)):
+        if isinstance(block.tick, Finite) and clamp:
+            raise document.error(
+                f"safety: {block.name!r} stands behind {clamp!r}, which hides infinite "
+                f"commands from it; move {block.name!r} before {clamp!r}",
+                *("safety", i),
+            )
+        if not clamp and getattr(block.tick, "clamps", False):
+            clamp = block.name
 
 
 def period_of(document: WorkflowDocument, policies: Mapping[str, Any]) -> float:
@@ -212,7 +201,11 @@ def specs_of(
             )
     specs = standard_states(robot.joint_names)
     hardware = hardware_states(robot.joint_names) | control_states()
-    specs |= {name: spec for name, spec in hardware.items() if name in _declared(document)}
+    try:
+        written = facts_of_all(find_platforms(document)).writes
+    except UniconError:  # told when it is built; a part elsewhere may lack its package
+        written = ()
+    specs |= {name: spec for name, spec in hardware.items() if name in written}
     specs |= stamps_of(document)
     if document.values.get("twin") is not None:
         specs |= twin_states(robot)
@@ -228,30 +221,22 @@ def specs_of(
             raise document.error(
                 f"state {name!r} is a standard one of shape {list(standard.shape)} and "
                 f"{standard.dtype}; give yours another name",
-                "states",
-                name,
+                *("states", name),
             )
         specs[name] = spec
     extra = {name: specs[name] for name in given}
     for use in uses:
+        own = member_robot(robot, use.of)
         if use.word == "policy":
-            specs |= declared_states(use, policies, member_robot(robot, use.of), extra)
+            specs |= declared_states(use, policies, own, extra)
             continue
         factory = factory_of(use)
         declares = getattr(factory, "declares", None)
         if declares is not None:
-            own, options = member_robot(robot, use.of), _read_options(factory, use)
+            options = read_options(factory, _options(factory, use), use.error)
             for name, spec in declares(robot=own, **options).items():
                 specs.setdefault(use.rename.get(name, name), of_whole(spec, own, robot))
     return specs
-
-
-def _declared(document: WorkflowDocument) -> tuple[str, ...]:
-    """Return what the platform says that it writes, before it is built."""
-    try:
-        return facts_of_all(find_platforms(document)).writes
-    except UniconError:  # told when it is built; a part elsewhere may lack its package
-        return ()
 
 
 def factory_of(use: Use) -> Factory:
@@ -269,25 +254,15 @@ def factory_of(use: Use) -> Factory:
         raise WorkflowError(str(error), use.where) from error
 
 
-def _read_options(factory: Factory, use: Use) -> dict[str, Any]:
-    def wrong(text: str, *_: str) -> WorkflowError:
-        return WorkflowError(f"block {use.name!r}{text}", use.where)
-
-    return read_options(factory, _options(factory, use), wrong)
-
-
 def _options(factory: Factory, use: Use) -> dict[str, Any]:
     options = dict(use.options)
     if use.word == "call":
         options.pop("function", None)
-        return options
-    if use.first is not None:
+    elif use.first is not None:
         free = option_names(factory)
         names = [name for name in inspect.signature(factory).parameters if name in free]
         if not names:
-            raise WorkflowError(
-                f"block {use.word!r} has no options, here: {use.first!r}", use.where
-            )
+            raise use.error(f" has no options, here: {use.first!r}")
         options[names[0]] = use.first
     return options
 
@@ -307,8 +282,7 @@ class WarmUps:
     """
 
     def __init__(self, context: BuildContext) -> None:
-        self._states = context.states
-        self._context = context
+        self._states, self._context = context.states, context
         self._copy: States | None = None
         self._read: set[str] = set()
 
@@ -327,12 +301,13 @@ class WarmUps:
             return  # a second device would take what the first is to hear
         slots = self._states.layout.slots
         used = {*block.reads, *block.amends, *block.writes}
-        if sum(slots[name].nbytes for name in used if name in slots) > LARGEST:
+        if sum(slots[name].nbytes for name in used & slots.keys()) > LARGEST:
             return
         self._read |= used
         if self._copy is None:
             self._copy = States(self._states.layout)
-            self._context = replace(self._context, states=self._copy, tell=_nothing)
+            # The block itself tells what there is to tell.
+            self._context = replace(self._context, states=self._copy, tell=lambda _: None)
         tick = build(self._context).tick
         block.warm_up = _quiet(getattr(tick, "again", tick))
 
@@ -355,10 +330,6 @@ class WarmUps:
                 warm_up()
 
         return refresh
-
-
-def _nothing(_: str) -> None:
-    """Tell nothing: the block itself does."""
 
 
 def _quiet(tick: Tick) -> Tick:

@@ -61,34 +61,26 @@ def command_bounds(
         readers: the controllers in use that read the command, with what to call them.
         robot: what its file says counts for controllers that say nothing.
     """
-    return tuple(_bound(axis, readers, robot) for axis in CAUTIOUS)
-
-
-def _bound(
-    axis: str, readers: Sequence[tuple[str, ControllerContract]], robot: Robot
-) -> CommandBound:
-    cautious = CAUTIOUS[axis]
-    said = f"neither policy nor {robot.path.name} has command_ranges"
-    fallback = (-cautious, cautious), said, False
-    if axis in robot.command_ranges:
-        fallback = robot.command_ranges[axis], f"command_ranges of robot {robot.name}", True
-    found: list[tuple[tuple[float, float], str, bool]] = []
-    for label, contract in readers:
-        pair = contract.command_ranges.get(_POLICY_KEYS[axis])
-        if pair is None or not all(map(math.isfinite, pair)):
-            found.append(fallback)
-        else:
-            found.append((pair, f"command_ranges of {label}", True))
-    found = found or [fallback]
-    low = max(found, key=lambda each: each[0][0])
-    high = min(found, key=lambda each: each[0][1])
-    return CommandBound(
-        axis,
-        min(float(np.float32(low[0][0])), 0.0),
-        max(float(np.float32(high[0][1])), 0.0),
-        (low[1], high[1]),
-        low[2] and high[2],
-    )
+    bounds = []
+    for axis, cautious in CAUTIOUS.items():
+        said = f"neither policy nor {robot.path.name} has command_ranges"
+        fallback = (-cautious, cautious), said, False
+        if axis in robot.command_ranges:
+            fallback = robot.command_ranges[axis], f"command_ranges of robot {robot.name}", True
+        found: list[tuple[tuple[float, float], str, bool]] = []
+        for label, contract in readers:
+            pair = contract.command_ranges.get(_POLICY_KEYS[axis])
+            if pair is None or not all(map(math.isfinite, pair)):
+                found.append(fallback)
+            else:
+                found.append((pair, f"command_ranges of {label}", True))
+        found = found or [fallback]
+        low = max(found, key=lambda each: each[0][0])
+        high = min(found, key=lambda each: each[0][1])
+        lowest, highest = float(np.float32(low[0][0])), float(np.float32(high[0][1]))
+        ends, sources = (min(lowest, 0.0), max(highest, 0.0)), (low[1], high[1])
+        bounds.append(CommandBound(axis, *ends, sources, low[2] and high[2]))
+    return tuple(bounds)
 
 
 class CommandBounds:
@@ -161,16 +153,15 @@ class CommandBounds:
 
     def _tell(self, bound: CommandBound, value: float) -> None:
         tick = int(self._tick.flat[0])  # of a batch all have the same
-        finite = math.isfinite(value)
-        last = self._last.get((bound.axis, finite))
-        self._last[bound.axis, finite] = tick
-        if last is not None and 0 <= tick - last <= self._calm:
+        key = bound.axis, math.isfinite(value)
+        since = tick - self._last.get(key, tick + 1)
+        self._last[key] = tick
+        if 0 <= since <= self._calm:
             return
-        if not finite:
-            self._warn(f"{COMMAND} {bound.axis} is {value}: the whole command is zero")
+        told = f"{COMMAND} {bound.axis} is {value:g}"
+        if not key[1]:
+            self._warn(f"{told}: the whole command is zero")
             return
         low = value < bound.low
-        limit, source = (bound.low, bound.sources[0]) if low else (bound.high, bound.sources[1])
-        self._warn(
-            f"{COMMAND} {bound.axis} is {value:g}, held to {limit:g} {bound.unit} ({source})"
-        )
+        limit = bound.low if low else bound.high
+        self._warn(f"{told}, held to {limit:g} {bound.unit} ({bound.sources[not low]})")

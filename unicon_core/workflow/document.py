@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -49,20 +50,21 @@ class WorkflowDocument:
     def where(self, *path: str | int) -> str:
         """Return `file:line` of a value."""
         dotted = ".".join(map(str, path))
-        if any(f"{dotted}.".startswith(f"{set_path}.") for set_path in self.overridden):
+        if any(f"{dotted}.".startswith(f"{each}.") for each in self.overridden):
             return f"--set {dotted}"
         if path and path not in self.located.lines:  # made on the way to what was set
-            made = (each for each in self.overridden if each.startswith(f"{dotted}."))
-            return next((f"--set {each}" for each in made), self.located.where(path))
+            for each in self.overridden:
+                if each.startswith(f"{dotted}."):
+                    return f"--set {each}"
         return self.located.where(path)
 
     def error(self, message: str, *path: str | int) -> WorkflowError:
         """Return the error for a value, or for what was set below it and the message names."""
-        below = ".".join(map(str, (*path, "")))
-        set_below = (x for x in self.overridden if x.startswith(below))
-        named = (x for x in set_below if repr(x.rpartition(".")[2]) in message)
-        found = next(named, "") if path else ""
-        return WorkflowError(message, f"--set {found}" if found else self.where(*path))
+        for each in self.overridden if path else ():
+            _, _, last = each.rpartition(".")
+            if each.startswith(".".join(map(str, (*path, "")))) and repr(last) in message:
+                return WorkflowError(message, f"--set {each}")
+        return WorkflowError(message, self.where(*path))
 
     def get(self, key: str, default: Any = None) -> Any:
         """Return a top-level value, the default where it is absent or null."""
@@ -84,11 +86,8 @@ def read_part(document: WorkflowDocument, kind: Any, value: Any, *path: str | in
 
 _QUOTED = r"\"[^\"]*\"|'[^']*'"
 _SETTING = re.compile(rf"((?:{_QUOTED}|[^=])+)=(.*)", re.DOTALL)
-_STEP = re.compile(rf"({_QUOTED}|[^.]*)(\.|\Z)", re.DOTALL)
-
-Keys = tuple[Any, ...]
-Step = tuple[str, bool]
-"""A part of a path, and whether it stood in quotes."""
+_STEP = re.compile(rf"(?:^|\.)({_QUOTED}|[^.]*)(?=\.|\Z)", re.DOTALL)
+_QUOTE = re.compile(_QUOTED)
 
 
 def split_setting(text: str) -> tuple[str, Any]:
@@ -126,7 +125,11 @@ def set_value(values: dict[str, Any], dotted: str, value: Any) -> str:
     Raises:
         WorkflowError: the path leads to nothing that has parts, or may mean two values.
     """
-    steps = _steps(dotted)
+
+    def wrong(text: str) -> WorkflowError:
+        return WorkflowError(f"--set {dotted}{text}")
+
+    steps: list[str] = _STEP.findall(dotted)
     if len(steps) > MAX_DEPTH:
         raise WorkflowError(
             f"--set {dotted[:60]}…: the path has {len(steps)} steps; at most {MAX_DEPTH} are read"
@@ -135,52 +138,52 @@ def set_value(values: dict[str, Any], dotted: str, value: Any) -> str:
     there = [keys for keys, left in ways if not left]
     if len(there) > 1:
         meant = " or ".join(".".join(f'"{key}"' for key in keys) for keys in there[:2])
-        raise WorkflowError(f"--set {dotted} may mean {meant}; write the one that is meant")
+        raise wrong(f" may mean {meant}; write the one that is meant")
     keys, left = min(ways, key=lambda way: len(way[1]))
-    keys = (*keys, *(text for text, _ in left))
+    keys = (*keys, *map(_bare, left))
     here: Any = values
-    for depth, key in enumerate(keys[:-1], 1):
-        place = _place(here, key, dotted)
-        inner = here[place] if isinstance(here, list) else here.get(place)
+    for depth, key in enumerate(keys, 1):
+        if isinstance(here, list) and not isinstance(key, int):
+            items = (next(iter(i), None) if isinstance(i, dict) else f"{i!s:.30}" for i in here)
+            named = ", ".join(f"{i} ({item})" for i, item in enumerate(islice(items, 12)))
+            remedy = f"give a number from 0 to {len(here) - 1}: {named}"
+            if not here:
+                remedy = f"set the list: --set {dotted.rpartition('.')[0]}=[…]"
+            raise wrong(f": {key!r} is not a place in a list of {len(here)}; {remedy}")
+        if depth == len(keys):
+            here[key] = value
+            break
+        inner = here[key] if isinstance(here, list) else here.get(key)
         if inner is None:
-            inner = here[place] = {}
-        elif isinstance(inner, str) and (whole := _whole(inner, keys[:depth], keys[depth])):
-            inner = here[place] = whole
+            inner = here[key] = {}
+        elif isinstance(inner, str) and keys[depth] == inner:  # a block without options
+            inner = here[key] = {inner: {}}
+        elif isinstance(inner, str) and depth == 2 and keys[0] == "policies":
+            inner = here[key] = {"path": inner}
         elif not isinstance(inner, (dict, list)):
-            path = ".".join(map(_quoted, keys[:depth]))
+            path = ".".join(f'"{k}"' if "." in str(k) else str(k) for k in keys[:depth])
             remedy = f"set it whole: --set {path}=VALUE"
             if path == "platform" and not isinstance(values.get("robot"), dict):
                 option = dotted if len(keys) > 2 else f"platform.{inner}.{keys[1]}"
                 remedy = f"its options: --set {option.replace('platform', 'platforms', 1)}={value}"
-            raise WorkflowError(
-                f"--set {dotted}: {path} is {inner!r:.60}, which has no parts; {remedy}"
-            )
+            raise wrong(f": {path} is {inner!r:.60}, which has no parts; {remedy}")
         here = inner
-    here[_place(here, keys[-1], dotted)] = value
     return ".".join(map(str, keys))
 
 
-def _steps(dotted: str) -> list[Step]:
-    steps: list[Step] = []
-    at = 0
-    while found := _STEP.match(dotted, at):
-        text, end = found.groups()
-        quoted = len(text) > 1 and text[0] == text[-1] and text[0] in "\"'"
-        steps.append((text[1:-1] if quoted else text, quoted))
-        at = found.end()
-        if not end:
-            break
-    return steps
-
-
-def _ways(here: Any, steps: list[Step]) -> Iterator[tuple[Keys, list[Step]]]:
+def _ways(here: Any, steps: list[str]) -> Iterator[tuple[tuple[Any, ...], list[str]]]:
     """Yield the keys that a path may mean as far as they are there, and the steps that are left."""
     met = False
     for count in range(1, len(steps) + 1):
-        if count > 1 and any(quoted for _, quoted in steps[:count]):
+        if count > 1 and any(map(_QUOTE.fullmatch, steps[:count])):
             break
-        key = _key(here, ".".join(text for text, _ in steps[:count]))
-        if key is not None:
+        key: Any = ".".join(map(_bare, steps[:count]))
+        number = int(key) if key.isdecimal() and len(key) < 10 else -1
+        known: Any = here if isinstance(here, dict) else ()
+        if isinstance(here, list):
+            known = range(len(here))
+        key = key if key in known else number
+        if key in known:
             met = True
             for keys, left in _ways(here[key], steps[count:]):
                 yield (key, *keys), left
@@ -188,44 +191,8 @@ def _ways(here: Any, steps: list[Step]) -> Iterator[tuple[Keys, list[Step]]]:
         yield (), steps
 
 
-def _key(here: Any, text: str) -> Any:
-    """Return the key or number of a part that is there, else None."""
-    number = int(text) if text.isdecimal() and len(text) < 10 else None
-    if isinstance(here, list):
-        return number if number is not None and number < len(here) else None
-    if isinstance(here, dict):
-        return text if text in here else number if number in here else None
-    return None
-
-
-def _place(here: Any, key: Any, dotted: str) -> Any:
-    if isinstance(here, list) and not isinstance(key, int):
-        named = ", ".join(f"{i} ({_word(item)})" for i, item in enumerate(here[:12]))
-        remedy = f"give a number from 0 to {len(here) - 1}: {named}"
-        if not here:
-            remedy = f"set the list: --set {dotted.rpartition('.')[0]}=[…]"
-        raise WorkflowError(
-            f"--set {dotted}: {key!r} is not a place in a list of {len(here)}; {remedy}"
-        )
-    return key
-
-
-def _word(item: Any) -> str:
-    """Return what an item of a list is called: a block by its name."""
-    return f"{next(iter(item), None) if isinstance(item, dict) else item!s:.30}"
-
-
-def _whole(word: str, path: Keys, key: Any) -> dict[str, Any] | None:
-    """Return the mapping that a word stands for: a block without options, a policy's path."""
-    if key == word:
-        return {word: {}}
-    if len(path) == 2 and path[0] == "policies":
-        return {"path": word}
-    return None
-
-
-def _quoted(key: Any) -> str:
-    return f'"{key}"' if "." in str(key) else str(key)
+def _bare(step: str) -> str:
+    return step[1:-1] if _QUOTE.fullmatch(step) else step
 
 
 def workflow_names() -> list[str]:
@@ -270,11 +237,9 @@ def document_at(
     path, values = located.path, located.value
     if not isinstance(values, dict):
         raise WorkflowError("a workflow is a mapping with robot, platform and flow", f"{path}:1")
-    changed = []
     pairs = overrides.items() if isinstance(overrides, Mapping) else map(split_setting, overrides)
-    for dotted, value in pairs:
-        changed.append(set_value(values, dotted, value))
-    return _checked(WorkflowDocument(path.stem, values, located, tuple(changed)))
+    changed = tuple(set_value(values, *pair) for pair in pairs)
+    return _checked(WorkflowDocument(path.stem, values, located, changed))
 
 
 def document_of(values: Mapping[str, Any], path: Path, line: int) -> WorkflowDocument:
@@ -290,14 +255,10 @@ def document_of(values: Mapping[str, Any], path: Path, line: int) -> WorkflowDoc
     """
     given = {key: value for key, value in values.items() if value is not None}
     states = given.get("states")
-    if isinstance(states, Mapping):
-        from unicon_core.states import StateSpec  # NumPy, which a list of workflows does without
-
-        plain = {
-            name: spec.to_dict() if isinstance(spec, StateSpec) else spec
-            for name, spec in states.items()
+    if isinstance(states, Mapping):  # specifications as plain values
+        given["states"] = {
+            k: v.to_dict() if hasattr(v, "to_dict") else v for k, v in states.items()
         }
-        given["states"] = plain
     return _checked(WorkflowDocument(path.stem, given, Located(path, given, {(): line})))
 
 

@@ -8,8 +8,10 @@ expression costs is bounded by its length: powers are small, numbers are those t
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Callable, Iterator
-from typing import Any
+from itertools import chain
+from typing import Any, cast
 
 import numpy as np
 
@@ -28,33 +30,9 @@ LARGEST_POWER = 8
 LARGEST_NUMBER = 2**63
 
 _CALLS = ("abs", "min", "max", "any", "all")
-_ALLOWED = (
-    ast.BoolOp,
-    ast.And,
-    ast.Or,
-    ast.UnaryOp,
-    ast.Not,
-    ast.USub,
-    ast.UAdd,
-    ast.BinOp,
-    ast.Add,
-    ast.Sub,
-    ast.Mult,
-    ast.Div,
-    ast.Mod,
-    ast.Pow,
-    ast.Compare,
-    ast.Lt,
-    ast.LtE,
-    ast.Gt,
-    ast.GtE,
-    ast.Eq,
-    ast.NotEq,
-    ast.Name,
-    ast.Load,
-    ast.Constant,
-    ast.Subscript,
-    ast.Call,
+_ALLOWED = re.compile(
+    "BoolOp|And|Or|UnaryOp|Not|USub|UAdd|BinOp|Add|Sub|Mult|Div|Mod|Pow|Compare|Lt|LtE|Gt|GtE|Eq|"
+    "NotEq|Name|Load|Constant|Subscript|Call"
 )
 
 
@@ -90,8 +68,7 @@ class EntryCondition:
     def __init__(self, text: str, states: States, where: str = "") -> None:
         block = expression(text, states, where)
         self._text, self._holds, self.reads = text, block.tick, block.reads
-        self._states = states
-        self._parts = dict(_parts(parse(text, "eval")))
+        self._states, self._parts = states, dict(_parts(parse(text, "eval")))
 
     def __call__(self) -> str:
         """Return what does not hold and the values that it looks at; "" where it holds."""
@@ -125,24 +102,29 @@ class _Expression:
 
     def __init__(self, text: str, states: States, where: str) -> None:
         self.text, self.states, self.where = text, states, where
-        self.shown = text if len(text) <= 120 else f"{text[:117]}…"
         self.bound: dict[str, Any] = {}
-        self.reads: list[str] = []
 
-    def fail(self, message: str) -> WorkflowError:
-        return WorkflowError(f"expression {self.shown!r}: {message}", self.where)
+    def fail(self, message: object) -> WorkflowError:
+        shown = self.text if len(self.text) <= 120 else f"{self.text[:117]}…"
+        return WorkflowError(f"expression {shown!r}: {message}", self.where)
 
     def block(self) -> Block:
         tree = self.parsed()
         self.check(tree.body)
-        self.try_all(tree)
-        code = ast.unparse(tree)
+        # All of it is evaluated, and each operand of and/or: none may fail when first reached.
+        operands = (n.values for n in ast.walk(tree) if isinstance(n, ast.BoolOp))
+        for part in (tree.body, *chain(*operands)):
+            try:
+                with np.errstate(all="ignore"):
+                    self.compiled(part)()
+            except (ArithmeticError, IndexError, TypeError, ValueError) as error:
+                raise self.fail(error) from error
         return Block(
-            name=self.text,
-            tick=self.compiled(tree.body),
-            reads=tuple(self.reads),
+            self.text,
+            self.compiled(tree.body),
+            tuple(name.removeprefix("s_") for name in self.bound),
             where=self.where,
-            inline=code,
+            inline=ast.unparse(tree),
             inline_names=self.bound,
         )
 
@@ -152,11 +134,10 @@ class _Expression:
         try:
             tree: ast.Expression = parse(self.text, "eval")
         except (SyntaxError, ValueError) as error:
-            raise self.fail(str(getattr(error, "msg", error))) from error
+            raise self.fail(getattr(error, "msg", error)) from error
         except (MemoryError, RecursionError) as error:
             raise self.fail("it is nested too deep; make it flatter") from error
-        nodes, depth = 0, 0
-        level: list[ast.AST] = [tree.body]
+        nodes, depth, level = 0, 0, [cast(ast.AST, tree.body)]
         while level:
             depth += 1
             nodes += len(level)
@@ -170,83 +151,49 @@ class _Expression:
 
     def check(self, node: ast.AST) -> None:
         """Check a node and all below it; names become those that the code binds."""
-        if not isinstance(node, _ALLOWED):
+        if not _ALLOWED.fullmatch(type(node).__name__):
             raise self.fail(
                 f"{type(node).__name__} is not allowed; use states, numbers, "
                 "comparisons, arithmetic, and/or/not, abs, min, max, any, all"
             )
-        if isinstance(node, ast.Constant):
-            value = node.value
-            if not isinstance(value, (int, float)) or not abs(value) <= LARGEST_NUMBER:
-                raise self.fail(f"{_short(value)} is not a number that a state holds")
-        elif isinstance(node, ast.Name):
-            self.name(node)
-            return
-        elif isinstance(node, ast.Call):
-            self.call(node)
-            return
-        elif isinstance(node, ast.Subscript):
-            self.subscript(node)
-        elif isinstance(node, ast.BinOp) and isinstance(node.op, ast.Pow):
-            self.power(node)
-        for child in ast.iter_child_nodes(node):
+        below = ast.iter_child_nodes(node)
+        match node:
+            case ast.Constant(value=value):
+                if not isinstance(value, (int, float)) or not abs(value) <= LARGEST_NUMBER:
+                    raise self.fail(f"{_short(value)} is not a number that a state holds")
+            case ast.Name(id=name):
+                node.id = f"s_{name}"
+                try:
+                    self.bound[node.id] = self.states[name]
+                except StateError as error:
+                    raise self.fail(error) from error
+            case ast.Call(func=called):
+                if not isinstance(called, ast.Name):
+                    self.check(called)
+                if not isinstance(called, ast.Name) or called.id not in _CALLS:
+                    known = ", ".join(_CALLS)
+                    raise self.fail(f"no function {ast.unparse(called)!r}; known: {known}")
+                below = iter([*node.args, *node.keywords])
+            case ast.Subscript():
+                try:
+                    place = ast.literal_eval(node.slice)
+                except ValueError:
+                    place = None
+                if type(place) is not int or not isinstance(node.value, (ast.Name, ast.Subscript)):
+                    raise self.fail(
+                        f"{ast.unparse(node)}: an element of a state goes by a whole number, "
+                        "as in [2]"
+                    )
+            case ast.BinOp(op=ast.Pow()):
+                exponent = node.right.value if isinstance(node.right, ast.Constant) else None
+                small = isinstance(exponent, (int, float)) and 0 <= exponent <= LARGEST_POWER
+                if not small or any(isinstance(n, ast.Pow) for n in ast.walk(node.left)):
+                    raise self.fail(
+                        f"{ast.unparse(node)}: a power goes by a number from 0 to "
+                        f"{LARGEST_POWER}, once"
+                    )
+        for child in below:
             self.check(child)
-
-    def name(self, node: ast.Name) -> None:
-        try:
-            view = self.states[node.id]
-        except StateError as error:
-            raise self.fail(str(error)) from error
-        if node.id not in self.reads:
-            self.reads.append(node.id)
-        node.id = f"s_{node.id}"
-        self.bound[node.id] = view
-
-    def call(self, node: ast.Call) -> None:
-        function = node.func
-        if not isinstance(function, ast.Name):
-            self.check(function)
-        if not isinstance(function, ast.Name) or function.id not in _CALLS:
-            called = ast.unparse(function)
-            raise self.fail(f"no function {called!r}; known: {', '.join(_CALLS)}")
-        for argument in (*node.args, *node.keywords):
-            self.check(argument)
-
-    def subscript(self, node: ast.Subscript) -> None:
-        names = isinstance(node.value, (ast.Name, ast.Subscript))
-        try:
-            place = ast.literal_eval(node.slice)
-        except ValueError:
-            place = None
-        if not names or type(place) is not int:
-            raise self.fail(
-                f"{ast.unparse(node)}: an element of a state goes by a whole number, as in [2]"
-            )
-
-    def power(self, node: ast.BinOp) -> None:
-        inside = any(
-            isinstance(part, ast.BinOp) and isinstance(part.op, ast.Pow)
-            for part in ast.walk(node.left)
-        )
-        exponent = node.right.value if isinstance(node.right, ast.Constant) else None
-        small = isinstance(exponent, (int, float)) and 0 <= exponent <= LARGEST_POWER
-        if inside or not small:
-            raise self.fail(
-                f"{ast.unparse(node)}: a power goes by a number from 0 to {LARGEST_POWER}, once"
-            )
-
-    def try_all(self, tree: ast.Expression) -> None:
-        """Evaluate all of it, and each operand of and/or: none may fail when first reached."""
-        parts: list[ast.expr] = [tree.body]
-        for node in ast.walk(tree):
-            if isinstance(node, ast.BoolOp):
-                parts += node.values
-        for part in parts:
-            try:
-                with np.errstate(all="ignore"):
-                    self.compiled(part)()
-            except (ArithmeticError, IndexError, TypeError, ValueError) as error:
-                raise self.fail(str(error)) from error
 
     def compiled(self, node: ast.expr) -> Callable[[], bool]:
         source = f"def predicate():\n    return bool({ast.unparse(node)})"

@@ -22,21 +22,27 @@ from unicon_core.platforms.kit.disturbances import disturb
 from unicon_core.platforms.kit.scene import SCENE_KEYS, Scene
 from unicon_core.platforms.platform import SIMULATED, Binding, Facts, Platform
 from unicon_core.robots import Robot
-from unicon_core.robots.poses import joint_physics
+from unicon_core.robots.load import joint_physics
 from unicon_core.workflow.autowire import BuildContext, option_names, read_options
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.hardware import (
     UNDECLARED,
     checked,
     declared_facts,
+    read_scene,
     refuse_incomplete,
     refuse_loud,
     refuse_protocol,
 )
-from unicon_core.workflow.members import member_context, member_robot, scene_of_member
-from unicon_core.workflow.platform_use import PlatformUse, read_members, read_platforms
+from unicon_core.workflow.members import (
+    PlatformUse,
+    member_context,
+    member_robot,
+    read_members,
+    read_platforms,
+    scene_of_member,
+)
 from unicon_core.workflow.registry import Factory, find_factory, known
-from unicon_core.workflow.scene import read_scene
 
 if TYPE_CHECKING:
     from unicon_core.latches import Latch
@@ -44,19 +50,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Chosen:
-    """A platform that a workflow names.
-
-    Attributes:
-        use: how it is said.
-        factory: behind its name.
-        facts: as it declares them.
-        member: of the robot that it drives, "" for all of it.
-    """
+    """A platform that a workflow names: how it says it, the factory behind the name, its facts."""
 
     use: PlatformUse
     factory: Factory
     facts: Facts
-    member: str = ""
 
 
 def build_platform(
@@ -80,28 +78,57 @@ def build_platform(
     facts = facts_of_all(chosen)
     options = platform_options(document, chosen)
     if context.states.num_robots is not None and not facts.batch:
-        raise document.error(
-            f"platform {facts.name!r} has one robot; leave num_robots out", "num_robots"
-        )
-    for each in chosen.values():
-        robot = member_robot(context.robot, each.member)
+        text = f"platform {facts.name!r} has one robot; leave num_robots out"
+        raise document.error(text, "num_robots")
+    for member, each in chosen.items():
+        robot = member_robot(context.robot, member)
         if not each.facts.simulated:
             if not dry:
                 refuse_incomplete(robot, each.use.name)
             refuse_protocol(robot, each.use.name, each.facts)
         if silent and not dry and each.facts.simulated != facts.simulated:
             raise document.error(
-                f"platform: {each.member} is simulated and others are not: a simulation without "
+                f"platform: {member} is simulated and others are not: a simulation without "
                 "commands falls, so it cannot be silent (--dry, preflight); give every member a "
                 "robot's platform, or a simulator",
                 "platform",
             )
+
+    def opened(member: str, context: BuildContext, scene: Scene) -> Platform:
+        use, factory, facts = chosen[member].use, chosen[member].factory, chosen[member].facts
+        given: dict[str, Any] = {"relative_to": context.relative_to, "scene": scene}
+        if silent and not facts.simulated and not dry:
+            refuse_loud(factory, use.name)
+            given["silent"] = True
+        known = inspect.signature(factory).parameters
+        arguments = options[member] | {k: v for k, v in given.items() if k in known}
+        place = context.states, context.robot, context.period
+        try:
+            if dry and not facts.simulated:
+                return _stand_in(facts, context, arguments)
+            if use.child is None or dry:
+                built = factory(*place, **arguments)
+            else:
+                silence, watchdog = use.child.silence, use.child.watchdog
+                built = ChildPlatform(
+                    factory, facts, *place, arguments, silence=silence, watchdog=watchdog
+                )
+        except (TypeError, ValueError) as error:
+            text = f"platform {use.name!r}: {error}; correct platforms.{use.name}"
+            raise document.error(text, "platforms", use.name) from error
+        try:
+            return checked(built, facts, context.states)
+        except UniconError:
+            close = getattr(built, "close", None)
+            if callable(close):  # it is open by now
+                close()
+            raise
+
     scene = read_scene(document, context, facts)
-    whole = chosen.get("")
-    if whole is not None:
-        platform = _build(document, whole, context, scene, options[""], dry, silent)
+    if "" in chosen:
+        platform = opened("", context, scene)
     else:
-        platform = _build_members(document, chosen, context, scene, options, dry, silent)
+        platform = _of_members(document, chosen, context, scene, opened)
     try:
         return disturb(platform, scene, context.states, context.robot, context.period)
     except PlatformError as error:
@@ -109,14 +136,12 @@ def build_platform(
         raise document.error(str(error), "scene") from error
 
 
-def _build_members(
+def _of_members(
     document: WorkflowDocument,
     chosen: Mapping[str, Chosen],
     context: BuildContext,
     scene: Scene,
-    options: Mapping[str, dict[str, Any]],
-    dry: bool,
-    silent: bool,
+    opened: Callable[[str, BuildContext, Scene], Platform],
 ) -> Platform:
     built: dict[str, Platform] = {}
     try:
@@ -132,7 +157,7 @@ def _build_members(
                     "scene",
                 )
             try:
-                built[member] = _build(document, each, own, begin, options[member], dry, silent)
+                built[member] = opened(member, own, begin)
             except (PlatformError, RobotError) as error:
                 raise type(error)(f"{member}: {error}") from error
         return JoinedPlatform(built, context.robot, context.states)
@@ -143,62 +168,16 @@ def _build_members(
         raise
 
 
-def _build(
-    document: WorkflowDocument,
-    chosen: Chosen,
-    context: BuildContext,
-    scene: Scene,
-    arguments: dict[str, Any],
-    dry: bool,
-    silent: bool,
-) -> Platform:
-    name, factory, facts = chosen.use.name, chosen.factory, chosen.facts
-    parameters = inspect.signature(factory).parameters
-    given: dict[str, Any] = {"relative_to": context.relative_to, "scene": scene}
-    if silent and not facts.simulated and not dry:
-        refuse_loud(factory, name)
-        given["silent"] = True
-    arguments |= {key: value for key, value in given.items() if key in parameters}
-    try:
-        if dry and not facts.simulated:
-            return _stand_in(facts, context, arguments)
-        child = chosen.use.child
-        if child is None or dry:
-            built = factory(context.states, context.robot, context.period, **arguments)
-        else:
-            robot, period = context.robot, context.period
-            built = ChildPlatform(
-                factory,
-                facts,
-                context.states,
-                robot,
-                period,
-                arguments,
-                silence=child.silence,
-                watchdog=child.watchdog,
-            )
-    except (TypeError, ValueError) as error:
-        raise document.error(
-            f"platform {name!r}: {error}; correct platforms.{name}", "platforms", name
-        ) from error
-    try:
-        return checked(built, facts, context.states)
-    except UniconError:
-        close = getattr(built, "close", None)
-        if callable(close):  # it is open by now
-            close()
-        raise
-
-
 def _stand_in(facts: Facts, context: BuildContext, arguments: dict[str, Any]) -> Platform:
     """Return `fake`, with what the hardware would read and write."""
-    from unicon_core.platforms.fake import FakePlatform, make
+    from unicon_core.platforms.fake import make
 
+    place = context.states, context.robot, context.period
     # What nobody has said yet is not a finding.
     bound = Binding(replace(facts, writes=SIMULATED) if UNDECLARED in facts.notes else facts)
     if facts.examine is not None:
-        bound = facts.examine(context.states, context.robot, context.period, **arguments)
-    platform: FakePlatform = make(context.states, context.robot, context.period)
+        bound = facts.examine(*place, **arguments)
+    platform = make(*place)
     platform.facts = bound.facts
     if bound.require is not None:
         setattr(platform, "require", bound.require)  # noqa: B010  the fake has none
@@ -218,7 +197,7 @@ def find_platforms(document: WorkflowDocument) -> dict[str, Chosen]:
             factory = find_factory("platforms", use.name, PlatformError)
         except PlatformError as error:
             raise document.error(str(error), *use.path) from error
-        chosen[member] = Chosen(use, factory, declared_facts(factory, use.name), member)
+        chosen[member] = Chosen(use, factory, declared_facts(factory, use.name))
     return chosen
 
 
@@ -285,46 +264,40 @@ def platform_options(
     Raises:
         WorkflowError: an unknown platform, or one has no such option.
     """
-    every = document.get("platforms", {})
-    used = {each.use.name for each in chosen.values()}
-    members = tuple(read_members(document))
-    for other in every:
-        if other in used or other in members:
+    members, registered = tuple(read_members(document)), known("platforms")
+    used = {*members, *(each.use.name for each in chosen.values())}
+    for other in document.get("platforms", {}):
+        if other in used:
             continue
-        if not isinstance(other, str) or (other not in known("platforms") and ":" not in other):
-            names = alternatives(str(other), (*members, *known("platforms")))
+        if not isinstance(other, str) or (other not in registered and ":" not in other):
+            names = alternatives(str(other), (*members, *registered))
             what = "platform or member" if members else "platform"
-            raise document.error(
-                f"platforms: no {what} {other!r}; {names}", "platforms", str(other)
-            )
+            text = f"platforms: no {what} {other!r}; {names}"
+            raise document.error(text, "platforms", str(other))
         if ":" not in other:  # a module of somebody's, which may be elsewhere
             try:
-                found = find_factory("platforms", other, PlatformError)
+                factory = find_factory("platforms", other, PlatformError)
             except (MissingDependencyError, PlatformError):
                 continue  # it is not used
-            _checked_options(document, other, found)
-    options = {}
-    for member, each in chosen.items():
-        options[member] = _checked_options(document, each.use.name, each.factory)
-        if member:
-            options[member] |= _checked_options(document, member, each.factory)
-    return options
+            _checked_options(document, other, factory)
+    return {
+        member: _checked_options(document, each.use.name, each.factory)
+        | (_checked_options(document, member, each.factory) if member else {})
+        for member, each in chosen.items()
+    }
 
 
 def _checked_options(document: WorkflowDocument, name: str, factory: Factory) -> dict[str, Any]:
     options = document.get("platforms", {}).get(name) or {}
-
-    def wrong(text: str, *path: str) -> WorkflowError:
-        return document.error(text, "platforms", name, *path)
-
-    free = option_names(factory)
     for option in options:
-        if option in SCENE_KEYS and option not in free:
-            raise wrong(
+        if option in SCENE_KEYS and option not in option_names(factory):
+            raise document.error(
                 f"platforms.{name}.{option} is meant for every simulator; write scene: "
                 f"{{{option}: …}}",
-                option,
+                *("platforms", name, option),
             )
-    return read_options(
-        factory, options, lambda text, *path: wrong(f"platform {name!r}{text}", *path)
-    )
+
+    def wrong(text: str, *path: str) -> WorkflowError:
+        return document.error(f"platform {name!r}{text}", "platforms", name, *path)
+
+    return read_options(factory, options, wrong)

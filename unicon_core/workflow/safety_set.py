@@ -6,7 +6,7 @@ A workflow adds to them by listing others, and sets their options by listing the
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 from unicon_base.errors import UniconError, WorkflowError
 from unicon_core.flow import Node, blocks_of
@@ -46,18 +46,18 @@ def left_out(nodes: Iterable[Node], platform: Platform, members: Iterable[str] =
     Those for its hardware and its remote belong to a robot that tells of them. A block of one
     member is there only where every member has one.
     """
-    uses = [b for n in nodes for b in blocks_of(n) if isinstance(b, Use) and b.word != EXPRESSION]
     covered: dict[object, set[str]] = {}
-    for use in uses:
-        covered.setdefault(factory_of(use), set()).add(use.of)
-    every = {*members} or {""}
+    for use in (block for node in nodes for block in blocks_of(node)):
+        if isinstance(use, Use) and use.word != EXPRESSION:
+            covered.setdefault(factory_of(use), set()).add(use.of)
+    every, told = {*members} or {""}, {*platform.facts.writes}
     there = {made for made, of in covered.items() if "" in of or of >= every}
-    names = [
+    return [
         name
         for name in ROBOT_SAFETY
-        if name not in TELLS or not {*TELLS[name]}.isdisjoint(platform.facts.writes)
+        if (name not in TELLS or told & {*TELLS[name]})
+        and find_factory("blocks", name, WorkflowError) not in there
     ]
-    return [n for n in names if find_factory("blocks", n, WorkflowError) not in there]
 
 
 def completed(
@@ -80,27 +80,22 @@ def completed(
     told |= {state for block in program.blocks for state in block.writes}
     why: dict[str, str] = {}
 
-    def add(names: Iterable[str]) -> list[Node]:
-        made: list[Node] = []
-        for name in names:
-            if name not in missing:
-                continue
+    def add(*names: str) -> Iterator[Node]:
+        for name in filter(missing.__contains__, names):
             factory = find_factory("blocks", name, WorkflowError)
             untold = [state for state in state_names(factory) if state not in told]
             if untold:
                 why[name] = f"nothing measures {', '.join(untold)}"
                 continue
             try:
-                made.append(builder.built(Use(name)))
+                yield builder.built(Use(name))
             except UniconError as error:
                 why[name] = str(error).removeprefix(f"block {name!r}: ").partition("; ")[0]
-        return made
 
     own = [builder.built(node) for node in listed]
     finite = find_factory("blocks", FIRST, WorkflowError)
-    is_first = [
-        isinstance(node, Use) and not node.of and factory_of(node) is finite for node in listed
-    ]
+    whole = [node if isinstance(node, Use) and not node.of else None for node in listed]
+    is_first = [node is not None and factory_of(node) is finite for node in whole]
     begin = is_first.index(True) + 1 if True in is_first else 0
-    front = [*own[:begin], *(add([FIRST]) if not begin else []), *add(STOPS)]
-    return [*front, *own[begin:], *add(LAST)], why
+    front = [*own[:begin], *(() if begin else add(FIRST)), *add(*STOPS)]
+    return [*front, *own[begin:], *add(*LAST)], why

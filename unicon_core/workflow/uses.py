@@ -50,9 +50,11 @@ class Use(Block):
         self.of = ""
 
     def _not_built(self) -> object:
-        raise WorkflowError(
-            f"block {self.name!r} is not built yet; give the flow to a Program", self.where
-        )
+        raise self.error(" is not built yet; give the flow to a Program")
+
+    def error(self, text: str, *_: str) -> WorkflowError:
+        """Return the error of which `text` follows the block's name."""
+        return WorkflowError(f"block {self.name!r}{text}", self.where)
 
 
 def block(
@@ -126,10 +128,12 @@ def _use(
     states: Mapping[str, str] | None = None,
 ) -> Use:
     caller = sys._getframe(2)
-    where = f"{caller.f_code.co_filename}:{caller.f_lineno}"
-    if isinstance(what, str):
-        return Use(what, first=first, options=options, label=name, rename=states, where=where)
-    word = getattr(what, "__name__", type(what).__name__)
     return Use(
-        word, factory=what, first=first, options=options, label=name, rename=states, where=where
+        what if isinstance(what, str) else getattr(what, "__name__", type(what).__name__),
+        factory=None if isinstance(what, str) else what,
+        first=first,
+        options=options,
+        label=name,
+        rename=states,
+        where=f"{caller.f_code.co_filename}:{caller.f_lineno}",
     )

@@ -25,8 +25,16 @@ from unicon_core.models.camera import Intrinsics
 from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext
 from unicon_ros.bridge.bindings import checked_prefix
-from unicon_ros.bridge.camera_topics import RELIABILITIES, CameraTopics, large_data, topic_options
-from unicon_ros.bridge.images import FrameMessage, frame_message, info_message, rays
+from unicon_ros.bridge.images import (
+    RELIABILITIES,
+    CameraTopics,
+    FrameMessage,
+    frame_message,
+    info_message,
+    large_data,
+    rays,
+    topic_options,
+)
 from unicon_ros.peripheral import (
     check_positive,
     peripheral_block,
@@ -128,11 +136,11 @@ def _declares(*, prefix: str = "realsense", cloud: bool = False, **_: Any) -> di
 realsense.declares = _declares  # type: ignore[attr-defined]
 
 
+# A camera that gives nothing for so long is opened anew, in [s].
 SILENCE = 2.0
-"""A camera that gives nothing for so long is opened anew, in [s]."""
 
+# A stamp of the camera that is further from our clock is not believed, in [s].
 CLOCKS_APART = 1.0
-"""A stamp of the camera that is further from our clock is not believed, in [s]."""
 
 
 class _RealSense:

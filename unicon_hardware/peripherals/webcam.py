@@ -25,8 +25,15 @@ from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext
 from unicon_hardware.peripherals.v4l2 import Capture, Frame, Kernel
 from unicon_ros.bridge.bindings import checked_prefix
-from unicon_ros.bridge.camera_topics import RELIABILITIES, CameraTopics, large_data, topic_options
-from unicon_ros.bridge.images import FrameMessage, frame_message, jpeg_message
+from unicon_ros.bridge.images import (
+    RELIABILITIES,
+    CameraTopics,
+    FrameMessage,
+    frame_message,
+    jpeg_message,
+    large_data,
+    topic_options,
+)
 from unicon_ros.peripheral import (
     check_positive,
     peripheral_block,
@@ -36,8 +43,8 @@ from unicon_ros.peripheral_process import SLICE, Feed, Gone, end, serve
 
 PROCESS = "unicon_hardware.peripherals.webcam"
 
+# Words of the option to the letters of V4L2.
 FORMATS = {"yuyv": "YUYV", "mjpg": "MJPG"}
-"""Words of the option to the letters of V4L2."""
 
 
 def webcam(
@@ -132,11 +139,11 @@ webcam.declares = _declares  # type: ignore[attr-defined]
 
 
 BY_ID = Path("/dev/v4l/by-id")
+# A camera that gives nothing for so long is opened anew, in [s].
 SILENCE = 2.0
-"""A camera that gives nothing for so long is opened anew, in [s]."""
 
+# Start of image, which every JPEG begins with (ITU-T T.81, B.1.1.3).
 JPEG = b"\xff\xd8"
-"""Start of image, which every JPEG begins with (ITU-T T.81, B.1.1.3)."""
 
 
 class Rgb:

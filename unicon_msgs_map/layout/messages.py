@@ -10,12 +10,15 @@ distributions before it, in 90 ms: the typestore is made where more than a layou
 from __future__ import annotations
 
 import re
+import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
 from importlib import resources
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from unicon_base.errors import alternatives
 from unicon_msgs_map.errors import MapDependencyError, MessageTypeError
@@ -89,23 +92,23 @@ class Struct:
 
 TypeRef = Primitive | String | Struct | Array
 
-PRIMITIVES: dict[str, Primitive] = {
-    name: Primitive(name, size, code, dtype)
-    for name, size, code, dtype in (
-        ("bool", 1, "?", "?"),
-        ("byte", 1, "B", "u1"),  # rosbags reads octets as signed; ROS 2 says unsigned
-        ("char", 1, "B", "u1"),
-        ("int8", 1, "b", "i1"),
-        ("uint8", 1, "B", "u1"),
-        ("int16", 2, "h", "<i2"),
-        ("uint16", 2, "H", "<u2"),
-        ("int32", 4, "i", "<i4"),
-        ("uint32", 4, "I", "<u4"),
-        ("int64", 8, "q", "<i8"),
-        ("uint64", 8, "Q", "<u8"),
-        ("float32", 4, "f", "<f4"),
-        ("float64", 8, "d", "<f8"),
-    )
+PRIMITIVES = {
+    name: Primitive(name, struct.calcsize("<" + code), code, np.dtype("<" + code).str)
+    for name, code in {
+        "bool": "?",
+        "byte": "B",  # rosbags reads octets as signed; ROS 2 says unsigned
+        "char": "B",
+        "int8": "b",
+        "uint8": "B",
+        "int16": "h",
+        "uint16": "H",
+        "int32": "i",
+        "uint32": "I",
+        "int64": "q",
+        "uint64": "Q",
+        "float32": "f",
+        "float64": "d",
+    }.items()
 }
 
 

@@ -1,22 +1,42 @@
-"""Images and clouds as messages: bytes laid out once, so that a frame is rendered into its place.
+"""Images and clouds as messages, and the topics of a camera, simulated or real.
 
-The layouts are those of sensor_msgs/Image, PointCloud2 and CameraInfo in little-endian CDR; the
-tests hold them against rosbags' codec.
+The layouts are those of sensor_msgs/Image, PointCloud2 and CameraInfo in little-endian CDR: bytes
+laid out once, so that a frame is rendered into its place. The CameraInfo goes to `camera_info`
+beside the pictures, where image_transport looks for it, with their stamp and frame. The optical
+frame is published once, latched, on /tf_static.
+
+Pictures are reliable unless an option says otherwise: ROS's default subscriber asks for that, and
+one that asks for best effort gets them too. A subscriber that stalls delays no tick: the newest two
+pictures are kept for it, older ones are dropped. A subscriber that gets nothing is reported.
 """
 
 from __future__ import annotations
 
 import math
+import os
 import struct
-from collections.abc import Iterable, Sequence
+import sys
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from unicon_base.arrays import Array, Float32
+from unicon_base.arrays import Array, Float32, Float64
 from unicon_base.errors import UniconError, alternatives
+from unicon_base.resources import find_config, same_modules
 from unicon_core.models.camera import Intrinsics
+from unicon_core.models.kinematic_tree import Link
+from unicon_msgs_map import Encoder, FieldSpec, PublishSpec
+from unicon_msgs_map.layout.messages import shared_messages
+from unicon_msgs_map.layout.paths import Reference, parse_path
+from unicon_msgs_map.spec import Qos
+from unicon_ros import compat
+from unicon_ros.bridge.own_node import PROFILES, OwnNode
+from unicon_ros.bridge.qos import LATCHED, QosEvents, qos_profile
+from unicon_ros.bridge.robot_frames import TF_MESSAGE, static_transforms
 
 IMAGE, CLOUD = "sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2"
 INFO, JPEG = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/CompressedImage"
@@ -88,18 +108,14 @@ def frame_message(kind: str, width: int, height: int, frame_id: str) -> FrameMes
     shape = (height, width) if kind == "depth" else (height, width, 3)
     dtype = "|u1" if kind == "color" else "<f4"
     row = np.dtype(dtype).itemsize * math.prod(shape[1:])
-    out = _Cdr(frame_id, height, width)
+    size = {"header.frame_id": frame_id, "height": height, "width": width}
     if kind == "cloud":
-        out.fields([("x", 0, "f4"), ("y", 4, "f4"), ("z", 8, "f4")])
-        out.pack("BII", 0, 12, row)
-    else:
-        out.text("rgb8" if kind == "color" else "32FC1")
-        out.pack("BI", 0, row)
-    offset = out.data(row * height)
-    if kind == "cloud":
-        out.pack("B", 0)  # is_dense: no, what is too far is NaN
-    kind = CLOUD if kind == "cloud" else IMAGE
-    return FrameMessage(kind, bytes(out.bytes), offset, shape, dtype, frame_id)
+        fields = _point_fields([("x", 0, "f4"), ("y", 4, "f4"), ("z", 8, "f4")])
+        empty = _message(CLOUD, size | fields | {"point_step": 12, "row_step": row})
+        return _with_data(CLOUD, empty, row * height, shape, dtype, frame_id)
+    encoding = "rgb8" if kind == "color" else "32FC1"
+    empty = _message(IMAGE, size | {"encoding": encoding, "step": row})
+    return _with_data(IMAGE, empty, row * height, shape, dtype, frame_id)
 
 
 def cloud_message(width: int, point: np.dtype[np.void], frame_id: str) -> FrameMessage:
@@ -110,14 +126,13 @@ def cloud_message(width: int, point: np.dtype[np.void], frame_id: str) -> FrameM
         point: what a point is: named fields, little endian.
         frame_id: of the header.
     """
-    out = _Cdr(frame_id, 1, width)
     assert point.fields is not None
     fields = ((name, at, kind.str[1:]) for name, (kind, at, *_) in point.fields.items())
-    out.fields(sorted(fields, key=lambda field: field[1]))
-    out.pack("BII", 0, point.itemsize, point.itemsize * width)
-    offset = out.data(point.itemsize * width)
-    out.pack("B", 0)  # is_dense: no, see width
-    return FrameMessage(CLOUD, bytes(out.bytes), offset, (width,), point)
+    size = point.itemsize * width
+    given = {"header.frame_id": frame_id, "height": 1, "width": width, "row_step": size}
+    given |= _point_fields(sorted(fields, key=lambda field: field[1]))
+    empty = _message(CLOUD, given | {"point_step": point.itemsize})
+    return _with_data(CLOUD, empty, size, (width,), point, frame_id)
 
 
 def jpeg_message(most: int, frame_id: str) -> FrameMessage:
@@ -127,11 +142,8 @@ def jpeg_message(most: int, frame_id: str) -> FrameMessage:
         most: largest size of the JPEG, [B].
         frame_id: of the header, an optical frame.
     """
-    out = _Cdr(frame_id)
-    out.text("jpeg")
-    out.pack("I", 0)
-    offset = len(out.bytes)
-    return FrameMessage(JPEG, bytes(out.bytes) + bytes(most), offset, (most,), "|u1", frame_id)
+    empty = _message(JPEG, {"header.frame_id": frame_id, "format": "jpeg"})
+    return FrameMessage(JPEG, empty + bytes(most), len(empty), (most,), "|u1", frame_id)
 
 
 def info_message(
@@ -156,15 +168,14 @@ def info_message(
     """
     fx, fy, cx, cy = pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy
     known = float(fx > 0.0)
-    out = _Cdr(frame_id, height, width)
-    out.text("plumb_bob")
-    out.pack("I", 5)
-    out.pack("d" * 5, *distortion)
-    out.pack("d" * 9, fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, known)
-    out.pack("d" * 9, known, 0.0, 0.0, 0.0, known, 0.0, 0.0, 0.0, known)
-    out.pack("d" * 12, fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, known, 0.0)
-    out.pack("IIIIIIB", *[0] * 7)
-    return bytes(out.bytes)
+    given = {"header.frame_id": frame_id, "height": height, "width": width}
+    matrices = {
+        "d": [*distortion],
+        "k": [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, known],
+        "r": [known, 0.0, 0.0, 0.0, known, 0.0, 0.0, 0.0, known],
+        "p": [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, known, 0.0],
+    }
+    return _message(INFO, given | {"distortion_model": "plumb_bob"} | matrices)
 
 
 def rays(width: int, height: int, pinhole: Intrinsics) -> Float32:
@@ -181,36 +192,188 @@ def rays(width: int, height: int, pinhole: Intrinsics) -> Float32:
     return found
 
 
-class _Cdr:
-    """Little-endian CDR, written once: of messages that begin with a header, and with a size."""
+def _message(kind: str, values: Mapping[str, object]) -> bytes:
+    """Return a message with these values by path, zeros else and empty data."""
+    fields = [FieldSpec(p, parse_path(p), Reference("const", value=v)) for p, v in values.items()]
+    return Encoder.build(PublishSpec(kind, kind, tuple(fields), shared_messages()), {}).encode()
 
-    def __init__(self, frame_id: str, *size: int) -> None:
-        self.bytes = bytearray(b"\x00\x01\x00\x00")
-        self.pack("iI", 0, 0)
-        self.text(frame_id)
-        self.pack("I" * len(size), *size)
 
-    def pack(self, codes: str, *values: float) -> None:
-        for code, value in zip(codes, values):
-            size = struct.calcsize(code)
-            self.bytes += bytes(-(len(self.bytes) - 4) % size)
-            self.bytes += struct.pack("<" + code, value)
+def _point_fields(fields: Iterable[tuple[str, int, str]]) -> dict[str, object]:
+    """Return PointField[] by path: name, place in the point in [B], NumPy's name of the type."""
+    return {
+        f"fields[{number}].{key}": value
+        for number, (name, at, kind) in enumerate(fields)
+        for key, value in {
+            "name": name,
+            "offset": at,
+            "datatype": _FIELDS[kind],
+            "count": 1,
+        }.items()
+    }
 
-    def text(self, value: str) -> None:
-        raw = value.encode() + b"\0"
-        self.pack("I", len(raw))
-        self.bytes += raw
 
-    def fields(self, fields: Iterable[tuple[str, int, str]]) -> None:
-        """Write PointField[]: name, place in the point in [B] and NumPy's name of the type."""
-        given = list(fields)
-        self.pack("I", len(given))
-        for name, at, kind in given:
-            self.text(name)
-            self.pack("IBI", at, _FIELDS[kind], 1)
+def _with_data(
+    kind: str,
+    empty: bytes,
+    size: int,
+    shape: tuple[int, ...],
+    dtype: str | np.dtype[np.void],
+    frame_id: str,
+) -> FrameMessage:
+    """Return the layout of a message with data of some bytes, from one without."""
+    behind = kind == CLOUD  # is_dense: no, points that are too far or not there are NaN
+    offset = len(empty) - behind
+    template = empty[: offset - 4] + struct.pack("<I", size) + bytes(size + behind)
+    return FrameMessage(kind, template, offset, shape, dtype, frame_id)
 
-    def data(self, size: int) -> int:
-        """Leave room for uint8[] and return where it begins, [B]."""
-        self.pack("I", size)
-        self.bytes += bytes(size)
-        return len(self.bytes) - size
+
+RELIABILITIES = ("reliable", "best_effort")
+"""Of a camera's topics; the first is the default."""
+
+DEPTH = 2
+"""Pictures that are kept for a reader that is late."""
+
+LOOK = 0.2
+"""How often events of the middleware are asked for, in [s]."""
+
+
+class CameraTopics:
+    """A node with the topics of one camera.
+
+    Args:
+        options: of `topic_options`.
+        tell: takes a line for the operator.
+
+    Raises:
+        UniconError: a name or a ROS argument is wrong.
+        MissingDependencyError: rclpy is not installed.
+    """
+
+    def __init__(self, options: Mapping[str, Any], tell: Callable[[str], None]) -> None:
+        self._own = OwnNode(options["node"], options["namespace"], options["ros_args"])
+        self._tell, self._due = tell, 0.0
+        self._qos = Qos(reliability=options["reliability"], depth=DEPTH)
+
+    def add(self, topic: str, kind: str, info: bytes | None = None) -> Callable[[bytes], None]:
+        """Return what publishes messages of one more topic.
+
+        Args:
+            topic: its name.
+            kind: message type.
+            info: CameraInfo that goes beside each message, with its stamp; None for none.
+        """
+        publish, whole = self._publisher(kind, topic)
+        if info is None:
+            return publish
+        publish_info, _ = self._publisher(INFO, f"{whole.rpartition('/')[0]}/camera_info")
+        beside = bytearray(info)
+
+        def both(message: bytes) -> None:
+            publish(message)
+            beside[STAMP] = message[STAMP]
+            publish_info(bytes(beside))
+
+        return both
+
+    def _publisher(self, kind: str, topic: str) -> tuple[Callable[[bytes], None], str]:
+        node, message = self._own.node, compat.message_class(kind)
+        count = 0
+        try:
+            name = node.resolve_topic_name(topic)
+        except Exception as error:
+            raise UniconError(f"topic {topic!r}: {error}".splitlines()[0]) from error
+
+        def theirs(policy: str) -> str:
+            ours = getattr(self._qos, policy, None)
+            peers = [each.qos_profile for each in node.get_subscriptions_info_by_topic(name)]
+            found = [getattr(getattr(each, policy, None), "name", "").lower() for each in peers]
+            others = dict.fromkeys(value for value in found if value not in ("", ours))
+            return f"theirs: {' and '.join(others)}" if others else ""
+
+        remedy = "set {policy} of the camera, or the peer's"
+        if self._qos.reliability == RELIABILITIES[0]:
+            remedy = "set the peer's {policy}"
+        events = QosEvents(
+            name, self._qos, "publisher", lambda: count, self._tell, remedy=remedy, theirs=theirs
+        )
+        profile = qos_profile(self._qos)
+        publisher = events.watch(
+            lambda **options: node.create_publisher(message, topic, profile, **options)
+        )
+        send, _ = compat.raw_publish(publisher)
+
+        def publish(data: bytes) -> None:
+            nonlocal count
+            send(data)
+            count += 1
+
+        return publish, name
+
+    def tell_frame(self, frame: str, parent: str, at: Float64, quat: Float64) -> None:
+        """Tell where a frame is, once and for late joiners.
+
+        Args:
+            frame: the camera's optical one.
+            parent: that it stands in.
+            at: position in the parent, [m], shape (3,).
+            quat: orientation in the parent, wxyz, shape (4,).
+        """
+        message = compat.bytes_class(TF_MESSAGE, shared_messages())
+        if message is None:
+            return
+        links = [Link(parent, -1, at, quat), Link(frame, 0, at, quat)]
+        publisher = self._own.node.create_publisher(message, "/tf_static", qos_profile(LATCHED))
+        publisher.publish(static_transforms(links[1:], [parent, frame]))
+
+    def look(self) -> None:
+        """Hear, now and then, what the middleware has seen, such as peers that get nothing."""
+        now = time.monotonic()
+        if now >= self._due:
+            self._due = now + LOOK
+            self._own.executor.spin_once(timeout_sec=0.0)
+
+    def close(self) -> None:
+        """Let the node go."""
+        self._own.close()
+
+
+def topic_options(
+    what: str, node: str, namespace: str | None, ros_args: Sequence[str], reliability: str
+) -> dict[str, Any]:
+    """Return the options of a camera's topics, as `CameraTopics` takes them.
+
+    Args:
+        what: the camera, for messages.
+        node: name of the process's node.
+        namespace: of that node.
+        ros_args: ROS arguments of that node, such as remaps.
+        reliability: one of RELIABILITIES.
+
+    Raises:
+        UniconError: an unknown reliability.
+    """
+    if reliability not in RELIABILITIES:
+        choices = alternatives(reliability, RELIABILITIES)
+        raise UniconError(f"{what}: reliability {reliability!r}; {choices}")
+    return {
+        "node": node,
+        "namespace": namespace,
+        "ros_args": list(ros_args),
+        "reliability": reliability,
+    }
+
+
+def large_data() -> dict[str, str]:
+    """Return the environment of a process that publishes images: ours, with room for them."""
+    environment = same_modules()
+    guard, libraries = "_ROS_WHEELS_BOOTSTRAP_COMPLETE", "LD_LIBRARY_PATH"
+    ours = str(Path(sys.prefix, "lib")) in environment.get(libraries, "").split(os.pathsep)
+    if guard in environment and not ours:  # the ROS wheels of another venv have set both
+        del environment[guard]
+        environment.pop(libraries, None)
+    profile = str(find_config("dds", "large_data", ".xml"))
+    for variable in PROFILES:
+        if environment.get(variable, "").endswith("fast_discovery.xml"):
+            environment[variable] = profile  # which has fast discovery too
+        environment.setdefault(variable, profile)
+    return environment

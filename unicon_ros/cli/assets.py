@@ -104,10 +104,6 @@ def _show(console: Console, name: str, file: str, done: int, size: int) -> None:
         console.status({name: f"{bar:<20} {done / 1e6:6.1f} of {size / 1e6:.1f} MB", file: ""})
 
 
-def _fetch(arguments: argparse.Namespace) -> int:
-    return fetch_all(arguments.names, arguments.mirror)
-
-
 def _list(arguments: argparse.Namespace) -> int:
     from unicon_core.assets.manifest import asset_folder, load_assets
 
@@ -187,7 +183,7 @@ add = several(
     ),
     command(
         "fetch",
-        _fetch,
+        lambda arguments: fetch_all(arguments.names, arguments.mirror),
         "fetch assets into the user's cache",
         None,
         option("names", nargs="+", metavar="NAME"),

@@ -1,4 +1,8 @@
-"""`unicon robots`, `policies`, `platforms`, `faces`, `blocks`, `workflows`: all that is known."""
+"""`unicon robots`, `policies`, `platforms`, `faces`, `blocks`, `workflows`: all that is known.
+
+Their names complete a command line in a shell, by argcomplete, where that is installed:
+eval "$(register-python-argcomplete unicon)"    # in ~/.bashrc; zsh likewise
+"""
 
 from __future__ import annotations
 
@@ -6,13 +10,14 @@ import argparse
 import inspect
 import os
 import re
+from collections.abc import Iterable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from unicon_base.errors import PlatformError, PolicyError, UniconError, WorkflowError
 from unicon_ros.cli.console import print_json, print_table
-from unicon_ros.cli.options import argument, command, flag
+from unicon_ros.cli.options import Adder, argument, command, flag
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -198,13 +203,6 @@ LISTS: dict[str, tuple[Run, str]] = {
 }
 """Commands that list names: what runs each, and what it lists."""
 
-VERBS = {
-    "robots new": (_new, "write a robot file of what a model knows"),
-    "policies import": (_import, "convert a policy to policy.yaml and its network"),
-    "policies fetch": (_fetch, "fetch a policy from where it is published, and convert it"),
-}
-"""Commands of two words, each with its own help: what runs it, and what it does."""
-
 _ROBOT = argument("--robot", "ROBOT", "robot that orders the joints")
 _OUT = (
     argument("--out", "DIR", "where to write", required=True),
@@ -218,23 +216,36 @@ _OUT = (
         "'{from: model, only: [PATTERN, …]}'",
     ),
 )
-_TAKEN = {
+VERBS: dict[str, tuple[Run, str, tuple[Adder, ...]]] = {
     "robots new": (
-        argument("model", "MODEL", "MJCF or URDF"),
-        argument("--out", "FILE", "where to write (default: NAME.yaml)"),
-        argument("--kind", "KIND", "what the robot is, where its model does not say"),
-    ),
-    "policies import": (argument("source", "FILE_OR_FOLDER", "what to read"), *_OUT),
-    "policies fetch": (
-        argument(
-            "source",
-            "URL",
-            "hf://OWNER/REPO[@REV][/PATH], wandb://ENTITY/PROJECT/RUN or file:///PATH",
+        _new,
+        "write a robot file of what a model knows",
+        (
+            argument("model", "MODEL", "MJCF or URDF"),
+            argument("--out", "FILE", "where to write (default: NAME.yaml)"),
+            argument("--kind", "KIND", "what the robot is, where its model does not say"),
         ),
-        argument("--sha256", "HEX", "of the network; another one is refused"),
-        *_OUT,
+    ),
+    "policies import": (
+        _import,
+        "convert a policy to policy.yaml and its network",
+        (argument("source", "FILE_OR_FOLDER", "what to read"), *_OUT),
+    ),
+    "policies fetch": (
+        _fetch,
+        "fetch a policy from where it is published, and convert it",
+        (
+            argument(
+                "source",
+                "URL",
+                "hf://OWNER/REPO[@REV][/PATH], wandb://ENTITY/PROJECT/RUN or file:///PATH",
+            ),
+            argument("--sha256", "HEX", "of the network; another one is refused"),
+            *_OUT,
+        ),
     ),
 }
+"""Commands of two words, each with its own help: what runs it, what it does, what it takes."""
 
 
 def add(commands: Any) -> None:
@@ -251,5 +262,63 @@ def add(commands: Any) -> None:
             *[_ROBOT] * (name == "policies"),
             epilog=f"See also: {', '.join(verbs)}." if verbs else "",
         )(commands)
-    for verb, (run, what) in VERBS.items():
-        command(verb, run, what, what, *_TAKEN[verb])(commands)
+    for verb, (run, what, taken) in VERBS.items():
+        command(verb, run, what, what, *taken)(commands)
+
+
+ASSETS = ("fetch", "path", "verify")
+"""Verbs of `unicon assets` that take names."""
+
+
+def complete(parser: argparse.ArgumentParser) -> None:
+    """Print what argcomplete asks for, and end the process."""
+    try:
+        import argcomplete
+        from argcomplete.completers import FilesCompleter
+    except ModuleNotFoundError:  # the shell has that of another Python
+        raise SystemExit(1) from None
+    line, point = os.environ["COMP_LINE"], int(os.environ["COMP_POINT"])
+    for verb in VERBS:  # one word for the parser
+        if f" {verb} " in line[:point]:
+            line, point = line.replace(verb, verb.replace(" ", "\\ "), 1), point + 1
+    os.environ |= {"COMP_LINE": line, "COMP_POINT": str(point)}
+    files = FilesCompleter()
+    for word, action in _actions(parser):
+        what = str(action.metavar) if action.metavar != "NAME" else word
+
+        def completer(prefix: str, what: str = what, **_: object) -> list[str]:
+            return [*_names(what, prefix), *(files(prefix) if what == "WORKFLOW" else ())]
+
+        if what in (*LISTS, *ASSETS, "PATH=VALUE", "WORKFLOW", "ROBOT"):
+            action.completer = completer  # type: ignore[attr-defined]
+    argcomplete.autocomplete(parser, always_complete_options=False)
+
+
+def _actions(parser: argparse.ArgumentParser) -> Iterator[tuple[str, argparse.Action]]:
+    """Yield the arguments of a parser and of its commands, with the command's last word."""
+    for action in parser._actions:
+        yield parser.prog.split()[-1], action
+        if isinstance(action, argparse._SubParsersAction):
+            for each in action.choices.values():
+                yield from _actions(each)
+
+
+def _names(what: str, prefix: str) -> Iterable[str]:
+    """Return what is known of a kind."""
+    from unicon_core.assets.manifest import load_assets
+    from unicon_core.policies import policies_rows
+    from unicon_core.robots import robot_names
+    from unicon_core.workflow import workflow_names
+    from unicon_core.workflow.registry import known
+
+    if what == "PATH=VALUE":
+        key = prefix.partition("=")[0]
+        kinds = {"robot": "ROBOT", "platform": "platforms"}
+        return [f"{key}={name}" for name in _names(kinds[key], "")] if key in kinds else ()
+    if what in ("WORKFLOW", "workflows"):
+        return workflow_names()
+    if what in ("ROBOT", "robots"):
+        return robot_names()
+    if what == "policies":
+        return [row["name"] for row in policies_rows()]
+    return load_assets() if what in ASSETS else known(what)

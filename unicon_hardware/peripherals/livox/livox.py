@@ -19,7 +19,7 @@ from unicon_core.flow import Block
 from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext
 from unicon_hardware.peripherals.livox.cloud import livox_message
-from unicon_ros.bridge.camera_topics import RELIABILITIES, large_data, topic_options
+from unicon_ros.bridge.images import RELIABILITIES, large_data, topic_options
 from unicon_ros.peripheral import peripheral_block, peripheral_states
 
 MODULE = "unicon_hardware.peripherals.livox.process"
