@@ -12,7 +12,7 @@ from gate_robots import waiting
 from unicon_base.errors import Fault
 from unicon_core import Chain, Loop, Program, Zip, block, elapsed, policy, pose
 from unicon_core.flow import Block, Switch
-from unicon_core.gates.beginning import beginning, first_command
+from unicon_core.gates.build import beginning, first_command
 from unicon_core.states.standard import COMMAND_STATES
 
 ROBOT = "gate_robots:make"

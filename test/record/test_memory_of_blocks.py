@@ -18,7 +18,7 @@ from unicon_core.check.memory_proof import prove
 from unicon_core.flow import Block, Stage, compile_graph
 from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.flow.nodes import unfused
-from unicon_core.gates.beginning import first_command
+from unicon_core.gates.build import first_command
 from unicon_core.memory import Memory, Snapshot
 from unicon_core.memory_json import from_json, to_json
 from unicon_core.runtime import Runner, RunOptions

@@ -13,7 +13,7 @@ import pytest
 from unicon_base.errors import Fault, Hung, PlatformError
 from unicon_core import Block, Program, Stage, block, policy, pose
 from unicon_core.blocks.approach import Approach, Entry, Target
-from unicon_core.gates.beginning import first_command
+from unicon_core.gates.build import first_command
 from unicon_core.pacing import WallClock
 from unicon_core.platforms.child.platform import SILENCE, WATCHDOG
 from unicon_core.platforms.kit.damping import BLEND, DAMPING_TIME, Damping, LastSent

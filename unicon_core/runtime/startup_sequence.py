@@ -9,7 +9,7 @@ from typing import Any
 from unicon_base.errors import Fault
 from unicon_core.blocks.approach import Approach
 from unicon_core.flow import Deferred, Node, Zip, as_block
-from unicon_core.gates.beginning import beginning
+from unicon_core.gates.build import beginning
 from unicon_core.gates.gate import SoleCommander, StartGate
 from unicon_core.platforms.joined import members_of
 from unicon_core.platforms.platform import Prepares, SeesCommanders

@@ -18,7 +18,7 @@ of the robot.
     flow: skills                       # begins with the first; or {skills: {on: STATE}}
 
 Skills become the switch that one would write by hand: `blend_in` behind each skill, and a selector
-of `unicon_core/blocks/controls/skills.py`.
+of `unicon_core/blocks/controls/modes.py`.
 """
 
 from __future__ import annotations
@@ -31,8 +31,7 @@ import numpy as np
 
 from unicon_base.errors import WorkflowError
 from unicon_base.schema.marks import Key, NotEmpty, Within, Write
-from unicon_core.blocks.controls.modes import check_buttons, way_of
-from unicon_core.blocks.controls.skills import SKILL, Ended, Skills
+from unicon_core.blocks.controls.modes import SKILL, Ended, Skills, check_buttons, way_of
 from unicon_core.flow import Block, Chain, Deferred, Every, Loop, Node, Switch, When, Zip, as_node
 from unicon_core.robots import Robot
 from unicon_core.states import StateSpec

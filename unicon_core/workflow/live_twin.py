@@ -21,7 +21,7 @@ from unicon_core.bounds import POSITION
 from unicon_core.flow import Block
 from unicon_core.memory import Library
 from unicon_core.metrics import aligned_mse
-from unicon_core.platforms.kit.tracking_simulator import PLACE, Beside
+from unicon_core.platforms.kit.disturbances import PLACE, Beside
 from unicon_core.robots import Robot
 from unicon_core.states import States, StateSpec
 from unicon_core.states.standard import COMMAND_STATES

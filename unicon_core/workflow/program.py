@@ -13,13 +13,12 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
-from unicon_core.blocks.approach import Entry
-from unicon_core.blocks.monitor import Monitor
+from unicon_core.blocks.approach import Entry, Monitor
 from unicon_core.flow import Block, Node, as_block, blocks_of
 from unicon_core.flow.block import Stage
 from unicon_core.gates.build import gates_of
+from unicon_core.platforms.joined import PartPlatform
 from unicon_core.platforms.kit.damping import LastSent
-from unicon_core.platforms.part import PartPlatform
 from unicon_core.platforms.platform import Platform, RequiresStates, WarmsUp
 from unicon_core.policies import PolicyContract
 from unicon_core.signals import SIGNALS

@@ -13,7 +13,7 @@ from contextlib import suppress
 import numpy as np
 
 from unicon_base.errors import Fault, Hung
-from unicon_core.blocks.monitor import Monitor
+from unicon_core.blocks.approach import Monitor
 from unicon_core.flow import Block, Node
 from unicon_core.flow.block import Stage
 from unicon_core.gates.gate import StartGate

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from unicon_base.errors import UniconError
+from unicon_core.platforms.kit.disturbances import PLACE
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.kit.tracking_simulator import PLACE
 from unicon_core.robots import Robot, load_robot, robot_names
 from unicon_core.robots.load import JOINT_PHYSICS
 from unicon_core.states.standard import COMMAND_STATES

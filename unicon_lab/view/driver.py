@@ -21,9 +21,9 @@ from unicon_core.workflow import Program
 from unicon_core.workflow.flow_yaml import skills_of
 from unicon_lab.view.shown import DEAD_MAN, DRIVING, GIVEN_BACK
 from unicon_ros.bridge.bindings import told_states
-from unicon_ros.bridge.tuning import Tuning
-from unicon_ros.controls import Answer, Controls
+from unicon_ros.bridge.services import Answer, Controls
 from unicon_ros.parameter_table import RANGES
+from unicon_ros.parameters import Tuning
 from unicon_ros.peripheral import short
 
 if TYPE_CHECKING:
