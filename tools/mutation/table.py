@@ -354,7 +354,7 @@ ROWS = [
             )
         ),
         ("left_out", "[]"),
-        ("completed", "add([FIRST]) if not begin else []", "[]"),
+        ("completed", "() if begin else add(FIRST)", "()"),
     ),
     *_rows(
         "gates/data.py",

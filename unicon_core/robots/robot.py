@@ -20,16 +20,7 @@ import numpy as np
 
 from unicon_base.arrays import Bool, Float32, Index
 from unicon_base.errors import RobotError, alternatives
-from unicon_base.schema.marks import (
-    Key,
-    Matches,
-    NotEmpty,
-    Point,
-    Quat,
-    Text,
-    Write,
-    positive,
-)
+from unicon_base.schema.marks import Key, Matches, NotEmpty, Point, Quat, Text, Write, positive
 
 
 @dataclass(frozen=True)
