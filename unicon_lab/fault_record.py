@@ -29,10 +29,9 @@ from unicon_core.memory_json import to_json
 from unicon_core.runtime.tick_ring import FEWEST, TickRing
 from unicon_lab.recording import McapFile, recover
 from unicon_lab.recording.facts import content_of, facts_of
-from unicon_lab.recording.mcap_file import FileInUse
-from unicon_lab.recording.records import attachment, metadata
+from unicon_lab.recording.mcap_file import FileInUse, attachment, metadata
 from unicon_lab.recording.tick_file import add_ticks
-from unicon_lab.recording.tick_message import tick_channel
+from unicon_lab.recording.ticks import tick_channel
 from unicon_ros.attachments import Attachment
 
 if TYPE_CHECKING:

@@ -20,16 +20,17 @@ import yaml
 from numpy.typing import NDArray
 
 from unicon_base.errors import UniconError
-from unicon_lab.recording.mcap_file import Buffer, McapFile
-from unicon_lab.recording.records import (
+from unicon_lab.recording.mcap_file import (
     MESSAGE,
     MESSAGE_HEAD,
     METADATA,
     ROW,
+    Buffer,
     Channel,
+    McapFile,
     metadata,
 )
-from unicon_lab.recording.tick_message import TOPIC
+from unicon_lab.recording.ticks import TOPIC
 
 VERSION = 5
 """Of `metadata.yaml`: the one that Humble writes and all later releases read."""

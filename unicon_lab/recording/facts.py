@@ -25,32 +25,12 @@ from unicon_core.runtime import Runner
 from unicon_core.runtime.tick_ring import PHASES, KeptMemory
 from unicon_core.states import Layout
 from unicon_core.workflow import Program
-from unicon_lab.recording.tick_message import RecordedSubset
+from unicon_lab.recording.ticks import RecordedSubset, layout_facts
 
-SCHEMA = "unicon.record/1"
 VERSIONS = (
     *("numpy", "onnxruntime", "torch", "mujoco", "pybullet", "jax", "newton", "rclpy"),
     "cyclonedds",
 )
-
-
-def layout_facts(layout: Layout, kept: RecordedSubset) -> dict[str, str]:
-    """Return what a reader needs to know of the ticks.
-
-    Args:
-        layout: of the states.
-        kept: moment to the states that are kept there; None for all.
-    """
-    some = {moment: sorted(names) for moment, names in kept.items() if names is not None}
-    return {
-        "schema": SCHEMA,
-        "written": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
-        "layout": layout.to_json(),
-        "layout_hash": layout.hash,
-        "moments": json.dumps(list(kept)),
-        "kept": json.dumps(some),
-        "phases": json.dumps([phase.value for phase in PHASES]),
-    }
 
 
 def network_hash(path: Path) -> str:

@@ -19,7 +19,7 @@ from unicon_core.states.standard import COMMAND_STATES, hardware_states, standar
 from unicon_lab.recording.facts import robot_facts, versions_here
 from unicon_lab.recording.read import LONGEST, SHORTEST
 from unicon_lab.recording.tick_file import write_ticks
-from unicon_lab.recording.tick_message import RecordedSubset, kept_moments
+from unicon_lab.recording.ticks import RecordedSubset, kept_moments
 
 CDR = bytes((0, 1, 0, 0))
 

@@ -19,9 +19,9 @@ from unicon_base.arrays import Array, Bool, Int64, UInt8
 from unicon_base.errors import StateError, UniconError, alternatives
 from unicon_core.runtime.tick_ring import DONE, HEAD
 from unicon_core.states import Layout, States
-from unicon_lab.recording.facts import SCHEMA
+from unicon_lab.recording.ticks import SCHEMA
 from unicon_lab.recording.scan import Frames, Scan, frames_in, gather, scan
-from unicon_lab.recording.tick_message import FRAMES, Moment, RecordedSubset, kept_moments
+from unicon_lab.recording.ticks import FRAMES, Moment, RecordedSubset, kept_moments
 
 _T = TypeVar("_T")
 

@@ -20,12 +20,12 @@ import numpy as np
 from unicon_base.arrays import UInt8
 from unicon_base.errors import UniconError, alternatives, imported, one_line
 from unicon_lab.recording.background import calm
-from unicon_lab.recording.tick_message import FRAMES
+from unicon_lab.recording.ticks import FRAMES
 from unicon_ros.bridge.images import JPEG, STAMP, FrameMessage, jpeg_message
 
 if TYPE_CHECKING:
     from unicon_core.workflow import Program
-    from unicon_lab.recording.large import Large
+    from unicon_lab.recording.background import Large
     from unicon_lab.recording.recorder import Recorder
     from unicon_ros.peripheral import FrameSource
 

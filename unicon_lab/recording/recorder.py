@@ -19,13 +19,11 @@ from unicon_base.errors import UniconError, cannot
 from unicon_core.page import ROOM, refuse_existing
 from unicon_core.states import Layout
 from unicon_lab.recording import McapFile, recover
-from unicon_lab.recording.background import Background, Write
+from unicon_lab.recording.background import Background, Large, Write
 from unicon_lab.recording.bag_folder import BagFolder, Split
-from unicon_lab.recording.large import Large
-from unicon_lab.recording.mcap_file import FileInUse
-from unicon_lab.recording.records import Channel
+from unicon_lab.recording.mcap_file import Channel, FileInUse
 from unicon_lab.recording.recover import recover_aside
-from unicon_lab.recording.tick_message import RecordedSubset, tick_channel
+from unicon_lab.recording.ticks import RecordedSubset, tick_channel
 from unicon_msgs_map import Qos
 from unicon_msgs_map.layout.messages import MessageDefinition, Messages, shared_messages
 

@@ -15,9 +15,7 @@ import numpy as np
 
 from unicon_base.errors import UniconError, cannot
 from unicon_lab.recording.bag_folder import BagFile, write_metadata
-from unicon_lab.recording.mcap_file import FileInUse, McapFile
-from unicon_lab.recording.read import files_of, missing
-from unicon_lab.recording.records import (
+from unicon_lab.recording.mcap_file import (
     ATTACHMENT,
     CHANNEL,
     CHUNK,
@@ -30,9 +28,12 @@ from unicon_lab.recording.records import (
     ROW,
     SCHEMA,
     Chunk,
+    FileInUse,
+    McapFile,
     index_of,
     message_indexes,
 )
+from unicon_lab.recording.read import files_of, missing
 from unicon_lab.recording.scan import scan
 
 LONGEST = 1 << 30

@@ -16,10 +16,11 @@ from unicon_core.flow import Block, Stage
 from unicon_core.memory import Snapshot
 from unicon_core.runtime.tick_ring import HEAD, KeptMemory, TickRing
 from unicon_lab.recording.bag_folder import Split
-from unicon_lab.recording.facts import content_of, layout_facts
+from unicon_lab.recording.facts import content_of
+from unicon_lab.recording.ticks import layout_facts
+from unicon_lab.recording.mcap_file import attachment, metadata
 from unicon_lab.recording.recorder import Recorder
-from unicon_lab.recording.records import attachment, metadata
-from unicon_lab.recording.tick_message import kept_moments
+from unicon_lab.recording.ticks import kept_moments
 from unicon_ros.attachments import Attachment
 
 if TYPE_CHECKING:

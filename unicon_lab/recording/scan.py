@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_base.arrays import Int64, UInt8
-from unicon_lab.recording.records import (
+from unicon_lab.recording.mcap_file import (
     ATTACHMENT,
     CHANNEL,
     CHUNK,
@@ -31,7 +31,7 @@ from unicon_lab.recording.records import (
     METADATA,
     SCHEMA,
 )
-from unicon_lab.recording.tick_message import FRAMES, TOPIC
+from unicon_lab.recording.ticks import FRAMES, TOPIC
 
 Span: TypeAlias = tuple[int, int]
 

@@ -11,10 +11,17 @@ from unicon_base.errors import UniconError, cannot
 from unicon_core.page import ROOM, refuse_existing
 from unicon_core.runtime.tick_ring import HEAD
 from unicon_core.states import Layout
-from unicon_lab.recording.facts import layout_facts
-from unicon_lab.recording.mcap_file import Buffer, FileInUse, McapFile
-from unicon_lab.recording.records import MESSAGE, MESSAGE_HEAD, ROW, metadata
-from unicon_lab.recording.tick_message import RecordedSubset, tick_channel
+from unicon_lab.recording.ticks import layout_facts
+from unicon_lab.recording.mcap_file import (
+    MESSAGE,
+    MESSAGE_HEAD,
+    ROW,
+    Buffer,
+    FileInUse,
+    McapFile,
+    metadata,
+)
+from unicon_lab.recording.ticks import RecordedSubset, tick_channel
 
 CHUNK_BYTES = 1 << 18
 

@@ -8,16 +8,19 @@ from outside. Alignment in CDR is that of the buffer; gaps are fields named `pad
 from __future__ import annotations
 
 import hashlib
+import json
 import re
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from unicon_core.runtime.tick_ring import HEAD
+from unicon_core.runtime.tick_ring import HEAD, PHASES
 from unicon_core.states import Layout
-from unicon_lab.recording.records import Channel
+from unicon_lab.recording.mcap_file import Channel
 
+SCHEMA = "unicon.record/1"
 TOPIC = "/unicon/ticks"
 
 FRAMES = "/unicon/frames/"
@@ -146,3 +149,22 @@ def _field(name: str, taken: set[str]) -> str:
         field = f"state_{clean}_{number}"
     taken.add(field)
     return field
+
+
+def layout_facts(layout: Layout, kept: RecordedSubset) -> dict[str, str]:
+    """Return what a reader needs to know of the ticks.
+
+    Args:
+        layout: of the states.
+        kept: moment to the states that are kept there; None for all.
+    """
+    some = {moment: sorted(names) for moment, names in kept.items() if names is not None}
+    return {
+        "schema": SCHEMA,
+        "written": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+        "layout": layout.to_json(),
+        "layout_hash": layout.hash,
+        "moments": json.dumps(list(kept)),
+        "kept": json.dumps(some),
+        "phases": json.dumps([phase.value for phase in PHASES]),
+    }
