@@ -30,8 +30,7 @@ from unicon_core.runtime.tick_ring import FEWEST, TickRing
 from unicon_lab.recording import McapFile, recover
 from unicon_lab.recording.facts import content_of, facts_of
 from unicon_lab.recording.mcap_file import FileInUse, attachment, metadata
-from unicon_lab.recording.tick_file import add_ticks
-from unicon_lab.recording.ticks import tick_channel
+from unicon_lab.recording.ticks import add_ticks, tick_channel
 from unicon_ros.attachments import Attachment
 
 if TYPE_CHECKING:

@@ -624,7 +624,7 @@ def test_an_npz_that_unpacks_to_too_much_is_not_unpacked(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The bound is on what the archive says of itself, before any of it is read."""
-    monkeypatch.setattr("unicon_lab.recording.npz.LARGEST", 1 << 20)
+    monkeypatch.setattr("unicon_lab.recording.imported.LARGEST", 1 << 20)
     np.savez_compressed(tmp_path / "bomb.npz", states_q=np.zeros((30, 12)), more=np.zeros(1 << 18))
     monkeypatch.setattr(np, "load", None)
     told = refused(capsys, "import", tmp_path / "bomb.npz", tmp_path / "x.mcap", "--robot", "go2")

@@ -17,17 +17,16 @@ from unicon_core.memory import Snapshot
 from unicon_core.runtime.tick_ring import HEAD, KeptMemory, TickRing
 from unicon_lab.recording.bag_folder import Split
 from unicon_lab.recording.facts import content_of
-from unicon_lab.recording.ticks import layout_facts
 from unicon_lab.recording.mcap_file import attachment, metadata
 from unicon_lab.recording.recorder import Recorder
-from unicon_lab.recording.ticks import kept_moments
+from unicon_lab.recording.ticks import kept_moments, layout_facts
 from unicon_ros.attachments import Attachment
 
 if TYPE_CHECKING:
     from unicon_core.runtime import Report
     from unicon_core.runtime.statistics import TickStatistics
     from unicon_core.workflow import Program
-    from unicon_lab.recording.recorded_frames import RecordedFrames
+    from unicon_lab.recording.recorded_topics import RecordedFrames
     from unicon_ros.bridge import RosSession
 
 
@@ -112,7 +111,7 @@ class Recording(Attachment):
             names = (self.namespace, self.frame_prefix)
             topics = RecordedTopics(recorder, program, self.map_name, self.session, *names)
             if self.frames:
-                from unicon_lab.recording.recorded_frames import RecordedFrames, chosen_sources
+                from unicon_lab.recording.recorded_topics import RecordedFrames, chosen_sources
 
                 sources = chosen_sources(program, self.frames)
                 self._frames = RecordedFrames(recorder, sources, topics.now, self.jpeg, self.warn)
