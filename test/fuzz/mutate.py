@@ -11,7 +11,7 @@ from typing import Any
 
 import yaml
 
-from unicon_lab.recording.mcap_file import CHUNK, CHUNK_HEAD
+from unicon_lab.recording.records import CHUNK, CHUNK_HEAD
 
 __all__ = ["mutate_bytes", "mutate_mcap", "mutate_onnx", "mutate_text", "mutate_tree", "to_text"]
 

@@ -156,9 +156,9 @@ def test_what_is_no_size_and_no_time_splits_nothing(text: str, tmp_path: Path) -
 def test_a_change_of_phase_skips_a_tick_that_nobody_misses(
     bag: Path, monkeypatch: pytest.MonkeyPatch, skipped: int, missing: int
 ) -> None:
-    record = open_record(bag)
+    changed = open_record(bag)
     ticks = np.arange(100) + skipped * (np.arange(100) >= 60)
-    changed = replace(record, ticks=ticks, phases=("run",) * 60 + ("damp",) * 40)
+    changed.ticks, changed.phases = ticks, ("run",) * 60 + ("damp",) * 40
     monkeypatch.setattr("unicon_lab.recording.info.open_record", lambda *_: changed)
     assert info_of(bag)["missing_ticks"] == missing
 
@@ -574,12 +574,12 @@ def test_the_keys_of_unicon_become_a_record(
         ("has no joint 'FL_hip_joint'", {"DOF_NAMES": np.array([*others, "a", "b", "c"])}),
         ("has 12 joints, and 9 names", {"DOF_NAMES": np.array(others)}),
         ("has neither rec_dt nor ts", {"rec_dt": None}),
-        ("rec_dt is nan s", {"rec_dt": np.nan}),
-        ("ts does not grow", {"rec_dt": None, "ts": np.zeros(30, np.float32)}),
+        ("has rec_dt nan s", {"rec_dt": np.nan}),
+        ("ts that does not grow", {"rec_dt": None, "ts": np.zeros(30, np.float32)}),
         ("of one length", {"states_qd": np.zeros((7, 12))}),
         ("states_rpy has shape (30, 2)", {"states_quat": None, "states_rpy": np.zeros((30, 2))}),
-        ("numbers are wanted", {"states_q": np.full((30, 12), "x")}),
-        ("ts does not grow", {"rec_dt": None, "ts": np.r_[0.0:29.0, np.inf]}),
+        ("give numbers of shape (frames, joints)", {"states_q": np.full((30, 12), "x")}),
+        ("ts that does not grow", {"rec_dt": None, "ts": np.r_[0.0:29.0, np.inf]}),
         ("rec_dt is float64 of shape (2,); give one", {"rec_dt": [0.02, 0.02]}),
         ("states_quat has shape (30, 3)", {"states_quat": np.zeros((30, 3))}),
         ("of one length", {"states_quat": None, "states_rpy": np.zeros((31, 3))}),

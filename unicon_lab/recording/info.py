@@ -8,6 +8,7 @@ import struct
 import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from unicon_core.page import refuse_existing
 from unicon_core.text_table import aligned
 from unicon_lab.recording.import_bag import open_bag
 from unicon_lab.recording.read import Record, files_of, missing, open_record
-from unicon_lab.recording.scan import Scan, scan
+from unicon_lab.recording.scan import scan
 
 TOLD = ("workflow", "robot", "platform", "part", "reason", "written", "imported_from")
 """Facts that are told as they are."""
@@ -33,48 +34,73 @@ def info_of(path: Path) -> dict[str, Any]:
     """
     if not os.path.exists(path):  # of a name that is too long, too
         raise UniconError(missing(path))
+    why: Exception | str = "it says nothing of itself"
     try:
         paths = files_of(path)
         scans = [scan(each) for each in paths]
     except (OSError, UniconError, ValueError, struct.error) as error:
-        return _foreign(path, error)
-    if not any(each.facts for each in scans):
-        return _foreign(path, None)
-    return _ours(path, paths, scans) | _ticks(open_record(path, scans))
+        scans, why = [], error
+    if any(each.facts for each in scans):
+        counts: Counter[str] = Counter()
+        types: dict[str, str] = {}
+        for each in scans:
+            types |= dict(each.topics.values())
+            counts.update(each.messages())
+        spans = [each.span for each in scans if each.span is not None]
+        span = [min(a for a, _ in spans), max(b for _, b in spans)] if spans else None
+        whole = all(each.ended for each in scans)
+        return _bag(path, paths, types, counts, span, whole) | _ticks(open_record(path, scans))
+    try:
+        reader = open_bag(path)
+    except UniconError as error:
+        if path.suffix == ".partial":
+            raise UniconError(
+                f"{path} is not a recording that was cut off: {why}; give what a run has left or "
+                "is writing"
+            ) from error
+        raise
+    try:  # a bag that is not of unicon, or compressed
+        types, counts = {}, Counter()
+        for each in reader.connections:
+            types.setdefault(each.topic, each.msgtype)
+            counts[each.topic] += each.msgcount
+        span = [int(reader.start_time), int(reader.end_time)] if reader.message_count else None
+    finally:
+        reader.close()
+    paths = [each for each in path.iterdir() if each.is_file()] if path.is_dir() else [path]
+    return _bag(path, sorted(paths), types, counts, span, True)
 
 
-def _ours(path: Path, paths: list[Path], scans: list[Scan]) -> dict[str, Any]:
-    counts: Counter[str] = Counter()
-    types: dict[str, str] = {}
-    for each in scans:
-        types |= dict(each.topics.values())
-        counts.update(each.messages())
-    spans = [each.span for each in scans if each.span is not None]
+def _bag(
+    path: Path,
+    paths: list[Path],
+    types: dict[str, str],
+    counts: Counter[str],
+    span: list[int] | None,
+    whole: bool,
+) -> dict[str, Any]:
     return {
         "path": str(path),
         "files": [each.name for each in paths],
         "bytes": sum(each.stat().st_size for each in paths),
-        "cut_off": not all(each.ended for each in scans),
-        "span_ns": [min(a for a, _ in spans), max(b for _, b in spans)] if spans else None,
+        "cut_off": not whole,
+        "span_ns": span,
         "messages": counts.total(),
         "topics": {name: {"type": kind, "messages": counts[name]} for name, kind in types.items()},
     }
 
 
 def _ticks(record: Record) -> dict[str, Any]:
-    facts = record.facts
-    told = {name: facts[name] for name in TOLD if facts.get(name)}
+    facts, phases = record.facts, np.asarray(record.phases)
     try:
         period = record.period
     except UniconError:
         period = 0.0
-    phases = np.asarray(record.phases)
     skipped = np.diff(record.ticks) - 1 - (phases[1:] != phases[:-1])  # a new phase skips one
-    missing = int(np.maximum(skipped, 0).sum())
-    return told | {
+    return {name: facts[name] for name in TOLD if facts.get(name)} | {
         "period_s": period,
         "ticks": len(record.ticks),
-        "missing_ticks": missing,
+        "missing_ticks": int(np.maximum(skipped, 0).sum()),
         "phases": dict(Counter(record.phases)),
         "moments": {moment: len(names) for moment, names in record.kept.items()},
         "states": len(record.layout.specs),
@@ -85,38 +111,6 @@ def _ticks(record: Record) -> dict[str, Any]:
         "overridden": record.told("overridden", list),
         "layout_hash": record.layout.hash,
         "attachments": {name: len(content) for name, content in record.files.items()},
-    }
-
-
-def _foreign(path: Path, why: Exception | None) -> dict[str, Any]:
-    """Return what rosbags tells of a bag that is not of unicon, or compressed."""
-    try:
-        reader = open_bag(path)
-    except UniconError as error:
-        if path.suffix == ".partial":
-            raise UniconError(
-                f"{path} is not a recording that was cut off: "
-                f"{why or 'it says nothing of itself'}; give what a run has left or is writing"
-            ) from error
-        raise
-    try:
-        topics: dict[str, dict[str, Any]] = {}
-        for each in reader.connections:
-            entry = topics.setdefault(each.topic, {"type": each.msgtype, "messages": 0})
-            entry["messages"] += each.msgcount
-        count = reader.message_count
-        span = [int(reader.start_time), int(reader.end_time)] if count else None
-    finally:
-        reader.close()
-    files = [each for each in path.iterdir() if each.is_file()] if path.is_dir() else [path]
-    return {
-        "path": str(path),
-        "files": sorted(each.name for each in files),
-        "bytes": sum(each.stat().st_size for each in files),
-        "cut_off": False,
-        "span_ns": span,
-        "messages": count,
-        "topics": topics,
     }
 
 
@@ -188,14 +182,10 @@ def export(record: Record, path: Path, states: Sequence[str] = (), moment: str =
     return len(record.ticks)
 
 
-def _heads(record: Record, begin: int = 0, end: int | None = None) -> dict[str, Array]:
+def _heads(record: Record, begin: int, end: int) -> list[Array]:
     rows = slice(begin, end)
-    return {
-        "stamp_ns": record.stamps[rows],
-        "tick": record.ticks[rows],
-        "phase": np.array(record.phases[rows], "U8"),
-        "ended": record.ended[rows],
-    }
+    phases = np.array(record.phases[rows], "U8")
+    return [record.stamps[rows], record.ticks[rows], phases, record.ended[rows]]
 
 
 def _npz(record: Record, path: Path, names: Sequence[str], moment: str) -> None:
@@ -206,58 +196,49 @@ def _npz(record: Record, path: Path, names: Sequence[str], moment: str) -> None:
             with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
                 np.lib.format.write_array(file, values, allow_pickle=False)
 
-        for name, values in _heads(record).items():
+        for name, values in zip(HEADS, _heads(record, 0, len(record.ticks))):
             add(name, values)
         for name in names:
             add(name, record.states(name, moment))
-            elements = record.layout.specs[name].names
-            if elements:
+            if elements := record.layout.specs[name].names:
                 add(f"{name}.names", np.array(elements))
 
 
 def _csv(record: Record, path: Path, names: Sequence[str], moment: str) -> None:
     with path.open("w", encoding="utf-8", newline="") as file:
         write = csv.writer(file, lineterminator="\n")
-        write.writerow([*HEADS, *(each for name in names for each in record.layout.elements(name))])
-        for heads, values in _blocks(record, names, moment):
-            columns = [_plain(column).tolist() for column in heads.values()]
-            columns += [column.tolist() for each in values for column in _plain(each).T]
-            write.writerows(zip(*columns))
+        write.writerow(_titles(record, names))
+        for columns in _blocks(record, names, moment):  # with bools as 0 and 1
+            plain = (each.view(np.uint8) if each.dtype == bool else each for each in columns)
+            write.writerows(zip(*(each.tolist() for each in plain)))
 
 
 def _parquet(record: Record, path: Path, names: Sequence[str], moment: str) -> None:
     pyarrow = imported("pyarrow", "export to Parquet", "parquet")
     from pyarrow import parquet
 
-    titles = [*HEADS, *(each for name in names for each in record.layout.elements(name))]
-    writer = None
-    try:
-        for heads, values in _blocks(record, names, moment):
-            columns = [pyarrow.array(column) for column in heads.values()]
-            columns += [pyarrow.array(np.ascontiguousarray(c)) for v in values for c in v.T]
-            table = pyarrow.table(columns, names=titles)
-            writer = writer or parquet.ParquetWriter(path, table.schema)
+    with ExitStack() as stack:
+        writer = None
+        for columns in _blocks(record, names, moment):
+            table = pyarrow.table([*map(pyarrow.array, columns)], names=_titles(record, names))
+            writer = writer or stack.enter_context(parquet.ParquetWriter(path, table.schema))
             writer.write_table(table)
-    finally:
-        if writer is not None:
-            writer.close()
 
 
-def _blocks(
-    record: Record, names: Sequence[str], moment: str
-) -> Iterator[tuple[dict[str, Array], list[Array]]]:
-    """Yield the heads and the states, each of shape (ticks, elements), some ticks at a time."""
-    widths = [len(record.layout.elements(name)) for name in names]
+def _titles(record: Record, names: Sequence[str]) -> list[str]:
+    return [*HEADS, *(each for name in names for each in record.layout.elements(name))]
+
+
+def _blocks(record: Record, names: Sequence[str], moment: str) -> Iterator[list[Array]]:
+    """Yield all columns, each of shape (ticks,), some ticks at a time."""
     for begin in range(0, max(len(record.ticks), 1), BLOCK):
         end = min(begin + BLOCK, len(record.ticks))
-        values = [record.states(name, moment, slice(begin, end)) for name in names]
-        flat = [each.reshape(end - begin, width) for each, width in zip(values, widths)]
-        yield _heads(record, begin, end), flat
-
-
-def _plain(values: Array) -> Array:
-    """Return bools as 0 and 1."""
-    return values.view(np.uint8) if values.dtype == bool else values
+        columns = _heads(record, begin, end)
+        for name in names:
+            values = record.states(name, moment, slice(begin, end))
+            width = len(record.layout.elements(name))
+            columns += map(np.ascontiguousarray, values.reshape(end - begin, width).T)
+        yield columns
 
 
 FORMATS: dict[str, Callable[[Record, Path, Sequence[str], str], None]] = {

@@ -33,7 +33,7 @@ from unicon_ros.bridge.transforms import TF_MESSAGE
 
 if TYPE_CHECKING:
     from unicon_core.workflow import Program
-    from unicon_lab.recording.background import Large, Write
+    from unicon_lab.recording.background import Write
     from unicon_lab.recording.recorder import Recorder
     from unicon_msgs_map.spec import TopicSpec
     from unicon_ros.bridge import RosSession
@@ -75,28 +75,26 @@ class RecordedTopics:
         self._tick = 0
         taken = self._passing()
         if session is not None:
-            mapping = session.map
+            mapping, frame_prefix = session.map, session.frame_prefix
         else:
             mapping = load_map(find_config("maps", map_name or "default"))
-        frame_prefix = checked_prefix(frame_prefix) if session is None else session.frame_prefix
+            frame_prefix = checked_prefix(frame_prefix)
         self._map(mapping, taken, frame_prefix)
         self._robot(frame_prefix)
-        self.block = Block(
-            "recorder", self._record, reads=tuple(sorted(self._reads)), close=recorder.close
-        )
+        reads = tuple(sorted(self._reads))
+        self.block = Block("recorder", self._record, reads=reads, close=recorder.close)
 
     def _passing(self) -> set[str]:
         """Tap what comes in and what a robot behind topics is sent; return these topics."""
-        taken: set[str] = set()
-        platform = self._program.platform
+        platform, session = self._program.platform, self._session
         behind = platform if isinstance(platform, RosPlatform) else None
-        incoming = [*behind.incoming] if behind is not None else []
-        incoming += self._session.incoming if self._session is not None else []
+        incoming = [*(behind.incoming if behind else ()), *(session.incoming if session else ())]
+        taken: set[str] = set()
         for topic in incoming:
             if topic.topic not in taken:  # both may hear one: each message once
                 taken.add(topic.topic)
                 topic.tap = self._tap(topic.topic, topic.spec)
-        for out in [] if behind is None else behind.outgoing:
+        for out in behind.outgoing if behind else ():
             taken.add(out.topic)
             out.tap = self._tap(out.topic, out.spec)
         return taken
@@ -104,9 +102,9 @@ class RecordedTopics:
     def _map(self, mapping: MessageMap, taken: set[str], frame_prefix: str) -> None:
         """Record what the map publishes, at its rates."""
         program, session = self._program, self._session
-        arrays = arrays_of(program) if session is None else session.arrays  # with its wall clock
+        arrays = session.arrays if session else arrays_of(program)  # with its wall clock
         variables = robot_variables(program.robot, frame_prefix)
-        leaving = {id(out.spec): out for out in session.outgoing} if session is not None else {}
+        leaving = {id(out.spec): out for out in session.outgoing} if session else {}
         for spec in mapping.publish:
             out = leaving.get(id(spec))
             if out is not None and out.topic not in taken:
@@ -116,16 +114,14 @@ class RecordedTopics:
             if topic in taken or (spec.topic == CLOCK and not self._simulated):
                 continue
             try:
-                encoder = Encoder.build(spec, arrays, names_of(program), variables)
+                self._encode(topic, Encoder.build(spec, arrays, names_of(program), variables))
             except MapStateError:
                 if not spec.optional:
                     raise
-                continue
-            self._encode(topic, encoder)
 
     def _robot(self, frame_prefix: str) -> None:
         """Record the robot's description and frames."""
-        frames = None if self._session is None else self._session.frames
+        frames = self._session.frames if self._session else None
         if frames is not None:
             messages = frames.messages
         else:
@@ -167,8 +163,8 @@ class RecordedTopics:
         spec, encode = encoder.spec, encoder.encode
         if prepare is not None:
             encode = prepared(prepare, encode)
-        every = encoder.spec.every(self._program.period)
-        self._due.append((every, encode, self._channel(topic, encoder.spec)))
+        due = spec.every(self._program.period), encode, self._channel(topic, spec)
+        self._due.append(due)
         self._reads.update(state for state in spec.states if state in self._program.states)
 
     def _latch(self, topic: str, kind: str, message: bytes) -> None:
@@ -270,12 +266,10 @@ class RecordedFrames:
 
     def counts(self) -> dict[str, dict[str, int]]:
         """Return for each ring the frames that are in the file, and those that are not."""
-        found = {}
-        for name, stream in self._streams.items():
-            large = stream.large
-            missed = stream.missed + large.crowded + large.lost
-            found[name] = {"frames": large.written, "missed": missed}
-        return found
+        return {
+            name: {"frames": each.large.written, "missed": each.missed + each.large.failed}
+            for name, each in self._streams.items()
+        }
 
     def start(self) -> None:
         """Start the thread; safe to call twice."""
@@ -312,7 +306,7 @@ class _Stream:
         self._jpeg = _Jpeg(message, jpeg) if jpeg and colour else None
         self._cut = message.offset if message.type == JPEG else 0
         kind = message.type if self._jpeg is None else JPEG
-        self.large: Large = recorder.large_channel(FRAMES + name, kind, self.ring.nbytes)
+        self.large = recorder.large_channel(FRAMES + name, kind, self.ring.nbytes)
         self.seen = self.ring.latest  # of frames before the run, the newest
         self.seen -= self.seen > 0
         self.missed = 0
@@ -321,25 +315,23 @@ class _Stream:
         """Take the frames that are new."""
         ring, latest = self.ring, self.ring.latest
         for handle in range(self.seen + 1, latest + 1):
-            frame, stamp_ns = ring.frame(handle), ring.stamp_ns(handle)
-            room = None if frame is None else self.large.room()
-            if frame is None:
+            frame, stamp_ns, length = ring.frame(handle), ring.stamp_ns(handle), 0
+            if frame is not None:
+                room = self.large.room()
+                if room is None:  # which counts it
+                    continue
+                np.copyto(room, frame)
+                if ring.holds(handle):  # else overwritten meanwhile
+                    length = len(room)
+                    if self._cut:
+                        length = self._cut + struct.unpack_from("<I", room.data, self._cut - 4)[0]
+                    elif self._jpeg is not None:
+                        length = self._jpeg(room)
+                    length *= length <= len(room)
+            if length > 0:
+                self.large.put(length, handle, now, stamp_ns)
+            else:
                 self.missed += 1
-            if frame is None or room is None:
-                continue
-            np.copyto(room, frame)
-            if not ring.holds(handle):  # overwritten meanwhile
-                self.missed += 1
-                continue
-            length = len(room)
-            if self._cut:
-                length = self._cut + struct.unpack_from("<I", room.data, self._cut - 4)[0]
-            elif self._jpeg is not None:
-                length = self._jpeg(room)
-            if not 0 < length <= len(room):
-                self.missed += 1
-                continue
-            self.large.put(length, handle, now, stamp_ns)
         self.seen = latest
 
 

@@ -13,24 +13,13 @@ import re
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-from unicon_base.errors import UniconError, cannot
-from unicon_core.page import ROOM, refuse_existing
 from unicon_core.runtime.tick_ring import HEAD, PHASES
 from unicon_core.states import Layout
-from unicon_lab.recording.mcap_file import (
-    MESSAGE,
-    MESSAGE_HEAD,
-    ROW,
-    Buffer,
-    Channel,
-    FileInUse,
-    McapFile,
-    metadata,
-)
+from unicon_lab.recording.mcap_file import McapFile
+from unicon_lab.recording.records import MESSAGE, MESSAGE_HEAD, ROW, Buffer, Channel
 
 SCHEMA = "unicon.record/1"
 TOPIC = "/unicon/ticks"
@@ -41,11 +30,19 @@ FRAMES = "/unicon/frames/"
 RecordedSubset = Mapping[str, frozenset[str] | None]
 """Moment to the states that are kept there; None for all."""
 
-_ROS_TYPES = {
-    "bool": "bool", "int8": "int8", "int16": "int16", "int32": "int32", "int64": "int64",
-    "uint8": "uint8", "uint16": "uint16", "uint32": "uint32", "uint64": "uint64",
-    "float32": "float32", "float64": "float64",
-}  # fmt: skip
+_ROS_TYPES = [
+    "bool",
+    "int8",
+    "int16",
+    "int32",
+    "int64",
+    "uint8",
+    "uint16",
+    "uint32",
+    "uint64",
+    "float32",
+    "float64",
+]
 
 
 @dataclass(frozen=True)
@@ -114,16 +111,12 @@ def tick_channel(number: int, layout: Layout, kept: RecordedSubset) -> Channel:
     mark = hashlib.sha256(f"{texts}".encode()).hexdigest()[:8]
     lines = [
         f"# A tick of unicon, to the bit; the states' layout is {layout.hash}.",
-        "int64 stamp_ns",
-        "int64 tick",
-        "uint32 phase",
-        "uint32 ended",
+        *("int64 stamp_ns", "int64 tick", "uint32 phase", "uint32 ended"),
         *(f"unicon/{word}{mark} {name}" for name, (word, _) in texts.items()),
     ]
     for word, text in dict(texts.values()).items():
         lines += ["=" * 80, f"MSG: unicon/{word}{mark}", text]
-    text = "\n".join(lines)
-    return Channel(number, TOPIC, f"unicon/msg/Tick{mark}", text, "ros2msg", "")
+    return Channel(number, TOPIC, f"unicon/msg/Tick{mark}", "\n".join(lines), "ros2msg", "")
 
 
 def _states_text(layout: Layout, moment: Moment) -> str:
@@ -131,24 +124,19 @@ def _states_text(layout: Layout, moment: Moment) -> str:
     lines: list[str] = []
     taken: set[str] = set()
     end = 0
-
-    def pad(until: int) -> None:
-        if until > end:
-            lines.append(f"uint8[{until - end}] padding{end}")
-
-    for name, place in moment.places.items():
-        pad(place)
-        slot = layout.slots[name]
-        kind, count = _ROS_TYPES.get(slot.dtype), slot.nbytes // np.dtype(slot.dtype).itemsize
-        if kind is None:  # ROS has no such number
-            kind, count = "uint8", slot.nbytes
-        length = f"[{count}]" if slot.shape else ""
-        spec = layout.specs[name]
-        said = ", ".join(text for text in (spec.unit, spec.frame) if text)
-        comment = f"  # {said}" if said else ""
-        lines.append(f"{kind}{length} {_field(name, taken)}{comment}")
-        end = place + slot.nbytes
-    pad(moment.size)
+    for name, place in (*moment.places.items(), ("", moment.size)):
+        if place > end:
+            lines.append(f"uint8[{place - end}] padding{end}")
+        if name:
+            slot, spec = layout.slots[name], layout.specs[name]
+            kind, size = slot.dtype, np.dtype(slot.dtype).itemsize
+            if kind not in _ROS_TYPES:
+                kind, size = "uint8", 1
+            length = f"[{slot.nbytes // size}]" if slot.shape else ""
+            said = ", ".join(filter(None, (spec.unit, spec.frame)))
+            comment = f"  # {said}" if said else ""
+            lines.append(f"{kind}{length} {_field(name, taken)}{comment}")
+            end = place + slot.nbytes
     return "\n".join(lines)
 
 
@@ -197,61 +185,13 @@ def add_ticks(file: McapFile, ticks: Iterable[Buffer]) -> None:
     """
     records = bytearray()
     rows: list[tuple[int, int, int]] = []
-
-    def chunk() -> None:
-        file.write(bytes(records), np.array(rows, ROW))
-        records.clear()
-        rows.clear()
-
     for raw in ticks:
         stamp = max(int(HEAD.unpack_from(raw)[1]), 0)  # times in MCAP are unsigned
         rows.append((1, stamp, len(records)))
-        size = MESSAGE_HEAD.size + len(raw)
-        records += MESSAGE_HEAD.pack(MESSAGE, size - 9, 1, 0, stamp, stamp)
-        records += raw
+        size = MESSAGE_HEAD.size - 9 + len(raw)
+        records += MESSAGE_HEAD.pack(MESSAGE, size, 1, 0, stamp, stamp) + raw
         if len(records) > CHUNK_BYTES:
-            chunk()
+            file.write(records, np.array(rows, ROW))
+            records, rows = bytearray(), []
     if rows:
-        chunk()
-
-
-def write_ticks(
-    path: Path,
-    layout: Layout,
-    kept: RecordedSubset,
-    facts: Mapping[str, str],
-    ticks: Iterable[Buffer],
-) -> int:
-    """Write a record of ticks; return how many. What goes wrong leaves no file.
-
-    Args:
-        path: of the file, which does not exist.
-        layout: of the states.
-        kept: moment to the states that are kept there; None for all.
-        facts: besides those of the layout.
-        ticks: each as CDR, with its `HEAD`.
-
-    Raises:
-        UniconError: it exists, or cannot be written.
-    """
-    refuse_existing(path)
-    with cannot(f"write {path}", ROOM):
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            file = McapFile(path)
-        except FileInUse:
-            raise UniconError(
-                f"{path} is being written by another process; give another name"
-            ) from None
-        try:
-            file.begin()
-            file.add_record(metadata("unicon", {**facts, **layout_facts(layout, kept)}))
-            file.add(tick_channel(1, layout, kept))
-            add_ticks(file, ticks)
-            if file.finish():
-                path.unlink()
-                raise UniconError(f"cannot write {path}: the medium is full; {ROOM}")
-        except BaseException:
-            file.discard()
-            raise
-    return file.messages
+        file.write(records, np.array(rows, ROW))
