@@ -26,9 +26,9 @@ from test_recorded_runs import written
 from unicon_base.errors import StateError, UniconError
 from unicon_core.handles import FrameRing
 from unicon_lab.recording import open_record
-from unicon_lab.recording.records import Large
 from unicon_lab.recording.recorded_topics import RecordedFrames
 from unicon_lab.recording.recorder import Recorder
+from unicon_lab.recording.records import Large
 from unicon_lab.recording.run_recording import Recording
 from unicon_ros.bridge.images import frame_message
 from unicon_ros.cli.main import main

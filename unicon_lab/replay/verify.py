@@ -1,12 +1,13 @@
-"""Verify: replays a record and compares every state of every tick with the recorded, to the bit."""
+"""Verify: replays a record and compares every state of every tick with the recorded one, bit-exact."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_base.arrays import Array
 from unicon_base.errors import Fault, StateError
@@ -19,10 +20,8 @@ from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow import WorkflowDocument
 from unicon_lab.recording import Record
-from unicon_lab.replay.replayed import Replayed
+from unicon_lab.replay.replayed import Replayed, ratio
 from unicon_lab.replay.workflow import others, versions
-
-TARGET, GAINS = "joint_pos_target", ("joint_stiffness", "joint_damping")
 
 
 @dataclass(frozen=True)
@@ -88,21 +87,33 @@ def located(
         states: as replayed.
         graph: which has just run the tick.
     """
+    ran = list(_ran(graph))
     block, state = next(
-        ((b, name) for b in _ran(graph) for name in (*b.writes, *b.amends) if name in names),
+        ((b, name) for b in ran for name in (*b.writes, *b.amends) if name in names),
         (None, next(iter(names))),
     )
     there, here = np.atleast_1d(recorded(state)), np.atleast_1d(states[state])
     place = unequal(there, here)
-    why: list[str] = []
-    policy = policy_of(block) if block is not None else None
-    if policy is not None:
-        why = _reason(policy, state, place, recorded, states, names)
+    said, why = "none that ran in this tick", []
+    if block is not None:
+        others = [each.name for each in ran if each is not block and state in each.amends]
+        more = f"; amended by {', '.join(dict.fromkeys(others))}" if others else ""
+        said = f"{block.name}{f' ({block.where})' if block.where else ''}{more}"
+        policy = policy_of(block)
+        why = [] if policy is None else _reason(policy, state, place[-1], there, here)
+    spec, inner, batch = states.spec(state), place, states.num_robots is not None
+    element = []
+    if batch:
+        element, inner = [f"robot {place[0]}"], place[1:]
+    if spec.names:
+        element += [*map(str, inner[:-1]), spec.names[inner[-1]]]
+    elif spec.shape:
+        element.append(f"element {', '.join(map(str, inner))}")
     return replace(
         found,
-        block=_said(block, state, graph),
+        block=said,
         state=state,
-        element=_element(states, state, place),
+        element=", ".join(element),
         recorded=there[place].item(),
         replayed=here[place].item(),
         why=tuple(why),
@@ -112,9 +123,8 @@ def located(
 
 def unequal(there: Array, here: Array) -> tuple[int, ...]:
     """Return the place of the first element of two arrays whose bytes differ."""
-    size = f"V{here.dtype.itemsize}"
-    bits = [np.ascontiguousarray(each).view(size) for each in (there, here)]
-    return tuple(int(i) for i in np.argwhere(bits[0] != bits[1])[0])
+    bits = [np.ascontiguousarray(each).view(f"V{here.itemsize}") for each in (there, here)]
+    return tuple(np.argwhere(bits[0] != bits[1])[0].tolist())
 
 
 def _ran(graph: CompiledGraph) -> Iterator[Block]:
@@ -125,66 +135,31 @@ def _ran(graph: CompiledGraph) -> Iterator[Block]:
             yield from graph.blocks[i].parts or (graph.blocks[i],)
 
 
-def _said(block: Block | None, state: str, graph: CompiledGraph) -> str:
-    if block is None:
-        return "none that ran in this tick"
-    amending = [b.name for b in _ran(graph) if b is not block and state in b.amends]
-    where = f" ({block.where})" if block.where else ""
-    more = f"; amended by {', '.join(dict.fromkeys(amending))}" if amending else ""
-    return f"{block.name}{where}{more}"
-
-
-def _element(states: States, state: str, place: tuple[int, ...]) -> str:
-    spec, batch = states.spec(state), states.num_robots is not None
-    robot = f"robot {place[0]}, " if batch else ""
-    inner = place[1:] if batch else place
-    if not spec.shape:
-        return robot.removesuffix(", ")
-    if not spec.names:
-        return f"{robot}element {', '.join(map(str, inner))}"
-    before = "".join(f"{i}, " for i in inner[:-1])
-    return f"{robot}{before}{spec.names[inner[-1]]}"
-
-
-# -- of a policy --------------------------------------------------------------------------------
-
-
-def _reason(
-    policy: Policy,
-    state: str,
-    place: tuple[int, ...],
-    recorded: Callable[[str], Array],
-    states: States,
-    names: Collection[str],
-) -> list[str]:
-    """Return what can be told of a policy's state that differs."""
-    observed = policy.lane.observation
-    if state == _own(policy, "observation") and observed is not None:
+def _reason(policy: Policy, state: str, column: int, there: Array, here: Array) -> list[str]:
+    """Return the known reasons of a difference in a policy's state."""
+    own = {
+        name: next((w for w in policy.writes if w == name or w.endswith(f"_{name}")), "")
+        for name in ("observation", "action")
+    }
+    if state == own["observation"] and policy.lane.observation is not None:
         return _term(
-            policy, place[-1], np.atleast_2d(recorded(state)), np.atleast_2d(states[state])
+            policy.lane.observation, column, np.atleast_2d(there)[0], np.atleast_2d(here)[0]
         )
-    if state == _own(policy, "action"):
-        same = "the observation is the same and " if _own(policy, "observation") else ""
+    if state == own["action"]:
+        same = "the observation is the same and " if own["observation"] else ""
         return [f"{same}the action is not: another network, another runtime of it, or its memory"]
-    if state == TARGET:
+    if state == "joint_pos_target":
         return [
             "the action is the same: its scale, offset, clip or order of joints is not, or a "
             "block that amends the target changed"
         ]
-    if state in GAINS:
+    if state in ("joint_stiffness", "joint_damping"):
         return ["observation and action are the same: the gain itself is another one"]
     return []
 
 
-def _own(policy: Policy, name: str) -> str:
-    """Return a state of the policy as it is declared, "" where it has none of that name."""
-    return next((w for w in policy.writes if w == name or w.endswith(f"_{name}")), "")
-
-
-def _term(policy: Policy, column: int, there: Array, here: Array) -> list[str]:
-    """Tell the observation's term, and how its recorded values would come about."""
-    observed = policy.lane.observation
-    assert observed is not None
+def _term(observed: Any, column: int, there: Array, here: Array) -> list[str]:
+    """Return the observation's term, and how its recorded values would come about."""
     part, i, frame = observed.element_of(column)
     facts = [f"scale {part.scale[i]:g}"]
     if part.subtract[i]:
@@ -194,26 +169,15 @@ def _term(policy: Policy, column: int, there: Array, here: Array) -> list[str]:
     lines = [f"{observed.place_of(column)}: here {', '.join(facts)}"]
     places = [observed.element_of(c) for c in range(observed.size)]
     columns = [c for c, (p, _, age) in enumerate(places) if p is part and age == frame]
-    hint = _hint(there[0, columns], here[0, columns], part.scale, part.names)
-    return lines + ([hint] if hint else [])
-
-
-def _hint(there: Array, here: Array, scale: Array, names: Sequence[str]) -> str:
-    """Return how the values of a term would become the recorded ones, "" where nothing fits."""
-    moved = here != 0.0
-    if moved.sum() > 1 and not there[~moved].any():
-        ratios = there[moved].astype(float) / here[moved]
-        factor = float(ratios[0])
-        if np.all(np.abs(ratios - factor) <= 1e-4 * abs(factor)):
-            was = ", ".join(f"{factor * float(each):.6g}" for each in np.unique(scale)[:4])
-            return f"the recorded term is this one times {factor:.6g}: its scale was {was}"
-    odd = [int(i) for i in np.flatnonzero(there != here)]
-    for a in odd:
-        for b in odd:
-            if a < b and there[a] == here[b] and there[b] == here[a]:
-                said = [names[i] if names else f"element {i}" for i in (a, b)]
-                return f"{said[0]} and {said[1]} have each other's recorded values"
-    return ""
+    there, here = there[columns], here[columns]
+    if (factor := ratio(there, here, 1e-4)) is not None and (here != 0.0).sum() > 1:
+        was = ", ".join(f"{factor * float(each):.6g}" for each in np.unique(part.scale)[:4])
+        return [*lines, f"the recorded term is this one times {factor:.6g}: its scale was {was}"]
+    for a, b in combinations(np.flatnonzero(there != here).tolist(), 2):
+        if there[a] == here[b] and there[b] == here[a]:
+            said = [part.names[i] if part.names else f"element {i}" for i in (a, b)]
+            return [*lines, f"{said[0]} and {said[1]} have each other's recorded values"]
+    return lines
 
 
 @dataclass(frozen=True)
@@ -261,17 +225,21 @@ def verify(record: Record, document: WorkflowDocument) -> Verdict:
         ticks = replayed.run()
     finally:
         program.close()
+    unproven: dict[str, str] = {}
+    for each in record.memories:
+        if isinstance(each.get("unproven"), dict):
+            unproven |= each["unproven"]
     notes += [
-        f"what {name!r} remembered is left out: there is no such block here"
-        for name in sorted(replayed.homeless)
+        *(
+            f"what {name!r} remembered is left out: there is no such block here"
+            for name in sorted(replayed.homeless)
+        ),
+        *(
+            f"the record lacks the memory of block {name!r} ({why}); unicon check names it"
+            for name, why in unproven.items()
+        ),
+        *(f"{n} ticks {which} cannot be replayed" for which, n in replayed.skipped.items()),
     ]
-    lacking = [each.get("unproven") for each in record.memories]
-    unproven = {n: why for each in lacking if isinstance(each, dict) for n, why in each.items()}
-    notes += [
-        f"the record lacks the memory of block {name!r} ({why}); unicon check names it"
-        for name, why in unproven.items()
-    ]
-    notes += [f"{n} ticks {which} cannot be replayed" for which, n in replayed.skipped.items()]
     if not ticks:
         raise StateError(f"nothing in the record can be replayed: {'; '.join(notes)}")
     notes += replayed.columns.lacking
@@ -283,25 +251,17 @@ def verify(record: Record, document: WorkflowDocument) -> Verdict:
         )
     if replayed.first is not None:
         notes += versions(record)
-    return Verdict(
-        ticks,
-        len(replayed.rows),
-        replayed.commands,
-        replayed.first,
-        program.period,
-        tuple(notes),
-        "" if replayed.fault is None else _fault(record, replayed.fault),
-    )
-
-
-def _fault(record: Record, again: str) -> str:
-    """Return what became of the recorded fault; one from outside does not come again."""
-    reason = record.facts.get("reason", "")
-    if not again:
-        return f"the recorded fault did not come again: {reason or 'its reason is not recorded'}"
-    if not reason or reason == again:
-        return f"the fault came again: {again}"
-    return f"another fault than the recorded one came: {again}; recorded: {reason}"
+    again, reason = replayed.fault, record.facts.get("reason", "")
+    fault = ""
+    if again is not None:  # a fault from outside does not come again
+        fault = f"another fault than the recorded one came: {again}; recorded: {reason}"
+        if not again:
+            fault = "the recorded fault did not come again: "
+            fault += reason or "its reason is not recorded"
+        elif not reason or reason == again:
+            fault = f"the fault came again: {again}"
+    counts = ticks, len(replayed.rows), replayed.commands
+    return Verdict(*counts, replayed.first, program.period, tuple(notes), fault)
 
 
 class _Compared(Replayed):
@@ -329,11 +289,13 @@ class _Compared(Replayed):
         self.rows.add(row)
         self.commands += not set(names).isdisjoint(COMMAND_STATES)
         if self.first is None:
-
-            def recorded(name: str) -> NDArray[np.generic]:
-                return np.asarray(columns.column(name, "sent")[row])
-
-            self.first = located(self._begun(row), names, recorded, states, self.graph)
+            self.first = located(
+                self._begun(row),
+                names,
+                lambda name: np.asarray(columns.column(name, "sent")[row]),
+                states,
+                self.graph,
+            )
 
     def failed(self, row: int, error: Exception) -> None:
         """Take a tick that raised where the recorded one did not: it differs."""
