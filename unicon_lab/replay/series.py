@@ -6,17 +6,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_base.arrays import Array, Index
 from unicon_base.errors import StateError, UniconError, WorkflowError
 from unicon_core.blocks.joint_command import robot_gains
 from unicon_core.runtime.phases import Phase
-from unicon_core.states import States, StateSpec
+from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES, JOINT_STATES
 from unicon_core.workflow.autowire import BuildContext
 from unicon_lab.recording import Record, open_record
@@ -96,21 +95,20 @@ class Series:
     ) -> None:
         self.record = record
         self.rows = _rows(record, period, start)
-        found: dict[str, tuple[NDArray[np.generic], NDArray[np.generic]]] = {}
+        refuse_other_batch(record, states)
+        self._values: dict[str, Array] = {}
         for name in names:
-            if name not in record.kept[moment] or name not in states:
-                continue
-            values = _aligned(record, name, moment, states)
-            if values is not None:
-                found[name] = states[name], values[self.rows]
-        self._pairs = tuple(found.values())
-        self._values = {name: values for name, (_, values) in found.items()}
-        self.names = tuple(found)
+            if name in record.kept[moment] and name in states:
+                values = _aligned(record, name, moment, states)
+                if values is not None:
+                    self._values[name] = values[self.rows]
+        self._pairs = tuple((states[name], values) for name, values in self._values.items())
+        self.names = tuple(self._values)
 
     def __len__(self) -> int:
         return len(self.rows)
 
-    def values(self, name: str) -> NDArray[np.generic]:
+    def values(self, name: str) -> Array:
         """Return a state in every tick of the program, shape (ticks, …)."""
         return self._values[name]
 
@@ -129,12 +127,12 @@ def _rows(record: Record, period: float | None, start: float) -> Index:
     own = record.period
     # Clocks may be set back.
     times = np.maximum.accumulate(record.stamps[rows] - record.stamps[rows[0]]) * 1e-9
-    same = period is None or abs(period - own) <= 1e-6 * own
-    if not same:
-        assert period is not None
+    if period is None or abs(period - own) <= 1e-6 * own:
+        period = own
+    else:
         grid = np.arange(int(float(times[-1]) / period + 1e-6) + 1) * period
         rows = rows[np.searchsorted(times, grid + 1e-9, side="right") - 1]
-    skipped = start / (own if same or period is None else period)
+    skipped = start / period
     if not 0.0 <= skipped < len(rows) - 0.5:
         raise UniconError(
             f"start is {start:g} s, and the record is {float(times[-1]):.3g} s long; give less, "
@@ -143,11 +141,10 @@ def _rows(record: Record, period: float | None, start: float) -> Index:
     return rows[round(skipped) :]
 
 
-def _aligned(record: Record, name: str, moment: str, states: States) -> NDArray[np.generic] | None:
+def _aligned(record: Record, name: str, moment: str, states: States) -> Array | None:
     """Return a state of the record with the program's elements, None where they do not fit."""
     theirs, ours = record.layout.specs[name], states.spec(name)
-    values: NDArray[np.generic] = record.states(name, moment)
-    refuse_other_batch(record, states)
+    values = record.states(name, moment)
     if theirs.names != ours.names:
         lacking = [each for each in ours.names if each not in theirs.names]
         if lacking and name in JOINT_STATES:
@@ -184,7 +181,14 @@ class Columns:
         self._index: dict[str, Index | None] = {}
         self.lacking: list[str] = []
         theirs, ours = record.layout.specs, states.layout.specs
-        _refuse_other_robot(record, theirs, ours)
+        joints = [set(specs["joint_pos"].names) for specs in (theirs, ours) if "joint_pos" in specs]
+        if len(joints) == 2 and joints[0] != joints[1]:
+            raise StateError(
+                f"the record is of robot {record.facts.get('robot', '?')} with {len(joints[0])} "
+                f"joints and the workflow's has {len(joints[1])}; joint "
+                f"{min(joints[0] ^ joints[1])!r} is of one alone: give a workflow for the recorded "
+                "robot"
+            )
         for name, spec in ours.items():
             if name not in theirs:
                 self.lacking.append(f"state {name!r} is not in the record")
@@ -227,19 +231,6 @@ class Columns:
         for name in self._turned:
             if name in self._record.kept[moment]:
                 self._states[name][...] = self.column(name, moment)[row]
-
-
-def _refuse_other_robot(
-    record: Record, theirs: Mapping[str, StateSpec], ours: Mapping[str, StateSpec]
-) -> None:
-    joints = [set(specs["joint_pos"].names) for specs in (theirs, ours) if "joint_pos" in specs]
-    if len(joints) == 2 and joints[0] != joints[1]:
-        odd = sorted(joints[0] ^ joints[1])
-        raise StateError(
-            f"the record is of robot {record.facts.get('robot', '?')} with {len(joints[0])} joints "
-            f"and the workflow's has {len(joints[1])}; joint {odd[0]!r} is of one alone: give a "
-            "workflow for the recorded robot"
-        )
 
 
 TARGET = "joint_pos_target"

@@ -1,4 +1,4 @@
-"""Verify: replays a record and compares every state of every tick with the recorded one, bit-exact."""
+"""Verify: replays a record and compares every state of every tick bit-exact with the recorded."""
 
 from __future__ import annotations
 
