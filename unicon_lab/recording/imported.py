@@ -16,7 +16,7 @@ import numpy as np
 
 from unicon_base.arrays import Array, Float64, Int64
 from unicon_base.errors import UniconError, alternatives, cannot, one_line
-from unicon_core.blocks.projected_gravity import projected_gravity
+from unicon_core.blocks.maps import projected_gravity
 from unicon_core.page import ROOM, refuse_existing
 from unicon_core.platforms.kit.base import quat_of_rpy
 from unicon_core.robots import Robot

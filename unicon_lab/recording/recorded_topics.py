@@ -23,13 +23,12 @@ from unicon_lab.recording.background import calm
 from unicon_lab.recording.ticks import FRAMES
 from unicon_msgs_map import Encoder, MapStateError, MessageMap, load_map
 from unicon_ros.bridge.bindings import arrays_of, checked_prefix, names_of, robot_variables
+from unicon_ros.bridge.diagnostics import CLOCK
 from unicon_ros.bridge.images import JPEG, STAMP, FrameMessage, jpeg_message
-from unicon_ros.bridge.neighbours import CLOCK
 from unicon_ros.bridge.qos import LATCHED
-from unicon_ros.bridge.robot_frames import RobotMessages
+from unicon_ros.bridge.robot_frames import TF_MESSAGE, RobotMessages
 from unicon_ros.bridge.ros_platform import RosPlatform
-from unicon_ros.bridge.topics_out import prepared
-from unicon_ros.bridge.transforms import TF_MESSAGE
+from unicon_ros.bridge.topics import prepared
 
 if TYPE_CHECKING:
     from unicon_core.workflow import Program
