@@ -169,7 +169,7 @@ setup(
             "livox = unicon_hardware.peripherals.livox.livox:livox",
             "reach = unicon_manipulation.reach:Reach",
             "realsense = unicon_hardware.peripherals.realsense:realsense",
-            "recorded = unicon_lab.replay.commands:recorded",
+            "recorded = unicon_lab.replay.series:recorded",
             "retarget = unicon_manipulation.retargeting_block:Retarget",
             "teleop = unicon_manipulation.teleop.teleop:Teleop",
             "webcam = unicon_hardware.peripherals.webcam:webcam",

@@ -21,8 +21,7 @@ _NAMES = {
     ("unicon_core", "unicon_manipulation"): "ik retarget",
     ("unicon_ros", "unicon_lab"): "analysis datasets fault_record recording replay report "
     "sweep transfer view",
-    ("unicon_ros", "unicon_lab.recording"): "recorded_frames recorded_topics recorder "
-    "run_recording",
+    ("unicon_ros", "unicon_lab.recording"): "recorded_topics recorder run_recording",
     ("unicon_ros", "unicon_hardware"): "emulate peripherals",
     ("unicon_ros.cli", "unicon_lab.commands"): "analyze bag replay report_run sweep transfer view",
 }
@@ -50,6 +49,7 @@ MOVED = {
     "unicon_ros.peripherals.peripheral": "unicon_ros.peripheral",
     "unicon_ros.peripherals.webxr.frames": "unicon_hardware.peripherals.webxr.webxr",
     "unicon_ros.report.drawing": "unicon_core.drawing",
+    "unicon_ros.recorded_frames": "unicon_lab.recording.recorded_topics",
     "unicon_ros.run_report": "unicon_lab.evidence_report",
     "unicon_ros.view.front": "unicon_ros.web_front",
 }

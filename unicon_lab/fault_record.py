@@ -31,8 +31,7 @@ from unicon_lab.recording import McapFile, recover
 from unicon_lab.recording.facts import content_of, facts_of
 from unicon_lab.recording.mcap_file import FileInUse
 from unicon_lab.recording.records import attachment, metadata
-from unicon_lab.recording.tick_file import add_ticks
-from unicon_lab.recording.tick_message import tick_channel
+from unicon_lab.recording.ticks import add_ticks, tick_channel
 from unicon_ros.attachments import Attachment
 
 if TYPE_CHECKING:
@@ -183,7 +182,7 @@ def _fill(
     content = [content_of(each, each.row - first) for each in memories]
 
     def add(name: str, text: str) -> None:
-        file.add_record(attachment(name, "application/json", now, text.encode()))
+        file.add_record(attachment(name, now, text.encode()))
 
     built = None if ring.built is None else to_json(ring.built)
     add("memory.json", json.dumps({"trouble": ring.trouble, "built": built, "memories": content}))

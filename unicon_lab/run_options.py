@@ -127,7 +127,7 @@ def attachments(asked: Asked) -> Iterator[Attachment]:
     get = asked.options.get
     recording = None
     if get("record"):
-        from unicon_lab.recording.run_recording import Recording, names_in
+        from unicon_lab.recording.run_recording import Recording
 
         recording = Recording(
             asked.options["record"],
@@ -138,7 +138,7 @@ def attachments(asked: Asked) -> Iterator[Attachment]:
             get("record_split") or "",
             get("namespace") or "",
             get("frame_prefix") or "",
-            names_in(get("record_frames") or ""),
+            [name for each in (get("record_frames") or "").split(",") if (name := each.strip())],
             get("record_jpeg") or 0,
         )
         yield recording

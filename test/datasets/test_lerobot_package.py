@@ -18,8 +18,7 @@ import pytest
 pytest.importorskip("pyarrow")
 pytest.importorskip("av")
 
-from unicon_lab.datasets.export import export_dataset
-from unicon_lab.datasets.fit import Wanted
+from unicon_lab.datasets.export import Wanted, export_dataset
 
 ROOT = Path(__file__).resolve().parents[2]
 PYTHON = os.environ.get("UNICON_LEROBOT", sys.executable)

@@ -30,8 +30,7 @@ from unicon_base.errors import StateError, UniconError
 from unicon_core.flow import Block, Stage
 from unicon_core.robots import load_robot
 from unicon_core.workflow import Program
-from unicon_lab.datasets.export import export_dataset
-from unicon_lab.datasets.fit import Wanted
+from unicon_lab.datasets.export import Wanted, export_dataset
 from unicon_lab.recording import open_record
 from unicon_ros.cli.main import main
 

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from unicon_base.errors import UniconError
-from unicon_lab.datasets.episodes import _stretches, rate_of, sampled
+from unicon_lab.datasets.columns import _stretches, rate_of, sampled
 from unicon_lab.datasets.pictures import IMAGE, JPEG, Pictures, png
 from unicon_lab.datasets.statistics import joined, of_pictures, of_values
 from unicon_lab.recording.scan import Frames

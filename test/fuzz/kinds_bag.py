@@ -18,10 +18,9 @@ from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import States
 from unicon_lab.fault_record import FaultRecord
 from unicon_lab.recording import open_record
-from unicon_lab.recording.export import export
 from unicon_lab.recording.import_bag import import_bag
-from unicon_lab.recording.info import info_of, info_text
-from unicon_lab.recording.npz import import_npz
+from unicon_lab.recording.imported import import_npz
+from unicon_lab.recording.info import export, info_of, info_text
 from unicon_lab.recording.run_recording import Recording
 
 __all__ = ["bags", "replays"]

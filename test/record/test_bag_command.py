@@ -10,7 +10,6 @@ import struct
 import sys
 import zipfile
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -156,9 +155,9 @@ def test_what_is_no_size_and_no_time_splits_nothing(text: str, tmp_path: Path) -
 def test_a_change_of_phase_skips_a_tick_that_nobody_misses(
     bag: Path, monkeypatch: pytest.MonkeyPatch, skipped: int, missing: int
 ) -> None:
-    record = open_record(bag)
+    changed = open_record(bag)
     ticks = np.arange(100) + skipped * (np.arange(100) >= 60)
-    changed = replace(record, ticks=ticks, phases=("run",) * 60 + ("damp",) * 40)
+    changed.ticks, changed.phases = ticks, ("run",) * 60 + ("damp",) * 40
     monkeypatch.setattr("unicon_lab.recording.info.open_record", lambda *_: changed)
     assert info_of(bag)["missing_ticks"] == missing
 
@@ -574,12 +573,12 @@ def test_the_keys_of_unicon_become_a_record(
         ("has no joint 'FL_hip_joint'", {"DOF_NAMES": np.array([*others, "a", "b", "c"])}),
         ("has 12 joints, and 9 names", {"DOF_NAMES": np.array(others)}),
         ("has neither rec_dt nor ts", {"rec_dt": None}),
-        ("rec_dt is nan s", {"rec_dt": np.nan}),
-        ("ts does not grow", {"rec_dt": None, "ts": np.zeros(30, np.float32)}),
+        ("has rec_dt nan s", {"rec_dt": np.nan}),
+        ("ts that does not grow", {"rec_dt": None, "ts": np.zeros(30, np.float32)}),
         ("of one length", {"states_qd": np.zeros((7, 12))}),
         ("states_rpy has shape (30, 2)", {"states_quat": None, "states_rpy": np.zeros((30, 2))}),
-        ("numbers are wanted", {"states_q": np.full((30, 12), "x")}),
-        ("ts does not grow", {"rec_dt": None, "ts": np.r_[0.0:29.0, np.inf]}),
+        ("give numbers of shape (frames, joints)", {"states_q": np.full((30, 12), "x")}),
+        ("ts that does not grow", {"rec_dt": None, "ts": np.r_[0.0:29.0, np.inf]}),
         ("rec_dt is float64 of shape (2,); give one", {"rec_dt": [0.02, 0.02]}),
         ("states_quat has shape (30, 3)", {"states_quat": np.zeros((30, 3))}),
         ("of one length", {"states_quat": None, "states_rpy": np.zeros((31, 3))}),
@@ -624,7 +623,7 @@ def test_an_npz_that_unpacks_to_too_much_is_not_unpacked(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The bound is on what the archive says of itself, before any of it is read."""
-    monkeypatch.setattr("unicon_lab.recording.npz.LARGEST", 1 << 20)
+    monkeypatch.setattr("unicon_lab.recording.imported.LARGEST", 1 << 20)
     np.savez_compressed(tmp_path / "bomb.npz", states_q=np.zeros((30, 12)), more=np.zeros(1 << 18))
     monkeypatch.setattr(np, "load", None)
     told = refused(capsys, "import", tmp_path / "bomb.npz", tmp_path / "x.mcap", "--robot", "go2")

@@ -248,11 +248,11 @@ def test_a_file_that_another_run_clears_away_before_it_is_locked_is_made_anew(
 ) -> None:
     cleared: list[Path] = []
 
-    def late(descriptor: int) -> None:
+    def late(descriptor: int, name: Path) -> None:
         if not cleared:  # what is empty counts as a killed run's
             cleared.append(Path(os.readlink(f"/proc/self/fd/{descriptor}")))
             cleared[0].unlink()
-        mcap_file_lock(descriptor)
+        mcap_file_lock(descriptor, name)
 
     mcap_file_lock = mcap_file.lock
     monkeypatch.setattr(mcap_file, "lock", late)

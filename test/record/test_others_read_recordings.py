@@ -24,7 +24,7 @@ from unicon_core.flow import Block, Stage
 from unicon_core.workflow import Program
 from unicon_lab.recording import open_record
 from unicon_lab.recording.read import files_of
-from unicon_lab.recording.tick_message import TOPIC
+from unicon_lab.recording.ticks import TOPIC
 from unicon_ros.cli.main import main
 
 pytestmark = pytest.mark.slow

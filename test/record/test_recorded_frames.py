@@ -26,9 +26,9 @@ from test_recorded_runs import written
 from unicon_base.errors import StateError, UniconError
 from unicon_core.handles import FrameRing
 from unicon_lab.recording import open_record
-from unicon_lab.recording.large import Large
-from unicon_lab.recording.recorded_frames import RecordedFrames
+from unicon_lab.recording.recorded_topics import RecordedFrames
 from unicon_lab.recording.recorder import Recorder
+from unicon_lab.recording.records import Large
 from unicon_lab.recording.run_recording import Recording
 from unicon_ros.bridge.images import frame_message
 from unicon_ros.cli.main import main
@@ -188,7 +188,7 @@ def test_frames_that_were_overwritten_are_counted(tmp_path: Path) -> None:
 
 
 def test_memory_is_used_again_and_has_a_bound(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("unicon_lab.recording.large.MOST_BYTES", 1000)
+    monkeypatch.setattr("unicon_lab.recording.records.MOST_BYTES", 1000)
     woken: list[int] = []
     large = Large(1, 200, lambda: woken.append(1))
     rooms = set()

@@ -29,7 +29,7 @@ from unicon_lab.replay.player import LEFT, RIGHT, Keys, play
 from unicon_lab.replay.workflow import others, versions
 from unicon_ros.cli.main import main
 
-BLOCK = "unicon_lab.replay.commands:recorded"
+BLOCK = "unicon_lab.replay.series:recorded"
 
 
 @pytest.fixture(scope="module")
@@ -309,7 +309,7 @@ def test_nan_in_a_record_is_compared_too_and_never_sent(
             values[60:, 4] = np.nan
             return values
 
-    monkeypatch.setattr("unicon_lab.replay.commands.opened", lambda *_: Broken())
+    monkeypatch.setattr("unicon_lab.replay.series.opened", lambda *_: Broken())
     with pytest.raises(UniconError, match=r"not finite \(FL_thigh_joint, row 60"):
         load_workflow(driving(tmp_path, path))
 

@@ -14,7 +14,7 @@ import numpy as np
 from unicon_base.arrays import Array, Bool, Float64, Int64
 from unicon_base.errors import UniconError
 from unicon_lab.recording import open_record
-from unicon_lab.recording.npz import KEYS, NAMES, UNICONS, Archive, read_archive, too_large
+from unicon_lab.recording.imported import KEYS, NAMES, UNICONS, Archive, read_archive, too_large
 
 JOINTS = (
     "joint_pos",

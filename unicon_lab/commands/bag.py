@@ -39,7 +39,7 @@ def _export(arguments: argparse.Namespace) -> int:
     if arguments.lerobot:
         return _export_dataset(arguments)
     from unicon_lab.recording import open_record
-    from unicon_lab.recording.export import export
+    from unicon_lab.recording.info import export
 
     if arguments.out is not None:
         raise UniconError("--out goes with --lerobot; add it, or give BAG and OUT alone")
@@ -55,8 +55,7 @@ def _export(arguments: argparse.Namespace) -> int:
 
 
 def _export_dataset(arguments: argparse.Namespace) -> int:
-    from unicon_lab.datasets.export import export_dataset
-    from unicon_lab.datasets.fit import Wanted
+    from unicon_lab.datasets.export import Wanted, export_dataset
 
     if arguments.out is None:
         raise UniconError("--lerobot: give the folder of the data set: --out DIR")
@@ -81,7 +80,7 @@ def _export_dataset(arguments: argparse.Namespace) -> int:
 def _import(arguments: argparse.Namespace) -> int:
     from unicon_core.robots import load_robot
     from unicon_lab.recording.import_bag import MAP, import_bag
-    from unicon_lab.recording.npz import import_npz
+    from unicon_lab.recording.imported import import_npz
 
     source, out, rate = arguments.path, arguments.out, arguments.rate
     if out.suffix != ".mcap":

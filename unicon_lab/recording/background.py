@@ -23,15 +23,14 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_lab.recording.bag_folder import BagFolder
-from unicon_lab.recording.large import Large
-from unicon_lab.recording.mcap_file import Buffer, McapFile
-from unicon_lab.recording.records import MESSAGE, MESSAGE_HEAD, ROW, Channel
+from unicon_lab.recording.mcap_file import McapFile
+from unicon_lab.recording.records import MESSAGE, MESSAGE_HEAD, ROW, Buffer, Channel, Large
 
 FLUSH_S = 0.7
 SYNC_S = 0.5
@@ -68,16 +67,17 @@ class Background:
 
     Args:
         file: open and begun; channels are added here.
+        path: of the recording, for warnings.
         warn: takes warnings, from the thread.
         patient: where all blocks are full wait for the disk up to 5 s, once: for simulations that
             run as fast as they can.
     """
 
     def __init__(
-        self, file: McapFile | BagFolder, warn: Callable[[str], None], patient: bool = False
+        self, file: McapFile, path: Path, warn: Callable[[str], None], patient: bool
     ) -> None:
         self._file, self._warn, self._patient = file, warn, patient
-        self._label = f"recording {file.path}"
+        self._label = f"recording {path}"
         self._block = _Block(BLOCK_BYTES)
         self._queue = deque([self._block])
         self._free = deque(_Block(BLOCK_BYTES) for _ in range(BLOCKS - 1))
@@ -97,7 +97,7 @@ class Background:
     def add(self, channel: Channel) -> Write:
         """Add a topic, before `start`, and return what takes its messages: `write(stamp_ns, cdr)`.
 
-        What it returns is False for a message that is dropped.
+        The result is False for a message that is dropped.
 
         Raises:
             OSError: it cannot be written.
@@ -116,9 +116,8 @@ class Background:
             OSError: it cannot be written.
         """
         self._file.add(channel)
-        large = Large(channel.number, nbytes, self._wake.set)
-        self._large.append(large)
-        return large
+        self._large.append(Large(channel.number, nbytes, self._wake.set))
+        return self._large[-1]
 
     def add_record(self, make: Callable[[], bytes]) -> None:
         """Add an attachment or metadata, from the tick too: it is made and written by the thread.
@@ -136,12 +135,9 @@ class Background:
 
     def counts(self) -> dict[str, Any]:
         """Return messages in the file, those dropped, bytes of the file, and the error or ""."""
-        return {
-            "messages": self._file.messages,
-            "dropped": self._lost() + self._discarded,
-            "bytes": self._file.size,
-            "error": self._error,
-        }
+        messages, size = self._file.recorded
+        dropped = self._lost() + self._discarded
+        return {"messages": messages, "dropped": dropped, "bytes": size, "error": self._error}
 
     def _lost(self) -> int:
         """Return the messages that had no room in memory."""
@@ -153,19 +149,17 @@ class Background:
         Where it was not even started the file is deleted.
         """
         self._ending = True
-        self._wake.set()
-        self._ended.set()
-        self._flushed.set()
-        if self._threads[0].ident is None:
+        for event in (self._wake, self._ended, self._flushed):
+            event.set()
+        writer = self._threads[0]
+        if writer.ident is None:
             self._file.discard()
-            return
-        if not any(thread.is_alive() for thread in self._threads):
-            return
-        end = time.monotonic() + CLOSE_S
-        for thread in self._threads:
-            thread.join(max(end - time.monotonic(), 0.0))
-        if self._threads[0].is_alive():
-            self._fail(f"the medium took nothing for {CLOSE_S:g} s")
+        elif any(thread.is_alive() for thread in self._threads):
+            end = time.monotonic() + CLOSE_S
+            for thread in self._threads:
+                thread.join(max(end - time.monotonic(), 0.0))
+            if writer.is_alive():
+                self._fail(f"the medium took nothing for {CLOSE_S:g} s")
 
     # -- the tick's side ------------------------------------------------------------------------
 
@@ -240,8 +234,8 @@ class Background:
             if self._open:
                 try:
                     self._file.add_record(make())
-                except Exception as error:  # whatever it is, the run goes on
-                    self._stop(str(getattr(error, "strerror", None) or error), 0)
+                except Exception as error:  # of any kind: the run goes on
+                    self._stop(error, 0)
         while True:
             block = self._queue[0]
             left = len(self._queue) > 1  # asked before the mark is read: then the mark is final
@@ -250,16 +244,17 @@ class Background:
                 until, upto = end, self._upto(block, begin, first, last)
                 if upto < last:
                     until = _offset(block, upto)
-                self._chunk(block, begin, until, first, upto)
+                rows = np.frombuffer(block.rows, ROW, upto - first, first * _ROW.size).copy()
+                rows["offset"] -= np.uint64(begin)
+                self._write(memoryview(block.data)[begin:until], rows)
                 block.taken = begin, first = (until, upto)
             if not left:
                 break
             self._queue.popleft()
-            if len(block.data) == BLOCK_BYTES:
-                block.mark = block.taken = (0, 0)
-                self._free.append(block)
-            else:
-                self._free.append(_Block(BLOCK_BYTES))
+            if len(block.data) != BLOCK_BYTES:
+                block = _Block(BLOCK_BYTES)
+            block.mark = block.taken = (0, 0)
+            self._free.append(block)
         for large in self._large:
             for _ in range(len(large.waiting)):  # new ones wait: ticks come first
                 large.free(self._write(*large.waiting[0]))
@@ -270,56 +265,56 @@ class Background:
         key = partial(_offset, block)
         return rows[0] + bisect_right(rows, begin + CHUNK_BYTES, key=key) if rows else last
 
-    def _chunk(self, block: _Block, begin: int, end: int, first: int, last: int) -> None:
-        rows = np.frombuffer(block.rows, ROW, last - first, first * _ROW.size).copy()
-        rows["offset"] -= np.uint64(begin)
-        self._write(memoryview(block.data)[begin:end], rows)
+    def _new(self) -> int:
+        """Return how many messages are in the file, each counted once."""
+        return self._file.recorded[0] - self._file.again
 
     def _write(self, records: memoryview, rows: NDArray[np.void]) -> bool:
         """Write messages; return whether they are in the file."""
         if not self._open:
             self._discarded += len(rows)
             return False
-        before = self._file.messages - self._file.again
+        before = self._new()
         try:
             self._file.write(records, rows)
             if self._file.gone():
-                self._stop("", 0)
-        except Exception as error:  # whatever it is, the run goes on
-            # Where some of them had room.
-            written = max(self._file.messages - self._file.again - before, 0)
-            reason = str(getattr(error, "strerror", None) or error)
-            self._stop(reason, len(rows) - written)
+                self._stop(None, 0)
+        except Exception as error:  # of any kind: the run goes on
+            self._stop(error, len(rows) - max(self._new() - before, 0))  # some had room
         return self._open
 
-    def _stop(self, reason: str, lost: int) -> None:
+    def _stop(self, error: Exception | None, lost: int) -> None:
         """Finish the file as far as it is whole; what comes after is dropped and counted."""
         with self._file_in_use:
             self._discarded += lost
             trouble = self._finish()
-        told = [reason, trouble or f"the {self._file.messages} messages before are kept"]
+        reason = str(getattr(error, "strerror", None) or error or "")
+        told = [reason, trouble or f"the {self._file.recorded[0]} messages before are kept"]
         if reason and trouble.startswith(reason):  # the same error twice
             told = [trouble]
         self._fail(f"{': '.join(filter(None, told))}; the run goes on without it")
 
     def _finish(self) -> str:
         """Finish the file and return what went wrong, "" where nothing did."""
-        self._open = False
-        if self._file.gone():
-            self._discarded += self._file.forget()
+        self._open, file = False, self._file
+        if file.gone():
+            self._discarded += file.forget()
             return "somebody deleted it"
-        if not self._file.messages:
-            self._file.discard()
+        before = file.recorded[0]
+        if not before:
+            file.discard()
             return self._error or "nothing was recorded"
-        before = self._file.messages
         try:
-            self._discarded += self._file.finish()
+            self._discarded += file.finish()
         except OSError as error:
-            self._discarded += before - self._file.messages
-            if not self._file.messages:
-                self._file.discard()
-                return f"{error.strerror}: nothing was recorded"
-            return f"{error.strerror}; what was recorded is in {self._file.partial}"
+            left = file.recorded[0]
+            self._discarded += before - left
+            if not left:
+                file.discard()
+            where = (
+                f"; what was recorded is in {file.partial}" if left else ": nothing was recorded"
+            )
+            return f"{error.strerror}{where}"
         return ""
 
     def _sync(self) -> None:

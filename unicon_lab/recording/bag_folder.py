@@ -1,7 +1,7 @@
 """A bag folder that is being written: `NAME_0.mcap`, `NAME_1.mcap`, … and `metadata.yaml`.
 
 That is how `ros2 bag` keeps a recording of several files. A next one begins where the present one
-is long enough; each is finished as any recording is, and tells by itself what its ticks mean.
+is long enough; each is finished as any recording is, and holds the layout of its ticks itself.
 """
 
 from __future__ import annotations
@@ -11,34 +11,34 @@ import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
 
 from unicon_base.errors import UniconError
-from unicon_lab.recording.mcap_file import Buffer, McapFile
+from unicon_lab.recording.mcap_file import McapFile
 from unicon_lab.recording.records import (
     MESSAGE,
     MESSAGE_HEAD,
     METADATA,
     ROW,
+    Buffer,
     Channel,
     metadata,
+    totals,
 )
-from unicon_lab.recording.tick_message import TOPIC
+from unicon_lab.recording.ticks import TOPIC
 
 VERSION = 5
 """Of `metadata.yaml`: the one that Humble writes and all later releases read."""
-_UNITS = {"kb": 1e3, "mb": 1e6, "gb": 1e9, "s": 1e9, "min": 60e9, "h": 3600e9}
-_TIMES = ("s", "min", "h")
+_SIZES = {"kb": 1e3, "mb": 1e6, "gb": 1e9}
+_TIMES = {"s": 1e9, "min": 60e9, "h": 3600e9}
 
 
-@dataclass(frozen=True)
-class Split:
+class Split(NamedTuple):
     """Where a next file begins; 0 for nowhere.
 
     Attributes:
@@ -60,7 +60,7 @@ class Split:
         for part in filter(None, text.split(",")):
             told = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([A-Za-z]+)\s*", part)
             unit = told[2].lower() if told else ""
-            value = round(float(told[1]) * _UNITS[unit]) if told and unit in _UNITS else 0
+            value = round(float(told[1]) * (_SIZES | _TIMES).get(unit, 0)) if told else 0
             if not value:
                 raise UniconError(
                     f"a recording cannot be split at {part!r}; give a size or a time, such as "
@@ -70,8 +70,7 @@ class Split:
         return cls(size, time)
 
 
-@dataclass(frozen=True)
-class BagFile:
+class BagFile(NamedTuple):
     """What `metadata.yaml` says of a file.
 
     Attributes:
@@ -81,74 +80,42 @@ class BagFile:
     """
 
     name: str
-    counts: dict[str, int]
+    counts: Mapping[str, int]
     span: tuple[int, int] | None
 
 
-class BagFolder:
-    """The folder, to write to as to one `McapFile`. No method is called from two threads at once.
+class BagFolder(McapFile):
+    """The folder, to write to as to one file: the attributes of `McapFile` are the present file's.
 
     Args:
-        path: of the folder, which does not exist; it is made.
+        folder: does not exist; it is made.
         split: where a next file begins.
-
-    Attributes:
-        path: as given.
-        messages: in whole chunks of all files.
-        size: of all files in [bytes].
-        again: of the messages those that files begin with anew.
 
     Raises:
         OSError: it cannot be written.
     """
 
-    def __init__(self, path: Path, split: Split) -> None:
-        self.path, self._split = path, split
+    def __init__(self, folder: Path, split: Split) -> None:
+        self.folder, self._split = folder, split
         self._channels: list[Channel] = []
         self._facts: list[bytes] = []
         self._latched: list[tuple[int, bytes]] = []
         self._done: list[BagFile] = []
-        self._files: list[McapFile] = []
-        self._ticks = self.again = 0
+        self._ticks = 0
         self._began = 0  # time of the present file's first message in [ns]
-        path.mkdir()
+        folder.mkdir()
         try:
-            self._file: McapFile | None = self._opened(0)
+            self._open()
         except BaseException:
-            path.rmdir()
+            folder.rmdir()
             raise
 
-    def _opened(self, number: int) -> McapFile:
-        self._files.append(McapFile(self.path / f"{self.path.name}_{number}.mcap"))
-        return self._files[-1]
-
-    @property
-    def channels(self) -> int:
-        """Number of channels."""
-        return len(self._channels)
-
-    @property
-    def messages(self) -> int:
-        """Messages in whole chunks of all files."""
-        return sum(file.messages for file in self._files)
-
-    @property
-    def size(self) -> int:
-        """Length of all files in [bytes]."""
-        return sum(file.size for file in self._files)
-
-    @property
-    def partial(self) -> Path:
-        """Where the present file grows."""
-        return self.path if self._file is None else self._file.partial
-
-    def begin(self) -> None:
-        """Begin the first file."""
-        self._present().begin()
+    def _open(self) -> None:
+        super().__init__(self.folder / f"{self.folder.name}_{len(self._done)}.mcap")
 
     def add(self, channel: Channel) -> None:
         """Add a topic to all files."""
-        self._present().add(channel)
+        super().add(channel)
         self._channels.append(channel)
 
     def latch(self, channel: int, message: bytes) -> None:
@@ -157,32 +124,28 @@ class BagFolder:
 
     def add_record(self, written: bytes) -> None:
         """Add an attachment to the present file, or metadata, which the next ones have too."""
-        self._present().add_record(written)
+        super().add_record(written)
         if written[0] == METADATA:
             self._facts.append(written)
 
     def write(self, records: Buffer, rows: NDArray[np.void]) -> None:
         """Write messages as one chunk, to the next file where the present one is long enough."""
-        file, last = self._present(), int(rows["time"].max())
-        size, time = self._split.size, self._split.time
-        if file.messages and (
-            (size and file.size + len(records) > size) or (time and last - self._began >= time)
-        ):
+        first, last = int(rows["time"].min()), int(rows["time"].max())
+        size, time = self._split
+        if not self.messages:
+            self._began = first
+        elif (size and self.size + len(records) > size) or (time and last - self._began >= time):
             self._end()
-            self._next(int(rows["time"].min()))
-            file = self._present()
-        elif not file.messages:
-            self._began = int(rows["time"].min())
-        file.write(records, rows)
+            self._next(first)
+        super().write(records, rows)
 
     def _next(self, began: int) -> None:
-        file = self._file = self._opened(len(self._done))
-        file.begin()
-        for facts in self._facts:
-            file.add_record(facts)
-        file.add_record(metadata("unicon", {"first_row": str(self._ticks)}))
+        self._open()
+        self.begin()
+        for facts in (*self._facts, metadata("unicon", {"first_row": str(self._ticks)})):
+            super().add_record(facts)
         for channel in self._channels:
-            file.add(channel)
+            super().add(channel)
         self._began = began
         records = bytearray()
         places: list[tuple[int, int, int]] = []
@@ -191,68 +154,32 @@ class BagFolder:
             length = MESSAGE_HEAD.size - 9 + len(message)
             records += MESSAGE_HEAD.pack(MESSAGE, length, number, 0, began, began) + message
         if places:
-            file.write(records, np.array(places, ROW))
+            super().write(records, np.array(places, ROW))
             self.again += len(places)
 
     def _end(self) -> int:
         """Finish the present file; return how many messages that cost."""
-        file = self._present()
-        self._file = None
-        lost = file.finish()
-        topics = {channel.number: channel.topic for channel in self._channels}
-        counts = {topics[number]: count for number, count in file.counts().items()}
-        self._done.append(BagFile(file.path.name, counts, file.span()))
+        lost = super().finish()
+        numbers, span = totals(self.chunks)
+        topics = {each.topic: (each.type, each.qos) for each in self._channels}
+        counts = {each.topic: numbers[each.number] for each in self._channels}
+        self._done.append(BagFile(self.path.name, counts, span))
         self._ticks += counts.get(TOPIC, 0)
-        told = {each.topic: (each.type, each.qos) for each in self._channels}
-        write_metadata(self.path, self._done, told)
+        self._before, self.messages, self.size = self.recorded, 0, 0
+        write_metadata(self.folder, self._done, topics)
         return lost
 
-    def _present(self) -> McapFile:
-        if self._file is None:
-            raise OSError(None, "no next file could be begun")
-        return self._file
-
-    def sync(self) -> None:
-        """Bring the present file to the medium; from another thread too."""
-        file = self._file
-        try:
-            if file is not None:
-                file.sync()
-        except OSError:
-            if self._file is file:  # else it has just been finished, which syncs it
-                raise
-
-    def gone(self) -> bool:
-        """Tell whether somebody deleted the present file."""
-        return self._file is not None and self._file.gone()
-
-    def finish(self) -> int:
+    def finish(self, path: Path | None = None) -> int:
         """Finish the present file; return how many messages that cost."""
-        if self._file is None:
-            return 0
-        if not self._file.messages and self._done:
-            self._file.discard()
-            self._file = None
-            return 0
-        return self._end()
-
-    def forget(self) -> int:
-        """Close the present file, where it was deleted; return how many messages were in it."""
-        lost = self._present().forget()
-        self._file = None
-        return lost
-
-    def leave(self) -> None:
-        """Close it as it is."""
-        if self._file is not None:
-            self._file.leave()
+        if self._file >= 0 and not self.messages and self._done:
+            super().discard()
+        return self._end() if self._file >= 0 else 0
 
     def discard(self) -> None:
         """Close and delete it; other files in the folder stay, and the folder with them."""
-        if self._file is not None:
-            self._file.discard()
+        super().discard()
         with suppress(OSError):
-            self.path.rmdir()
+            self.folder.rmdir()
 
 
 def write_metadata(
@@ -271,26 +198,24 @@ def write_metadata(
     counts: Counter[str] = Counter()
     for file in files:
         counts.update(file.counts)
-    listed = [
-        {
-            "topic_metadata": {
-                "name": topic,
-                "type": kind,
-                "serialization_format": "cdr",
-                "offered_qos_profiles": qos,
-            },
-            "message_count": counts[topic],
-        }
-        for topic, (kind, qos) in topics.items()
-    ]
     spans = [file.span for file in files if file.span is not None]
-    whole = (min(a for a, _ in spans), max(b for _, b in spans)) if spans else None
     content = {
         "version": VERSION,
         "storage_identifier": "mcap",
-        **_times(whole),
+        **_times((min(a for a, _ in spans), max(b for _, b in spans)) if spans else None),
         "message_count": counts.total(),
-        "topics_with_message_count": listed,
+        "topics_with_message_count": [
+            {
+                "topic_metadata": {
+                    "name": topic,
+                    "type": kind,
+                    "serialization_format": "cdr",
+                    "offered_qos_profiles": qos,
+                },
+                "message_count": counts[topic],
+            }
+            for topic, (kind, qos) in topics.items()
+        ],
         "compression_format": "",
         "compression_mode": "",
         "relative_file_paths": [file.name for file in files],

@@ -22,35 +22,14 @@ from unicon_core.flow import Stage
 from unicon_core.memory_json import to_json
 from unicon_core.robots import Robot, robot_files
 from unicon_core.runtime import Runner
-from unicon_core.runtime.tick_ring import PHASES, KeptMemory
-from unicon_core.states import Layout
+from unicon_core.runtime.tick_ring import KeptMemory
 from unicon_core.workflow import Program
-from unicon_lab.recording.tick_message import RecordedSubset
+from unicon_lab.recording.ticks import RecordedSubset, layout_facts
 
-SCHEMA = "unicon.record/1"
 VERSIONS = (
     *("numpy", "onnxruntime", "torch", "mujoco", "pybullet", "jax", "newton", "rclpy"),
     "cyclonedds",
 )
-
-
-def layout_facts(layout: Layout, kept: RecordedSubset) -> dict[str, str]:
-    """Return what a reader needs to know of the ticks.
-
-    Args:
-        layout: of the states.
-        kept: moment to the states that are kept there; None for all.
-    """
-    some = {moment: sorted(names) for moment, names in kept.items() if names is not None}
-    return {
-        "schema": SCHEMA,
-        "written": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
-        "layout": layout.to_json(),
-        "layout_hash": layout.hash,
-        "moments": json.dumps(list(kept)),
-        "kept": json.dumps(some),
-        "phases": json.dumps([phase.value for phase in PHASES]),
-    }
 
 
 def network_hash(path: Path) -> str:
@@ -68,23 +47,12 @@ def network_hash(path: Path) -> str:
 
 def facts_of(runner: Runner, kept: RecordedSubset) -> dict[str, str]:
     """Return the facts of a run; call it before the first tick: files may be others later."""
-    program = runner.program
+    program, facts = runner.program, runner.program.platform.facts
     document = program.document
     scene = document.values.get("scene")
-    options = {"speed": runner.options.speed, "duration": runner.options.duration}
-    policies = {
-        name: {
-            "path": str(contract.path),
-            "model": str(contract.model),
-            "sha256": network_hash(contract.model),
-            "networks": {part.name: network_hash(part.model) for part in contract.networks},
-        }
-        for name, contract in program.policies.items()
-    }
-    facts = program.platform.facts
-    told = {
+    texts = {
         "overridden": document.overridden,
-        "options": options,
+        "options": {"speed": runner.options.speed, "duration": runner.options.duration},
         "dry": program.silent,
         "platform_facts": {  # what a stand-in needs to be built into the same graph
             "simulated": facts.simulated,
@@ -93,7 +61,15 @@ def facts_of(runner: Runner, kept: RecordedSubset) -> dict[str, str]:
             "silent": program.silent,
         },
         "outside": _outside(program),
-        "policies": policies,
+        "policies": {
+            name: {
+                "path": str(contract.path),
+                "model": str(contract.model),
+                "sha256": network_hash(contract.model),
+                "networks": {part.name: network_hash(part.model) for part in contract.networks},
+            }
+            for name, contract in program.policies.items()
+        },
         "versions": versions_here(),
         "system": system_here(),
     }
@@ -108,7 +84,7 @@ def facts_of(runner: Runner, kept: RecordedSubset) -> dict[str, str]:
         "part": program.part,
         "platform": facts.name,
         **robot_facts(program.robot),
-        **{name: json.dumps(value) for name, value in told.items()},
+        **{name: json.dumps(value) for name, value in texts.items()},
         "wall_ns": str(time.time_ns() - time.monotonic_ns()),  # of stamps, to be compared
     }
 
@@ -187,13 +163,12 @@ def _outside(program: Program) -> dict[str, list[str]]:
     A device behind `send` says by an attribute `outside` that what it tells comes from there.
     """
     moments = {Stage.INPUT: "input", Stage.TUNE: "tuned", Stage.OBSERVE: "sent"}
-    given: dict[str, list[str]] = {}
+    given: dict[str, set[str]] = {}
     devices = [each for each in program.blocks if getattr(each.tick, "outside", False)]
     for block in (*program.outside, *devices):
         if block.stage in moments:
-            moment = moments[block.stage]
-            given[moment] = sorted({*given.get(moment, ()), *block.writes, *block.amends})
-    return given
+            given.setdefault(moments[block.stage], set()).update(block.writes, block.amends)
+    return {moment: sorted(states) for moment, states in given.items()}
 
 
 def robot_text(robot: Robot) -> str:

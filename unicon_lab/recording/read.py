@@ -8,20 +8,18 @@ import os
 import re
 import struct
 from bisect import bisect_right
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
-from unicon_base.arrays import Array, Bool, Int64, UInt8
+from unicon_base.arrays import Array, UInt8
 from unicon_base.errors import StateError, UniconError, alternatives
 from unicon_core.runtime.tick_ring import DONE, HEAD
 from unicon_core.states import Layout, States
-from unicon_lab.recording.facts import SCHEMA
 from unicon_lab.recording.scan import Frames, Scan, frames_in, gather, scan
-from unicon_lab.recording.tick_message import FRAMES, Moment, RecordedSubset, kept_moments
+from unicon_lab.recording.ticks import FRAMES, SCHEMA, Moment, kept_moments
 
 _T = TypeVar("_T")
 
@@ -29,25 +27,20 @@ SHORTEST, LONGEST = 1e-6, 86_400.0
 """Of a period in [s]."""
 
 _WRONG = (
-    ArithmeticError,
-    AttributeError,
-    LookupError,
-    RecursionError,
-    StateError,
-    TypeError,
-    ValueError,
-    struct.error,
+    *(ArithmeticError, AttributeError, LookupError, RecursionError, StateError, TypeError),
+    *(ValueError, struct.error),
 )
 
-_HEADS = np.dtype(
-    [("cdr", "V4"), ("stamp", "<i8"), ("tick", "<i8"), ("phase", "<u4"), ("ended", "<u4")]
-)
-_MEMORY = re.compile(r"memory(-\d+)?\.json")
+_HEADS = np.dtype("V4,<i8,<i8,<u4,<u4")
+_HEADS.names = ("cdr", "stamp", "tick", "phase", "ended")
 
 
-@dataclass(frozen=True)
 class Record:
-    """A record of ticks, to the bit. Its files are mapped: what is asked for is read.
+    """A record of ticks, bit-exact. Its files are mapped and read on demand.
+
+    Args:
+        paths: of its files, in their order.
+        scans: of each.
 
     Attributes:
         facts: reason, workflow, robot, versions, … as texts.
@@ -59,38 +52,81 @@ class Record:
         ticks: number of each, shape (ticks,).
         phases: phase of each, as text.
         ended: False for the tick in which the fault was, shape (ticks,).
-        done: True for a tick with which its phase was done, shape (ticks,): the flow, or who gives
-            the states. Older records do not say it.
-        memories: what the blocks remembered: `before` (index of a tick), `anew` (the flow was
-            reset before it), and what `Memory.restore` takes.
+        done: True for a tick with which its phase was done, shape (ticks,): the flow, or the source
+            of the states. Older records do not have it.
+        memories: memory of the blocks: `before` (index of a tick), `anew` (the flow was reset
+            before it), and the argument of `Memory.restore`.
         files: name to content of what goes along: `report.json`, `trace.json`.
-        paths: the files that it was read from.
+        paths: as given.
+
+    Raises:
+        UniconError: the files are of several runs, or one of them is there twice.
+        LookupError, StateError, TypeError, ValueError, …: they are not such a record.
     """
 
-    facts: Mapping[str, str]
-    layout: Layout
-    moments: tuple[str, ...]
-    kept: Mapping[str, tuple[str, ...]]
-    stamps: Int64
-    ticks: Int64
-    phases: tuple[str, ...]
-    ended: Bool
-    done: Bool
-    memories: list[dict[str, Any]]
-    files: Mapping[str, bytes]
-    paths: tuple[Path, ...]
-    _places: Mapping[str, Moment]
-    _scans: Sequence[Scan]
-    _begins: Sequence[int]
-    _whole: Mapping[int, UInt8]
-    _feeds: dict[tuple[int, str, bool], tuple[States, Any]] = field(default_factory=dict)
+    def __init__(self, paths: Sequence[Path], scans: Sequence[Scan]) -> None:
+        self.paths, self._scans = tuple(paths), scans
+        # The last file has what was reported at the end.
+        self.facts = facts = {**scans[-1].facts, **scans[0].facts}
+        for path, each in zip(paths, scans):
+            if not each.facts.get("schema"):
+                raise ValueError("it has no facts of unicon")
+            if each.facts["schema"] != SCHEMA:
+                raise ValueError(f"its schema is {each.facts['schema']!r}, known is {SCHEMA}")
+            for fact in ("layout_hash", "moments", "kept", "run"):
+                if each.facts.get(fact) != facts.get(fact):
+                    raise UniconError(
+                        f"{path} is of another run than {paths[0].name} ({fact}): a folder is read "
+                        "as one recording; give one of its files, or move the others away"
+                    )
+        self.layout = layout = Layout.from_json(facts["layout"])
+        self.moments: tuple[str, ...] = tuple(json.loads(facts["moments"]))
+        some = {m: frozenset(n) for m, n in json.loads(facts.get("kept", "{}")).items()}
+        self._places = kept_moments(layout, {moment: some.get(moment) for moment in self.moments})
+        self.kept = {moment: tuple(each.places) for moment, each in self._places.items()}
+        width = HEAD.size + sum(moment.size for moment in self._places.values())
+        if any((each.heads(each.ticks)[1] != width).any() for each in scans):
+            raise ValueError("its ticks are of another layout")
+        raw = np.concatenate([gather(each.data, each.ticks, HEAD.size) for each in scans])
+        heads, names = raw.view(_HEADS).reshape(-1), json.loads(facts["phases"])
+        self.stamps, self.ticks = (heads[key].astype(np.int64) for key in ("stamp", "tick"))
+        self.phases: tuple[str, ...] = tuple(names[number] for number in heads["phase"].tolist())
+        self.ended = heads["ended"].astype(np.bool_)
+        self.done = (heads["ended"] & DONE).astype(np.bool_)
+        firsts = [int(each.facts.get("first_row", "0")) for each in scans]
+        self._begins: list[int] = []
+        count = 0
+        for path, each, row in zip(paths, scans, firsts):
+            if len(each.ticks) and row < firsts[0] + count:
+                raise UniconError(
+                    f"{path} has ticks that another file of its folder has, too; move the copy away"
+                )
+            self._begins.append(count)
+            count += len(each.ticks)
+        self.files = {name: content for each in scans for name, content in each.files.items()}
+        memories = [
+            {**each, "before": each["before"] - firsts[0]}
+            for name, content in self.files.items()
+            if re.fullmatch(r"memory(-\d+)?\.json", name)
+            for each in json.loads(content)["memories"]
+        ]
+        there = [each for each in memories if 0 <= each["before"] < max(count, 1)]
+        self.memories: list[dict[str, Any]] = sorted(there, key=lambda each: int(each["before"]))
+        self._whole = {
+            each["before"]: np.frombuffer(base64.b64decode(each.pop("received")), np.uint8)
+            for each in self.memories
+            if "received" in each
+        }
+        if any(len(each) != layout.nbytes for each in self._whole.values()):
+            raise ValueError("its memory is of another layout")
+        self._feeds: dict[tuple[int, str, bool], tuple[States, Any]] = {}
 
     @property
     def period(self) -> float:
         """Time of a tick in [s].
 
         Raises:
-            UniconError: the record does not say it.
+            UniconError: the record does not have it.
         """
         said = self.facts.get("period_s", "nothing")
         try:
@@ -106,7 +142,7 @@ class Record:
 
     @property
     def whole(self) -> bool:
-        """Whether nobody cut it off, and nobody is writing it."""
+        """Whether it was neither cut off nor is being written."""
         return all(each.ended for each in self._scans)
 
     def told(self, name: str, kind: type[_T]) -> _T:
@@ -122,7 +158,7 @@ class Record:
 
         Args:
             moment: such as `sent`.
-            names: of states that are asked for there.
+            names: of states that are needed there.
 
         Raises:
             StateError: no such moment, or one of the states is not kept at it.
@@ -132,20 +168,18 @@ class Record:
             raise StateError(f"{self.paths[0]} has no moment {moment!r}; {known}")
         there = self.kept[moment]
         for name in names:
-            if name in there:
-                continue
-            why = f"; {alternatives(name, there)}"
-            if name in self.layout.slots:
-                why = ", where it did not come from outside; ask for it at 'sent'"
-            raise StateError(f"{self.paths[0]} has no state {name!r} at {moment!r}{why}")
+            if name not in there:
+                why = f"; {alternatives(name, there)}"
+                if name in self.layout.slots:
+                    why = ", where it did not come from outside; ask for it at 'sent'"
+                raise StateError(f"{self.paths[0]} has no state {name!r} at {moment!r}{why}")
 
     @property
     def policies(self) -> dict[str, dict[str, Any]]:
         """Name of a policy to `path`, `model`, and the `sha256` of its network."""
-        policies: dict[str, Any] = self.told("policies", dict)
         return {
             name: said
-            for name, said in policies.items()
+            for name, said in self.told("policies", dict).items()
             if isinstance(said, dict) and isinstance(said.get("sha256"), str)
         }
 
@@ -159,14 +193,11 @@ class Record:
         slot, place = self.layout.slots[name], self._places[moment]
         at = place.begin + place.places[name]
         begin, end, _ = rows.indices(len(self.ticks))
-        parts = [
-            gather(
-                each.data, each.ticks[max(begin - first, 0) : max(end - first, 0)] + at, slot.nbytes
-            )
-            for each, first in zip(self._scans, self._begins)
-        ]
-        packed = np.concatenate(parts)
-        return packed.view(slot.dtype).reshape(-1, *slot.shape)
+        parts = []
+        for each, first in zip(self._scans, self._begins):
+            there = each.ticks[max(begin - first, 0) : max(end - first, 0)]
+            parts.append(gather(each.data, there + at, slot.nbytes))
+        return np.concatenate(parts).view(slot.dtype).reshape(-1, *slot.shape)
 
     @property
     def frame_names(self) -> tuple[str, ...]:
@@ -204,17 +235,17 @@ class Record:
         Raises:
             StateError: no such moment.
         """
-        whole = self._whole.get(row) if moment == "received" else None
-        key = id(states), moment, whole is None
+        data: UInt8 | None = self._whole.get(row) if moment == "received" else None
+        key, at = (id(states), moment, data is None), 0
         if key not in self._feeds:
             self.need(moment)
-            place = self._places[moment] if whole is None else None
+            place = self._places[moment] if data is None else None
             self._feeds[key] = states, self._copies(place, states)
-        data, at, live = whole, 0, states.buffer
         if data is None:
             number = bisect_right(self._begins, row) - 1
             found = self._scans[number]
             data, at = found.data, int(found.ticks[row - self._begins[number]])
+        live = states.buffer
         for to, begin, end in self._feeds[key][1]:
             live[to] = data[at + begin : at + end]
 
@@ -231,13 +262,10 @@ class Record:
         else:
             begins = {name: place.begin + at for name, at in place.places.items()}
         return [
-            (
-                slice(slot.offset, slot.offset + slot.nbytes),
-                begins[name],
-                begins[name] + slot.nbytes,
-            )
+            (slice(slot.offset, slot.offset + slot.nbytes), begin, begin + slot.nbytes)
             for name, slot in states.layout.slots.items()
-            if name in begins and (mine[name].shape, mine[name].dtype) == (slot.shape, slot.dtype)
+            if (begin := begins.get(name)) is not None
+            and (mine[name].shape, mine[name].dtype) == (slot.shape, slot.dtype)
         ]
 
 
@@ -261,7 +289,7 @@ def files_of(path: Path) -> list[Path]:
 
 
 def missing(path: Path) -> str:
-    """Return what is told of a recording that is not there."""
+    """Return the message for a recording that is not there."""
     partial = path.with_name(f"{path.name}.partial")
     there = os.path.exists(partial)
     hint = f"a run writes it, or was cut off: give {partial}" if there else "correct the name"
@@ -273,17 +301,18 @@ def open_record(path: str | Path, looked: Sequence[Scan] | None = None) -> Recor
 
     Args:
         path: of a file, or of a folder with the files of one recording.
-        looked: what `scan` found in each of `files_of(path)`, where somebody has looked already:
+        looked: what `scan` found in each of `files_of(path)`, where it was looked through already:
             a look is a pass over the whole file.
 
     Raises:
         UniconError: it cannot be read, or is not such a record.
     """
+    path = Path(path)
     try:
-        paths = files_of(Path(path))
-        return _record(paths, [scan(each) for each in paths] if looked is None else looked)
+        paths = files_of(path)
+        return Record(paths, looked or [scan(each) for each in paths])
     except FileNotFoundError as error:
-        raise UniconError(missing(Path(path))) from error
+        raise UniconError(missing(path)) from error
     except OSError as error:
         raise UniconError(f"cannot read {path}: {error.strerror}") from error
     except _WRONG as error:
@@ -292,75 +321,3 @@ def open_record(path: str | Path, looked: Sequence[Scan] | None = None) -> Recor
             f"{path} is not a record of ticks: {reason}; give one that unicon wrote, or make one "
             "with unicon bag import"
         ) from error
-
-
-def _record(paths: Sequence[Path], scans: Sequence[Scan]) -> Record:
-    facts = {**scans[-1].facts, **scans[0].facts}  # the last one has what was told at the end
-    for path, each in zip(paths, scans):
-        if not each.facts.get("schema"):
-            raise ValueError("it has no facts of unicon")
-        if each.facts["schema"] != SCHEMA:
-            raise ValueError(f"its schema is {each.facts['schema']!r}, known is {SCHEMA}")
-        for fact in ("layout_hash", "moments", "kept", "run"):
-            if each.facts.get(fact) != facts.get(fact):
-                raise UniconError(
-                    f"{path} is of another run than {paths[0].name} ({fact}): a folder is read as "
-                    "one recording; give one of its files, or move the others away"
-                )
-    layout = Layout.from_json(facts["layout"])
-    moments = tuple(json.loads(facts["moments"]))
-    some: RecordedSubset = {m: frozenset(n) for m, n in json.loads(facts.get("kept", "{}")).items()}
-    places = kept_moments(layout, {moment: some.get(moment) for moment in moments})
-    width = HEAD.size + sum(moment.size for moment in places.values())
-    if any((each.sizes != width).any() for each in scans):
-        raise ValueError("its ticks are of another layout")
-    heads = np.concatenate([gather(each.data, each.ticks, HEAD.size) for each in scans])
-    heads = heads.view(_HEADS).reshape(-1)
-    names = json.loads(facts["phases"])
-    begins = [0]
-    first = int(scans[0].facts.get("first_row", "0"))
-    for path, each in zip(paths, scans):
-        if len(each.ticks) and int(each.facts.get("first_row", "0")) < first + begins[-1]:
-            raise UniconError(
-                f"{path} has ticks that another file of its folder has, too; move the copy away"
-            )
-        begins.append(begins[-1] + len(each.ticks))
-    files = {name: content for each in scans for name, content in each.files.items()}
-    memories = _memories(files, first, begins[-1])
-    whole = {
-        each["before"]: np.frombuffer(base64.b64decode(each.pop("received")), np.uint8)
-        for each in memories
-        if "received" in each
-    }
-    if any(len(each) != layout.nbytes for each in whole.values()):
-        raise ValueError("its memory is of another layout")
-    return Record(
-        facts,
-        layout,
-        moments,
-        {moment: tuple(place.places) for moment, place in places.items()},
-        heads["stamp"].astype(np.int64),
-        heads["tick"].astype(np.int64),
-        tuple(names[number] for number in heads["phase"].tolist()),
-        heads["ended"].astype(np.bool_),
-        (heads["ended"] & DONE).astype(np.bool_),
-        memories,
-        files,
-        tuple(paths),
-        places,
-        scans,
-        begins[:-1],
-        whole,
-    )
-
-
-def _memories(files: Mapping[str, bytes], first: int, ticks: int) -> list[dict[str, Any]]:
-    """Return what was remembered before ticks that are there, in their order."""
-    found = [
-        {**each, "before": each["before"] - first}
-        for name, content in files.items()
-        if _MEMORY.fullmatch(name)
-        for each in json.loads(content)["memories"]
-    ]
-    there = [each for each in found if 0 <= each["before"] < max(ticks, 1)]
-    return sorted(there, key=lambda each: int(each["before"]))

@@ -6,17 +6,25 @@ since ROS is off or a type is not installed, is encoded for the recording, after
 
 from __future__ import annotations
 
+import os
 import struct
+import threading
 import time
-from collections.abc import Callable
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, BinaryIO
 
-from unicon_base.errors import UniconError
+import numpy as np
+
+from unicon_base.arrays import UInt8
+from unicon_base.errors import UniconError, alternatives, imported, one_line
 from unicon_base.resources import find_config
 from unicon_core.flow import Block
+from unicon_lab.recording.background import calm
+from unicon_lab.recording.ticks import FRAMES
 from unicon_msgs_map import Encoder, MapStateError, MessageMap, load_map
 from unicon_ros.bridge.bindings import arrays_of, checked_prefix, names_of, robot_variables
 from unicon_ros.bridge.diagnostics import CLOCK
+from unicon_ros.bridge.images import JPEG, STAMP, FrameMessage, jpeg_message
 from unicon_ros.bridge.qos import LATCHED
 from unicon_ros.bridge.robot_frames import TF_MESSAGE, RobotMessages
 from unicon_ros.bridge.ros_platform import RosPlatform
@@ -28,6 +36,7 @@ if TYPE_CHECKING:
     from unicon_lab.recording.recorder import Recorder
     from unicon_msgs_map.spec import TopicSpec
     from unicon_ros.bridge import RosSession
+    from unicon_ros.peripheral import FrameSource
 
 
 class RecordedTopics:
@@ -65,28 +74,26 @@ class RecordedTopics:
         self._tick = 0
         taken = self._passing()
         if session is not None:
-            mapping = session.map
+            mapping, frame_prefix = session.map, session.frame_prefix
         else:
             mapping = load_map(find_config("maps", map_name or "default"))
-        frame_prefix = checked_prefix(frame_prefix) if session is None else session.frame_prefix
+            frame_prefix = checked_prefix(frame_prefix)
         self._map(mapping, taken, frame_prefix)
         self._robot(frame_prefix)
-        self.block = Block(
-            "recorder", self._record, reads=tuple(sorted(self._reads)), close=recorder.close
-        )
+        reads = tuple(sorted(self._reads))
+        self.block = Block("recorder", self._record, reads=reads, close=recorder.close)
 
     def _passing(self) -> set[str]:
         """Tap what comes in and what a robot behind topics is sent; return these topics."""
-        taken: set[str] = set()
-        platform = self._program.platform
+        platform, session = self._program.platform, self._session
         behind = platform if isinstance(platform, RosPlatform) else None
-        incoming = [*behind.incoming] if behind is not None else []
-        incoming += self._session.incoming if self._session is not None else []
+        incoming = [*(behind.incoming if behind else ()), *(session.incoming if session else ())]
+        taken: set[str] = set()
         for topic in incoming:
             if topic.topic not in taken:  # both may hear one: each message once
                 taken.add(topic.topic)
                 topic.tap = self._tap(topic.topic, topic.spec)
-        for out in [] if behind is None else behind.outgoing:
+        for out in behind.outgoing if behind else ():
             taken.add(out.topic)
             out.tap = self._tap(out.topic, out.spec)
         return taken
@@ -94,9 +101,9 @@ class RecordedTopics:
     def _map(self, mapping: MessageMap, taken: set[str], frame_prefix: str) -> None:
         """Record what the map publishes, at its rates."""
         program, session = self._program, self._session
-        arrays = arrays_of(program) if session is None else session.arrays  # with its wall clock
+        arrays = session.arrays if session else arrays_of(program)  # with its wall clock
         variables = robot_variables(program.robot, frame_prefix)
-        leaving = {id(out.spec): out for out in session.outgoing} if session is not None else {}
+        leaving = {id(out.spec): out for out in session.outgoing} if session else {}
         for spec in mapping.publish:
             out = leaving.get(id(spec))
             if out is not None and out.topic not in taken:
@@ -106,16 +113,14 @@ class RecordedTopics:
             if topic in taken or (spec.topic == CLOCK and not self._simulated):
                 continue
             try:
-                encoder = Encoder.build(spec, arrays, names_of(program), variables)
+                self._encode(topic, Encoder.build(spec, arrays, names_of(program), variables))
             except MapStateError:
                 if not spec.optional:
                     raise
-                continue
-            self._encode(topic, encoder)
 
     def _robot(self, frame_prefix: str) -> None:
         """Record the robot's description and frames."""
-        frames = None if self._session is None else self._session.frames
+        frames = self._session.frames if self._session else None
         if frames is not None:
             messages = frames.messages
         else:
@@ -157,8 +162,8 @@ class RecordedTopics:
         spec, encode = encoder.spec, encoder.encode
         if prepare is not None:
             encode = prepared(prepare, encode)
-        every = encoder.spec.every(self._program.period)
-        self._due.append((every, encode, self._channel(topic, encoder.spec)))
+        due = spec.every(self._program.period), encode, self._channel(topic, spec)
+        self._due.append(due)
         self._reads.update(state for state in spec.states if state in self._program.states)
 
     def _latch(self, topic: str, kind: str, message: bytes) -> None:
@@ -192,3 +197,167 @@ def string_message(text: str) -> bytes:
     """Return a std_msgs/String as CDR: its length with the NUL at the end, then UTF-8."""
     raw = text.encode()
     return b"\x00\x01\x00\x00" + struct.pack("<I", len(raw) + 1) + raw + b"\x00"
+
+
+ALL = "all"
+"""The word for every ring that a workflow has."""
+
+INTERVAL = 0.01
+"""How often the rings are looked at, in [s]: a third of the time of a picture at 30 Hz, of which a
+ring keeps three."""
+
+
+def chosen_sources(program: Program, names: Sequence[str]) -> dict[str, FrameSource]:
+    """Return the rings whose frames are to be recorded, by the names of their handles.
+
+    Args:
+        program: whose blocks have them.
+        names: of handles without `_handle`, or `all`.
+
+    Raises:
+        UniconError: there is none of such a name.
+    """
+    there: dict[str, FrameSource] = {}
+    for block in program.blocks:
+        there |= getattr(block.tick, "sources", {})
+    if not there:
+        raise UniconError(
+            "--record-frames: no block of the workflow has pictures or clouds; add one, such as "
+            "camera or webcam, or leave it out"
+        )
+    for name in names:
+        if name not in (*there, ALL):
+            raise UniconError(
+                f"--record-frames: no frames {name!r}; {alternatives(name, [*there, ALL])}"
+            )
+    return {name: there[name] for name in there if ALL in names or name in names}
+
+
+class RecordedFrames:
+    """Copies frames into a recording from a thread of its own.
+
+    Args:
+        recorder: not started yet; it gets a topic for each ring.
+        sources: name of a handle without `_handle` to its ring.
+        now: tells the time of the recording's messages, [ns].
+        jpeg: quality from 1 to 100 of pictures that are raw, 0 to leave them as they are.
+        warn: takes a warning, from the thread.
+
+    Raises:
+        UniconError: the file cannot be written.
+        MissingDependencyError: a picture is to be a JPEG, and Pillow is not installed.
+    """
+
+    def __init__(
+        self,
+        recorder: Recorder,
+        sources: Mapping[str, FrameSource],
+        now: Callable[[], int],
+        jpeg: int = 0,
+        warn: Callable[[str], None] = print,
+    ) -> None:
+        self._streams = {
+            name: _Stream(recorder, name, source, jpeg) for name, source in sources.items()
+        }
+        self._now, self._warn = now, warn
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._work, name="recorder frames", daemon=True)
+
+    def counts(self) -> dict[str, dict[str, int]]:
+        """Return for each ring the frames that are in the file, and those that are not."""
+        return {
+            name: {"frames": each.large.written, "missed": each.missed + each.large.failed}
+            for name, each in self._streams.items()
+        }
+
+    def start(self) -> None:
+        """Start the thread; safe to call twice."""
+        if self._thread.ident is None:
+            self._thread.start()
+
+    def close(self) -> None:
+        """Take what is there, and end; safe to call twice. The recorder is closed behind it."""
+        self._ended.set()
+        if self._thread.ident is not None:
+            self._thread.join(1.0)
+
+    def _work(self) -> None:
+        calm()
+        streams = tuple(self._streams.values())
+        ending = False
+        while not ending:
+            ending = self._ended.wait(INTERVAL)
+            try:
+                for stream in streams:
+                    if stream.ring.latest != stream.seen:
+                        stream.take(self._now())
+            except Exception as error:  # whatever it is, the run goes on
+                self._warn(f"frames are recorded no longer: {one_line(error)}")
+                return
+
+
+class _Stream:
+    """One ring and its topic."""
+
+    def __init__(self, recorder: Recorder, name: str, source: FrameSource, jpeg: int) -> None:
+        self.ring, message = source.ring, source.message
+        colour = message.dtype == "|u1" and len(message.shape) == 3  # 8 bits for each of three
+        self._jpeg = _Jpeg(message, jpeg) if jpeg and colour else None
+        self._cut = message.offset if message.type == JPEG else 0
+        kind = message.type if self._jpeg is None else JPEG
+        self.large = recorder.large_channel(FRAMES + name, kind, self.ring.nbytes)
+        self.seen = self.ring.latest  # of frames before the run, the newest
+        self.seen -= self.seen > 0
+        self.missed = 0
+
+    def take(self, now: int) -> None:
+        """Take the frames that are new."""
+        ring, latest = self.ring, self.ring.latest
+        for handle in range(self.seen + 1, latest + 1):
+            frame, stamp_ns, length = ring.frame(handle), ring.stamp_ns(handle), 0
+            if frame is not None:
+                room = self.large.room()
+                if room is None:  # which counts it
+                    continue
+                np.copyto(room, frame)
+                if ring.holds(handle):  # else overwritten meanwhile
+                    length = len(room)
+                    if self._cut:
+                        length = self._cut + struct.unpack_from("<I", room.data, self._cut - 4)[0]
+                    elif self._jpeg is not None:
+                        length = self._jpeg(room)
+                    length *= length <= len(room)
+            if length > 0:
+                self.large.put(length, handle, now, stamp_ns)
+            else:
+                self.missed += 1
+        self.seen = latest
+
+
+class _Jpeg:
+    """Makes a JPEG of a picture, in its place. Pillow does so without Python's lock into a file."""
+
+    def __init__(self, message: FrameMessage, quality: int) -> None:
+        self._image = imported("PIL.Image", "--record-jpeg", "lerobot", "pillow")
+        self._from, self._quality = message, quality
+        self._to = jpeg_message(0, message.frame_id)
+        self._file: BinaryIO = os.fdopen(os.memfd_create("jpeg"), "r+b")
+
+    def __call__(self, room: UInt8) -> int:
+        """Replace the picture of a message by its JPEG; return the new length, 0 if it is longer.
+
+        Args:
+            room: a whole message, shape (bytes,).
+        """
+        height, width, _ = self._from.shape
+        pixels = self._from.data(room.data)
+        picture = self._image.frombuffer("RGB", (width, height), pixels, "raw", "RGB", 0, 1)
+        self._file.seek(0)
+        picture.save(self._file, "JPEG", quality=self._quality)
+        self._file.flush()
+        head, length = bytearray(self._to.template), self._file.tell()
+        if len(head) + length > len(room):
+            return 0
+        head[STAMP] = room[STAMP].tobytes()
+        room[: len(head)] = np.frombuffer(head, np.uint8)
+        return self._to.put(room.data, memoryview(os.pread(self._file.fileno(), length, 0)))

@@ -1,6 +1,6 @@
 """Recorder: writes messages and ticks into an MCAP file.
 
-`ros2 bag play`, rosbags and Foxglove read it; `open_record` reads the ticks to the bit. While it
+`ros2 bag play`, rosbags and Foxglove read it; `open_record` reads the ticks bit-exact. While it
 grows it is called `FILE.partial`; what a killed run left of that name is finished as
 `FILE.recovered-N.mcap`, or `FOLDER.recovered-N`, when the next one begins.
 """
@@ -21,17 +21,15 @@ from unicon_core.states import Layout
 from unicon_lab.recording import McapFile, recover
 from unicon_lab.recording.background import Background, Write
 from unicon_lab.recording.bag_folder import BagFolder, Split
-from unicon_lab.recording.large import Large
-from unicon_lab.recording.mcap_file import FileInUse
-from unicon_lab.recording.records import Channel
+from unicon_lab.recording.records import Channel, Large
 from unicon_lab.recording.recover import recover_aside
-from unicon_lab.recording.tick_message import RecordedSubset, tick_channel
+from unicon_lab.recording.ticks import RecordedSubset, tick_channel
 from unicon_msgs_map import Qos
-from unicon_msgs_map.layout.messages import MessageDefinition, Messages, shared_messages
+from unicon_msgs_map.layout.messages import Messages, shared_messages
 
 
 class Recorder(Background):
-    """An MCAP file that is being written; what goes wrong at its beginning is told in a line.
+    """An MCAP file that is being written; what goes wrong at its beginning is an error of one line.
 
     Args:
         path: of the file, must not exist; folders are made.
@@ -51,51 +49,38 @@ class Recorder(Background):
         patient: bool = False,
         split: Split | None = None,
     ) -> None:
-        self.path = Path(path)
-        self._split = split or Split()
-        self._folder = split is not None or str(path).endswith(os.sep)
-        if self._folder and self.path.suffix == ".mcap":
+        self.path, folder = Path(path), split is not None or str(path).endswith(os.sep)
+        if folder and self.path.suffix == ".mcap":
             raise UniconError(
                 f"recording {path} is split into files of a folder: give a name without .mcap"
             )
-        self._clear(warn)
-        refuse_existing(self.path, "recording ")
-        super().__init__(self._create(), warn, patient)
-
-    def _clear(self, warn: Callable[[str], None]) -> None:
-        """Move what an earlier run was cut off at out of the way."""
-        rest = self.path.with_name(f"{self.path.name}.partial")
-        found = None
         with self._writing():
-            if self._folder and self.path.is_dir():
-                found = recover_aside(self.path)
-            elif not self._folder and rest.exists() and not os.path.lexists(self.path):
-                found = recover(rest)
+            found = self._cleared(folder)
         if found is not None:
             warn(
                 f"an earlier run was cut off while it recorded to {self.path}; its "
                 f"{found[1]} messages are in {found[0]} now"
             )
-
-    def _create(self) -> McapFile | BagFolder:
-        file: McapFile | BagFolder
+        refuse_existing(self.path, "recording ")
         with self._writing():
-            try:
-                self.path.parent.mkdir(parents=True, exist_ok=True)
-                file = BagFolder(self.path, self._split) if self._folder else McapFile(self.path)
-            except FileInUse:
-                raise UniconError(
-                    f"recording {self.path} is being written by another run; give another name"
-                ) from None
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            file = BagFolder(self.path, split or Split()) if folder else McapFile(self.path)
             try:
                 file.begin()
             except OSError:
                 file.discard()
                 raise
-        return file
+        super().__init__(file, self.path, warn, patient)
 
     def _writing(self) -> AbstractContextManager[None]:
         return cannot(f"record to {self.path}", ROOM)
+
+    def _cleared(self, folder: bool) -> tuple[Path, int] | None:
+        """Move what a cut-off run left out of the way; return where, and its messages."""
+        rest = self.path.with_name(f"{self.path.name}.partial")
+        if folder:
+            return recover_aside(self.path) if self.path.is_dir() else None
+        return recover(rest) if rest.exists() and not os.path.lexists(self.path) else None
 
     def channel(
         self,
@@ -111,30 +96,25 @@ class Recorder(Background):
             topic: its name, after namespace and remaps.
             kind: its message type, `sensor_msgs/msg/JointState`.
             messages: where that type is defined; None for one of Jazzy or our own.
-            qos: of who publishes it; None where nobody does.
+            qos: of its publisher; None where there is none.
             latched: a message that every later file of a bag folder begins with.
 
         Raises:
             MessageTypeError: the type is unknown.
             UniconError: it cannot be written.
         """
-        known = (messages or shared_messages()).definition(kind)
-        channel = self._described(topic, known, offered_qos(qos) if qos is not None else "")
+        channel = self._described(topic, kind, messages, offered_qos(qos) if qos else "")
         if latched and isinstance(self._file, BagFolder):
             self._file.latch(channel.number, latched)
         with self._writing():
             return self.add(channel)
 
-    def _described(self, topic: str, known: MessageDefinition, qos: str = "") -> Channel:
-        return Channel(
-            self._file.channels + 1,
-            f"/{topic.lstrip('/')}",
-            known.name,
-            known.text,
-            known.encoding,
-            known.rihs,
-            qos,
-        )
+    def _described(
+        self, topic: str, kind: str, messages: Messages | None = None, qos: str = ""
+    ) -> Channel:
+        known = (messages or shared_messages()).definition(kind)
+        number, topic = len(self._file.topics) + 1, f"/{topic.lstrip('/')}"
+        return Channel(number, topic, known.name, known.text, known.encoding, known.rihs, qos)
 
     def large_channel(self, topic: str, kind: str, nbytes: int) -> Large:
         """Add a topic of large messages, before `start`, and return what takes them.
@@ -148,20 +128,21 @@ class Recorder(Background):
             UniconError: it cannot be written.
         """
         with self._writing():
-            known = shared_messages().definition(kind)
-            return self.add_large(self._described(topic, known), nbytes)
+            return self.add_large(self._described(topic, kind), nbytes)
 
     def tick_channel(self, layout: Layout, kept: RecordedSubset) -> Write:
         """Add the channel of ticks, before `start`, and return what takes them."""
         with self._writing():
-            return self.add(tick_channel(self._file.channels + 1, layout, kept))
+            return self.add(tick_channel(len(self._file.topics) + 1, layout, kept))
 
 
 # Values of rmw/types.h.
-_HISTORY = {"keep_last": 1, "keep_all": 2}
-_RELIABILITY = {"reliable": 1, "best_effort": 2}
-_DURABILITY = {"transient_local": 1, "volatile": 2}
-_LIVELINESS = {"automatic": 1, "manual_by_topic": 3}
+_WORDS = {
+    "history": {"keep_last": 1, "keep_all": 2},
+    "reliability": {"reliable": 1, "best_effort": 2},
+    "durability": {"transient_local": 1, "volatile": 2},
+    "liveliness": {"automatic": 1, "manual_by_topic": 3},
+}
 # In [ns]; RMW_DURATION_INFINITE.
 _FOREVER = (1 << 63) - 1
 
@@ -170,16 +151,13 @@ def offered_qos(qos: Qos) -> str:
     """Return `offered_qos_profiles` of a topic: YAML, a list of one profile.
 
     Args:
-        qos: of the publisher, or of the subscription that heard it.
+        qos: of the publisher, or of the subscription that received it.
     """
-    profile = {
-        "history": _HISTORY[qos.history],
+    words = {name: values[getattr(qos, name)] for name, values in _WORDS.items()}
+    profile = words | {
         "depth": qos.depth,
-        "reliability": _RELIABILITY[qos.reliability],
-        "durability": _DURABILITY[qos.durability],
         "deadline": _time(qos.deadline),
         "lifespan": _time(qos.lifespan),
-        "liveliness": _LIVELINESS[qos.liveliness],
         "liveliness_lease_duration": _time(qos.liveliness_lease),
         "avoid_ros_namespace_conventions": False,
     }
@@ -187,6 +165,6 @@ def offered_qos(qos: Qos) -> str:
 
 
 def _time(seconds: float | None) -> dict[str, Any]:
-    """Return a time in [s] in the words of rosbag2; None is for ever."""
+    """Return a time in [s] as rosbag2 has it; None is for ever."""
     sec, nsec = divmod(_FOREVER if seconds is None else round(seconds * 1e9), 10**9)
     return {"sec": sec, "nsec": nsec}

@@ -1,19 +1,22 @@
-"""Records of MCAP as bytes, for those who write and mend files: https://mcap.dev/spec.
+"""Records of MCAP as bytes, for the modules that write, read and mend files: https://mcap.dev/spec.
 
-Chunks are not compressed: what a killed run has written is then read back by walking along lengths,
-and a tick costs no compression.
+Chunks are not compressed: recovery walks along the lengths of records, and a tick costs no
+compression.
 """
 
 from __future__ import annotations
 
 import struct
 import zlib
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+
+from unicon_base.arrays import UInt8
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -29,7 +32,11 @@ CHUNK_HEAD = struct.Struct("<BQQQQIIQ")
 size as stored; the records follow."""
 
 ROW = np.dtype([("channel", "<u2"), ("time", "<u8"), ("offset", "<u8")])
-"""Where a message stands in the records of its chunk: what message indexes are made of."""
+"""Where a message stands in the records of its chunk: message indexes are made of it."""
+
+_PLACE = np.dtype([("channel", "<u2"), ("offset", "<u8")])
+
+Buffer: TypeAlias = bytes | bytearray | memoryview
 
 
 @dataclass(frozen=True)
@@ -54,39 +61,31 @@ class Channel:
     rihs: str
     qos: str = ""
 
-    def schema(self) -> bytes:
-        """Return the record of its type."""
-        content = _text(self.type) + _text(self.encoding) + _text(self.definition)
-        return record(SCHEMA, struct.pack("<H", self.number) + content)
-
-    def channel(self) -> bytes:
-        """Return the record of the topic; the type's comes first in the file."""
-        metadata = _map({"offered_qos_profiles": self.qos or "[]", "topic_type_hash": self.rihs})
-        head = struct.pack("<HH", self.number, self.number)
-        return record(CHANNEL, head + _text(self.topic) + _text("cdr") + metadata)
+    def records(self) -> tuple[bytes, bytes]:
+        """Return the record of the type, and that of the topic."""
+        number = struct.pack("<H", self.number)
+        schema = packed_text(self.type) + packed_text(self.encoding) + packed_text(self.definition)
+        facts = _map({"offered_qos_profiles": self.qos or "[]", "topic_type_hash": self.rihs})
+        channel = 2 * number + packed_text(self.topic) + packed_text("cdr") + facts
+        return record(SCHEMA, number + schema), record(CHANNEL, channel)
 
 
 @dataclass(frozen=True)
 class Chunk:
-    """Where a chunk stands, and what is in it.
+    """A chunk in its file.
 
     Attributes:
-        start, length: of its record in the file.
-        size: of the records in it.
+        start: of its record in the file.
         first, last: times of its messages in [ns].
-        indexes: channel to where its message index stands, from the end of the chunk's record.
-        indexes_length: of all its message indexes.
         counts: channel to number of messages.
+        entry: its record in the summary.
     """
 
     start: int
-    length: int
-    size: int
     first: int
     last: int
-    indexes: Mapping[int, int]
-    indexes_length: int
     counts: Mapping[int, int]
+    entry: bytes
 
 
 def record(opcode: int, content: bytes) -> bytes:
@@ -94,69 +93,56 @@ def record(opcode: int, content: bytes) -> bytes:
     return struct.pack("<BQ", opcode, len(content)) + content
 
 
-def header(library: str) -> bytes:
-    """Return what a file begins with."""
-    return MAGIC + record(HEADER, _text("ros2") + _text(library))
-
-
-def chunk_head(size: int, crc: int, first: int, last: int) -> bytes:
-    """Return what stands before the records of a chunk.
-
-    Args:
-        size: of the records.
-        crc: of the records, CRC-32.
-        first, last: times of the messages in [ns].
-    """
-    return CHUNK_HEAD.pack(CHUNK, CHUNK_HEAD.size - 9 + size, first, last, size, crc, 0, size)
-
-
-def message_indexes(rows: NDArray[np.void]) -> tuple[bytes, dict[int, int], dict[int, int]]:
-    """Return the message indexes of a chunk, where each begins, and the number of messages.
+def indexed(rows: NDArray[np.void], start: int, size: int) -> tuple[bytes, Chunk]:
+    """Return the message indexes of a chunk, and the chunk.
 
     Args:
         rows: of type `ROW`, one for each message in the order of the chunk; at least one.
+        start: of the chunk's record in the file.
+        size: of the records in the chunk.
     """
     order = np.argsort(rows["channel"], kind="stable")
     entries = np.empty((len(rows), 2), "<u8")
     entries[:, 0], entries[:, 1] = rows["time"][order], rows["offset"][order]
     view, by_channel = memoryview(entries.data).cast("B"), rows["channel"][order]
-    begins = [0, *(np.flatnonzero(by_channel[1:] != by_channel[:-1]) + 1).tolist()]
-    ends = [*begins[1:], len(rows)]
-    parts: list[bytes | memoryview] = []
-    offsets: dict[int, int] = {}
-    counts: dict[int, int] = {}
-    length = 0
-    for channel, begin, end in zip(by_channel[begins].tolist(), begins, ends):
-        size = 16 * (end - begin)
-        head = struct.pack("<BQHI", MESSAGE_INDEX, 6 + size, channel, size)
-        parts += (head, view[16 * begin : 16 * end])
-        offsets[channel], counts[channel] = length, end - begin
-        length += len(head) + size
-    return b"".join(parts), offsets, counts
+    begins = np.append(0, np.flatnonzero(by_channel[1:] != by_channel[:-1]) + 1)
+    sizes = 16 * np.diff(begins, append=len(rows))
+    channels, length = by_channel[begins], CHUNK_HEAD.size + size
+    parts: list[Buffer] = []
+    for channel, begin, there in zip(channels.tolist(), begins.tolist(), sizes.tolist()):
+        head = struct.pack("<BQHI", MESSAGE_INDEX, 6 + there, channel, there)
+        parts += (head, view[16 * begin : 16 * begin + there])
+    places = np.empty(len(begins), _PLACE)
+    places["channel"] = channels
+    places["offset"] = start + length + 15 * np.arange(len(begins)) + 16 * begins
+    span, raw = (int(rows["time"].min()), int(rows["time"].max())), places.tobytes()
+    content = struct.pack("<QQQQI", *span, start, length, len(raw)) + raw
+    indexes = b"".join(parts)
+    content += struct.pack("<QIQQ", len(indexes), 0, size, size)
+    counts = dict(zip(channels.tolist(), (sizes // 16).tolist()))
+    return indexes, Chunk(start, *span, counts, record(CHUNK_INDEX, content))
 
 
-def chunk_index(chunk: Chunk) -> bytes:
-    """Return the entry of a chunk in the summary."""
-    base = chunk.start + chunk.length
-    offsets = b"".join(
-        struct.pack("<HQ", channel, base + offset) for channel, offset in chunk.indexes.items()
-    )
-    content = struct.pack("<QQQQ", chunk.first, chunk.last, chunk.start, chunk.length)
-    content += struct.pack("<I", len(offsets)) + offsets
-    content += struct.pack("<QIQQ", chunk.indexes_length, 0, chunk.size, chunk.size)
-    return record(CHUNK_INDEX, content)
+def totals(chunks: Sequence[Chunk]) -> tuple[Counter[int], tuple[int, int] | None]:
+    """Return the messages of each channel, and their first and last time in [ns], if any."""
+    counts: Counter[int] = Counter()
+    for chunk in chunks:
+        counts.update(chunk.counts)
+    span = (min(c.first for c in chunks), max(c.last for c in chunks)) if chunks else None
+    return counts, span
 
 
-def attachment(name: str, media_type: str, stamp_ns: int, data: bytes) -> bytes:
-    """Return the record of a file that goes along, such as a trace."""
-    content = struct.pack("<QQ", stamp_ns, stamp_ns) + _text(name) + _text(media_type)
+def attachment(name: str, stamp_ns: int, data: bytes) -> bytes:
+    """Return the record of a JSON file that goes along, such as a trace."""
+    content = struct.pack("<QQ", stamp_ns, stamp_ns) + packed_text(name)
+    content += packed_text("application/json")
     content += struct.pack("<Q", len(data)) + data
     return record(ATTACHMENT, content + struct.pack("<I", zlib.crc32(content)))
 
 
 def metadata(name: str, values: Mapping[str, str]) -> bytes:
     """Return the record of facts under a name."""
-    return record(METADATA, _text(name) + _map(values))
+    return record(METADATA, packed_text(name) + _map(values))
 
 
 def index_of(written: bytes, position: int) -> bytes:
@@ -167,78 +153,127 @@ def index_of(written: bytes, position: int) -> bytes:
         position: where it stands in the file.
 
     Raises:
-        struct.error: it is not whole.
+        struct.error, ValueError: it is not whole.
     """
     place = struct.pack("<QQ", position, len(written))
     if written[0] == METADATA:
-        return record(METADATA_INDEX, place + _texts(written, 9, 1)[0])
-    names, after = _texts(written, 25, 2)
-    size = struct.pack("<Q", *struct.unpack_from("<Q", written, after))
-    return record(ATTACHMENT_INDEX, place + written[9:25] + size + names)
+        return record(METADATA_INDEX, place + written[9 : text_at(written, 9)[1]])
+    end = text_at(written, text_at(written, 25)[1])[1]
+    size = struct.pack("<Q", *struct.unpack_from("<Q", written, end))
+    return record(ATTACHMENT_INDEX, place + written[9:25] + size + written[25:end])
 
 
-def _texts(raw: bytes, at: int, count: int) -> tuple[bytes, int]:
-    """Return texts as they stand in a record, and where they end."""
-    begin = at
-    for _ in range(count):
-        at += 4 + int(struct.unpack_from("<I", raw, at)[0])
-    return raw[begin:at], at
+def text_at(raw: Buffer, at: int) -> tuple[str, int]:
+    """Return the text at a place of a record, and where it ends.
 
-
-def summary(
-    start: int,
-    schemas: Sequence[bytes],
-    channels: Sequence[bytes],
-    chunks: Sequence[Chunk],
-    others: Sequence[bytes] = (),
-) -> bytes:
-    """Return all that stands behind the last chunk, the closing magic included.
-
-    Args:
-        start: where it will stand in the file.
-        schemas, channels: the records of the file.
-        chunks: of the file.
-        others: entries of attachments and metadata, see `index_of`.
+    Raises:
+        struct.error, ValueError: there is none, or it is cut off.
     """
-    attachments = [entry for entry in others if entry[0] == ATTACHMENT_INDEX]
-    described = [entry for entry in others if entry[0] == METADATA_INDEX]
-    counts: Counter[int] = Counter()
-    for chunk in chunks:
-        counts.update(chunk.counts)
-    statistics = struct.pack(
-        "<QHIIIIQQI",
-        *(counts.total(), len(schemas), len(channels)),
-        *(len(attachments), len(described), len(chunks)),
-        min((chunk.first for chunk in chunks), default=0),
-        max((chunk.last for chunk in chunks), default=0),
-        10 * len(counts),
-    ) + b"".join(struct.pack("<HQ", *item) for item in sorted(counts.items()))
-    parts = [record(DATA_END, bytes(4))]
-    offsets: list[bytes] = []
-    begin = position = start + len(parts[0])
-    for opcode, records in (
-        (SCHEMA, schemas),
-        (CHANNEL, channels),
-        (CHUNK_INDEX, [chunk_index(chunk) for chunk in chunks]),
-        (ATTACHMENT_INDEX, attachments),
-        (METADATA_INDEX, described),
-        (STATISTICS, [record(STATISTICS, statistics)]),
-    ):
-        group = b"".join(records)
-        if group:
-            parts.append(group)
-            where = struct.pack("<BQQ", opcode, position, len(group))
-            offsets.append(record(SUMMARY_OFFSET, where))
-            position += len(group)
-    footer = record(FOOTER, struct.pack("<QQI", begin, position, 0))
-    return b"".join((*parts, *offsets, footer, MAGIC))
+    (length,) = struct.unpack_from("<I", raw, at)
+    if at + 4 + length > len(raw):
+        raise ValueError("a text is cut off")
+    return bytes(raw[at + 4 : at + 4 + length]).decode(), at + 4 + length
 
 
-def _text(text: str) -> bytes:
+def walk(raw: memoryview, begin: int = len(MAGIC)) -> Iterator[tuple[int, int, int]]:
+    """Yield opcode, begin and end of the content of the records that are whole."""
+    while begin + 9 <= len(raw):
+        opcode, length = struct.unpack_from("<BQ", raw, begin)
+        begin += 9
+        if begin + length > len(raw):
+            return
+        yield opcode, begin, begin + length
+        begin += length
+
+
+def packed_text(text: str) -> bytes:
     raw = text.encode()
     return struct.pack("<I", len(raw)) + raw
 
 
 def _map(values: Mapping[str, str]) -> bytes:
-    raw = b"".join(_text(key) + _text(value) for key, value in values.items())
+    raw = b"".join(packed_text(each) for item in values.items() for each in item)
     return struct.pack("<I", len(raw)) + raw
+
+
+MOST_BYTES = 1 << 26
+"""Of messages of one topic that wait for the medium: 2.4 s of 640 x 480 colours at 30 Hz."""
+
+SOON_BYTES = 1 << 22
+"""With so much they are written at once, and not with the rest after 0.7 s."""
+
+_HEAD = MESSAGE_HEAD.size
+
+
+class Large:
+    """Large messages of one topic on their way into a file: one thread copies, another writes them.
+
+    Memory is taken once per message that waits at the same time, and used again. A thread that
+    copies holds Python's lock for some microseconds: NumPy copies without it.
+
+    Args:
+        channel: number of the topic's.
+        nbytes: of the largest message.
+        wake: tells the thread that writes that there is much to do.
+
+    Attributes:
+        waiting: records of a message and their rows, as `McapFile.write` takes them; the oldest
+            first. The thread that writes calls `free` behind each.
+        written: messages that are in the file.
+        crowded: messages that had no room here.
+        lost: messages that the file did not take.
+    """
+
+    def __init__(self, channel: int, nbytes: int, wake: Callable[[], object]) -> None:
+        self._channel, self._size, self._wake = channel, _HEAD + nbytes, wake
+        self._most = max(MOST_BYTES // self._size, 2)
+        self._soon = max(min(SOON_BYTES // self._size, self._most // 2), 1)
+        self._spare: deque[UInt8] = deque()
+        self._made = 0
+        self._used: deque[UInt8] = deque()
+        self.waiting: deque[tuple[memoryview, NDArray[np.void]]] = deque()
+        self.written = self.crowded = self.lost = 0
+
+    @property
+    def failed(self) -> int:
+        """Messages that are not in the file."""
+        return self.crowded + self.lost
+
+    def room(self) -> UInt8 | None:
+        """Return where to copy the next message to, shape (nbytes,); None where none is left.
+
+        The same room is given until `put`.
+        """
+        if not self._spare:
+            if self._made == self._most:
+                self.crowded += 1
+                return None
+            self._made += 1
+            self._spare.append(np.empty(self._size, np.uint8))
+        return self._spare[0][_HEAD:]
+
+    def put(self, length: int, number: int, log_ns: int, stamp_ns: int) -> None:
+        """Let the message that lies in the room be written.
+
+        Args:
+            length: of the message, [B].
+            number: it has it in the file, of 32 bits.
+            log_ns: when it was recorded, [ns].
+            stamp_ns: when it was true, [ns].
+        """
+        buffer = self._spare.popleft()
+        size, log_ns = _HEAD + length, max(log_ns, 0)  # times in MCAP are unsigned
+        head = (size - 9, self._channel, number & 0xFFFFFFFF, log_ns, max(stamp_ns, 0))
+        MESSAGE_HEAD.pack_into(buffer.data, 0, MESSAGE, *head)
+        self._used.append(buffer)
+        row = np.array([(self._channel, log_ns, 0)], ROW)
+        self.waiting.append((buffer.data[:size], row))
+        if len(self.waiting) >= self._soon:
+            self._wake()
+
+    def free(self, written: bool) -> None:
+        """Let go of the oldest message, which is in the file or is not."""
+        self.waiting.popleft()
+        self.written += written
+        self.lost += not written
+        self._spare.append(self._used.popleft())

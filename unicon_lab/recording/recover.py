@@ -9,13 +9,14 @@ import os
 import shutil
 import struct
 import zlib
+from itertools import count
 from pathlib import Path
 
 import numpy as np
 
 from unicon_base.errors import UniconError, cannot
 from unicon_lab.recording.bag_folder import BagFile, write_metadata
-from unicon_lab.recording.mcap_file import FileInUse, McapFile
+from unicon_lab.recording.mcap_file import McapFile
 from unicon_lab.recording.read import files_of, missing
 from unicon_lab.recording.records import (
     ATTACHMENT,
@@ -26,12 +27,14 @@ from unicon_lab.recording.records import (
     MAGIC,
     MESSAGE,
     MESSAGE_HEAD,
+    MESSAGE_INDEX,
     METADATA,
     ROW,
     SCHEMA,
     Chunk,
     index_of,
-    message_indexes,
+    indexed,
+    walk,
 )
 from unicon_lab.recording.scan import scan
 
@@ -39,56 +42,50 @@ LONGEST = 1 << 30
 """No record of ours is longer; a length beyond is rubble of a power loss."""
 
 REST = 1 << 26
-"""More than a kill or a power loss leaves torn, in [bytes], a 4K picture of 25 MB among it: what is
+"""More than a kill or a power loss leaves torn, in [bytes], a 4K picture of 25 MB among it: bytes
 behind it may be worth more."""
-
-_OURS = (HEADER, SCHEMA, CHANNEL, CHUNK, ATTACHMENT, METADATA)
 
 
 def salvage(file: McapFile, most: int | None = None) -> None:
     """Take in what is whole in an open file; it then ends there.
 
     Args:
-        file: it.
+        file: that was cut off.
         most: how much behind that may be cut away in [bytes]; None for anything.
 
     Raises:
         ValueError: it does not begin as a recording does.
         UniconError: more would be cut away; it is left as it is.
     """
-    position = len(MAGIC)
-    if file.read(position, 0) != MAGIC:
+    raw, whole = file.content(), 0
+    if raw[: len(MAGIC)] != MAGIC:
         raise ValueError
-    whole = 0
-    while True:
-        head = file.read(9, position)
-        if len(head) < 9:
+    for opcode, begin, end in walk(raw):
+        if opcode == MESSAGE_INDEX and end <= whole:
+            continue
+        if end - begin > LONGEST:
             break
-        opcode, length = struct.unpack("<BQ", head)
-        if opcode not in _OURS or length > LONGEST:
-            break
-        record = file.read(9 + length, position)
-        if len(record) < 9 + length:
-            break
+        written = raw[begin - 9 : end]
         if opcode == CHUNK:
-            chunk = _chunk(file, record, position)
-            if chunk is None:
+            found = _chunk(written, begin - 9)
+            if found is None or raw[end : end + len(found[0])] != found[0]:
                 break
-            file.chunks.append(chunk)
-            file.messages += sum(chunk.counts.values())
-            position += chunk.indexes_length
+            end += len(found[0])
+            file.chunks.append(found[1])
+            file.messages += sum(found[1].counts.values())
         elif opcode in (ATTACHMENT, METADATA):
             try:
-                file.others.append(index_of(record, position))
-            except struct.error:
+                file.others.append(index_of(bytes(written), begin - 9))
+            except (struct.error, ValueError):
                 break
+        elif opcode in (SCHEMA, CHANNEL):
+            (file.schemas if opcode == SCHEMA else file.topics).append(bytes(written))
         elif opcode != HEADER:
-            (file.schemas if opcode == SCHEMA else file.topics).append(record)
-        position += len(record)
-        whole = position
+            break
+        whole = end
     if not whole:
         raise ValueError
-    if most is not None and file.read(1, whole + most):
+    if most is not None and len(raw) > whole + most:
         raise UniconError(
             f"{file.partial} is damaged {whole / 1e6:.1f} MB behind its beginning, and more than "
             f"{most / 1e6:.0f} MB stand behind that; rename it to end in .mcap, and unicon bag "
@@ -97,11 +94,16 @@ def salvage(file: McapFile, most: int | None = None) -> None:
     file.cut(whole)
 
 
-def _chunk(file: McapFile, record: bytes, start: int) -> Chunk | None:
-    """Return what is known of a chunk, None where it or its indexes are not whole."""
+def _chunk(written: memoryview, start: int) -> tuple[bytes, Chunk] | None:
+    """Return the message indexes that a chunk must have and the chunk, None where it is not whole.
+
+    Args:
+        written: its record.
+        start: of the record in the file.
+    """
     try:
-        _, _, _, _, size, crc, _, _ = CHUNK_HEAD.unpack_from(record)
-        records = memoryview(record)[CHUNK_HEAD.size :]
+        _, _, _, _, size, crc, _, _ = CHUNK_HEAD.unpack_from(written)
+        records = written[CHUNK_HEAD.size :]
         if len(records) != size or zlib.crc32(records) != crc:
             return None
         found: list[tuple[int, int, int]] = []
@@ -114,14 +116,7 @@ def _chunk(file: McapFile, record: bytes, start: int) -> Chunk | None:
             position += 9 + length
     except struct.error:
         return None
-    if not found:
-        return None
-    rows = np.array(found, ROW)
-    indexes, offsets, counts = message_indexes(rows)
-    if file.read(len(indexes), start + len(record)) != indexes:
-        return None
-    first, last = int(rows["time"].min()), int(rows["time"].max())
-    return Chunk(start, len(record), size, first, last, offsets, len(indexes), counts)
+    return indexed(np.array(found, ROW), start, size) if found else None
 
 
 def recover(path: str | Path, final_name: bool = False) -> tuple[Path, int] | None:
@@ -142,59 +137,56 @@ def recover(path: str | Path, final_name: bool = False) -> tuple[Path, int] | No
         UniconError: it is written at this moment, is not a recording, is damaged far from its end,
             cannot be written, or is a `FILE.mcap` without a whole message.
     """
-    path = Path(path)
+    given = path = Path(path)
     if not os.path.exists(path):  # of a name that is too long, too
         raise UniconError(missing(path))
-    if path.suffix == ".mcap" and path.is_file():
-        copy = _copied(path)
-        try:
-            done = _recovered(copy, path, final_name=False, most=None)
-        except UniconError:
-            copy.unlink(missing_ok=True)
-            raise
-        if done is None:
-            raise UniconError(
-                f"{path} has no whole message of a recording in it: there is nothing to recover; "
-                "give what a killed run left (FILE.mcap.partial), or move it away"
-            )
-        return done
-    return _recovered(path, path, final_name, REST)
+    copied = path.suffix == ".mcap" and path.is_file()
+    path = _copied(path) if copied else path
+    try:
+        done = _recovered(path, given, final_name, None if copied else REST)
+    except UniconError:
+        if copied:
+            path.unlink(missing_ok=True)
+        raise
+    if copied and done is None:
+        raise UniconError(
+            f"{given} has no whole message of a recording in it: there is nothing to recover; "
+            "give what a killed run left (FILE.mcap.partial), or move it away"
+        )
+    return done
 
 
 def _recovered(
     path: Path, given: Path, final_name: bool, most: int | None
 ) -> tuple[Path, int] | None:
-    final = path.with_name(path.name.removesuffix(".partial"))
-    if final == path or not path.is_file():
-        raise UniconError(_no_recording(given))
+    target = path.with_name(path.name.removesuffix(".partial"))
+    if target == path or not path.is_file():
+        raise _no_recording(given)
     with cannot(f"recover {path}", "make room, move it away or give another name"):
+        file = McapFile(target)
         try:
-            file = McapFile(final)
-        except FileInUse:
-            raise UniconError(
-                f"recording {path} is being written by another run; let that end first, or give "
-                "another name"
-            ) from None
-        try:
-            if file.read(1, 0):  # else killed before its first byte
+            if path.stat().st_size:  # else killed before its first byte
                 salvage(file, most)
             if not file.messages:
                 file.discard()
                 return None
-            number, target = 0, final
-            while not final_name and (not number or target.exists()):
-                number += 1
-                target = final.with_name(f"{final.stem}.recovered-{number}.mcap")
+            if not final_name:
+                target = _free(target, f"{target.stem}.recovered-{{}}.mcap")
             file.finish(target)
         except ValueError:
-            raise UniconError(_no_recording(given)) from None
+            raise _no_recording(given) from None
         finally:
             file.leave()
     return target, file.messages
 
 
+def _free(path: Path, form: str) -> Path:
+    """Return the first name beside a path that is not taken."""
+    return next(p for n in count(1) if not (p := path.with_name(form.format(n))).exists())
+
+
 def _copied(path: Path) -> Path:
-    """Return a copy of a file without its end, which `recover` takes."""
+    """Return a copy of a file without its end, for `_recovered`."""
     partial = path.with_name(f"{path.name}.partial")
     try:
         if scan(path).ended:
@@ -206,7 +198,7 @@ def _copied(path: Path) -> Path:
     with cannot(f"read {path}", "check the path"), path.open("rb") as file:
         begins = file.read(len(MAGIC))
     if begins != MAGIC[: len(begins)]:  # before terabytes of something else are copied
-        raise UniconError(_no_recording(path))
+        raise _no_recording(path)
     with cannot(f"write {partial}", "make room there"):
         try:
             shutil.copyfile(path, partial)
@@ -244,8 +236,7 @@ def recover_folder(folder: Path) -> list[tuple[Path, int]]:
                 f"{path} is of another run than the files before it: a folder is one bag; move it "
                 "to a folder of its own"
             )
-        for topic, kind in found.topics.values():
-            topics[topic] = (kind, found.qos[topic])
+        topics |= {topic: (kind, found.qos[topic]) for topic, kind in found.topics.values()}
         files.append(BagFile(path.name, found.messages(), found.span))
     with cannot(f"write {folder / 'metadata.yaml'}", "make room there"):
         write_metadata(folder, files, topics)
@@ -265,7 +256,7 @@ def recover_aside(folder: Path) -> tuple[Path, int] | None:
         UniconError: as of `recover_folder`.
         OSError: it cannot be renamed or deleted.
     """
-    rest = [path for path in folder.iterdir() if path.name.endswith(".mcap.partial")]
+    rest = list(folder.glob("*.mcap.partial"))
     for path in rest:
         recover(path, final_name=True)
     if not rest:
@@ -274,11 +265,11 @@ def recover_aside(folder: Path) -> tuple[Path, int] | None:
         folder.rmdir()
         return None
     files = recover_folder(folder)
-    number = 1
-    while (target := folder.with_name(f"{folder.name}.recovered-{number}")).exists():
-        number += 1
-    return folder.rename(target), sum(count for _, count in files)
+    target = _free(folder, f"{folder.name}.recovered-{{}}")
+    return folder.rename(target), sum(number for _, number in files)
 
 
-def _no_recording(path: Path) -> str:
-    return f"{path} is not a recording that a killed run left; move it away or give another name"
+def _no_recording(path: Path) -> UniconError:
+    return UniconError(
+        f"{path} is not a recording that a killed run left; move it away or give another name"
+    )

@@ -6,7 +6,7 @@ import base64
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,17 +16,17 @@ from unicon_core.flow import Block, Stage
 from unicon_core.memory import Snapshot
 from unicon_core.runtime.tick_ring import HEAD, KeptMemory, TickRing
 from unicon_lab.recording.bag_folder import Split
-from unicon_lab.recording.facts import content_of, layout_facts
+from unicon_lab.recording.facts import content_of
 from unicon_lab.recording.recorder import Recorder
 from unicon_lab.recording.records import attachment, metadata
-from unicon_lab.recording.tick_message import kept_moments
+from unicon_lab.recording.ticks import kept_moments, layout_facts
 from unicon_ros.attachments import Attachment
 
 if TYPE_CHECKING:
     from unicon_core.runtime import Report
     from unicon_core.runtime.statistics import TickStatistics
     from unicon_core.workflow import Program
-    from unicon_lab.recording.recorded_frames import RecordedFrames
+    from unicon_lab.recording.recorded_topics import RecordedFrames
     from unicon_ros.bridge import RosSession
 
 
@@ -68,15 +68,15 @@ class Recording(Attachment):
     frame_prefix: str = ""
     frames: Sequence[str] = ()
     jpeg: int = 0
+    _recorder: Recorder = field(init=False)
 
     def __post_init__(self) -> None:
-        imported("rosbags", "--record", "bags")  # the texts of the message types are its
+        imported("rosbags", "--record", "bags")  # it has the texts of the message types
         if not 0 <= self.jpeg <= 100:
             raise UniconError(
                 f"{self.jpeg} is not a quality of a JPEG; give 1 to 100, or 0 for none"
             )
         self._split = Split.of(self.split) if self.split else None
-        self._recorder: Recorder | None = None
         self._ticks: RecordedTicks | None = None
         self._frames: RecordedFrames | None = None
         self._statistics: TickStatistics | None = None
@@ -86,8 +86,8 @@ class Recording(Attachment):
 
         Where frames are recorded, `frames` tells of each ring how many were taken and missed.
         """
-        counts = {} if self._recorder is None else self._recorder.counts()
-        return counts if self._frames is None else counts | {"frames": self._frames.counts()}
+        frames = {} if self._frames is None else {"frames": self._frames.counts()}
+        return self._recorder.counts() | frames
 
     def summary(self) -> str:
         """Return what became of it, for the end of a run."""
@@ -102,17 +102,19 @@ class Recording(Attachment):
 
     def hook(self, program: Program) -> dict[Stage, list[Block]]:
         """Return the block that records."""
+        from unicon_lab.recording.recorded_topics import (
+            RecordedFrames,
+            RecordedTopics,
+            chosen_sources,
+        )
+
         # A robot does not wait for a disk, however its run is paced.
         patient = self.patient and program.platform.facts.simulated
-        from unicon_lab.recording.recorded_topics import RecordedTopics
-
         recorder = Recorder(self.path, self.warn, patient, self._split)
         try:
             names = (self.namespace, self.frame_prefix)
             topics = RecordedTopics(recorder, program, self.map_name, self.session, *names)
             if self.frames:
-                from unicon_lab.recording.recorded_frames import RecordedFrames, chosen_sources
-
                 sources = chosen_sources(program, self.frames)
                 self._frames = RecordedFrames(recorder, sources, topics.now, self.jpeg, self.warn)
         except BaseException:
@@ -122,16 +124,14 @@ class Recording(Attachment):
         return {Stage.OBSERVE: [topics.block]}
 
     def _close(self) -> None:
-        assert self._recorder is not None
         if self._frames is not None:
             self._frames.close()
         if self._ticks is not None and self._statistics is not None:
-            self._ticks.close(self._statistics)
+            self._recorder.add_record(partial(_late, self._statistics))
         self._recorder.close()
 
     def keep(self, ring: TickRing) -> None:
         """Record the ticks that a ring keeps; behind the hook."""
-        assert self._recorder is not None
         self._ticks = RecordedTicks(self._recorder, ring)
 
     def ended(self, report: Report) -> tuple[str, str]:
@@ -141,7 +141,6 @@ class Recording(Attachment):
 
     def begin(self, facts: Mapping[str, str], statistics: TickStatistics) -> None:
         """Get facts and statistics of the run, and begin to write, before the first tick."""
-        assert self._recorder is not None
         self._statistics = statistics
         if self._ticks is not None:
             self._ticks.attach(facts)
@@ -150,9 +149,10 @@ class Recording(Attachment):
             self._frames.start()
 
 
-def names_in(text: str) -> list[str]:
-    """Return the names that stand in a text with commas between them."""
-    return [name.strip() for name in text.split(",") if name.strip()]
+def _late(statistics: TickStatistics) -> bytes:
+    """Return what is known at the end of a run."""
+    late = json.dumps(statistics.lateness_us())
+    return metadata("unicon", {"overruns": str(statistics.overruns), "late_us": late})
 
 
 class RecordedTicks:
@@ -188,15 +188,6 @@ class RecordedTicks:
         facts = {**facts, **layout_facts(self._layout, self._ring.outside)}
         self._recorder.add_record(partial(metadata, "unicon", facts))
 
-    def close(self, statistics: TickStatistics) -> None:
-        """Give what is known at the end of the run."""
-
-        def made() -> bytes:
-            late = json.dumps(statistics.lateness_us())
-            return metadata("unicon", {"overruns": str(statistics.overruns), "late_us": late})
-
-        self._recorder.add_record(made)
-
     def _take(self, raw: memoryview) -> None:
         row, memory = self._row, self._ring.newest
         for to, source in self._copies:
@@ -207,28 +198,15 @@ class RecordedTicks:
         if memory is not self._memory or not self._rows:
             self._memory = memory
             if memory is None or memory.anew or not self._rows:  # others are for fault records
-                self._remember(memory, bytes(raw[self._whole]))
+                states = base64.b64encode(raw[self._whole]).decode()
+                found = memory or KeptMemory(0, False, Snapshot(), {"every block": "is unknown"})
+                facts = found, self._rows, self._ring.trouble, states, time.time_ns()
+                self._recorder.add_record(partial(_attachment, *facts))
         self._rows += 1
 
-    def _remember(self, memory: KeptMemory | None, states: bytes) -> None:
-        found = (
-            memory
-            if memory is not None
-            else KeptMemory(self._rows, False, Snapshot(), {"every block": "is unknown"})
-        )
-        self._recorder.add_record(_attachment(found, self._rows, self._ring.trouble, states))
 
-
-def _attachment(
-    memory: KeptMemory, number: int, trouble: str, states: bytes
-) -> Callable[[], bytes]:
-    """Return what makes the attachment, in a thread: it takes milliseconds."""
-    name = f"memory-{number}.json" if number else "memory.json"
-    now = time.time_ns()
-
-    def make() -> bytes:
-        content = content_of(memory, number) | {"received": base64.b64encode(states).decode()}
-        text = json.dumps({"trouble": trouble, "memories": [content]})
-        return attachment(name, "application/json", now, text.encode())
-
-    return make
+def _attachment(memory: KeptMemory, row: int, trouble: str, states: str, stamp_ns: int) -> bytes:
+    """Return the attachment of a memory, made in a thread: it takes milliseconds."""
+    content = content_of(memory, row) | {"received": states}
+    text = json.dumps({"trouble": trouble, "memories": [content]})
+    return attachment(f"memory-{row}.json" if row else "memory.json", stamp_ns, text.encode())

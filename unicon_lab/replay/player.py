@@ -77,18 +77,13 @@ class Keys:
     def press(self, pressed: bytes) -> None:
         """Do what keys say."""
         controls = self._controls
-        if pressed == b" ":
-            controls.start() if controls.paused else controls.pause()
-        elif pressed in (RIGHT, LEFT):
+        if pressed in (RIGHT, LEFT):
             self._seek(self._ticks if pressed == RIGHT else -self._ticks)
-            if controls.paused:
-                controls.step()
-        elif pressed == b"s":
-            controls.step()
-        elif pressed == b"r":
-            controls.reset()
-        elif pressed == b"q":
-            controls.stop()
+            pressed = b"s" if controls.paused else b""
+        pause = controls.start if controls.paused else controls.pause
+        does = {b" ": pause, b"s": controls.step, b"r": controls.reset, b"q": controls.stop}
+        if pressed in does:
+            does[pressed]()
 
 
 SEEK = 5.0
@@ -128,11 +123,8 @@ def play(
     if session is not None:
         session.map = replace(session.map, subscribe=())  # the record alone says what is
         hooks.append(session.hook)
-    program = Program(
-        None,
-        hooks=hooks,
-        **_described(record, Path(path).absolute(), rate, loop=loop, start=start),
-    )
+    described = _described(record, Path(path).absolute(), rate, {"loop": loop, "start": start})
+    program = Program(None, hooks=hooks, **described)
     try:
         platform = program.platform
         assert isinstance(platform, ReplayPlatform)
@@ -144,30 +136,26 @@ def play(
         else:
             controls = Controls(time.sleep)
             controls.runner = runner
-        ticks = round(SEEK / record.period)
-        with Keys(controls, platform.seek, ticks) if keys else nullcontext():
+        pressed = Keys(controls, platform.seek, round(SEEK / record.period))
+        with pressed if keys else nullcontext():
             return runner.run()
     finally:
         program.close()
 
 
-def _described(
-    record: Record, path: Path, rate: float, *, loop: bool, start: float
-) -> dict[str, Any]:
+def _described(record: Record, path: Path, rate: float, options: dict[str, Any]) -> dict[str, Any]:
     """Return the keys of the program that plays a record."""
     layout, robot = record.layout, robot_of(record)
     if "joint_pos" not in layout.specs:
         raise UniconError(f"{path.name} has no joint_pos: no robot can be shown")
     standard = standard_states(layout.specs["joint_pos"].names)
     own = [n for n in layout.specs if n not in standard and n not in HARDWARE_STATES]
-    options = {
+    options |= {
         "bag": str(path),
         "moment": "sent",
         "also": [name for name in layout.specs if name != "tick"],
         "each": True,
         "driven": False,
-        "loop": loop,
-        "start": start,
     }
     return {
         "name": f"play_{record.facts.get('workflow') or path.stem}",

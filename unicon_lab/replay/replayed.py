@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -15,7 +16,7 @@ import numpy as np
 
 from unicon_base.arrays import Float64
 from unicon_base.errors import StateError, UniconError, one_line
-from unicon_core.flow import Block, Node, Stage, blocks_of, compile_graph
+from unicon_core.flow import Block, Stage, blocks_of, compile_graph
 from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.memory import Snapshot
 from unicon_core.memory_json import changes, from_json
@@ -82,7 +83,15 @@ class Replayed:
             instead=partial(StandIn, facts),
         )
         try:
-            _refuse_other_rate(record, self.program)
+            period = self.program.period
+            with suppress(UniconError):
+                period = record.period
+            if abs(period - self.program.period) > 1e-6 * period:
+                raise StateError(
+                    f"the record ticks at {1.0 / period:g} Hz and workflow {self.program.name} at "
+                    f"{1.0 / self.program.period:g} Hz; give it rate: {1.0 / period:g}, or replay "
+                    "without --verify, where a tick gets the newest values"
+                )
             runner = Runner(self.program, RunOptions(warn=_quiet))
             self._graphs = runner.graphs()
             self._memory = memory_of(self.program, self._graphs)
@@ -118,11 +127,17 @@ class Replayed:
             if row in self._memories:
                 self._restore(self._memories[row])
                 lost = False
-            lost |= row not in self._memories and self._missing_before(row)
+            elif row > 0 and record.phases[row - 1] == phase:
+                lost |= record.ticks[row] != record.ticks[row - 1] + 1  # memory is not known then
             graph = None if lost else self._graph(row, phase)
             if not record.ended[row]:
-                if graph is not None:
-                    self._fail_again(row, graph)
+                if graph is not None:  # nothing of the tick is compared
+                    self._row, self.graph, self.fault = row, graph, ""
+                    try:
+                        graph.step()
+                        graph.deferred()
+                    except Exception as error:
+                        self.fault = one_line(error)
                 continue
             if graph is None:
                 why = f"of phase {phase}" if not lost else "behind ticks that were not recorded"
@@ -142,39 +157,18 @@ class Replayed:
                 self.failed(row, error)
         return ran
 
-    def _fail_again(self, row: int, graph: CompiledGraph) -> None:
-        """Run the tick in which the recorded fault was; nothing of it is compared."""
-        self._row, self.graph, self.fault = row, graph, ""
-        try:
-            graph.step()
-            graph.deferred()
-        except Exception as error:
-            self.fault = one_line(error)
-
-    def _missing_before(self, row: int) -> bool:
-        """Return whether ticks are missing: what the blocks remembered is not known then."""
-        ticks, phases = self.record.ticks, self.record.phases
-        return row > 0 and phases[row - 1] == phases[row] and ticks[row] != ticks[row - 1] + 1
-
     def _graph(self, row: int, phase: str) -> CompiledGraph | None:
         if phase not in (Phase.WAIT.value, Phase.APPROACH.value):
             return self._graphs.get(phase)
         if row == 0 or self.record.phases[row - 1] != phase:
             self._graphs.pop(phase, None)
-            tree = self._before_run(row, phase)
-            if tree is not None:
-                self._graphs[phase] = compile_graph(tree, trace=True)
+            if phase == Phase.WAIT.value:
+                self._graphs[phase] = compile_graph(waiting_tree(self.program), trace=True)
+            elif row:  # an approach that began before is not known
+                self._row = row - 1
+                self._put("sent", self.columns.names)
+                self._graphs[phase] = compile_graph(approach_tree(self.program), trace=True)
         return self._graphs.get(phase)
-
-    def _before_run(self, row: int, phase: str) -> Node | None:
-        """Return the tree of a phase that begins; an approach that began before is not known."""
-        if phase == Phase.WAIT.value:
-            return waiting_tree(self.program)
-        if row == 0:
-            return None
-        self._row = row - 1
-        self._put("sent", self.columns.names)
-        return approach_tree(self.program)
 
     # -- what came from outside -----------------------------------------------------------------
 
@@ -240,9 +234,9 @@ class Replayed:
             own, recorded = self.program.states[name], self.columns.column(name, "tuned")[self._row]
             if own.tobytes() == recorded.tobytes():
                 continue
-            factor = _factor(own, recorded)
+            factor = ratio(recorded, own, 1e-5)
             if factor is not None:
-                self.scaled[factor] = None
+                self.scaled[round(factor, 5)] = None
                 own[...] = recorded
 
     def _sent(self) -> None:
@@ -264,19 +258,6 @@ class Replayed:
                 f"workflow {self.program.name} cannot go on in the middle of the recorded run: "
                 f"{error}"
             ) from error
-
-
-def _refuse_other_rate(record: Record, program: Program) -> None:
-    try:
-        period = record.period
-    except UniconError:
-        return
-    if abs(period - program.period) > 1e-6 * period:
-        raise StateError(
-            f"the record ticks at {1.0 / period:g} Hz and workflow {program.name} at "
-            f"{1.0 / program.period:g} Hz; give it rate: {1.0 / period:g}, or replay without "
-            "--verify, where a tick gets the newest values"
-        )
 
 
 def _written(program: Program, *stages: Stage) -> set[str]:
@@ -327,14 +308,14 @@ def _snapshot(value: Any) -> Snapshot:
     return found
 
 
-def _factor(own: Any, recorded: Any) -> float | None:
-    """Return the one factor between two arrays of gains, None where there is none."""
+def ratio(recorded: Any, own: Any, tolerance: float) -> float | None:
+    """Return the one factor from one array to another, None where there is none."""
     moved = own != 0.0
     if not moved.any() or (recorded[~moved] != 0.0).any():
         return None
     ratios = recorded[moved].astype(float) / own[moved]
-    near = bool(np.all(np.abs(ratios - ratios[0]) <= 1e-5 * abs(ratios[0])))
-    return round(float(ratios[0]), 5) if near else None
+    near = np.abs(ratios - ratios[0]) <= tolerance * abs(ratios[0])
+    return float(ratios[0]) if near.all() else None
 
 
 def _quiet(*_: object) -> None:

@@ -6,17 +6,18 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_base.arrays import Array, Index
-from unicon_base.errors import StateError, UniconError
+from unicon_base.errors import StateError, UniconError, WorkflowError
+from unicon_core.blocks.joint_command import robot_gains
 from unicon_core.runtime.phases import Phase
-from unicon_core.states import States, StateSpec
-from unicon_core.states.standard import JOINT_STATES
+from unicon_core.states import States
+from unicon_core.states.standard import COMMAND_STATES, JOINT_STATES
+from unicon_core.workflow.autowire import BuildContext
 from unicon_lab.recording import Record, open_record
 
 
@@ -94,21 +95,20 @@ class Series:
     ) -> None:
         self.record = record
         self.rows = _rows(record, period, start)
-        found: dict[str, tuple[NDArray[np.generic], NDArray[np.generic]]] = {}
+        refuse_other_batch(record, states)
+        self._values: dict[str, Array] = {}
         for name in names:
-            if name not in record.kept[moment] or name not in states:
-                continue
-            values = _aligned(record, name, moment, states)
-            if values is not None:
-                found[name] = states[name], values[self.rows]
-        self._pairs = tuple(found.values())
-        self._values = {name: values for name, (_, values) in found.items()}
-        self.names = tuple(found)
+            if name in record.kept[moment] and name in states:
+                values = _aligned(record, name, moment, states)
+                if values is not None:
+                    self._values[name] = values[self.rows]
+        self._pairs = tuple((states[name], values) for name, values in self._values.items())
+        self.names = tuple(self._values)
 
     def __len__(self) -> int:
         return len(self.rows)
 
-    def values(self, name: str) -> NDArray[np.generic]:
+    def values(self, name: str) -> Array:
         """Return a state in every tick of the program, shape (ticks, …)."""
         return self._values[name]
 
@@ -127,12 +127,12 @@ def _rows(record: Record, period: float | None, start: float) -> Index:
     own = record.period
     # Clocks may be set back.
     times = np.maximum.accumulate(record.stamps[rows] - record.stamps[rows[0]]) * 1e-9
-    same = period is None or abs(period - own) <= 1e-6 * own
-    if not same:
-        assert period is not None
+    if period is None or abs(period - own) <= 1e-6 * own:
+        period = own
+    else:
         grid = np.arange(int(float(times[-1]) / period + 1e-6) + 1) * period
         rows = rows[np.searchsorted(times, grid + 1e-9, side="right") - 1]
-    skipped = start / (own if same or period is None else period)
+    skipped = start / period
     if not 0.0 <= skipped < len(rows) - 0.5:
         raise UniconError(
             f"start is {start:g} s, and the record is {float(times[-1]):.3g} s long; give less, "
@@ -141,11 +141,10 @@ def _rows(record: Record, period: float | None, start: float) -> Index:
     return rows[round(skipped) :]
 
 
-def _aligned(record: Record, name: str, moment: str, states: States) -> NDArray[np.generic] | None:
+def _aligned(record: Record, name: str, moment: str, states: States) -> Array | None:
     """Return a state of the record with the program's elements, None where they do not fit."""
     theirs, ours = record.layout.specs[name], states.spec(name)
-    values: NDArray[np.generic] = record.states(name, moment)
-    refuse_other_batch(record, states)
+    values = record.states(name, moment)
     if theirs.names != ours.names:
         lacking = [each for each in ours.names if each not in theirs.names]
         if lacking and name in JOINT_STATES:
@@ -182,7 +181,14 @@ class Columns:
         self._index: dict[str, Index | None] = {}
         self.lacking: list[str] = []
         theirs, ours = record.layout.specs, states.layout.specs
-        _refuse_other_robot(record, theirs, ours)
+        joints = [set(specs["joint_pos"].names) for specs in (theirs, ours) if "joint_pos" in specs]
+        if len(joints) == 2 and joints[0] != joints[1]:
+            raise StateError(
+                f"the record is of robot {record.facts.get('robot', '?')} with {len(joints[0])} "
+                f"joints and the workflow's has {len(joints[1])}; joint "
+                f"{min(joints[0] ^ joints[1])!r} is of one alone: give a workflow for the recorded "
+                "robot"
+            )
         for name, spec in ours.items():
             if name not in theirs:
                 self.lacking.append(f"state {name!r} is not in the record")
@@ -227,14 +233,105 @@ class Columns:
                 self._states[name][...] = self.column(name, moment)[row]
 
 
-def _refuse_other_robot(
-    record: Record, theirs: Mapping[str, StateSpec], ours: Mapping[str, StateSpec]
-) -> None:
-    joints = [set(specs["joint_pos"].names) for specs in (theirs, ours) if "joint_pos" in specs]
-    if len(joints) == 2 and joints[0] != joints[1]:
-        odd = sorted(joints[0] ^ joints[1])
-        raise StateError(
-            f"the record is of robot {record.facts.get('robot', '?')} with {len(joints[0])} joints "
-            f"and the workflow's has {len(joints[1])}; joint {odd[0]!r} is of one alone: give a "
-            "workflow for the recorded robot"
+TARGET = "joint_pos_target"
+GAINS = ("joint_stiffness", "joint_damping")
+
+
+class Recorded:
+    """Writes recorded commands tick by tick; done with the last one.
+
+    A robot's approach ends where they begin, as before any flow. In a simulator, which begins where
+    its scene says, `approach` goes there.
+
+    Args:
+        context: states, robot and period.
+        series: of the commands.
+        approach: how long the joints go from where they are to the first target, in [s].
+    """
+
+    memory = ("_from", "_tick")
+
+    name = "recorded"
+    reads = ("joint_pos",)
+
+    def __init__(self, context: BuildContext, series: Series, approach: float) -> None:
+        states = context.states
+        self._series, self._ticks = series, round(approach / context.period)
+        self._target, self._measured = states[TARGET], states["joint_pos"]
+        self._from = np.zeros_like(self._target)
+        self._first = np.array(series.values(TARGET)[0])
+        lacking = [name for name in GAINS if name not in series.names]
+        gains = robot_gains(context.robot, "recorded") if lacking else ()
+        self._gains = [(states[n], g) for n, g in zip(GAINS, gains) if n in lacking]
+        self.writes = (*series.names, *lacking)
+        self._tick = 0
+
+    def __call__(self) -> bool:
+        tick = self._tick
+        self._tick += 1
+        if tick == 0:
+            self._from[...] = self._measured
+        for view, values in self._gains:
+            view[...] = values
+        behind = tick - self._ticks
+        self._series.put(max(behind, 0))
+        if behind < 0:
+            share = np.float32((tick + 1) / (self._ticks + 1))
+            np.subtract(self._first, self._from, out=self._target)
+            self._target *= share
+            self._target += self._from
+        return behind >= len(self._series) - 1
+
+    def reset(self) -> None:
+        """Begin anew."""
+        self._tick = 0
+
+
+def recorded(
+    context: BuildContext,
+    *,
+    bag: str,
+    take: Sequence[str] = COMMAND_STATES,
+    start: float = 0.0,
+    approach: float = 0.0,
+) -> Recorded:
+    """Give recorded commands.
+
+    Args:
+        context: states, robot and period.
+        bag: recording or fault record: a file or a folder, beside the workflow or from here.
+        take: command states; gains that are not among them, or not in it, are
+            the robot file's.
+        start: how much is left out at the beginning, in [s].
+        approach: how long the joints first go from where they are to the first target, in [s].
+
+    Raises:
+        WorkflowError: it does not fit the robot, or holds a command that is not finite.
+        UniconError: it cannot be read.
+    """
+    if not 0.0 <= approach <= 60.0:
+        raise WorkflowError(f"recorded: approach is {approach!r} s; give 0 to 60")
+    for name in take:
+        if name not in COMMAND_STATES:
+            raise WorkflowError(
+                f"recorded: {name!r} is not a command state; known: {', '.join(COMMAND_STATES)}"
+            )
+    record = opened(bag, context.relative_to)
+    there = record.told("imported_states", list)  # all else in it was never commanded
+    wanted = [name for name in COMMAND_STATES if name in take and (not there or name in there)]
+    series = Series(record, wanted, "sent", context.states, context.period, start)
+    if TARGET not in series.names:
+        raise WorkflowError(
+            f"recorded: {bag} gives no {TARGET} for the joints of robot {context.robot.name}; it "
+            f"is of robot {record.facts.get('robot', '?')}, and take is {', '.join(take)}"
         )
+    for name in series.names:
+        bad = np.argwhere(~np.isfinite(series.values(name).astype(float)))
+        if len(bad):
+            tick, place = int(bad[0][0]), int(bad[0][-1])
+            joint = context.robot.joint_names[place]
+            raise WorkflowError(
+                f"recorded: {bag} holds a {name} that is not finite ({joint}, row "
+                f"{int(series.rows[tick])}); record anew, or begin behind it with start"
+            )
+    return Recorded(context, series, approach)

@@ -8,16 +8,20 @@ from outside. Alignment in CDR is that of the buffer; gaps are fields named `pad
 from __future__ import annotations
 
 import hashlib
+import json
 import re
-from collections.abc import Mapping
+import time
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from unicon_core.runtime.tick_ring import HEAD
+from unicon_core.runtime.tick_ring import HEAD, PHASES
 from unicon_core.states import Layout
-from unicon_lab.recording.records import Channel
+from unicon_lab.recording.mcap_file import McapFile
+from unicon_lab.recording.records import MESSAGE, MESSAGE_HEAD, ROW, Buffer, Channel
 
+SCHEMA = "unicon.record/1"
 TOPIC = "/unicon/ticks"
 
 FRAMES = "/unicon/frames/"
@@ -26,11 +30,19 @@ FRAMES = "/unicon/frames/"
 RecordedSubset = Mapping[str, frozenset[str] | None]
 """Moment to the states that are kept there; None for all."""
 
-_ROS_TYPES = {
-    "bool": "bool", "int8": "int8", "int16": "int16", "int32": "int32", "int64": "int64",
-    "uint8": "uint8", "uint16": "uint16", "uint32": "uint32", "uint64": "uint64",
-    "float32": "float32", "float64": "float64",
-}  # fmt: skip
+_ROS_TYPES = [
+    "bool",
+    "int8",
+    "int16",
+    "int32",
+    "int64",
+    "uint8",
+    "uint16",
+    "uint32",
+    "uint64",
+    "float32",
+    "float64",
+]
 
 
 @dataclass(frozen=True)
@@ -99,16 +111,12 @@ def tick_channel(number: int, layout: Layout, kept: RecordedSubset) -> Channel:
     mark = hashlib.sha256(f"{texts}".encode()).hexdigest()[:8]
     lines = [
         f"# A tick of unicon, to the bit; the states' layout is {layout.hash}.",
-        "int64 stamp_ns",
-        "int64 tick",
-        "uint32 phase",
-        "uint32 ended",
+        *("int64 stamp_ns", "int64 tick", "uint32 phase", "uint32 ended"),
         *(f"unicon/{word}{mark} {name}" for name, (word, _) in texts.items()),
     ]
     for word, text in dict(texts.values()).items():
         lines += ["=" * 80, f"MSG: unicon/{word}{mark}", text]
-    text = "\n".join(lines)
-    return Channel(number, TOPIC, f"unicon/msg/Tick{mark}", text, "ros2msg", "")
+    return Channel(number, TOPIC, f"unicon/msg/Tick{mark}", "\n".join(lines), "ros2msg", "")
 
 
 def _states_text(layout: Layout, moment: Moment) -> str:
@@ -116,24 +124,19 @@ def _states_text(layout: Layout, moment: Moment) -> str:
     lines: list[str] = []
     taken: set[str] = set()
     end = 0
-
-    def pad(until: int) -> None:
-        if until > end:
-            lines.append(f"uint8[{until - end}] padding{end}")
-
-    for name, place in moment.places.items():
-        pad(place)
-        slot = layout.slots[name]
-        kind, count = _ROS_TYPES.get(slot.dtype), slot.nbytes // np.dtype(slot.dtype).itemsize
-        if kind is None:  # ROS has no such number
-            kind, count = "uint8", slot.nbytes
-        length = f"[{count}]" if slot.shape else ""
-        spec = layout.specs[name]
-        said = ", ".join(text for text in (spec.unit, spec.frame) if text)
-        comment = f"  # {said}" if said else ""
-        lines.append(f"{kind}{length} {_field(name, taken)}{comment}")
-        end = place + slot.nbytes
-    pad(moment.size)
+    for name, place in (*moment.places.items(), ("", moment.size)):
+        if place > end:
+            lines.append(f"uint8[{place - end}] padding{end}")
+        if name:
+            slot, spec = layout.slots[name], layout.specs[name]
+            kind, size = slot.dtype, np.dtype(slot.dtype).itemsize
+            if kind not in _ROS_TYPES:
+                kind, size = "uint8", 1
+            length = f"[{slot.nbytes // size}]" if slot.shape else ""
+            said = ", ".join(filter(None, (spec.unit, spec.frame)))
+            comment = f"  # {said}" if said else ""
+            lines.append(f"{kind}{length} {_field(name, taken)}{comment}")
+            end = place + slot.nbytes
     return "\n".join(lines)
 
 
@@ -146,3 +149,49 @@ def _field(name: str, taken: set[str]) -> str:
         field = f"state_{clean}_{number}"
     taken.add(field)
     return field
+
+
+def layout_facts(layout: Layout, kept: RecordedSubset) -> dict[str, str]:
+    """Return what a reader needs to know of the ticks.
+
+    Args:
+        layout: of the states.
+        kept: moment to the states that are kept there; None for all.
+    """
+    some = {moment: sorted(names) for moment, names in kept.items() if names is not None}
+    return {
+        "schema": SCHEMA,
+        "written": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+        "layout": layout.to_json(),
+        "layout_hash": layout.hash,
+        "moments": json.dumps(list(kept)),
+        "kept": json.dumps(some),
+        "phases": json.dumps([phase.value for phase in PHASES]),
+    }
+
+
+CHUNK_BYTES = 1 << 18
+
+
+def add_ticks(file: McapFile, ticks: Iterable[Buffer]) -> None:
+    """Write ticks to the first channel of a file.
+
+    Args:
+        file: open.
+        ticks: each as CDR, with its `HEAD`.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    records = bytearray()
+    rows: list[tuple[int, int, int]] = []
+    for raw in ticks:
+        stamp = max(int(HEAD.unpack_from(raw)[1]), 0)  # times in MCAP are unsigned
+        rows.append((1, stamp, len(records)))
+        size = MESSAGE_HEAD.size - 9 + len(raw)
+        records += MESSAGE_HEAD.pack(MESSAGE, size, 1, 0, stamp, stamp) + raw
+        if len(records) > CHUNK_BYTES:
+            file.write(records, np.array(rows, ROW))
+            records, rows = bytearray(), []
+    if rows:
+        file.write(records, np.array(rows, ROW))
