@@ -106,7 +106,7 @@ def _checked(plan: Plan, force: list[str]) -> str:
     from unicon_core.workflow import Program
     from unicon_lab.analysis.run import read_run
     from unicon_lab.sweep.figures import columns_of, reference_for
-    from unicon_lab.sweep.warm import program_sha256
+    from unicon_lab.sweep.worker import program_sha256
 
     program = Program(plan.document)
     try:
