@@ -17,12 +17,11 @@ import pytest
 
 from unicon_base.errors import UniconError
 from unicon_base.resources import find_config, find_resource, same_modules
-from unicon_lab.sweep.identity import code_sha256, versions
 from unicon_lab.sweep.on_ray import engine, shipment
 from unicon_lab.sweep.on_ray.driver import differs
 from unicon_lab.sweep.on_ray.engine import Scratch
 from unicon_lab.sweep.on_ray.shipment import files_of, rehearsed, to_ship
-from unicon_lab.sweep.plan import Plan
+from unicon_lab.sweep.plan import Plan, code_sha256, versions
 from unicon_lab.sweep.sweep_file import read_sweep
 from unicon_lab.sweep.worker import RowRunner
 from unicon_ros.cli.main import main

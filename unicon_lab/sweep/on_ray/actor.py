@@ -26,7 +26,7 @@ class RowActor:
 
     def hello(self) -> dict[str, Any]:
         """Return who this is: `node`, `pid`, `folder`, `code` and `versions` as of `identity`."""
-        from unicon_lab.sweep.identity import code_sha256, versions
+        from unicon_lab.sweep.plan import code_sha256, versions
 
         return {
             "node": socket.gethostname(),

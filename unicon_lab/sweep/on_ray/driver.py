@@ -15,10 +15,9 @@ from dataclasses import asdict
 from typing import Any
 
 from unicon_base.errors import UniconError
-from unicon_lab.sweep.identity import code_sha256, differing, versions
 from unicon_lab.sweep.on_ray.actor import RowActor
 from unicon_lab.sweep.piped import Line
-from unicon_lab.sweep.plan import Row
+from unicon_lab.sweep.plan import Row, code_sha256, differing, versions
 from unicon_lab.sweep.pool import HOPELESS, LOOK, ONE_THREAD, START_S, Pool, PoolWorker
 
 STORE_BYTES = 80_000_000
