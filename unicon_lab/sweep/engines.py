@@ -11,9 +11,8 @@ from typing import Any
 
 from unicon_base.errors import UniconError, alternatives
 from unicon_lab.sweep.on_ray.engine import RayEngine, require_ray
-from unicon_lab.sweep.piped import PipedProcess
 from unicon_lab.sweep.plan import Plan, Row
-from unicon_lab.sweep.pool import LOOK, ONE_THREAD, Engine, Pool, PoolWorker
+from unicon_lab.sweep.pool import LOOK, ONE_THREAD, Engine, PipedProcess, Pool, PoolWorker
 from unicon_lab.sweep.sweep_file import SweepFile
 from unicon_ros.process_exit import LOG_BYTES
 

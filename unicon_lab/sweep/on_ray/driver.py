@@ -16,9 +16,8 @@ from typing import Any
 
 from unicon_base.errors import UniconError
 from unicon_lab.sweep.on_ray.actor import RowActor
-from unicon_lab.sweep.piped import Line
 from unicon_lab.sweep.plan import Row, code_sha256, differing, versions
-from unicon_lab.sweep.pool import HOPELESS, LOOK, ONE_THREAD, START_S, Pool, PoolWorker
+from unicon_lab.sweep.pool import HOPELESS, LOOK, ONE_THREAD, START_S, Line, Pool, PoolWorker
 
 STORE_BYTES = 80_000_000
 """Of a local Ray's shared memory: nothing large goes through it, and it has to have 75 MB."""

@@ -18,9 +18,8 @@ from pathlib import Path
 from unicon_base.errors import MissingDependencyError, UniconError
 from unicon_core.signals import SIGNALS
 from unicon_lab.sweep.on_ray.shipment import files_of, manifest, pack
-from unicon_lab.sweep.piped import PipedProcess
 from unicon_lab.sweep.plan import Plan, Row
-from unicon_lab.sweep.pool import LOOK, Result
+from unicon_lab.sweep.pool import LOOK, PipedProcess, Result
 from unicon_ros.process_exit import last_log_line
 
 JOIN_S, START_S = 60.0, 120.0
