@@ -29,11 +29,11 @@ from unicon_lab.view.page.plots import (
     choices,
     curves_of,
     element_choices,
+    graph_html,
     groups,
 )
 from unicon_lab.view.page.sink import MOST
 from unicon_lab.view.page.wheel import Wheel
-from unicon_lab.view.page.words import graph_html
 from unicon_lab.view.shown import DEAD_MAN, GraphLine
 from unicon_ros.cli.main import _parser, main
 from unicon_ros.web_front import check_reach, listening, refusal

@@ -6,9 +6,17 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from unicon_lab.view.page.plots import ALL, TIMES, VELOCITY, History, Plot, choices, element_choices
+from unicon_lab.view.page.plots import (
+    ALL,
+    TIMES,
+    VELOCITY,
+    History,
+    Plot,
+    choices,
+    element_choices,
+    legend_html,
+)
 from unicon_lab.view.page.scene import Scene
-from unicon_lab.view.page.words import legend_html
 from unicon_lab.view.shown import Parameter, Shown
 
 NONE = "nothing"

@@ -13,8 +13,8 @@ from unicon_core.models.posed import PosedModel, foot_bodies, foot_geoms
 from unicon_core.models.terrain import load_on
 from unicon_core.models.touching import floors
 from unicon_lab.view.page.link import move
+from unicon_lab.view.page.plots import COMMANDED, MEASURED
 from unicon_lab.view.page.shapes import shapes_of
-from unicon_lab.view.page.words import COMMANDED, MEASURED
 from unicon_lab.view.shown import Shown
 
 _PATH = (90, 90, 200)

@@ -13,9 +13,8 @@ from typing import Any
 
 from unicon_base.errors import UniconError, imported
 from unicon_lab.view import PORT
-from unicon_lab.view.page.plots import SECONDS, History
+from unicon_lab.view.page.plots import SECONDS, History, status_html, table
 from unicon_lab.view.page.wheel import Wheel
-from unicon_lab.view.page.words import status_html, table
 from unicon_lab.view.shown import Shown
 from unicon_lab.view.source import Remote, Snapshot, Source
 from unicon_ros.web_front import check_reach, listening, netloc, refusal
