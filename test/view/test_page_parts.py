@@ -339,7 +339,7 @@ def test_a_robot_is_drawn_with_bones_where_its_model_has_no_looks(tmp_path: Path
     import mujoco
 
     from unicon_core.models.loaded import LoadedModel
-    from unicon_lab.view.page.shapes import shapes_of
+    from unicon_lab.view.page.scene import shapes_of
 
     text = """<mujoco><worldbody><body name="trunk" pos="0 0 1"><freejoint/>
         <geom type="capsule" size="0.1 0.2" rgba="1 0 0 1"/>
