@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-import unicon_lab.view.page.wheel as wheel_module
+import unicon_lab.view.page.sink as wheel_module
 from unicon_base.errors import UniconError
 from unicon_core.states import Layout, States, StateSpec
 from unicon_core.states.standard import standard_states
@@ -32,8 +32,7 @@ from unicon_lab.view.page.plots import (
     graph_html,
     groups,
 )
-from unicon_lab.view.page.sink import MOST
-from unicon_lab.view.page.wheel import Wheel
+from unicon_lab.view.page.sink import MOST, Wheel
 from unicon_lab.view.shown import DEAD_MAN, GraphLine
 from unicon_ros.cli.main import _parser, main
 from unicon_ros.web_front import check_reach, listening, refusal

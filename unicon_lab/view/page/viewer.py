@@ -10,7 +10,7 @@ from unicon_lab.view.page.link import PageConnection
 from unicon_lab.view.page.panel import Panel
 from unicon_lab.view.page.plots import History, graph_html
 from unicon_lab.view.page.scene import Pose, Scene, Stage
-from unicon_lab.view.page.wheel import Wheel
+from unicon_lab.view.page.sink import Wheel
 from unicon_lab.view.shown import Shown
 from unicon_lab.view.source import Remote, Snapshot
 
