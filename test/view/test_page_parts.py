@@ -328,7 +328,7 @@ def test_the_running_part_of_the_graph_stands_out() -> None:
 )
 def test_a_heartbeat_is_read_and_garbage_is_not(text: str, state: Any) -> None:
     pytest.importorskip("viser", reason="no live page: pip install 'unicon_ros[view]'")
-    from unicon_lab.view.page.link import state_of
+    from unicon_lab.view.page.viewer import state_of
 
     assert state_of(text) == state
 

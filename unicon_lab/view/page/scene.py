@@ -16,8 +16,8 @@ from unicon_core.models.posed import PosedModel, foot_bodies, foot_geoms
 from unicon_core.models.terrain import load_on
 from unicon_core.models.touching import floors
 from unicon_core.platforms.kit.base import rotation
-from unicon_lab.view.page.link import move
 from unicon_lab.view.page.plots import COMMANDED, MEASURED
+from unicon_lab.view.page.viewer import move
 from unicon_lab.view.shown import Shown
 
 # MuJoCo's own viewers hide the groups of geoms from here on.
