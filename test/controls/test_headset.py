@@ -14,7 +14,7 @@ from unicon_core.states.standard import BUTTONS
 from unicon_hardware.peripherals.webxr.frames import BUTTONS as THEIRS
 from unicon_hardware.peripherals.webxr.frames import PARTS
 from unicon_hardware.peripherals.webxr.webxr import webxr
-from unicon_manipulation.headset import HeadsetControls
+from unicon_manipulation.teleop.operator import HeadsetControls
 
 EVIDENCE = "stand_in"
 """What these tests run against, the most that config/evidence.yaml may say by them."""
