@@ -25,8 +25,7 @@ from unicon_core.robots import Robot
 from unicon_core.states import StateSpec
 from unicon_core.states.standard import forwarded_states
 from unicon_core.workflow.autowire import BuildContext
-from unicon_manipulation.retarget.hand_model import HandModel, told_hand
-from unicon_manipulation.retarget.human_hand import ABSENT, JOINTS, HumanHand
+from unicon_manipulation.retarget.hand_model import ABSENT, JOINTS, HandModel, HumanHand, told_hand
 from unicon_manipulation.retarget.retargeting import NEAR, Retargeting
 
 SCALES = 0.2, 5.0

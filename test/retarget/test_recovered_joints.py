@@ -9,8 +9,7 @@ import pytest
 from hands import HANDS
 
 from benchmarks.retarget import copied_hand, smooth_motion
-from unicon_manipulation.retarget.hand_model import HandModel
-from unicon_manipulation.retarget.human_hand import HumanHand
+from unicon_manipulation.retarget.hand_model import HandModel, HumanHand
 from unicon_manipulation.retarget.retargeting import Retargeting
 
 Build = Callable[[str], HandModel]

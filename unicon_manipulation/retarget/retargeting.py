@@ -25,8 +25,7 @@ from collections.abc import Callable
 import numpy as np
 
 from unicon_base.arrays import Float64
-from unicon_manipulation.retarget.hand_model import HandModel
-from unicon_manipulation.retarget.human_hand import HumanHand
+from unicon_manipulation.retarget.hand_model import HandModel, HumanHand
 
 PINCH = 400.0
 """Weight of a pinch that touches, against 1 of a finger's own vector: where both differ by 20 mm,
