@@ -32,8 +32,9 @@ from unicon_lab.view.page.plots import (
     graph_html,
     groups,
 )
-from unicon_lab.view.page.sink import MOST, Wheel
+from unicon_lab.view.page.sink import MOST
 from unicon_lab.view.shown import DEAD_MAN, GraphLine
+from unicon_lab.view.source import Wheel
 from unicon_ros.cli.main import _parser, main
 from unicon_ros.web_front import check_reach, listening, refusal
 

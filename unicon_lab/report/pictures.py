@@ -10,7 +10,7 @@ import numpy as np
 from unicon_base.arrays import Array
 from unicon_core.drawing import INK, MARK, Pictures, as_png, curve, drawn, grid
 from unicon_core.page import write_file
-from unicon_lab.report.run_page import Keeper
+from unicon_lab.report.run_samples import Keeper
 
 MEASURED, COMMANDED, BAD = MARK, "#e07b00", "#d62728"
 SMALL = 250

@@ -1,12 +1,14 @@
-"""What a process of its own is given beside a run: a viewer, `--view`, and figures, `--metrics`."""
+"""Processes beside a run that read its ticks: a viewer, `--view`, and metrics, `--metrics`.
+
+Each tick is copied into a ring in shared memory; one copy a tick.
+"""
 
 from __future__ import annotations
 
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 from urllib.parse import urlsplit
 
 from unicon_core.flow import Block, Stage
@@ -25,10 +27,7 @@ from unicon_ros.peripheral import Peripheral, peripheral_states, short
 
 if TYPE_CHECKING:
     from unicon_core.runtime import Runner
-    from unicon_lab.view.driver import Driver
     from unicon_ros.bridge import RosSession
-    from unicon_ros.controls import Controls
-
 
 PROCESS = "unicon_lab.view.process"
 
@@ -36,7 +35,7 @@ KEPT_S = 1.0
 """Of ticks in the ring, in [s]: a viewer that looks rarely still plots every one of them."""
 
 RARELY = 0.01
-"""How often it is looked who drives, at the phase and the overruns, in [s]."""
+"""Interval of looking who drives, at the phase and the overruns, in [s]."""
 
 # Places of the numbers of `HEAD`.
 _TICK, _STAMP, _PHASE, _PAUSED, _LATE, _TOOK, _OVERRUNS, _DRIVES, _ROBOTS, _COUNTERS = range(10)
@@ -44,9 +43,29 @@ _TICK, _STAMP, _PHASE, _PAUSED, _LATE, _TOOK, _OVERRUNS, _DRIVES, _ROBOTS, _COUN
 FEWEST, LARGEST = 16, 32 << 20
 """Ticks in the ring at least, and its bytes at most beyond those."""
 
+TEXTS_S = 0.2
+"""Interval of sending a viewer texts that have changed, in [s]."""
+
+LAST_WORDS = 0.2
+"""For so long a viewer may show the last ones before it is closed, in [s]."""
+
+LINES = 20
+"""Last lines of the run's log that a viewer gets."""
+
+LONGEST = 3500
+"""Bytes of the texts: they go through a pipe whole or not at all."""
+
+
+class _Drives(Protocol):
+    driving: int
+
+
+class _Pauses(Protocol):
+    paused: Any
+
 
 def _filling(
-    runner: Runner, cells: Sequence[Any], ring: FrameRing, driver: Driver, controls: Controls
+    runner: Runner, cells: Sequence[Any], ring: FrameRing, driver: _Drives, controls: _Pauses
 ) -> Callable[[], None]:
     """Return what copies a tick; all that it looks at is bound once.
 
@@ -54,8 +73,8 @@ def _filling(
         runner: whose ticks are copied.
         cells: of its graph's variables that are the counters.
         ring: of ticks: `HEAD`, counters, states.
-        driver: tells whether a viewer drives.
-        controls: tell whether the simulator stands still.
+        driver: knows whether a viewer drives.
+        controls: know whether the simulator stands still.
     """
     states = runner.program.states.buffer.data.cast("B")
     program, statistics = runner.program, runner.statistics
@@ -107,20 +126,23 @@ def _filling(
 
 
 class Fed(Attachment):
-    """A run whose ticks a process of its own is given; whoever made it closes it.
+    """Gives a run's ticks to a process of its own; who made it closes it.
 
     Args:
         warn: takes lines for the operator.
+        session: of ROS, or None.
 
     Attributes:
         address: where that process shows them, once it is started.
     """
 
-    def __init__(self, warn: Callable[[str], None]) -> None:
-        self.warn, self.address = warn, ""
+    interval = 0.0
+    """Of sending texts, in [s]."""
+
+    def __init__(self, warn: Callable[[str], None], session: RosSession | None) -> None:
+        self.warn, self.address, self._session = warn, "", session
         self._ring: FrameRing | None = None
         self._peripheral: Peripheral | None = None
-        self._runner: Runner | None = None
         self._fill: Callable[[], object] = bool
         self._due_ns = 0
 
@@ -130,36 +152,33 @@ class Fed(Attachment):
         name: str,
         told: States,
         options: dict[str, Any],
-        driver: Driver,
-        controls: Controls,
-        *,
+        driver: _Drives,
+        controls: _Pauses,
         stale: float,
         period: float,
-        map: str = "default",
-        frame_prefix: str = "",
+        **shown_as: str,
     ) -> Peripheral:
         """Start the process that reads a run's ring, and return it.
 
         Args:
             runner: of the run, before its first tick.
             name: of the peripheral that the process is.
-            told: what it tells.
+            told: states that it publishes.
             options: of its sink; `port` becomes the one that it has got, where browsers look for a
                 process that is started again.
             driver, controls: as of `_filling`.
             stale: so long it may be silent, in [s].
             period: between two looks at it, in [s].
-            map: name of the message map.
-            frame_prefix: of ROS frames.
+            shown_as: as of `shown_of`.
 
         Raises:
             UniconError: it cannot begin.
         """
-        shown, variables = shown_of(runner.program, runner.graph, map, frame_prefix)
+        shown, variables = shown_of(runner.program, runner.graph, **shown_as)
         cells = runner.graph.cells(variables)
         size = HEAD.size + 8 * len(cells) + runner.program.states.buffer.nbytes
         ticks = max(FEWEST, min(round(KEPT_S / runner.program.period), LARGEST // size))
-        ring = FrameRing.create(size, ticks)
+        ring = self._ring = FrameRing.create(size, ticks)
         ring.touch()
         data = {"shown": shown, "ring": str(ring.path)}
         given = {"name": name, "options": options, "data": data}
@@ -168,34 +187,31 @@ class Fed(Attachment):
         except BaseException:
             ring.close()
             raise
-        self._ring, self._peripheral, self.address = ring, process, str(process.first["address"])
+        self._peripheral, self.address = process, str(process.first["address"])
         self._runner, self._fill = runner, _filling(runner, cells, ring, driver, controls)
         options["port"] = urlsplit(self.address).port or options.get("port", PORT)
         return process
 
+    def _tick(self) -> None:
+        self._fill()
+        now = time.perf_counter_ns()
+        if now >= self._due_ns and self._peripheral is not None:
+            self._due_ns = now + round(self.interval * 1e9)
+            self._tell(self._peripheral)
+
+    def _tell(self, peripheral: Peripheral) -> bool:
+        """Send the texts; return whether any were new."""
+        raise NotImplementedError
+
     def close(self) -> None:
         """End the process; safe to call twice."""
-        if self._peripheral is not None:
-            self._peripheral.close()
-        if self._ring is not None:
-            self._ring.close()
-
-
-TOLD = 0.2
-"""How often the viewer is told texts that have changed, in [s]."""
-
-LAST_WORDS = 0.2
-"""For so long a viewer may show the last ones before it is closed, in [s]."""
-
-LINES = 20
-"""Of what the run has told, that a viewer is told."""
-
-LONGEST = 3500
-"""Bytes of the texts: they go through a pipe whole or not at all."""
+        for each in (self._peripheral, self._ring):
+            if each is not None:
+                each.close()
 
 
 class View(Fed):
-    """A viewer of one run; whoever made it closes it.
+    """A viewer of one run; who made it closes it.
 
     Args:
         options: of the sink: `sink`, `host`, `port`, `token`, `fps`.
@@ -208,7 +224,7 @@ class View(Fed):
         address: where it is seen, once it is attached.
     """
 
-    drives, label = True, "view"
+    drives, label, interval = True, "view", TEXTS_S
 
     def __init__(
         self,
@@ -218,12 +234,11 @@ class View(Fed):
         frame_prefix: str = "",
         warn: Callable[[str], None] = print,
     ) -> None:
-        super().__init__(warn)
-        self._options, self._session, self._map = dict(options), session, map or "default"
-        self._prefix = frame_prefix
+        super().__init__(warn, session)
+        self._options = dict(options)
+        self._shown_as = {"map": map or "default", "frame_prefix": frame_prefix}
         self.controls = session.controls if session is not None else Controls(time.sleep)
-        self._tuning = Tuning()
-        self._told = States(PAGE)
+        self._tuning, self._told = Tuning(), States(PAGE)
         self._lines: list[str] = []
         self._texts: dict[str, Any] = {}
         self._reader: object = None
@@ -235,14 +250,13 @@ class View(Fed):
 
     def hook(self, program: Program) -> dict[Stage, list[Block]]:
         """Return the blocks of the viewer. Place it after the hook that receives commands."""
-        press: Callable[[], object] = bool
-        if self._session is not None and self._session.estop is not None:
-            press = self._session.estop.press
+        estop = self._session and self._session.estop
+        press: Callable[[], object] = bool if estop is None else estop.press
         self._driver = Driver(program, self._told, self.controls, self._tuning, press)
         stages = {stage: list(blocks) for stage, blocks in self._tuning.hook(program).items()}
         for stage, blocks in self._driver.blocks().items():
             stages[stage] = blocks + stages.get(stage, [])
-        stages[Stage.OBSERVE] = [Block(NAME, self._show, endless=True), *stages[Stage.OBSERVE]]
+        stages[Stage.OBSERVE] = [Block(NAME, self._tick, endless=True), *stages[Stage.OBSERVE]]
         return stages
 
     def attach(self, runner: Runner) -> None:
@@ -251,56 +265,42 @@ class View(Fed):
         Raises:
             UniconError: it cannot begin.
         """
-        driver, program = self._driver, runner.program
+        driver, controls = self._driver, self.controls
         assert driver is not None
-        if self.controls.runner is None:
-            self.controls.runner = runner
-        peripheral = self._start(
-            *(runner, NAME, self._told, self._options, driver, self.controls),
-            stale=DEAD_MAN,
-            period=driver.interval,
-            map=self._map,
-            frame_prefix=self._prefix,
-        )
-        driver.attach(peripheral, runner)
-        self.controls.others += [driver.look, self._show]
+        if controls.runner is None:
+            controls.runner = runner
+        run = (runner, NAME, self._told, self._options, driver, controls)
+        driver.attach(self._start(*run, DEAD_MAN, driver.interval, **self._shown_as), runner)
+        controls.others += [driver.look, self._tick]
         tell = runner.options.warn
 
         def heard(line: str) -> None:
             self._lines = [*self._lines, line][-LINES:]
             tell(line)
 
-        program.warn = heard
+        runner.program.warn = heard
 
-    def _show(self) -> None:
-        self._fill()
-        now = time.perf_counter_ns()
-        if now >= self._due_ns and self._runner is not None:
-            self._due_ns = now + round(TOLD * 1e9)
-            self._tell(self._runner)
-
-    def _tell(self, runner: Runner) -> bool:
-        if self._peripheral is None:
-            return False
+    def _tell(self, peripheral: Peripheral) -> bool:
+        runner = self._runner
         texts = {
             "waits_for": runner.waits_for,
             "faults": runner.faults,
             "notes": self._lines,
             "parameters": self._tuning.values(),
         }
-        process = self._peripheral.process  # one that was started again knows nothing
+        process = peripheral.process  # one that was started again knows nothing
         if process is self._reader and texts == self._texts:
             return False
-        if self._peripheral.wish("texts", {name: _cut(each) for name, each in texts.items()}):
+        if peripheral.wish("texts", {name: _cut(each) for name, each in texts.items()}):
             self._texts, self._reader = {**texts, "faults": list(runner.faults)}, process
         return True
 
     def close(self) -> None:
-        """Tell the last words, and end the viewer's process; once the run has ended.
+        """Send the last texts, and end the viewer's process; once the run has ended.
 
         Safe to call twice.
         """
-        if self._runner is not None and self._tell(self._runner):
+        if self._peripheral is not None and self._tell(self._peripheral):
             time.sleep(LAST_WORDS)
         super().close()
 
@@ -320,15 +320,12 @@ def _cut(value: Any) -> Any:
 
 METRICS, SINK = "metrics", "unicon_lab.view.metrics:Metrics"
 
-FIGURES_TOLD = 1.0
-"""How often the process is told what is not in the states, in [s]."""
-
 MOST = 40
-"""Topics whose counts it is told."""
+"""Topics whose counts are sent."""
 
 
 class Metered(Fed):
-    """Lets a process of its own count the ticks and answer; whoever made it closes it.
+    """Lets a process of its own count the ticks and answer; who made it closes it.
 
     Args:
         port: on loopback; 0 for any that is free.
@@ -336,16 +333,17 @@ class Metered(Fed):
         warn: takes lines for the operator.
 
     Attributes:
-        address: where the figures are, once it is attached.
+        address: where the metrics are, once it is attached.
     """
 
-    label = METRICS
+    label, interval = METRICS, 1.0
+    driving = paused = 0
 
     def __init__(
         self, port: int, session: RosSession | None = None, warn: Callable[[str], None] = print
     ) -> None:
-        super().__init__(warn)
-        self._port, self._session = port, session
+        super().__init__(warn, session)
+        self._port = port
 
     def hook(self, program: Program) -> dict[Stage, list[Block]]:
         """Return the block that copies each tick."""
@@ -358,27 +356,17 @@ class Metered(Fed):
             UniconError: the port cannot be had.
         """
         written = sorted(told_states(runner.program))
-        options: dict[str, Any] = {"port": self._port, "written": written, "sink": SINK}
-        nobody: Any = SimpleNamespace(driving=0, paused=0)
+        options = {"port": self._port, "written": written, "sink": SINK}
         told = States(peripheral_states(METRICS, {}))
-        often = FIGURES_TOLD
-        self._start(runner, METRICS, told, options, nobody, nobody, stale=often, period=often)
+        self._start(runner, METRICS, told, options, self, self, self.interval, self.interval)
 
-    def _tick(self) -> None:
-        self._fill()
-        now = time.perf_counter_ns()
-        if now >= self._due_ns and self._peripheral is not None:
-            self._due_ns = now + round(FIGURES_TOLD * 1e9)
-            self._tell(self._peripheral)
-            self._peripheral()  # started again where it has died
-
-    def _tell(self, peripheral: Peripheral) -> None:
-        runner = self._runner
-        if runner is not None:
-            texts: dict[str, Any] = {"faults": [fault[:80] for fault in runner.faults[:9]]}
-            if self._session is not None:
-                texts["counts"] = _counts(self._session)
-            peripheral.wish("texts", texts)
+    def _tell(self, peripheral: Peripheral) -> bool:
+        texts: dict[str, Any] = {"faults": [fault[:80] for fault in self._runner.faults[:9]]}
+        if self._session is not None:
+            texts["counts"] = _counts(self._session)
+        peripheral.wish("texts", texts)
+        peripheral()  # started again where it has died
+        return True
 
 
 def _counts(session: RosSession) -> dict[str, list[tuple[str, int]]]:
@@ -387,7 +375,5 @@ def _counts(session: RosSession) -> dict[str, list[tuple[str, int]]]:
     for out in session.outgoing:  # several of ours may share a topic, such as /tf
         published[out.topic] = published.get(out.topic, 0) + out.published
     received = {topic.topic: topic.received for topic in session.incoming}
-    return {
-        "published": list(published.items())[: MOST // 2],
-        "received": list(received.items())[: MOST // 2],
-    }
+    both = {"published": published, "received": received}
+    return {name: list(counts.items())[: MOST // 2] for name, counts in both.items()}

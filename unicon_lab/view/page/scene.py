@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from viser import _messages
 
 from unicon_base.arrays import Array, Float32, Float64
 from unicon_core.models.loaded import LoadedModel, import_mujoco
@@ -17,7 +18,6 @@ from unicon_core.models.terrain import load_on
 from unicon_core.models.touching import floors
 from unicon_core.platforms.kit.base import rotation
 from unicon_lab.view.page.plots import COMMANDED, MEASURED
-from unicon_lab.view.page.viewer import move
 from unicon_lab.view.shown import Shown
 
 # MuJoCo's own viewers hide the groups of geoms from here on.
@@ -296,6 +296,23 @@ class Stage:
             self._points = _LONGEST // 2
         self._path[self._points] = here
         self._points += 1
+
+
+def move(node: Any, position: Sequence[float], quat: Sequence[float] | None = None) -> None:
+    """Put a node of a scene where it has moved to.
+
+    Its own properties compare with what was there, which took half of a viewer's time.
+
+    Args:
+        node: viser's handle.
+        position: in its parent in [m], three numbers.
+        quat: likewise, wxyz; None where it never turns.
+    """
+    inside = node._impl
+    queue = inside.api._queue_scene_message
+    queue(_messages.SetPositionMessage(inside.name, tuple(position)))
+    if quat is not None:
+        queue(_messages.SetOrientationMessage(inside.name, tuple(quat)))
 
 
 class Scene:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from importlib.resources import files
 from typing import Any
@@ -15,9 +15,8 @@ from viser import _messages
 from unicon_lab.view.page.panel import Panel
 from unicon_lab.view.page.plots import History, graph_html
 from unicon_lab.view.page.scene import Pose, Scene, Stage
-from unicon_lab.view.page.sink import Wheel
 from unicon_lab.view.shown import Shown
-from unicon_lab.view.source import Remote, Snapshot
+from unicon_lab.view.source import Remote, Snapshot, Wheel
 
 KEY = "unicon"
 """Of the storage; nothing is kept there."""
@@ -62,23 +61,6 @@ def close_doors(server: Any) -> None:
     """Take from a server what would ask a foreign host: its share button's tunnel."""
     for message in (_messages.ShareUrlRequest, _messages.ShareUrlDisconnect):
         server._websock_server.unregister_handler(message)
-
-
-def move(node: Any, position: Sequence[float], quat: Sequence[float] | None = None) -> None:
-    """Put a node of a scene where it has moved to.
-
-    Its own properties compare with what was there, which took half of a viewer's time.
-
-    Args:
-        node: viser's handle.
-        position: in its parent in [m], three numbers.
-        quat: likewise, wxyz; None where it never turns.
-    """
-    inside = node._impl
-    queue = inside.api._queue_scene_message
-    queue(_messages.SetPositionMessage(inside.name, tuple(position)))
-    if quat is not None:
-        queue(_messages.SetOrientationMessage(inside.name, tuple(quat)))
 
 
 class PageConnection:
