@@ -170,7 +170,7 @@ def quiet() -> Tick:
 NODE = """\
 import json, os, sys
 from pathlib import Path
-from unicon_lab.sweep.on_ray.actor import RowActor
+from unicon_lab.sweep.on_ray.driver import RowActor
 told = json.loads(sys.stdin.read())
 actor = RowActor(told["manifest"])
 print(json.dumps([actor.hello(), [actor.row(each)["row"] for each in told["rows"]]]))

@@ -6,18 +6,61 @@ the command's. It reads a task and then rows from the command, and tells it what
 
 from __future__ import annotations
 
+import os
 import signal
+import socket
 import sys
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 from unicon_base.errors import UniconError
-from unicon_lab.sweep.on_ray.actor import RowActor
 from unicon_lab.sweep.plan import Row, code_sha256, differing, versions
 from unicon_lab.sweep.pool import HOPELESS, LOOK, ONE_THREAD, START_S, Line, Pool, PoolWorker
+
+
+class RowActor:
+    """Runs rows, one after the other, in the folder that Ray has unpacked.
+
+    Args:
+        manifest: as of `shipment.manifest`.
+    """
+
+    def __init__(self, manifest: dict[str, Any]) -> None:
+        self._manifest = manifest
+        self._root = Path.cwd()
+        self._runner: Any = None
+        self._error = ""
+
+    def hello(self) -> dict[str, Any]:
+        """Return who this is: `node`, `pid`, `folder`, `code` and `versions` as of `identity`."""
+        from unicon_lab.sweep.plan import code_sha256, versions
+
+        return {
+            "node": socket.gethostname(),
+            "pid": os.getpid(),
+            "code": code_sha256(),
+            "versions": versions(),
+        }
+
+    def row(self, settings: list[str]) -> dict[str, Any]:
+        """Return what is told of a row, as of `RowRunner.told`."""
+        from unicon_base.errors import UniconError
+        from unicon_lab.sweep.on_ray.shipment import arrive
+        from unicon_lab.sweep.worker import RowRunner
+
+        if self._runner is None:
+            task, original = arrive(self._root, self._manifest)
+            try:
+                self._runner = RowRunner(task, original)
+            except UniconError as error:
+                return {"error": original(error)}
+        told: dict[str, Any] = self._runner.told(settings)
+        return told
+
 
 STORE_BYTES = 80_000_000
 """Of a local Ray's shared memory: nothing large goes through it, and it has to have 75 MB."""
