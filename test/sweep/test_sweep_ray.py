@@ -17,9 +17,9 @@ import pytest
 
 from unicon_base.errors import UniconError
 from unicon_base.resources import find_config, find_resource, same_modules
+from unicon_lab.sweep.engines import Scratch
 from unicon_lab.sweep.on_ray import engine, shipment
 from unicon_lab.sweep.on_ray.driver import differs
-from unicon_lab.sweep.on_ray.engine import Scratch
 from unicon_lab.sweep.on_ray.shipment import files_of, rehearsed, to_ship
 from unicon_lab.sweep.plan import Plan, code_sha256, versions
 from unicon_lab.sweep.sweep_file import read_sweep
@@ -266,7 +266,7 @@ def test_a_scratch_folder_outlives_its_owner_only_until_the_next(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    code = "import os\nfrom unicon_lab.sweep.on_ray.engine import Scratch\nScratch()\n"
+    code = "import os\nfrom unicon_lab.sweep.engines import Scratch\nScratch()\n"
     subprocess.run(
         [sys.executable, "-c", code + "os.kill(os.getpid(), 9)"],
         env=same_modules() | {"TMPDIR": str(tmp_path)}, check=False,
