@@ -17,8 +17,9 @@ import pytest
 
 from unicon_base.errors import UniconError
 from unicon_base.resources import find_config, find_resource, same_modules
+from unicon_lab.sweep import engines as engine
 from unicon_lab.sweep.engines import Scratch
-from unicon_lab.sweep.on_ray import engine, shipment
+from unicon_lab.sweep.on_ray import shipment
 from unicon_lab.sweep.on_ray.driver import differs
 from unicon_lab.sweep.on_ray.shipment import files_of, rehearsed, to_ship
 from unicon_lab.sweep.plan import Plan, code_sha256, versions

@@ -16,13 +16,13 @@ from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import wait
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from unicon_base.errors import MissingDependencyError, UniconError, alternatives
 from unicon_core.signals import SIGNALS
 from unicon_lab.sweep.on_ray.shipment import files_of, manifest, pack
 from unicon_lab.sweep.plan import Plan, Row
-from unicon_lab.sweep.pool import LOOK, ONE_THREAD, Engine, PipedProcess, Pool, PoolWorker, Result
+from unicon_lab.sweep.pool import LOOK, ONE_THREAD, PipedProcess, Pool, PoolWorker, Result
 from unicon_lab.sweep.sweep_file import SweepFile
 from unicon_ros.process_exit import LOG_BYTES, last_log_line
 
@@ -160,9 +160,8 @@ class RayEngine:
     def close(self) -> None:
         """End the driver, and with it its actors and a Ray that is our own."""
         if self._process is not None:
-            if self._misses < MISSES:
-                self._process.wait(END_S, ask=not self._done)
-            self._process.end()
+            here = self._misses < MISSES
+            self._process.end(END_S if here else 0.0, ask=here and not self._done)
             self._process = None
         self._scratch.close()
 
@@ -232,28 +231,23 @@ class Scratch:
 
     def __init__(self) -> None:
         for old in Path(tempfile.gettempdir()).glob(f"{PREFIX}*"):
-            with suppress(OSError):
-                _remove_if_left(old)
-        self.path = Path(tempfile.mkdtemp(prefix=PREFIX))
-        self._lock = os.open(self.path / "new", os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o600)
-        fcntl.flock(self._lock, fcntl.LOCK_EX)
-        os.rename(self.path / "new", self.path / LOCK)  # nobody sees it without its owner
+            with suppress(OSError), _locked(old):
+                shutil.rmtree(old, ignore_errors=True)
+        made = Path(tempfile.mkdtemp(prefix=""))
+        self._lock = _locked(made)  # before another process can find it by its name
+        self.path = made.rename(made.with_name(PREFIX + made.name))
 
     def close(self) -> None:
-        """Remove it."""
+        """Remove it; safe to call twice."""
         shutil.rmtree(self.path, ignore_errors=True)
-        if self._lock >= 0:
-            os.close(self._lock)
-        self._lock = -1
+        self._lock.close()
 
 
-def _remove_if_left(folder: Path) -> None:
-    lock = os.open(folder / LOCK, os.O_WRONLY | os.O_CLOEXEC)
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        shutil.rmtree(folder, ignore_errors=True)
-    finally:
-        os.close(lock)
+def _locked(folder: Path) -> IO[bytes]:
+    """Return a lock on a folder until it is closed; raise OSError where another process has it."""
+    lock = (folder / LOCK).open("wb")
+    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    return lock
 
 
 ENGINES = ("local", "batch", "ray")
@@ -312,7 +306,7 @@ class Wish:
             require_ray()
 
 
-def engine_of(plan: Plan, wish: Wish, left: int, folder: Path) -> Engine:
+def engine_of(plan: Plan, wish: Wish, left: int, folder: Path) -> LocalEngine | RayEngine:
     """Return an engine that runs rows of a plan.
 
     Args:
@@ -370,8 +364,7 @@ class _Worker(PoolWorker):
     """
 
     def __init__(self, name: int, task: dict[str, Any], log: Path) -> None:
-        super().__init__(name)
-        self.log = str(log)
+        super().__init__(name, str(log))
         self.process = PipedProcess("unicon_lab.sweep.worker", log, ONE_THREAD)
         self.process.write(task)
 

@@ -141,7 +141,7 @@ class Plan:
             "seed": sweep.said.seed,
             "repeat": sweep.said.repeat,
             "duration_s": self.duration,
-            "early_stop": sweep.stops_at_fall,
+            "early_stop": sweep.said.early_stop == "fall",
             "sha256_reference": None if sweep.reference is None else sha256_of(sweep.reference),
         }
 
@@ -164,7 +164,7 @@ class Plan:
         return keep | {
             "workflow": str(self.workflow_file.path),
             "duration": self.duration,
-            "stops_at_fall": self.sweep.stops_at_fall,
+            "stops_at_fall": self.sweep.said.early_stop == "fall",
             "reference": None if reference is None else str(reference.absolute()),
         }
 

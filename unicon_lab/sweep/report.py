@@ -45,20 +45,16 @@ def figure_rows(results: Results) -> list[tuple[str, ...]]:
     """Return a row for each figure that there is, with the columns of `HEADS`."""
     rows = []
     for name in NUMBERS:
-        pairs = [
-            (value, results.every("row")[place])
-            for place, value in zip(results.good, results.column(name))
-            if value is not None
-        ]
-        if not pairs or name in LEFT_OUT:
+        every = np.array(results.column(name), np.float64)  # None is NaN
+        values = every[~np.isnan(every)]
+        if not len(values) or name in LEFT_OUT:
             continue
-        values = np.array([value for value, _ in pairs], np.float64)
-        worst = np.argmin(values) if name in LOWEST_IS_WORST else np.argmax(values)
-        low, middle, high = np.percentile(values, [5, 50, 95])
+        worst = (np.nanargmin if name in LOWEST_IS_WORST else np.nanargmax)(every)
         spread = values.std(ddof=1) if np.ptp(values) else 0.0  # not 3e-17 of equal ones
         figures = (values.mean(), spread if len(values) > 1 else np.nan)
-        told = [f"{x:.4g}" if np.isfinite(x) else "–" for x in (*figures, low, middle, high)]
-        rows.append((name, COLUMNS[name].unit, *told, str(pairs[int(worst)][1])))
+        told = (*figures, *np.percentile(values, [5, 50, 95]))
+        texts = [f"{x:.4g}" if np.isfinite(x) else "–" for x in told]
+        rows.append((name, COLUMNS[name].unit, *texts, str(results.rows[results.good[worst]])))
     return rows
 
 
@@ -84,11 +80,6 @@ DRAWN = ("vary", "sample", "points", "seed", "repeat")
 """Of an identity: where these are the same, so are the values of every row."""
 
 
-def paired(a: Results, b: Results) -> bool:
-    """Return whether row i of both had the same values of all parameters."""
-    return all(a.identity.get(key) == b.identity.get(key) for key in DRAWN)
-
-
 def comparison(a: Results, b: Results) -> str:
     """Return how two sweeps differ, as text.
 
@@ -103,39 +94,45 @@ def comparison(a: Results, b: Results) -> str:
     for each in (a, b):
         if not each.good:
             raise UniconError(f"{each.path} has no rollout with a result; run it first")
-    pairs = paired(a, b)
-    places = _common(a, b) if pairs else (a.good, b.good)
+    pairs = all(a.identity.get(key) == b.identity.get(key) for key in DRAWN)
+    places = [a.good, b.good]
+    if pairs:
+        at = [{side.rows[place]: place for place in side.good} for side in (a, b)]
+        places = [[side[row] for row in sorted(at[0].keys() & at[1].keys())] for side in at]
     if not places[0]:
         raise UniconError(f"{a.path} and {b.path} have no row in common; run them further")
 
     def of(name: str) -> list[list[Any]]:
         return [[side.every(name)[i] for i in at] for side, at in zip((a, b), places)]
 
-    fell = [list(map(bool, values)) for values in of("fell")]
-    hits, counts = [sum(each) for each in fell], [len(each) for each in fell]
+    fell = [np.array(values, bool) for values in of("fell")]
+    hits, counts = [int(each.sum()) for each in fell], [len(each) for each in fell]
     if pairs:
-        only_a = sum(x and not y for x, y in zip(*fell))
-        differ = only_a + sum(y and not x for x, y in zip(*fell))
-        p = stats.binomtest(only_a, differ).pvalue if differ else 1.0
+        only = [int((x & ~y).sum()) for x, y in (fell, fell[::-1])]
+        p = stats.binomtest(only[0], sum(only)).pvalue if any(only) else 1.0
     else:
         p = stats.fisher_exact([[hit, count - hit] for hit, count in zip(hits, counts)])[1]
     rows: list[tuple[str, ...]] = [("figure", "A", "B", "B - A", "p", "")]
-    shares = [_share(hit, count) for hit, count in zip(hits, counts)]
+
+    def row(name: str, a: str, b: str, apart: str, p: float) -> None:
+        rows.append((name, a, b, apart, f"{p:.2g}", "differs" if p < SURE else ""))
+
     apart = hits[1] / counts[1] - hits[0] / counts[0]
-    rows.append(("fell", *shares, f"{apart:+.2%}", f"{p:.2g}", _verdict(p)))
-    for name in NUMBERS:
-        if name in NOT_COMPARED:
-            continue
-        first, second = of(name)
+    row("fell", *map(_share, hits, counts), f"{apart:+.2%}", p)
+    for name in (name for name in NUMBERS if name not in NOT_COMPARED):
+        x, y = (np.array(values, np.float64) for values in of(name))  # None is NaN
+        known = [~np.isnan(values) for values in (x, y)]
         if pairs:
-            both = [(x, y) for x, y in zip(first, second) if x is not None and y is not None]
-            first, second = [x for x, _ in both], [y for _, y in both]
-        x, y = (np.array([v for v in vs if v is not None], np.float64) for vs in (first, second))
+            known = [known[0] & known[1]] * 2
+        x, y = x[known[0]], y[known[1]]
         if len(x) and len(y):
-            p = _p(stats, x, y, pairs)
-            means = (x.mean(), y.mean())
-            told = (*(f"{m:.4g}" for m in means), f"{means[1] - means[0]:+.3g}", f"{p:.2g}")
-            rows.append((COLUMNS[name].named(name), *told, _verdict(p)))
+            if pairs:
+                p = 1.0 if (x == y).all() else float(stats.wilcoxon(x, y).pvalue)
+            else:
+                p = float(stats.mannwhitneyu(x, y).pvalue)
+            a_mean, b_mean = x.mean(), y.mean()
+            apart_text = f"{b_mean - a_mean:+.3g}"
+            row(COLUMNS[name].named(name), f"{a_mean:.4g}", f"{b_mean:.4g}", apart_text, p)
     how = (
         f"{counts[0]} rows with the same values, pair by pair (McNemar, Wilcoxon)"
         if pairs
@@ -145,27 +142,9 @@ def comparison(a: Results, b: Results) -> str:
     return "\n".join([*lines, *_changed(a, b)])
 
 
-def _common(a: Results, b: Results) -> tuple[list[int], list[int]]:
-    """Return the places of the rows that both have."""
-    first = {a.rows[place]: place for place in a.good}
-    second = {b.rows[place]: place for place in b.good}
-    rows = sorted(first.keys() & second.keys())
-    return [first[row] for row in rows], [second[row] for row in rows]
-
-
 def _share(hits: int, count: int) -> str:
     low, high = wilson(hits, count)
     return f"{hits / count:.2%} ({low:.2%} – {high:.2%})"
-
-
-def _p(stats: Any, x: Any, y: Any, pairs: bool) -> float:
-    if pairs:
-        return 1.0 if (x == y).all() else float(stats.wilcoxon(x, y).pvalue)
-    return float(stats.mannwhitneyu(x, y).pvalue)
-
-
-def _verdict(p: float) -> str:
-    return "differs" if p < SURE else ""
 
 
 def _changed(a: Results, b: Results) -> list[str]:
@@ -332,22 +311,18 @@ def _shown(text: str) -> str:
     return text.replace("$", r"\$")
 
 
-def _binned(results: Results, most: int) -> list[Bins]:
-    """Return the bins of each parameter, but of the seed: it has no order."""
-    paths = [path for path in results.parameters if path != "scene.seed"]
-    return [bins_of(_shown(path), results.varied(path), most) for path in paths]
-
-
-def _hits(results: Results) -> Bool:
-    return np.array([bool(value) for value in results.column("fell")], np.bool_)
+def _binned(results: Results, most: int) -> tuple[list[Bins], Bool]:
+    """Return the bins of each parameter, but of the seed: it has no order; and who fell."""
+    paths = [path for path in results.parameters if path != "scene.seed" and results.good]
+    bins = [bins_of(_shown(path), results.varied(path), most) for path in paths]
+    return bins, np.array(results.column("fell"), np.bool_)
 
 
 def _each(figure: Any, results: Results) -> bool:
-    shown = _binned(results, BINS)
-    if not shown or not results.good:
+    shown, hits = _binned(results, BINS)
+    if not shown:
         return False
     every = grid(figure, len(shown), ACROSS, 3.1, sharey=True)
-    hits = _hits(results)
     for axes, bins in zip(every, shown):
         places = np.arange(len(bins.labels))
         counts = bins.count(hits)
@@ -364,11 +339,10 @@ def _each(figure: Any, results: Results) -> bool:
 
 
 def _pairs(figure: Any, results: Results) -> bool:
-    shown = _binned(results, PAIR_BINS)[:MOST_PAIRED]
-    pairs = list(combinations(shown, 2))
-    if not pairs or not results.good:
+    shown, hits = _binned(results, PAIR_BINS)
+    pairs = list(combinations(shown[:MOST_PAIRED], 2))
+    if not pairs:
         return False
-    hits = _hits(results)
     for axes, (across, up) in zip(grid(figure, len(pairs), ACROSS, 3.6), pairs):
         shape = (len(up.labels), len(across.labels))
         every, some = np.zeros(shape, np.int64), np.zeros(shape, np.int64)

@@ -265,15 +265,15 @@ class RowRunner:
         return result
 
     def told(self, settings: list[str], name: str = "") -> dict[str, Any]:
-        """Return what is told of a row: as above with `built` and `why_not`, or an `error`."""
+        """Return what is told of a row: as above with `why_not`, or an `error`."""
         try:
             return self.counted(self(settings, name))
         except UniconError as error:
             return {"error": self._said(error)}
 
     def counted(self, told: dict[str, Any]) -> dict[str, Any]:
-        """Return what is told of a row with `built` and `why_not` of the programs so far."""
-        return told | {"built": self.programs.built, "why_not": self.programs.why_not}
+        """Return what is told of a row with `why_not` of the programs so far."""
+        return told | {"why_not": self.programs.why_not}
 
 
 def serve(make: Callable[[dict[str, Any], Tell], RowRunner]) -> int:

@@ -125,13 +125,10 @@ class _Actor(PoolWorker):
     """
 
     def __init__(self, name: int, ray: Any, actor: Any) -> None:
-        super().__init__(name)
+        super().__init__(name, LOGS, ready=False)
         self._ray, self._actor = ray, actor
-        self.ready = False
-        self.log = LOGS
         self.answers: deque[Any] = deque([actor.hello.remote()])
-        self._node = ""
-        self._why = ""
+        self._node = self._why = ""
 
     def send(self, row: Row) -> None:
         """Bring it a row."""
