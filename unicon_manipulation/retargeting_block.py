@@ -45,6 +45,15 @@ is looked for: one that is far away may lie behind a worse minimum."""
 class Retargeting:
     """Finds the joints of a robot's hand for a human one, from where it found them last.
 
+    Each finger's vector is followed, from where it begins to its tip, times the ratio of both
+    fingers' lengths, as in AnyTeleop (Qin et al., RSS 2023); and those from the thumb's tip to the
+    others', as in DexPilot (Handa et al., ICRA 2020), which count the more the nearer these are:
+
+        minimise  Σ |t_i - b_i - s_i v_i|² + Σ w_j |t_j - t_thumb - u_j|²   within the joint limits
+
+    with tips t(q), where fingers begin b, the human's vectors v, scales s, pinches u, weights w. A
+    thumb of three driven joints follows the human's last joint besides, with a small weight.
+
     Args:
         model: of the robot's hand.
         contact: tips that are to be so near to each other close wholly, in [m] of the robot's.
@@ -155,7 +164,11 @@ one: what it misses then lies along it, no gradient bends it, and it would stay 
 
 
 class Bounded:
-    """Solves one problem again and again.
+    """Solves one nonlinear least-squares problem within bounds again and again, by Gauss-Newton.
+
+    Each step solves (JᵀJ + λ diag) dq = -Jᵀr of the free variables; those at a bound against which
+    the gradient pushes them are held (Bertsekas, Projected Newton Methods, SIAM J. Control Optim.
+    20(2), 1982). λ is Marquardt's damping where a step does not help.
 
     Args:
         residual: returns r(q), shape (m,), and its Jacobian, shape (m, n).

@@ -1,6 +1,7 @@
-"""The report of a run: its fields, each of which is listed here.
+"""The report of a run: its fields, each of which is listed here; written, signed and verified.
 
-A text passes as a name that the ledger or a file beside it has, or as a number.
+A text passes as a name that the ledger or a file beside it has, or as a number. The signature is
+OpenSSH's own (`ssh-keygen -Y`): an agent, a passphrase or a token works.
 """
 
 from __future__ import annotations

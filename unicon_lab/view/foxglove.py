@@ -36,7 +36,12 @@ SERVED = "package://unicon"
 
 
 class MeshServer:
-    """Has no file before `offered`."""
+    """Gives Foxglove the files that the robot_description it got names, and no others.
+
+    It has no file before `offered`. Foxglove asks a server for `package:` alone, and its own
+    browser for `file:`, which may be on another machine. So `file:///PATH` becomes
+    `package://unicon/PATH`.
+    """
 
     def __init__(self) -> None:
         self._files: dict[str, Path] = {}

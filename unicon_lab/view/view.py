@@ -21,8 +21,8 @@ from unicon_lab.view.driver import Driver
 from unicon_lab.view.shown import DEAD_MAN, HEAD, NAME, PAGE, shown_of
 from unicon_ros.attachments import Attachment
 from unicon_ros.bridge.bindings import told_states
-from unicon_ros.bridge.tuning import Tuning
-from unicon_ros.controls import Controls
+from unicon_ros.bridge.services import Controls
+from unicon_ros.parameters import Tuning
 from unicon_ros.peripheral import Peripheral, peripheral_states, short
 
 if TYPE_CHECKING:
@@ -156,7 +156,8 @@ class Fed(Attachment):
         controls: _Pauses,
         stale: float,
         period: float,
-        **shown_as: str,
+        map: str = "default",
+        frame_prefix: str = "",
     ) -> Peripheral:
         """Start the process that reads a run's ring, and return it.
 
@@ -169,12 +170,12 @@ class Fed(Attachment):
             driver, controls: as of `_filling`.
             stale: so long it may be silent, in [s].
             period: between two looks at it, in [s].
-            shown_as: as of `shown_of`.
+            map, frame_prefix: as of `shown_of`.
 
         Raises:
             UniconError: it cannot begin.
         """
-        shown, variables = shown_of(runner.program, runner.graph, **shown_as)
+        shown, variables = shown_of(runner.program, runner.graph, map, frame_prefix)
         cells = runner.graph.cells(variables)
         size = HEAD.size + 8 * len(cells) + runner.program.states.buffer.nbytes
         ticks = max(FEWEST, min(round(KEPT_S / runner.program.period), LARGEST // size))
@@ -236,7 +237,7 @@ class View(Fed):
     ) -> None:
         super().__init__(warn, session)
         self._options = dict(options)
-        self._shown_as = {"map": map or "default", "frame_prefix": frame_prefix}
+        self._names = map or "default", frame_prefix
         self.controls = session.controls if session is not None else Controls(time.sleep)
         self._tuning, self._told = Tuning(), States(PAGE)
         self._lines: list[str] = []
@@ -250,8 +251,9 @@ class View(Fed):
 
     def hook(self, program: Program) -> dict[Stage, list[Block]]:
         """Return the blocks of the viewer. Place it after the hook that receives commands."""
-        estop = self._session and self._session.estop
-        press: Callable[[], object] = bool if estop is None else estop.press
+        press: Callable[[], object] = bool
+        if self._session is not None and self._session.estop is not None:
+            press = self._session.estop.press
         self._driver = Driver(program, self._told, self.controls, self._tuning, press)
         stages = {stage: list(blocks) for stage, blocks in self._tuning.hook(program).items()}
         for stage, blocks in self._driver.blocks().items():
@@ -270,7 +272,7 @@ class View(Fed):
         if controls.runner is None:
             controls.runner = runner
         run = (runner, NAME, self._told, self._options, driver, controls)
-        driver.attach(self._start(*run, DEAD_MAN, driver.interval, **self._shown_as), runner)
+        driver.attach(self._start(*run, DEAD_MAN, driver.interval, *self._names), runner)
         controls.others += [driver.look, self._tick]
         tell = runner.options.warn
 

@@ -18,7 +18,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from unicon_base.errors import WorkflowError
-from unicon_core.models.scalar_rotations import (
+from unicon_core.models.frames import (
     Quat,
     Vector,
     conjugate,
@@ -214,6 +214,9 @@ Mode: TypeAlias = Literal["hold", "toggle", "always"]
 
 class Clutch:
     """The clutch of one hand.
+
+    It must be seen open before it closes: an operator who comes back with a closed hand moves
+    nothing.
 
     Args:
         mode: `hold`, engaged while it is closed; `toggle`, each closing turns it over; `always`,

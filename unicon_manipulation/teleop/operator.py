@@ -17,9 +17,9 @@ from typing import Any, Literal
 from unicon_base.arrays import Array
 from unicon_base.errors import WorkflowError, alternatives
 from unicon_core.blocks.controls.device import declares_controls
-from unicon_core.buttons import BUTTONS
+from unicon_core.bounds import BUTTONS
 from unicon_core.flow.block import Writes
-from unicon_core.models.scalar_rotations import (
+from unicon_core.models.frames import (
     Quat,
     Vector,
     conjugate,
@@ -295,6 +295,11 @@ _STICKS = {"left": (0, 1), "right": (2, 3)}
 
 class HeadsetControls:
     """Write sticks and buttons of a headset's controllers; all zero while none is tracked.
+
+        commands: [webxr, headset_controls, {drive: {speed: [0.5, 0.3, 0.8]}}]
+
+    Buttons are named by place, as on a Unitree remote: A and B of the right controller, X and Y of
+    the left one; L1 and R1 are squeezed, L2 and R2 the triggers, F1 and F2 the pressed sticks.
 
     A robot that tells its own remote writes these states itself: rename them here and in the blocks
     that read them (`states: {sticks: headset_sticks}`).

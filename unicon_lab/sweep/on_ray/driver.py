@@ -23,7 +23,10 @@ from unicon_lab.sweep.pool import HOPELESS, LOOK, ONE_THREAD, START_S, Line, Poo
 
 
 class RowActor:
-    """Runs rows, one after the other, in the folder that Ray has unpacked.
+    """Runs rows on a node, one after the other, in the folder that Ray has unpacked.
+
+    Ray ships this class by value and its methods import the rest, so that `hello` or an error in
+    one line reports what a node lacks.
 
     Args:
         manifest: as of `shipment.manifest`.
@@ -33,10 +36,9 @@ class RowActor:
         self._manifest = manifest
         self._root = Path.cwd()
         self._runner: Any = None
-        self._error = ""
 
     def hello(self) -> dict[str, Any]:
-        """Return who this is: `node`, `pid`, `folder`, `code` and `versions` as of `identity`."""
+        """Return who this is: `node`, `pid`, `code` and `versions` as of `plan`."""
         from unicon_lab.sweep.plan import code_sha256, versions
 
         return {

@@ -3,143 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
-import trimesh
-from numpy.typing import NDArray
 from viser import _messages
 
 from unicon_base.arrays import Array, Float32, Float64
-from unicon_core.models.loaded import LoadedModel, import_mujoco
+from unicon_core.models.loaded import floors, import_mujoco
 from unicon_core.models.posed import PosedModel, foot_bodies, foot_geoms
 from unicon_core.models.terrain import load_on
-from unicon_core.models.touching import floors
-from unicon_core.platforms.kit.base import rotation
 from unicon_lab.view.page.plots import COMMANDED, MEASURED
+from unicon_lab.view.page.shapes import shapes_of
 from unicon_lab.view.shown import Shown
-
-# MuJoCo's own viewers hide the groups of geoms from here on.
-_SHOWN = 3
-
-# Thinnest and thickest bone, by its radius in [m].
-_BONE = (0.012, 0.045)
-
-_BONE_COLOUR = (0.55, 0.58, 0.63, 1.0)
-_FAINT = 0.05  # a geom below this opacity is there for contacts alone
-
-
-@dataclass(frozen=True)
-class Shape:
-    """The triangles of one colour of one body.
-
-    Attributes:
-        body: its number in the model; 0 stands still.
-        vertices: in the body's frame in [m], shape (v, 3).
-        faces: indices of vertices, shape (f, 3).
-        rgba: colour, each 0 to 1.
-    """
-
-    body: int
-    vertices: Float32
-    faces: NDArray[np.uint32]
-    rgba: tuple[float, ...]
-
-
-def shapes_of(loaded: LoadedModel) -> list[Shape]:
-    """Return the shapes of all bodies; planes are left out, since the page draws its own ground.
-
-    Args:
-        loaded: a model; a body of its robot without a visible geom gets bones to its children.
-    """
-    model = loaded.model
-    parts: dict[tuple[int, tuple[float, ...]], list[Any]] = {}
-    dressed = set()
-    for geom in range(model.ngeom):
-        body, colour = int(model.geom_bodyid[geom]), _colour(model, geom)
-        if model.geom_group[geom] >= _SHOWN or colour[3] < _FAINT:
-            continue
-        found = _triangles(model, geom)
-        if found is None:
-            continue
-        matrix = np.eye(4)
-        matrix[:3, :3] = rotation(model.geom_quat[geom])
-        matrix[:3, 3] = model.geom_pos[geom]
-        parts.setdefault((body, colour), []).append(found.apply_transform(matrix))
-        dressed.add(body)
-    root = int(model.body_rootid[model.jnt_bodyid[loaded.joints[0]]])
-    for body in range(1, model.nbody):
-        parent = int(model.body_parentid[body])
-        if int(model.body_rootid[body]) == root and parent and parent not in dressed:
-            bone = _bone(np.array(model.body_pos[body]))
-            if bone is not None:
-                parts.setdefault((parent, _BONE_COLOUR), []).append(bone)
-    shapes = []
-    for (body, colour), meshes in parts.items():
-        mesh = trimesh.util.concatenate(meshes)
-        vertices, faces = np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.uint32)
-        shapes.append(Shape(body, vertices, faces, colour))
-    return shapes
-
-
-def _colour(model: Any, geom: int) -> tuple[float, ...]:
-    material = int(model.geom_matid[geom])
-    rgba = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
-    return tuple(round(float(x), 3) for x in rgba)
-
-
-def _bone(child: Float64) -> Any:
-    length = float(np.linalg.norm(child))
-    if length < 1e-3:
-        return None
-    radius = float(np.clip(0.12 * length, *_BONE))
-    bone = trimesh.creation.cylinder(radius, segment=[np.zeros(3), child], sections=12)
-    return trimesh.util.concatenate([bone, trimesh.creation.icosphere(1, 1.3 * radius)])
-
-
-def _triangles(model: Any, geom: int) -> Any:
-    """Return a geom in its own frame; None for what has no triangles."""
-    kind = import_mujoco().mjtGeom(int(model.geom_type[geom])).name.removeprefix("mjGEOM_")
-    size, number = np.array(model.geom_size[geom], float), int(model.geom_dataid[geom])
-    make = trimesh.creation
-    if kind == "SPHERE":
-        return make.icosphere(2, size[0])
-    if kind == "ELLIPSOID":
-        return make.icosphere(2, 1.0).apply_scale(size)
-    if kind == "CYLINDER":
-        return make.cylinder(size[0], 2.0 * size[1], sections=24)
-    if kind == "CAPSULE":
-        capsule = make.capsule(2.0 * size[1], size[0], count=[16, 12])
-        return capsule.apply_translation(-capsule.bounds.mean(axis=0))
-    if kind == "BOX":
-        return make.box(2.0 * size)
-    if kind == "MESH":
-        first, count = int(model.mesh_vertadr[number]), int(model.mesh_vertnum[number])
-        face, faces = int(model.mesh_faceadr[number]), int(model.mesh_facenum[number])
-        return trimesh.Trimesh(
-            np.array(model.mesh_vert[first : first + count]),
-            np.array(model.mesh_face[face : face + faces]),
-            process=False,
-        )
-    return _field(model, number) if kind == "HFIELD" else None
-
-
-def _field(model: Any, number: int) -> Any:
-    """Return a height field's surface."""
-    rows, columns = int(model.hfield_nrow[number]), int(model.hfield_ncol[number])
-    wide, deep, high, _ = (float(x) for x in model.hfield_size[number])
-    first = int(model.hfield_adr[number])
-    height = np.array(model.hfield_data[first : first + rows * columns]) * high
-    y, x = np.meshgrid(
-        np.linspace(-deep, deep, rows), np.linspace(-wide, wide, columns), indexing="ij"
-    )
-    cells = np.arange(rows * columns).reshape(rows, columns)
-    a, b = cells[:-1, :-1].ravel(), cells[:-1, 1:].ravel()
-    c, d = cells[1:, :-1].ravel(), cells[1:, 1:].ravel()
-    faces = np.concatenate([np.stack([a, b, d], 1), np.stack([a, d, c], 1)])
-    return trimesh.Trimesh(np.stack([x.ravel(), y.ravel(), height], 1), faces, process=False)
-
 
 _PATH = (90, 90, 200)
 _FOOT = (214, 39, 40)
@@ -232,8 +108,7 @@ class Stage:
             bodies = self._model.body_rootid == self._model.body_rootid[self._body]
             self._above = float(data.xpos[bodies, 2].max() - pose.base[2]) + _ABOVE
         pose.feet = {foot: np.array(data.xpos[body]) for foot, body in self._feet.items()}
-        for foot, geoms in self._soles.items():
-            pose.feet[foot] = np.array(data.geom_xpos[geoms[0]])
+        pose.feet |= {foot: np.array(data.geom_xpos[g[0]]) for foot, g in self._soles.items()}
         pose.touching = self._contacts(states)
         self._arrows(states, pose)
         self._walk(pose.base)
@@ -257,16 +132,15 @@ class Stage:
             return frozenset(foot for foot, value in zip(self._robot.feet, sure) if value > _SURE)
         if self._uneven:
             return self._on_ground()
-        near = set()
-        for foot, geoms in self._soles.items():
-            for floor in self._floors:
-                for geom in geoms:
-                    height = self._mujoco.mj_geomDistance(
-                        self._model, self._posed.data, floor, geom, 1.0, None
-                    )
-                    if height < TOUCHING:
-                        near.add(foot)
-        return frozenset(near)
+        distance, model, data = self._mujoco.mj_geomDistance, self._model, self._posed.data
+        return frozenset(
+            foot
+            for foot, geoms in self._soles.items()
+            if any(
+                distance(model, data, floor, geom, 1.0, None) < TOUCHING
+                for floor, geom in product(self._floors, geoms)
+            )
+        )
 
     def _on_ground(self) -> frozenset[str]:
         """Feet that touch what stands still."""

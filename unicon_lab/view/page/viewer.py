@@ -66,6 +66,12 @@ def close_doors(server: Any) -> None:
 class PageConnection:
     """The line to one page.
 
+    viser has no heartbeat, no gamepad, no origin check and no token. What is used of its internals
+    stands in this module, and setup.py holds its version. A page answers the question for one key
+    of the browser's storage as soon as it has handled all that was sent before it: that
+    acknowledges a picture. Our script in the page (`script.js`) reports 10 times a second that it
+    lives, and at once what gamepad and keys do: as the text of a hidden widget.
+
     Args:
         client: viser's handle.
         heard: is given what the page tells of itself, in another thread.
