@@ -165,7 +165,7 @@ setup(
         ],
         "unicon.blocks": [
             "camera = unicon_ros.bridge.camera:camera",
-            "headset_controls = unicon_manipulation.headset:HeadsetControls",
+            "headset_controls = unicon_manipulation.teleop.operator:HeadsetControls",
             "livox = unicon_hardware.peripherals.livox.livox:livox",
             "reach = unicon_manipulation.reach:Reach",
             "realsense = unicon_hardware.peripherals.realsense:realsense",

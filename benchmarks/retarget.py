@@ -24,8 +24,7 @@ from unicon_core.models.find import pick_model
 from unicon_core.robots import Robot, load_robot
 from unicon_core.states import StateSpec
 from unicon_core.testing import Bench as BlockBench
-from unicon_manipulation.retarget.hand_model import HandModel
-from unicon_manipulation.retarget.human_hand import CHAINS, JOINTS
+from unicon_manipulation.retarget.hand_model import CHAINS, JOINTS, HandModel
 from unicon_manipulation.retargeting_block import Retarget
 from unicon_ros.bench.report import Bench
 

@@ -24,8 +24,7 @@ from unicon_core.policies.networks.onnx import OnnxNetwork
 from unicon_core.robots import joint_index
 from unicon_core.signals import SIGNALS
 from unicon_core.workflow import load_workflow
-from unicon_lab.sweep.piped import Line, PipedProcess
-from unicon_lab.sweep.pool import ONE_THREAD
+from unicon_lab.sweep.pool import ONE_THREAD, Line, PipedProcess
 from unicon_ros.bench.loops import cpu_ns
 from unicon_ros.bench.report import Bench
 

@@ -27,7 +27,7 @@ _NAMES = {
 }
 MOVED = {
     **{f"{a}.{n}": f"{b}.{n}" for (a, b), names in _NAMES.items() for n in names.split()},
-    "unicon_core.blocks.controls.headset": "unicon_manipulation.headset",
+    "unicon_core.blocks.controls.headset": "unicon_manipulation.teleop.operator",
     "unicon_core.blocks.retarget": "unicon_manipulation.retargeting_block",
     "unicon_core.blocks.teleop": "unicon_manipulation.teleop",
     "unicon_core.blocks.whole_body.reach": "unicon_manipulation.reach",

@@ -13,7 +13,7 @@ from unicon_core.states import States, StateSpec
 from unicon_core.states.standard import BUTTONS
 from unicon_hardware.peripherals.webxr.webxr import BUTTONS as THEIRS
 from unicon_hardware.peripherals.webxr.webxr import PARTS, webxr
-from unicon_manipulation.headset import HeadsetControls
+from unicon_manipulation.teleop.operator import HeadsetControls
 
 # What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "stand_in"

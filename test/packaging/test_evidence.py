@@ -18,8 +18,14 @@ from unicon_core.evidence import LEVELS, Evidence, load_evidence
 from unicon_core.platforms.platform import Facts
 from unicon_core.robots import load_robot, robot_names
 from unicon_core.workflow.registry import known
-from unicon_lab.evidence_report.report import SCHEMA
-from unicon_lab.evidence_report.signed import read_report, sign, signature_of, signed_by, text_of
+from unicon_lab.evidence_report.report import (
+    SCHEMA,
+    read_report,
+    sign,
+    signature_of,
+    signed_by,
+    text_of,
+)
 from unicon_ros.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[2]

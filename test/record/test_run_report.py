@@ -27,8 +27,7 @@ from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program, load_document
 from unicon_lab import fault_record
-from unicon_lab.evidence_report.figures import HERE
-from unicon_lab.evidence_report.report import report_of
+from unicon_lab.evidence_report.report import HERE, report_of
 from unicon_lab.fault_record import FaultRecord
 from unicon_lab.recording.run_recording import Recording
 from unicon_ros.cli.main import main

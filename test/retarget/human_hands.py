@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from benchmarks.retarget import bent
 from unicon_core.models.loaded import about, multiply, rotate
-from unicon_manipulation.retarget.human_hand import CHAINS
+from unicon_manipulation.retarget.hand_model import CHAINS
 
 __all__ = ["human_hand", "pinched", "placed"]
 

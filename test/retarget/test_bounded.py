@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from unicon_manipulation.retarget.retargeting import Bounded
+from unicon_manipulation.retargeting_block import Bounded
 
 
 def slow(a: np.ndarray, b: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> float:

@@ -9,9 +9,8 @@ import pytest
 from hands import HANDS
 from human_hands import human_hand, pinched, placed
 
-from unicon_manipulation.retarget.hand_model import HandModel
-from unicon_manipulation.retarget.human_hand import HumanHand
-from unicon_manipulation.retarget.retargeting import Retargeting
+from unicon_manipulation.retarget.hand_model import HandModel, HumanHand
+from unicon_manipulation.retargeting_block import Retargeting
 
 Build = Callable[[str], HandModel]
 SIZES = (0.8, 1.0, 1.2)

@@ -11,7 +11,7 @@ from hypothesis.extra.numpy import arrays
 
 from unicon_core.robots.robot import FINGERS
 from unicon_hardware.peripherals.webxr.webxr import JOINTS
-from unicon_manipulation.retarget.human_hand import ABSENT, CHAINS, HumanHand
+from unicon_manipulation.retarget.hand_model import ABSENT, CHAINS, HumanHand
 
 NEUTRAL = np.tile(np.array((0, 0, 0, 1, 0, 0, 0), np.float32), (25, 1))
 

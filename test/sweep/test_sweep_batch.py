@@ -145,14 +145,14 @@ def test_rows_that_may_have_ended_a_worker_are_given_alone(plan: Plan, tmp_path:
     (worker,) = engine._workers
     again = [(plan.row(0), 2), (plan.row(1), 1)]
     try:
-        worker.give(plan.row(3), 1)
-        assert engine._place(worker, again) == 1
-        assert engine._place(worker, again[:1]) is None  # it is not empty
+        worker.give((plan.row(3), 1))
+        assert engine._next(worker, again[:1]) is None  # it is not empty
+        assert engine._next(worker, again[:]) == again[1]
         worker.rows.clear()
-        assert engine._place(worker, again) == 0
-        assert worker.wants(3)
-        worker.give(*again[0])
-        assert not worker.wants(3)
+        assert engine._next(worker, again[:]) == again[0]
+        assert engine._wants(worker)
+        worker.give(again[0])
+        assert not engine._wants(worker)
     finally:
         engine.close()
 

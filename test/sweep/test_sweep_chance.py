@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from unicon_lab.sweep.summary import comparison
+from unicon_lab.sweep.report import comparison
 
 pytest.importorskip("scipy")
 

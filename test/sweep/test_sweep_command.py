@@ -27,9 +27,8 @@ from unicon_lab.sweep.figures import COLUMNS
 from unicon_lab.sweep.folder import Folder
 from unicon_lab.sweep.plan import Plan
 from unicon_lab.sweep.pool import HOPELESS, Result
-from unicon_lab.sweep.report import bins_of, write_report
+from unicon_lab.sweep.report import bins_of, fall_words, write_report
 from unicon_lab.sweep.results import Results
-from unicon_lab.sweep.summary import fall_words
 from unicon_lab.sweep.sweep_file import read_gate, read_sweep
 from unicon_lab.sweep.worker import RowRunner
 from unicon_ros.cli.main import main

@@ -11,7 +11,7 @@ import pytest
 from unicon_base.arrays import Array
 from unicon_base.errors import UniconError
 from unicon_lab.analysis.run import Run, read_run
-from unicon_lab.sweep.motion import apart, finite_rows, moved
+from unicon_lab.sweep.figures import apart, finite_rows, moved
 
 PERIOD = 0.02
 

@@ -20,8 +20,8 @@ class Worker(PoolWorker):
     """Does one row a turn; dies in place of it where the pool has a death left."""
 
     def __init__(self, name: int, pool: FakePool) -> None:
-        super().__init__(name)
-        self.log, self.ready, self.pool, self.why = "LOG", False, pool, ""
+        super().__init__(name, "LOG", ready=False)
+        self.pool, self.why = pool, ""
 
     def send(self, row: Row) -> None:
         assert self.ready
@@ -34,7 +34,7 @@ class Worker(PoolWorker):
         elif self.rows and self.pool.dies(self.rows[0][0].index):
             self.why = "ended by SIGKILL"
         elif self.rows:
-            yield {"row": {"outcome": "done"}, "built": 1, "why_not": ""}
+            yield {"row": {"outcome": "done"}, "why_not": ""}
 
     def gone(self, timeout: float) -> str:
         return self.why

@@ -17,12 +17,12 @@ import pytest
 
 from unicon_base.errors import UniconError
 from unicon_base.resources import find_config, find_resource, same_modules
-from unicon_lab.sweep.identity import code_sha256, versions
-from unicon_lab.sweep.on_ray import engine, shipment
+from unicon_lab.sweep import engines as engine
+from unicon_lab.sweep.engines import Scratch
+from unicon_lab.sweep.on_ray import shipment
 from unicon_lab.sweep.on_ray.driver import differs
-from unicon_lab.sweep.on_ray.engine import Scratch
 from unicon_lab.sweep.on_ray.shipment import files_of, rehearsed, to_ship
-from unicon_lab.sweep.plan import Plan
+from unicon_lab.sweep.plan import Plan, code_sha256, versions
 from unicon_lab.sweep.sweep_file import read_sweep
 from unicon_lab.sweep.worker import RowRunner
 from unicon_ros.cli.main import main
@@ -171,7 +171,7 @@ def quiet() -> Tick:
 NODE = """\
 import json, os, sys
 from pathlib import Path
-from unicon_lab.sweep.on_ray.actor import RowActor
+from unicon_lab.sweep.on_ray.driver import RowActor
 told = json.loads(sys.stdin.read())
 actor = RowActor(told["manifest"])
 print(json.dumps([actor.hello(), [actor.row(each)["row"] for each in told["rows"]]]))
@@ -267,7 +267,7 @@ def test_a_scratch_folder_outlives_its_owner_only_until_the_next(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    code = "import os\nfrom unicon_lab.sweep.on_ray.engine import Scratch\nScratch()\n"
+    code = "import os\nfrom unicon_lab.sweep.engines import Scratch\nScratch()\n"
     subprocess.run(
         [sys.executable, "-c", code + "os.kill(os.getpid(), 9)"],
         env=same_modules() | {"TMPDIR": str(tmp_path)}, check=False,

@@ -11,8 +11,7 @@ from unicon_core.robots import load_robot
 from unicon_core.states import States, StateSpec
 from unicon_core.workflow.autowire import BuildContext, autowire
 from unicon_hardware.peripherals.webxr.webxr import BUTTONS, PARTS, webxr
-from unicon_manipulation.headset import HeadsetControls
-from unicon_manipulation.teleop.operator import FINGERS
+from unicon_manipulation.teleop.operator import FINGERS, HeadsetControls
 from unicon_manipulation.teleop.teleop import Teleop
 
 PERIOD = 0.02

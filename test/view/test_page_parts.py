@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-import unicon_lab.view.page.wheel as wheel_module
+import unicon_lab.view.page.sink as wheel_module
 from unicon_base.errors import UniconError
 from unicon_core.states import Layout, States, StateSpec
 from unicon_core.states.standard import standard_states
@@ -29,12 +29,12 @@ from unicon_lab.view.page.plots import (
     choices,
     curves_of,
     element_choices,
+    graph_html,
     groups,
 )
 from unicon_lab.view.page.sink import MOST
-from unicon_lab.view.page.wheel import Wheel
-from unicon_lab.view.page.words import graph_html
 from unicon_lab.view.shown import DEAD_MAN, GraphLine
+from unicon_lab.view.source import Wheel
 from unicon_ros.cli.main import _parser, main
 from unicon_ros.web_front import check_reach, listening, refusal
 
@@ -329,7 +329,7 @@ def test_the_running_part_of_the_graph_stands_out() -> None:
 )
 def test_a_heartbeat_is_read_and_garbage_is_not(text: str, state: Any) -> None:
     pytest.importorskip("viser", reason="no live page: pip install 'unicon_ros[view]'")
-    from unicon_lab.view.page.link import state_of
+    from unicon_lab.view.page.viewer import state_of
 
     assert state_of(text) == state
 
@@ -339,7 +339,7 @@ def test_a_robot_is_drawn_with_bones_where_its_model_has_no_looks(tmp_path: Path
     import mujoco
 
     from unicon_core.models.loaded import LoadedModel
-    from unicon_lab.view.page.shapes import shapes_of
+    from unicon_lab.view.page.scene import shapes_of
 
     text = """<mujoco><worldbody><body name="trunk" pos="0 0 1"><freejoint/>
         <geom type="capsule" size="0.1 0.2" rgba="1 0 0 1"/>

@@ -239,31 +239,20 @@ def resample(time: Float64, states: dict[str, Float64], period: float) -> dict[s
         period: of the result in [s].
     """
     grid = time[0] + period * np.arange(int((time[-1] - time[0]) / period + 1e-6) + 1)
+
+    def line(at: Float64, values: Float64) -> Float64:
+        return np.stack([np.interp(at, time, column) for column in values.T], axis=1)
+
     if period <= SMOOTHED * float(np.median(np.diff(time))):
-        return {name: _linear(grid, time, values) for name, values in states.items()}
-    low, high = np.maximum(grid - period / 2, time[0]), np.minimum(grid + period / 2, time[-1])
+        return {name: line(grid, values) for name, values in states.items()}
+    ends = np.clip(grid[:, None] + period / 2 * np.array([-1.0, 1.0]), time[0], time[-1])
+    at = np.union1d(time, ends)
+    places, steps, width = np.searchsorted(at, ends), np.diff(at)[:, None], np.diff(ends)
     result = {}
     for name, values in states.items():
         middle = values.mean(axis=0)
-        areas = np.zeros_like(values)
-        steps = 0.5 * np.diff(time)[:, None] * (values[1:] + values[:-1] - 2 * middle)
-        np.cumsum(steps, axis=0, out=areas[1:])
-        area = _integral(high, time, values - middle, areas) - _integral(
-            low, time, values - middle, areas
-        )
-        result[name] = middle + area / (high - low)[:, None]
+        curve = line(at, values - middle)
+        area = np.zeros_like(curve)
+        np.cumsum(0.5 * steps * (curve[1:] + curve[:-1]), axis=0, out=area[1:])
+        result[name] = middle + (area[places[:, 1]] - area[places[:, 0]]) / width
     return result
-
-
-def _linear(at: Float64, time: Float64, values: Float64) -> Float64:
-    """Return the straight lines between the samples, shape (len(at), d)."""
-    return np.stack([np.interp(at, time, column) for column in values.T], axis=1)
-
-
-def _integral(at: Float64, time: Float64, values: Float64, areas: Float64) -> Float64:
-    """Return the area below these lines up to each time; `areas` are those at the samples."""
-    row = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(time) - 2)
-    inside = (at - time[row])[:, None]
-    slope = (values[row + 1] - values[row]) / (time[row + 1] - time[row])[:, None]
-    area: Float64 = areas[row] + inside * (values[row] + 0.5 * slope * inside)
-    return area

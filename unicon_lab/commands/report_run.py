@@ -22,36 +22,34 @@ def _report_run(arguments: argparse.Namespace) -> int:
 
 
 def _write(arguments: argparse.Namespace) -> int:
-    from unicon_lab.evidence_report import signed
-    from unicon_lab.evidence_report.report import report_of
+    from unicon_lab.evidence_report import report as reports
 
-    report = report_of(arguments.recording, arguments.hardware)
+    report = reports.report_of(arguments.recording, arguments.hardware)
     robot = "-".join(report["robots"]) if isinstance(report["robots"], dict) else "robot"
     out = arguments.out or Path(f"{robot}-{report['date']}.yaml")
-    signed.refuse_existing(out, arguments.force)
-    text = signed.text_of(report)
-    signature = signed.sign(text, arguments.sign) if arguments.sign is not None else b""
+    reports.refuse_existing(out, arguments.force)
+    text = reports.text_of(report)
+    signature = reports.sign(text, arguments.sign) if arguments.sign is not None else b""
     print(text)
     sys.stdout.flush()  # what nobody could read is not written
-    signed.write_report(out, text, signature)
+    reports.write_report(out, text, signature)
     print(f"report     {out}: look through it before you share it; nothing was sent")
-    told = f"{signed.signature_of(out)}" if signature else "none; --sign KEY makes one"
+    told = f"{reports.signature_of(out)}" if signature else "none; --sign KEY makes one"
     print(f"signature  {told}")
     return 0
 
 
 def _verify(arguments: argparse.Namespace) -> int:
-    from unicon_lab.evidence_report import signed
-    from unicon_lab.evidence_report.report import recording_of
+    from unicon_lab.evidence_report import report as reports
     from unicon_lab.recording import open_record
 
     path, bag = arguments.verify, arguments.bag
-    report = signed.read_report(path)
+    report = reports.read_report(path)
     if bag is not None:
-        if recording_of(open_record(bag)) != report.get("recording_sha256"):
+        if reports.recording_of(open_record(bag)) != report.get("recording_sha256"):
             raise UniconError(f"{path} is of another recording than {bag}; give the one it is of")
         print(f"{bag} is the recording of it")
-    print(signed.signed_by(path, arguments.allowed_signers))
+    print(reports.signed_by(path, arguments.allowed_signers))
     return 0
 
 

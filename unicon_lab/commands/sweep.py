@@ -51,7 +51,7 @@ def _sweep(arguments: argparse.Namespace) -> int:
     if what[0] == REPORT and len(what) == 2:
         return _ended(Results(Path(what[1])), gates)
     if what[0] == COMPARE and len(what) == 3:
-        from unicon_lab.sweep.summary import comparison
+        from unicon_lab.sweep.report import comparison
 
         print(comparison(Results(Path(what[1])), Results(Path(what[2]))))
         return 0
@@ -106,7 +106,7 @@ def _checked(plan: Plan, force: list[str]) -> str:
     from unicon_core.workflow import Program
     from unicon_lab.analysis.run import read_run
     from unicon_lab.sweep.figures import columns_of, reference_for
-    from unicon_lab.sweep.warm import program_sha256
+    from unicon_lab.sweep.worker import program_sha256
 
     program = Program(plan.document)
     try:
@@ -192,7 +192,7 @@ def _progress(
 
 def _ended(results: Results, gates: list[Gate]) -> int:
     """Print the summary, write the report, ask the gates; return the exit status."""
-    from unicon_lab.sweep.summary import summary
+    from unicon_lab.sweep.report import summary
 
     print(summary(results))
     try:

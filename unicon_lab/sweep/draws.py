@@ -74,33 +74,35 @@ def parameter(path: str, said: Any) -> Parameter:
     if not isinstance(of, list) or len(of) != count or not all(map(_number, of)):
         raise UniconError(f"{kind} is {of!r:.60}; write {KINDS[kind]}")
     a, b = float(of[0]), float(of[1])
+    low, high = a, b
+    at: Callable[[float], float] = _short
 
-    def drawn(at: Callable[[float], float]) -> Parameter:
-        return Parameter(path, kind, at, None, words)
+    def refuse(why: str) -> None:
+        raise UniconError(f"{kind} is {of!r}; {why}")
 
     if kind == "normal":
         if not b > 0.0:
-            raise UniconError(f"normal is {of!r}; its standard deviation must be above 0")
+            refuse("its standard deviation must be above 0")
         normal = NormalDist(a, b)
-        least, most = normal.cdf(a - CUT * b), normal.cdf(a + CUT * b)
-        return drawn(lambda u: _short(normal.inv_cdf(least + u * (most - least))))
-    if not a <= b:
-        raise UniconError(f"{kind} is {of!r}; the first number must not be above the second")
-    if kind == "range":
+        low, high = normal.cdf(a - CUT * b), normal.cdf(a + CUT * b)
+        at = lambda x: _short(normal.inv_cdf(x))  # noqa: E731
+    elif not a <= b:
+        refuse("the first number must not be above the second")
+    elif kind == "range":
         if not all(isinstance(x, int) for x in of) or of[1] - of[0] >= MOST_VALUES:
-            raise UniconError(f"range is {of!r}; write two whole numbers, {MOST_VALUES} at most")
+            refuse(f"write two whole numbers, {MOST_VALUES} at most")
         return _listed(path, kind, list(range(of[0], of[1] + 1)), words)
-    if kind == "linspace":
+    elif kind == "linspace":
         if not isinstance(of[2], int) or not 2 <= of[2] <= MOST_VALUES:
-            raise UniconError(f"linspace is {of!r}; write {KINDS[kind]}, N from 2 to {MOST_VALUES}")
+            refuse(f"write {KINDS[kind]}, N from 2 to {MOST_VALUES}")
         steps = of[2] - 1
         return _listed(path, kind, [_short(a + (b - a) * i / steps) for i in range(of[2])], words)
-    if kind == "log_uniform":
+    elif kind == "log_uniform":
         if not a > 0.0:
-            raise UniconError(f"log_uniform is {of!r}; both numbers must be above 0")
+            refuse("both numbers must be above 0")
         low, high = math.log(a), math.log(b)
-        return drawn(lambda u: min(max(_short(math.exp(low + u * (high - low))), a), b))
-    return drawn(lambda u: _short(a + u * (b - a)))
+        at = lambda x: min(max(_short(math.exp(x)), a), b)  # noqa: E731
+    return Parameter(path, kind, lambda u: at(low + u * (high - low)), None, words)
 
 
 KINDS = {

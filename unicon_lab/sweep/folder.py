@@ -16,8 +16,7 @@ from typing import Any
 from unicon_base.errors import UniconError, cannot, imported
 from unicon_core.page import write_file
 from unicon_lab.sweep.figures import COLUMNS
-from unicon_lab.sweep.identity import changes, code_sha256, versions
-from unicon_lab.sweep.plan import Plan, Row
+from unicon_lab.sweep.plan import Plan, Row, changes, code_sha256, versions
 
 SWEEP, JOURNAL, LOCK = "sweep.json", "journal.jsonl", ".lock"
 SHARD_ROWS = 1000

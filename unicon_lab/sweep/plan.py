@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import hashlib
+import importlib.metadata
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from copy import deepcopy
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+import unicon_core
 from unicon_base.arrays import Float64
 from unicon_base.errors import UniconError, WorkflowError, imported
 from unicon_base.located_yaml import Located, read_yaml
 from unicon_base.resources import find_config, sha256_of
+from unicon_core import __version__
 from unicon_core.workflow.document import WorkflowDocument, document_at
 from unicon_core.workflow.platforms import facts_of_all, find_platforms
 from unicon_lab.sweep.draws import setting_of
@@ -137,7 +141,7 @@ class Plan:
             "seed": sweep.said.seed,
             "repeat": sweep.said.repeat,
             "duration_s": self.duration,
-            "early_stop": sweep.stops_at_fall,
+            "early_stop": sweep.said.early_stop == "fall",
             "sha256_reference": None if sweep.reference is None else sha256_of(sweep.reference),
         }
 
@@ -160,7 +164,7 @@ class Plan:
         return keep | {
             "workflow": str(self.workflow_file.path),
             "duration": self.duration,
-            "stops_at_fall": self.sweep.stops_at_fall,
+            "stops_at_fall": self.sweep.said.early_stop == "fall",
             "reference": None if reference is None else str(reference.absolute()),
         }
 
@@ -202,3 +206,62 @@ def document_with(located: Located, settings: Sequence[str]) -> WorkflowDocument
     """
     own = Located(located.path, deepcopy(located.value), located.lines, WorkflowError)
     return document_at(own, settings)
+
+
+PACKAGES = ("numpy", "mujoco", "onnxruntime", "scipy")
+"""Packages whose version may move the last bit of a row."""
+ROWS = (
+    *("unicon_base", "unicon_core", "unicon_manipulation", "unicon_sims"),
+    *("unicon_lab/sweep", "unicon_lab/analysis"),
+)
+"""Folders of the code that makes rows."""
+
+
+@lru_cache
+def code_sha256() -> str:
+    """Return the SHA-256 of the code that makes rows."""
+    digest = hashlib.sha256()
+    ours = Path(str(unicon_core.__file__)).parents[1]
+    for folder in (ours / name for name in ROWS):
+        for path in sorted(folder.rglob("*.py")):
+            digest.update(f"{path.relative_to(folder)}\n".encode())
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of what makes rows."""
+    found = {"unicon_ros": __version__}
+    for name in PACKAGES:
+        with suppress(importlib.metadata.PackageNotFoundError):
+            found[name] = importlib.metadata.version(name)
+    return found
+
+
+def differing(there: Mapping[str, str], here: Mapping[str, str]) -> Iterator[tuple[str, str, str]]:
+    """Yield name, version there and version here of what differs, by name."""
+    for name in sorted({*there, *here}):
+        if there.get(name) != here.get(name):
+            yield name, there.get(name, "absent"), here.get(name, "absent")
+
+
+def changes(there: Mapping[str, Any], here: Mapping[str, Any], identity: Mapping[str, Any]) -> str:
+    """Return how a folder's sweep differs from the one at hand, "" where it does not.
+
+    Args:
+        there: what the folder says.
+        here: the same of now.
+        identity: of the sweep at hand.
+    """
+    if there["sha256"] != here["sha256"]:
+        said = there["identity"]
+        which = [key for key in identity if said.get(key) != identity[key]]
+        return f"it differs in {', '.join(which) or 'the file'}"
+    if there.get("versions") != here["versions"]:
+        found = differing(there.get("versions") or {}, here["versions"])
+        return ", ".join(f"{name} was {old} and is {new}" for name, old, new in found)
+    if there.get("code") != here["code"]:
+        return "it was made by other code of the same version"
+    if there.get("program") != here["program"]:
+        return "robot, model or policy are other files by now"
+    return ""

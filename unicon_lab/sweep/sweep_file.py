@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from unicon_base.errors import UniconError, alternatives
-from unicon_base.located_yaml import Located, read_yaml
+from unicon_base.located_yaml import read_yaml
 from unicon_base.schema.marks import NotEmpty, Text, Within, Write, positive
 from unicon_base.schema.read import read
 from unicon_base.schema.types import Here, Mistakes
@@ -32,12 +32,14 @@ from unicon_lab.sweep.draws import Parameter, parameter, setting_of
 from unicon_lab.sweep.figures import NUMBERS
 
 _EACH = " for each "
-_FORM = re.compile(r"\s*(\w+)(?:\.(\w+))?\s*(<=|>=|<|>)\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*")
+_FORM = re.compile(
+    r"\s*(\w+)(?:\.(\w+))?\s*(<=|>=|<|>)\s*([-+]?(?:\d+\.?|\d*\.\d+)(?:[eE][-+]?\d+)?)\s*"
+)
 _SIGNS = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
 SHARES = {"fall": "fell", "fault": "fault"}
 """Word to the column whose share of rollouts it is."""
-_OF_SHARES = ("rate", "lower", "upper")
-_OF_FIGURES = ("mean", "min", "max", "p05", "p50", "p95")
+_OF_SHARES = ["rate", "lower", "upper"]
+_OF_FIGURES = ["mean", "min", "max", "p05", "p50", "p95"]
 
 
 @dataclass(frozen=True)
@@ -89,26 +91,22 @@ def read_gate(text: str) -> Gate:
     """
     condition, _, each = text.partition(_EACH)
     found = _FORM.fullmatch(condition)
-    try:
-        bar = float(found[4]) if found else 0.0
-    except ValueError:
-        found = None
     if found is None:
         raise UniconError(
             f"gate {text!r:.60} is not a condition; write fall<0.01 or distance_m.p05>3"
         )
-    word, statistic, sign = found[1], found[2], found[3]
+    word, statistic, sign, bar = found.groups()
     if word not in SHARES and word not in NUMBERS:
         raise UniconError(
             f"gate {text!r}: no figure {word!r}; {alternatives(word, [*SHARES, *NUMBERS])}"
         )
-    known: Any = _OF_SHARES if word in SHARES else _OF_FIGURES
+    known = _OF_SHARES if word in SHARES else _OF_FIGURES
     statistic = statistic or known[0]
     if statistic not in known:
         raise UniconError(
             f"gate {text!r}: {word} has no {statistic!r}; {alternatives(statistic, known)}"
         )
-    return Gate(text.strip(), word, statistic, sign, bar, each.strip())
+    return Gate(text.strip(), word, statistic, sign, float(bar), each.strip())
 
 
 SCHEMA = "unicon.sweep/1"
@@ -165,16 +163,16 @@ class SweepDocument:
     @staticmethod
     def between(found: dict[str, Any], here: Here) -> None:
         """Note what is varied in vain, and a number of points that a sample does not have."""
-        if len(found.get("vary", {})) > MOST_PARAMETERS:
-            here.note(f"{len(found['vary'])} are varied; at most {MOST_PARAMETERS}", "vary")
+        vary, rollouts = found.get("vary", {}), found.get("rollouts")
+        if len(vary) > MOST_PARAMETERS:
+            here.note(f"{len(vary)} are varied; at most {MOST_PARAMETERS}", "vary")
         grid = found.get("sample", "grid") == "grid"
-        rollouts = found.get("rollouts")
         if grid and rollouts is not None:
             text = "is of a drawn sample; take it out, or write sample: sobol"
             here.value(f"is {rollouts}, which {text}", "rollouts")
         if not grid and rollouts is None and "sample" in found and "rollouts" not in here.document:
             here.note(f"missing key 'rollouts'; add rollouts: 1 to {MOST_ROLLOUTS}")
-        for path, said in found.get("vary", {}).items():
+        for path, said in vary.items():
             try:
                 split_setting(f"{path}=0")
                 each = parameter(path, said)
@@ -184,12 +182,12 @@ class SweepDocument:
             if grid and each.values is None:
                 remedy = "write {linspace: [A, B, N]}, or sample: random or sobol"
                 here.value(f"is {each.kind}, of which a grid has no end; {remedy}", "vary", path)
-        for path in found.get("vary", {}):
+        for path in vary:
             if path in (found.get("set") or {}):
                 here.value("is set and varied; take one out", "vary", path)
-        if "scene.seed" in found.get("vary", {}) and found.get("repeat", 1) > 1:
+        if "scene.seed" in vary and found.get("repeat", 1) > 1:
             here.value("counts scene.seed on, which vary says, too; take one out", "repeat")
-        gates_of(found.get("gate"), found.get("vary", {}), here)
+        gates_of(found.get("gate"), vary, here)
 
 
 def gates_of(said: Any, paths: Iterable[str], here: Here | None = None) -> tuple[Gate, ...]:
@@ -216,11 +214,9 @@ class SweepFile:
         parameters: what is varied, in order.
         said: what the document says besides: `sample`, `seed`, `repeat`, `duration` in [s] or None
             for the workflow's, `timeout` in [s] of wall time, `engine`, on which no row depends.
-        stops_at_fall: a rollout ends where the robot falls.
         reference: run to compare with, or None.
         keep: states of every tick that are kept, by name.
         gates: conditions that have to hold.
-        located: for errors.
     """
 
     path: Path
@@ -228,11 +224,9 @@ class SweepFile:
     settings: tuple[str, ...]
     parameters: tuple[Parameter, ...]
     said: SweepDocument
-    stops_at_fall: bool
     reference: Path | None
     keep: tuple[str, ...]
     gates: tuple[Gate, ...]
-    located: Located
 
     @property
     def points(self) -> int:
@@ -280,16 +274,14 @@ def read_sweep(path: str | Path, overrides: Iterable[str] = ()) -> SweepFile:
     if "/" in workflow or Path(workflow).suffix in (".yaml", ".yml"):
         workflow = str(folder / workflow) if (folder / workflow).exists() else workflow
     sweep = SweepFile(
-        path=located.path,
-        workflow=workflow,
-        settings=(*(setting_of(k, v) for k, v in (said.set or {}).items()), *overrides),
-        parameters=tuple(parameter(path, each) for path, each in said.vary.items()),
-        said=said,
-        stops_at_fall=said.early_stop == "fall",
-        reference=None if said.reference is None else folder / said.reference,
-        keep=tuple(dict.fromkeys(said.keep or ())),
-        gates=gates_of(said.gate, said.vary),
-        located=located,
+        located.path,
+        workflow,
+        (*(setting_of(k, v) for k, v in (said.set or {}).items()), *overrides),
+        tuple(parameter(path, each) for path, each in said.vary.items()),
+        said,
+        None if said.reference is None else folder / said.reference,
+        tuple(dict.fromkeys(said.keep or ())),
+        gates_of(said.gate, said.vary),
     )
     if sweep.rows > MOST_ROLLOUTS:
         what = "vary" if said.rollouts is None else "rollouts"

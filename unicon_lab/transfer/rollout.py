@@ -30,13 +30,10 @@ from unicon_core.signals import SIGNALS, signal_name
 from unicon_core.states import States
 from unicon_core.workflow import Program
 from unicon_lab.recording.facts import versions_here
-from unicon_lab.sweep.figures import columns_of
-from unicon_lab.sweep.motion import finite_rows
-from unicon_lab.sweep.piped import PipedProcess
+from unicon_lab.sweep.figures import columns_of, finite_rows
 from unicon_lab.sweep.plan import Row
-from unicon_lab.sweep.pool import LOOK
-from unicon_lab.sweep.warm import WarmProgram
-from unicon_lab.sweep.worker import RowRunner, Tell, serve
+from unicon_lab.sweep.pool import LOOK, PipedProcess
+from unicon_lab.sweep.worker import RowRunner, Tell, WarmProgram, serve
 from unicon_lab.transfer.plan import Plan
 from unicon_ros.process_exit import LOG_BYTES
 

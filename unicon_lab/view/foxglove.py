@@ -12,21 +12,71 @@ import math
 import struct
 import threading
 import time
+import xml.etree.ElementTree as Xml
 from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
+from urllib.parse import unquote, urlsplit
 
-from unicon_base.errors import imported
+from unicon_base.errors import UniconError, imported
+from unicon_base.packages import package_file
 from unicon_core.platforms.platform import Facts
 from unicon_core.states import States
 from unicon_core.workflow import Program
-from unicon_lab.recording.recorded_topics import RecordedTopics
-from unicon_lab.view.mesh_server import MeshServer
+from unicon_lab.recording.recorded_topics import RecordedTopics, string_message
 from unicon_lab.view.publishers import Publishers
 from unicon_lab.view.shown import Shown
 from unicon_lab.view.source import Remote, Source
 from unicon_msgs_map.layout.messages import Messages, shared_messages
 from unicon_ros.web_front import Front, hidden_address
+
+SERVED = "package://unicon"
+
+
+class MeshServer:
+    """Gives Foxglove the files that the robot_description it got names, and no others.
+
+    It has no file before `offered`. Foxglove asks a server for `package:` alone, and its own
+    browser for `file:`, which may be on another machine. So `file:///PATH` becomes
+    `package://unicon/PATH`.
+    """
+
+    def __init__(self) -> None:
+        self._files: dict[str, Path] = {}
+
+    def offered(self, message: bytes) -> bytes:
+        """Return a robot_description as clients get it; from then on its meshes are given out.
+
+        Args:
+            message: std_msgs/String as CDR: 8 bytes, the text and a NUL.
+        """
+        root = Xml.fromstring(message[8:-1].decode())
+        for mesh in root.iter("mesh"):
+            uri = mesh.get("filename", "")
+            path = urlsplit(uri).path
+            with suppress(UniconError):  # its package has gone
+                if uri.startswith("file:"):
+                    file, uri = Path(unquote(path)), f"{SERVED}{path}"
+                else:
+                    file = package_file(uri, "mesh")
+                self._files[uri] = file
+            mesh.set("filename", uri)
+        return string_message('<?xml version="1.0"?>\n' + Xml.tostring(root, encoding="unicode"))
+
+    def fetch(self, uri: str) -> bytes | None:
+        """Return the bytes of a file, None where it is not one of those; in threads of the server.
+
+        Args:
+            uri: as it stands in the description, letter by letter.
+        """
+        file = self._files.get(uri)
+        try:
+            return None if file is None else file.read_bytes()
+        except OSError:
+            return None
+
 
 APP = "https://app.foxglove.dev"
 """Whose pages may come in besides those of this machine."""

@@ -1,19 +1,25 @@
-"""What a process of its own is given beside a run: a viewer, `--view`, and figures, `--metrics`."""
+"""Processes beside a run that read its ticks: a viewer, `--view`, and metrics, `--metrics`.
+
+Each tick is copied into a ring in shared memory; one copy a tick.
+"""
 
 from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Mapping
-from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Protocol
+from urllib.parse import urlsplit
 
 from unicon_core.flow import Block, Stage
+from unicon_core.handles import FrameRing
+from unicon_core.runtime.phases import Phase
 from unicon_core.states import States
 from unicon_core.workflow import Program, WorkflowDocument
+from unicon_lab.view import PORT
 from unicon_lab.view.driver import Driver
-from unicon_lab.view.feed import Fed
-from unicon_lab.view.shown import DEAD_MAN, NAME, PAGE
+from unicon_lab.view.shown import DEAD_MAN, HEAD, NAME, PAGE, shown_of
+from unicon_ros.attachments import Attachment
 from unicon_ros.bridge.bindings import told_states
 from unicon_ros.bridge.services import Controls
 from unicon_ros.parameters import Tuning
@@ -23,21 +29,190 @@ if TYPE_CHECKING:
     from unicon_core.runtime import Runner
     from unicon_ros.bridge import RosSession
 
-TOLD = 0.2
-"""How often the viewer is told texts that have changed, in [s]."""
+PROCESS = "unicon_lab.view.process"
+
+KEPT_S = 1.0
+"""Of ticks in the ring, in [s]: a viewer that looks rarely still plots every one of them."""
+
+RARELY = 0.01
+"""Interval of looking who drives, at the phase and the overruns, in [s]."""
+
+# Places of the numbers of `HEAD`.
+_TICK, _STAMP, _PHASE, _PAUSED, _LATE, _TOOK, _OVERRUNS, _DRIVES, _ROBOTS, _COUNTERS = range(10)
+
+FEWEST, LARGEST = 16, 32 << 20
+"""Ticks in the ring at least, and its bytes at most beyond those."""
+
+TEXTS_S = 0.2
+"""Interval of sending a viewer texts that have changed, in [s]."""
 
 LAST_WORDS = 0.2
 """For so long a viewer may show the last ones before it is closed, in [s]."""
 
 LINES = 20
-"""Of what the run has told, that a viewer is told."""
+"""Last lines of the run's log that a viewer gets."""
 
 LONGEST = 3500
 """Bytes of the texts: they go through a pipe whole or not at all."""
 
 
+class _Drives(Protocol):
+    driving: int
+
+
+class _Pauses(Protocol):
+    paused: Any
+
+
+def _filling(
+    runner: Runner, cells: Sequence[Any], ring: FrameRing, driver: _Drives, controls: _Pauses
+) -> Callable[[], None]:
+    """Return what copies a tick; all that it looks at is bound once.
+
+    Args:
+        runner: whose ticks are copied.
+        cells: of its graph's variables that are the counters.
+        ring: of ticks: `HEAD`, counters, states.
+        driver: knows whether a viewer drives.
+        controls: know whether the simulator stands still.
+    """
+    states = runner.program.states.buffer.data.cast("B")
+    program, statistics = runner.program, runner.statistics
+    head, table, memory, start = ring.parts()
+    slots, size, begin, number = ring.slots, ring.nbytes, ring.nbytes - len(states), 0
+    front = memoryview(bytearray(begin))  # filled here and copied: it stays warm, slots do not
+    words = front.cast("q")
+    words[_ROBOTS], words[_COUNTERS] = program.states.num_robots or 1, len(cells)
+    numbered = tuple(enumerate(cells, HEAD.size // words.itemsize))
+    tick = memoryview(program.states["tick"].reshape(-1).data)
+    rows = memoryview(statistics.rows.reshape(-1).data)
+    capacity, width = statistics.rows.shape
+    phases, phase, now = {p: n for n, p in enumerate(Phase)}, None, time.perf_counter_ns
+    often, left = max(1, round(RARELY / program.period)), 0
+
+    def look() -> None:
+        """Look at what changes rarely: each is a cold line of memory more."""
+        nonlocal left, phase
+        left = often
+        words[_PAUSED], words[_DRIVES] = controls.paused, driver.driving
+        words[_OVERRUNS] = statistics.overruns
+        if phase is not runner.phase:  # an enum's hash is slow
+            phase = runner.phase
+            words[_PHASE] = phases[phase]
+
+    def fill() -> None:
+        nonlocal number, left
+        left -= 1
+        if left <= 0:
+            look()
+        ticks = statistics.count
+        if ticks:  # of the tick before: this one has not ended
+            row = (ticks - 1) % capacity * width
+            began = rows[row + 2]
+            words[_LATE], words[_TOOK] = began - rows[row], rows[row + 1] - began
+        number += 1
+        place = number % slots
+        at, place = start + place * size, 2 * place
+        words[_TICK], words[_STAMP] = tick[0], now()
+        for word, cell in numbered:
+            words[word] = cell.cell_contents
+        table[place] = 0
+        memory[at : at + begin] = front
+        memory[at + begin : at + size] = states
+        table[place + 1] = words[_STAMP]
+        table[place] = head[0] = number
+
+    return fill
+
+
+class Fed(Attachment):
+    """Gives a run's ticks to a process of its own; who made it closes it.
+
+    Args:
+        warn: takes lines for the operator.
+        session: of ROS, or None.
+
+    Attributes:
+        address: where that process shows them, once it is started.
+    """
+
+    interval = 0.0
+    """Of sending texts, in [s]."""
+
+    def __init__(self, warn: Callable[[str], None], session: RosSession | None) -> None:
+        self.warn, self.address, self._session = warn, "", session
+        self._ring: FrameRing | None = None
+        self._peripheral: Peripheral | None = None
+        self._fill: Callable[[], object] = bool
+        self._due_ns = 0
+
+    def _start(
+        self,
+        runner: Runner,
+        name: str,
+        told: States,
+        options: dict[str, Any],
+        driver: _Drives,
+        controls: _Pauses,
+        stale: float,
+        period: float,
+        map: str = "default",
+        frame_prefix: str = "",
+    ) -> Peripheral:
+        """Start the process that reads a run's ring, and return it.
+
+        Args:
+            runner: of the run, before its first tick.
+            name: of the peripheral that the process is.
+            told: states that it publishes.
+            options: of its sink; `port` becomes the one that it has got, where browsers look for a
+                process that is started again.
+            driver, controls: as of `_filling`.
+            stale: so long it may be silent, in [s].
+            period: between two looks at it, in [s].
+            map, frame_prefix: as of `shown_of`.
+
+        Raises:
+            UniconError: it cannot begin.
+        """
+        shown, variables = shown_of(runner.program, runner.graph, map, frame_prefix)
+        cells = runner.graph.cells(variables)
+        size = HEAD.size + 8 * len(cells) + runner.program.states.buffer.nbytes
+        ticks = max(FEWEST, min(round(KEPT_S / runner.program.period), LARGEST // size))
+        ring = self._ring = FrameRing.create(size, ticks)
+        ring.touch()
+        data = {"shown": shown, "ring": str(ring.path)}
+        given = {"name": name, "options": options, "data": data}
+        try:
+            process = Peripheral(told, told.layout, PROCESS, given, {}, stale, period, self.warn)
+        except BaseException:
+            ring.close()
+            raise
+        self._peripheral, self.address = process, str(process.first["address"])
+        self._runner, self._fill = runner, _filling(runner, cells, ring, driver, controls)
+        options["port"] = urlsplit(self.address).port or options.get("port", PORT)
+        return process
+
+    def _tick(self) -> None:
+        self._fill()
+        now = time.perf_counter_ns()
+        if now >= self._due_ns and self._peripheral is not None:
+            self._due_ns = now + round(self.interval * 1e9)
+            self._tell(self._peripheral)
+
+    def _tell(self, peripheral: Peripheral) -> bool:
+        """Send the texts; return whether any were new."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """End the process; safe to call twice."""
+        for each in (self._peripheral, self._ring):
+            if each is not None:
+                each.close()
+
+
 class View(Fed):
-    """A viewer of one run; whoever made it closes it.
+    """A viewer of one run; who made it closes it.
 
     Args:
         options: of the sink: `sink`, `host`, `port`, `token`, `fps`.
@@ -50,7 +225,7 @@ class View(Fed):
         address: where it is seen, once it is attached.
     """
 
-    drives, label = True, "view"
+    drives, label, interval = True, "view", TEXTS_S
 
     def __init__(
         self,
@@ -60,12 +235,11 @@ class View(Fed):
         frame_prefix: str = "",
         warn: Callable[[str], None] = print,
     ) -> None:
-        super().__init__(warn)
-        self._options, self._session, self._map = dict(options), session, map or "default"
-        self._prefix = frame_prefix
+        super().__init__(warn, session)
+        self._options = dict(options)
+        self._names = map or "default", frame_prefix
         self.controls = session.controls if session is not None else Controls(time.sleep)
-        self._tuning = Tuning()
-        self._told = States(PAGE)
+        self._tuning, self._told = Tuning(), States(PAGE)
         self._lines: list[str] = []
         self._texts: dict[str, Any] = {}
         self._reader: object = None
@@ -84,7 +258,7 @@ class View(Fed):
         stages = {stage: list(blocks) for stage, blocks in self._tuning.hook(program).items()}
         for stage, blocks in self._driver.blocks().items():
             stages[stage] = blocks + stages.get(stage, [])
-        stages[Stage.OBSERVE] = [Block(NAME, self._show, endless=True), *stages[Stage.OBSERVE]]
+        stages[Stage.OBSERVE] = [Block(NAME, self._tick, endless=True), *stages[Stage.OBSERVE]]
         return stages
 
     def attach(self, runner: Runner) -> None:
@@ -93,56 +267,42 @@ class View(Fed):
         Raises:
             UniconError: it cannot begin.
         """
-        driver, program = self._driver, runner.program
+        driver, controls = self._driver, self.controls
         assert driver is not None
-        if self.controls.runner is None:
-            self.controls.runner = runner
-        peripheral = self._start(
-            *(runner, NAME, self._told, self._options, driver, self.controls),
-            stale=DEAD_MAN,
-            period=driver.interval,
-            map=self._map,
-            frame_prefix=self._prefix,
-        )
-        driver.attach(peripheral, runner)
-        self.controls.others += [driver.look, self._show]
+        if controls.runner is None:
+            controls.runner = runner
+        run = (runner, NAME, self._told, self._options, driver, controls)
+        driver.attach(self._start(*run, DEAD_MAN, driver.interval, *self._names), runner)
+        controls.others += [driver.look, self._tick]
         tell = runner.options.warn
 
         def heard(line: str) -> None:
             self._lines = [*self._lines, line][-LINES:]
             tell(line)
 
-        program.warn = heard
+        runner.program.warn = heard
 
-    def _show(self) -> None:
-        self._fill()
-        now = time.perf_counter_ns()
-        if now >= self._due_ns and self._runner is not None:
-            self._due_ns = now + round(TOLD * 1e9)
-            self._tell(self._runner)
-
-    def _tell(self, runner: Runner) -> bool:
-        if self._peripheral is None:
-            return False
+    def _tell(self, peripheral: Peripheral) -> bool:
+        runner = self._runner
         texts = {
             "waits_for": runner.waits_for,
             "faults": runner.faults,
             "notes": self._lines,
             "parameters": self._tuning.values(),
         }
-        process = self._peripheral.process  # one that was started again knows nothing
+        process = peripheral.process  # one that was started again knows nothing
         if process is self._reader and texts == self._texts:
             return False
-        if self._peripheral.wish("texts", {name: _cut(each) for name, each in texts.items()}):
+        if peripheral.wish("texts", {name: _cut(each) for name, each in texts.items()}):
             self._texts, self._reader = {**texts, "faults": list(runner.faults)}, process
         return True
 
     def close(self) -> None:
-        """Tell the last words, and end the viewer's process; once the run has ended.
+        """Send the last texts, and end the viewer's process; once the run has ended.
 
         Safe to call twice.
         """
-        if self._runner is not None and self._tell(self._runner):
+        if self._peripheral is not None and self._tell(self._peripheral):
             time.sleep(LAST_WORDS)
         super().close()
 
@@ -162,15 +322,12 @@ def _cut(value: Any) -> Any:
 
 METRICS, SINK = "metrics", "unicon_lab.view.metrics:Metrics"
 
-FIGURES_TOLD = 1.0
-"""How often the process is told what is not in the states, in [s]."""
-
 MOST = 40
-"""Topics whose counts it is told."""
+"""Topics whose counts are sent."""
 
 
 class Metered(Fed):
-    """Lets a process of its own count the ticks and answer; whoever made it closes it.
+    """Lets a process of its own count the ticks and answer; who made it closes it.
 
     Args:
         port: on loopback; 0 for any that is free.
@@ -178,16 +335,17 @@ class Metered(Fed):
         warn: takes lines for the operator.
 
     Attributes:
-        address: where the figures are, once it is attached.
+        address: where the metrics are, once it is attached.
     """
 
-    label = METRICS
+    label, interval = METRICS, 1.0
+    driving = paused = 0
 
     def __init__(
         self, port: int, session: RosSession | None = None, warn: Callable[[str], None] = print
     ) -> None:
-        super().__init__(warn)
-        self._port, self._session = port, session
+        super().__init__(warn, session)
+        self._port = port
 
     def hook(self, program: Program) -> dict[Stage, list[Block]]:
         """Return the block that copies each tick."""
@@ -200,27 +358,17 @@ class Metered(Fed):
             UniconError: the port cannot be had.
         """
         written = sorted(told_states(runner.program))
-        options: dict[str, Any] = {"port": self._port, "written": written, "sink": SINK}
-        nobody: Any = SimpleNamespace(driving=0, paused=0)
+        options = {"port": self._port, "written": written, "sink": SINK}
         told = States(peripheral_states(METRICS, {}))
-        often = FIGURES_TOLD
-        self._start(runner, METRICS, told, options, nobody, nobody, stale=often, period=often)
+        self._start(runner, METRICS, told, options, self, self, self.interval, self.interval)
 
-    def _tick(self) -> None:
-        self._fill()
-        now = time.perf_counter_ns()
-        if now >= self._due_ns and self._peripheral is not None:
-            self._due_ns = now + round(FIGURES_TOLD * 1e9)
-            self._tell(self._peripheral)
-            self._peripheral()  # started again where it has died
-
-    def _tell(self, peripheral: Peripheral) -> None:
-        runner = self._runner
-        if runner is not None:
-            texts: dict[str, Any] = {"faults": [fault[:80] for fault in runner.faults[:9]]}
-            if self._session is not None:
-                texts["counts"] = _counts(self._session)
-            peripheral.wish("texts", texts)
+    def _tell(self, peripheral: Peripheral) -> bool:
+        texts: dict[str, Any] = {"faults": [fault[:80] for fault in self._runner.faults[:9]]}
+        if self._session is not None:
+            texts["counts"] = _counts(self._session)
+        peripheral.wish("texts", texts)
+        peripheral()  # started again where it has died
+        return True
 
 
 def _counts(session: RosSession) -> dict[str, list[tuple[str, int]]]:
@@ -229,7 +377,5 @@ def _counts(session: RosSession) -> dict[str, list[tuple[str, int]]]:
     for out in session.outgoing:  # several of ours may share a topic, such as /tf
         published[out.topic] = published.get(out.topic, 0) + out.published
     received = {topic.topic: topic.received for topic in session.incoming}
-    return {
-        "published": list(published.items())[: MOST // 2],
-        "received": list(received.items())[: MOST // 2],
-    }
+    both = {"published": published, "received": received}
+    return {name: list(counts.items())[: MOST // 2] for name, counts in both.items()}

@@ -24,8 +24,7 @@ from unicon_core.models.frames import Vector
 from unicon_core.states import StateSpec
 from unicon_core.states.standard import target_states
 from unicon_core.workflow.autowire import BuildContext
-from unicon_manipulation.teleop.arm import Arm, Clutch, Mode
-from unicon_manipulation.teleop.hand import Hand, Workspace
+from unicon_manipulation.teleop.hand import Arm, Clutch, Hand, Mode, Workspace
 from unicon_manipulation.teleop.operator import SIDES, Finger, Headset, OneEuro, OperatorHand
 
 SPEED, TURN = 5.0, 20.0

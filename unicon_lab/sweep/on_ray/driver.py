@@ -6,20 +6,63 @@ the command's. It reads a task and then rows from the command, and tells it what
 
 from __future__ import annotations
 
+import os
 import signal
+import socket
 import sys
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 from unicon_base.errors import UniconError
-from unicon_lab.sweep.identity import code_sha256, differing, versions
-from unicon_lab.sweep.on_ray.actor import RowActor
-from unicon_lab.sweep.piped import Line
-from unicon_lab.sweep.plan import Row
-from unicon_lab.sweep.pool import HOPELESS, LOOK, ONE_THREAD, START_S, Pool, PoolWorker
+from unicon_lab.sweep.plan import Row, code_sha256, differing, versions
+from unicon_lab.sweep.pool import HOPELESS, LOOK, ONE_THREAD, START_S, Line, Pool, PoolWorker
+
+
+class RowActor:
+    """Runs rows on a node, one after the other, in the folder that Ray has unpacked.
+
+    Ray ships this class by value and its methods import the rest, so that `hello` or an error in
+    one line reports what a node lacks.
+
+    Args:
+        manifest: as of `shipment.manifest`.
+    """
+
+    def __init__(self, manifest: dict[str, Any]) -> None:
+        self._manifest = manifest
+        self._root = Path.cwd()
+        self._runner: Any = None
+
+    def hello(self) -> dict[str, Any]:
+        """Return who this is: `node`, `pid`, `code` and `versions` as of `plan`."""
+        from unicon_lab.sweep.plan import code_sha256, versions
+
+        return {
+            "node": socket.gethostname(),
+            "pid": os.getpid(),
+            "code": code_sha256(),
+            "versions": versions(),
+        }
+
+    def row(self, settings: list[str]) -> dict[str, Any]:
+        """Return what is told of a row, as of `RowRunner.told`."""
+        from unicon_base.errors import UniconError
+        from unicon_lab.sweep.on_ray.shipment import arrive
+        from unicon_lab.sweep.worker import RowRunner
+
+        if self._runner is None:
+            task, original = arrive(self._root, self._manifest)
+            try:
+                self._runner = RowRunner(task, original)
+            except UniconError as error:
+                return {"error": original(error)}
+        told: dict[str, Any] = self._runner.told(settings)
+        return told
+
 
 STORE_BYTES = 80_000_000
 """Of a local Ray's shared memory: nothing large goes through it, and it has to have 75 MB."""
@@ -84,13 +127,10 @@ class _Actor(PoolWorker):
     """
 
     def __init__(self, name: int, ray: Any, actor: Any) -> None:
-        super().__init__(name)
+        super().__init__(name, LOGS, ready=False)
         self._ray, self._actor = ray, actor
-        self.ready = False
-        self.log = LOGS
         self.answers: deque[Any] = deque([actor.hello.remote()])
-        self._node = ""
-        self._why = ""
+        self._node = self._why = ""
 
     def send(self, row: Row) -> None:
         """Bring it a row."""

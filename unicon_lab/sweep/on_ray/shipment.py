@@ -22,8 +22,8 @@ from typing import Any
 from unicon_base.errors import UniconError
 from unicon_base.resources import assets_cache, assets_root, config_roots
 from unicon_lab.sweep.draws import setting_of
-from unicon_lab.sweep.piped import Line, PipedProcess
 from unicon_lab.sweep.plan import Plan
+from unicon_lab.sweep.pool import Line, PipedProcess
 
 FILES = "files"
 MOST_BYTES = 400_000_000

@@ -6,9 +6,17 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from unicon_lab.view.page.plots import ALL, TIMES, VELOCITY, History, Plot, choices, element_choices
+from unicon_lab.view.page.plots import (
+    ALL,
+    TIMES,
+    VELOCITY,
+    History,
+    Plot,
+    choices,
+    element_choices,
+    legend_html,
+)
 from unicon_lab.view.page.scene import Scene
-from unicon_lab.view.page.words import legend_html
 from unicon_lab.view.shown import Parameter, Shown
 
 NONE = "nothing"
@@ -43,42 +51,35 @@ class Chart:
         self._gui, self._shown, self._history = gui, shown, history
         self._folder = gui.add_folder(None)
         self._chart: Any = None
-        self._plot: Plot | None = None
-        self._elements: Any = None
+        self._plot: Plot
         with self._folder:
             known = (*choices(shown.layout, history), NONE)
-            self._state = gui.add_dropdown(
-                "plot", known, initial_value=first if first in known else NONE
-            )
+            first = first if first in known else NONE
+            self._state = gui.add_dropdown("plot", known, initial_value=first)
+            self._elements = gui.add_dropdown("of", (ALL,), visible=False)
         self._changed = {"state"}
         _on(self._state.on_update, lambda _: self._changed.add("state"))
+        _on(self._elements.on_update, lambda _: self._changed.add("elements"))
 
     def refresh(self, seconds: float) -> None:
         """Draw the newest curves, anew where something else is chosen."""
         if self._changed:
             self._build(seconds)
-        elif self._plot is not None and self._chart is not None:
+        elif self._chart is not None:
             self._chart.data = self._plot.data(seconds)
 
     def _build(self, seconds: float) -> None:
         changed, self._changed = self._changed, set()
-        layout, state = self._shown.layout, self._state.value
+        layout, state, elements = self._shown.layout, self._state.value, self._elements
         if "state" in changed:
-            if self._elements is not None:
-                self._elements.remove()
-                self._elements = None
-            known = element_choices(layout, state)
-            if len(known) > 1:
-                with self._folder:
-                    self._elements = self._gui.add_dropdown("of", known, initial_value=known[0])
-                _on(self._elements.on_update, lambda _: self._changed.add("elements"))
+            elements.options = known = element_choices(layout, state)
+            elements.value, elements.visible = known[0], len(known) > 1
         if self._chart is not None:
             self._chart.remove()
             self._chart = None
-        chosen = ALL if self._elements is None else self._elements.value
-        plot = Plot(layout, self._history, state, chosen, self._shown.period)
-        self._plot = plot if plot.curves else None
-        if self._plot is None:
+        plot = Plot(layout, self._history, state, elements.value, self._shown.period)
+        self._plot = plot
+        if not plot.curves:
             return
         with self._folder:
             self._chart = self._gui.add_uplot(

@@ -13,12 +13,8 @@ from unicon_base.arrays import Float32, Float64
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.platforms.kit.base import rotation
 
-# MuJoCo's own viewers hide the groups of geoms from here on.
-_SHOWN = 3
-
-# Thinnest and thickest bone, by its radius in [m].
-_BONE = (0.012, 0.045)
-
+_SHOWN = 3  # MuJoCo's own viewers hide the groups of geoms from here on
+_BONE = (0.012, 0.045)  # thinnest and thickest, by the radius in [m]
 _BONE_COLOUR = (0.55, 0.58, 0.63, 1.0)
 _FAINT = 0.05  # a geom below this opacity is there for contacts alone
 
@@ -108,13 +104,11 @@ def _triangles(model: Any, geom: int) -> Any:
     if kind == "BOX":
         return make.box(2.0 * size)
     if kind == "MESH":
-        first, count = int(model.mesh_vertadr[number]), int(model.mesh_vertnum[number])
-        face, faces = int(model.mesh_faceadr[number]), int(model.mesh_facenum[number])
-        return trimesh.Trimesh(
-            np.array(model.mesh_vert[first : first + count]),
-            np.array(model.mesh_face[face : face + faces]),
-            process=False,
-        )
+        mesh = model.mesh(number)
+        first, face = int(mesh.vertadr[0]), int(mesh.faceadr[0])
+        vertices = np.array(model.mesh_vert[first : first + int(mesh.vertnum[0])])
+        faces = np.array(model.mesh_face[face : face + int(mesh.facenum[0])])
+        return trimesh.Trimesh(vertices, faces, process=False)
     return _field(model, number) if kind == "HFIELD" else None
 
 
@@ -124,11 +118,8 @@ def _field(model: Any, number: int) -> Any:
     wide, deep, high, _ = (float(x) for x in model.hfield_size[number])
     first = int(model.hfield_adr[number])
     height = np.array(model.hfield_data[first : first + rows * columns]) * high
-    y, x = np.meshgrid(
-        np.linspace(-deep, deep, rows), np.linspace(-wide, wide, columns), indexing="ij"
-    )
+    x, y = np.meshgrid(np.linspace(-wide, wide, columns), np.linspace(-deep, deep, rows))
     cells = np.arange(rows * columns).reshape(rows, columns)
-    a, b = cells[:-1, :-1].ravel(), cells[:-1, 1:].ravel()
-    c, d = cells[1:, :-1].ravel(), cells[1:, 1:].ravel()
-    faces = np.concatenate([np.stack([a, b, d], 1), np.stack([a, d, c], 1)])
+    a, c = (each[:, :-1].ravel() for each in (cells[:-1], cells[1:]))  # b = a + 1, d = c + 1
+    faces = np.concatenate([np.stack([a, a + 1, c + 1], 1), np.stack([a, c + 1, c], 1)])
     return trimesh.Trimesh(np.stack([x.ravel(), y.ravel(), height], 1), faces, process=False)

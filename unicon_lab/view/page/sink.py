@@ -13,11 +13,9 @@ from typing import Any
 
 from unicon_base.errors import UniconError, imported
 from unicon_lab.view import PORT
-from unicon_lab.view.page.plots import SECONDS, History
-from unicon_lab.view.page.wheel import Wheel
-from unicon_lab.view.page.words import status_html, table
+from unicon_lab.view.page.plots import SECONDS, History, status_html, table
 from unicon_lab.view.shown import Shown
-from unicon_lab.view.source import Remote, Snapshot, Source
+from unicon_lab.view.source import Remote, Snapshot, Source, Wheel
 from unicon_ros.web_front import check_reach, listening, netloc, refusal
 
 _RATE = 2.0  # [s] over which ticks are counted
@@ -46,13 +44,13 @@ class Page:
         self, shown: Shown, source: Source, remote: Remote, options: Mapping[str, Any]
     ) -> None:
         rich, viser = (imported(name, "--view", "view") for name in ("rich", "viser"))
-        from unicon_lab.view.page import link
+        from unicon_lab.view.page import viewer
         from unicon_lab.view.page.scene import Stage
 
         host, token = str(options.get("host", "127.0.0.1")), str(options.get("token", ""))
         check_reach(host, token)
         self._shown, self._source, self._remote, self._token = shown, source, remote, token
-        self._fps, self._link = float(options.get("fps", 30.0)), link
+        self._fps, self._link = float(options.get("fps", 30.0)), viewer
         self._history = History(shown.layout, shown.period)
         self._wheel = Wheel(remote, shown.command_bounds)
         self._note = ""
@@ -78,8 +76,8 @@ class Page:
         with listening(host, int(options.get("port", PORT))) as free:
             port = free.getsockname()[1]  # viser waits for ever where there is none
         self._server = viser.ViserServer(host, port, verbose=False)
-        link.close_doors(self._server)
-        link.guard(self._server, self._refused)
+        viewer.close_doors(self._server)
+        viewer.guard(self._server, self._refused)
         self._server.on_client_connect(self._came.append)
         self._server.on_client_disconnect(lambda client: self._gone.append(client.client_id))
         place = netloc(host, self._server.get_port())
