@@ -438,7 +438,7 @@ def test_holosoma_gains_of_another_length_are_refused(tmp_path: Path) -> None:
     with pytest.raises(PolicyError) as caught:
         load_policy(path)
     assert str(caught.value) == (
-        f"{path}: metadata kd has 1 values for 4 dof_names; export the policy again"
+        f"{path}: metadata kd is [1.0]; give one for each of 4 dof_names, export the policy again"
     )
 
 
@@ -496,7 +496,7 @@ def test_holosoma_tracking_has_the_layout_of_its_one_program(tmp_path: Path) -> 
     assert contract.motion is not None
     assert contract.motion.anchor_body == "torso_link"
     assert load_policy(path, given={**given, "motion.end": 2.0}).motion.end == 2.0  # type: ignore[union-attr]
-    with pytest.raises(PolicyError, match="obs has 40 elements, and the layout wbt of its program"):
+    with pytest.raises(PolicyError, match="obs has 40 elements, and the program's layout wbt"):
         load_policy(tracking(tmp_path, 40), given=given)
     with pytest.raises(PolicyError, match=r"motion \(the body that is compared; robot_urdf has no"):
         load_policy(tracking(tmp_path, urdf="<link>"), given=given)

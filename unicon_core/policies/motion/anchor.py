@@ -14,7 +14,7 @@ from unicon_base.errors import PolicyError, alternatives
 from unicon_core.models.kinematic_tree import BASE, frame_of, read_tree
 from unicon_core.models.load import load_model
 from unicon_core.models.scalar_rotations import Quat, Vector, multiply, rotate, turned
-from unicon_core.policies.motion.spec import AXES
+from unicon_core.policies.contract import AXES
 from unicon_core.robots import Robot
 
 

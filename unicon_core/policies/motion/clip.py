@@ -21,9 +21,8 @@ import numpy as np
 
 from unicon_base.arrays import Float32, Float64
 from unicon_base.errors import PolicyError, alternatives, one_line
-from unicon_core.policies.contract import PolicyContract
+from unicon_core.policies.contract import MotionSpec, PolicyContract
 from unicon_core.policies.motion.anchor import Chain
-from unicon_core.policies.motion.spec import MotionSpec
 
 MOST_BYTES = 1 << 30
 """Most that a motion file may hold: a day of a humanoid at 50 Hz is less."""
