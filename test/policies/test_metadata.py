@@ -496,7 +496,7 @@ def test_holosoma_tracking_has_the_layout_of_its_one_program(tmp_path: Path) -> 
     assert contract.motion is not None
     assert contract.motion.anchor_body == "torso_link"
     assert load_policy(path, given={**given, "motion.end": 2.0}).motion.end == 2.0  # type: ignore[union-attr]
-    with pytest.raises(PolicyError, match="obs has 40 elements, and the program's layout wbt"):
+    with pytest.raises(PolicyError, match="obs has 40 elements, and its program's layout wbt"):
         load_policy(tracking(tmp_path, 40), given=given)
     with pytest.raises(PolicyError, match=r"motion \(the body that is compared; robot_urdf has no"):
         load_policy(tracking(tmp_path, urdf="<link>"), given=given)

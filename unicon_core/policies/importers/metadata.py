@@ -1,11 +1,11 @@
 """ONNX metadata of mjlab and BeyondMimic, holosoma and exploy as facts; our exports use mjlab's.
 
 **mjlab and BeyondMimic.** HybridRobotics/whole_body_tracking `utils/exporter.py` and
-mujocolab/mjlab `tasks/velocity/rl/exporter.py` join lists with commas and print numbers with 3 decimals, so that an
-integer history reads `5.000`; newer mjlab adds `observation_terms_*`, where vectors inside a list
-use `;`, true is `1.000` and history `0.000` means none. `action_scale` may be one number. Terms are
-clipped, then scaled, histories are flattened term by term, oldest first (Isaac Lab's and mjlab's
-observation managers); actions are relative to the default pose.
+mujocolab/mjlab `tasks/velocity/rl/exporter.py` join lists with commas and print numbers with
+3 decimals, so that an integer history reads `5.000`; newer mjlab adds `observation_terms_*`, where
+vectors inside a list use `;`, true is `1.000` and history `0.000` means none. `action_scale` may be
+one number. Terms are clipped, then scaled, histories are flattened term by term, oldest first
+(Isaac Lab's and mjlab's observation managers); actions are relative to the default pose.
 
 **holosoma**, from amazon-far/holosoma: `utils/inference_helpers.py` writes each value as JSON.
 Observation terms, default pose, action scale and rate stand in its program's configuration, not in
