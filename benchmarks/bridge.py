@@ -27,8 +27,7 @@ from unicon_msgs_map import Decoder, Encoder, PublishSpec, SubscribeSpec, load_m
 from unicon_ros import compat
 from unicon_ros.bench.domains import stay_on_loopback
 from unicon_ros.bench.report import Bench
-from unicon_ros.bridge.topics_in import TopicIn
-from unicon_ros.bridge.topics_out import TopicOut
+from unicon_ros.bridge.topics import TopicIn, TopicOut
 
 JOINTS = 20
 FEW, MANY = 12, 64  # joints that `send_growth` compares

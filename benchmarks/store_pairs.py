@@ -179,7 +179,7 @@ class RosSender(_RosNode):
     def __init__(self, place: Path, states: States, raw: bool) -> None:
         from std_msgs.msg import UInt8MultiArray
 
-        from unicon_ros.bench.pipelines.plain_nodes import qos
+        from unicon_ros.bench.pipelines.plain import qos
 
         super().__init__("writer")
         self._send = self.node.create_publisher(UInt8MultiArray, "group", qos(False)).publish
@@ -204,7 +204,7 @@ class RosReceiver(_RosNode):
         from rclpy.executors import SingleThreadedExecutor
         from std_msgs.msg import UInt8MultiArray
 
-        from unicon_ros.bench.pipelines.plain_nodes import qos
+        from unicon_ros.bench.pipelines.plain import qos
 
         super().__init__("reader")
         self._data, self._come = states.buffer.data, False

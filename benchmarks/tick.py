@@ -16,8 +16,8 @@ from typing import Any
 
 from benchmarks.samples import Samples, Step
 from unicon_core.flow import Block, Node, Zip, compile_graph
+from unicon_core.flow.block import LinearMap
 from unicon_core.flow.fuse import fuse
-from unicon_core.flow.linear import LinearMap
 from unicon_core.runtime import TickStatistics
 from unicon_core.runtime.statistics import EVERY, LEARN, Detail
 from unicon_core.states import States, StateSpec

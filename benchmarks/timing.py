@@ -18,8 +18,8 @@ import numpy as np
 
 from benchmarks.samples import Paced, Samples, paced, sleep_until
 from unicon_core.runtime import Pacing, WallClock, prepare_process
+from unicon_ros.bench.loops import interval
 from unicon_ros.bench.report import Bench
-from unicon_ros.bench.rounds import interval
 
 RATE = 500.0  # Hz
 ROUNDS = 15

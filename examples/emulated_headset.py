@@ -4,7 +4,7 @@
     python examples/emulated_headset.py                   # in another one: takes hold after 2 s
     python examples/emulated_headset.py --hands           # bare hands, which open and close
 
-It sends the bytes that the page in a headset sends (unicon_hardware/peripherals/webxr/frames.py),
+It sends the bytes that the page in a headset sends (unicon_hardware/peripherals/webxr/webxr.py),
 at 72 Hz: both hands go in circles while the clutch is closed, and the left thumbstick walks.
 """
 
@@ -19,7 +19,7 @@ import numpy as np
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed
 
-from unicon_hardware.peripherals.webxr.frames import ANSWER, BUTTONS, FRAME, PARTS, PING
+from unicon_hardware.peripherals.webxr.webxr import ANSWER, BUTTONS, FRAME, PARTS, PING
 
 SIDES = ("left", "right")
 FINGERS = {"thumb": (0.02, 0.04, -0.01), "index": (0.09, 0.025, 0.0), "middle": (0.095, 0.0, 0.0)}

@@ -11,8 +11,8 @@ import tempfile
 from pathlib import Path
 
 from unicon_core.models.find import pick_model
+from unicon_core.models.kinematic_tree import physical_urdf
 from unicon_core.models.load import load_model
-from unicon_core.models.urdf_write import physical_urdf
 from unicon_core.robots import load_robot
 
 

@@ -14,8 +14,10 @@ from types import ModuleType
 from typing import Any
 
 _NAMES = {
-    ("unicon_core", "unicon_base"): "arrays bounded_yaml errors generated located_yaml packages "
-    "registered resources schema",
+    (
+        "unicon_core",
+        "unicon_base",
+    ): "arrays bounded_yaml errors generated located_yaml packages resources schema",
     ("unicon_core", "unicon_manipulation"): "ik retarget",
     ("unicon_ros", "unicon_lab"): "analysis datasets fault_record recording replay report "
     "sweep transfer view",
@@ -35,12 +37,18 @@ MOVED = {
     "unicon_core.outlet": "unicon_core.non_blocking_writer",
     "unicon_core.platforms.sim": "unicon_sims",
     "unicon_core.platforms.sim.mujoco": "unicon_core.platforms.mujoco",
+    "unicon_core.registered": "unicon_base.packages",
     "unicon_core.together": "unicon_core.synchronised_start",
+    "unicon_msgs_map.layout.units": "unicon_msgs_map.spec",
+    "unicon_ros.bridge.tuning": "unicon_ros.parameters",
     "unicon_ros.cli.emulate": "unicon_hardware.emulate.command",
+    "unicon_ros.controls": "unicon_ros.bridge.services",
+    "unicon_ros.emulate.face": "unicon_hardware.endpoint",
     "unicon_ros.hardware": "unicon_hardware",
     "unicon_ros.identify": "unicon_lab.identify.recorded",
     "unicon_ros.peripherals.child": "unicon_ros.peripheral_process",
     "unicon_ros.peripherals.peripheral": "unicon_ros.peripheral",
+    "unicon_ros.peripherals.webxr.frames": "unicon_hardware.peripherals.webxr.webxr",
     "unicon_ros.report.drawing": "unicon_core.drawing",
     "unicon_ros.run_report": "unicon_lab.evidence_report",
     "unicon_ros.view.front": "unicon_ros.web_front",

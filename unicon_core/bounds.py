@@ -9,7 +9,7 @@ no robots.
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from unicon_base.errors import WorkflowError
 from unicon_base.schema.marks import Within, positive
@@ -100,3 +100,25 @@ def within(
         start = f"above {lowest:g}" if above else f"from {lowest:g}"
         raise WorkflowError(f"{option} is {value!r}; give a number {start} to {highest:g}{end}")
     return float(value)
+
+
+Button = Literal[
+    "R1",
+    "L1",
+    "start",
+    "select",
+    "R2",
+    "L2",
+    "F1",
+    "F2",
+    "A",
+    "B",
+    "X",
+    "Y",
+    "up",
+    "right",
+    "down",
+    "left",
+]
+BUTTONS: tuple[Button, ...] = get_args(Button)
+"""The elements of `buttons`, in the order of Unitree's remote."""

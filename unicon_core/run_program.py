@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from typing import Any, Protocol
 
 from unicon_core.check import refuse_errors
-from unicon_core.runtime.options import RunOptions
+from unicon_core.runtime.phases import RunOptions
 from unicon_core.runtime.report import Report
 from unicon_core.runtime.runner import Runner
 from unicon_core.workflow import Program

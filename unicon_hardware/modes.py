@@ -1,4 +1,4 @@
-"""Modes of motors: what they report is held against what is commanded; for wires and emulators.
+"""Modes of motors: what they report is held against what is commanded; for wires.
 
 A motor that leaves its mode does not follow, and jumps to its target when it comes back:
 
@@ -15,13 +15,12 @@ import time
 import numpy as np
 from numpy.typing import ArrayLike
 
-from unicon_base.arrays import Float32, UInt8
-from unicon_core.states import States
+from unicon_base.arrays import Float32
 
+# A motor may reach its mode so much later than the one before, [s]: 100 frames at 500 Hz.
 SETTLES = 0.2
-"""A motor may reach its mode so much later than the one before, [s]: 100 frames at 500 Hz."""
+# `settles` where no public source says what a robot reports as a motor's mode.
 UNDOCUMENTED = math.inf
-"""`settles` where no public source says what a robot reports as a motor's mode."""
 
 
 class ModeGuard:
@@ -117,37 +116,3 @@ class ModeGuard:
             f"motor {self._names[joint]} is in mode {mode:#04x}, not in {self._called} "
             f"{wanted:#04x}"
         )
-
-
-class EmulatedModes:
-    """Modes of emulated motors: the commanded ones, except of motors that were let leave theirs.
-
-    Args:
-        reported: what the emulated robot reports, shape (n,); this writes it.
-    """
-
-    def __init__(self, reported: UInt8) -> None:
-        self.reported = reported
-        self._away: dict[int, int] = {}
-
-    def leave(self, joint: int, mode: int = 0) -> None:
-        """Let a motor be in another mode from now on, whatever is commanded."""
-        self._away[joint] = mode
-        self.reported[joint] = mode
-
-    def come_back(self) -> None:
-        """Let all motors go into the commanded mode again, with the next command."""
-        self._away.clear()
-
-    def command(self, modes: UInt8, states: States) -> None:
-        """Go into the commanded modes; a motor that is away has neither stiffness nor torque.
-
-        Args:
-            modes: that are commanded, shape (n,).
-            states: of the emulated robot, with the command in them.
-        """
-        self.reported[...] = modes
-        for joint, mode in self._away.items():
-            self.reported[joint] = mode
-            for name in ("joint_stiffness", "joint_effort_ff", "joint_damping"):
-                states[name][joint] = 0.0

@@ -7,7 +7,6 @@ there before, under whichever count.
 
 from __future__ import annotations
 
-import math
 import time
 from collections import deque
 
@@ -32,16 +31,16 @@ class RobotClock:
         believed: whether frames that get older are found, and stamps are the robot's.
     """
 
+    # Older by so much than the quickest one is a fault, [s]: a network may be 0.02 s late.
     OLD = 0.1
-    """Older by so much than the quickest one is a fault, [s]: a network may be 0.02 s late."""
+    # Share by which the clocks may differ; crystals do by 0.0001.
     DRIFT = 0.02
-    """Share by which the clocks may differ; crystals do by 0.0001."""
+    # In [s].
     SETTLES = 0.5
-    """In [s]."""
+    # Frames that are older by no more than that keep step, [s].
     STEADY = 0.03
-    """Frames that are older by no more than that keep step, [s]."""
+    # Without a frame for so long, [s], the robot, or this machine, stood still.
     PAUSE = 0.05
-    """Without a frame for so long, [s], the robot, or this machine, stood still."""
 
     def __init__(self, label: str) -> None:
         self._label = label
@@ -89,34 +88,6 @@ class RobotClock:
         return now - age
 
 
-class Milliseconds:
-    """The clock of an emulated robot, for faces: of 1 ms, and newer with each frame.
-
-    Args:
-        period: of its frames, [ms].
-
-    Attributes:
-        count: of the last frame, [ms].
-    """
-
-    def __init__(self, period: float) -> None:
-        self._period, self.count, self._began = period, 0.0, math.nan
-
-    def __call__(self, now: float) -> int:
-        """Return the count of the next frame, 32 bits.
-
-        Args:
-            now: its time in [s]; where it is NaN frames are counted.
-        """
-        if math.isnan(now):
-            self.count += self._period
-        else:
-            if math.isnan(self._began):
-                self._began = now - self.count * 1e-3
-            self.count = max(self.count + 1.0, (now - self._began) * 1e3)
-        return round(self.count) % WRAP
-
-
 class Repeats:
     """Finds measurements that come a second time, each once more behind the other.
 
@@ -125,12 +96,12 @@ class Repeats:
         span: of a frame's bytes: measurements, without counts and checksums.
     """
 
+    # So long they have to come again, [s].
     LASTS = 0.2
-    """So long they have to come again, [s]."""
+    # So many frames at least.
     LEAST = 5
-    """So many frames at least."""
+    # Frames that are remembered: 10 s at 500 Hz.
     KEPT = 5000
-    """Frames that are remembered: 10 s at 500 Hz."""
 
     def __init__(self, label: str, span: slice) -> None:
         self._label, self._span = label, span

@@ -22,21 +22,21 @@ from typing import Any, TypeVar
 import numpy as np
 
 from unicon_base.errors import Fault, PlatformError, Silence
-from unicon_core.blocks.projected_gravity import projected_gravity
+from unicon_core.blocks.maps import projected_gravity
 from unicon_core.platforms.kit.command import FiniteCheck
 from unicon_core.platforms.kit.damping import DAMPING_TIME, Damping, LastSent, repeated
-from unicon_core.platforms.platform import Facts, WarmsUp
+from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
 from unicon_core.signals import SIGNALS
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_hardware.robot_clock import RobotClock
-from unicon_hardware.wire import Clocked, Guarded, Prepared, ReportsCommanders, Wire
+from unicon_hardware.wire import Wire
 
+# Without a good frame for so long, in [s], a robot at 500 Hz is silent: 25 frames are missing.
 SILENCE = 0.05
-"""Without a good frame for so long, in [s], a robot at 500 Hz is silent: 25 frames are missing."""
+# Between two looks at a wire that has not told anything yet, [s].
 LOOKING = 0.002
-"""Between two looks at a wire that has not told anything yet, [s]."""
 
 
 class WiredRobot:
@@ -89,17 +89,15 @@ class WiredRobot:
         commands = {name: states[name] for name in COMMAND_STATES}
         self._finite = FiniteCheck(commands, robot.joint_names)
         self._sent = LastSent(states)
-        self._modes = wire.modes if isinstance(wire, Guarded) else None
+        self._modes = wire.modes
         self._pushing = states["joint_stiffness"], states["joint_effort_ff"]
         self._stamp = states["stamp_ns"]
-        self._clocked = wire if isinstance(wire, Clocked) else None
         self._clock = RobotClock(self._label)
         self._heard = self._looked = time.monotonic_ns()
         self._silent_for = 0.0
         # Of a longer pause of ours no more counts as silence: who only answers was not asked, as
         # between opening and the first tick.
         self._pause = 2.0 * self._period
-        self._warm_up = wire.warm_up if isinstance(wire, WarmsUp) else None
         self._closed = False
 
     def connect(self, patience: float) -> None:
@@ -141,7 +139,7 @@ class WiredRobot:
         if not self._wire.take():
             return False
         self._heard, self._silent_for = time.monotonic_ns(), 0.0
-        count = None if self._clocked is None else self._clocked.clock_ms
+        count = self._wire.clock_ms
         self._stamp[...] = self._heard if count is None else self._clock(self._heard, count)
         if self._gravity is not None:
             self._gravity()
@@ -172,8 +170,7 @@ class WiredRobot:
         """Do what `recv` and `send` do, but change no state and send nothing, to warm up."""
         self._finite()
         self._scratch()
-        if self._warm_up is not None:
-            self._warm_up()
+        self._wire.warm_up()
 
     def send(self) -> bool | None:
         """Send the command states.
@@ -226,13 +223,11 @@ class WiredRobot:
 
     def prepare(self) -> str:
         """Bring the robot to where it takes commands, step by step; see `Prepares`."""
-        if self._silent or not isinstance(self._wire, Prepared):
-            return ""
-        return self._wire.prepare()
+        return "" if self._silent else self._wire.prepare()
 
     def commanders(self) -> Mapping[str, int]:
         """Return where the robot takes commands, with the number of others that send there."""
-        return self._wire.commanders() if isinstance(self._wire, ReportsCommanders) else {}
+        return self._wire.commanders()
 
     def info(self) -> Mapping[str, Any]:
         """Return where the robot is, and what came from it."""

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from unicon_core.blocks.controls.device import declares_controls
-from unicon_core.buttons import BUTTONS
+from unicon_core.bounds import BUTTONS
 from unicon_core.flow.block import Writes
 from unicon_core.states import States
 from unicon_manipulation.teleop.operator import Headset

@@ -65,7 +65,7 @@ value is refused.
 
 A mapping instead of a word converts, `value × unit × scale + offset`, per element:
 `{state: joint_pos, unit: deg, scale: 2, sign: [1, -1], offset: 0.1}`; `unit` names the message's
-unit (`unicon_msgs_map.layout.units`). **Quaternions are wxyz in states, xyzw in messages.** A
+unit (`unicon_msgs_map.spec`). **Quaternions are wxyz in states, xyzw in messages.** A
 geometry_msgs/Quaternion is converted by itself; elsewhere, such as a plain `float64[4]`, say
 `quat: xyzw_from_wxyz` (publish) or `quat: wxyz_from_xyzw` (subscribe); `quat: none` switches the
 automatic conversion off. This happens here and nowhere else. Times are int64 ns in states and

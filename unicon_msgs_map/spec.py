@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -11,6 +12,7 @@ from unicon_msgs_map.layout.paths import Path, Reference
 
 if TYPE_CHECKING:
     from unicon_msgs_map.layout.messages import Messages
+
 
 Numbers = float | tuple[float, ...]
 
@@ -71,7 +73,7 @@ class FieldSpec:
         source: state, variable or constant.
         scale: factor, one or per element (a `sign` is part of it).
         offset: summand in the written value's unit, one or per element.
-        unit: the message's unit, see `unicon_msgs_map.layout.units`; None is SI.
+        unit: the message's unit, see `unicon_msgs_map.spec`; None is SI.
         quat: element order, `xyzw_from_wxyz`, `wxyz_from_xyzw` or `none`; None is automatic:
             geometry_msgs/Quaternion is converted, anything else is not.
         by: on subscribe, path of the names that order this array; `none` takes it by position;
@@ -226,3 +228,42 @@ class MessageMap:
     path: str | None = None
     description: str = ""
     trajectory: TrajectorySpec | None = None
+
+
+PER_SI: dict[str, float] = {
+    # angle, angular velocity
+    "rad": 1.0,
+    "deg": 180.0 / math.pi,
+    "mrad": 1e3,
+    "rev": 1.0 / (2.0 * math.pi),
+    "rad/s": 1.0,
+    "deg/s": 180.0 / math.pi,
+    "rpm": 60.0 / (2.0 * math.pi),
+    # length, velocity, acceleration
+    "m": 1.0,
+    "cm": 1e2,
+    "mm": 1e3,
+    "m/s": 1.0,
+    "mm/s": 1e3,
+    "km/h": 3.6,
+    "m/s^2": 1.0,
+    "g": 1.0 / 9.80665,  # standard gravity, 3rd CGPM (1901)
+    # force, torque, mass
+    "N": 1.0,
+    "kN": 1e-3,
+    "N*m": 1.0,
+    "mN*m": 1e3,
+    "kg": 1.0,
+    # time
+    "s": 1.0,
+    "ms": 1e3,
+    "us": 1e6,
+    "ns": 1e9,
+    # electricity, ratio
+    "V": 1.0,
+    "mV": 1e3,
+    "A": 1.0,
+    "mA": 1e3,
+    "ratio": 1.0,
+    "percent": 1e2,
+}

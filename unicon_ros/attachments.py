@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from unicon_base.registered import loaded
+from unicon_base.packages import loaded
 
 if TYPE_CHECKING:
     from unicon_core.flow import Block, Stage

@@ -37,11 +37,9 @@ from unicon_ros.attachments import Asked, Attachment, attached, said_at_end
 from unicon_ros.bridge import RosSession
 from unicon_ros.bridge.diagnostics import Diagnostics
 from unicon_ros.bridge.estop import FAULT, STOP_SERVICES, EmergencyStop, latch_of
-from unicon_ros.bridge.node_log import NodeLog
-from unicon_ros.bridge.services import SERVICES, add_services, explained
-from unicon_ros.bridge.tuning import Tuning
-from unicon_ros.controls import Answer
-from unicon_ros.parameters import Parameters
+from unicon_ros.bridge.own_node import NodeLog
+from unicon_ros.bridge.services import SERVICES, Answer, add_services, explained
+from unicon_ros.parameters import Parameters, Tuning
 
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 ENDING = ("deactivate", "shutdown")

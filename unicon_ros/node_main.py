@@ -73,9 +73,9 @@ def _refused(error: Exception) -> UniconError:
 
 
 def _spin(rclpy: Any, arguments: list[str]) -> int:
+    from unicon_ros.bridge.own_node import without_shared_memory
     from unicon_ros.node import UniconNode
     from unicon_ros.process_exit import exit_watchdog
-    from unicon_ros.transport import without_shared_memory
 
     context = rclpy.context.Context()
     try:

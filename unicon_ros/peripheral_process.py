@@ -24,7 +24,7 @@ from typing import Any, NoReturn, Protocol
 
 from unicon_base.errors import UniconError
 from unicon_core.handles import FrameRing
-from unicon_core.platforms.child.parent import ALARM, LONGEST, Parent, text_of
+from unicon_core.platforms.child.pipe import ALARM, LONGEST, Parent, text_of
 from unicon_core.states import Layout, States
 from unicon_core.states.backends.shm import Segment, ShmWriter
 

@@ -12,7 +12,7 @@ from ros_attack import REACT, Run, behind_topics, peer, robot, running, wait_for
 from unicon_base.errors import PlatformError
 from unicon_core.workflow import load_workflow
 from unicon_ros.bridge import RosSession
-from unicon_ros.bridge.topics_in import TopicIn
+from unicon_ros.bridge.topics import TopicIn
 
 pytestmark = [
     pytest.mark.ros,

@@ -14,7 +14,7 @@ from unicon_core.platforms.fake import FakePlatform
 from unicon_ros.bench.domains import free_domain
 from unicon_ros.bridge import RosSession
 from unicon_ros.bridge.own_node import OwnNode
-from unicon_ros.bridge.topics_in import TopicIn
+from unicon_ros.bridge.topics import TopicIn
 from unicon_ros.cli.main import main
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]

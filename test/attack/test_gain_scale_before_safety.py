@@ -13,7 +13,7 @@ from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states.groups import groups_hash, groups_of
 from unicon_core.workflow import Program, load_document, load_workflow
-from unicon_ros.bridge.tuning import Tuning, too_little_damping
+from unicon_ros.parameters import Tuning, too_little_damping
 
 WORKFLOW = """\
 schema: unicon.workflow/1

@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 
 from unicon_core.signals import SIGNALS
-from unicon_ros.bench import sdk
-from unicon_ros.bench.loops import Slice, _bridged
+from unicon_ros.bench import latency
+from unicon_ros.bench.loops import Rows, Slice, _bridged
 from unicon_ros.bench.report import Bench
-from unicon_ros.bench.rounds import Rows
 
 pytest.importorskip("cyclonedds", reason="needs cyclonedds: pip install 'unicon_ros[hw-unitree]'")
 
-from unicon_ros.bench.pipelines.unitree_robot import WINDOW, Made
+from unicon_ros.bench.pipelines.fast_robot import WINDOW, Made
 
 
 def test_identity_control_hands_on_which_state_it_answers() -> None:
@@ -63,24 +62,34 @@ def test_rows_and_ratios_are_those_of_the_rounds_that_have_both() -> None:
         times = {"recv_and_send": np.full(3, cost), "end_to_end": np.full(3, end)}
         return times | {"cpu": np.full(3, 1.0)}
 
-    both = {sdk.SYNC: rows(100, 1000), sdk.ON_STATE: rows(10, 250), sdk.ASYNC: rows(1, 500)}
-    both |= {sdk.SYNC_500: rows(200, 1), sdk.OURS_500: rows(20, 1)}
+    both = {
+        latency.SYNC: rows(100, 1000),
+        latency.UNITREE: rows(10, 250),
+        latency.ASYNC: rows(1, 500),
+    }
+    both |= {latency.SYNC_500: rows(200, 1), latency.OURS_500: rows(20, 1)}
     bench = Bench("made", seed=0, rounds=2)
-    sdk.add(bench, [both, {sdk.SYNC_500: rows(1, 1)}])
+    latency.add(
+        bench, latency.SDK_VARIANTS, latency.SDK_RATIOS, [both, {latency.SYNC_500: rows(1, 1)}]
+    )
     assert bench.ratios["unitree_recv_and_send"]["value"] == pytest.approx(0.1)
     assert bench.ratios["unitree_recv_and_send"]["holds"]
     assert bench.facts["unitree, end to end, of SDK (sync)"].startswith("0.25 (")
     assert bench.facts["unitree, end to end, of SDK (async)"].startswith("0.5 (")
-    assert f"{sdk.SYNC}: cpu [% of a core]" in bench.cases
+    assert f"{latency.SYNC}: cpu [% of a core]" in bench.cases
     assert [name for name in bench.cases if "500" in name] == [
-        f"{sdk.SYNC_500}: recv_and_send",
-        f"{sdk.OURS_500}: recv_and_send",
+        f"{latency.SYNC_500}: recv_and_send",
+        f"{latency.OURS_500}: recv_and_send",
     ]
+
+
+def added(bench: Bench, results: list[dict[str, Rows]]) -> None:
+    latency.add(bench, latency.SDK_VARIANTS, latency.SDK_RATIOS, results)
 
 
 def test_without_results_nothing_is_told() -> None:
     bench = Bench("made", seed=0, rounds=0)
-    sdk.add(bench, [])
+    added(bench, [])
     assert not bench.cases
     assert not bench.ratios
     assert not bench.facts
@@ -88,39 +97,41 @@ def test_without_results_nothing_is_told() -> None:
 
 def test_what_lacks_is_said_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("UNICON_UNITREE_SDK", raising=False)
-    assert "UNICON_UNITREE_SDK is ''; name a checkout of unitree_sdk2_python" in sdk.unavailable()
+    assert "UNICON_UNITREE_SDK is ''; name a checkout of unitree_sdk2_python" in latency.sdk_lacks()
     monkeypatch.setenv("UNICON_UNITREE_SDK", str(tmp_path))
-    assert "name a checkout" in sdk.unavailable()
+    assert "name a checkout" in latency.sdk_lacks()
     (tmp_path / "unitree_sdk2py").mkdir()
     monkeypatch.setenv("UNICON_UNITREE_PYTHON", "")
-    assert "UNICON_UNITREE_PYTHON is ''" in sdk.unavailable()
+    assert "UNICON_UNITREE_PYTHON is ''" in latency.sdk_lacks()
     monkeypatch.setenv("UNICON_UNITREE_PYTHON", str(tmp_path / "none"))
-    assert "which does not run" in sdk.unavailable()
+    assert "which does not run" in latency.sdk_lacks()
     monkeypatch.setenv("UNICON_UNITREE_PYTHON", sys.executable)
-    said = sdk.unavailable()
+    said = latency.sdk_lacks()
     assert "where the SDK fails (ModuleNotFoundError: No module named" in said
     assert "cyclonedds 0.10.2" in said
     assert "\n" not in said
 
 
 def test_without_cyclonedds_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sdk, "find_spec", lambda name: None)
-    assert "pip install 'unicon_ros[hw-unitree]'" in sdk.unavailable()
+    monkeypatch.setattr(latency, "find_spec", lambda name: None)
+    assert "pip install 'unicon_ros[hw-unitree]'" in latency.sdk_lacks()
 
 
 @pytest.mark.slow
 @pytest.mark.alone
 @pytest.mark.timeout(200)
 def test_the_sdk_and_ours_close_the_loop_with_one_robot(tmp_path: Path) -> None:
-    if lacking := sdk.unavailable():
+    if lacking := latency.sdk_lacks():
         pytest.skip(lacking)
     with SIGNALS.guard():
-        results = sdk.measure(2, 0.6, 49.6, 500.0, tmp_path)
+        results = latency.measure(
+            latency.SDK_VARIANTS, 2, 0.6, 49.6, ["--state-rate", "500"], tmp_path
+        )
     bench = Bench("made", seed=0, rounds=2)
-    sdk.add(bench, results)
-    for variant in sdk.VARIANTS[:4]:
+    added(bench, results)
+    for variant in latency.SDK_VARIANTS[:4]:
         cases = {row: bench.cases[f"{variant.name}: {row}"] for row in ("recv", "end_to_end")}
         assert all(case["samples"] >= 20 for case in cases.values())
         assert 0.0 < cases["recv"]["p50"] < cases["end_to_end"]["p50"]
     assert bench.ratios["unitree_recv_and_send"]["value"] > 0.0
-    assert bench.cases[f"{sdk.OURS_500}: recv_and_send"]["samples"] >= 100
+    assert bench.cases[f"{latency.OURS_500}: recv_and_send"]["samples"] >= 100

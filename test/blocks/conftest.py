@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
@@ -25,6 +23,6 @@ class RandomBench(Bench):
 
 
 @pytest.fixture
-def bench() -> Callable[..., RandomBench]:
+def bench():
     """Builds a bench of a robot, with a batch axis where asked."""
     return RandomBench

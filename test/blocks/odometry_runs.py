@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,11 +9,11 @@ from numpy.typing import NDArray
 
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Report, Runner, RunOptions
-from unicon_core.states import States
 from unicon_core.workflow import Program, load_workflow
 
 Float = NDArray[np.float64]
 
+# Standard deviations in [rad], [rad/s], [rad/s], [m/s²] and of a quaternion's elements.
 NOISE = {
     "joint_pos": 0.005,
     "joint_vel": 0.25,
@@ -22,20 +21,19 @@ NOISE = {
     "base_lin_acc": 0.3,
     "base_quat": 0.005,
 }
-"""Standard deviations in [rad], [rad/s], [rad/s], [m/s²] and of a quaternion's elements."""
 
 
 class Odometry(NamedTuple):
     """A run: what was so, and what was estimated, tick by tick."""
 
     report: Report
+    # Of `base_lin_vel` in [m/s], shape (ticks, 3).
     truth: Float
-    """Of `base_lin_vel` in [m/s], shape (ticks, 3)."""
     estimate: Float
+    # As told, in [m²/s²], shape (ticks,).
     variance: Float
-    """As told, in [m²/s²], shape (ticks,)."""
+    # True position in [m], shape (ticks, 3).
     place: Float
-    """True position in [m], shape (ticks, 3)."""
     contact: Float
 
     @property
@@ -49,12 +47,7 @@ class Odometry(NamedTuple):
         return float(np.sqrt((self.error**2).mean()))
 
 
-def run(
-    workflow: str,
-    changes: dict[str, Any] | Sequence[str],
-    seconds: float,
-    spoil: Callable[[States, int], None] | None = None,
-) -> Odometry:
+def run(workflow, changes, seconds, spoil=None):
     """Run a workflow as fast as it goes, with what spoils the sensors behind recv.
 
     Args:

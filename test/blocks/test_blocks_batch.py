@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -31,7 +30,7 @@ BLOCKS: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize("name", BLOCKS)
-def test_robot_of_a_batch_equals_a_single_one(bench: Callable[..., Bench], name: str) -> None:
+def test_robot_of_a_batch_equals_a_single_one(bench, name):
     count = 3
     extra = forwarded_states(bench().robot.joint_names)
     many = bench(num_robots=count, states=extra)

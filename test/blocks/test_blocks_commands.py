@@ -10,7 +10,6 @@ import pytest
 
 from unicon_base.errors import WorkflowError
 from unicon_core.blocks import BUILTIN
-from unicon_core.flow.block import Block
 from unicon_core.states import States, StateSpec, standard_states
 from unicon_core.workflow.registry import import_target
 
@@ -18,12 +17,12 @@ Bench = Any
 Build = Callable[..., Bench]
 
 
-def test_every_builtin_target_exists() -> None:
+def test_every_builtin_target_exists():
     for name, target in BUILTIN.items():
         assert callable(import_target(target, name, WorkflowError))
 
 
-def commands(it: Bench, block: Block, ticks: int) -> Any:
+def commands(it, block, ticks):
     rows = []
     for _ in range(ticks):
         block.tick()
@@ -31,13 +30,13 @@ def commands(it: Bench, block: Block, ticks: int) -> Any:
     return np.array(rows)
 
 
-def test_constant_command_is_written_every_tick(bench: Build) -> None:
+def test_constant_command_is_written_every_tick(bench):
     it = bench()
     rows = commands(it, it.block("velocity_command", constant=[0.5, 0.0, -0.2]), 3)
     np.testing.assert_allclose(rows, [[0.5, 0.0, -0.2]] * 3, rtol=1e-6)
 
 
-def test_schedule_switches_at_its_times_and_begins_anew(bench: Build) -> None:
+def test_schedule_switches_at_its_times_and_begins_anew(bench):
     it = bench()
     schedule = [[0.04, 1, 0, 0], [0.1, 0, 0, 0.5]]
     block = it.block("velocity_command", schedule=schedule, duration=0.16)
@@ -50,7 +49,7 @@ def test_schedule_switches_at_its_times_and_begins_anew(bench: Build) -> None:
         block.reset()
 
 
-def test_ramp_and_limits_bound_the_command(bench: Build) -> None:
+def test_ramp_and_limits_bound_the_command(bench):
     it = bench()
     block = it.block(
         "velocity_command",
@@ -68,14 +67,8 @@ def test_ramp_and_limits_bound_the_command(bench: Build) -> None:
     ("options", "message"),
     [
         ({}, "give either constant: [vx, vy, wz] or schedule: [[t, vx, vy, wz], …]"),
-        (
-            {"constant": [1.0]},
-            "constant is [1.0]; write [vx, vy, wz], or null",
-        ),
-        (
-            {"schedule": [[0, 1, 0]]},
-            "schedule.0 is [0, 1, 0]; write [t, vx, vy, wz]",
-        ),
+        ({"constant": [1.0]}, "constant is [1.0]; write [vx, vy, wz], or null"),
+        ({"schedule": [[0, 1, 0]]}, "schedule.0 is [0, 1, 0]; write [t, vx, vy, wz]"),
         (
             {"schedule": [[1, 0, 0, 0], [1, 0, 0, 0]]},
             "the schedule's times [1.0, 1.0] do not rise; correct them",
@@ -85,19 +78,16 @@ def test_ramp_and_limits_bound_the_command(bench: Build) -> None:
             "limits are [[1.0, 0.0], [0.0, 1.0], [0.0, 1.0]]; give [[lowest, highest]] of vx, vy "
             "and wz",
         ),
-        (
-            {"constant": [0, 0, 0], "ramp": 0.0},
-            "ramp is 0.0; write a number above 0, or null",
-        ),
+        ({"constant": [0, 0, 0], "ramp": 0.0}, "ramp is 0.0; write a number above 0, or null"),
     ],
 )
-def test_wrong_commands(bench: Build, options: dict[str, Any], message: str) -> None:
+def test_wrong_commands(bench, options, message):
     with pytest.raises(WorkflowError) as error:
         bench().block("velocity_command", **options)
     assert str(error.value) == f"block 'velocity_command': {message}"
 
 
-def test_elapsed_counts_ticks_and_stays_true(bench: Build) -> None:
+def test_elapsed_counts_ticks_and_stays_true(bench):
     block = bench().block("elapsed", seconds=0.1)
     assert [block.tick() for _ in range(7)] == [False] * 4 + [True] * 3
     assert block.reset is not None
@@ -105,7 +95,7 @@ def test_elapsed_counts_ticks_and_stays_true(bench: Build) -> None:
     assert not block.tick()
 
 
-def test_settled_needs_uninterrupted_rest(bench: Build) -> None:
+def test_settled_needs_uninterrupted_rest(bench):
     it = bench()
     block = it.block("settled", velocity=0.1, duration=0.06)
     speeds = (0.0, 0.05, 0.2, -0.05, 0.0, 0.0, np.nan, 0.0)
@@ -117,7 +107,7 @@ def test_settled_needs_uninterrupted_rest(bench: Build) -> None:
 
 
 @pytest.mark.parametrize("num_robots", [None, 4])
-def test_projected_gravity_is_the_rotated_vertical(bench: Build, num_robots: int | None) -> None:
+def test_projected_gravity_is_the_rotated_vertical(bench, num_robots):
     it = bench(num_robots=num_robots)
     rng = np.random.default_rng(0)
     block = it.block("projected_gravity")
@@ -127,12 +117,13 @@ def test_projected_gravity_is_the_rotated_vertical(bench: Build, num_robots: int
         quats = np.atleast_2d(it.states.base_quat).astype(np.float64)
         for (w, *v), got in zip(quats, np.atleast_2d(it.states.projected_gravity)):
             # q* (0, 0, -1) q, with u = -v: g + 2 u x (u x g + w g)
-            u, g = -np.array(v), np.array((0.0, 0.0, -1.0))
+            u = -np.array(v)
+            g = np.array((0.0, 0.0, -1.0))
             expected = g + 2 * np.cross(u, np.cross(u, g) + w * g)
             np.testing.assert_allclose(got, expected, atol=1e-6)
 
 
-def with_extra(it: Bench, num_robots: int | None = None) -> None:
+def with_extra(it, num_robots=None):
     it.states = States(
         {
             **standard_states(it.robot.joint_names),
@@ -145,7 +136,7 @@ def with_extra(it: Bench, num_robots: int | None = None) -> None:
 
 
 @pytest.mark.parametrize("num_robots", [None, 3])
-def test_linear_map_scales_and_shifts_chosen_elements(bench: Build, num_robots: int | None) -> None:
+def test_linear_map_scales_and_shifts_chosen_elements(bench, num_robots):
     it = bench()
     with_extra(it, num_robots)
     it.states.joint_pos = np.arange(12)
@@ -170,7 +161,7 @@ def test_linear_map_scales_and_shifts_chosen_elements(bench: Build, num_robots: 
     assert np.shares_memory(data.target, it.states.legs)
 
 
-def test_copy_converts_types_and_takes_scalars(bench: Build) -> None:
+def test_copy_converts_types_and_takes_scalars(bench):
     it = bench()
     with_extra(it)
     it.states.tick = 7
@@ -209,7 +200,7 @@ def test_copy_converts_types_and_takes_scalars(bench: Build) -> None:
         ),
     ],
 )
-def test_wrong_maps(bench: Build, options: dict[str, Any], message: str) -> None:
+def test_wrong_maps(bench, options, message):
     it = bench()
     with_extra(it)
     with pytest.raises(WorkflowError) as error:

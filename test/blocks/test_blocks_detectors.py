@@ -16,7 +16,7 @@ from unicon_core.flow import Stage
 Build = Callable[..., Any]
 
 
-def rest(it: Any) -> Any:
+def rest(it):
     """Stand still and level."""
     it.stand()
     it.states.base_quat = (1.0, 0.0, 0.0, 0.0)
@@ -24,7 +24,7 @@ def rest(it: Any) -> Any:
     return it
 
 
-def tripped(block: Any, change: Callable[[int], None]) -> tuple[int, str]:
+def tripped(block, change):
     """Tick until a fault; return when it came and what it says."""
     for k in range(500):
         change(k)
@@ -35,7 +35,7 @@ def tripped(block: Any, change: Callable[[int], None]) -> tuple[int, str]:
     raise AssertionError("it did not trip")
 
 
-def test_all_stand_in_stage_safety(bench: Build) -> None:
+def test_all_stand_in_stage_safety(bench):
     names = ("range_stop", "command_stop", "encoder_stop", "imu_stop")
     assert {bench().block(name).stage for name in names} == {Stage.SAFETY}
 
@@ -53,9 +53,7 @@ MEASURED = {
 
 @pytest.mark.parametrize("state", MEASURED)
 @pytest.mark.parametrize("num_robots", [None, 2])
-def test_range_stop_names_what_no_robot_measures(
-    bench: Build, state: str, num_robots: int | None
-) -> None:
+def test_range_stop_names_what_no_robot_measures(bench, state, num_robots):
     for value in MEASURED[state]:
         it = rest(bench(num_robots=num_robots))
         block = it.block("range_stop")
@@ -66,7 +64,7 @@ def test_range_stop_names_what_no_robot_measures(
             block.tick()
 
 
-def test_range_stop_looks_at_what_the_platform_measures(bench: Build) -> None:
+def test_range_stop_looks_at_what_the_platform_measures(bench):
     from types import SimpleNamespace
 
     from unicon_core.workflow.autowire import BuildContext, autowire
@@ -94,7 +92,7 @@ COMMANDS = {
 
 
 @pytest.mark.parametrize("state", COMMANDS)
-def test_command_stop_names_what_nobody_means(bench: Build, state: str) -> None:
+def test_command_stop_names_what_nobody_means(bench, state):
     for value in COMMANDS[state]:
         it = rest(bench("g1_29dof"))
         block = it.block("command_stop")
@@ -104,7 +102,7 @@ def test_command_stop_names_what_nobody_means(bench: Build, state: str) -> None:
             block.tick()
 
 
-def test_plain_values_pass_and_stay_as_they_are(bench: Build) -> None:
+def test_plain_values_pass_and_stay_as_they_are(bench):
     it = rest(bench())
     blocks = [it.block("range_stop"), it.block("command_stop")]
     robot = it.robot
@@ -132,7 +130,7 @@ def test_plain_values_pass_and_stay_as_they_are(bench: Build) -> None:
     holds()
 
 
-def test_encoder_stop_waits_for_motion(bench: Build) -> None:
+def test_encoder_stop_waits_for_motion(bench):
     it = rest(bench())
     block = it.block("encoder_stop")
     for _ in range(50):  # nothing moves, nothing is asked
@@ -156,7 +154,7 @@ def test_encoder_stop_waits_for_motion(bench: Build) -> None:
     block.tick()
 
 
-def test_a_limp_joint_is_not_asked_to_move(bench: Build) -> None:
+def test_a_limp_joint_is_not_asked_to_move(bench):
     it = rest(bench())
     it.states.joint_stiffness = 0.0
     block = it.block("encoder_stop")
@@ -165,7 +163,7 @@ def test_a_limp_joint_is_not_asked_to_move(bench: Build) -> None:
         block.tick()
 
 
-def turning(it: Any, rate: float, k: int, *, frozen: bool = False) -> None:
+def turning(it, rate, k, *, frozen=False):
     """Roll about x at a rate in [rad/s] as the IMU tells of it in tick k."""
     angle = 0.0 if frozen else 0.5 * np.sin(rate * 0.02 * k)
     speed = 0.5 * rate * np.cos(rate * 0.02 * k)
@@ -176,7 +174,7 @@ def turning(it: Any, rate: float, k: int, *, frozen: bool = False) -> None:
     it.states.joint_pos = it.robot.default_joint_pos + 0.1 * np.sin(0.3 * k)
 
 
-def test_imu_stop_lets_a_base_turn(bench: Build) -> None:
+def test_imu_stop_lets_a_base_turn(bench):
     for rate in (1.0, 5.0, 12.0):
         it = rest(bench())
         block = it.block("imu_stop")
@@ -185,7 +183,7 @@ def test_imu_stop_lets_a_base_turn(bench: Build) -> None:
             block.tick()
 
 
-def test_imu_stop_finds_an_orientation_that_does_not_turn(bench: Build) -> None:
+def test_imu_stop_finds_an_orientation_that_does_not_turn(bench):
     it = rest(bench())
     block = it.block("imu_stop")
     k, fault = tripped(block, lambda k: turning(it, 4.0, k, frozen=True))
@@ -193,7 +191,7 @@ def test_imu_stop_finds_an_orientation_that_does_not_turn(bench: Build) -> None:
     assert "base_quat has the same bits while the gyroscope turned by 0.3" in fault
 
 
-def test_imu_stop_finds_a_quaternion_that_turns_about_another_axis(bench: Build) -> None:
+def test_imu_stop_finds_a_quaternion_that_turns_about_another_axis(bench):
     it = rest(bench())
     block = it.block("imu_stop")
 
@@ -206,9 +204,7 @@ def test_imu_stop_finds_a_quaternion_that_turns_about_another_axis(bench: Build)
     assert "base_quat turned otherwise than the gyroscope says" in fault
 
 
-def test_imu_stop_finds_a_frozen_quaternion_of_a_base_that_turns_about_the_vertical(
-    bench: Build,
-) -> None:
+def test_imu_stop_finds_a_frozen_quaternion_of_a_base_that_turns_about_the_vertical(bench):
     it = rest(bench())
     block = it.block("imu_stop")
 
@@ -220,7 +216,7 @@ def test_imu_stop_finds_a_frozen_quaternion_of_a_base_that_turns_about_the_verti
     assert "is base_quat frozen?" in fault
 
 
-def test_imu_stop_lets_a_base_rest_and_an_imu_be_late(bench: Build) -> None:
+def test_imu_stop_lets_a_base_rest_and_an_imu_be_late(bench):
     it = rest(bench())
     block = it.block("imu_stop")
     for k in range(3000):
@@ -231,7 +227,7 @@ def test_imu_stop_lets_a_base_rest_and_an_imu_be_late(bench: Build) -> None:
         block.tick()
 
 
-def test_imu_stop_finds_frozen_bits_while_joints_move(bench: Build) -> None:
+def test_imu_stop_finds_frozen_bits_while_joints_move(bench):
     it = rest(bench())
     block = it.block("imu_stop")
     for _ in range(100):  # nothing moves
@@ -245,7 +241,7 @@ def test_imu_stop_finds_frozen_bits_while_joints_move(bench: Build) -> None:
     assert "the IMU stands still: the same bits" in fault
 
 
-def test_imu_stop_finds_gravity_that_the_quaternion_denies(bench: Build) -> None:
+def test_imu_stop_finds_gravity_that_the_quaternion_denies(bench):
     it = rest(bench())
     block = it.block("imu_stop")
     block.tick()
@@ -255,6 +251,6 @@ def test_imu_stop_finds_gravity_that_the_quaternion_denies(bench: Build) -> None
     assert "contradicts itself: gravity by base_quat" in fault
 
 
-def test_imu_stop_is_for_one_robot(bench: Build) -> None:
+def test_imu_stop_is_for_one_robot(bench):
     with pytest.raises(WorkflowError, match="one robot"):
         bench(num_robots=2).block("imu_stop")

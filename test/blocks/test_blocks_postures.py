@@ -14,7 +14,7 @@ Bench = Any
 Build = Callable[..., Bench]
 
 
-def test_pose_begins_at_the_measured_position_of_limp_joints(bench: Build) -> None:
+def test_pose_begins_at_the_measured_position_of_limp_joints(bench):
     it = bench()
     it.states.joint_pos = it.robot.rest_joint_pos
     it.states.joint_pos_target = 99.0
@@ -26,7 +26,7 @@ def test_pose_begins_at_the_measured_position_of_limp_joints(bench: Build) -> No
     np.testing.assert_allclose(it.states.joint_pos_target, expected, atol=1e-6)
 
 
-def test_pose_begins_at_the_target_of_stiff_joints(bench: Build) -> None:
+def test_pose_begins_at_the_target_of_stiff_joints(bench):
     """A sagging joint must not get a jump of its torque."""
     it = bench()
     it.stand()
@@ -35,7 +35,7 @@ def test_pose_begins_at_the_target_of_stiff_joints(bench: Build) -> None:
     np.testing.assert_allclose(it.states.joint_pos_target, it.robot.default_joint_pos, atol=1e-6)
 
 
-def test_pose_is_smooth_and_ends_exactly_in_its_time(bench: Build) -> None:
+def test_pose_is_smooth_and_ends_exactly_in_its_time(bench):
     it = bench()
     it.states.joint_pos = it.robot.rest_joint_pos
     pose = it.block("pose", to="stand", duration=1.0)
@@ -53,13 +53,11 @@ def test_pose_is_smooth_and_ends_exactly_in_its_time(bench: Build) -> None:
     assert it.states.joint_stiffness.tolist() == it.robot.joint_stiffness.tolist()
 
 
-def test_pose_can_run_again_after_it_was_done(bench: Build) -> None:
+def test_pose_can_run_again_after_it_was_done(bench):
     it = bench()
     it.stand()
-    lie, stand = (
-        it.block("pose", to="rest", duration=0.5),
-        it.block("pose", to="stand", duration=0.5),
-    )
+    lie = it.block("pose", to="rest", duration=0.5)
+    stand = it.block("pose", to="stand", duration=0.5)
     for _ in range(2):
         assert it.ticks(lie) == 25
         assert it.states.joint_pos_target.tolist() == it.robot.rest_joint_pos.tolist()
@@ -67,7 +65,7 @@ def test_pose_can_run_again_after_it_was_done(bench: Build) -> None:
         assert it.states.joint_pos_target.tolist() == it.robot.default_joint_pos.tolist()
 
 
-def test_pose_by_pattern_leaves_other_joints(bench: Build) -> None:
+def test_pose_by_pattern_leaves_other_joints(bench):
     it = bench()
     it.stand()
     it.ticks(it.block("pose", to={"*_calf_joint": -1.2, "FR_hip_joint": 0.3}, duration=0.1))
@@ -76,7 +74,7 @@ def test_pose_by_pattern_leaves_other_joints(bench: Build) -> None:
     np.testing.assert_allclose(it.states.joint_pos_target, expected, rtol=1e-6)
 
 
-def test_pose_fades_the_gains_in(bench: Build) -> None:
+def test_pose_fades_the_gains_in(bench):
     it = bench()
     pose = it.block("pose", duration=2.0, fade_in=1.0, stiffness_scale=0.5, damping_scale=2.0)
     stiffness = []
@@ -87,7 +85,7 @@ def test_pose_fades_the_gains_in(bench: Build) -> None:
     assert it.states.joint_damping[0] == 2 * it.robot.joint_damping[0]
 
 
-def test_hold_keeps_the_target_of_its_entry(bench: Build) -> None:
+def test_hold_keeps_the_target_of_its_entry(bench):
     it = bench()
     it.stand()
     hold = it.block("hold", duration=0.1)
@@ -98,7 +96,7 @@ def test_hold_keeps_the_target_of_its_entry(bench: Build) -> None:
     np.testing.assert_allclose(it.states.joint_pos_target, it.robot.default_joint_pos, rtol=1e-6)
 
 
-def test_hold_may_keep_the_gains_of_a_policy(bench: Build) -> None:
+def test_hold_may_keep_the_gains_of_a_policy(bench):
     it = bench()
     it.stand()
     it.states.joint_stiffness = 7.0
@@ -108,7 +106,7 @@ def test_hold_may_keep_the_gains_of_a_policy(bench: Build) -> None:
     assert it.states.joint_stiffness.tolist() == it.robot.joint_stiffness.tolist()
 
 
-def test_damp_lets_go_with_damping(bench: Build) -> None:
+def test_damp_lets_go_with_damping(bench):
     it = bench()
     it.stand()
     it.states.joint_effort_ff = 3.0
@@ -132,7 +130,7 @@ GAINS = {
 }
 
 
-def test_sway_moves_targets_with_the_command(bench: Build) -> None:
+def test_sway_moves_targets_with_the_command(bench):
     it = bench()
     it.stand()
     it.states.velocity_command = (0.5, 0.2, -1.0)
@@ -145,7 +143,7 @@ def test_sway_moves_targets_with_the_command(bench: Build) -> None:
     np.testing.assert_allclose(offset[2::3], 0.0, atol=1e-6)
 
 
-def test_sway_is_filtered_and_stays_within_the_limits(bench: Build) -> None:
+def test_sway_is_filtered_and_stays_within_the_limits(bench):
     it = bench()
     it.stand()
     it.states.velocity_command = (100.0, 100.0, 0.0)
@@ -158,7 +156,7 @@ def test_sway_is_filtered_and_stays_within_the_limits(bench: Build) -> None:
     np.testing.assert_allclose(it.states.joint_pos_target[1::3], it.robot.upper[1::3], rtol=1e-3)
 
 
-def test_sway_oscillates_by_itself(bench: Build) -> None:
+def test_sway_oscillates_by_itself(bench):
     it = bench()
     it.stand()
     sway = it.block(
@@ -215,18 +213,18 @@ def test_sway_oscillates_by_itself(bench: Build) -> None:
         ),
     ],
 )
-def test_wrong_options(bench: Build, block: str, options: dict[str, Any], message: str) -> None:
+def test_wrong_options(bench, block, options, message):
     with pytest.raises(WorkflowError) as error:
         bench().block(block, **options)
     assert str(error.value).startswith(message)
 
 
-def test_the_gains_of_another_robot_are_told_what_any_robot_does(bench: Build) -> None:
+def test_the_gains_of_another_robot_are_told_what_any_robot_does(bench):
     with pytest.raises(WorkflowError, match=r"no joint like '\*_knee'.*, or run h1_stand, which"):
         bench().block("sway", gains={"*_knee": [0.1, 0.0, 0.0]})
 
 
-def test_unknown_pose_and_gains_are_named(bench: Build) -> None:
+def test_unknown_pose_and_gains_are_named(bench):
     import dataclasses
 
     it = bench()

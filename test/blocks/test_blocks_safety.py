@@ -29,11 +29,11 @@ SAFETY = (
 )
 
 
-def test_all_stand_in_stage_safety(bench: Build) -> None:
+def test_all_stand_in_stage_safety(bench):
     assert {bench().block(name).stage for name in SAFETY} == {Stage.SAFETY}
 
 
-def test_joint_limits_clip_in_place(bench: Build) -> None:
+def test_joint_limits_clip_in_place(bench):
     it = bench()
     it.states.joint_pos_target = 9.0
     block = it.block("joint_limits", margin=0.1)
@@ -49,7 +49,7 @@ def test_joint_limits_clip_in_place(bench: Build) -> None:
     assert it.states.snapshot().data == before
 
 
-def servo_torque(states: Any) -> Any:
+def servo_torque(states):
     """tau = kp (q* - q) + kd (qd* - qd) + tau_ff in float64."""
     s = {name: states[name].astype(np.float64) for name in states}
     return (
@@ -59,7 +59,7 @@ def servo_torque(states: Any) -> Any:
     )
 
 
-def test_effort_limits_leave_the_clipped_torque(bench: Build) -> None:
+def test_effort_limits_leave_the_clipped_torque(bench):
     it = bench()
     block = it.block("effort_limits", scale=0.5)
     limit = 0.5 * it.robot.effort_limit.astype(np.float64)
@@ -87,7 +87,7 @@ def test_effort_limits_leave_the_clipped_torque(bench: Build) -> None:
     assert seen == {True, False}
 
 
-def test_rate_limit_bounds_the_speed_of_targets(bench: Build) -> None:
+def test_rate_limit_bounds_the_speed_of_targets(bench):
     it = bench()
     it.states.joint_pos = 0.1
     block = it.block("rate_limit", max_rate=5.0)
@@ -106,7 +106,7 @@ def test_rate_limit_bounds_the_speed_of_targets(bench: Build) -> None:
     assert it.states.joint_pos_target[0] == pytest.approx(-1.0)
 
 
-def test_fade_in_scales_the_stiffness_then_stops(bench: Build) -> None:
+def test_fade_in_scales_the_stiffness_then_stops(bench):
     it = bench()
     block = it.block("fade_in", duration=0.2)
     scales = []
@@ -117,7 +117,7 @@ def test_fade_in_scales_the_stiffness_then_stops(bench: Build) -> None:
     np.testing.assert_allclose(scales, [5 * min(k, 10) for k in range(1, 13)], rtol=1e-6)
 
 
-def test_fade_in_scales_velocities_and_torques_once(bench: Build) -> None:
+def test_fade_in_scales_velocities_and_torques_once(bench):
     it = bench()
     block = it.block("fade_in", duration=0.1)
     names = ("joint_vel_target", "joint_effort_ff")
@@ -135,9 +135,10 @@ def test_fade_in_scales_velocities_and_torques_once(bench: Build) -> None:
     assert it.states[names[0]][3] == pytest.approx(2.0)
 
 
-def test_velocity_limits_clamp_or_trip(bench: Build) -> None:
+def test_velocity_limits_clamp_or_trip(bench):
     it = bench()
-    block, stop = it.block("velocity_limits"), it.block("velocity_limits", beyond="trip")
+    block = it.block("velocity_limits")
+    stop = it.block("velocity_limits", beyond="trip")
     limit = it.robot.velocity_limit
     it.states.joint_vel_target = 0.5 * limit
     stop.tick()
@@ -171,7 +172,7 @@ def test_velocity_limits_clamp_or_trip(bench: Build) -> None:
 @pytest.mark.filterwarnings("ignore:overflow encountered")
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("num_robots", [None, 3])
-def test_finite_names_state_and_joint(bench: Build, value: float, num_robots: int | None) -> None:
+def test_finite_names_state_and_joint(bench, value, num_robots):
     it = bench(num_robots=num_robots)
     it.stand()
     block = it.block("finite")
@@ -186,7 +187,7 @@ def test_finite_names_state_and_joint(bench: Build, value: float, num_robots: in
 
 
 @pytest.mark.parametrize("num_robots", [None, 3])
-def test_tilt_stop_trips_beyond_its_angle(bench: Build, num_robots: int | None) -> None:
+def test_tilt_stop_trips_beyond_its_angle(bench, num_robots):
     it = bench(num_robots=num_robots)
     block = it.block("tilt_stop", angle=0.8)
     tilted = it.block("tilted", angle=0.8)
@@ -210,7 +211,7 @@ def test_tilt_stop_trips_beyond_its_angle(bench: Build, num_robots: int | None) 
     assert str(error.value) == f"{who}projected_gravity is NaN; is the IMU there?"
 
 
-def test_velocity_stop_names_the_joint(bench: Build) -> None:
+def test_velocity_stop_names_the_joint(bench):
     it = bench(num_robots=2)
     block = it.block("velocity_stop", factor=1.1)
     it.states.joint_vel[1, 2] = -1.09 * it.robot.velocity_limit[2]
@@ -227,7 +228,7 @@ def test_velocity_stop_names_the_joint(bench: Build) -> None:
         block.tick()
 
 
-def test_stale_stop_waits_for_its_timeout(bench: Build) -> None:
+def test_stale_stop_waits_for_its_timeout(bench):
     it = bench()
     block = it.block("stale_stop", timeout=0.1)
     for stamp in (1, 2, 2, 2, 3, 3, 3, 3, 3):
@@ -275,7 +276,7 @@ def test_stale_stop_waits_for_its_timeout(bench: Build) -> None:
         ),
     ],
 )
-def test_wrong_options(bench: Build, block: str, options: dict[str, Any], message: str) -> None:
+def test_wrong_options(bench, block, options, message):
     with pytest.raises(WorkflowError) as error:
         bench().block(block, **options)
     assert str(error.value) == message
@@ -288,7 +289,7 @@ def test_wrong_options(bench: Build, block: str, options: dict[str, Any], messag
         ("velocity_stop", "give velocity_stop a limit in [rad/s]"),
     ],
 )
-def test_unknown_velocity_limits_are_named(bench: Build, block: str, remedy: str) -> None:
+def test_unknown_velocity_limits_are_named(bench, block, remedy):
     import dataclasses
 
     it = bench()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,7 @@ POLICY = {"observation": StateSpec((3,)), "action": StateSpec((2,))}
 BATCH = pytest.mark.parametrize("num_robots", [None, 3])
 
 
-def still(it: Any) -> Any:
+def still(it):
     """Stand still and level, half a metre high, everything in order."""
     it.stand()
     s = it.states
@@ -38,7 +37,7 @@ def still(it: Any) -> Any:
     return it
 
 
-def made(bench: Build, num_robots: int | None = None) -> Any:
+def made(bench, num_robots=None):
     """A bench with hardware states and those of a policy."""
     more = hardware_states(GO2.joint_names) | POLICY
     return still(bench(GO2, num_robots, states=more))
@@ -120,9 +119,7 @@ EDGES = [
 
 @BATCH
 @pytest.mark.parametrize("edge", EDGES, ids=lambda edge: f"{edge[0]}-{edge[2]}-{edge[5]}")
-def test_it_trips_just_beyond_its_bound_and_at_nan(
-    bench: Build, edge: tuple[Any, ...], num_robots: int | None
-) -> None:
+def test_it_trips_just_beyond_its_bound_and_at_nan(bench, edge, num_robots):
     name, options, state, element, inside, beyond, said = edge
     for value, trips in ((inside, False), (beyond, True), (np.nan, True)):
         it = made(bench, num_robots)
@@ -144,7 +141,7 @@ def test_it_trips_just_beyond_its_bound_and_at_nan(
         assert it.states.snapshot().data == before, "a stop changes nothing"
 
 
-def test_hardware_stop_names_a_motor_in_error(bench: Build) -> None:
+def test_hardware_stop_names_a_motor_in_error(bench):
     it = made(bench)
     block = it.block("hardware_stop")
     block.tick()
@@ -153,14 +150,12 @@ def test_hardware_stop_names_a_motor_in_error(bench: Build) -> None:
         block.tick()
 
 
-def test_hardware_stop_needs_a_platform_that_tells_of_it(bench: Build) -> None:
+def test_hardware_stop_needs_a_platform_that_tells_of_it(bench):
     with pytest.raises(WorkflowError, match="tells nothing of motors and battery"):
         bench().block("hardware_stop")
 
 
-def ticks_until_fault(
-    block: Any, before: Callable[[], object] = lambda: None, limit: int = 60
-) -> tuple[int, str]:
+def ticks_until_fault(block, before=lambda: None, limit=60):
     """Tick until a fault; return the number of ticks without one and what it says."""
     for k in range(limit):
         before()
@@ -172,7 +167,7 @@ def ticks_until_fault(
 
 
 @BATCH
-def test_tracking_stop_waits_for_its_time_out(bench: Build, num_robots: int | None) -> None:
+def test_tracking_stop_waits_for_its_time_out(bench, num_robots):
     it = made(bench, num_robots)
     block = it.block("tracking_stop", bound=0.5, timeout=0.2)
     pos, default = it.states.joint_pos, it.robot.default_joint_pos
@@ -204,7 +199,7 @@ def test_tracking_stop_waits_for_its_time_out(bench: Build, num_robots: int | No
 
 
 @BATCH
-def test_power_stop_adds_up_work_and_losses(bench: Build, num_robots: int | None) -> None:
+def test_power_stop_adds_up_work_and_losses(bench, num_robots):
     it = made(bench, num_robots)
     s = it.states
     s.joint_pos, s.joint_damping = s.joint_pos_target, 0.0
@@ -236,7 +231,7 @@ def test_power_stop_adds_up_work_and_losses(bench: Build, num_robots: int | None
     assert ticks_until_fault(inside)[0] == 2
 
 
-def test_stale_stop_of_a_batch_minds_the_oldest(bench: Build) -> None:
+def test_stale_stop_of_a_batch_minds_the_oldest(bench):
     it = made(bench, 3)
     block = it.block("stale_stop", timeout=0.06)
     for k in range(20):
@@ -250,7 +245,7 @@ def test_stale_stop_of_a_batch_minds_the_oldest(bench: Build) -> None:
     assert ticks_until_fault(block)[0] == 3
 
 
-def test_encoder_stop_counts_ticks_and_motion(bench: Build) -> None:
+def test_encoder_stop_counts_ticks_and_motion(bench):
     it = made(bench)
     timeout, motion = 0.1, 0.1
 
@@ -276,7 +271,7 @@ def test_encoder_stop_counts_ticks_and_motion(bench: Build) -> None:
     assert ticks(0.1) == 30
 
 
-def test_a_joint_that_rested_has_no_less_time_to_follow_than_one_that_moves(bench: Build) -> None:
+def test_a_joint_that_rested_has_no_less_time_to_follow_than_one_that_moves(bench):
     it = made(bench)
     block = it.block("encoder_stop")
     for _ in range(100):
@@ -294,7 +289,7 @@ def test_a_joint_that_rested_has_no_less_time_to_follow_than_one_that_moves(benc
 
 
 @BATCH
-def test_encoder_stop_looks_at_each_robot(bench: Build, num_robots: int | None) -> None:
+def test_encoder_stop_looks_at_each_robot(bench, num_robots):
     it = made(bench, num_robots)
     block = it.block("encoder_stop")
     rng = np.random.default_rng(1)
@@ -312,9 +307,7 @@ def test_encoder_stop_looks_at_each_robot(bench: Build, num_robots: int | None) 
     assert fault.startswith(f"{who}joint RL_calf_joint is stuck")
 
 
-def test_a_joint_that_has_followed_is_not_stuck_when_it_rests_beside_one_that_idles(
-    bench: Build,
-) -> None:
+def test_a_joint_that_has_followed_is_not_stuck_when_it_rests_beside_one_that_idles(bench):
     it = made(bench)
     block = it.block("encoder_stop")
     block.tick()
@@ -323,7 +316,7 @@ def test_a_joint_that_has_followed_is_not_stuck_when_it_rests_beside_one_that_id
         block.tick()
 
 
-def test_imu_stop_lets_noise_pass_and_faults_at_nan(bench: Build) -> None:
+def test_imu_stop_lets_noise_pass_and_faults_at_nan(bench):
     it = made(bench)
     block = it.block("imu_stop")
     rng = np.random.default_rng(2)
@@ -335,7 +328,7 @@ def test_imu_stop_lets_noise_pass_and_faults_at_nan(bench: Build) -> None:
     assert ticks_until_fault(block)[0] < 3
 
 
-def test_imu_stop_trips_at_its_time_out_and_motion(bench: Build) -> None:
+def test_imu_stop_trips_at_its_time_out_and_motion(bench):
     for motion, trips in ((0.29, True), (0.31, False)):
         it = made(bench)
         block = it.block("imu_stop", timeout=0.2, motion=motion)
@@ -349,9 +342,7 @@ def test_imu_stop_trips_at_its_time_out_and_motion(bench: Build) -> None:
             block.tick()
 
 
-def test_time_outs_that_hold_where_the_workflow_says_nothing(
-    bench: Build, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_time_outs_that_hold_where_the_workflow_says_nothing(bench, monkeypatch):
     it = made(bench)
     s = it.states
     tracking, stale, encoder, imu = (
@@ -383,9 +374,7 @@ def test_time_outs_that_hold_where_the_workflow_says_nothing(
 
 
 @pytest.mark.parametrize(("rate", "trips"), [(0.65, False), (0.85, True)])
-def test_imu_stop_believes_a_gyroscope_within_its_angle(
-    bench: Build, rate: float, trips: bool
-) -> None:
+def test_imu_stop_believes_a_gyroscope_within_its_angle(bench, rate, trips):
     """The base stands still at a rate: within 0.5 s it should have turned by 0.33 or 0.43 rad."""
     it = made(bench)
     it.states.base_ang_vel = (0.0, rate, 0.0)
@@ -397,7 +386,7 @@ def test_imu_stop_believes_a_gyroscope_within_its_angle(
 
 
 @pytest.mark.parametrize(("lean", "trips"), [(0.80, False), (0.86, True)])
-def test_imu_stop_compares_quaternion_and_gravity(bench: Build, lean: float, trips: bool) -> None:
+def test_imu_stop_compares_quaternion_and_gravity(bench, lean, trips):
     it = made(bench)
     it.states.projected_gravity = (0.0, -np.sin(lean), -np.cos(lean))
     k, fault = ticks_until_fault(it.block("imu_stop"))
@@ -412,16 +401,16 @@ class Clock:
 
     def __init__(self, patch: pytest.MonkeyPatch) -> None:
         self.now = 1_000_000_000_000
-        patch.setattr("unicon_core.blocks.safety.overrun.time.perf_counter_ns", lambda: self.now)
+        patch.setattr(
+            "unicon_core.blocks.safety.servo_stops.time.perf_counter_ns", lambda: self.now
+        )
 
     def tick(self, block: Any, ticks: float = 1.0) -> None:
         self.now += round(ticks * 20e6)
         block.tick()
 
 
-def test_overrun_stop_counts_missed_ticks_of_a_window(
-    bench: Build, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_overrun_stop_counts_missed_ticks_of_a_window(bench, monkeypatch):
     clock, block = Clock(monkeypatch), made(bench).block("overrun_stop", count=5, window=1.0)
     for _ in range(200):
         clock.tick(block, 1.4)  # late, none missed
@@ -440,12 +429,10 @@ def test_overrun_stop_counts_missed_ticks_of_a_window(
     clock.tick(block, 2)
 
 
-def test_overrun_stop_leaves_simulators_alone(
-    bench: Build, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_overrun_stop_leaves_simulators_alone(bench, monkeypatch):
     from types import SimpleNamespace
 
-    from unicon_core.blocks.safety.overrun import OverrunStop
+    from unicon_core.blocks.safety.servo_stops import OverrunStop
     from unicon_core.workflow.autowire import BuildContext
 
     it, clock = made(bench), Clock(monkeypatch)
@@ -469,9 +456,7 @@ def test_overrun_stop_leaves_simulators_alone(
 
 
 @BATCH
-def test_a_good_run_gives_the_bounds_of_the_next(
-    bench: Build, tmp_path: Path, num_robots: int | None
-) -> None:
+def test_a_good_run_gives_the_bounds_of_the_next(bench, tmp_path, num_robots):
     it = made(bench, num_robots)
     file = str(tmp_path / "good.npz")
     learn = it.block("observation_range", file=file)
@@ -509,7 +494,7 @@ def test_a_good_run_gives_the_bounds_of_the_next(
         assert bounds["upper"].tolist() == [9.0, -1.0, 5.0]
 
 
-def test_a_run_without_ticks_writes_no_bounds(bench: Build, tmp_path: Path) -> None:
+def test_a_run_without_ticks_writes_no_bounds(bench, tmp_path):
     block = made(bench).block("observation_range", file=str(tmp_path / "none.npz"))
     block.close()
     assert list(tmp_path.iterdir()) == []
@@ -527,9 +512,7 @@ def test_a_run_without_ticks_writes_no_bounds(bench: Build, tmp_path: Path) -> N
         ({"lower": np.array([None] * 3), "upper": np.zeros(3)}, "Object arrays cannot be loaded"),
     ],
 )
-def test_a_file_of_bounds_that_does_not_fit_is_refused(
-    bench: Build, tmp_path: Path, values: Any, said: str
-) -> None:
+def test_a_file_of_bounds_that_does_not_fit_is_refused(bench, tmp_path, values, said):
     file = tmp_path / "bounds.npz"
     if isinstance(values, bytes):
         file.write_bytes(values)
@@ -567,9 +550,7 @@ def test_a_file_of_bounds_that_does_not_fit_is_refused(
         ("observation_stop", {"file": "a.txt"}, "file is 'a.txt'; write a path that ends in .npz"),
     ],
 )
-def test_an_option_that_would_switch_it_off_is_refused(
-    bench: Build, block: str, options: dict[str, Any], said: str
-) -> None:
+def test_an_option_that_would_switch_it_off_is_refused(bench, block, options, said):
     with pytest.raises(WorkflowError) as caught:
         made(bench).block(block, **options)
     assert str(caught.value).startswith(f"block {block!r}: {said}")
@@ -580,7 +561,7 @@ def test_an_option_that_would_switch_it_off_is_refused(
 FUSED = ("finite", "command_stop", "range_stop", "velocity_stop", "tilt_stop", "joint_limits")
 
 
-def test_fused_blocks_trip_and_clamp_as_each_does_alone(bench: Build) -> None:
+def test_fused_blocks_trip_and_clamp_as_each_does_alone(bench):
     rng, seen = np.random.default_rng(3), set()
     it = made(bench)
     before = it.states.snapshot()
@@ -611,9 +592,7 @@ def test_fused_blocks_trip_and_clamp_as_each_does_alone(bench: Build) -> None:
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_a_command_that_is_not_finite_is_seen_beside_another_look(
-    bench: Build, value: float
-) -> None:
+def test_a_command_that_is_not_finite_is_seen_beside_another_look(bench, value):
     it = made(bench)
     graph = compile_graph(fuse(Zip(it.block("finite"), it.block("tilt_stop")), it.states))
     assert "2_fused" in graph.source
@@ -623,7 +602,7 @@ def test_a_command_that_is_not_finite_is_seen_beside_another_look(
         graph.step()
 
 
-def test_what_stands_behind_a_clamp_sees_what_it_left(bench: Build) -> None:
+def test_what_stands_behind_a_clamp_sees_what_it_left(bench):
     it = made(bench)
     blocks = [it.block("joint_limits"), it.block("joint_limits", beyond="trip"), it.block("finite")]
     root = fuse(Zip(*blocks), it.states)

@@ -14,7 +14,7 @@ from unicon_core.blocks.excite import Signal
 Build = Callable[..., Any]
 
 
-def path_of(it: Any, **options: Any) -> Any:
+def path_of(it, **options):
     """Return the targets of every tick of a block that began in its pose, shape (ticks, n)."""
     it.stand()
     block = it.block("excite", **options)
@@ -28,9 +28,7 @@ def path_of(it: Any, **options: Any) -> Any:
 
 
 @pytest.mark.parametrize("signal", get_args(Signal))
-def test_signals_are_faded_stay_within_their_amplitude_and_end_in_the_pose(
-    bench: Build, signal: str
-) -> None:
+def test_signals_are_faded_stay_within_their_amplitude_and_end_in_the_pose(bench, signal):
     it = bench()
     options: dict[str, Any] = {"signal": signal, "amplitude": 0.2, "frequency": 2.0, "fade": 1.0}
     path = path_of(it, duration=6.0, **options) - it.robot.default_joint_pos
@@ -49,7 +47,7 @@ def test_signals_are_faded_stay_within_their_amplitude_and_end_in_the_pose(
     assert it.states.joint_stiffness.tolist() == it.robot.joint_stiffness.tolist()
 
 
-def test_a_sine_has_its_frequency_and_amplitude(bench: Build) -> None:
+def test_a_sine_has_its_frequency_and_amplitude(bench):
     it = bench()
     path = path_of(it, signal="sine", frequency=2.0, duration=10.0, amplitude=0.2)
     wave = (path - it.robot.default_joint_pos)[100:500]  # faded in, 8 s = 16 periods
@@ -59,7 +57,7 @@ def test_a_sine_has_its_frequency_and_amplitude(bench: Build) -> None:
     assert spectrum[np.arange(len(spectrum)) != 16].max() < 1e-3
 
 
-def test_a_triangle_is_straight_and_a_square_has_two_levels(bench: Build) -> None:
+def test_a_triangle_is_straight_and_a_square_has_two_levels(bench):
     it = bench()
     for signal, wanted in (("triangle", {0.008}), ("square", {0.0, 0.4})):
         path = path_of(it, signal=signal, frequency=0.5, duration=10.0, amplitude=0.2)
@@ -67,7 +65,7 @@ def test_a_triangle_is_straight_and_a_square_has_two_levels(bench: Build) -> Non
         assert {round(float(step), 4) for step in np.abs(np.diff(wave))} == wanted
 
 
-def test_a_chirp_goes_from_the_first_frequency_to_the_second(bench: Build) -> None:
+def test_a_chirp_goes_from_the_first_frequency_to_the_second(bench):
     it = bench(period=0.005)
     path = path_of(it, signal="chirp", frequency=[0.5, 5.0], duration=20.0, amplitude=0.1, fade=0.1)
     wave = (path - it.robot.default_joint_pos)[20:, 0]
@@ -78,7 +76,7 @@ def test_a_chirp_goes_from_the_first_frequency_to_the_second(bench: Build) -> No
     assert np.corrcoef(crossings[1:], halves)[0, 1] > 0.99
 
 
-def test_random_joints_move_each_by_itself_and_the_same_each_time(bench: Build) -> None:
+def test_random_joints_move_each_by_itself_and_the_same_each_time(bench):
     one, two, three = (
         path_of(bench(), signal="random", frequency=3.0, amplitude=0.1, duration=30.0, seed=seed)
         for seed in (4, 4, 5)
@@ -89,7 +87,7 @@ def test_random_joints_move_each_by_itself_and_the_same_each_time(bench: Build) 
     assert np.abs(together).max() < 0.5
 
 
-def test_joints_in_turn(bench: Build) -> None:
+def test_joints_in_turn(bench):
     it = bench()
     options: dict[str, Any] = {"joints": ["R*_calf_joint"], "in_turn": True, "fade": 0.5}
     path = path_of(it, signal="sine", duration=2.0, amplitude=0.2, **options)
@@ -99,7 +97,7 @@ def test_joints_in_turn(bench: Build) -> None:
     assert np.flatnonzero(moved[125:].any(axis=0)).tolist() == [11]
 
 
-def test_amplitudes_by_pattern(bench: Build) -> None:
+def test_amplitudes_by_pattern(bench):
     it = bench()
     sizes = {"*": 0.1, "*_calf_joint": 0.3}
     path = path_of(it, signal="square", amplitude=sizes, joints=["RL_*"])
@@ -107,7 +105,7 @@ def test_amplitudes_by_pattern(bench: Build) -> None:
     np.testing.assert_allclose(largest, [0.0] * 9 + [0.1, 0.1, 0.3], atol=1e-6)
 
 
-def test_a_robot_far_from_the_pose_goes_there_slowly_first(bench: Build) -> None:
+def test_a_robot_far_from_the_pose_goes_there_slowly_first(bench):
     it = bench()
     it.states.joint_pos = it.robot.rest_joint_pos
     block = it.block("excite", signal="sine", fade=0.1, duration=1.0)
@@ -120,7 +118,7 @@ def test_a_robot_far_from_the_pose_goes_there_slowly_first(bench: Build) -> None
     assert block.tick() is False
 
 
-def test_a_batch_moves_as_one_robot(bench: Build) -> None:
+def test_a_batch_moves_as_one_robot(bench):
     one = path_of(bench(), signal="random", duration=3.0)
     batch = path_of(bench(num_robots=3), signal="random", duration=3.0)
     assert (batch == one[:, None]).all()
@@ -153,8 +151,6 @@ def test_a_batch_moves_as_one_robot(bench: Build) -> None:
         ({"around": "sit"}, r"no pose 'sit'"),
     ],
 )
-def test_what_is_not_plausible_is_refused_at_build(
-    bench: Build, options: dict[str, Any], message: str
-) -> None:
+def test_what_is_not_plausible_is_refused_at_build(bench, options, message):
     with pytest.raises(WorkflowError, match=message):
         bench().block("excite", **options)

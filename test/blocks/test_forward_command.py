@@ -22,7 +22,7 @@ BEGIN = np.tile(np.array([0.1, 0.8, -1.6], np.float32), 4)
 
 
 @pytest.fixture
-def following(bench: Build) -> Bench:
+def following(bench):
     """A Go2 that holds its targets, with the states of joint commands."""
     it = bench(states=forwarded_states(bench().robot.joint_names))
     it.states.joint_pos_target[...] = BEGIN
@@ -30,13 +30,13 @@ def following(bench: Build) -> Bench:
     return it
 
 
-def ticked(it: Bench, block: Any, ticks: int = 1) -> Any:
+def ticked(it, block, ticks=1):
     for _ in range(ticks):
         block.tick()
     return it.states.joint_pos_target.copy()
 
 
-def test_without_a_command_the_targets_stay(following: Bench) -> None:
+def test_without_a_command_the_targets_stay(following):
     block = following.block("forward_command")
     assert ticked(following, block, 5).tolist() == BEGIN.tolist()
     assert not following.states.joint_vel_target.any()
@@ -44,7 +44,7 @@ def test_without_a_command_the_targets_stay(following: Bench) -> None:
     assert following.states.joint_stiffness.tolist() == following.robot.joint_stiffness.tolist()
 
 
-def test_a_target_moves_no_faster_than_told_and_arrives(following: Bench) -> None:
+def test_a_target_moves_no_faster_than_told_and_arrives(following):
     block = following.block("forward_command", max_rate=1.0)
     following.states.joint_pos_command[0] = 0.3
     before = BEGIN
@@ -57,7 +57,7 @@ def test_a_target_moves_no_faster_than_told_and_arrives(following: Bench) -> Non
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_positions_stay_within_the_limits_and_do_not_wind_up(following: Bench, sign: float) -> None:
+def test_positions_stay_within_the_limits_and_do_not_wind_up(following, sign):
     end = following.robot.upper if sign > 0.0 else following.robot.lower
     block = following.block("forward_command", max_rate=100.0)
     following.states.joint_pos_command[...] = sign * 1e30
@@ -66,7 +66,7 @@ def test_positions_stay_within_the_limits_and_do_not_wind_up(following: Bench, s
     np.testing.assert_allclose(ticked(following, block, 2), end - sign * 0.01)
 
 
-def test_feed_forward_is_bounded_and_gone_with_the_command(following: Bench) -> None:
+def test_feed_forward_is_bounded_and_gone_with_the_command(following):
     block = following.block("forward_command", max_rate=1.5)
     states = following.states
     states.joint_vel_command[...], states.joint_effort_command[...] = 1e9, -1e9
@@ -79,7 +79,7 @@ def test_feed_forward_is_bounded_and_gone_with_the_command(following: Bench) -> 
     assert not states.joint_effort_ff.any()
 
 
-def test_it_begins_anew_where_the_targets_are(following: Bench) -> None:
+def test_it_begins_anew_where_the_targets_are(following):
     block = following.block("forward_command", max_rate=0.5)
     following.states.joint_pos_command[...] = BEGIN + 0.1
     ticked(following, block, 3)
@@ -89,9 +89,7 @@ def test_it_begins_anew_where_the_targets_are(following: Bench) -> None:
     assert ticked(following, block, 2).tolist() == (BEGIN - np.float32(0.05)).tolist()
 
 
-def test_a_first_command_that_is_far_off_is_told_and_not_followed(
-    following: Bench, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_first_command_that_is_far_off_is_told_and_not_followed(following, capsys):
     block = following.block("forward_command", start_tolerance=0.2, max_rate=10.0)
     command = following.states.joint_pos_command
     following.states.joint_vel_command[...] = 1.0
@@ -114,7 +112,7 @@ def test_a_first_command_that_is_far_off_is_told_and_not_followed(
     assert capsys.readouterr().out.count("\n") == 1
 
 
-def test_an_integral_takes_off_what_gravity_leaves_and_not_more(following: Bench) -> None:
+def test_an_integral_takes_off_what_gravity_leaves_and_not_more(following):
     block = following.block("forward_command", integral=2.0)
     following.states.joint_pos[...] = BEGIN - 0.05  # hangs below what it is sent to
     before = ticked(following, block, 1)
@@ -134,20 +132,18 @@ def test_an_integral_takes_off_what_gravity_leaves_and_not_more(following: Bench
         ({"stiffness_scale": 9}, "stiffness_scale is 9"),
     ],
 )
-def test_an_option_that_is_no_bound_is_refused(
-    following: Bench, options: dict[str, Any], message: str
-) -> None:
+def test_an_option_that_is_no_bound_is_refused(following, options, message):
     with pytest.raises(WorkflowError) as caught:
         following.block("forward_command", **options)
     assert message in str(caught.value)
 
 
-def test_max_rate_robot_takes_the_robots_velocity_limits(following: Bench) -> None:
+def test_max_rate_robot_takes_the_robots_velocity_limits(following):
     block = following.block("forward_command", max_rate="robot")
     np.testing.assert_array_equal(block.tick.max_rate, following.robot.velocity_limit)
 
 
-def test_it_moves_the_joints_that_are_named_and_leaves_others_alone(following: Bench) -> None:
+def test_it_moves_the_joints_that_are_named_and_leaves_others_alone(following):
     """They may stand anywhere: the Go2's front legs are joints 0 to 5, its knees every third."""
     states = following.states
     for moves, own in ((["F*"], range(6)), (["*_calf_joint"], (2, 5, 8, 11))):
@@ -167,14 +163,15 @@ def test_it_moves_the_joints_that_are_named_and_leaves_others_alone(following: B
         assert block.tick.moves == tuple(moves)
 
 
-def test_all_joints_by_name_are_all_joints(following: Bench) -> None:
+def test_all_joints_by_name_are_all_joints(following):
     rng = np.random.default_rng(4)
     made = [following.block("forward_command", **more) for more in ({}, {"moves": ["*"]})]
     for _ in range(20):
         for name in ("joint_pos_command", "joint_vel_command", "joint_effort_command"):
             said = rng.uniform(-2.0, 2.0, 12)
             following.states[name] = np.where(rng.uniform(size=12) < 0.3, np.nan, said)
-        before, after = following.states.snapshot(), []
+        before = following.states.snapshot()
+        after = []
         for block in made:
             following.states.restore(before)
             block.tick()
@@ -182,14 +179,16 @@ def test_all_joints_by_name_are_all_joints(following: Bench) -> None:
         np.testing.assert_array_equal(*after)
 
 
-def test_in_silence_it_goes_home_slowly_and_comes_back_without_a_jump(following: Bench) -> None:
-    states, home = following.states, following.robot.default_joint_pos
+def test_in_silence_it_goes_home_slowly_and_comes_back_without_a_jump(following):
+    states = following.states
+    home = following.robot.default_joint_pos
     block = following.block("forward_command", max_rate=5.0, silent="home", home_rate=0.5)
     states.joint_pos_command[...] = BEGIN + 0.4
     away = ticked(following, block, 50)
     np.testing.assert_allclose(away, BEGIN + 0.4, atol=1e-6)
     states.joint_pos_command[...] = np.nan
-    before, most = away, 0.5 * following.period * 1.001
+    before = away
+    most = 0.5 * following.period * 1.001
     for _ in range(20):
         now = ticked(following, block)
         assert (np.abs(now - home) <= np.abs(before - home)).all()
@@ -205,8 +204,9 @@ def test_in_silence_it_goes_home_slowly_and_comes_back_without_a_jump(following:
     assert not states.joint_vel_target.any()
 
 
-def test_home_may_be_another_pose(following: Bench) -> None:
-    states, robot = following.states, following.robot
+def test_home_may_be_another_pose(following):
+    states = following.states
+    robot = following.robot
     block = following.block("forward_command", silent="home", home={"*_hip_joint": 0.2})
     states.joint_pos_command[...] = np.nan
     wanted = [
@@ -217,7 +217,7 @@ def test_home_may_be_another_pose(following: Bench) -> None:
     np.testing.assert_allclose(ticked(following, block, 500), robot.rest_joint_pos, atol=1e-6)
 
 
-def test_one_joint_or_torque_that_is_commanded_is_no_silence(following: Bench) -> None:
+def test_one_joint_or_torque_that_is_commanded_is_no_silence(following):
     states = following.states
     block = following.block("forward_command", silent="home")
     states.joint_pos_command[3] = BEGIN[3] + 0.1
@@ -230,7 +230,7 @@ def test_one_joint_or_torque_that_is_commanded_is_no_silence(following: Bench) -
     assert (ticked(following, block, 20) != after).any()
 
 
-def test_others_that_are_commanded_do_not_keep_it_from_home(following: Bench) -> None:
+def test_others_that_are_commanded_do_not_keep_it_from_home(following):
     block = following.block("forward_command", moves=["F*"], silent="home")
     following.states.joint_pos_command[6:] = 0.3
     after = ticked(following, block, 200)
@@ -238,7 +238,7 @@ def test_others_that_are_commanded_do_not_keep_it_from_home(following: Bench) ->
     assert after[6:].tolist() == BEGIN[6:].tolist()
 
 
-def test_each_robot_of_a_batch_goes_home_by_itself(bench: Build) -> None:
+def test_each_robot_of_a_batch_goes_home_by_itself(bench):
     it = bench(num_robots=2, states=forwarded_states(bench().robot.joint_names))
     it.states.joint_pos_target[...] = BEGIN
     it.states.joint_stiffness[...] = 1.0
@@ -249,9 +249,7 @@ def test_each_robot_of_a_batch_goes_home_by_itself(bench: Build) -> None:
     assert it.states.joint_pos_target[1].tolist() == BEGIN.tolist()
 
 
-def test_a_first_command_after_home_may_be_refused_and_holds(
-    following: Bench, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_first_command_after_home_may_be_refused_and_holds(following, capsys):
     block = following.block("forward_command", silent="home", start_tolerance=0.2)
     home = ticked(following, block, 300)
     following.states.joint_pos_command[...] = home
@@ -260,8 +258,9 @@ def test_a_first_command_after_home_may_be_refused_and_holds(
     assert "the target of FR_calf_joint" in capsys.readouterr().out
 
 
-def test_gains_may_be_given_in_place_of_the_robots(following: Bench) -> None:
-    robot, states = following.robot, following.states
+def test_gains_may_be_given_in_place_of_the_robots(following):
+    robot = following.robot
+    states = following.states
     block = following.block(
         "forward_command", stiffness={"*_hip_joint": 33.0}, damping=4.0, stiffness_scale=0.5
     )
@@ -286,15 +285,13 @@ def test_gains_may_be_given_in_place_of_the_robots(following: Bench) -> None:
         ({"stiffness": {"elbow": 1.0}}, "no group or joint 'elbow'"),
     ],
 )
-def test_a_wrong_joint_home_or_gain_is_told(
-    following: Bench, options: dict[str, Any], message: str
-) -> None:
+def test_a_wrong_joint_home_or_gain_is_told(following, options, message):
     with pytest.raises(UniconError) as told:
         following.block("forward_command", **options)
     assert message in str(told.value)
 
 
-def test_a_home_that_the_robot_file_lacks_is_told(bench: Build) -> None:
+def test_a_home_that_the_robot_file_lacks_is_told(bench):
     robot = bench().robot
     pose = robot.default_joint_pos.copy()
     pose[4] = np.nan
@@ -304,7 +301,7 @@ def test_a_home_that_the_robot_file_lacks_is_told(bench: Build) -> None:
     it.block("forward_command", silent="home", moves=["FR*"])
 
 
-def test_members_have_slices_of_the_wholes_commands() -> None:
+def test_members_have_slices_of_the_wholes_commands():
     hands = {f"{side}_hand": f"inspire_rh56_{side}" for side in ("left", "right")}
     program = Program(
         robot={"body": "g1_29dof", **hands},

@@ -28,20 +28,28 @@ class Gait:
     """
 
     def __init__(self, it: Any, noise: float = 0.0) -> None:
-        self.it, self.noise, self.rng = rest(it), noise, np.random.default_rng(3)
-        self.time, self.turns = 100.0, 0.6
+        self.it = rest(it)
+        self.noise = noise
+        self.rng = np.random.default_rng(3)
+        self.time = 100.0
+        self.turns = 0.6
         self.phase = np.arange(len(it.robot.joint_names)) * 1.3
 
     def frame(self, k: int, *, time: float | None = None) -> None:
         """Measure in tick k."""
-        states, rng, n = self.it.states, self.rng, len(self.phase)
+        states = self.it.states
+        rng = self.rng
+        n = len(self.phase)
         t = PERIOD * k if time is None else time
         swing = 12.0 * t + self.phase
         noise = [self.noise * scale * rng.uniform(-1, 1, n) for scale in (0.01, 1.0)]
         states.joint_pos = self.it.robot.default_joint_pos + 0.25 * np.sin(swing) + noise[0]
         states.joint_vel = 3.0 * np.cos(swing) + noise[1]
-        yaw, nod = self.turns * t, 0.06 * np.sin(12.0 * t)
-        w, z, y = np.cos(yaw / 2), np.sin(yaw / 2), np.sin(nod / 2)
+        yaw = self.turns * t
+        nod = 0.06 * np.sin(12.0 * t)
+        w = np.cos(yaw / 2)
+        z = np.sin(yaw / 2)
+        y = np.sin(nod / 2)
         quat = np.array([w * np.cos(nod / 2), -z * y, w * y, z * np.cos(nod / 2)])
         states.base_quat = quat
         rate = 0.06 * 12.0 * np.cos(12.0 * t)
@@ -50,21 +58,21 @@ class Gait:
         states.stamp_ns = round((self.time + t) * 1e9)
 
 
-def add(state: str, value: float, place: Any = ...) -> Callable[[Any, int], None]:
+def add(state, value, place=...):
     def lie(states: Any, k: int) -> None:
         states[state][place] += value
 
     return lie
 
 
-def scaled(state: str, factor: float) -> Callable[[Any, int], None]:
+def scaled(state, factor):
     def lie(states: Any, k: int) -> None:
         states[state] *= np.float32(factor)
 
     return lie
 
 
-def frozen(state: str) -> Callable[[Any, int], None]:
+def frozen(state):
     kept: list[Any] = []
 
     def lie(states: Any, k: int) -> None:
@@ -88,14 +96,7 @@ def frozen(state: str) -> Callable[[Any, int], None]:
     ],
 )
 @pytest.mark.parametrize("noise", [0.0, 1.0])
-def test_sensors_that_contradict_each_other_are_a_fault(
-    bench: Build,
-    block: str,
-    lie: Callable[[Any, int], None],
-    within: float,
-    words: str,
-    noise: float,
-) -> None:
+def test_sensors_that_contradict_each_other_are_a_fault(bench, block, lie, within, words, noise):
     gait = Gait(bench(), noise)
     made = gait.it.block(block)
     for k in range(150):
@@ -112,10 +113,11 @@ def test_sensors_that_contradict_each_other_are_a_fault(
 
 
 @pytest.mark.parametrize("block", ["joint_sensor_stop", "imu_stop"])
-def test_sound_sensors_are_none(bench: Build, block: str) -> None:
+def test_sound_sensors_are_none(bench, block):
     """With noise; frames that come twice, are late, are lost; pauses; a clock that is set."""
     gait = Gait(bench(), 1.5)
-    made, rng = gait.it.block(block), np.random.default_rng(4)
+    made = gait.it.block(block)
+    rng = np.random.default_rng(4)
     last = 0.0
     for k in range(3000):
         if rng.random() > 0.05:  # else nothing has come
@@ -135,7 +137,7 @@ def test_sound_sensors_are_none(bench: Build, block: str) -> None:
 
 
 @pytest.mark.parametrize("late", [0.008, 0.012, 0.016])
-def test_every_other_frame_stamped_late_is_none(bench: Build, late: float) -> None:
+def test_every_other_frame_stamped_late_is_none(bench, late):
     """On a busy machine: the next frame is on time, hence early against the one before it."""
     gait = Gait(bench(), 0.5)
     made = gait.it.block("joint_sensor_stop")
@@ -151,7 +153,7 @@ def test_every_other_frame_stamped_late_is_none(bench: Build, late: float) -> No
     assert (lies[0] + 1) * PERIOD <= 0.3 + 1e-9
 
 
-def _lie_on(gait: Gait, k: int, late: float) -> None:
+def _lie_on(gait, k, late):
     """Go on so, with velocities that stand at 0."""
     t = PERIOD * k
     gait.it.states.joint_pos = 0.5 * gait.phase + 6.0 * t
@@ -159,7 +161,7 @@ def _lie_on(gait: Gait, k: int, late: float) -> None:
     gait.it.states.stamp_ns = round((gait.time + t + late * (k % 2)) * 1e9)
 
 
-def test_an_old_frame_behind_a_pause_is_none(bench: Build) -> None:
+def test_an_old_frame_behind_a_pause_is_none(bench):
     """A burst: its first frame was measured 50 ms ago, and is stamped as if it had just been."""
     gait = Gait(bench())
     made, gait.phase = gait.it.block("joint_sensor_stop"), np.zeros(12)  # all are quick at once
@@ -176,9 +178,10 @@ def test_an_old_frame_behind_a_pause_is_none(bench: Build) -> None:
         made.tick()
 
 
-def test_velocities_of_the_same_bits_are_a_fault_where_joints_move_slowly(bench: Build) -> None:
+def test_velocities_of_the_same_bits_are_a_fault_where_joints_move_slowly(bench):
     gait = Gait(bench())
-    made, pos = gait.it.block("joint_sensor_stop"), gait.it.states.joint_pos
+    made = gait.it.block("joint_sensor_stop")
+    pos = gait.it.states.joint_pos
     gait.it.states.joint_vel = 0.0
 
     def crept(k: int) -> None:
@@ -195,9 +198,10 @@ def test_velocities_of_the_same_bits_are_a_fault_where_joints_move_slowly(bench:
         made.tick()
 
 
-def test_an_imu_of_another_topic_than_the_stamps_is_sound(bench: Build) -> None:
+def test_an_imu_of_another_topic_than_the_stamps_is_sound(bench):
     gait = Gait(bench(), 1.0)
-    made, rng = gait.it.block("imu_stop"), np.random.default_rng(5)
+    made = gait.it.block("imu_stop")
+    rng = np.random.default_rng(5)
     gait.turns = 3.0
     stamp = 0
     for k in range(2000):
@@ -208,7 +212,7 @@ def test_an_imu_of_another_topic_than_the_stamps_is_sound(bench: Build) -> None:
         made.tick()
 
 
-def test_nan_is_left_to_others_and_what_follows_is_looked_at(bench: Build) -> None:
+def test_nan_is_left_to_others_and_what_follows_is_looked_at(bench):
     gait = Gait(bench())
     made = gait.it.block("joint_sensor_stop")
     for k in range(100):
@@ -223,13 +227,12 @@ def test_nan_is_left_to_others_and_what_follows_is_looked_at(bench: Build) -> No
 
 
 @pytest.mark.parametrize("what", ["wheel", "finger", "leg"])
-def test_joints_that_turn_for_ever_or_take_positions_are_not_looked_at(
-    bench: Build, what: str
-) -> None:
+def test_joints_that_turn_for_ever_or_take_positions_are_not_looked_at(bench, what):
     robot = load_robot("go2")
     knee = np.arange(robot.num_joints) == KNEE
     if what == "wheel":
-        lower, upper = np.where(knee, -np.inf, robot.lower), np.where(knee, np.inf, robot.upper)
+        lower = np.where(knee, -np.inf, robot.lower)
+        upper = np.where(knee, np.inf, robot.upper)
         robot = replace(robot, lower=lower, upper=upper)
     elif what == "finger":
         robot = replace(robot, transport={**robot.transport, "command": "position"})
@@ -248,7 +251,7 @@ def test_joints_that_turn_for_ever_or_take_positions_are_not_looked_at(
         made.tick()
 
 
-def test_it_is_for_one_robot_and_plausible_bounds(bench: Build) -> None:
+def test_it_is_for_one_robot_and_plausible_bounds(bench):
     with pytest.raises(WorkflowError, match="one robot"):
         bench(num_robots=2).block("joint_sensor_stop")
     with pytest.raises(WorkflowError, match="step is -1"):

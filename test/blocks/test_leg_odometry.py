@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -30,7 +28,7 @@ WALK = {
 STAND = WALK | {"commands": [], "flow": {"chain": [{"pose": {"to": "stand"}}, "hold"]}}
 
 
-def bench(**options: Any) -> tuple[Bench, Callable[[], object]]:
+def bench(**options):
     """A Go2 that stands, and the block's tick."""
     declares = find_factory("blocks", "leg_odometry", WorkflowError).declares
     made = Bench("go2", states=declares(robot=load_robot("go2")))
@@ -39,7 +37,7 @@ def bench(**options: Any) -> tuple[Bench, Callable[[], object]]:
     return made, made.block("leg_odometry", **options).tick
 
 
-def test_a_walk_with_noise_and_pushes_is_estimated() -> None:
+def test_a_walk_with_noise_and_pushes_is_estimated():
     """A short one of the slow test's."""
     scene = {"initial_pose": "rest", "noise": NOISE, "push": {"every": 2.0, "velocity": 0.4}}
     seen = run("go2_walk", WALK | {"scene": scene}, 8.0)
@@ -51,7 +49,7 @@ def test_a_walk_with_noise_and_pushes_is_estimated() -> None:
     assert 0.5 * told < seen.rms < 2.0 * told  # the variance is not made up
 
 
-def test_feet_are_told_to_stand_and_to_swing() -> None:
+def test_feet_are_told_to_stand_and_to_swing():
     seen = run("go2_walk", WALK, 5.0)
     assert (seen.contact[60:] >= 0.0).all()
     assert (seen.contact[60:] <= 1.0).all()
@@ -64,7 +62,7 @@ def test_feet_are_told_to_stand_and_to_swing() -> None:
     ["joint_pos", "joint_vel", "joint_effort", "base_lin_acc", "base_quat", "base_ang_vel"],
 )
 @pytest.mark.parametrize("value", [math.nan, math.inf, 3e38])
-def test_values_that_are_none_are_ridden_out(sensor: str, value: float) -> None:
+def test_values_that_are_none_are_ridden_out(sensor, value):
     """0.2 s of them in a bench that stands: never a number that is none, and at rest afterwards."""
     made, tick = bench()
     for _ in range(20):
@@ -82,7 +80,7 @@ def test_values_that_are_none_are_ridden_out(sensor: str, value: float) -> None:
     np.testing.assert_allclose(made.states.base_lin_vel, 0.0, atol=0.02)
 
 
-def test_a_walk_goes_on_over_values_that_are_none() -> None:
+def test_a_walk_goes_on_over_values_that_are_none():
     def spoil(states: States, tick: int) -> None:
         if 200 <= tick < 210:
             states["base_lin_acc"][...] = np.nan
@@ -95,7 +93,7 @@ def test_a_walk_goes_on_over_values_that_are_none() -> None:
     assert seen.rms < 0.15
 
 
-def test_silence_changes_nothing() -> None:
+def test_silence_changes_nothing():
     """The same data again, as of a robot that is not heard: the estimate stays as it is."""
 
     def spoil(states: States, tick: int) -> None:
@@ -111,7 +109,7 @@ def test_silence_changes_nothing() -> None:
     assert (seen.estimate[201:] == seen.estimate[200]).all()
 
 
-def test_a_foot_that_slips_is_not_believed() -> None:
+def test_a_foot_that_slips_is_not_believed():
     """One of four moves at 1.5 m/s or more while it bears as much as the others."""
     made, tick = bench()
     for _ in range(20):
@@ -122,7 +120,7 @@ def test_a_foot_that_slips_is_not_believed() -> None:
     assert np.abs(made.states.base_lin_vel).max() < 0.05
 
 
-def test_all_feet_in_the_air_leave_the_accelerometer() -> None:
+def test_all_feet_in_the_air_leave_the_accelerometer():
     """Dropped from 1 m: it falls for 0.4 s, lands and stands."""
     scene = {"initial_pose": "default", "initial_height": 1.0}
     seen = run("go2_walk", STAND | {"scene": scene}, 3.0)
@@ -132,7 +130,7 @@ def test_all_feet_in_the_air_leave_the_accelerometer() -> None:
     assert seen.error[60:].max() < 0.1
 
 
-def test_a_robot_that_hangs_comes_to_rest() -> None:
+def test_a_robot_that_hangs_comes_to_rest():
     """Legs that bear nothing, and an accelerometer that is off by a tilt of 2°."""
     program = Program(robot="go2", platform="fake", rate=50, estimate=["leg_odometry"], flow="hold")
     tick = next(b.tick for b in program.blocks if b.name == "leg_odometry")
@@ -149,7 +147,7 @@ def test_a_robot_that_hangs_comes_to_rest() -> None:
     program.close()
 
 
-def test_without_torques_the_height_of_the_feet_tells() -> None:
+def test_without_torques_the_height_of_the_feet_tells():
     """The bench's platform tells none; a leg that is drawn up hangs."""
     made, tick = bench()
     tick()
@@ -159,7 +157,7 @@ def test_without_torques_the_height_of_the_feet_tells() -> None:
     assert made.states.foot_contact.tolist() == [0.0, 1.0, 1.0, 1.0]
 
 
-def test_height_is_that_over_the_feet_that_stand() -> None:
+def test_height_is_that_over_the_feet_that_stand():
     made, tick = bench()
     for _ in range(10):
         tick()
@@ -167,11 +165,12 @@ def test_height_is_that_over_the_feet_that_stand() -> None:
     assert made.states.base_pos_w[:2].tolist() == pytest.approx([0.0, 0.0], abs=1e-3)
 
 
-def test_a_simulator_that_is_put_back_begins_anew() -> None:
+def test_a_simulator_that_is_put_back_begins_anew():
     document = load_document("go2_walk", WALK)
     program = Program(document)
     blocks = {block.name: block for block in program.blocks}
-    tick, states = blocks["leg_odometry"].tick, program.states
+    tick = blocks["leg_odometry"].tick
+    states = program.states
     program.platform.recv()
     tick()
     states.stamp_ns += 10**9
@@ -184,7 +183,7 @@ def test_a_simulator_that_is_put_back_begins_anew() -> None:
     program.close()
 
 
-def test_warming_up_changes_nothing() -> None:
+def test_warming_up_changes_nothing():
     program = Program(load_document("go2_walk", WALK))
     block = next(b for b in program.blocks if b.name == "leg_odometry")
     program.platform.recv()
@@ -199,7 +198,7 @@ def test_warming_up_changes_nothing() -> None:
     program.close()
 
 
-def test_truth_stays_where_the_estimate_has_another_name() -> None:
+def test_truth_stays_where_the_estimate_has_another_name():
     changes = WALK | {
         "states": {"estimated": {"shape": [3], "unit": "m/s", "frame": "base"}},
         "estimate": [{"leg_odometry": {"states": {"base_lin_vel": "estimated"}}}],
@@ -211,7 +210,7 @@ def test_truth_stays_where_the_estimate_has_another_name() -> None:
     program.close()
 
 
-def test_position_is_estimated_where_nobody_measures_it_or_where_asked() -> None:
+def test_position_is_estimated_where_nobody_measures_it_or_where_asked():
     for options, written in (({}, False), ({"position": True}, True)):
         changes = WALK | {"estimate": [{"leg_odometry": options}]}
         program = Program(load_document("go2_walk", changes))
@@ -229,13 +228,13 @@ def test_position_is_estimated_where_nobody_measures_it_or_where_asked() -> None
         ({"estimate": ["leg_odometry", "leg_odometry"]}, "writes 'base_lin_vel_variance' in the"),
     ],
 )
-def test_what_cannot_be_is_told_in_one_line(changes: dict[str, Any], message: str) -> None:
+def test_what_cannot_be_is_told_in_one_line(changes, message):
     with pytest.raises(UniconError, match=message) as raised:
         Program(load_document("go2_walk", WALK | changes)).close()
     assert "\n" not in str(raised.value)
 
 
-def test_an_arm_has_no_feet() -> None:
+def test_an_arm_has_no_feet():
     with pytest.raises(UniconError, match=r"robot arx_x5 \(arm\) has no feet"):
         Program(
             robot="arx_x5", platform="fake", rate=50, estimate=["leg_odometry"], flow="hold"
@@ -262,7 +261,7 @@ make.facts = FACTS
 
 
 @pytest.fixture
-def sensed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+def sensed(tmp_path, monkeypatch):
     """A workflow whose platform tells what the feet's sensors read."""
     (tmp_path / "sensed_platform.py").write_text(FORCES, "utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
@@ -275,7 +274,7 @@ def sensed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     }
 
 
-def test_force_sensors_tell_which_feet_stand(sensed: dict[str, Any]) -> None:
+def test_force_sensors_tell_which_feet_stand(sensed):
     program = Program(**sensed, estimate=[{"leg_odometry": {"foot_force": 30.0}}])
     tick = next(b.tick for b in program.blocks if b.name == "leg_odometry")
     program.platform.recv()
@@ -285,7 +284,7 @@ def test_force_sensors_tell_which_feet_stand(sensed: dict[str, Any]) -> None:
     program.close()
 
 
-def test_a_force_without_a_threshold_is_asked_for(sensed: dict[str, Any]) -> None:
+def test_a_force_without_a_threshold_is_asked_for(sensed):
     with pytest.raises(UniconError, match="say from which reading on a foot stands"):
         Program(**sensed, estimate=["leg_odometry"]).close()
 
@@ -305,9 +304,7 @@ make.facts = Facts("toy", writes=TOLD)
 """
 
 
-def test_check_offers_it_where_a_policy_reads_what_nobody_measures(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, assets: Path
-) -> None:
+def test_check_offers_it_where_a_policy_reads_what_nobody_measures(tmp_path, monkeypatch, assets):
     (tmp_path / "toy_robot.py").write_text(HARDWARE, "utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
     changes = {"platform": "toy_robot:make", "platforms": {}, "scene": {}}
@@ -332,7 +329,8 @@ class Plain:
     """The same filter as a book has it, with matrices: x = (v, b), F = [[1, -R dt], [0, 1]]."""
 
     def __init__(self, noise: float) -> None:
-        self.x, self.p = np.zeros(6), np.diag([1.0] * 3 + [0.25] * 3)
+        self.x = np.zeros(6)
+        self.p = np.diag([1.0] * 3 + [0.25] * 3)
         self.noise = noise
         self.last: Any = None
 
@@ -360,9 +358,10 @@ class Plain:
 
 
 @given(st.lists(step, min_size=1, max_size=12), st.sampled_from([0.002, 0.02]))
-def test_the_filter_is_that_of_the_book(steps: list[Any], dt: float) -> None:
+def test_the_filter_is_that_of_the_book(steps, dt):
     upright = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
-    fast, plain = VelocityFilter(1.5), Plain(1.5)
+    fast = VelocityFilter(1.5)
+    plain = Plain(1.5)
     for (x, y, z), feet in steps:
         force = (x, y, z + 9.81)
         fast.predict(dt, upright, force)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from odometry_runs import NOISE, Odometry, run
+from odometry_runs import NOISE, run
 
+# [s, m/s, m/s, rad/s]: forwards, in a curve, sideways, backwards, and all at once.
 COMMANDS = [
     *([0.0, 0.0, 0.0, 0.0], [2.0, 0.8, 0.0, 0.0], [12.0, 0.6, 0.0, 0.8], [22.0, 0.0, 0.3, 0.0]),
     *(
@@ -18,7 +18,6 @@ COMMANDS = [
         [56.0, 0.0, 0.0, 0.0],
     ),
 ]
-"""[s, m/s, m/s, rad/s]: forwards, in a curve, sideways, backwards, and all at once."""
 PUSHED: dict[str, Any] = {
     "duration": None,
     "commands": [{"velocity_command": {"schedule": COMMANDS}}],
@@ -28,14 +27,14 @@ GO2 = {"initial_pose": "rest"}
 RISING = {"chain": [{"pose": {"to": "stand", "duration": 2.0}}, {"policy": "walk"}]}
 
 
-def walk(workflow: str, scene: dict[str, Any], **more: Any) -> Odometry:
+def walk(workflow, scene, **more):
     """Run for 60 s, with pushes of up to 0.5 m/s every 3 s."""
     around = {"noise": NOISE, "push": {"every": 3.0, "velocity": 0.5}}
     estimate = {"estimate": [{"leg_odometry": {"position": True}}]}
     return run(workflow, PUSHED | estimate | more | {"scene": scene | around}, 60.0)
 
 
-def held(seen: Odometry, ticks: int) -> None:
+def held(seen, ticks):
     """Hold what is asked of every walk."""
     assert seen.report.faults == []
     assert not seen.report.fell
@@ -50,19 +49,19 @@ def held(seen: Odometry, ticks: int) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_go1_walks_for_a_minute_on_the_velocity_that_is_estimated(seed: int, assets: Path) -> None:
+def test_go1_walks_for_a_minute_on_the_velocity_that_is_estimated(seed, assets):
     """Its policy reads `base_lin_vel`: the estimate is in the loop, and it follows its commands."""
     held(walk("go1_walk", GO1 | {"seed": seed}), 3000)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rate", [50, 250])
-def test_go2_is_estimated_at_both_rates(rate: int) -> None:
+def test_go2_is_estimated_at_both_rates(rate):
     held(walk("go2_walk", GO2, flow=RISING, rate=rate), 60 * rate)
 
 
 @pytest.mark.slow
-def test_a_humanoid_is_estimated_better_the_more_often_it_is_looked_at(assets: Path) -> None:
+def test_a_humanoid_is_estimated_better_the_more_often_it_is_looked_at(assets):
     """Its legs are long: what the joints' velocities and the gyroscope err by counts twice."""
     seen = [walk("g1_walk", {}, rate=rate) for rate in (50, 250)]
     assert not any(each.report.faults for each in seen)
@@ -71,7 +70,7 @@ def test_a_humanoid_is_estimated_better_the_more_often_it_is_looked_at(assets: P
 
 
 @pytest.mark.slow
-def test_the_way_that_is_integrated_is_off_by_a_few_percent() -> None:
+def test_the_way_that_is_integrated_is_off_by_a_few_percent():
     changes = {"flow": RISING, "scene": GO2, "estimate": [{"leg_odometry": {"position": True}}]}
     seen = run("go2_walk", PUSHED | changes, 56.0)
     way = float(np.linalg.norm(np.diff(seen.place[:, :2], axis=0), axis=1).sum())

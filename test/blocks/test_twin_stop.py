@@ -28,7 +28,7 @@ class Flags:
             self.stop()
 
 
-def test_it_trips_after_its_time_and_names_the_joint() -> None:
+def test_it_trips_after_its_time_and_names_the_joint():
     flags = Flags()
     flags.ticks(50)
     flags.raised[7] = 1
@@ -39,7 +39,7 @@ def test_it_trips_after_its_time_and_names_the_joint() -> None:
         flags.ticks(1)
 
 
-def test_a_break_and_a_reset_begin_anew() -> None:
+def test_a_break_and_a_reset_begin_anew():
     flags = Flags(timeout=0.1)
     flags.raised[3] = 1
     flags.ticks(4)
@@ -53,7 +53,7 @@ def test_a_break_and_a_reset_begin_anew() -> None:
         flags.ticks(1)
 
 
-def test_of_several_the_largest_gap_is_named() -> None:
+def test_of_several_the_largest_gap_is_named():
     flags = Flags(timeout=0.1)
     flags.raised[[2, 9]] = 1
     flags.ticks(4)
@@ -63,6 +63,6 @@ def test_of_several_the_largest_gap_is_named() -> None:
 
 
 @pytest.mark.parametrize("timeout", [float("nan"), -1.0, float("inf")])
-def test_a_time_that_is_none_is_refused(timeout: float) -> None:
+def test_a_time_that_is_none_is_refused(timeout):
     with pytest.raises(WorkflowError, match=r"timeout is .*; write a number above 0 to 5 \[s\]"):
         read_options(TwinStop, {"timeout": timeout}, lambda text, *_: WorkflowError(text))

@@ -12,8 +12,15 @@ import pytest
 from check_helpers import check, write_workflow
 
 from unicon_core.check import check_workflow
-from unicon_core.terminal import WIDTH, display_width, near, terminal_width, word_parts, wrapped
-from unicon_core.text_table import aligned
+from unicon_core.text_table import (
+    WIDTH,
+    aligned,
+    display_width,
+    near,
+    terminal_width,
+    word_parts,
+    wrapped,
+)
 from unicon_core.workflow import load_document, workflow_names
 from unicon_ros.cli.main import main
 

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from unicon_core.check.order import mirror_pairs, other_order
+from unicon_core.check.joints import mirror_pairs, other_order
 from unicon_core.check.result import CheckResult, Finding, Section
 from unicon_core.check.twin.measures import Recorder
 from unicon_core.check.twin.perturb import permuted, perturbations, renamed

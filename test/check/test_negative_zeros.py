@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from check_helpers import STAND, check, write_workflow
 
-from unicon_core.figures import figure, span
 from unicon_core.policies import load_policy, policy_names
 from unicon_core.policies.table import policy_table
 from unicon_core.preflight.wiggle import Moved, verdicts
 from unicon_core.robots import load_robot, robot_names, robot_table
+from unicon_core.text_table import figure, span
 from unicon_ros.cli.main import main
 
 NEGATIVE_ZERO = re.compile(r"(?<![\w.])-0(\.0*)?(?![\w.])")

@@ -14,16 +14,15 @@ pytest.importorskip("mujoco", reason="the twin runs in MuJoCo")
 from unicon_core.check import CheckResult
 from unicon_core.check.result import PolicyResult
 from unicon_core.check.twin.check import _Twin
-from unicon_core.check.twin.measures import Measures
-from unicon_core.check.twin.perturb import Change, perturbations, rivals
-from unicon_core.check.twin.ranking import (
+from unicon_core.check.twin.measures import (
     MENDED,
     Compared,
+    Measures,
     Tried,
     chosen,
-    evident_changes,
     find_pressing,
 )
+from unicon_core.check.twin.perturb import Change, evident_changes, perturbations, rivals
 from unicon_core.policies import PolicyContract
 from unicon_core.policies.contract import ActionSpec, ObservationSpec, ObservationTerm, PhaseSpec
 from unicon_core.robots import load_robot
@@ -172,7 +171,7 @@ def _rival(monkeypatch: pytest.MonkeyPatch, scores: dict[str, Measures], given: 
     def walks(policy: Any, change: Change) -> Compared:
         return Compared((given,) * 3, (scores.get(change.name, run(0.3)),) * 3)
 
-    monkeypatch.setattr(twin, "run", lambda _, change, __: scores.get(change.name, run(0.3)))
+    monkeypatch.setattr(twin, "run", lambda _, change: scores.get(change.name, run(0.3)))
     monkeypatch.setattr(twin, "compared", walks)
     twin.rival(given)
     return result

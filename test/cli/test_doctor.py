@@ -10,9 +10,9 @@ from types import SimpleNamespace
 import pytest
 
 from unicon_core.latches import ESTOP, Latch
-from unicon_ros import doctor
+from unicon_ros.cli import doctor
+from unicon_ros.cli.doctor import Finding, examine
 from unicon_ros.cli.main import main
-from unicon_ros.doctor import Finding, examine
 
 
 def found(name: str) -> Finding:

@@ -14,16 +14,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as some
 
 from unicon_base.errors import WorkflowError
-from unicon_core.blocks.controls.device import Controls, device_block
+from unicon_core.blocks.controls.device import REMOTES, Controls, Keyboard, device_block, keyboard
 from unicon_core.blocks.controls.gamepad import EVENT, Gamepad, gamepad
-from unicon_core.blocks.controls.keyboard import Keyboard, keyboard
-from unicon_core.blocks.controls.remotes import REMOTES
 from unicon_core.robots import load_robot
 from unicon_core.states import States
 from unicon_core.states.standard import BUTTONS, control_states, standard_states
 from unicon_core.workflow.autowire import BuildContext, autowire
 
-KEY, ABS, SYN = 1, 3, 0
+KEY = 1
+ABS = 3
+SYN = 0
 
 
 class Pad:
@@ -50,11 +50,11 @@ class Pad:
 
 
 @pytest.fixture
-def pad(tmp_path: Path) -> Pad:
+def pad(tmp_path):
     return Pad(tmp_path)
 
 
-def test_events_become_sticks_and_buttons(pad: Pad) -> None:
+def test_events_become_sticks_and_buttons(pad):
     pad.says((KEY, 0x130, 1), (KEY, 0x13B, 1), (ABS, 0x01, -32768), (ABS, 0x00, 32767), (SYN, 0, 0))
     assert pad.pressed() == {"A", "start"}
     assert pad.controls.sticks.tolist() == [1.0, 1.0, 0.0, 0.0]  # right, and up
@@ -66,7 +66,7 @@ def test_events_become_sticks_and_buttons(pad: Pad) -> None:
     assert pad.controls.alive == 1
 
 
-def test_half_an_event_is_kept_and_garbage_presses_nothing_unknown(pad: Pad) -> None:
+def test_half_an_event_is_kept_and_garbage_presses_nothing_unknown(pad):
     whole = EVENT.pack(0, 0, KEY, 0x131, 1)
     os.write(pad.writer, whole[:10])
     pad.pad()
@@ -83,7 +83,7 @@ def test_half_an_event_is_kept_and_garbage_presses_nothing_unknown(pad: Pad) -> 
     assert set(pad.controls.buttons.tolist()) <= {0, 1}
 
 
-def test_who_is_gone_presses_nothing_and_may_come_back(pad: Pad) -> None:
+def test_who_is_gone_presses_nothing_and_may_come_back(pad):
     pad.says((KEY, 0x137, 1), (ABS, 0x01, -32768))
     assert pad.pressed() == {"R1"}
     os.close(pad.writer)
@@ -97,13 +97,13 @@ def test_who_is_gone_presses_nothing_and_may_come_back(pad: Pad) -> None:
     assert pad.pressed() == {"B"}
 
 
-def test_events_that_the_kernel_dropped_let_go_of_all(pad: Pad) -> None:
+def test_events_that_the_kernel_dropped_let_go_of_all(pad):
     pad.says((KEY, 0x137, 1), (ABS, 0x01, -32768))
     pad.says((SYN, 3, 0))
     assert (pad.pressed(), pad.controls.sticks.any(), int(pad.controls.alive)) == (set(), False, 1)
 
 
-def test_a_device_that_is_not_there_is_looked_for_and_told_once(tmp_path: Path, pad: Pad) -> None:
+def test_a_device_that_is_not_there_is_looked_for_and_told_once(tmp_path, pad):
     absent = Gamepad(pad.controls, str(tmp_path / "none"), pad.context)
     absent()
     absent()
@@ -120,7 +120,7 @@ def test_a_device_that_is_not_there_is_looked_for_and_told_once(tmp_path: Path, 
         autowire(keyboard, "keyboard", pad.context, {"hold": 9.0})
 
 
-def test_a_robot_that_tells_its_own_remote_needs_no_device(pad: Pad) -> None:
+def test_a_robot_that_tells_its_own_remote_needs_no_device(pad):
     class Told:
         facts = type("Facts", (), {"writes": ("sticks", "buttons", "controls_alive")})
 
@@ -130,9 +130,7 @@ def test_a_robot_that_tells_its_own_remote_needs_no_device(pad: Pad) -> None:
     assert device_block("gamepad", pad.pad, pad.context).writes == tuple(control_states())
 
 
-def test_keys_count_for_a_while_and_once_commands_leave(
-    pad: Pad, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_keys_count_for_a_while_and_once_commands_leave(pad, monkeypatch):
     master, slave = pty.openpty()
     before = os.dup(0)
     os.dup2(slave, 0)
@@ -171,14 +169,14 @@ def test_keys_count_for_a_while_and_once_commands_leave(
         os.close(before)
 
 
-def test_no_terminal_is_told(pad: Pad) -> None:
+def test_no_terminal_is_told(pad):
     keys = Keyboard(pad.controls, 3, pad.context)
     keys()
     keys()
     assert pad.told == ["keyboard: standard input is not a terminal; nothing is pressed"]
 
 
-def test_bytes_of_remotes(pad: Pad) -> None:
+def test_bytes_of_remotes(pad):
     bits = 1 << BUTTONS.index("L2") | 1 << BUTTONS.index("A")
     raw = bytearray(40)
     struct.pack_into("<H", raw, 2, bits)
@@ -209,7 +207,7 @@ def test_bytes_of_remotes(pad: Pad) -> None:
 @pytest.mark.parametrize("name", sorted(REMOTES))
 @settings(max_examples=60)
 @given(data=some.data())
-def test_whatever_a_remote_sends_is_within_its_range(name: str, data: some.DataObject) -> None:
+def test_whatever_a_remote_sends_is_within_its_range(name, data):
     states = States(control_states())
     controls = Controls(states)
     size, take = REMOTES[name]

@@ -11,13 +11,12 @@ from unicon_base.errors import WorkflowError
 from unicon_core.blocks.velocity_command import Drive
 from unicon_core.states import States, StateSpec
 from unicon_core.states.standard import BUTTONS
-from unicon_hardware.peripherals.webxr.frames import BUTTONS as THEIRS
-from unicon_hardware.peripherals.webxr.frames import PARTS
-from unicon_hardware.peripherals.webxr.webxr import webxr
+from unicon_hardware.peripherals.webxr.webxr import BUTTONS as THEIRS
+from unicon_hardware.peripherals.webxr.webxr import PARTS, webxr
 from unicon_manipulation.headset import HeadsetControls
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "stand_in"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 
 class Rig:
@@ -40,7 +39,7 @@ class Rig:
         return {name for name, value in zip(BUTTONS, self.states["buttons"]) if value}
 
 
-def test_thumbsticks_drive_and_let_go_when_the_headset_goes() -> None:
+def test_thumbsticks_drive_and_let_go_when_the_headset_goes():
     rig = Rig()
     rig.states["webxr_left_axes"][...] = (0.0, 0.0, 1.0, -1.0)  # right, ahead
     rig.states["webxr_right_axes"][...] = (0.0, 0.0, -1.0, 0.0)
@@ -58,7 +57,7 @@ def test_thumbsticks_drive_and_let_go_when_the_headset_goes() -> None:
     assert rig.states["controls_alive"] == 0
 
 
-def test_what_is_not_a_number_pushes_nothing() -> None:
+def test_what_is_not_a_number_pushes_nothing():
     rig = Rig()
     rig.states["webxr_left_axes"][...] = math.nan
     rig.states["webxr_right_axes"][...] = (0.0, 0.0, 40.0, 0.0)
@@ -66,7 +65,7 @@ def test_what_is_not_a_number_pushes_nothing() -> None:
     np.testing.assert_array_equal(rig.states["sticks"], [0.0, 0.0, 1.0, 0.0])
 
 
-def test_buttons_have_the_names_of_their_places() -> None:
+def test_buttons_have_the_names_of_their_places():
     rig = Rig()
     for side, expected in (
         ("left", {"squeeze": "L1", "trigger": "L2", "thumbstick": "F1", "a": "X", "b": "Y"}),
@@ -81,7 +80,7 @@ def test_buttons_have_the_names_of_their_places() -> None:
     assert rig.pressed() == set()
 
 
-def test_a_device_that_is_not_there_is_told() -> None:
+def test_a_device_that_is_not_there_is_told():
     states = States(HeadsetControls.declares())  # type: ignore[attr-defined]
     controls = [states[name] for name in ("sticks", "buttons", "controls_alive")]
     with pytest.raises(WorkflowError, match="no state 'vive_alive'; list the device"):

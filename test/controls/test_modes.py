@@ -53,13 +53,14 @@ class Hands:
 
 
 @pytest.fixture
-def hands() -> Hands:
+def hands():
     return Hands()
 
 
-def test_sticks_drive_while_the_button_is_held(hands: Hands) -> None:
+def test_sticks_drive_while_the_button_is_held(hands):
     tick = Drive(**hands.controls, speed=(1.0, 0.5, 2.0), dead_zone=0.2, hold="R1")
-    command, sticks = hands.states["velocity_command"], hands.states["sticks"]
+    command = hands.states["velocity_command"]
+    sticks = hands.states["sticks"]
     sticks[...] = (1.0, 0.6, 0.1, 0.0)
     tick()
     assert not command.any()
@@ -77,7 +78,7 @@ def test_sticks_drive_while_the_button_is_held(hands: Hands) -> None:
     assert not command.any()
 
 
-def test_buttons_change_modes_and_wrong_ones_are_refused_with_the_reason(hands: Hands) -> None:
+def test_buttons_change_modes_and_wrong_ones_are_refused_with_the_reason(hands):
     tick = hands.modes()
     hands.hold("A")  # held down from before: it counts once it is pressed
     assert tick() == "passive"
@@ -137,13 +138,13 @@ def test_buttons_change_modes_and_wrong_ones_are_refused_with_the_reason(hands: 
         ({"stand": {"button": "A"}, "walk": {"button": "A"}}, "button A leads to stand and to"),
     ],
 )
-def test_wrong_modes_are_named(hands: Hands, to: Mapping[str, Any], message: str) -> None:
+def test_wrong_modes_are_named(hands, to, message):
     with pytest.raises(WorkflowError) as raised:
         hands.modes(to)
     assert message in str(raised.value)
 
 
-def test_a_button_or_a_lost_device_stops(hands: Hands) -> None:
+def test_a_button_or_a_lost_device_stops(hands):
     seen = {name: hands.states[name] for name in ("buttons", "controls_alive")}
     tick = ButtonStop(**seen, period=0.02, on=["select", "F1"], lost=0.04)
     tick()
@@ -165,7 +166,7 @@ def test_a_button_or_a_lost_device_stops(hands: Hands) -> None:
             autowire(stop, "stop", hands.context, {"on": "select"})
 
 
-def test_the_remote_stops_where_all_buttons_are_held_for_two_ticks(hands: Hands) -> None:
+def test_the_remote_stops_where_all_buttons_are_held_for_two_ticks(hands):
     buttons = hands.states["buttons"]
     tick = RemoteStop(buttons, robot=load_robot("go1"))
     assert tick.names == ("L2", "B")
@@ -192,8 +193,8 @@ def test_the_remote_stops_where_all_buttons_are_held_for_two_ticks(hands: Hands)
     ],
 )
 def test_check_names_the_buttons_that_stop_and_who_else_uses_them(
-    tmp_path: Path, robot: str, platform: str, commands: list[Any], found: str
-) -> None:
+    tmp_path, robot, platform, commands, found
+):
     inputs = [each for each in commands if "drive" in each]
     stops = [each for each in commands if "drive" not in each]
     values = {
@@ -232,7 +233,8 @@ class Player:
         self.path = folder / "pad"
         os.mkfifo(self.path)
         self._file = os.open(self.path, os.O_RDWR | os.O_NONBLOCK)
-        self._script, self._tick = dict(script), 0
+        self._script = dict(script)
+        self._tick = 0
         self.modes: list[int] = []
         self.x: list[float] = []
         self.height: list[float] = []
@@ -288,7 +290,7 @@ GO2 = {
 }
 
 
-def test_a_go2_goes_through_all_its_modes(tmp_path: Path) -> None:
+def test_a_go2_goes_through_all_its_modes(tmp_path):
     pytest.importorskip("mujoco")
     pytest.importorskip("onnxruntime")
     player = Player(tmp_path, GO2)
@@ -301,7 +303,8 @@ def test_a_go2_goes_through_all_its_modes(tmp_path: Path) -> None:
     assert refused[0].startswith("start is refused: walk is entered from stand")
     assert refused[1].startswith("start is refused: stand is not at its end")
     assert len(refused) == 2
-    x, height = np.array(player.x), np.array(player.height)
+    x = np.array(player.x)
+    height = np.array(player.height)
     assert height[130] > 0.25  # stands
     assert height[255] < 0.15  # lies
     assert x[560] - x[410] > 1.0  # walks
@@ -310,7 +313,7 @@ def test_a_go2_goes_through_all_its_modes(tmp_path: Path) -> None:
     assert height[-1] < 0.2  # lets go
 
 
-def test_select_stops_the_run(tmp_path: Path) -> None:
+def test_select_stops_the_run(tmp_path):
     pytest.importorskip("mujoco")
     pytest.importorskip("onnxruntime")
     player = Player(tmp_path, {20: ("select", 1)})
@@ -319,7 +322,7 @@ def test_select_stops_the_run(tmp_path: Path) -> None:
     assert report.ticks < 25
 
 
-def test_a_g1_goes_through_all_its_modes(tmp_path: Path, assets: Path) -> None:
+def test_a_g1_goes_through_all_its_modes(tmp_path, assets):
     pytest.importorskip("mujoco")
     pytest.importorskip("onnxruntime")
     script = {
@@ -343,7 +346,8 @@ def test_a_g1_goes_through_all_its_modes(tmp_path: Path, assets: Path) -> None:
         f"mode: {mode}" for mode in ("stand", "walk", "lie")
     ]
     assert any(line.startswith("start is refused: stand is not at its end") for line in told)
-    x, height = np.array(player.x), np.array(player.height)
+    x = np.array(player.x)
+    height = np.array(player.height)
     assert height[:310].min() > 0.65
     assert x[250] - x[100] > 0.8
     assert height[-1] < 0.6

@@ -12,17 +12,27 @@ import pytest
 
 from unicon_base.errors import WorkflowError
 from unicon_core.blocks.controls import gamepad as module
-from unicon_core.blocks.controls import pads
+from unicon_core.blocks.controls import gamepad as pads
 from unicon_core.blocks.controls.device import Controls
-from unicon_core.blocks.controls.gamepad import ABS, EVENT, KEY, SYN, Gamepad, gamepad
-from unicon_core.blocks.controls.pads import Finder, Identity, Mapped, pad_of
+from unicon_core.blocks.controls.gamepad import (
+    ABS,
+    EVENT,
+    KEY,
+    SYN,
+    Finder,
+    Gamepad,
+    Identity,
+    Mapped,
+    gamepad,
+    pad_of,
+)
 from unicon_core.robots import load_robot
 from unicon_core.states import States
 from unicon_core.states.standard import BUTTONS, control_states
 from unicon_core.workflow.autowire import BuildContext, autowire
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "stand_in"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 BELOW_RIGHT_LEFT_ABOVE = {
     "xbox": (0x130, 0x131, 0x133, 0x134),  # xpad.c: BTN_A, BTN_B, BTN_X, BTN_Y
@@ -31,8 +41,10 @@ BELOW_RIGHT_LEFT_ABOVE = {
     "8bitdo": (0x131, 0x130, 0x134, 0x133),  # B, A, Y, X, as plain HID
     "generic": (0x121, 0x122, 0x120, 0x123),  # Logitech: 2, 3, 1, 4
 }
-PAD_KEYS, JOYSTICK_KEYS = 1 << 0x130 | 1 << 0x131, 1 << 0x120
-WITH_RX, WITH_RZ = 0b11_1111, 0b110_0010_0111
+PAD_KEYS = 1 << 0x130 | 1 << 0x131
+JOYSTICK_KEYS = 1 << 0x120
+WITH_RX = 0b11_1111
+WITH_RZ = 0b110_0010_0111
 
 
 class Rig:
@@ -41,7 +53,8 @@ class Rig:
     def __init__(self, folder: Path, mapping: str = "auto") -> None:
         self.path = folder / "pad"
         os.mkfifo(self.path)
-        self.states, self.told = States(control_states()), list[str]()
+        self.states = States(control_states())
+        self.told = list[str]()
         self.context = BuildContext(self.states, load_robot("go2"), 0.02, tell=self.told.append)
         self.controls = Controls(self.states)
         self.pad = Gamepad(self.controls, str(self.path), self.context, mapping)
@@ -59,7 +72,7 @@ class Rig:
 
 
 @pytest.mark.parametrize("mapping", get_args(Mapped)[1:])
-def test_the_same_place_is_the_same_button(mapping: str, tmp_path: Path) -> None:
+def test_the_same_place_is_the_same_button(mapping, tmp_path):
     rig = Rig(tmp_path, mapping)
     for code, name in zip(BELOW_RIGHT_LEFT_ABOVE[mapping], "ABXY"):
         rig.says((KEY, code, 1))
@@ -83,9 +96,9 @@ def test_the_same_place_is_the_same_button(mapping: str, tmp_path: Path) -> None
     ],
 )
 def test_sticks_and_triggers(
-    mapping: str, right: tuple[int, int], triggers: tuple[int, int], wide: tuple[int, int],
-    tmp_path: Path,
-) -> None:  # fmt: skip
+    mapping, right, triggers, wide,
+    tmp_path,
+):  # fmt: skip
     rig, (low, high) = Rig(tmp_path, mapping), wide
     rig.says((ABS, 0, high), (ABS, 1, low), (ABS, right[0], low), (ABS, right[1], high))
     assert rig.controls.sticks.tolist() == [1.0, 1.0, -1.0, -1.0]
@@ -113,9 +126,7 @@ def test_sticks_and_triggers(
         (0x1234, 0x5678, JOYSTICK_KEYS, WITH_RX, "generic", 0x03),
     ],
 )
-def test_a_pad_is_known_by_what_it_is(
-    vendor: int, product: int, keys: int, axes: int, mapping: str, right: int
-) -> None:
+def test_a_pad_is_known_by_what_it_is(vendor, product, keys, axes, mapping, right):
     found = pad_of(Identity(vendor, product, keys, axes))
     assert found.name == mapping
     assert found.sticks[right] == (2, 1.0)
@@ -124,15 +135,13 @@ def test_a_pad_is_known_by_what_it_is(
     assert found.ranges.keys() == found.sticks.keys() | found.triggers.keys()
 
 
-def test_an_unknown_mapping_is_named(tmp_path: Path) -> None:
+def test_an_unknown_mapping_is_named(tmp_path):
     rig = Rig(tmp_path)
     with pytest.raises(WorkflowError, match="mapping 'xbax' is not known; did you mean 'xbox'"):
         autowire(gamepad, "gamepad", rig.context, {"mapping": "xbax"})
 
 
-def test_a_pad_without_a_cable_is_found_among_the_others(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_pad_without_a_cable_is_found_among_the_others(tmp_path, monkeypatch):
     pad = Identity(0x054C, 0x0CE6, PAD_KEYS, WITH_RX)
     mouse = Identity(0x046D, 0xC077, 1 << 0x110, 0)
     motion = Identity(0x054C, 0x0CE6, 0, 0b111111)  # a pad's own sensors
@@ -166,9 +175,7 @@ def test_a_pad_without_a_cable_is_found_among_the_others(
     assert Finder(tmp_path / "none").find() == ""
 
 
-def test_unplugged_it_lets_go_at_once_and_works_when_it_is_back(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_unplugged_it_lets_go_at_once_and_works_when_it_is_back(tmp_path, monkeypatch):
     (tmp_path / "event5").touch()
     there = Identity(0x054C, 0x0CE6, PAD_KEYS, WITH_RX)
     monkeypatch.setattr(pads, "ask", lambda _: there)
@@ -186,7 +193,8 @@ def test_unplugged_it_lets_go_at_once_and_works_when_it_is_back(
         return event
 
     monkeypatch.setattr(module.os, "read", read)
-    states, told = States(control_states()), list[str]()
+    states = States(control_states())
+    told = list[str]()
     context = BuildContext(states, load_robot("go2"), 0.02, tell=told.append)
     controls = Controls(states)
     pad = Gamepad(controls, "auto", context)

@@ -20,7 +20,7 @@ from unicon_core.blocks.joint_command import Commands
 from unicon_core.blocks.safety.ranges import command_stop
 from unicon_core.check import check_workflow
 from unicon_core.flow import Block, Stage
-from unicon_core.gates.beginning import beginning
+from unicon_core.gates.build import beginning
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import States, standard_states

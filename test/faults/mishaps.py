@@ -21,7 +21,7 @@ from unicon_core.policies import Policy
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow import Program
 from unicon_ros.bridge.estop import EmergencyStop
-from unicon_ros.bridge.tuning import Tuning
+from unicon_ros.parameters import Tuning
 
 Blocks: TypeAlias = Mapping[Stage, Sequence[Block]]
 Mishap: TypeAlias = Callable[[Program], Blocks]

@@ -20,9 +20,9 @@ from unicon_core.flow import (
     Zip,
     as_block,
 )
-from unicon_core.flow.check_order import Finding
+from unicon_core.flow.block import LinearMap
 from unicon_core.flow.checks import check_graph, raise_first
-from unicon_core.flow.linear import LinearMap
+from unicon_core.flow.critical_path import Finding
 from unicon_core.states import States, StateSpec, standard_states
 
 NAMES = ["hip", "thigh", "calf"]

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from unicon_base.errors import StateError
 from unicon_core.blocks.maps import copy, linear_map
 from unicon_core.flow import Block, Chain, Deferred, Every, Loop, When, Zip, as_block, compile_graph
+from unicon_core.flow.block import LinearMap
 from unicon_core.flow.fuse import fuse
-from unicon_core.flow.linear import LinearMap
 from unicon_core.states import States, StateSpec
 
 DTYPES = ("float32", "float64", "int64")

@@ -21,8 +21,8 @@ from unicon_core.flow import (
     blocks_of,
     compile_graph,
 )
+from unicon_core.flow.block import Stage
 from unicon_core.flow.compiler import GROUP
-from unicon_core.flow.stage import Stage
 
 
 class Recorder:

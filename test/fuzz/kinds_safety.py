@@ -19,7 +19,7 @@ from unicon_base.errors import UniconError
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.preflight import wiggle
 from unicon_core.workflow import load_document
-from unicon_core.workflow.platform_use import read_platforms
+from unicon_core.workflow.members import read_platforms
 from unicon_ros.cli import main as cli
 from unicon_ros.cli import preflight as looked
 

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from unicon_core.flow import Zip, compile_graph
-from unicon_core.flow.block import Writes
-from unicon_core.flow.stage import Stage
+from unicon_core.flow.block import Stage, Writes
 from unicon_core.platforms.fake import FakeRobot
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.robots import Robot

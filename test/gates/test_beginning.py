@@ -12,7 +12,7 @@ from gate_robots import waiting
 from unicon_base.errors import Fault
 from unicon_core import Chain, Loop, Program, Zip, block, elapsed, policy, pose
 from unicon_core.flow import Block, Switch
-from unicon_core.gates.beginning import beginning, first_command
+from unicon_core.gates.build import beginning, first_command
 from unicon_core.states.standard import COMMAND_STATES
 
 ROBOT = "gate_robots:make"
@@ -116,6 +116,27 @@ def test_the_first_command_is_that_of_a_run_and_leaves_no_trace() -> None:
     runner = Runner(program)  # the first tick of a run does the same
     runner.graph.step()
     np.testing.assert_allclose(program.states.joint_pos_target, first.joint_pos, atol=0.05)
+
+
+def test_a_block_that_declares_no_memory_is_fresh_after_the_first_command() -> None:
+    program: Program
+
+    class Ramp:
+        ticks = 0
+
+        def __call__(self) -> None:
+            self.ticks += 1
+            program.states.joint_pos_target[...] = 0.125 * self.ticks
+
+        def reset(self) -> None:
+            self.ticks = 0
+
+    ramp = Ramp()
+    program = program_of(
+        Block("ramp", ramp, writes=COMMAND_STATES, reset=ramp.reset), safety={"only": ["finite"]}
+    )
+    assert [first_command(program).joint_pos[0] for _ in range(2)] == [0.125, 0.125]
+    assert ramp.ticks == 0
 
 
 def test_a_fault_of_the_first_command_is_told_and_the_states_are_put_back() -> None:

@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 
 from unicon_core.check.rules import LIVE
-from unicon_core.preflight.look import look
-from unicon_core.preflight.result import PreflightResult
+from unicon_core.preflight.look import PreflightResult, look
 from unicon_core.workflow import Program
 
 ROBOT = "gate_robots:make"

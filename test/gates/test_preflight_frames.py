@@ -10,8 +10,7 @@ import pytest
 
 from unicon_core.platforms.fake import FakeRobot
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.preflight.look import tell_frames
-from unicon_core.preflight.result import PreflightResult
+from unicon_core.preflight.look import PreflightResult, tell_frames
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.workflow import load_workflow

@@ -2,17 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import numpy as np
+from stepping import stepping
 from unitree_helpers import DOMAIN, LOOPBACK, PATIENCE, states_of, until
 
 from unicon_core.robots import Robot
-from unicon_core.states import States
+from unicon_core.states import States, standard_states
+from unicon_core.states.standard import control_states, hardware_states
 
 __all__ = ["DOMAIN", "LOOPBACK", "PATIENCE", "Ends", "golden_frame", "states_of", "until"]
+
+
+def whole_states(robot: Robot) -> States:
+    """Return the states of a robot with all of hardware and controls."""
+    names = robot.joint_names
+    return States(standard_states(names) | hardware_states(names) | control_states())
+
+
+@contextmanager
+def ticking(face: Any) -> Iterator[Event]:
+    """Be the robot in a thread; the event that is given lets it fall silent."""
+    mute = Event()
+
+    def tick() -> None:
+        if not mute.is_set():
+            face.tell()
+        face.hear()
+        time.sleep(0.002)
+
+    with stepping(tick, face.close):
+        yield mute
 
 
 def golden_frame(assets: Path, name: str) -> bytes:

@@ -27,7 +27,7 @@ from unicon_core.platforms.fake import FakePlatform, make
 from unicon_core.robots import Robot, load_robot
 from unicon_core.states import States, standard_states
 from unicon_core.states.standard import COMMAND_STATES, hardware_states
-from unicon_hardware.emulate.face import Face, Timed
+from unicon_hardware.endpoint import Endpoint
 
 LEAN = 0.05  # [rad] from the default posture
 
@@ -66,7 +66,7 @@ class Emulated:
         self._joints.recv()
         self.states["joint_stiffness"][...] = 0.0
         module, _, name = face.partition(":")
-        self.face: Face = getattr(import_module(module), name)(self.states, robot, **options)
+        self.face: Endpoint = getattr(import_module(module), name)(self.states, robot, **options)
         self.heard, self._random = 0, np.random.default_rng(1)
         self._stiff, self._last = False, -math.inf
         self.said: list[dict[str, Any]] = []
@@ -93,8 +93,7 @@ class Emulated:
         self._joints.recv()
         for name in ("base_ang_vel", "base_lin_acc"):
             self.states[name] += self._random.normal(scale=1e-3, size=3)
-        if isinstance(self.face, Timed):
-            self.face.now = time.monotonic()
+        self.face.now = time.monotonic()
         self.face.tell()
 
 

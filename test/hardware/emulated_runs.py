@@ -18,15 +18,15 @@ from unicon_ros.bench.domains import free_domain
 HERE = Path(__file__).resolve().parent
 UNICON = (sys.executable, "-m", "unicon_ros")
 PLATFORM = "udp_robot:make"
+# How far a first command may be from where the joints are, [rad].
 FIRST = 0.05
-"""How far a first command may be from where the joints are, [rad]."""
+# For a busy machine in [s].
 ROOM = 1.0
-"""For a busy machine in [s]."""
+# Safety of the workflows, patient with a robot that a busy machine holds up.
 PATIENT = (
     "[finite, joint_limits, tilt_stop, {stale_stop: {timeout: 5.0}}, {imu_stop: {timeout: 5.0}}, "
     "{joint_sensor_stop: {step: 10.0, drift: 10.0}}, {encoder_stop: {timeout: 5.0}}]"
 )
-"""Safety of the workflows, patient with a robot that a busy machine holds up."""
 
 
 class Served:
@@ -40,7 +40,7 @@ class Served:
         options: of the platform; those that depend on where it is served may come later.
     """
 
-    safety = PATIENT
+    safety, name = PATIENT, ""
 
     def __init__(
         self,

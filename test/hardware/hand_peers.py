@@ -13,7 +13,7 @@ from typing import Any
 from unicon_core.robots import Robot, load_robot
 from unicon_core.states import States, standard_states
 from unicon_core.states.standard import hardware_states
-from unicon_hardware.modbus.served import HandFace
+from unicon_hardware.modbus.served import HandEndpoint
 
 
 def hand_states(robot: Robot | str) -> States:
@@ -25,7 +25,7 @@ def hand_states(robot: Robot | str) -> States:
 class Pumped:
     """A face that is called as an emulator does, in a thread; `pause` lets it fall silent."""
 
-    def __init__(self, face: HandFace) -> None:
+    def __init__(self, face: HandEndpoint) -> None:
         self.face, self.heard, self.pause = face, 0, False
         self._ending = False
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -46,7 +46,7 @@ class Pumped:
 
 
 @contextmanager
-def pumped(face: HandFace) -> Iterator[Pumped]:
+def pumped(face: HandEndpoint) -> Iterator[Pumped]:
     """Pump a face."""
     made = Pumped(face)
     try:

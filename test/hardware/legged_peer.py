@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-import json
-import select
 import socket
 import struct
-import subprocess
-import sys
 import time
 from dataclasses import replace
-from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from unicon_core.platforms.fake import make as make_fake
-from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.mujoco.platform import make as make_mujoco
 from unicon_core.robots import Robot, load_robot
 from unicon_core.states import States, standard_states
 from unicon_core.states.standard import hardware_states
-from unicon_hardware.unitree_legged.face import LeggedFace, face
+from unicon_hardware.unitree_legged.codec import LAYOUTS
+from unicon_hardware.unitree_legged.platform import LeggedEndpoint, face
 
 LENGTHS = {"a1": (610, 771), "aliengo": (610, 771), "go1": (614, 807)}
 ALIENGO = ("legged_sdk_3.3.1", "legged_sdk_3.8.4")
@@ -48,6 +43,15 @@ def robot_of(name: str) -> Robot:
 def states_of(robot: Robot) -> States:
     """Return the states that a workflow on this platform has."""
     return States(standard_states(robot.joint_names) | hardware_states(robot.joint_names))
+
+
+def servo_link(name: str, motors: int) -> Any:
+    """Return what a command frame takes of a link to a robot of so many joints."""
+    layout = LAYOUTS[LENGTHS[name]]
+    stops = {"pos_stop": 2.146e9, "vel_stop": 16000.0}
+    return SimpleNamespace(
+        layout=layout, motors=slice(0, motors), level_flag=255, servo=10, **stops
+    )
 
 
 def slow_crc(words: bytes) -> int:
@@ -102,62 +106,36 @@ def slow_state(
 
 
 class Emulated:
-    """A robot of stub physics or MuJoCo behind its face, stepped at 500 Hz of its own time.
+    """A robot of stub physics behind its endpoint, stepped at 500 Hz of its own time.
 
     Attributes:
-        port: where it takes commands.
         face: its end of the protocol.
         states: what it measures and is commanded.
         first: distance in [rad] of the first position target with stiffness from the joints.
-        highest, farthest: of the base so far, [m].
 
     Args:
         robot: the robot.
         port: where it takes commands.
-        scene: how it begins, and the model for MuJoCo.
-        hung: somebody holds it as it is until every joint has so much stiffness, [N·m/rad].
-        options: of the face.
+        options: of the endpoint.
     """
 
-    def __init__(
-        self,
-        robot: Robot,
-        port: int,
-        scene: Scene | None = None,
-        *,
-        hung: float = 0.0,
-        **options: Any,
-    ) -> None:
-        self.robot, self.port, self.states = robot, port, states_of(robot)
-        scene, period = scene or Scene(), 1.0 / RATE
-        self.physics = (
-            make_fake(self.states, robot, period, scene=scene, time_constant=0.05)
-            if scene.model is None
-            else make_mujoco(self.states, robot, period, scene=scene, timestep=period)
-        )
-        self.face: LeggedFace = face(self.states, robot, port=port, **options)
+    def __init__(self, robot: Robot, port: int, **options: Any) -> None:
+        self.states = states_of(robot)
+        self.physics = make_fake(self.states, robot, 1.0 / RATE, time_constant=0.05)
+        self.face: LeggedEndpoint = face(self.states, robot, port=port, **options)
         self.first: float | None = None
-        self.highest = self.farthest = 0.0
-        self._hung = hung
         self._rng = np.random.default_rng(0)
         self._due = time.monotonic()
         self.physics.recv()
 
     def step(self) -> None:
-        """One period of the robot: hear, simulate, tell."""
+        """One period of the robot: hear, simulate, send."""
         states = self.states
         if self.face.hear() and self.first is None and states["joint_stiffness"].any():
             away = np.abs(states["joint_pos_target"] - states["joint_pos"])
             self.first = float(away[states["joint_stiffness"] > 0.0].max())
-        if states["joint_stiffness"].min() >= self._hung:
-            self._hung = 0.0
-        if not self._hung:
-            self.physics.send()
+        self.physics.send()
         self.physics.recv()
-        if self._hung:  # in the model it falls
-            np.multiply(states["projected_gravity"], -9.81, out=states["base_lin_acc"])
-        x, _, z = states["base_pos_w"].tolist()
-        self.highest, self.farthest = max(self.highest, z), max(self.farthest, x)
         # Noise of MEMS sensors and encoders: what has none counts as frozen.
         for name, scale in (("base_ang_vel", 1e-3), ("base_lin_acc", 1e-2), ("joint_vel", 1e-4)):
             states[name] += self._rng.normal(0.0, scale, states[name].shape).astype(np.float32)
@@ -176,60 +154,3 @@ class Emulated:
         """Let go."""
         self.face.close()
         self.physics.close()
-
-
-class Process:
-    """The same in a process of its own, which ends with the test's.
-
-    Args:
-        robot: name or path.
-        port: where it takes commands.
-        options: of `Emulated`; `scene` as keywords of `Scene`.
-    """
-
-    def __init__(self, robot: str | Path, port: int, **options: Any) -> None:
-        arguments = json.dumps({"robot": str(robot), "port": port, **options})
-        self._process = subprocess.Popen(
-            [sys.executable, __file__, arguments],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        assert self._process.stdout is not None
-        assert self._process.stdout.readline() == "ready\n"
-
-    @property
-    def pid(self) -> int:
-        """Of the process."""
-        return self._process.pid
-
-    def ended(self) -> dict[str, Any]:
-        """End it and return what it saw."""
-        said, _ = self._process.communicate("", timeout=30)
-        seen: dict[str, Any] = json.loads(said)
-        return seen
-
-    def kill(self) -> None:
-        """End it in any case."""
-        self._process.kill()
-        self._process.communicate()
-
-
-def _main() -> None:
-    given = json.loads(sys.argv[1])
-    robot, scene = load_robot(given.pop("robot")), Scene(**given.pop("scene", {}))
-    emulated = Emulated(robot, scene=scene, **given)
-    print("ready", flush=True)
-    while not select.select([sys.stdin], [], [], 0.0)[0]:
-        emulated.run(0.1)
-    for _ in range(20):  # what is in the socket yet
-        emulated.step()
-    states, face_ = emulated.states, emulated.face
-    seen = {name: states[name].tolist() for name in states}
-    emulated.close()
-    facts = {"first": emulated.first, "highest": emulated.highest, "farthest": emulated.farthest}
-    print(json.dumps({**seen, **facts, "good": face_.good, "refused": face_.refused}))
-
-
-if __name__ == "__main__":
-    _main()

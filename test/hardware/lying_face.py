@@ -18,7 +18,7 @@ import numpy as np
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_hardware.unitree.face import face as unitree
-from unicon_hardware.unitree_legged.face import face as unitree_legged
+from unicon_hardware.unitree_legged.platform import face as unitree_legged
 
 MEASURED = ("joint_pos", "joint_vel", "base_quat", "base_ang_vel", "base_lin_acc")
 JITTER, LOSS = 0.02, 0.01

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,8 +18,6 @@ from hypothesis import strategies as st
 
 from unicon_base.errors import Fault, MissingDependencyError, PlatformError, RobotError
 from unicon_core.robots import Robot, load_robot
-from unicon_core.runtime.runner import Runner, RunOptions
-from unicon_core.workflow import load_workflow
 from unicon_hardware.arx.codec import (
     DM,
     EC,
@@ -32,10 +29,10 @@ from unicon_hardware.arx.codec import (
     reply_of,
 )
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "frames"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
-FACE = "unicon_hardware.arx.face:face"
+FACE = "unicon_hardware.arx.platform:face"
 # What libhardware.so of real-stanford/arx5-sdk (lib/x86_64) wrote to the bus and read from it, its
 # socket being ours: four of 4,000 each, all of which are equal.
 # q*, qd*, tau, kp, kd and the frame; the third and the last are beyond the ranges.
@@ -374,48 +371,3 @@ def test_a_bus_that_goes_is_a_fault(pair: Pair, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(pair.wire._bus, "recv", full)
     with pytest.raises(Fault, match=r"arx: CAN bus .*: Transmit buffer full"):
         pair.wire.take()
-
-
-WORKFLOW = """
-schema: unicon.workflow/1
-name: arx
-robot: arx_x5
-platform: unicon_hardware.arx.platform:make
-platforms:
-  "unicon_hardware.arx.platform:make":
-    {channel: arx_run, interface: virtual, unverified: true, silence: 2.0}
-rate: 50
-flow:
-  chain:
-    - pose: {to: stand, duration: 0.4}
-    - damp: {duration: 0.4}
-safety: [finite, joint_limits]
-"""
-
-
-@pytest.mark.slow
-def test_a_run_poses_and_damps(robot: Robot, tmp_path: Path) -> None:
-    pytest.importorskip(
-        "can", reason="python-can is not installed: pip install 'unicon_ros[hw-arx]'"
-    )
-    (tmp_path / "arx.yaml").write_text(WORKFLOW)
-    emulated = Emulated(robot, FACE, channel="arx_run")
-    ended = threading.Event()
-
-    def serve() -> None:
-        while not ended.is_set():
-            emulated.step()
-            time.sleep(0.002)
-
-    server = threading.Thread(target=serve)
-    server.start()
-    try:
-        program = load_workflow(str(tmp_path / "arx.yaml"))
-        report = Runner(program, RunOptions(duration=5.0, warn=lambda _: None)).run()
-        assert not report.faults, report.faults
-    finally:
-        ended.set()
-        server.join()
-        emulated.face.close()
-    assert [event["event"] for event in emulated.said] == ["first", "damping"]
-    assert emulated.said[0]["distance"] < 0.05

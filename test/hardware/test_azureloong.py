@@ -25,10 +25,10 @@ from unicon_core.workflow import load_workflow
 from unicon_hardware.azureloong.codec import command_type, state_type
 from unicon_hardware.azureloong.platform import AzureWire, make
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "vendor"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
-FACE = "unicon_hardware.azureloong.face:face"
+FACE = "unicon_hardware.azureloong.codec:face"
 COMMAND = (
     "<hhiff155f12f"  # loong_jnt_sdk_datas.py: '2hi', 'ff', five times 31 floats, 6 + 6 fingers
 )

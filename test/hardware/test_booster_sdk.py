@@ -20,20 +20,21 @@ import pytest
 
 pytest.importorskip("cyclonedds", reason="needs cyclonedds: pip install 'unicon_ros[hw-booster]'")
 
+from dds_ends import whole_states
 from peer import Peer
-from test_booster import T1, t1_states
+from test_booster import T1
 from unitree_helpers import until
 
 from unicon_core.platforms.kit.base import quat_of_rpy
 from unicon_core.states.standard import BUTTONS
 from unicon_hardware.booster.codec import BoosterFacts
-from unicon_hardware.booster.face import face
 from unicon_hardware.booster.platform import BoosterWire
+from unicon_hardware.booster.takeover import face
 from unicon_hardware.dds.maps import command_arrays
 from unicon_ros.bench.domains import free_domain
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "vendor"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -77,7 +78,7 @@ def test_as_controller_two_thousand_states_and_commands_are_equal(
 ) -> None:
     domain = free_domain()
     vendor = start("booster_sdk_peer.py", domain, COUNT)
-    theirs, ours = t1_states(T1), t1_states(T1)
+    theirs, ours = whole_states(T1), whole_states(T1)
     robot = face(theirs, T1, domain=domain)
     wire = BoosterWire(ours, T1, domain, "127.0.0.1")
     raws: list[bytes] = []
@@ -90,7 +91,7 @@ def test_as_controller_two_thousand_states_and_commands_are_equal(
 
     inlet._read = seen
     mine = command_arrays(N)
-    encode = BoosterFacts.of(T1).command_out(mine)
+    encode = BoosterFacts.of(T1).command.encoder(mine).encode
     try:
         until(lambda: said(vendor, "mode_now") is not None, robot.hear)
         assert said(vendor, "there")
@@ -154,7 +155,7 @@ def test_as_robot_two_thousand_states_and_commands_are_equal(
     compiler = ("g++", "-std=c++17", "-O1", "-fPIC", "-shared", f"-I{headers}", "-o", library)
     subprocess.run([*compiler, HERE / "booster_robot.cpp"], check=True, timeout=200)
     vendor = start("booster_robot_peer.py", library, domain, COUNT)
-    ours = t1_states(T1)
+    ours = whole_states(T1)
     wire = BoosterWire(ours, T1, domain, "127.0.0.1")
     try:
         until(lambda: wire.take() or vendor.process.poll() is not None)

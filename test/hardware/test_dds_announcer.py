@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from unitree_helpers import until
 
 from unicon_base.errors import PlatformError
-from unicon_core.interfaces import ipv4_of
+from unicon_core.latches import ipv4_of
 from unicon_hardware.dds.domains import FOREIGN, Announcer, without
 
 PREFIX = bytes(range(12))

@@ -4,32 +4,28 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 pytest.importorskip("cyclonedds", reason="needs cyclonedds: pip install 'unicon_ros[hw-dobot]'")
 
-from dds_ends import DOMAIN, LOOPBACK, Ends, until
+from dds_ends import Ends, until, whole_states
 
 from unicon_base.errors import Fault, PlatformError, RobotError
-from unicon_core.robots import Robot, load_robot
-from unicon_core.states import States, standard_states
-from unicon_core.states.standard import BUTTONS, COMMAND_STATES, control_states, hardware_states
+from unicon_core.robots import load_robot
+from unicon_core.states.standard import BUTTONS, COMMAND_STATES
 from unicon_core.workflow.hardware import refuse_incomplete
+from unicon_hardware.dds.maps import zeros
 from unicon_hardware.dobot import platform as takeover
-from unicon_hardware.dobot.codec import DobotFacts, own_arrays
-from unicon_hardware.dobot.face import face
+from unicon_hardware.dobot.codec import DobotFacts, face
 from unicon_hardware.dobot.platform import DobotWire, make
 from unicon_hardware.wire import Counts
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "stand_in"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 ATOM = load_robot("atom")
 TELLS = ("joint_pos", "joint_vel", "joint_effort", "base_quat", "base_ang_vel", "base_lin_acc")
@@ -38,13 +34,8 @@ WANTED = 2
 IMU = "13fB"
 
 
-def atom_states(robot: Robot) -> States:
-    names = robot.joint_names
-    return States(standard_states(names) | hardware_states(names) | control_states())
-
-
 def arrays_of() -> dict[str, Any]:
-    states = atom_states(ATOM)
+    states = whole_states(ATOM)
     rng = np.random.default_rng(4)
     for name in (*TELLS[:3], *COMMAND_STATES):
         states[name][...] = rng.normal(size=29)
@@ -52,12 +43,14 @@ def arrays_of() -> dict[str, Any]:
     states["base_ang_vel"][...] = (1.0, -2.0, 3.0)
     states["motor_temperature"][...] = np.arange(29) + 20
     states["battery_charge"][...] = 0.57
-    return {name: states[name] for name in states} | own_arrays()
+    return {name: states[name] for name in states} | zeros(
+        "fsm_id u2, upper_control u1, remote u1 40, modes u1 29"
+    )
 
 
 def ends(layout: str = "sdk") -> Ends:
     wire = partial(DobotWire, layout=layout, fsm_id=WANTED)
-    return Ends(ATOM, wire, face, states=atom_states, layout=layout)
+    return Ends(ATOM, wire, face, states=whole_states, layout=layout)
 
 
 @pytest.fixture(params=["sdk", "ros2"])
@@ -88,7 +81,7 @@ def test_messages_are_those_of_the_sdk_s_headers() -> None:
     facts, arrays = DobotFacts.of(ATOM, "sdk"), arrays_of()
     arrays["fsm_id"][...] = 301
     arrays["remote"][...] = np.arange(40)
-    raw = facts.lower.state_out(arrays)()
+    raw = facts.halves[0].state.encoder(arrays).encode()
     head = struct.Struct("<H2x" + IMU)
     told = head.unpack_from(raw, 4)
     assert told[0] == 301
@@ -107,7 +100,7 @@ def test_messages_are_those_of_the_sdk_s_headers() -> None:
     level = struct.unpack_from("<H", raw, at + 8)[0]
     assert level == 57
     assert bytes(range(40)) in raw
-    command = facts.upper.command_out(arrays)()
+    command = facts.halves[1].command.encoder(arrays).encode()
     element = struct.Struct("<B3x5f")
     assert len(command) == 4 + 17 * element.size
     names = ("joint_pos_target", "joint_vel_target", "joint_effort_ff", "joint_stiffness")
@@ -121,26 +114,11 @@ def test_messages_are_those_of_the_sdk_s_headers() -> None:
 @pytest.mark.parametrize("layout", ["sdk", "ros2"])
 def test_the_two_layouts_refuse_each_other(layout: str) -> None:
     arrays = arrays_of()
-    raw = DobotFacts.of(ATOM, layout).upper.state_out(arrays)()
-    other = DobotFacts.of(ATOM, "ros2" if layout == "sdk" else "sdk").upper
+    raw = DobotFacts.of(ATOM, layout).halves[1].state.encoder(arrays).encode()
+    other = DobotFacts.of(ATOM, "ros2" if layout == "sdk" else "sdk").halves[1]
     counts = Counts()
     assert not other.state_in(arrays, counts).good(raw)
     assert counts.refused == {"long" if layout == "ros2" else "short": 1}
-
-
-@settings(max_examples=20)
-@given(noise=st.binary(max_size=900), at=st.integers(0, 800), value=st.binary(min_size=1))
-def test_garbage_never_raises_and_never_writes_what_is_not_finite(
-    noise: bytes, at: int, value: bytes
-) -> None:
-    facts, arrays = DobotFacts.of(ATOM, "sdk"), arrays_of()
-    for half in (facts.lower, facts.upper):
-        frames, good = half.state_in(arrays, Counts()), half.state_out(arrays)()
-        for raw in (noise, good[:at], good[:at] + value[:4] + good[at + 4 :], good + noise):
-            if frames.good(raw):
-                frames.read(raw)
-            for name in TELLS:
-                assert np.isfinite(arrays[name]).all()
 
 
 def test_both_ways_everything_is_equal(atom: Ends) -> None:
@@ -231,63 +209,12 @@ def test_half_a_robot_is_silent_and_its_remote_is_heard() -> None:
 def test_what_is_contradictory_must_be_said() -> None:
     def opened(**options: Any) -> str:
         with pytest.raises(PlatformError) as raised:
-            make(atom_states(ATOM), ATOM, 0.02, **{"connect": 0.05, **options})
+            make(whole_states(ATOM), ATOM, 0.02, **{"connect": 0.05, **options})
         return str(raised.value)
 
     assert "fsm_id is None; give the number (0 to 65535)" in opened(layout="sdk")
     assert "fsm_id is 65536" in opened(layout="sdk", fsm_id=65536)
     told = opened(fsm_id=2)
     assert "layout is ''; the vendor's SDK and its ROS 2 package contradict each other" in told
-    assert "no frame that it understands from rt/lower/state and rt/upper/state" in opened(
-        fsm_id=2, layout="sdk", address=LOOPBACK, domain=DOMAIN
-    )
     with pytest.raises(RobotError, match=r"atom cannot be driven on platform 'dobot'"):
         refuse_incomplete(ATOM, "dobot")
-    for key, value, words in (
-        ("waist_joint", "neck", "transport.waist_joint is 'neck'; write one of"),
-        ("lower_motors", [1, 0], "0 to 11, the only order known"),
-        ("fsm_topic", None, "transport.fsm_topic is None"),
-    ):
-        robot = replace(ATOM, transport={**ATOM.transport, key: value})
-        with pytest.raises(RobotError, match=words):
-            DobotFacts.of(robot, "sdk")
-
-
-def test_the_platform_sends_nothing_silently_and_knows_silence() -> None:
-    from threading import Event, Thread
-
-    theirs, ours, ended, mute = atom_states(ATOM), atom_states(ATOM), Event(), Event()
-    made = face(theirs, ATOM, domain=DOMAIN)
-
-    def tick() -> None:
-        while not ended.wait(0.002):
-            if not mute.is_set():
-                made.tell()
-            made.hear()
-
-    thread = Thread(target=tick)
-    thread.start()
-    try:
-        options: dict[str, Any] = {"address": LOOPBACK, "domain": DOMAIN, "layout": "sdk"}
-        quiet = make(ours, ATOM, 0.002, silent=True, **options)
-        assert quiet.prepare() == ""
-        quiet.send()
-        quiet.close()
-        assert not made.obeys
-        platform = make(ours, ATOM, 0.002, fsm_id=WANTED, silence=0.4, **options)
-        until(lambda: not platform.prepare(), platform.recv)
-        assert made.obeys
-        until(lambda: platform._wire.matched)  # type: ignore[attr-defined]
-        ours["joint_stiffness"][...] = 30.0
-        for _ in range(20):
-            platform.send()
-        until(lambda: theirs["joint_stiffness"].min() == 30.0)
-        mute.set()
-        with pytest.raises(Fault, match="nothing from rt/lower/state and rt/upper/state"):
-            until(platform.recv)
-        platform.close()
-        until(lambda: not theirs["joint_stiffness"].any())
-    finally:
-        ended.set()
-        thread.join()
-        made.close()

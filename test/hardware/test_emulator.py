@@ -13,12 +13,12 @@ import udp_robot
 from numpy.typing import NDArray
 
 from unicon_base.errors import UniconError
-from unicon_core.blocks.projected_gravity import projected_gravity
+from unicon_core.blocks.maps import projected_gravity
 from unicon_core.robots import Robot, load_robot
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_hardware.emulate import body
-from unicon_hardware.emulate.defects import Defects
+from unicon_hardware.emulate.body import Defects
 from unicon_hardware.emulate.emulator import SILENCE, Emulator, emulated
 from unicon_ros.cli.main import main
 

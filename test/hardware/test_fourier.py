@@ -11,19 +11,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from emulated import Emulated, free_ports, moved, running, states_of
+from emulated import Emulated, free_ports, moved, states_of
 
 from unicon_base.errors import Fault, PlatformError, RobotError, WorkflowError
 from unicon_core.robots import Robot, load_robot
-from unicon_core.runtime.runner import Runner, RunOptions
-from unicon_core.workflow import load_workflow
 from unicon_hardware.fourier.actuator_wire import TRIES
-from unicon_hardware.fourier.codec import COMMAND, Actuators
-from unicon_hardware.fourier.platform import Fourier, FourierWire, make
-from unicon_hardware.udp import Udp
+from unicon_hardware.fourier.platform import COMMAND, Actuators, Fourier, FourierWire, make
+from unicon_hardware.wire import Udp
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "vendor"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 FACE = "unicon_hardware.fourier.face:face"
 NETWORK = "127.84.1.1"
@@ -365,41 +362,6 @@ def test_the_vendors_package_agrees(
         ended.set()
         server.join()
         emulated.face.close()
-
-
-WORKFLOW = f"""
-schema: unicon.workflow/1
-name: fourier
-robot: ./n1.yaml
-platform: unicon_hardware.fourier.platform:make
-platforms:
-  "unicon_hardware.fourier.platform:make": {{address: {NETWORK}, silence: 2.0, dead_man: 1.0}}
-rate: 50
-flow:
-  chain:
-    - pose: {{to: stand, duration: 0.5}}
-    - damp: {{duration: 0.4}}
-safety: [finite, joint_limits]
-"""
-
-
-@pytest.mark.slow
-def test_a_run_enables_poses_and_damps(tmp_path: Path) -> None:
-    (port,) = free_ports(1)
-    text = Path(load_robot("n1").path).read_text()
-    text = text.replace("port_fast: 2335", f"port_fast: {port}")
-    for key, value in SCALES.items():
-        text = text.replace(f"{key}: null", f"{key}: {value}")
-        text = text.replace(f", transport.{key}", "")
-    (tmp_path / "n1.yaml").write_text(text)
-    (tmp_path / "fourier.yaml").write_text(WORKFLOW)
-    with running(tmp_path / "n1.yaml", FACE, f"address={NETWORK}") as said:
-        program = load_workflow(str(tmp_path / "fourier.yaml"))
-        report = Runner(program, RunOptions(duration=5.0, warn=lambda _: None)).run()
-        assert not report.faults, report.faults
-        time.sleep(1.1)
-    assert [event["event"] for event in said] == ["first", "damping", "silence"]
-    assert said[0]["distance"] < 0.05
 
 
 def test_a_command_counts_when_every_actuator_has_one(pair: Pair) -> None:

@@ -22,14 +22,14 @@ from unicon_core.robots import Robot, load_robot
 from unicon_core.runtime.runner import Runner, RunOptions
 from unicon_core.workflow import load_workflow
 from unicon_hardware.fourier import fsa1_codec as codec
+from unicon_hardware.fourier.face import Fsa1Endpoint
 from unicon_hardware.fourier.fsa1_codec import Servos
-from unicon_hardware.fourier.fsa1_face import Fsa1Face
 from unicon_hardware.fourier.fsa1_wire import SAMPLES, Fsa1Wire, Zero
 from unicon_hardware.fourier.platform import Fourier, make
-from unicon_hardware.udp import Udp
+from unicon_hardware.wire import Udp
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "vendor"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 FACE = "unicon_hardware.fourier.face:face"
 NETWORK = "127.85.1.1"
@@ -59,8 +59,8 @@ class Pair:
         self.wire = Fsa1Wire(self.states, self.servos)
 
     @property
-    def face(self) -> Fsa1Face:
-        assert isinstance(self.emulated.face, Fsa1Face)
+    def face(self) -> Fsa1Endpoint:
+        assert isinstance(self.emulated.face, Fsa1Endpoint)
         return self.emulated.face
 
     def step(self, times: int = 1) -> int:
@@ -345,7 +345,7 @@ def test_the_vendors_package_agrees(
 
     emulated = Emulated(robot, FACE, address=NETWORK)
     face = emulated.face
-    assert isinstance(face, Fsa1Face)
+    assert isinstance(face, Fsa1Endpoint)
     vendor.fsa_port_fast, vendor.fsa_flag_debug = robot.transport["port_fast"], False
     vendor.fsa_port_ctrl = robot.transport["port_control"]
     heard: list[bytes] = []

@@ -19,16 +19,15 @@ from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 from pymodbus.framer import FramerType
 
 from unicon_core.robots import load_robot
-from unicon_hardware.inspire.face import face as inspire_face
+from unicon_hardware.inspire.platform import face as inspire_face
 from unicon_hardware.inspire.platform import make as inspire
-from unicon_hardware.modbus.frames import Rtu
 from unicon_hardware.modbus.hand import HandWire
-from unicon_hardware.modbus.link import ModbusConnection
-from unicon_hardware.rohand.face import face as rohand_face
+from unicon_hardware.modbus.link import ModbusConnection, Rtu
 from unicon_hardware.rohand.platform import check_protocol, registers_of
+from unicon_hardware.rohand.platform import face as rohand_face
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "stand_in"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 LEFT, ROHAND = load_robot("inspire_rh56_left"), load_robot("rohand")
 RNG = np.random.default_rng(0)

@@ -27,13 +27,21 @@ from unicon_core.robots import Robot, load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import States
 from unicon_core.workflow import Program
-from unicon_hardware.inspire.face import face as inspire_face
 from unicon_hardware.inspire.platform import Inspire
+from unicon_hardware.inspire.platform import face as inspire_face
 from unicon_hardware.inspire.platform import make as inspire
-from unicon_hardware.modbus.frames import Frame, Refused, Rtu, Tcp, read_request, write_request
-from unicon_hardware.modbus.link import ModbusConnection, open_serial
-from unicon_hardware.modbus.served import HandFace, PtyServer, _Served
-from unicon_hardware.rohand.face import face as rohand_face
+from unicon_hardware.modbus.link import (
+    Frame,
+    ModbusConnection,
+    Refused,
+    Rtu,
+    Tcp,
+    open_serial,
+    read_request,
+    write_request,
+)
+from unicon_hardware.modbus.served import HandEndpoint, PtyServer, _Served
+from unicon_hardware.rohand.platform import face as rohand_face
 from unicon_hardware.rohand.platform import make as rohand
 
 LEFT = load_robot("inspire_rh56_left")
@@ -48,7 +56,7 @@ class Hand:
         self.there, self.here = hand_states(self.robot), hand_states(self.robot)
         self.there["joint_pos"][...] = 0.5 * (self.robot.lower + self.robot.upper)
         if kind == "rohand":
-            self.face: HandFace = rohand_face(self.there, self.robot)
+            self.face: HandEndpoint = rohand_face(self.there, self.robot)
         else:
             self.face = inspire_face(self.there, self.robot, port=0, serial=kind == "rtu")
         server = self.face.server

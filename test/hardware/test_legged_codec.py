@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from legged_peer import LENGTHS, sealed, slow_command, slow_crc
+from legged_peer import LENGTHS, sealed, servo_link, slow_command, slow_crc
 
 from unicon_core.robots import load_robot
 from unicon_hardware.unitree_legged.codec import (
@@ -17,11 +17,11 @@ from unicon_hardware.unitree_legged.codec import (
     CommandFrame,
     Frame,
     encrypted_crc,
+    link_of,
 )
-from unicon_hardware.unitree_legged.transport import link_of
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "frames"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 POS_STOP, VEL_STOP = 2.146e9, 16000.0
 COLUMNS = st.tuples(
@@ -38,8 +38,7 @@ def golden(assets: Path, name: str) -> bytes:
 
 
 def command(name: str, motors: int = 12, **options: bool) -> CommandFrame:
-    layout = LAYOUTS[LENGTHS[name]]
-    return CommandFrame(layout, slice(0, motors), 255, 10, POS_STOP, VEL_STOP, **options)
+    return CommandFrame(servo_link(name, motors), **options)
 
 
 def rows(*motors: tuple[float, ...]) -> list[np.typing.NDArray[np.float32]]:

@@ -11,10 +11,10 @@ from legged_peer import ALIENGO, Emulated, free_port, robot_of, slow_command, st
 
 from unicon_core.platforms.platform import Prepares
 from unicon_core.robots import load_robot
-from unicon_hardware.udp import Udp
+from unicon_hardware.unitree_legged.codec import link_of
 from unicon_hardware.unitree_legged.platform import make
-from unicon_hardware.unitree_legged.transport import link_of
 from unicon_hardware.unitree_legged.wire import LeggedWire
+from unicon_hardware.wire import Udp
 
 GENERATIONS = [("a1", None), *(("aliengo", each) for each in ALIENGO), ("go1", None)]
 PERIOD = 0.002

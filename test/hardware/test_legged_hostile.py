@@ -13,15 +13,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from legged_peer import LENGTHS, free_port, robot_of, sealed, slow_state, states_of
+from legged_peer import LENGTHS, free_port, robot_of, sealed, servo_link, slow_state, states_of
 
 from unicon_core.states import States, StateSpec
-from unicon_hardware.udp import Udp
-from unicon_hardware.unitree_legged.codec import LAYOUTS, CommandFrame, Frame
-from unicon_hardware.unitree_legged.face import face
-from unicon_hardware.unitree_legged.transport import link_of
+from unicon_hardware.unitree_legged.codec import LAYOUTS, CommandFrame, Frame, link_of
+from unicon_hardware.unitree_legged.platform import face
 from unicon_hardware.unitree_legged.wire import StateReader
-from unicon_hardware.wire import Counts
+from unicon_hardware.wire import Counts, Udp
 
 FLOAT = st.floats(width=32)
 PLAIN = st.floats(-1e6, 1e6, width=32)
@@ -143,7 +141,7 @@ def test_a_clamped_figure_is_the_nearest_that_the_wire_has(values: list[float]) 
 
     if not all(map(math.isfinite, values)):
         return
-    frame = CommandFrame(LAYOUTS[LENGTHS["a1"]], slice(0, 1), 255, 10, 2.146e9, 16000.0)
+    frame = CommandFrame(servo_link("a1", 1))
     one = [np.array([value], np.float32) for value in (0.0, 0.0, *values)]
     sent = Frame(LAYOUTS[LENGTHS["a1"]].command)
     sent.fill(frame.write(*one))

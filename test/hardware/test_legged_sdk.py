@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from legged_peer import LENGTHS, free_port, robot_of, states_of
+from legged_peer import LENGTHS, free_port, robot_of, servo_link, states_of
 
 from unicon_core.states.standard import COMMAND_STATES
-from unicon_hardware.unitree_legged.codec import LAYOUTS, CommandFrame
-from unicon_hardware.unitree_legged.face import face
+from unicon_hardware.unitree_legged.codec import CommandFrame
+from unicon_hardware.unitree_legged.platform import face
 
 CHECKOUTS = [
     Path(each) for each in os.environ.get("UNICON_UNITREE_LEGGED_SDK", "").split(":") if each
@@ -56,7 +56,7 @@ def test_the_vendors_client_and_ours_say_the_same(sdk: Path, tmp_path: Path) -> 
     robot, port, local = robot_of(name), free_port(), free_port()
     states = states_of(robot)
     board = face(states, robot, port=port)
-    ours = CommandFrame(LAYOUTS[LENGTHS[name]], slice(0, 12), 255, 10, 2.146e9, 16000.0)
+    ours = CommandFrame(servo_link(name, 12))
     arguments = [str(each) for each in (local, port, *LENGTHS[name])]
     peer = subprocess.Popen(
         [client, *arguments],

@@ -18,9 +18,9 @@ from unicon_base.errors import Fault, PlatformError
 from unicon_core.robots import load_robot
 from unicon_core.states import States, StateSpec
 from unicon_core.states.standard import BUTTONS, control_states
-from unicon_hardware.udp import Udp
 from unicon_hardware.unitree_legged.platform import UnitreeLegged, make
-from unicon_hardware.unitree_legged.repeater import Repeater
+from unicon_hardware.unitree_legged.wire import Repeater
+from unicon_hardware.wire import Udp
 
 UPRIGHT = (1.0, 0.0, 0.0, 0.0, 0.1, 0.2, 0.3, 0.0, 0.0, 9.81)
 PERIOD = 0.002

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from unicon_core.robots import load_robot
 from unicon_hardware.inspire.platform import registers_of as inspire
-from unicon_hardware.modbus.frames import (
+from unicon_hardware.modbus.hand import Told
+from unicon_hardware.modbus.link import (
     Frame,
     Framing,
     Refused,
@@ -24,7 +25,6 @@ from unicon_hardware.modbus.frames import (
     write_answer,
     write_request,
 )
-from unicon_hardware.modbus.registers import Told
 from unicon_hardware.rohand.platform import registers_of as rohand
 
 WORDS = st.lists(st.integers(0, 0xFFFF), min_size=1, max_size=120)

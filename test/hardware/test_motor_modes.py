@@ -21,6 +21,7 @@ from vendor_robots import completed, serve
 from unicon_base.errors import Fault
 from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states
+from unicon_core.workflow.registry import known
 from unicon_hardware.modes import UNDOCUMENTED, ModeGuard
 from unicon_ros.bench.domains import free_domain
 
@@ -55,6 +56,8 @@ def arx() -> tuple[dict[str, Any], dict[str, Any]]:
     return options, options | {"unverified": True}
 
 
+# Robot to the protocol's folder, what it needs, options of both ends, and the mode of a motor that
+# has left: 8 is too hot, 0xA an overcurrent, 0x85 has the bit of a time-out.
 CASES: dict[str, tuple[str, str, Callable[[], Any], int]] = {
     "go2": ("unitree", "cyclonedds", unitree, 0),
     "h1": ("unitree", "cyclonedds", unitree, 0),
@@ -68,8 +71,6 @@ CASES: dict[str, tuple[str, str, Callable[[], Any], int]] = {
     "aliengo": ("unitree_legged", "", lambda: legged("legged_sdk_3.8.4"), 0),
     "arx_x5": ("arx", "can", arx, 0xA),
 }
-"""Robot to the protocol's folder, what it needs, options of both ends, and the mode of a motor that
-has left: 8 is too hot, 0xA an overcurrent, 0x85 has the bit of a time-out."""
 
 
 @contextmanager
@@ -93,7 +94,7 @@ def driven(name: str, folder: Path) -> Iterator[tuple[Emulated, Any, States]]:
     file = load_robot(completed(name, folder))
     theirs, ours = options()
     states = States(standard_states(file.joint_names))
-    with stepped(Emulated(file, f"{module}.face:face", **theirs)) as robot:
+    with stepped(Emulated(file, known("faces")[file.transport["protocol"]], **theirs)) as robot:
         platform = make(states, file, PERIOD, silence=5.0, connect=10.0, **ours)
         try:
             until(lambda: not platform.prepare(), platform.recv)

@@ -19,13 +19,14 @@ from vendor_robots import DRIVES, UNSEEING, completed, serve, stepped
 
 from unicon_core.robots import load_robot
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "stand_in"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
+# How far a joint may hang below its target, [rad]: some gains are weak, and hands have steps.
 SAG = 0.35
-"""How far a joint may hang below its target, [rad]: some gains are weak, and hands have steps."""
+# Those whose models are at hand; a humanoid hangs, since nobody balances it.
 MODELLED = {
     "a1": (),
     "adam_lite": ("--hang",),
@@ -36,10 +37,17 @@ MODELLED = {
     "h1": ("--hang",),
     "h1_2": ("--hang",),
 }
-"""Those whose models are at hand; a humanoid hangs, since nobody balances it."""
 ALONE = ("--model=fake", "--posture=random", "--seed=3")
 NEEDS = {"booster": "cyclonedds", "dobot": "cyclonedds", "pnd": "cyclonedds", "ros": "rclpy"}
 NEEDS |= {"unitree": "cyclonedds", "unitree_dex3": "cyclonedds"}
+
+
+def needed(name: str) -> None:
+    """Skip where a robot's platform lacks what it needs."""
+    dds = name.startswith("inspire") and name != "inspire_rh56_left"
+    needs = "cyclonedds" if dds else NEEDS.get(DRIVES[name])
+    if needs is not None:
+        pytest.importorskip(needs, reason=f"needs {needs}")
 
 
 def stands(
@@ -50,9 +58,7 @@ def stands(
     generation: str = "",
 ) -> None:
     """Let `h1_stand` drive an emulated robot to its default pose."""
-    needs = "cyclonedds" if "dfx" in name else NEEDS.get(DRIVES[name])
-    if needs is not None:
-        pytest.importorskip(needs, reason=f"needs {needs}")
+    needed(name)
     file = completed(name, folder)
     served = serve(processes, name, file, "--each", *more, generation=generation)
     run = served.run("h1_stand", folder, f"--set=robot={file}", "--duration=4")
@@ -104,7 +110,7 @@ def test_an_arm_goes_to_its_pose_on_a_bus_of_this_process(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("can", reason="needs python-can: pip install 'unicon_ros[hw-arx]'")
-    from unicon_hardware.arx.face import face
+    from unicon_hardware.arx.platform import face
     from unicon_ros.cli.main import main
 
     robot, bus = load_robot("arx_x5"), f"can-{tmp_path.name}"

@@ -12,8 +12,7 @@ import pytest
 from emulated_runs import FIRST, PATIENT, EmulatedUnitree
 from peer import Peer, wait_for
 
-from unicon_core.blocks.controls.gamepad import ABS, EVENT, KEY
-from unicon_core.blocks.controls.pads import pad_of
+from unicon_core.blocks.controls.gamepad import ABS, EVENT, KEY, pad_of
 
 pytest.importorskip("cyclonedds", reason="needs cyclonedds: pip install 'unicon_ros[hw-unitree]'")
 pytest.importorskip("mujoco")
@@ -22,12 +21,12 @@ pytest.importorskip("onnxruntime")
 pytestmark = [pytest.mark.slow, pytest.mark.alone, pytest.mark.timeout(300)]
 
 CODES = {name: code for code, name in pad_of(None).keys.items()}
+# ABS_Y, its end that is up.
 FORWARD = 0x01, -32768
-"""ABS_Y, its end that is up."""
+# Of the workflows, patient with a robot that a busy machine holds up.
 SAFETY = PATIENT.replace("tilt_stop", "{button_stop: {on: [select]}}")
-"""Of the workflows, patient with a robot that a busy machine holds up."""
+# How long a button is pressed, [s].
 HELD = 0.2
-"""How long a button is pressed, [s]."""
 
 
 class Hands:

@@ -8,7 +8,8 @@ from collections.abc import Iterable
 import pytest
 
 from unicon_base.errors import Fault
-from unicon_hardware.robot_clock import Milliseconds, Repeats, RobotClock
+from unicon_hardware.endpoint import Milliseconds
+from unicon_hardware.robot_clock import Repeats, RobotClock
 
 SECOND = 1_000_000_000
 

@@ -22,6 +22,8 @@ WALKS = {
     "g1_29dof": ("g1_walk", ("--posture=default", "--let-go=4.5")),
 }
 TURNING = "--set=commands=[{velocity_command: {constant: [0.4, 0.0, 0.5]}}]"
+# Time from the first wrong frame to the first limp command in [s], and the reason. It is 0.3 s for
+# one frame and 0.6 s for a window, and a tick of each side until the command is there.
 FOUND = {
     "encoder": (0.3, "is its encoder sound"),
     "yaw": (0.35, "base_quat turned otherwise than the gyroscope says"),
@@ -32,8 +34,6 @@ FOUND = {
     "repeat": (0.65, "measurements repeat|than the gyroscope says|velocit"),  # the seam may be seen
     "ageing": (0.65, "older than it was, by its own clock"),
 }
-"""Time from the first wrong frame to the first limp command in [s], and the reason. It is 0.3 s for
-one frame and 0.6 s for a window, and a tick of each side until the command is there."""
 AT = 10.0
 
 

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from unicon_hardware.speed import Speed
+from unicon_hardware.wire import Speed
 
 STEPS = st.lists(st.integers(0, 40_000_000), min_size=2, max_size=30)
 

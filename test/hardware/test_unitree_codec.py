@@ -15,9 +15,8 @@ from hypothesis import strategies as st
 
 from unicon_base.errors import RobotError
 from unicon_core.robots import Robot, load_robot
-from unicon_hardware.torso import turned
 from unicon_hardware.unitree.facts import UnitreeFacts
-from unicon_hardware.wire import Counts
+from unicon_hardware.wire import Counts, turned
 from unicon_msgs_map.layout.messages import shared_messages
 
 ROBOTS = ("go2", "h1", "g1_29dof", "g1_23dof", "h1_2")
@@ -168,7 +167,7 @@ def image(kind: str, raw: bytes) -> bytes:
 def test_commands_stand_in_their_slots(name: str) -> None:
     robot = load_robot(name)
     facts, arrays = UnitreeFacts.of(robot), arrays_of(robot)
-    raw = facts.command_out(arrays)()
+    raw = facts.command.encoder(arrays).encode()
     kind = f"{facts.protocol}/msg/LowCmd"
     numbers, modes = frames_of(kind, raw)
     motors = robot.transport.get("motors") or list(range(robot.num_joints))
@@ -198,7 +197,7 @@ def test_commands_stand_in_their_slots(name: str) -> None:
 def test_what_one_end_says_the_other_end_reads(name: str) -> None:
     robot = load_robot(name)
     facts, ours = UnitreeFacts.of(robot), arrays_of(robot)
-    raw = facts.state_out(ours)()
+    raw = facts.state.encoder(ours).encode()
     kind = f"{facts.protocol}/msg/LowState"
     assert int.from_bytes(raw[-4:], "little") == slow_crc(image(kind, raw))
     theirs = {key: np.zeros_like(value) for key, value in ours.items()}
@@ -213,7 +212,7 @@ def test_what_one_end_says_the_other_end_reads(name: str) -> None:
     for key in told:
         np.testing.assert_array_equal(theirs[key], ours[key], err_msg=key)
     assert abs(float(theirs["battery_charge"]) - (0.57 if facts.battery else 0.0)) < 1e-6
-    command = facts.command_out(ours)()
+    command = facts.command.encoder(ours).encode()
     heard = facts.command_in(theirs, Counts())
     assert heard.good(command)
     assert heard.read(command)
@@ -226,7 +225,7 @@ def test_what_one_end_says_the_other_end_reads(name: str) -> None:
 def test_garbage_is_refused_and_writes_nothing(data: st.DataObject) -> None:
     robot = load_robot("go2")
     facts, arrays = UnitreeFacts.of(robot), arrays_of(robot)
-    raw = bytearray(facts.state_out(arrays)())
+    raw = bytearray(facts.state.encoder(arrays).encode())
     frames = replace(facts.state, checked=False).frames(arrays, Counts())
     at = data.draw(st.sampled_from([4 + 24, 4 + 28, 4 + 80, 4 + 84, 4 + 128]))  # quaternion, q, dq
     bad = data.draw(st.sampled_from([np.nan, np.inf, -np.inf]))

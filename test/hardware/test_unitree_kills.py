@@ -24,24 +24,24 @@ from unicon_core.platforms.kit.damping import BLEND
 pytest.importorskip("cyclonedds", reason="needs cyclonedds: pip install 'unicon_ros[hw-unitree]'")
 pytest.importorskip("mujoco")
 
+# Of each case, of which each robot has three.
 MOMENTS = int(os.environ.get("UNICON_KILLS", "20")) // 5
-"""Of each case, of which each robot has three."""
 
 pytestmark = [pytest.mark.slow, pytest.mark.alone, pytest.mark.timeout(200 + 60 * MOMENTS)]
 
 DEAD_MAN = 0.2
+# Behind the first command, [s]: it lies, goes to where its flow begins, stands up, stands.
 LONGEST = 5.0
-"""Behind the first command, [s]: it lies, goes to where its flow begins, stands up, stands."""
+# Of the child in [s]: patient with a busy machine; unless said it is 0.1.
 WATCHDOG = 0.3
-"""Of the child in [s]: patient with a busy machine; unless said it is 0.1."""
+# Limp legs swing on a gantry, which a busy machine would see late, [s].
 SETTLED = 3.0
-"""Limp legs swing on a gantry, which a busy machine would see late, [s]."""
 CHILD = f"{{child: unitree, silence: 2, watchdog: {WATCHDOG}}}"
+# Workflow, arguments of the emulator, arguments of the run.
 ROBOTS = {
     "go2": ("go2_stand", ("go2",), ()),
     "g1": ("h1_stand", ("g1_29dof", "--hang", "--posture=default"), ("--set=robot=g1_29dof",)),
 }
-"""Workflow, arguments of the emulator, arguments of the run."""
 
 
 def child_of(pid: int) -> psutil.Process:

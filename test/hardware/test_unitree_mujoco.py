@@ -31,8 +31,8 @@ PEER = Path(__file__).with_name("unitree_mujoco_peer.py")
 POLICIES = Path(__file__).resolve().parents[2] / "config/policies"
 PHYSICS = 0.002  # s
 SLOWER = float(os.environ.get("UNICON_UNITREE_SLOWER", "10"))
+# Patient with a simulator that a busy machine holds up.
 STOPS = "stale_stop", "imu_stop", "encoder_stop"
-"""Patient with a simulator that a busy machine holds up."""
 
 
 class Simulator:

@@ -24,15 +24,14 @@ from unitree_helpers import reader_of, states_of, until
 
 from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states
-from unicon_core.states.spec import StateSpec
+from unicon_core.states.layout import StateSpec
 from unicon_core.states.standard import COMMAND_STATES, hardware_states
 from unicon_hardware.unitree.face import face
-from unicon_hardware.unitree.facts import UnitreeFacts
 from unicon_hardware.unitree.platform import UnitreeWire
 from unicon_ros.bench.domains import free_domain
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "vendor"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -136,8 +135,7 @@ def test_the_sdk_as_robot_and_we_agree_on_every_message(
     domain, robot = free_domain(), load_robot(ROBOTS[kind])
     peer = peers("robot", kind, domain)
     n, states = robot.num_joints, whole(robot)
-    facts = UnitreeFacts.of(robot)
-    wire = UnitreeWire(states, robot, facts, domain, "lo", release=False)
+    wire = UnitreeWire(states, robot, domain, "lo")
     try:
         until(lambda: peer.heard("ready") and wire.matched)
         until(lambda: reader_of(wire).sources)

@@ -19,14 +19,14 @@ from peer import Peer
 from vendor_robots import serve, stepped
 
 from unicon_core.robots import load_robot
-from unicon_hardware.emulate.defects import Defects
+from unicon_hardware.emulate.body import Defects
 from unicon_hardware.unitree.face import face as unitree_face
-from unicon_hardware.unitree_legged.face import face as legged_face
+from unicon_hardware.unitree_legged.platform import face as legged_face
 from unicon_ros.bench.domains import free_domain
 from unicon_ros.cli.main import main
 
+# A busy machine starves an emulated robot, whose frames are then fewer than they were to be.
 TRIES = 3
-"""A busy machine starves an emulated robot, whose frames are then fewer than they were to be."""
 LEGGED = ("a1", "go1")
 HUNG = ("--hang", "--posture=default")
 BODIES: dict[str, tuple[str, ...]] = {
@@ -38,8 +38,8 @@ BODIES: dict[str, tuple[str, ...]] = {
 }
 JOINTS = dict.fromkeys(BODIES, ("FL_thigh_joint", "FR_thigh_joint", "RL_calf_joint"))
 JOINTS["g1_29dof"] = ("left_knee_joint", "right_knee_joint", "left_elbow_joint")
+# Two to swap, and one to die.
 JOINTS["adam_lite"] = ("kneePitch_Left", "kneePitch_Right", "elbow_Left")
-"""Two to swap, and one to die."""
 FILES = Path(__file__).resolve().parents[2] / "config" / "robots"
 
 

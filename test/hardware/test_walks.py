@@ -16,15 +16,15 @@ from vendor_robots import serve
 
 from unicon_core.check import check_workflow
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = {"robot": "stand_in", "policy": "vendor"}
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 pytest.importorskip("mujoco", reason="mujoco is not installed: pip install 'unicon_ros[sim]'")
 pytest.importorskip("onnxruntime", reason="pip install 'unicon_ros[sim]'")
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
+# A humanoid hangs until its policy has begun: nobody balances it before.
 UPRIGHT = ("--posture=default", "--let-go=4.5")
-"""A humanoid hangs until its policy has begun: nobody balances it before."""
 WALKS = {
     "go1": ("go1_walk", ()),
     "go2": ("go2_walk", ()),
@@ -34,8 +34,8 @@ WALKS = {
     "h1_2": ("h1_2_walk", UPRIGHT),
     "t1": ("t1_walk", UPRIGHT),
 }
+# Metres in 10 s.
 LEAST = 3.0
-"""Metres in 10 s."""
 AHEAD = ("--set=commands=[{velocity_command: {constant: [0.5, 0.0, 0.0]}}]", "--duration=14")
 
 

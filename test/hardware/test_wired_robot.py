@@ -13,14 +13,13 @@ from unicon_core.platforms.platform import Facts, Prepares
 from unicon_core.robots import Robot, load_robot
 from unicon_core.runtime.startup_sequence import Waiting
 from unicon_core.states import States, standard_states
-from unicon_hardware.udp import Udp
-from unicon_hardware.wire import Counts
+from unicon_hardware.wire import Counts, Udp, Wire
 from unicon_hardware.wired_robot import WiredRobot, opened
 
 WRITES = ("joint_pos", "joint_vel", "base_quat", "projected_gravity", "stamp_ns")
 
 
-class Scripted:
+class Scripted(Wire):
     """A wire whose frames are numbers: the position of all joints."""
 
     where = "a script"

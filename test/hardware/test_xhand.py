@@ -21,8 +21,8 @@ from unicon_core.workflow import Program
 from unicon_hardware.xhand import platform as wire
 from unicon_hardware.xhand.platform import make
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "stand_in"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 ROBOT = load_robot("xhand1_left")
 MODULES = Path(__file__).parent / "vendor_modules"

@@ -20,16 +20,16 @@ from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES, JOINT_STATES
-from unicon_hardware.udp import Udp
-from unicon_hardware.wire import Counts
+from unicon_hardware.endpoint import Endpoint
+from unicon_hardware.wire import Counts, Udp, Wire
 from unicon_hardware.wired_robot import WiredRobot, opened
 
 MAGIC = 0x1C0
 PORT = 28017
 IMU = ("base_quat", "base_ang_vel", "base_lin_acc")
 RELEASE = np.uint32(MAGIC).tobytes()
+# Who has not commanded for so long does not any more, [s].
 FORGOTTEN = 1.0
-"""Who has not commanded for so long does not any more, [s]."""
 
 
 def state_type(n: int) -> np.dtype[Any]:
@@ -44,7 +44,7 @@ def command_type(n: int) -> np.dtype[Any]:
     return np.dtype([("magic", "<u4"), ("rows", "<f4", (len(COMMAND_STATES), n))])
 
 
-class UdpWire:
+class UdpWire(Wire):
     """The driver's end."""
 
     def __init__(self, states: States, robot: Robot, address: str, port: int) -> None:
@@ -147,7 +147,7 @@ def promised(
     return opened(PromisedRobot(states, robot, period, wire, silence=5.0, silent=silent), 20.0)
 
 
-class UdpFace:
+class UdpFace(Endpoint):
     """The robot's end: it tells whoever has said hello."""
 
     def __init__(

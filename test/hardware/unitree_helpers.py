@@ -13,13 +13,12 @@ from unicon_core.states import States, standard_states
 from unicon_core.states.standard import hardware_states
 from unicon_hardware.dds.end import DdsEnd
 from unicon_hardware.dds.participant import Reader, Writer
-from unicon_hardware.unitree.face import UnitreeFace, face
-from unicon_hardware.unitree.facts import UnitreeFacts
+from unicon_hardware.unitree.face import UnitreeEndpoint, face
 from unicon_hardware.unitree.platform import UnitreeWire
 from unicon_ros.bench.domains import free_domain
 
+# Of DDS: runs of the tests at the same time do not hear each other.
 DOMAIN = free_domain()
-"""Of DDS: runs of the tests at the same time do not hear each other."""
 LOOPBACK = "127.0.0.1"
 PATIENCE = 10.0
 
@@ -64,9 +63,10 @@ class Pair:
         self.theirs["joint_pos"][...] = rng.normal(size=robot.num_joints) * 0.1
         self.theirs["base_lin_acc"][...] = (0.1, 0.2, 9.8)
         options = {"mode": "normal" if release else ""} | options
-        self.face: UnitreeFace = face(self.theirs, robot, domain=DOMAIN, **options)
-        facts = UnitreeFacts.of(robot)
-        self.wire = UnitreeWire(self.ours, robot, facts, DOMAIN, LOOPBACK, release=release)
+        self.face: UnitreeEndpoint = face(self.theirs, robot, domain=DOMAIN, **options)
+        self.wire = UnitreeWire(self.ours, robot, DOMAIN, LOOPBACK)
+        if not release:
+            self.wire._release = None
         until(self.wire.take, self.face.tell)
         until(lambda: self.wire.matched)
 

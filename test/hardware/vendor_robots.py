@@ -17,12 +17,13 @@ from stepping import stepping
 
 from unicon_core.robots import Robot
 from unicon_hardware.emulate.emulator import emulated
-from unicon_hardware.emulate.face import Face
+from unicon_hardware.endpoint import Endpoint
 from unicon_ros.bench.domains import free_domain
 
 __all__ = ["DRIVES", "UNSEEING", "completed", "serve", "stepped"]
 
 ROBOTS = Path(__file__).resolve().parents[2] / "config" / "robots"
+# The platform of each robot that can be served to another process.
 DRIVES = {
     "a1": "unitree_legged",
     "adam_lite": "pnd",
@@ -38,17 +39,18 @@ DRIVES = {
     "h1": "unitree",
     "h1_2": "unitree",
     "inspire_rh56_dfx_left": "inspire",
+    "inspire_rh56_ftp_left": "inspire",
     "inspire_rh56_left": "inspire",
     "n1": "fourier",
     "rohand": "rohand",
     "t1": "booster",
     "x2": "ros",
 }
-"""The platform of each robot that can be served to another process."""
+# Platforms that tell of no IMU.
 BLIND = ("fourier", "inspire", "rohand", "unitree_dex3")
-"""Platforms that tell of no IMU."""
+# Safety of the workflows before a robot without an IMU.
 UNSEEING = re.sub(r"tilt_stop, |\{imu_stop[^}]*\}\}, ", "", PATIENT)
-"""Safety of the workflows before a robot without an IMU."""
+# Figures in place of facts that are not public, as somebody would measure them.
 STAND_INS: dict[str, tuple[tuple[str, str], ...]] = {
     "aliengo": (
         ("stiffness: null, damping: null", "stiffness: 20.0, damping: 2.0"),
@@ -70,7 +72,6 @@ STAND_INS: dict[str, tuple[tuple[str, str], ...]] = {
     ),
     "x2": (("default: null", "default: 0.0"), (r"unknown: \[.*\]", "unknown: [joints.rest]")),
 }
-"""Figures in place of facts that are not public, as somebody would measure them."""
 
 
 def completed(name: str, folder: Path) -> str:
@@ -119,7 +120,7 @@ def serve(
     elif platform == "ros":
         given.clear()
         arguments.append("--face=ros")
-    elif platform == "inspire" and "dfx" not in name:
+    elif name == "inspire_rh56_left":
         arguments.append("--set=port=0")
     elif platform != "rohand":
         given |= {"address": "127.0.0.1", "domain": free_domain()}
@@ -129,7 +130,7 @@ def serve(
     served = Served(processes, robot, *arguments, platform=platform, options=given)
     if platform == "rohand":
         given["device"] = served.where
-    elif platform == "inspire" and "dfx" not in name:
+    elif name == "inspire_rh56_left":
         address, _, port = served.where.rpartition(":")
         given |= {"address": address, "port": int(port)}
     if platform in BLIND:
@@ -139,7 +140,7 @@ def serve(
 
 @contextmanager
 def stepped(
-    robot: Robot, face: Callable[..., Face], options: dict[str, Any], **more: Any
+    robot: Robot, face: Callable[..., Endpoint], options: dict[str, Any], **more: Any
 ) -> Iterator[list[dict[str, Any]]]:
     """Step an emulated robot of joints alone in a thread, for quick tests; yield what it says."""
     said: list[dict[str, Any]] = []

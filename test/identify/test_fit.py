@@ -14,8 +14,8 @@ pytest.importorskip("mujoco", reason="mujoco is not installed: pip install 'unic
 from motions import motion
 
 from unicon_base.errors import UniconError
+from unicon_core.platforms.kit.disturbances import PLACE
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.kit.tracking_simulator import PLACE
 from unicon_core.robots import load_robot
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_lab.identify.fit import fit

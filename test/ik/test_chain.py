@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 
 from unicon_base.errors import RobotError, WorkflowError
 from unicon_core.models.find import pick_model
-from unicon_core.models.frames import Frames
+from unicon_core.models.frames import Frames, turn_between, turned_by
 from unicon_core.models.load import load_model
-from unicon_core.models.scalar_rotations import turn_between, turned_by
 from unicon_core.robots import Robot, load_robot
 
 Build = Callable[..., Any]

@@ -15,7 +15,7 @@ from unicon_core.models.find import pick_model
 from unicon_core.models.frames import Frames
 from unicon_core.models.load import load_model
 from unicon_core.robots import Robot, load_robot
-from unicon_core.states.spec import StateSpec
+from unicon_core.states.layout import StateSpec
 from unicon_core.testing import Bench
 from unicon_core.workflow.autowire import BuildContext, autowire, read_options
 from unicon_core.workflow.build import WarmUps

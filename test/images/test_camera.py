@@ -20,9 +20,8 @@ pytest.importorskip("mujoco")
 from unicon_base.errors import UniconError
 from unicon_core.flow import Block, Stage
 from unicon_core.models.find import pick_model
-from unicon_core.models.kinematic_tree import read_tree
+from unicon_core.models.kinematic_tree import read_tree, urdf
 from unicon_core.models.load import load_model
-from unicon_core.models.urdf_write import urdf
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.workflow import Program, load_workflow

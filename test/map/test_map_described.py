@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from unicon_msgs_map import Messages
-from unicon_msgs_map.layout.described import described, rihs01
+from unicon_ros.compat.made_types import described, rihs01
 
 MESSAGES = Messages()
 PREFIXES = [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]

@@ -15,10 +15,10 @@ from unicon_core.check.pose import check_collision
 from unicon_core.check.result import CheckResult
 from unicon_core.models.find import pick_model
 from unicon_core.models.load import load_model
-from unicon_core.models.loaded import LoadedModel, import_mujoco
+from unicon_core.models.loaded import import_mujoco
 from unicon_core.models.posed import PosedModel
-from unicon_core.robots import Robot, compose, load_robot
-from unicon_core.robots.places import Place
+from unicon_core.robots import compose, load_robot
+from unicon_core.robots.robot import Place
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program
 
@@ -29,27 +29,27 @@ PARTS = ("proximal", "intermediate")
 WRIST = {"left": "left_wrist_yaw_link", "right": "right_wrist_yaw_link"}
 
 
-def g1_with(left: str, right: str, **mounts: Place) -> Robot:
+def g1_with(left, right, **mounts):
     members = {"body": "g1_29dof", "left_hand": left, "right_hand": right}
     return compose({name: load_robot(robot) for name, robot in members.items()}, mounts)
 
 
-def attached(robot: Robot) -> LoadedModel:
+def attached(robot):
     return load_model(pick_model(robot), robot, quiet=True)
 
 
 @pytest.fixture(scope="module")
-def inspired(assets: Path) -> tuple[Robot, LoadedModel]:
+def inspired(assets):
     robot = g1_with("inspire_rh56_left", "inspire_rh56_right")
     return robot, attached(robot)
 
 
-def alone(name: str) -> Any:
+def alone(name):
     robot = load_robot(name)
     return load_model(pick_model(robot), robot, quiet=True).model
 
 
-def test_masses_are_those_of_the_parts(inspired: tuple[Robot, LoadedModel]) -> None:
+def test_masses_are_those_of_the_parts(inspired):
     robot, loaded = inspired
     parts = ("g1_29dof", "inspire_rh56_left", "inspire_rh56_right")
     whole = sum(float(alone(part).body_mass.sum()) for part in parts)
@@ -58,11 +58,10 @@ def test_masses_are_those_of_the_parts(inspired: tuple[Robot, LoadedModel]) -> N
     assert names == list(robot.joint_names)
 
 
-def test_what_is_pulled_along_follows_where_it_is_drawn(
-    inspired: tuple[Robot, LoadedModel],
-) -> None:
+def test_what_is_pulled_along_follows_where_it_is_drawn(inspired):
     robot, loaded = inspired
-    posed, pose = PosedModel(loaded), robot.default_joint_pos.copy()
+    posed = PosedModel(loaded)
+    pose = robot.default_joint_pos.copy()
     pose[robot.joint_names.index("L_index_proximal_joint")] = 1.2
     data = posed.put(pose)
     pulled = loaded.model.joint("L_index_intermediate_joint").qposadr[0]
@@ -74,9 +73,10 @@ def test_what_is_pulled_along_follows_where_it_is_drawn(
     assert data.qpos[loaded.model.joint("R_index_intermediate_joint").qposadr[0]] == 0.0
 
 
-def test_a_hand_sits_where_the_vendors_model_has_it(inspired: tuple[Robot, LoadedModel]) -> None:
+def test_a_hand_sits_where_the_vendors_model_has_it(inspired):
     """The DFQ model of unitree_ros: fingers along the wrist's x, thumbs inwards, mirrored."""
-    model, mujoco = inspired[1].model, import_mujoco()
+    model = inspired[1].model
+    mujoco = import_mujoco()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     tips = {}
@@ -88,7 +88,7 @@ def test_a_hand_sits_where_the_vendors_model_has_it(inspired: tuple[Robot, Loade
     np.testing.assert_allclose(tips["left"] * [1, -1, 1], tips["right"], atol=2e-3)
 
 
-def test_dex3_hands_keep_their_joints_names(assets: Path) -> None:
+def test_dex3_hands_keep_their_joints_names(assets):
     robot = g1_with("dex3_left", "dex3_right")
     loaded = attached(robot)
     assert (
@@ -97,7 +97,7 @@ def test_dex3_hands_keep_their_joints_names(assets: Path) -> None:
     np.testing.assert_allclose(loaded.model.body("left_hand_palm_link").pos, [0.0415, 0.003, 0.0])
 
 
-def test_nothing_of_a_hand_touches_what_carries_it(inspired: tuple[Robot, LoadedModel]) -> None:
+def test_nothing_of_a_hand_touches_what_carries_it(inspired):
     model = inspired[1].model
     pairs = {(int(s) >> 16, int(s) & 0xFFFF) for s in model.exclude_signature}
     wrist = model.body(WRIST["left"]).id
@@ -106,7 +106,7 @@ def test_nothing_of_a_hand_touches_what_carries_it(inspired: tuple[Robot, Loaded
     assert all((min(wrist, i), max(wrist, i)) in pairs for i in hand)
 
 
-def test_two_hands_of_one_file_get_names_of_their_own(assets: Path) -> None:
+def test_two_hands_of_one_file_get_names_of_their_own(assets):
     mounts = {f"{side}_hand": Place(body) for side, body in WRIST.items()}
     robot = g1_with("inspire_rh56_left", "inspire_rh56_left", **mounts)
     loaded = attached(robot)
@@ -120,7 +120,7 @@ def test_two_hands_of_one_file_get_names_of_their_own(assets: Path) -> None:
         assert len(sides) == 1
 
 
-def test_a_model_of_the_whole_is_left_as_it_is(assets: Path, tmp_path: Path) -> None:
+def test_a_model_of_the_whole_is_left_as_it_is(assets, tmp_path):
     robot = g1_with("dex3_left", "dex3_right")
     joints = robot.joint_names[29:]
     bodies = "".join(f'<body><joint name="{name}"/><geom size="0.01"/></body>' for name in joints)
@@ -132,7 +132,7 @@ def test_a_model_of_the_whole_is_left_as_it_is(assets: Path, tmp_path: Path) -> 
     assert not [note for note in loaded.notes if "attached" in note]
 
 
-def test_key_frames_keep_the_bodys_joints(assets: Path, tmp_path: Path) -> None:
+def test_key_frames_keep_the_bodys_joints(assets, tmp_path):
     robot = g1_with("dex3_left", "dex3_right")
     body = pick_model(robot).read_text("utf-8")
     values = " ".join(["0 0 0.7 1 0 0 0", *(f"0.{i:02d}" for i in range(29))])
@@ -144,7 +144,7 @@ def test_key_frames_keep_the_bodys_joints(assets: Path, tmp_path: Path) -> None:
     np.testing.assert_array_equal(pose[29:], 0.0)
 
 
-def test_a_body_that_is_not_there_is_told_with_alternatives(assets: Path) -> None:
+def test_a_body_that_is_not_there_is_told_with_alternatives(assets):
     robot = g1_with("dex3_left", "dex3_right", left_hand=Place("left_wrist_yow_link"))
     with pytest.raises(
         ModelError, match=r"mounts.left_hand: no body 'left_wrist_yow_link' .*did you"
@@ -152,7 +152,7 @@ def test_a_body_that_is_not_there_is_told_with_alternatives(assets: Path) -> Non
         attached(robot)
 
 
-def test_two_hands_on_one_place_are_refused() -> None:
+def test_two_hands_on_one_place_are_refused():
     here = Place(WRIST["left"])
     with pytest.raises(
         RobotError, match=r"left_hand and right_hand are both mounted on left_wrist"
@@ -160,7 +160,7 @@ def test_two_hands_on_one_place_are_refused() -> None:
         g1_with("dex3_left", "dex3_right", left_hand=here, right_hand=here)
 
 
-def test_a_hand_without_model_is_told(assets: Path) -> None:
+def test_a_hand_without_model_is_told(assets):
     robot = g1_with("dex3_left", "dex3_right")
     bare = replace(robot.members["left_hand"], models={})
     robot = replace(robot, members={**robot.members, "left_hand": bare})
@@ -168,7 +168,7 @@ def test_a_hand_without_model_is_told(assets: Path) -> None:
         attached(robot)
 
 
-def test_a_hand_without_a_mount_is_told() -> None:
+def test_a_hand_without_a_mount_is_told():
     robot = g1_with("rohand", "dex3_right")
     with pytest.raises(
         ModelError, match=r"nothing says where left_hand sits on g1_29dof; .*mounts"
@@ -199,12 +199,12 @@ WORKFLOW: dict[str, Any] = {
         ([1], "scene.mounts is"),
     ],
 )
-def test_wrong_mounts_of_a_scene_are_refused(assets: Path, mounts: Any, said: str) -> None:
+def test_wrong_mounts_of_a_scene_are_refused(assets, mounts, said):
     with pytest.raises(UniconError, match=said.replace(".", r"\.").replace("[", r"\[")):
         Program(**WORKFLOW, scene={"mounts": mounts})
 
 
-def test_another_simulator_refuses_in_one_line(assets: Path) -> None:
+def test_another_simulator_refuses_in_one_line(assets):
     pytest.importorskip("pybullet")
     with pytest.raises(UniconError, match="cannot attach") as caught:
         Program(**{**WORKFLOW, "platform": "pybullet"})
@@ -212,7 +212,7 @@ def test_another_simulator_refuses_in_one_line(assets: Path) -> None:
 
 
 @pytest.mark.slow
-def test_g1_walks_with_hands_that_open_and_close(assets: Path) -> None:
+def test_g1_walks_with_hands_that_open_and_close(assets):
     pytest.importorskip("onnxruntime")
     seen: list[Any] = []
 
@@ -231,9 +231,7 @@ def test_g1_walks_with_hands_that_open_and_close(assets: Path) -> None:
     np.testing.assert_allclose(following, driven, atol=0.05)  # the mimic joint holds
 
 
-def test_what_a_hand_lacks_is_told_with_the_hands_own_file(
-    inspired: tuple[Robot, LoadedModel],
-) -> None:
+def test_what_a_hand_lacks_is_told_with_the_hands_own_file(inspired):
     robot, loaded = inspired
     result = CheckResult("g1_hands")
     check_collision(loaded, robot, result, None)

@@ -6,7 +6,6 @@ import json
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +16,7 @@ import mujoco
 
 from unicon_core.models.camera import intrinsics, optical_frame
 from unicon_core.models.kinematic_tree import frame_of
-from unicon_core.models.quaternions import rotate
+from unicon_core.models.loaded import rotate
 from unicon_core.robots import Robot, load_robot
 
 HERE = Path(__file__).resolve().parent
@@ -57,7 +56,8 @@ SCENE = f"""\
 </mujoco>
 """
 FIXED = ("standing", "post", "trunk", "sensor", "tip")
-WIDTH, HEIGHT = 320, 240
+WIDTH = 320
+HEIGHT = 240
 DRAW = """\
 import json, os, sys
 os.environ.setdefault("MUJOCO_GL", "egl")
@@ -80,7 +80,7 @@ os._exit(0)
 
 
 @pytest.fixture
-def robot() -> Robot:
+def robot():
     """The three joints of the scene, in a robot whose base is called trunk."""
     go2 = load_robot("go2")
     fields = {**vars(go2)}
@@ -92,16 +92,16 @@ def robot() -> Robot:
 
 
 @pytest.fixture
-def model() -> Any:
+def model():
     return mujoco.MjModel.from_xml_string(SCENE)
 
 
 @pytest.fixture
-def qpos() -> list[float]:
+def qpos():
     return [0.1, -0.1, 0.6, 0.995, 0.0, 0.05, 0.08, 0.35, 0.2, 0.15]
 
 
-def in_world(model: Any, data: Any, robot: Robot, parent: str) -> tuple[Any, Any]:
+def in_world(model, data, robot, parent):
     """Return origin and quaternion of a frame by MuJoCo's own kinematics."""
     if parent == "odom":
         return np.zeros(3), np.array((1.0, 0.0, 0.0, 0.0))
@@ -117,9 +117,7 @@ def in_world(model: Any, data: Any, robot: Robot, parent: str) -> tuple[Any, Any
     ("name", "expected"),
     [("standing", "odom"), ("post", "odom"), ("trunk", "trunk"), ("tip", "slider")],
 )
-def test_the_optical_frame_is_where_the_camera_is(
-    name: str, expected: str, model: Any, robot: Robot, qpos: list[float]
-) -> None:
+def test_the_optical_frame_is_where_the_camera_is(name, expected, model, robot, qpos):
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_forward(model, data)
@@ -135,9 +133,7 @@ def test_the_optical_frame_is_where_the_camera_is(
         np.testing.assert_allclose(rotate(turn, rotate(quat, axis)), there, atol=1e-9)
 
 
-def test_a_camera_in_the_world_of_a_robot_that_stands_there_hangs_on_its_base(
-    robot: Robot,
-) -> None:
+def test_a_camera_in_the_world_of_a_robot_that_stands_there_hangs_on_its_base(robot):
     fixed = mujoco.MjModel.from_xml_string(SCENE.replace("<freejoint/>", ""))
     mount = optical_frame(fixed, robot, fixed.camera("standing").id)
     assert mount is not None
@@ -145,18 +141,16 @@ def test_a_camera_in_the_world_of_a_robot_that_stands_there_hangs_on_its_base(
     np.testing.assert_allclose(mount[1], (0.0, 0.0, 1.0), atol=1e-12)
 
 
-def test_a_camera_that_turns_by_itself_has_no_frame_of_its_own(model: Any, robot: Robot) -> None:
+def test_a_camera_that_turns_by_itself_has_no_frame_of_its_own(model, robot):
     assert optical_frame(model, robot, model.camera("follows").id) is None
 
 
-def test_a_camera_without_perspective_has_no_intrinsics(model: Any) -> None:
+def test_a_camera_without_perspective_has_no_intrinsics(model):
     found = intrinsics(model, model.camera("parallel").id, WIDTH, HEIGHT)
     assert (found.fx, found.fy) == (0.0, 0.0)
 
 
-def test_the_renderer_draws_a_ball_where_intrinsics_and_frame_say(
-    model: Any, robot: Robot, qpos: list[float]
-) -> None:
+def test_the_renderer_draws_a_ball_where_intrinsics_and_frame_say(model, robot, qpos):
     numbers = [json.dumps(qpos), str(WIDTH), str(HEIGHT)]
     done = subprocess.run(
         [sys.executable, "-c", DRAW, *numbers, *FIXED],
@@ -186,5 +180,5 @@ def test_the_renderer_draws_a_ball_where_intrinsics_and_frame_say(
         assert drawn[name] == pytest.approx(expected, abs=0.2), name  # pixels
 
 
-def inverse(quat: Any) -> Any:
+def inverse(quat):
     return quat * np.array((1.0, -1.0, -1.0, -1.0))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import mujoco
 import numpy as np
 import pytest
@@ -12,27 +10,26 @@ from unicon_base.errors import ModelError
 from unicon_core.models.feet import Feet
 from unicon_core.models.find import pick_model
 from unicon_core.models.load import load_model
-from unicon_core.models.loaded import LoadedModel
+from unicon_core.models.loaded import rows_of
 from unicon_core.models.posed import PosedModel, foot_geoms
-from unicon_core.models.rows import rows_of
-from unicon_core.robots import Robot, load_robot
+from unicon_core.robots import load_robot
 
 LEGGED = ["go1", "a1", "go2", "g1_29dof", "g1_23dof", "h1", "h1_2", "t1", "adam_lite"]
 
 
-def model_of(name: str) -> tuple[Robot, LoadedModel]:
+def model_of(name):
     robot = load_robot(name)
     return robot, load_model(pick_model(robot), robot, quiet=True)
 
 
-def at_random(robot: Robot, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
+def at_random(robot, rng):
     quat = rng.normal(size=4)
     pos = np.nan_to_num(robot.default_joint_pos) + rng.uniform(-0.1, 0.1, robot.num_joints)
     return quat / np.linalg.norm(quat), rng.normal(size=3), pos, rng.normal(size=robot.num_joints)
 
 
 @pytest.mark.parametrize("name", LEGGED)
-def test_every_legged_robot_has_its_feet(name: str, assets: Path) -> None:
+def test_every_legged_robot_has_its_feet(name, assets):
     robot, loaded = model_of(name)
     feet = Feet(loaded, robot)
     assert feet.names == robot.feet
@@ -45,12 +42,15 @@ def test_every_legged_robot_has_its_feet(name: str, assets: Path) -> None:
 
 
 @pytest.mark.parametrize("name", LEGGED)
-def test_the_point_that_stands_still_tells_the_base_velocity(name: str, assets: Path) -> None:
+def test_the_point_that_stands_still_tells_the_base_velocity(name, assets):
     """The velocity of the foot's point in the whole model, which has a base velocity besides."""
     robot, loaded = model_of(name)
-    feet, rng = Feet(loaded, robot), np.random.default_rng(1)
-    model, data = loaded.model, mujoco.MjData(loaded.model)
-    start, first = model.jnt_qposadr[loaded.base], model.jnt_dofadr[loaded.base]
+    feet = Feet(loaded, robot)
+    rng = np.random.default_rng(1)
+    model = loaded.model
+    data = mujoco.MjData(loaded.model)
+    start = model.jnt_qposadr[loaded.base]
+    first = model.jnt_dofadr[loaded.base]
     for _ in range(5):
         quat, rates, pos, vel = at_random(robot, rng)
         assert feet(quat, rates, pos, vel, None)
@@ -68,16 +68,20 @@ def test_the_point_that_stands_still_tells_the_base_velocity(name: str, assets: 
 
 
 @pytest.mark.parametrize("name", ["go2", "go1", "a1", "g1_29dof"])
-def test_torques_that_balance_a_force_tell_it(name: str, assets: Path) -> None:
+def test_torques_that_balance_a_force_tell_it(name, assets):
     """τ = h - Jᵀ f, of legs that are bent: through a straight one a force asks for no torque."""
     robot, loaded = model_of(name)
-    feet, rng = Feet(loaded, robot), np.random.default_rng(2)
-    model, data = loaded.model, mujoco.MjData(loaded.model)
-    start, first = model.jnt_qposadr[loaded.base], model.jnt_dofadr[loaded.base]
+    feet = Feet(loaded, robot)
+    rng = np.random.default_rng(2)
+    model = loaded.model
+    data = mujoco.MjData(loaded.model)
+    start = model.jnt_qposadr[loaded.base]
+    first = model.jnt_dofadr[loaded.base]
     dofs = model.jnt_dofadr[loaded.joints]
     for _ in range(5):
         _, _, pos, vel = at_random(robot, rng)
-        quat, rates = np.array((1.0, 0.0, 0.0, 0.0)), rng.normal(size=3)
+        quat = np.array((1.0, 0.0, 0.0, 0.0))
+        rates = rng.normal(size=3)
         feet(quat, rates, pos, vel, None)
         data.qpos[start : start + 7] = (0.0, 0.0, 0.0, *quat)
         data.qpos[loaded.addresses] = pos
@@ -86,7 +90,8 @@ def test_torques_that_balance_a_force_tell_it(name: str, assets: Path) -> None:
         mujoco.mj_forward(model, data)
         share = feet.weight / len(feet.names)
         forces = rng.uniform(0.0, 2.0, len(feet.names)) * share
-        torque, jacobian = data.qfrc_bias.copy(), np.zeros((3, model.nv))
+        torque = data.qfrc_bias.copy()
+        jacobian = np.zeros((3, model.nv))
         for at, force, body in zip(feet.position, forces, _bodies(loaded, robot)):
             mujoco.mj_jac(model, data, jacobian, None, at, body)
             torque -= jacobian.T @ (0.1 * force, -0.1 * force, force)
@@ -95,14 +100,17 @@ def test_torques_that_balance_a_force_tell_it(name: str, assets: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["go2", "t1", "g1_29dof", "adam_lite"])
-def test_the_lowest_point_is_that_of_the_models_geometry(name: str, assets: Path) -> None:
+def test_the_lowest_point_is_that_of_the_models_geometry(name, assets):
     robot, loaded = model_of(name)
-    feet, posed = Feet(loaded, robot), PosedModel(loaded)
-    pose, none = np.nan_to_num(robot.default_joint_pos), np.zeros(robot.num_joints)
+    feet = Feet(loaded, robot)
+    posed = PosedModel(loaded)
+    pose = np.nan_to_num(robot.default_joint_pos)
+    none = np.zeros(robot.num_joints)
     half = np.sqrt(0.5) * np.array((np.cos(0.1), np.sin(0.1), 0.0, 0.0)) * np.sqrt(2.0)
     feet(half, np.zeros(3), pose, none, None)
     posed.put(pose, (0.0, 0.0, 2.0, *half))
-    heights, geoms = posed.heights(), foot_geoms(loaded.model, robot.feet)
+    heights = posed.heights()
+    geoms = foot_geoms(loaded.model, robot.feet)
     for foot, at in zip(feet.names, feet.position):
         lowest = min(heights[g] for g in geoms[foot] if g in heights)
         assert at[2] + 2.0 == pytest.approx(lowest, abs=2e-3)
@@ -110,9 +118,10 @@ def test_the_lowest_point_is_that_of_the_models_geometry(name: str, assets: Path
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 3e38, 1e20])
 @pytest.mark.parametrize("which", range(5))
-def test_nonsense_is_told(which: int, value: float, assets: Path) -> None:
+def test_nonsense_is_told(which, value, assets):
     robot, loaded = model_of("go2")
-    feet, n = Feet(loaded, robot), robot.num_joints
+    feet = Feet(loaded, robot)
+    n = robot.num_joints
     arguments = [
         np.array(part, np.float32)
         for part in ((1, 0, 0, 0), np.zeros(3), robot.default_joint_pos, np.zeros(n), np.zeros(n))
@@ -124,15 +133,16 @@ def test_nonsense_is_told(which: int, value: float, assets: Path) -> None:
     assert (feet.velocity == good).all()
 
 
-def test_a_model_without_the_feet_is_refused(assets: Path) -> None:
+def test_a_model_without_the_feet_is_refused(assets):
     robot, loaded = model_of("go2")
     object.__setattr__(robot, "feet", ("paw",))
     with pytest.raises(ModelError, match=r"it has no feet \(feet of robot go2: paw\)"):
         Feet(loaded, robot)
 
 
-def test_rows_with_regular_numbers_are_a_view() -> None:
-    source, rng = np.arange(60.0).reshape(20, 3), np.random.default_rng(3)
+def test_rows_with_regular_numbers_are_a_view():
+    source = np.arange(60.0).reshape(20, 3)
+    rng = np.random.default_rng(3)
     for index in ([2, 5, 8], [[4, 5], [9, 10]], [7], [[3], [1]], [[6, 5], [9, 8]]):
         rows, refresh = rows_of(source, np.array(index))
         assert refresh is None
@@ -146,7 +156,7 @@ def test_rows_with_regular_numbers_are_a_view() -> None:
         assert (rows == source[index]).all()
 
 
-def _bodies(loaded: LoadedModel, robot: Robot) -> list[int]:
+def _bodies(loaded, robot):
     from unicon_core.models.posed import foot_bodies
 
     return list(foot_bodies(loaded.model, robot.feet).values())

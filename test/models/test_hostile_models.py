@@ -21,7 +21,7 @@ URDF = '<?xml version="1.0"?>{head}<robot name="{name}"><link name="base"/></rob
 MJCF = '{head}<mujoco model="{name}"><worldbody>{body}</worldbody></mujoco>'
 
 
-def refused(path: Path, text: str) -> str:
+def refused(path, text):
     path.write_text(text)
     begun = time.process_time()
     with pytest.raises(ModelError) as caught:
@@ -33,7 +33,7 @@ def refused(path: Path, text: str) -> str:
 
 @pytest.mark.parametrize("head", [LAUGHS, OUTSIDE])
 @pytest.mark.parametrize(("name", "text"), [("m.urdf", URDF), ("m.xml", MJCF)])
-def test_entities_are_not_expanded(tmp_path: Path, head: str, name: str, text: str) -> None:
+def test_entities_are_not_expanded(tmp_path, head, name, text):
     secret = tmp_path / "secret.txt"
     secret.write_text("the secret")
     head = head.replace("{secret}", str(secret)) + "]>"
@@ -69,7 +69,7 @@ def test_entities_are_not_expanded(tmp_path: Path, head: str, name: str, text: s
         '</worldbody><size nkey="2000000000"/><worldbody>',
     ],
 )
-def test_a_model_that_includes_or_repeats_without_end_is_refused(tmp_path: Path, body: str) -> None:
+def test_a_model_that_includes_or_repeats_without_end_is_refused(tmp_path, body):
     (tmp_path / "other.xml").write_text('<mujoco><include file="m.xml"/></mujoco>')
     thousand = '<replicate count="1000"><geom size="1"/></replicate>'
     (tmp_path / "thousand.xml").write_text(f"<mujocoinclude>{thousand}</mujocoinclude>")
@@ -88,9 +88,7 @@ def test_a_model_that_includes_or_repeats_without_end_is_refused(tmp_path: Path,
     refused(tmp_path / "m.xml", MJCF.format(head="", name="m", body=body))
 
 
-def test_repetitions_beside_each_other_add_up_and_those_in_comments_do_not_count(
-    tmp_path: Path,
-) -> None:
+def test_repetitions_beside_each_other_add_up_and_those_in_comments_do_not_count(tmp_path):
     hundred = '<replicate count="100"><geom size="1"/></replicate>'
     comment = '<replicate count="100">' * 5
     told = refused(
@@ -101,7 +99,7 @@ def test_repetitions_beside_each_other_add_up_and_those_in_comments_do_not_count
 
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-be", "utf-32", "utf-7"])
 @pytest.mark.parametrize("name", ["m.urdf", "m.xml"])
-def test_no_encoding_hides_entities(tmp_path: Path, encoding: str, name: str) -> None:
+def test_no_encoding_hides_entities(tmp_path, encoding, name):
     head = f'<?xml version="1.0" encoding="{encoding}"?>{LAUGHS}]>'
     text = f'{head}<robot name="&l5;"><link name="base"><inertial/><inertial/></link></robot>'
     (tmp_path / name).write_bytes(text.encode(encoding))
@@ -120,25 +118,25 @@ def test_no_encoding_hides_entities(tmp_path: Path, encoding: str, name: str) ->
         "".join(f'<compiler meshdir="{k}"/><a file="{k}"/>' for k in range(9000)),
     ],
 )
-def test_a_file_that_is_no_model_is_soon_refused(tmp_path: Path, text: str) -> None:
+def test_a_file_that_is_no_model_is_soon_refused(tmp_path, text):
     refused(tmp_path / "m.xml", text)
 
 
-def test_a_pipe_or_a_device_is_no_model(tmp_path: Path) -> None:
+def test_a_pipe_or_a_device_is_no_model(tmp_path):
     os.mkfifo(tmp_path / "pipe.urdf")
     for path in (Path("/dev/zero"), tmp_path / "pipe.urdf"):
         with pytest.raises(ModelError, match="is not a file"):
             load_model(path, load_robot("go2"), quiet=True)
 
 
-def test_elements_without_end_that_are_mended_are_refused(tmp_path: Path) -> None:
+def test_elements_without_end_that_are_mended_are_refused(tmp_path):
     twice = '<link name="a"><visual><origin/><origin/></visual></link>'
     deep = f'<robot name="r">{twice}{"<a>" * 5000}{"</a>" * 5000}</robot>'
     assert refused(tmp_path / "m.urdf", deep).endswith("its elements are nested too deep")
 
 
 @pytest.mark.parametrize("figure", ["nan", "inf"])
-def test_a_urdf_whose_inertia_is_not_a_number_is_refused(tmp_path: Path, figure: str) -> None:
+def test_a_urdf_whose_inertia_is_not_a_number_is_refused(tmp_path, figure):
     terms = f'ixx="{figure}" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"'
     link = f'<link name="a"><inertial><mass value="{figure}"/><inertia {terms}/></inertial></link>'
     refused(tmp_path / "m.urdf", f'<robot name="r">{link}</robot>')
@@ -151,9 +149,7 @@ def test_a_urdf_whose_inertia_is_not_a_number_is_refused(tmp_path: Path, figure:
         ('timestep="0.002"', 'timestep="nan"', "timestep"),
     ],
 )
-def test_a_model_with_figures_which_are_none_is_refused(
-    tmp_path: Path, given: str, bad: str, told: str
-) -> None:
+def test_a_model_with_figures_which_are_none_is_refused(tmp_path, given, bad, told):
     text = GO2.read_text("utf-8")
     assert given in text
     assert told in refused(tmp_path / "m.xml", text.replace(given, bad, 1))

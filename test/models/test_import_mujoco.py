@@ -15,7 +15,7 @@ BEFORE = "import os, sys\nfrom unicon_core.models.loaded import import_mujoco\n"
 QUICKLY = BEFORE + "mujoco = import_mujoco()\nassert 'glfw' not in sys.modules\n"
 
 
-def ran(code: str, **environment: str) -> str:
+def ran(code, **environment):
     kept = {name: value for name, value in os.environ.items() if name != "MUJOCO_GL"}
     done = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", code],
@@ -29,12 +29,12 @@ def ran(code: str, **environment: str) -> str:
     return done.stdout
 
 
-def test_it_comes_without_glfw_and_leaves_the_environment_alone() -> None:
+def test_it_comes_without_glfw_and_leaves_the_environment_alone():
     ran(QUICKLY + "assert 'MUJOCO_GL' not in os.environ\nassert import_mujoco() is mujoco")
 
 
 @pytest.mark.parametrize("where", ["mujoco", "mujoco.rendering.classic.gl_context"])
-def test_what_draws_gets_the_context_of_a_plain_import(where: str) -> None:
+def test_what_draws_gets_the_context_of_a_plain_import(where):
     if where != "mujoco":
         pytest.importorskip(where)
     ran(
@@ -44,7 +44,7 @@ def test_what_draws_gets_the_context_of_a_plain_import(where: str) -> None:
     )
 
 
-def test_a_renderer_can_be_made_as_after_a_plain_import() -> None:
+def test_a_renderer_can_be_made_as_after_a_plain_import():
     draw = (
         "model = mujoco.MjModel.from_xml_string('<mujoco/>')\n"
         "try: print(type(mujoco.Renderer(model, 8, 8)).__name__)\n"
@@ -54,15 +54,15 @@ def test_a_renderer_can_be_made_as_after_a_plain_import() -> None:
 
 
 @pytest.mark.skipif(not find_library("EGL"), reason="no EGL: apt install libegl1")
-def test_a_renderer_that_is_asked_for_is_left_as_it_is() -> None:
+def test_a_renderer_that_is_asked_for_is_left_as_it_is():
     ran(BEFORE + "assert import_mujoco().GLContext.__module__ == 'mujoco.egl'", MUJOCO_GL="egl")
 
 
-def test_a_mujoco_that_is_there_already_is_taken() -> None:
+def test_a_mujoco_that_is_there_already_is_taken():
     ran("import mujoco\n" + BEFORE + "assert import_mujoco() is mujoco and mujoco.GLContext")
 
 
-def test_names_that_are_not_there_are_told_by_name() -> None:
+def test_names_that_are_not_there_are_told_by_name():
     told = ran(
         QUICKLY + "try: mujoco.nothing\nexcept AttributeError as error: print(error)\n"
         "from mujoco import rollout"

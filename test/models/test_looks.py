@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 from worn_meshes import WEDGE, go2_with_meshes, stl_vertices, write_stl
 
-from unicon_core.models.kinematic_tree import read_tree
+from unicon_core.models.kinematic_tree import read_tree, urdf
 from unicon_core.models.load import load_model
-from unicon_core.models.urdf_write import urdf
 from unicon_core.models.visual_meshes import dressed
-from unicon_core.robots import Robot, load_robot
+from unicon_core.robots import load_robot
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -53,14 +52,14 @@ FAR = '<geom type="mesh" mesh="far"/>'
 
 
 @pytest.fixture
-def robot() -> Robot:
+def robot():
     """A Go2 that has lost all joints but one."""
     go2 = load_robot("go2")
     arrays = {k: v[:1] for k, v in vars(go2).items() if isinstance(v, np.ndarray)}
     return replace(go2, joint_names=go2.joint_names[:1], feet={}, **arrays)
 
 
-def model(folder: Path, mesh: str = "", geom: str = "") -> Path:
+def model(folder, mesh="", geom=""):
     write_stl(folder / "parts" / "a shell é.stl")
     write_stl(folder / "parts" / "deeper" / "foot.STL", WEDGE * (1, 2, 0.3))
     path = folder / "robot.xml"
@@ -68,26 +67,27 @@ def model(folder: Path, mesh: str = "", geom: str = "") -> Path:
     return path
 
 
-def described(path: Path, robot: Robot) -> tuple[Xml.Element, str]:
+def described(path, robot):
     _, links, lacking = dressed(path, robot)
     return Xml.fromstring(urdf(links, robot)), lacking
 
 
-def visuals(root: Xml.Element, link: str) -> list[Xml.Element]:
+def visuals(root, link):
     return root.findall(f"link[@name='{link}']/visual")
 
 
-def shapes(root: Xml.Element, link: str) -> list[str]:
+def shapes(root, link):
     return [each.find("geometry/*").tag for each in visuals(root, link)]  # type: ignore[union-attr]
 
 
-def uris(root: Xml.Element) -> list[str]:
+def uris(root):
     return [mesh.get("filename", "") for mesh in root.iter("mesh")]
 
 
-def placed(visual: Xml.Element) -> np.ndarray:
+def placed(visual):
     """The file's vertices in the link's frame, as a reader of URDF places them."""
-    origin, mesh = visual.find("origin"), visual.find("geometry/mesh")
+    origin = visual.find("origin")
+    mesh = visual.find("geometry/mesh")
     assert origin is not None
     assert mesh is not None
     roll, pitch, yaw = (float(word) for word in origin.get("rpy", "").split())
@@ -101,7 +101,7 @@ def placed(visual: Xml.Element) -> np.ndarray:
     return np.unique((file * scale @ turn.reshape(3, 3).T + at).round(7), axis=0)
 
 
-def test_a_vertex_of_a_file_is_where_mujoco_has_it(robot: Robot, tmp_path: Path) -> None:
+def test_a_vertex_of_a_file_is_where_mujoco_has_it(robot, tmp_path):
     path = model(tmp_path)
     root, lacking = described(path, robot)
     assert lacking == ""
@@ -113,7 +113,8 @@ def test_a_vertex_of_a_file_is_where_mujoco_has_it(robot: Robot, tmp_path: Path)
         ("arm", 1, "second"),
     ):
         geom = compiled.geom(name)
-        mesh, turn = geom.dataid[0], np.zeros(9)
+        mesh = geom.dataid[0]
+        turn = np.zeros(9)
         mujoco.mju_quat2Mat(turn, geom.quat)
         vertices = compiled.mesh_vert[compiled.mesh_vertadr[mesh] :][: compiled.mesh_vertnum[mesh]]
         vertices = vertices @ turn.reshape(3, 3).T + geom.pos - anchor[link]
@@ -125,7 +126,7 @@ def test_a_vertex_of_a_file_is_where_mujoco_has_it(robot: Robot, tmp_path: Path)
     assert min(abs(compiled.mesh_pos).max(axis=1)) > 0.01  # else nothing would have been tried
 
 
-def test_what_collides_alone_is_not_seen_and_collisions_stay(robot: Robot, tmp_path: Path) -> None:
+def test_what_collides_alone_is_not_seen_and_collisions_stay(robot, tmp_path):
     path = model(tmp_path)
     root, _ = described(path, robot)
     assert shapes(root, "base_link") == ["mesh", "sphere"]  # one is transparent, one a collision
@@ -142,7 +143,7 @@ def test_what_collides_alone_is_not_seen_and_collisions_stay(robot: Robot, tmp_p
     assert told == untold
 
 
-def test_a_robot_without_meshes_is_as_ever() -> None:
+def test_a_robot_without_meshes_is_as_ever():
     robot = load_robot("go2")
     path = Path(__file__).parents[2] / "config" / "models" / "go2" / "go2.xml"
     loaded, links, lacking = dressed(path, robot)
@@ -150,7 +151,7 @@ def test_a_robot_without_meshes_is_as_ever() -> None:
     assert urdf(links, robot) == urdf(read_tree(loaded.model, robot), robot)
 
 
-def test_a_robot_of_ours_wears_meshes_beside_its_primitives(tmp_path: Path) -> None:
+def test_a_robot_of_ours_wears_meshes_beside_its_primitives(tmp_path):
     root, lacking = described(go2_with_meshes(tmp_path), load_robot("go2"))
     assert lacking == ""
     assert shapes(root, "base_link").count("mesh") == 1
@@ -160,7 +161,7 @@ def test_a_robot_of_ours_wears_meshes_beside_its_primitives(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("where", ["beside", "package", "mjcf"])
-def test_only_the_models_own_files_are_named(robot: Robot, tmp_path: Path, where: str) -> None:
+def test_only_the_models_own_files_are_named(robot, tmp_path, where):
     folder = tmp_path / "pack" / ("mjcf" if where == "mjcf" else "robots_of_mine")
     path = model(folder, '<mesh name="far" file="../../far/far.stl"/>', FAR)
     far = write_stl(folder.parent / "far" / "far.stl")
@@ -177,9 +178,7 @@ def test_only_the_models_own_files_are_named(robot: Robot, tmp_path: Path, where
         assert lacking == ""
 
 
-def test_a_link_that_leads_out_of_the_models_folder_is_refused(
-    robot: Robot, tmp_path: Path
-) -> None:
+def test_a_link_that_leads_out_of_the_models_folder_is_refused(robot, tmp_path):
     path = model(tmp_path / "mine", '<mesh name="far" file="far.stl"/>', FAR)
     link = tmp_path / "mine" / "parts" / "far.stl"
     link.symlink_to(write_stl(tmp_path / "others" / "far.stl"))
@@ -188,7 +187,7 @@ def test_a_link_that_leads_out_of_the_models_folder_is_refused(
     assert "outside of" in lacking
 
 
-def test_absent_and_unreadable_meshes_leave_the_primitives(robot: Robot, tmp_path: Path) -> None:
+def test_absent_and_unreadable_meshes_leave_the_primitives(robot, tmp_path):
     uneven = '<mesh name="far" file="foot.stl" refquat="0.8 0.6 0 0" scale="1 2 3"/>'
     path = model(tmp_path, uneven + '<mesh name="gone" file="gone.stl"/>', FAR)
     write_stl(tmp_path / "parts" / "foot.stl")
@@ -199,7 +198,7 @@ def test_absent_and_unreadable_meshes_leave_the_primitives(robot: Robot, tmp_pat
     assert turned.endswith("are turned by refquat and scaled unevenly, which URDF cannot say")
 
 
-def test_meshes_of_an_attached_model_lie_in_its_own_folder(robot: Robot, tmp_path: Path) -> None:
+def test_meshes_of_an_attached_model_lie_in_its_own_folder(robot, tmp_path):
     tool = tmp_path / "tools" / "tool.xml"
     part = write_stl(tmp_path / "tools" / "meshes" / "jaw.stl")
     tool.write_text(
@@ -214,8 +213,9 @@ def test_meshes_of_an_attached_model_lie_in_its_own_folder(robot: Robot, tmp_pat
     assert part.as_uri() in uris(root)
 
 
-def test_thirty_meshes_make_a_small_text(robot: Robot, tmp_path: Path) -> None:
-    meshes, geoms = "", ""
+def test_thirty_meshes_make_a_small_text(robot, tmp_path):
+    meshes = ""
+    geoms = ""
     for number in range(30):
         write_stl(tmp_path / "parts" / f"part_{number}.stl", np.repeat(WEDGE, 500, axis=0))
         meshes += f'<mesh file="part_{number}.stl"/>'
@@ -226,7 +226,7 @@ def test_thirty_meshes_make_a_small_text(robot: Robot, tmp_path: Path) -> None:
     assert len(text) < 40_000
 
 
-def test_a_trunk_in_a_base_of_nothing_is_one_link(robot: Robot, tmp_path: Path) -> None:
+def test_a_trunk_in_a_base_of_nothing_is_one_link(robot, tmp_path):
     """As A1 has it, whose `base_frame` is the trunk: two links of one name, RViz refuses."""
     path = tmp_path / "robot.xml"
     path.write_text(

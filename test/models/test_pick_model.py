@@ -19,7 +19,7 @@ class Simulator:
         self.model_path = path
 
 
-def test_what_a_platform_simulates_goes_before_the_robots_own(tmp_path: Path) -> None:
+def test_what_a_platform_simulates_goes_before_the_robots_own(tmp_path):
     robot = load_robot("go2")
     simulator = Simulator(tmp_path / "other.xml")
     assert isinstance(simulator, Modelled)
@@ -27,7 +27,7 @@ def test_what_a_platform_simulates_goes_before_the_robots_own(tmp_path: Path) ->
     assert model_of(object(), robot) == GO2
 
 
-def test_what_is_given_goes_before_the_robots_own(tmp_path: Path) -> None:
+def test_what_is_given_goes_before_the_robots_own(tmp_path):
     (tmp_path / "other.xml").write_text("<mujoco/>", "utf-8")
     robot = load_robot("go2")
     assert pick_model(robot, "other.xml", tmp_path) == tmp_path / "other.xml"
@@ -35,13 +35,13 @@ def test_what_is_given_goes_before_the_robots_own(tmp_path: Path) -> None:
         pick_model(robot, "nowhere.xml", tmp_path)
 
 
-def test_a_robot_without_a_model_says_so() -> None:
+def test_a_robot_without_a_model_says_so():
     with pytest.raises(
         ModelError, match=r"\(mjcf or urdf\); put one beside .*atom\.yaml and add models: \{mjcf: F"
     ):
         pick_model(load_robot("atom"))
 
 
-def test_an_mjcf_goes_before_a_urdf() -> None:
+def test_an_mjcf_goes_before_a_urdf():
     other = replace(load_robot("go2"), models={"urdf": "nowhere.urdf", "mjcf": str(GO2)})
     assert pick_model(other) == GO2

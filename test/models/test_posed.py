@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -37,25 +36,25 @@ SCENE = """\
 """
 
 
-def loaded(base: str = "<freejoint/>") -> LoadedModel:
+def loaded(base="<freejoint/>"):
     model = mujoco.MjModel.from_xml_string(SCENE.format(base=base))
     return LoadedModel(model, Path("scene.xml"), [model.joint("knee").id])
 
 
-def named(model: Any, found: dict[int, float]) -> dict[str, float]:
+def named(model, found):
     return {
         model.geom(i).name or model.body(model.geom_bodyid[i]).name: h for i, h in found.items()
     }
 
 
-def test_heights_are_those_of_what_can_touch_the_nearest_floor() -> None:
+def test_heights_are_those_of_what_can_touch_the_nearest_floor():
     posed = PosedModel(loaded())
     posed.put([0.0], (0, 0, 2, 1, 0, 0, 0))
     found = named(posed.loaded.model, posed.heights())
     assert found == pytest.approx({"ball": 1.9, "FL": 1.65, "toe": 1.48})
 
 
-def test_a_base_is_turned_and_joints_are_moved() -> None:
+def test_a_base_is_turned_and_joints_are_moved():
     posed = PosedModel(loaded())
     posed.put([0.0], (0, 0, 2, 0, 1, 0, 0))  # upside down
     assert named(posed.loaded.model, posed.heights())["toe"] == pytest.approx(2.48)
@@ -63,7 +62,7 @@ def test_a_base_is_turned_and_joints_are_moved() -> None:
     assert named(posed.loaded.model, posed.heights())["toe"] == pytest.approx(2.28)
 
 
-def test_a_fixed_base_stays_where_the_model_has_it() -> None:
+def test_a_fixed_base_stays_where_the_model_has_it():
     fixed = loaded(base="")
     assert fixed.base is None
     posed = PosedModel(fixed)
@@ -71,7 +70,7 @@ def test_a_fixed_base_stays_where_the_model_has_it() -> None:
     assert named(fixed.model, posed.heights())["ball"] == pytest.approx(0.9)
 
 
-def test_without_a_floor_there_are_no_heights() -> None:
+def test_without_a_floor_there_are_no_heights():
     model = mujoco.MjModel.from_xml_string(
         "<mujoco><worldbody><body><joint/><geom size='.1'/></body></worldbody></mujoco>"
     )
@@ -80,19 +79,19 @@ def test_without_a_floor_there_are_no_heights() -> None:
     assert posed.heights() == {}
 
 
-def test_feet_are_bodies_sites_geoms_or_their_stems() -> None:
+def test_feet_are_bodies_sites_geoms_or_their_stems():
     model = loaded().model
     found = foot_geoms(model, ("FL_foot", "toe", "sole", "nowhere"))
     toe = [int(model.body("toe").geomadr[0])]
     assert found == {"FL_foot": [model.geom("FL").id], "toe": toe, "sole": toe}
 
 
-def test_the_free_joint_is_the_robots_own() -> None:
+def test_the_free_joint_is_the_robots_own():
     model = loaded().model
     assert free_joint(model, 2) == 1
 
 
-def test_key_poses_are_in_the_robots_order() -> None:
+def test_key_poses_are_in_the_robots_order():
     robot = load_robot("go2")
     go2 = load_model(find_model("models/go2/go2.xml"), robot)
     np.testing.assert_allclose(go2.key_poses()["home"], robot.default_joint_pos, atol=1e-6)

@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 
 from unicon_base.errors import CheckError, ModelError
-from unicon_core.check import CheckResult, check_workflow
+from unicon_core.check import check_workflow
 from unicon_core.check.check import refuse_errors
 from unicon_core.models.feet import Feet
 from unicon_core.models.load import load_model
-from unicon_core.models.loaded import LoadedModel
+from unicon_core.models.loaded import floors, may_touch, on_floor, solid
 from unicon_core.models.posed import Footprint, PosedModel
-from unicon_core.models.touching import floors, may_touch, on_floor, solid
 from unicon_core.robots import load_robot
 from unicon_core.workflow import Program
 from unicon_core.workflow.document import load_document
@@ -28,9 +27,7 @@ FLOOR = '<geom name="floor" type="plane"'
 MESH = '<asset><mesh name="skin" file="skin.stl"/></asset>'
 
 
-def go2(
-    folder: Path, *, pairs: str | None = "floor", floor: bool = True, bits: bool = False
-) -> Path:
+def go2(folder, *, pairs="floor", floor=True, bits=False):
     """Write our Go2 with feet that touch by pairs, other geoms by nothing; return the file."""
     text = MODEL.read_text(encoding="utf-8")
     if not bits:
@@ -46,15 +43,15 @@ def go2(
     return path
 
 
-def load(path: Path) -> LoadedModel:
+def load(path):
     return load_model(path, load_robot("go2"))
 
 
-def names(loaded: LoadedModel, geoms: list[int]) -> set[str]:
+def names(loaded, geoms):
     return {loaded.model.geom(geom).name for geom in geoms}
 
 
-def test_geoms_touch_by_a_pair_that_names_both(tmp_path: Path) -> None:
+def test_geoms_touch_by_a_pair_that_names_both(tmp_path):
     model = load(go2(tmp_path)).model
     floor, foot, other = (model.geom(name).id for name in ("floor", "FR", "FL"))
     assert may_touch(model, floor, foot)
@@ -64,8 +61,9 @@ def test_geoms_touch_by_a_pair_that_names_both(tmp_path: Path) -> None:
     assert not solid(model, int(model.body("base_link").geomadr[0]))
 
 
-def test_feet_by_pairs_are_as_high_as_by_bits(tmp_path: Path) -> None:
-    paired, plain = load(go2(tmp_path)), load(MODEL)
+def test_feet_by_pairs_are_as_high_as_by_bits(tmp_path):
+    paired = load(go2(tmp_path))
+    plain = load(MODEL)
     assert names(paired, on_floor(paired)) == {*FEET}
     pose = load_robot("go2").default_joint_pos
     heights = []
@@ -77,9 +75,10 @@ def test_feet_by_pairs_are_as_high_as_by_bits(tmp_path: Path) -> None:
     assert heights[0] == pytest.approx(heights[1])
 
 
-def test_odometry_and_footprint_take_the_feet_that_pairs_name(tmp_path: Path) -> None:
+def test_odometry_and_footprint_take_the_feet_that_pairs_name(tmp_path):
     robot = load_robot("go2")
-    pose, upright = robot.default_joint_pos, np.array((1.0, 0.0, 0.0, 0.0))
+    pose = robot.default_joint_pos
+    upright = np.array((1.0, 0.0, 0.0, 0.0))
     found = []
     for path in (go2(tmp_path), MODEL):
         loaded = load(path)
@@ -92,14 +91,14 @@ def test_odometry_and_footprint_take_the_feet_that_pairs_name(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("called", ["floor", "ground", "arena/plane"])
-def test_a_floor_is_added_by_the_name_that_pairs_give_it(called: str, tmp_path: Path) -> None:
+def test_a_floor_is_added_by_the_name_that_pairs_give_it(called, tmp_path):
     loaded = load(go2(tmp_path, pairs=called, floor=False))
     assert loaded.model.geom(called).type == int(mujoco.mjtGeom.mjGEOM_PLANE)
     assert names(loaded, on_floor(loaded)) == {*FEET}
     assert "the model has no surroundings: a floor was added" in loaded.notes
 
 
-def in_body(path: Path, floor: str = FLOOR) -> Path:
+def in_body(path, floor=FLOOR):
     """Put the floor into a body that stands still, as Open Duck's scenes do."""
     text = path.read_text(encoding="utf-8")
     end = text.index("/>", start := text.index(FLOOR)) + 2
@@ -109,9 +108,7 @@ def in_body(path: Path, floor: str = FLOOR) -> Path:
 
 
 @pytest.mark.parametrize("pairs", [None, "floor", "ground"])
-def test_a_floor_in_a_body_that_stands_still_is_the_floor(
-    pairs: str | None, tmp_path: Path
-) -> None:
+def test_a_floor_in_a_body_that_stands_still_is_the_floor(pairs, tmp_path):
     loaded = load(in_body(go2(tmp_path, pairs=pairs, bits=pairs is None)))
     assert [loaded.model.geom(floor).name for floor in floors(loaded.model)] == ["floor"]
     assert {*FEET} <= names(loaded, on_floor(loaded))
@@ -122,7 +119,7 @@ def test_a_floor_in_a_body_that_stands_still_is_the_floor(
     assert min(posed.heights().values()) == pytest.approx(min(plain.heights().values()))
 
 
-def test_a_field_of_heights_in_a_body_that_stands_still_is_the_floor(tmp_path: Path) -> None:
+def test_a_field_of_heights_in_a_body_that_stands_still_is_the_floor(tmp_path):
     path = in_body(go2(tmp_path, pairs="ground"), '<geom name="floor" hfield="f" type="hfield"')
     field = '<asset><hfield name="f" nrow="2" ncol="2" size="5 5 1 1" elevation="0 0 0 0"/></asset>'
     text = path.read_text().replace("<worldbody>", f"{field}<worldbody>", 1)
@@ -133,7 +130,7 @@ def test_a_field_of_heights_in_a_body_that_stands_still_is_the_floor(tmp_path: P
     assert may_touch(loaded.model, loaded.model.geom("floor").id, foot)
 
 
-def test_a_floor_is_added_by_a_name_that_is_free(tmp_path: Path) -> None:
+def test_a_floor_is_added_by_a_name_that_is_free(tmp_path):
     path = go2(tmp_path, pairs=None, floor=False, bits=True)
     text = path.read_text().replace('<geom name="FR"', '<geom name="floor"')
     path.write_text(text, encoding="utf-8")
@@ -141,20 +138,20 @@ def test_a_floor_is_added_by_a_name_that_is_free(tmp_path: Path) -> None:
     assert [loaded.model.geom(floor).name for floor in floors(loaded.model)] == ["floor_"]
 
 
-def test_pairs_that_name_another_floor_take_the_one_that_is_there(tmp_path: Path) -> None:
+def test_pairs_that_name_another_floor_take_the_one_that_is_there(tmp_path):
     loaded = load(go2(tmp_path, pairs="ground"))
     assert names(loaded, on_floor(loaded)) == {*FEET}
     assert "4 pairs name ground, which is not in the model: taken as its floor" in loaded.notes
 
 
-def test_a_pair_of_two_that_are_not_there_is_the_files_mistake(tmp_path: Path) -> None:
+def test_a_pair_of_two_that_are_not_there_is_the_files_mistake(tmp_path):
     path = go2(tmp_path, pairs="ground")
     path.write_text(path.read_text().replace('geom2="FR"', 'geom2="FX"'), encoding="utf-8")
     with pytest.raises(ModelError, match="geom 'ground' not found"):
         load(path)
 
 
-def test_pairs_of_absent_meshes_go_with_them(tmp_path: Path) -> None:
+def test_pairs_of_absent_meshes_go_with_them(tmp_path):
     path = go2(tmp_path)
     text = path.read_text().replace("<worldbody>", f"{MESH}<worldbody>", 1)
     text = text.replace(
@@ -170,9 +167,7 @@ def test_pairs_of_absent_meshes_go_with_them(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("robot", ["h1", "h1_2"])
-def test_feet_whose_meshes_are_all_absent_are_an_error_that_names_them(
-    robot: str, assets: Path
-) -> None:
+def test_feet_whose_meshes_are_all_absent_are_an_error_that_names_them(robot, assets):
     changes = [f"robot={robot}", "check.accept=[]"]
     (found,) = check_workflow("h1_stand", changes).findings
     assert found.code == "model.collision"
@@ -183,25 +178,25 @@ def test_feet_whose_meshes_are_all_absent_are_an_error_that_names_them(
         refuse_errors(Program(load_document("h1_stand", changes)))
 
 
-def checked(path: Path, *, twin: bool = False, platform: str = "mujoco") -> CheckResult:
+def checked(path, *, twin=False, platform="mujoco"):
     changes = [f"scene.model={path}", "check.duration=1", f"platform={platform}"]
     return check_workflow("go2_walk", changes, twin=twin)
 
 
-def test_a_robot_on_paired_feet_walks_and_is_clean(tmp_path: Path) -> None:
+def test_a_robot_on_paired_feet_walks_and_is_clean(tmp_path):
     pytest.importorskip("onnxruntime")
     result = checked(go2(tmp_path), twin=True)
     assert result.clean, result.text()
 
 
-def test_feet_that_touch_nothing_are_told_first(tmp_path: Path) -> None:
+def test_feet_that_touch_nothing_are_told_first(tmp_path):
     pytest.importorskip("onnxruntime")
     result = checked(go2(tmp_path, pairs=None))
     assert result.findings[0].code == "model.collision"
     assert "nothing of the robot collides with the floor" in result.findings[0].evidence
 
 
-def test_feet_that_alone_touch_nothing_are_told(tmp_path: Path) -> None:
+def test_feet_that_alone_touch_nothing_are_told(tmp_path):
     pytest.importorskip("onnxruntime")
     path = go2(tmp_path, pairs=None, bits=True)
     text = path.read_text()
@@ -215,14 +210,14 @@ def test_feet_that_alone_touch_nothing_are_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_twin_tells_what_its_own_model_lacks(tmp_path: Path) -> None:
+def test_the_twin_tells_what_its_own_model_lacks(tmp_path):
     pytest.importorskip("onnxruntime")
     result = checked(go2(tmp_path, pairs=None), twin=True, platform="fake")
     assert result.findings[0].code == "model.collision", result.text()
     assert "collision geometry" in result.findings[0].culprit
 
 
-def test_absent_meshes_are_a_note_that_every_start_tells(tmp_path: Path) -> None:
+def test_absent_meshes_are_a_note_that_every_start_tells(tmp_path):
     pytest.importorskip("onnxruntime")
     path = go2(tmp_path, bits=True, pairs=None)
     geom = '<geom type="mesh" mesh="skin" contype="0" conaffinity="0"/>'

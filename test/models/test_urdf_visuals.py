@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as Xml
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from worn_meshes import WEDGE, write_stl
 
+from unicon_core.models.kinematic_tree import urdf
 from unicon_core.models.load import load_model
-from unicon_core.models.urdf_write import urdf
 from unicon_core.models.visual_meshes import dressed
-from unicon_core.robots import Robot, load_robot
+from unicon_core.robots import load_robot
 
 pytest.importorskip("mujoco")
 
@@ -45,35 +44,35 @@ URDF = """\
 
 
 @pytest.fixture
-def robot() -> Robot:
+def robot():
     """A Go2 that has lost all joints but one, whose base is its trunk."""
     go2 = load_robot("go2")
     arrays = {k: v[:1] for k, v in vars(go2).items() if isinstance(v, np.ndarray)}
     return replace(go2, joint_names=go2.joint_names[:1], feet={}, base_frame="trunk", **arrays)
 
 
-def written(path: Path, mesh: str, meshdir: str = "", discard: str = "true") -> Path:
+def written(path, mesh, meshdir="", discard="true"):
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(URDF.format(mesh=mesh, meshdir=meshdir, discard=discard), "utf-8")
     return path
 
 
-def described(path: Path, robot: Robot) -> tuple[Xml.Element, str]:
+def described(path, robot):
     _, links, lacking = dressed(path, robot)
     return Xml.fromstring(urdf(links, robot)), lacking
 
 
-def shapes(root: Xml.Element, link: str, use: str = "visual") -> list[str]:
+def shapes(root, link, use="visual"):
     return [each.tag for each in root.findall(f"link[@name='{link}']/{use}/geometry/*")]
 
 
-def mesh_of(root: Xml.Element) -> str:
+def mesh_of(root):
     (name,) = {each.get("filename", "") for each in root.iter("mesh")}
     return name
 
 
 @pytest.mark.parametrize("discard", ["true", "false"])
-def test_its_visuals_stay_as_they_stand(robot: Robot, tmp_path: Path, discard: str) -> None:
+def test_its_visuals_stay_as_they_stand(robot, tmp_path, discard):
     file = write_stl(tmp_path / "mine" / "meshes" / "shell é.STL")
     place = tmp_path / "mine" / "urdf" / "mine.urdf"
     root, lacking = described(
@@ -83,7 +82,8 @@ def test_its_visuals_stay_as_they_stand(robot: Robot, tmp_path: Path, discard: s
     assert shapes(root, "trunk") == ["mesh", "cylinder", "mesh"]
     assert "mesh" not in shapes(root, "trunk", "collision")
     first, second, third = root.findall("link[@name='trunk']/visual")
-    origin, mesh = first.find("origin"), first.find("geometry/mesh")
+    origin = first.find("origin")
+    mesh = first.find("geometry/mesh")
     assert origin is not None
     assert mesh is not None
     assert origin.get("xyz") == "0.1 0.2 0.3"
@@ -98,9 +98,7 @@ def test_its_visuals_stay_as_they_stand(robot: Robot, tmp_path: Path, discard: s
     assert lacking.endswith(said)
 
 
-def test_the_uri_of_an_installed_package_stays(
-    robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_uri_of_an_installed_package_stays(robot, tmp_path, monkeypatch):
     write_stl(tmp_path / "install" / "share" / "theirs" / "shell.stl")
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "install"))
     root, _ = described(written(tmp_path / "a.urdf", "package://theirs/shell.stl"), robot)
@@ -108,9 +106,7 @@ def test_the_uri_of_an_installed_package_stays(
 
 
 @pytest.mark.parametrize("figure", ["nan", "1e999", "", "1 2", "wide"])
-def test_a_visual_with_a_figure_that_is_none_is_left_out(
-    robot: Robot, tmp_path: Path, figure: str
-) -> None:
+def test_a_visual_with_a_figure_that_is_none_is_left_out(robot, tmp_path, figure):
     write_stl(tmp_path / "shell.stl")
     path = written(tmp_path / "a.urdf", "shell.stl")
     path.write_text(path.read_text().replace('radius="0.1"', f'radius="{figure}"'))
@@ -121,7 +117,7 @@ def test_a_visual_with_a_figure_that_is_none_is_left_out(
     "name",
     ["parts/shell.stl", "file://{folder}/parts/shell.stl", "{folder}/parts/shell.stl", "shell.stl"],
 )
-def test_paths_of_any_kind_are_found(robot: Robot, tmp_path: Path, name: str) -> None:
+def test_paths_of_any_kind_are_found(robot, tmp_path, name):
     file = write_stl(tmp_path / "a folder" / "parts" / "shell.stl")
     named = name.format(folder=file.parents[1])
     root, _ = described(written(tmp_path / "a folder" / "a.urdf", named, "parts"), robot)
@@ -141,9 +137,7 @@ def test_paths_of_any_kind_are_found(robot: Robot, tmp_path: Path, name: str) ->
         "file:///dev/zero",
     ],
 )
-def test_a_strangers_urdf_names_nothing_outside_of_its_folder(
-    robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
+def test_a_strangers_urdf_names_nothing_outside_of_its_folder(robot, tmp_path, monkeypatch, name):
     write_stl(tmp_path / "secret.stl")
     (tmp_path / "install" / "share" / "theirs").mkdir(parents=True)
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "install"))
@@ -154,9 +148,7 @@ def test_a_strangers_urdf_names_nothing_outside_of_its_folder(
     assert "visual meshes" in lacking
 
 
-def test_meshes_are_opened_where_they_are_found_whatever_meshdir_says(
-    robot: Robot, tmp_path: Path
-) -> None:
+def test_meshes_are_opened_where_they_are_found_whatever_meshdir_says(robot, tmp_path):
     """As in Unitree's G1: `meshdir="meshes"`, and files that are called `meshes/NAME` too."""
     write_stl(tmp_path / "meshes" / "shell.stl", WEDGE)
     path = written(tmp_path / "g.urdf", "meshes/shell.stl", "meshes", discard="false")

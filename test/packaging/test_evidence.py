@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from unicon_base.errors import UniconError
-from unicon_core.check.files import little_seen
+from unicon_core.check.check import little_seen
 from unicon_core.evidence import LEVELS, Evidence, load_evidence
 from unicon_core.platforms.platform import Facts
 from unicon_core.robots import load_robot, robot_names

@@ -27,11 +27,11 @@ from unicon_hardware.peripherals.livox.cloud import livox_message
 from unicon_hardware.peripherals.livox.livox import livox
 from unicon_ros.peripheral import Peripheral
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "stand_in"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
+# Of this process alone: tests run side by side.
 HERE = f"127.84.{os.getpid() >> 8 & 0xFF}.{os.getpid() & 0xFE | 1}"
-"""Of this process alone: tests run side by side."""
 THERE = HERE.replace("127.84", "127.85")
 
 

@@ -28,8 +28,8 @@ from unicon_core.workflow.autowire import BuildContext
 from unicon_hardware.peripherals.realsense import _found, _quaternion, messages, realsense
 from unicon_ros.peripheral import Peripheral
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "vendor"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 LARGE = ROOT / "config" / "dds" / "large_data.xml"
@@ -238,7 +238,7 @@ def test_no_camera_names_those_that_are_there() -> None:
 
 
 def test_a_rotation_is_that_quaternion() -> None:
-    from unicon_core.models.quaternions import rotate
+    from unicon_core.models.loaded import rotate
 
     half = np.radians(35) / 2
     axis = np.array((0.6, 0.0, -0.8))

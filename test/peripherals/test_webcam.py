@@ -29,8 +29,8 @@ from unicon_hardware.peripherals.webcam import Rgb, _path, message_of, webcam
 from unicon_ros.peripheral import Peripheral
 from unicon_ros.peripheral_process import Gone
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "stand_in"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 
 class Rig:

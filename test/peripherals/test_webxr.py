@@ -23,9 +23,8 @@ from unicon_base.errors import UniconError, WorkflowError
 from unicon_core.robots import load_robot
 from unicon_core.states import States
 from unicon_core.workflow.autowire import BuildContext, read_options
-from unicon_hardware.peripherals.webxr import frames
-from unicon_hardware.peripherals.webxr.frames import Frame, Refused
-from unicon_hardware.peripherals.webxr.webxr import webxr
+from unicon_hardware.peripherals.webxr import webxr as frames
+from unicon_hardware.peripherals.webxr.webxr import Frame, Refused, webxr
 from unicon_ros.peripheral import Peripheral
 
 clients = pytest.importorskip("websockets.asyncio.client", reason="pip install websockets")

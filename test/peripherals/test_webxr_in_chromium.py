@@ -18,8 +18,8 @@ from unicon_core.workflow.autowire import BuildContext
 from unicon_hardware.peripherals.webxr.webxr import webxr
 from unicon_ros.peripheral import Peripheral
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "vendor"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(180)]
 pytest.importorskip("websockets", reason="pip install websockets")
@@ -38,8 +38,8 @@ FLAGS = [
     "--disable-sync",
     "--disable-blink-features=WebXR",
 ]
+# The emulated headset draws into the page, by software: only so it is as fast as a real one.
 SMALL = {"width": 320, "height": 240}
-"""The emulated headset draws into the page, by software: only so it is as fast as a real one."""
 HEADSET = """
 let due = 0;  // 72 frames a second, as a Quest has them: a screen would have 60
 window.requestAnimationFrame = (draw) => {

@@ -17,7 +17,9 @@ class AskedRobot(FakeRobot):
 
     def __init__(self, states: States, robot: Robot, period: float, refuses: bool) -> None:
         super().__init__(states, robot, period, Scene(), 0.0)
-        self._refuses, self._told, self._steps = refuses, 0, 0
+        self._refuses = refuses
+        self._told = 0
+        self._steps = 0
 
     def recv(self) -> bool | None:
         self._told += 1

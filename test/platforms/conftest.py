@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -96,7 +95,7 @@ SENSORS = """
 
 
 @pytest.fixture
-def toy_robot(tmp_path: Path) -> Callable[..., Robot]:
+def toy_robot(tmp_path):
     """Builds the robot file's Robot; `joints` and `efforts` may be changed."""
 
     def build(
@@ -111,7 +110,7 @@ def toy_robot(tmp_path: Path) -> Callable[..., Robot]:
 
 
 @pytest.fixture
-def toy_model(tmp_path: Path) -> Callable[..., Path]:
+def toy_model(tmp_path):
     """Writes the model and returns its path."""
 
     def write(
@@ -135,7 +134,7 @@ def toy_model(tmp_path: Path) -> Callable[..., Path]:
 
 
 @pytest.fixture
-def states_of() -> Callable[..., States]:
+def states_of():
     """Builds the standard states of a robot."""
 
     def build(robot: Any, num_robots: int | None = None) -> States:
@@ -145,11 +144,7 @@ def states_of() -> Callable[..., States]:
 
 
 @pytest.fixture
-def build(
-    toy_robot: Callable[..., Robot],
-    toy_model: Callable[..., Path],
-    states_of: Callable[..., States],
-) -> Callable[..., tuple[MujocoPlatform, States]]:
+def build(toy_robot, toy_model, states_of):
     """Builds the robot in MuJoCo, in a scene, with the states that it reads and writes."""
 
     def make_it(

@@ -2,18 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 from unicon_core.platforms.kit.disturbances import disturb
 from unicon_core.platforms.kit.scene import SCENE_KEYS, Scene
-from unicon_core.robots import Robot
-from unicon_core.states import States
 
 
-def in_scene(
-    make: Callable[..., Any], states: States, robot: Robot, period: float, **options: Any
-) -> Any:
+def in_scene(make, states, robot, period, **options):
     """Return the platform in its scene."""
     scene = Scene(**{key: options.pop(key) for key in SCENE_KEYS if key in options})
     platform = make(states, robot, period, scene=scene, **options)

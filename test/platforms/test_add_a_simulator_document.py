@@ -21,7 +21,7 @@ FILES = dict(re.findall(r"```python title=(\S+)\n(.*?)```", TEXT, re.DOTALL))
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     """Where the files of the document lie."""
     place = tmp_path_factory.mktemp("theirs")
     for name, text in FILES.items():
@@ -29,7 +29,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-def ran(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+def ran(folder, *words):
     """Run Python beside those files."""
     return subprocess.run(
         [sys.executable, *words],
@@ -43,7 +43,7 @@ def ran(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.slow
-def test_its_simulator_passes_the_whole_suite(folder: Path) -> None:
+def test_its_simulator_passes_the_whole_suite(folder):
     done = ran(folder, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_my_simulator.py")
     found = re.search(r"(\d+) passed", done.stdout)
     assert done.returncode == 0, done.stdout
@@ -52,7 +52,7 @@ def test_its_simulator_passes_the_whole_suite(folder: Path) -> None:
     assert int(found[1]) >= len(tests) >= 25
 
 
-def test_a_policy_walks_in_it(folder: Path) -> None:
+def test_a_policy_walks_in_it(folder):
     pytest.importorskip("onnxruntime", reason="the policy needs onnxruntime")
     told = "platform=my_simulator:make", "platforms={'my_simulator:make': {timestep: 0.002}}"
     words = ["go2_walk", "--speed", "max", "--set", told[0], "--set", told[1]]
@@ -64,7 +64,7 @@ def test_a_policy_walks_in_it(folder: Path) -> None:
     assert "did not fall" in done.stdout
 
 
-def test_what_it_names_is_there() -> None:
+def test_what_it_names_is_there():
     methods = re.findall(r"^\| `(\w+)` \|", TEXT, re.MULTILINE)
     assert methods == ["__init__", "place", "joints", "base", "step", "add_velocity", "close"]
     assert all(f"def {method}(self" in FILES["my_simulator.py"] for method in methods)

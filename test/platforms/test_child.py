@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -39,11 +38,11 @@ from unicon_core.workflow import load_workflow
 from unicon_core.workflow.registry import find_factory, known
 
 
-def left() -> list[str]:
+def left():
     return [found.name for found in segments() if f"-{os.getpid()}-" in found.name]
 
 
-def commands(platform: str, *more: str) -> str:
+def commands(platform, *more):
     program = load_workflow("go2_walk", [f"platform={platform}", *more])
     options = RunOptions(duration=3.0, speed="max", warn=lambda _: None)
     return Runner(program, options).run().sha256_commands
@@ -171,7 +170,7 @@ def test_how_long_a_robot_and_its_run_wait_for_each_other():
     program.close()
 
 
-def until_raised(recv: Callable[[], object]) -> None:
+def until_raised(recv):
     while True:
         recv()
         time.sleep(0.01)
@@ -207,7 +206,7 @@ def test_a_robot_ends_with_its_parent_though_a_fork_of_that_lives():
         parent.stdout.close()
 
 
-def cmdline(pid: int) -> bytes:
+def cmdline(pid):
     try:
         return Path(f"/proc/{pid}/cmdline").read_bytes()  # a zombie's is empty
     except OSError:
@@ -217,7 +216,8 @@ def cmdline(pid: int) -> bytes:
 def test_a_reset_comes_behind_the_last_command():
     """Else the robot would be a tick ahead of its commands from there on, now and then."""
     program = load_workflow("go2_stand", ["platform={child: fake, silence: 10}"])
-    platform, states = program.platform, program.states
+    platform = program.platform
+    states = program.states
     for _ in range(50):
         platform.recv()
         platform.send()

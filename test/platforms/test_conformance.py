@@ -8,8 +8,8 @@ import pytest
 
 from unicon_core.conformance import Conformance
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "vendor"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 pytest.importorskip("mujoco", reason="mujoco is not installed: pip install 'unicon_ros[sim]'")
 
@@ -37,7 +37,9 @@ class TestPybullet(Installed):
 @pytest.mark.slow
 class TestMjx(Installed):
     __test__ = True
-    platform, module, near = "mjx", "mujoco.mjx", 1e-3
+    platform = "mjx"
+    module = "mujoco.mjx"
+    near = 1e-3
 
 
 @pytest.mark.slow

@@ -21,7 +21,7 @@ PERIOD = 0.02
 TICKS = 25
 
 
-def filled(data: st.DataObject, states: States) -> None:
+def filled(data, states):
     for state in ("joint_pos", *COMMAND_STATES):
         view = states[state]
         view[...] = np.resize(data.draw(st.lists(ANY, min_size=1, max_size=7)), view.shape)
@@ -29,9 +29,7 @@ def filled(data: st.DataObject, states: States) -> None:
 
 @settings(max_examples=25)
 @given(data=st.data(), name=st.sampled_from(robot_names()), said=st.booleans())
-def test_it_is_finite_and_within_the_limits_whatever_was_before(
-    data: st.DataObject, name: str, said: bool
-) -> None:
+def test_it_is_finite_and_within_the_limits_whatever_was_before(data, name, said):
     robot = load_robot(name)
     num_robots = data.draw(st.sampled_from([None, 2]))
     states = States(Layout(standard_states(robot.joint_names), num_robots))
@@ -62,7 +60,7 @@ def test_it_is_finite_and_within_the_limits_whatever_was_before(
     assert not before.any()
 
 
-def test_targets_are_those_that_were_sent_last_and_not_what_was_written_since() -> None:
+def test_targets_are_those_that_were_sent_last_and_not_what_was_written_since():
     robot = load_robot("go2")
     states = States(Layout(standard_states(robot.joint_names)))
     states.joint_pos[...] = robot.rest_joint_pos
@@ -82,7 +80,7 @@ def test_targets_are_those_that_were_sent_last_and_not_what_was_written_since() 
     assert states.joint_stiffness == pytest.approx(40.0 * (1.0 - PERIOD / BLEND))
 
 
-def test_errors_stop_no_repetition_and_are_told_at_the_end() -> None:
+def test_errors_stop_no_repetition_and_are_told_at_the_end():
     calls: list[float] = []
 
     def send() -> None:

@@ -22,7 +22,7 @@ PERIOD = 0.01
 
 
 @pytest.fixture
-def build() -> Callable[..., tuple[FakePlatform, States]]:
+def build():
     def make_it(num_robots: int | None = None, **options: Any) -> tuple[FakePlatform, States]:
         robot = load_robot("go2")
         states = States(standard_states(robot.joint_names), num_robots)
@@ -39,9 +39,7 @@ Build = Callable[..., tuple[FakePlatform, States]]
 
 
 @pytest.mark.parametrize("num_robots", [None, 3])
-def test_ideal_joints_are_at_their_targets_after_a_tick(
-    build: Build, num_robots: int | None
-) -> None:
+def test_ideal_joints_are_at_their_targets_after_a_tick(build, num_robots):
     platform, states = build(num_robots)
     before = states.joint_pos.copy()
     states.joint_pos_target = before + np.float32(0.1)
@@ -52,7 +50,7 @@ def test_ideal_joints_are_at_their_targets_after_a_tick(
     np.testing.assert_allclose(states.joint_effort, 6.0, rtol=1e-4)  # 60 N·m/rad · 0.1 rad
 
 
-def test_first_order_joints_reach_63_percent_in_a_time_constant(build: Build) -> None:
+def test_first_order_joints_reach_63_percent_in_a_time_constant(build):
     platform, states = build(time_constant=0.2)
     before = states.joint_pos.copy()
     states.joint_pos_target = before + np.float32(0.1)
@@ -62,7 +60,7 @@ def test_first_order_joints_reach_63_percent_in_a_time_constant(build: Build) ->
     np.testing.assert_allclose(states.joint_pos - before, 0.1 * (1 - np.exp(-1)), rtol=1e-4)
 
 
-def test_limp_joints_stay_and_limits_hold(build: Build) -> None:
+def test_limp_joints_stay_and_limits_hold(build):
     platform, states = build()
     robot = load_robot("go2")
     before = states.joint_pos.copy()
@@ -75,7 +73,7 @@ def test_limp_joints_stay_and_limits_hold(build: Build) -> None:
     assert (np.abs(states.joint_effort) <= robot.effort_limit).all()
 
 
-def test_clock_is_simulated_or_monotonic(build: Build) -> None:
+def test_clock_is_simulated_or_monotonic(build):
     platform, states = build()
     for _ in range(3):
         platform.send()
@@ -92,7 +90,7 @@ def test_clock_is_simulated_or_monotonic(build: Build) -> None:
     assert int(states.stamp_ns) >= first > 0
 
 
-def test_command_that_is_not_finite_is_a_fault(build: Build) -> None:
+def test_command_that_is_not_finite_is_a_fault(build):
     platform, states = build()
     states.joint_pos_target[1] = np.nan
     with pytest.raises(Fault) as error:
@@ -107,16 +105,16 @@ def test_command_that_is_not_finite_is_a_fault(build: Build) -> None:
             {"initial_pose": "defualt"},
             "scene.initial_pose is 'defualt'; did you mean 'default'? known: default, "
             "keyframe:NAME, lie, model, policy:NAME, rest, stand; or joints to [rad]",
-        ),
+        )
     ],
 )
-def test_wrong_options(build: Build, options: dict[str, Any], message: str) -> None:
+def test_wrong_options(build, options, message):
     with pytest.raises(PlatformError) as error:
         build(**options)
     assert str(error.value) == message
 
 
-def test_a_time_that_is_none_is_refused() -> None:
+def test_a_time_that_is_none_is_refused():
     with pytest.raises(WorkflowError, match="'fake': time_constant is -1; write a number from 0"):
         Program(
             robot="go2",
@@ -127,7 +125,7 @@ def test_a_time_that_is_none_is_refused() -> None:
         )
 
 
-def test_platform_modules_import_no_simulator() -> None:
+def test_platform_modules_import_no_simulator():
     code = (
         "import sys, unicon_core.platforms.fake, unicon_core.platforms.mujoco; "
         "import unicon_core.blocks; "

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -20,14 +17,14 @@ pytest.importorskip("mujoco", reason="mujoco is not installed: pip install 'unic
 from unicon_core.platforms.mujoco.platform import make
 
 
-def held(scene: Scene, robots: int | None = None, name: str = "go2") -> Any:
+def held(scene, robots=None, name="go2"):
     """Return a robot in MuJoCo, its states beside it."""
     robot = load_robot(name)
     states = States(Layout(standard_states(robot.joint_names), robots))
     return states, make(states, robot, 0.02, scene=scene)
 
 
-def limp(states: States, platform: Any, seconds: float) -> None:
+def limp(states, platform, seconds):
     for _ in range(round(seconds / 0.02)):
         platform.recv()
         platform.send()
@@ -35,7 +32,7 @@ def limp(states: States, platform: Any, seconds: float) -> None:
 
 
 @pytest.mark.parametrize("terrain", ["flat", "rough"])
-def test_a_gantry_bears_a_limp_robot_and_brings_it_back(terrain: str) -> None:
+def test_a_gantry_bears_a_limp_robot_and_brings_it_back(terrain):
     states, platform = held(Scene(gantry=True, initial_height=0.6, terrain=terrain))
     limp(states, platform, 2.0)
     assert states["base_pos_w"] == pytest.approx([0.0, 0.0, 0.6], abs=0.002)
@@ -55,7 +52,7 @@ def test_a_gantry_bears_a_limp_robot_and_brings_it_back(terrain: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["a1", "b2", "g1_29dof", "go1", "h1", "h1_2", "t1"])
-def test_a_gantry_bears_robots_of_all_weights(assets: Path, name: str) -> None:
+def test_a_gantry_bears_robots_of_all_weights(assets, name):
     """Of a Go1, whose model integrates its damping explicitly, the physics blew up."""
     if not (assets / "models" / name).is_dir():
         pytest.skip(f"no model of {name} in {assets}")
@@ -65,18 +62,18 @@ def test_a_gantry_bears_robots_of_all_weights(assets: Path, name: str) -> None:
     assert states["projected_gravity"][2] < -0.99
 
 
-def test_it_holds_every_robot_of_a_batch() -> None:
+def test_it_holds_every_robot_of_a_batch():
     states, platform = held(Scene(gantry=True, initial_height=0.6), 3)
     limp(states, platform, 1.0)
     assert states["base_pos_w"][:, 2] == pytest.approx(0.6, abs=0.002)
     platform.close()
 
 
-def program(**changes: Any) -> Program:
+def program(**changes):
     return Program(load_document("h1_stand", {"robot": "go2", "duration": 1.0} | changes))
 
 
-def test_the_report_says_that_it_hangs() -> None:
+def test_the_report_says_that_it_hangs():
     for platform in ("mujoco", "fake"):
         report = Runner(program(platform=platform), RunOptions(speed="max")).run()
         assert report.faults == []
@@ -88,7 +85,7 @@ def test_the_report_says_that_it_hangs() -> None:
     assert "gantry" not in report.summary()
 
 
-def test_a_robot_is_where_it_is_and_a_fixed_base_is_fixed() -> None:
+def test_a_robot_is_where_it_is_and_a_fixed_base_is_fixed():
     report = Runner(program(platform="fake_robot", duration=0.3)).run()
     assert report.fell is False
     assert "gantry" not in report.summary()
@@ -103,6 +100,6 @@ def test_a_robot_is_where_it_is_and_a_fixed_base_is_fixed() -> None:
         ({"scene": {"gantry": "yes"}}, "scene.gantry"),
     ],
 )
-def test_what_no_simulator_can_is_refused(changes: dict[str, Any], culprit: str) -> None:
+def test_what_no_simulator_can_is_refused(changes, culprit):
     with pytest.raises(WorkflowError, match=culprit):
         program(**changes)

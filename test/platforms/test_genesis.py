@@ -6,7 +6,6 @@ import importlib.util
 import os
 import subprocess
 import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,20 +14,20 @@ import pytest
 from unicon_base.errors import Fault, MissingDependencyError
 from unicon_core.platforms.kit.joint_model import joint_model
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.kit.start import Start, start_of
-from unicon_core.robots import Robot, load_robot
+from unicon_core.platforms.kit.start import start_of
+from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow
 from unicon_sims.genesis.platform import adapted, begun, otherwise
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "vendor"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 mujoco = pytest.importorskip("mujoco", reason="pip install 'unicon_ros[sim]'")
 INSTALL = "pip install 'unicon_ros[sim-genesis]'"
 
 
-def needs_genesis(test: Any) -> Any:
+def needs_genesis(test):
     """Skip where it is not installed; compiling takes a minute where its cache is empty."""
     absent = importlib.util.find_spec("genesis") is None
     for mark in (
@@ -84,7 +83,7 @@ unknown: []
 """
 
 
-def limb(folder: Path, **says: str) -> tuple[Robot, Start, Scene]:
+def limb(folder, **says):
     """Return a robot of one leg, its model, and the scene that has it."""
     words = {"integrator": "implicitfast", "solver": "Newton", "more": "", "pair": ""} | says
     (folder / "limb.xml").write_text(LIMB.format(**words), encoding="utf-8")
@@ -97,7 +96,7 @@ def limb(folder: Path, **says: str) -> tuple[Robot, Start, Scene]:
 # What it is told, which needs no Genesis
 
 
-def test_friction_is_said_as_mujoco_mixes_it(tmp_path: Path) -> None:
+def test_friction_is_said_as_mujoco_mixes_it(tmp_path):
     _, start, _ = limb(tmp_path)
     model = adapted(start, joint_model(start, "keep"))
     # Genesis takes the larger of two: the floor says nothing, each geom what counts with the floor.
@@ -111,7 +110,7 @@ def test_friction_is_said_as_mujoco_mixes_it(tmp_path: Path) -> None:
     assert start.loaded.model.geom_friction[0, 0] == 1.5  # the model itself stays
 
 
-def test_joints_have_the_scenes_figures(tmp_path: Path) -> None:
+def test_joints_have_the_scenes_figures(tmp_path):
     robot, start, scene = limb(tmp_path)
     for passive, damping in (("keep", 0.3), ("replace", 0.0)):
         model = adapted(start, joint_model(start, passive))  # type: ignore[arg-type]
@@ -127,7 +126,7 @@ def test_joints_have_the_scenes_figures(tmp_path: Path) -> None:
     assert start.qpos[7] == pytest.approx(start.joint_pos[0])
 
 
-def test_what_it_does_otherwise_is_told(tmp_path: Path) -> None:
+def test_what_it_does_otherwise_is_told(tmp_path):
     assert otherwise(limb(tmp_path)[1]) == []
     ghost = '<geom name="ghost" type="sphere" size="0.01" contype="0" conaffinity="0"/>'
     pair = '<pair geom1="floor" geom2="ghost"/>'
@@ -139,7 +138,7 @@ def test_what_it_does_otherwise_is_told(tmp_path: Path) -> None:
     ]
 
 
-def test_without_genesis_the_install_command_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_genesis_the_install_command_is_told(monkeypatch):
     monkeypatch.setitem(sys.modules, "genesis", None)
     hook = sys.excepthook
     with pytest.raises(MissingDependencyError) as error:
@@ -153,10 +152,11 @@ def test_without_genesis_the_install_command_is_told(monkeypatch: pytest.MonkeyP
 
 @needs_genesis
 @pytest.mark.parametrize("name", ["go2_stand", "g1_walk"])
-def test_masses_and_places_of_links_are_mujocos(name: str) -> None:
+def test_masses_and_places_of_links_are_mujocos(name):
     workflow = load_workflow(name, ["platform=genesis"])
     platform: Any = workflow.platform
-    model, entity = platform.start.loaded.model, platform._robots
+    model = platform.start.loaded.model
+    entity = platform._robots
     data = mujoco.MjData(model)
     qpos = platform.start.qpos
     rng = np.random.default_rng(3)
@@ -174,7 +174,8 @@ def test_masses_and_places_of_links_are_mujocos(name: str) -> None:
         assert pos[i] == pytest.approx(data.xpos[body], abs=1e-6)
         assert np.abs(quat[i] @ data.xquat[body]) == pytest.approx(1.0, abs=1e-9)
         assert masses[i] == pytest.approx(model.body_mass[body], rel=1e-6)
-    joints, figures = platform._rates, platform.figures
+    joints = platform._rates
+    figures = platform.figures
     assert entity.get_dofs_armature(joints).numpy() == pytest.approx(figures.armature)
     assert entity.get_dofs_damping(joints).numpy() == pytest.approx(figures.damping)
     assert entity.get_dofs_frictionloss(joints).numpy() == pytest.approx(figures.friction)
@@ -183,14 +184,15 @@ def test_masses_and_places_of_links_are_mujocos(name: str) -> None:
 
 @needs_genesis
 @pytest.mark.parametrize("name", ["go2_stand", "g1_walk"])
-def test_a_robot_in_the_air_moves_as_in_mujoco(name: str) -> None:
+def test_a_robot_in_the_air_moves_as_in_mujoco(name):
     """Inertia, armature, damping, dry friction and limits at once; measured: 1e-14."""
     scene = "scene.initial_height=3.0"
     workflow = load_workflow(name, ["platform=genesis", scene])
     platform: Any = workflow.platform
     model = adapted(platform.start, platform.figures)
     model.opt.timestep = platform.timestep
-    data, joints = mujoco.MjData(model), platform._rates
+    data = mujoco.MjData(model)
+    joints = platform._rates
     data.qpos[:] = platform._begin[0]
     for step in range(150):
         torque = 4.0 * np.sin(step // 10 + np.arange(len(joints)))
@@ -205,7 +207,7 @@ def test_a_robot_in_the_air_moves_as_in_mujoco(name: str) -> None:
 
 
 @needs_genesis
-def test_a_joint_that_does_not_begin_at_0_is_where_it_says(tmp_path: Path) -> None:
+def test_a_joint_that_does_not_begin_at_0_is_where_it_says(tmp_path):
     robot, _, scene = limb(tmp_path)
     ends = []
     for platform in ("mujoco", "genesis"):
@@ -213,7 +215,8 @@ def test_a_joint_that_does_not_begin_at_0_is_where_it_says(tmp_path: Path) -> No
         states = workflow.states
         workflow.platform.recv()
         assert float(states.joint_pos[0]) == pytest.approx(0.5, abs=1e-6)
-        states.joint_stiffness, states.joint_pos_target = 10.0, -0.5
+        states.joint_stiffness = 10.0
+        states.joint_pos_target = -0.5
         for _ in range(10):
             workflow.platform.send()
         workflow.platform.recv()
@@ -223,7 +226,7 @@ def test_a_joint_that_does_not_begin_at_0_is_where_it_says(tmp_path: Path) -> No
     assert ends[1] == pytest.approx(ends[0], abs=0.01)
 
 
-def _workflow(folder: Path, robot: Robot, scene: Scene) -> str:
+def _workflow(folder, robot, scene):
     path = folder / "limb_hold.yaml"
     path.write_text(
         f"schema: unicon.workflow/1\nname: limb_hold\ndescription: hold\nrobot: {robot.path}\n"
@@ -237,7 +240,7 @@ def _workflow(folder: Path, robot: Robot, scene: Scene) -> str:
 
 @needs_genesis
 @pytest.mark.parametrize(("name", "seconds", "way"), [("go2_walk", 60, 3.5), ("g1_walk", 10, 3.6)])
-def test_it_walks_there(name: str, seconds: float, way: float) -> None:
+def test_it_walks_there(name, seconds, way):
     pytest.importorskip("onnxruntime", reason="the policy needs onnxruntime")
     workflow = load_workflow(name, ["platform=genesis"])
     report = Runner(workflow, RunOptions(speed="max", duration=seconds)).run()
@@ -248,7 +251,7 @@ def test_it_walks_there(name: str, seconds: float, way: float) -> None:
 
 @needs_genesis
 @pytest.mark.parametrize("speed", [1e6, np.nan, 1e300])
-def test_physics_that_blow_up_are_a_fault(speed: float) -> None:
+def test_physics_that_blow_up_are_a_fault(speed):
     workflow = load_workflow("go2_stand", ["platform=genesis"])
     platform: Any = workflow.platform
     platform._robots.set_dofs_velocity(np.full((1, 18), speed))
@@ -280,7 +283,7 @@ assert {mine} or sys.excepthook is hook
 @pytest.mark.parametrize(
     "init", ["", "import genesis as gs; gs.init(precision='32', logging_level='error')"]
 )
-def test_it_keeps_to_itself_in_a_process_whoever_began(init: str) -> None:
+def test_it_keeps_to_itself_in_a_process_whoever_began(init):
     text = _OTHER.format(init=init, mine=bool(init))
     done = subprocess.run(
         [sys.executable, "-c", text],
@@ -298,5 +301,5 @@ def test_it_keeps_to_itself_in_a_process_whoever_began(init: str) -> None:
 
 
 @needs_genesis
-def test_begun_twice_is_once() -> None:
+def test_begun_twice_is_once():
     assert begun() is begun()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ import pytest
 from scenes import in_scene
 
 from unicon_base.errors import PlatformError, WorkflowError
-from unicon_core.platforms.kit.servo import JointDelay
+from unicon_core.platforms.kit.command import JointDelay
 from unicon_core.platforms.mujoco import make
 from unicon_core.platforms.platform import info_of
 from unicon_core.robots import load_robot, robot_table
@@ -25,7 +24,7 @@ CONFIG = Path(__file__).resolve().parents[2] / "config"
 HAS_PYBULLET = importlib.util.find_spec("pybullet") is not None
 
 
-def go2(joints: Any = None, period: float = 0.02, robot: str | Path = "go2") -> tuple[Any, States]:
+def go2(joints=None, period=0.02, robot="go2"):
     """Return MuJoCo with a Go2 in the air, and its states."""
     it = load_robot(robot)
     states = States(standard_states(it.joint_names))
@@ -33,13 +32,13 @@ def go2(joints: Any = None, period: float = 0.02, robot: str | Path = "go2") -> 
     return in_scene(make, states, it, period, **scene), states
 
 
-def overlay(folder: Path, simulated: str) -> Path:
+def overlay(folder, simulated):
     path = folder / "weak.yaml"
     path.write_text(f"schema: unicon.robot/1\nextends: go2\nsimulated: {simulated}\n")
     return path
 
 
-def test_what_nobody_says_leaves_the_model_as_it_is() -> None:
+def test_what_nobody_says_leaves_the_model_as_it_is():
     told, _ = go2({"*": {"strength": 1.0, "delay": 0.0}})
     plain, _ = go2()
     for name in ("dof_frictionloss", "dof_armature", "actuator_forcerange"):
@@ -48,7 +47,7 @@ def test_what_nobody_says_leaves_the_model_as_it_is() -> None:
     assert told.robots[0].delay is None
 
 
-def test_friction_and_armature_stand_in_the_model_by_name() -> None:
+def test_friction_and_armature_stand_in_the_model_by_name():
     platform, _ = go2({"*_calf_joint": {"friction": 1.5}, "RL_calf_joint": {"armature": 0.05}})
     dofs = {j: int(platform.model.joint(f"{j}_joint").dofadr[0]) for j in ("RL_calf", "FR_hip")}
     assert platform.model.dof_frictionloss[dofs["RL_calf"]] == 1.5
@@ -58,7 +57,7 @@ def test_friction_and_armature_stand_in_the_model_by_name() -> None:
     assert platform.info()["joints"]["friction"][11] == 1.5
 
 
-def swung(platform: Any, states: States) -> float:
+def swung(platform, states):
     """Speed of a calf after 0.06 s of 1 N·m in the air, joints limp."""
     for name in ("joint_stiffness", "joint_damping"):
         states[name][...] = 0.0
@@ -71,7 +70,7 @@ def swung(platform: Any, states: States) -> float:
 
 
 @pytest.mark.parametrize("engine", ["mujoco", "pybullet"])
-def test_passive_damping_is_kept_or_replaced(engine: str, tmp_path: Path) -> None:
+def test_passive_damping_is_kept_or_replaced(engine, tmp_path):
     if engine == "pybullet" and not HAS_PYBULLET:
         pytest.skip("pybullet is not installed")
     model = (CONFIG / "models" / "go2" / "go2.xml").read_text(encoding="utf-8")
@@ -98,7 +97,7 @@ def test_passive_damping_is_kept_or_replaced(engine: str, tmp_path: Path) -> Non
     assert speeds["undamped"] == pytest.approx(speeds["replace"], rel=1e-4)
 
 
-def test_every_robot_of_a_batch_does_without_passive_damping() -> None:
+def test_every_robot_of_a_batch_does_without_passive_damping():
     robot = load_robot("go2")
     states = States(standard_states(robot.joint_names), num_robots=3)
     platform = in_scene(make, states, robot, 0.02, passive="replace")
@@ -106,13 +105,13 @@ def test_every_robot_of_a_batch_does_without_passive_damping() -> None:
     platform.close()
 
 
-def test_passive_is_one_of_two_words() -> None:
+def test_passive_is_one_of_two_words():
     document = load_document("go2_stand", ["platforms={mujoco: {passive: drop}}"])
     with pytest.raises(WorkflowError, match=r"passive 'drop' is not known; known: keep, replace"):
         Program(document)
 
 
-def test_strength_scales_torque_and_limit() -> None:
+def test_strength_scales_torque_and_limit():
     efforts = []
     for strength in (1.0, 0.25):
         platform, states = go2({"RL_calf_joint": {"strength": strength}}, period=0.002)
@@ -133,7 +132,7 @@ def test_strength_scales_torque_and_limit() -> None:
 
 
 @pytest.mark.parametrize("steps", [1, 5, 9, 10, 13, 30])
-def test_a_delay_is_the_same_command_some_physics_steps_later(steps: int) -> None:
+def test_a_delay_is_the_same_command_some_physics_steps_later(steps):
     """Ten steps a tick; the reference feeds every step by hand."""
     delayed, states = go2({"*": {"delay": steps * 0.002}})
     plain, told = go2(period=0.002)
@@ -151,7 +150,7 @@ def test_a_delay_is_the_same_command_some_physics_steps_later(steps: int) -> Non
     assert np.abs(delayed.data.qvel).max() > 0.5
 
 
-def test_joints_are_late_each_by_its_own_delay() -> None:
+def test_joints_are_late_each_by_its_own_delay():
     rows = np.zeros((5, 4))
     late = JointDelay(rows, np.array([0, 3, 10, 25]), 10)
     acting = np.zeros((60, 4))
@@ -167,7 +166,7 @@ def test_joints_are_late_each_by_its_own_delay() -> None:
         assert (acting[:, joint] == at).all()
 
 
-def test_reset_forgets_the_commands_on_their_way() -> None:
+def test_reset_forgets_the_commands_on_their_way():
     platform, states = go2({"*": {"delay": 0.05}})
     ends = []
     for _ in range(2):
@@ -180,7 +179,7 @@ def test_reset_forgets_the_commands_on_their_way() -> None:
     assert (ends[0] == ends[1]).all()
 
 
-def test_an_overlay_is_the_robot_with_other_joints(tmp_path: Path) -> None:
+def test_an_overlay_is_the_robot_with_other_joints(tmp_path):
     path = overlay(tmp_path, "{RL_calf_joint: {strength: 0.5, friction: 2.0}}")
     robot = load_robot(path)
     assert (robot.name, robot.overlay) == ("go2", path)
@@ -193,7 +192,7 @@ def test_an_overlay_is_the_robot_with_other_joints(tmp_path: Path) -> None:
     assert over.info()["joints"]["friction"][11] == 2.0
 
 
-def program(tmp_path: Path, text: str) -> Program:
+def program(tmp_path, text):
     path = tmp_path / "workflow.yaml"
     path.write_text(f"{text}\nrate: 50\nflow: hold\n")
     return Program(load_document(path))
@@ -202,23 +201,17 @@ def program(tmp_path: Path, text: str) -> Program:
 @pytest.mark.parametrize(
     ("said", "message"),
     [
-        (
-            "{RL_calf_joint: {strength: -1}}",
-            "RL_calf_joint.strength is -1; write a number from 0",
-        ),
+        ("{RL_calf_joint: {strength: -1}}", "RL_calf_joint.strength is -1; write a number from 0"),
         ("{RL_calf_joint: {friction: .inf}}", "scene.joints.RL_calf_joint.friction is inf"),
         ("{RL_calf_joint: {armature: true}}", "joints"),
-        (
-            "{RL_calf_joint: {mass: 1}}",
-            "unknown key 'mass'; known: armature, delay",
-        ),
+        ("{RL_calf_joint: {mass: 1}}", "unknown key 'mass'; known: armature, delay"),
         ("{RL_calf: {strength: 1}}", "no joint like 'RL_calf'; did you mean 'RL_calf_joint'"),
         ("{RL_calf_joint: 0.5}", "joints"),
         ("[RL_calf_joint]", "joints"),
         ("{RL_calf_joint: {strength: .nan}}", "joints"),
     ],
 )
-def test_nonsense_in_a_scene_is_one_line(tmp_path: Path, said: str, message: str) -> None:
+def test_nonsense_in_a_scene_is_one_line(tmp_path, said, message):
     with pytest.raises(WorkflowError) as caught:
         program(tmp_path, f"robot: go2\nplatform: mujoco\nscene: {{joints: {said}}}")
     assert message in str(caught.value)
@@ -226,7 +219,7 @@ def test_nonsense_in_a_scene_is_one_line(tmp_path: Path, said: str, message: str
     assert "\n" not in str(caught.value)
 
 
-def test_a_platform_that_cannot_says_what_it_can(tmp_path: Path) -> None:
+def test_a_platform_that_cannot_says_what_it_can(tmp_path):
     weak = overlay(tmp_path, "{'*': {armature: 0.02}}")
     with pytest.raises(WorkflowError, match=r"'fake' simulates no strength .*nothing of joints"):
         program(tmp_path, "robot: go2\nplatform: fake\nscene: {joints: {'*': {strength: 0.5}}}")
@@ -238,7 +231,7 @@ def test_a_platform_that_cannot_says_what_it_can(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not HAS_PYBULLET, reason="pybullet is not installed")
-def test_pybullet_knows_strength_friction_and_delay(tmp_path: Path) -> None:
+def test_pybullet_knows_strength_friction_and_delay(tmp_path):
     ways = {}
     for name, said in {
         "plain": "{}",
@@ -248,7 +241,8 @@ def test_pybullet_knows_strength_friction_and_delay(tmp_path: Path) -> None:
     }.items():
         scene = f"{{initial_height: 2.0, joints: {said}}}"
         it = program(tmp_path, f"robot: go2\nplatform: pybullet\nscene: {scene}")
-        states, begin = it.states, load_robot("go2").default_joint_pos
+        states = it.states
+        begin = load_robot("go2").default_joint_pos
         states["joint_stiffness"][...], states["joint_damping"][...] = 30.0, 1.0
         states["joint_pos_target"][...] = begin
         it.platform.send()
@@ -270,7 +264,7 @@ def test_pybullet_knows_strength_friction_and_delay(tmp_path: Path) -> None:
         program(tmp_path, f"robot: go2\nplatform: pybullet\nscene: {scene}")
 
 
-def test_a_child_is_told_the_same(tmp_path: Path) -> None:
+def test_a_child_is_told_the_same(tmp_path):
     scene = "{joints: {RL_calf_joint: {strength: 0.5}}}"
     it = program(tmp_path, f"robot: go2\nplatform: {{child: mujoco}}\nscene: {scene}")
     try:
@@ -279,9 +273,7 @@ def test_a_child_is_told_the_same(tmp_path: Path) -> None:
         it.close()
 
 
-def test_a_batch_of_weak_robots_is_as_one(
-    toy_robot: Callable[..., Any], toy_model: Callable[..., Path], states_of: Callable[..., States]
-) -> None:
+def test_a_batch_of_weak_robots_is_as_one(toy_robot, toy_model, states_of):
     robot = toy_robot()
     joints = {"elbow_joint": {"strength": 0.5, "friction": 0.1, "delay": 0.002}}
     ends = []
@@ -297,6 +289,6 @@ def test_a_batch_of_weak_robots_is_as_one(
     assert isinstance(platform.model, mujoco.MjModel)
 
 
-def test_scene_in_python_refuses_too() -> None:
+def test_scene_in_python_refuses_too():
     with pytest.raises(PlatformError, match=r"scene\.joints\.\w+\.strength is nan"):
         go2({"RL_calf_joint": {"strength": np.nan}})

@@ -23,9 +23,8 @@ from unicon_core.platforms.kit.base import (
     rotation,
     rpy_of_quat,
 )
-from unicon_core.platforms.kit.command import Command
-from unicon_core.platforms.kit.servo import Servo
-from unicon_core.robots import Robot, load_robot
+from unicon_core.platforms.kit.command import Command, Servo
+from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states
 from unicon_core.states.standard import BASE_STATES, COMMAND_STATES
 
@@ -34,18 +33,18 @@ EXAMPLE = ROOT / "examples" / "my_robot.py"
 UNIT = st.floats(-1.0, 1.0)
 
 
-def states_of(robot: Robot, num_robots: int | None = None) -> States:
+def states_of(robot, num_robots=None):
     return States(standard_states(robot.joint_names), num_robots)
 
 
-def unit(quat: Any) -> Any:
+def unit(quat):
     quat = np.array(quat, np.float64)
     length = np.linalg.norm(quat)
     return quat / length if length > 0.1 else np.array((1.0, 0.0, 0.0, 0.0))
 
 
 @given(rpy=st.tuples(st.floats(-3.1, 3.1), st.floats(-1.5, 1.5), st.floats(-3.1, 3.1)))
-def test_angles_become_quaternions_and_back(rpy: tuple[float, float, float]) -> None:
+def test_angles_become_quaternions_and_back(rpy):
     np.testing.assert_allclose(rpy_of_quat(quat_of_rpy(np.array(rpy))), rpy, atol=1e-7)
     several = quat_of_rpy(np.tile(rpy, (5, 1)))
     np.testing.assert_allclose(several, np.tile(quat_of_rpy(np.array(rpy)), (5, 1)))
@@ -55,8 +54,10 @@ def test_angles_become_quaternions_and_back(rpy: tuple[float, float, float]) -> 
 
 
 @given(mount=st.tuples(*[UNIT] * 4), base=st.tuples(*[UNIT] * 4), rate=st.tuples(*[UNIT] * 3))
-def test_a_turned_sensor_tells_the_same_of_the_base(mount: Any, base: Any, rate: Any) -> None:
-    mounted, base_quat, base_rate = unit(mount), unit(base), np.array(rate)
+def test_a_turned_sensor_tells_the_same_of_the_base(mount, base, rate):
+    mounted = unit(mount)
+    base_quat = unit(base)
+    base_rate = np.array(rate)
     sensor_to_world = rotation(base_quat) @ rotation(mounted)
     told_rate = rotation(mounted).T @ base_rate
     (w, x, y, z), (a, b, c, d) = base_quat, mounted  # their product is sensor to world
@@ -80,9 +81,10 @@ def test_a_turned_sensor_tells_the_same_of_the_base(mount: Any, base: Any, rate:
     np.testing.assert_allclose(readings["base_lin_acc"], 2.0 * base_rate, atol=1e-9)
 
 
-def test_the_servo_is_the_equation_within_the_limits() -> None:
+def test_the_servo_is_the_equation_within_the_limits():
     rng = np.random.default_rng(2)
-    rows, limit = rng.uniform(0.0, 3.0, (5, 4)), np.array([1.0, 5.0, np.nan, 0.5])
+    rows = rng.uniform(0.0, 3.0, (5, 4))
+    limit = np.array([1.0, 5.0, np.nan, 0.5])
     pos, vel = rng.uniform(-1.0, 1.0, (2, 4))
     torque = rows[3] * (rows[0] - pos) + rows[4] * (rows[1] - vel) + rows[2]
     wanted = np.clip(torque, -np.nan_to_num(limit, nan=1e9), np.nan_to_num(limit, nan=1e9))
@@ -90,7 +92,7 @@ def test_the_servo_is_the_equation_within_the_limits() -> None:
 
 
 @pytest.mark.parametrize("num_robots", [None, 3])
-def test_a_command_is_copied_and_found_finite(num_robots: int | None) -> None:
+def test_a_command_is_copied_and_found_finite(num_robots):
     robot = load_robot("go2")
     states = states_of(robot, num_robots)
     command = Command({name: states[name] for name in COMMAND_STATES}, robot.joint_names)
@@ -104,13 +106,14 @@ def test_a_command_is_copied_and_found_finite(num_robots: int | None) -> None:
         command.take()
 
 
-def test_base_states_of_a_base_that_turns_and_falls() -> None:
+def test_base_states_of_a_base_that_turns_and_falls():
     robot = load_robot("go2")
     states = states_of(robot)
     views = {n: states[n][None] for n in BASE_STATES}
     base = BaseStates(views, robot, 0.001, np.array((0.0, 0.0, -9.81)))
     left = np.array([(np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5))])  # looks along the world's y
-    none, ahead = np.zeros((1, 3)), np.array([(0.0, 2.0, 0.0)])
+    none = np.zeros((1, 3))
+    ahead = np.array([(0.0, 2.0, 0.0)])
     base(*[WorldPose(none, left, ahead, np.array([(0.0, 0.0, 1.0)]))] * 2)
     np.testing.assert_allclose(states.base_lin_vel, (2.0, 0.0, 0.0), atol=1e-6)
     np.testing.assert_allclose(states.base_ang_vel, (0.0, 0.0, 1.0), atol=1e-6)
@@ -122,7 +125,7 @@ def test_base_states_of_a_base_that_turns_and_falls() -> None:
 
 
 @given(seed=st.integers(0, 2**32 - 1))
-def test_a_base_alone_is_told_as_one_of_many(seed: int) -> None:
+def test_a_base_alone_is_told_as_one_of_many(seed):
     rng = np.random.default_rng(seed)
     robot = load_robot("go2")
     poses = []
@@ -143,7 +146,7 @@ def test_a_base_alone_is_told_as_one_of_many(seed: int) -> None:
             np.testing.assert_allclose(told[0][name][0], told[1][name][k], rtol=2e-5, atol=2e-5)
 
 
-def test_commands_come_late_by_the_delay_and_others_see_them_at_once() -> None:
+def test_commands_come_late_by_the_delay_and_others_see_them_at_once():
     robot = load_robot("go2")
     states = states_of(robot)
     platform = in_scene(make, states, robot, 0.02, delay=2)
@@ -180,10 +183,11 @@ class Driver:
         self.closed = True
 
 
-def test_the_platform_of_the_documentation_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_platform_of_the_documentation_runs(monkeypatch):
     document = (ROOT / "docs" / "reference" / "platforms.md").read_text(encoding="utf-8")
     assert "`examples/my_robot.py`" in document
-    driver, vendor = Driver(), ModuleType("my_vendor")
+    driver = Driver()
+    vendor = ModuleType("my_vendor")
     vendor.open_driver = lambda port: driver  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "my_vendor", vendor)
     module: dict[str, Any] = {}

@@ -12,11 +12,11 @@ from unicon_base.errors import MissingDependencyError, ModelError
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "vendor"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 
-def test_without_it_the_install_command_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_it_the_install_command_is_told(monkeypatch):
     monkeypatch.setitem(sys.modules, "jax", None)
     with pytest.raises(MissingDependencyError) as error:
         load_workflow("go2_stand", ["platform=mjx"])

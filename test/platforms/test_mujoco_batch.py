@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
@@ -26,20 +25,21 @@ COUNT = 6
 
 
 @pytest.fixture
-def cores(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
+def cores(monkeypatch):
     def use(count: int) -> None:
         monkeypatch.setattr(os, "sched_getaffinity", lambda pid: set(range(count)))
 
     return use
 
 
-def threads() -> list[str]:
+def threads():
     return [each.name for each in threading.enumerate() if each.name.startswith("mujoco")]
 
 
-def commanded(platform: MujocoPlatform, states: States, ticks: int) -> Trace:
+def commanded(platform, states, ticks):
     """Every robot gets commands and gains of its own, and is pushed; all bytes of every tick."""
-    rng, trace = np.random.default_rng(7), []
+    rng = np.random.default_rng(7)
+    trace = []
     for tick in range(ticks):
         platform.recv()
         for name in platform.facts.reads:
@@ -66,9 +66,7 @@ def commanded(platform: MujocoPlatform, states: States, ticks: int) -> Trace:
     ],
     ids=["plain", "RK4", "weak", "late"],
 )
-def test_the_number_of_threads_changes_nothing(
-    build: Build, cores: Callable[[int], None], options: dict[str, Any]
-) -> None:
+def test_the_number_of_threads_changes_nothing(build, cores, options):
     traces = []
     for count in (1, 2, 3, 16):
         cores(count)
@@ -85,9 +83,7 @@ def test_the_number_of_threads_changes_nothing(
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.012])
-def test_a_robot_does_in_a_batch_what_it_does_alone(
-    build: Build, cores: Callable[[int], None], delay: float
-) -> None:
+def test_a_robot_does_in_a_batch_what_it_does_alone(build, cores, delay):
     cores(3)
     joints = {"joints": {"wrist_joint": {"delay": delay, "strength": 0.7}}}
     many, of_many = build(num_robots=COUNT, **joints)
@@ -112,11 +108,11 @@ def test_a_robot_does_in_a_batch_what_it_does_alone(
 
 
 @pytest.mark.parametrize("scene", [{}, {"joints": {"*": {"strength": 0.6}}}], ids=["", "weak"])
-def test_what_is_told_of_a_batch_is_what_would_be_pushed(
-    build: Build, scene: dict[str, Any]
-) -> None:
+def test_what_is_told_of_a_batch_is_what_would_be_pushed(build, scene):
     platform, _ = build(**scene)
-    servo, model, ctrl = platform._servo, platform.model, platform.data.ctrl
+    servo = platform._servo
+    model = platform.model
+    ctrl = platform.data.ctrl
     written = ctrl, model.actuator_gainprm, model.actuator_biasprm
 
     @settings(max_examples=40, deadline=None, derandomize=True)
@@ -136,9 +132,7 @@ def test_what_is_told_of_a_batch_is_what_would_be_pushed(
 
 
 @pytest.mark.parametrize("wrong", [0, 3, 5])
-def test_a_command_that_is_not_finite_names_its_robot_and_steps_nobody(
-    build: Build, cores: Callable[[int], None], wrong: int
-) -> None:
+def test_a_command_that_is_not_finite_names_its_robot_and_steps_nobody(build, cores, wrong):
     cores(3)
     platform, states = build(num_robots=COUNT)
     platform.send()
@@ -154,9 +148,7 @@ def test_a_command_that_is_not_finite_names_its_robot_and_steps_nobody(
 
 
 @pytest.mark.parametrize("wrong", [(4,), (5, 2), (1, 0, 3)])
-def test_of_the_robots_that_blow_up_the_first_is_named(
-    build: Build, cores: Callable[[int], None], wrong: tuple[int, ...]
-) -> None:
+def test_of_the_robots_that_blow_up_the_first_is_named(build, cores, wrong):
     cores(3)
     platform, _ = build(num_robots=COUNT)
     for rank in wrong:
@@ -167,7 +159,7 @@ def test_of_the_robots_that_blow_up_the_first_is_named(
     assert threads() == []
 
 
-def test_a_batch_of_one_says_so_and_a_robot_alone_does_not(build: Build) -> None:
+def test_a_batch_of_one_says_so_and_a_robot_alone_does_not(build):
     for num_robots, who in ((1, "robot 0, "), (None, "")):
         platform, states = build(num_robots=num_robots)
         states.joint_stiffness[...] = np.inf
@@ -180,9 +172,7 @@ def test_a_batch_of_one_says_so_and_a_robot_alone_does_not(build: Build) -> None
             platform.send()
 
 
-def test_a_closed_batch_steps_on_without_threads(
-    build: Build, cores: Callable[[int], None]
-) -> None:
+def test_a_closed_batch_steps_on_without_threads(build, cores):
     cores(2)
     traces = []
     for closed in (False, True):
@@ -197,7 +187,7 @@ def test_a_closed_batch_steps_on_without_threads(
     assert traces[0] == traces[1]
 
 
-def test_a_batch_that_cannot_be_built_leaves_no_thread(cores: Callable[[int], None]) -> None:
+def test_a_batch_that_cannot_be_built_leaves_no_thread(cores):
     cores(4)
     robot = load_robot("go2")
     states = States(standard_states(robot.joint_names), 8)
@@ -206,7 +196,7 @@ def test_a_batch_that_cannot_be_built_leaves_no_thread(cores: Callable[[int], No
     assert threads() == []
 
 
-def test_limits_are_lifted_for_every_robot(build: Build, cores: Callable[[int], None]) -> None:
+def test_limits_are_lifted_for_every_robot(build, cores):
     cores(3)
     platform, states = build(num_robots=COUNT)
 
@@ -225,7 +215,7 @@ def test_limits_are_lifted_for_every_robot(build: Build, cores: Callable[[int], 
     platform.close()
 
 
-def test_joints_are_locked_for_every_robot(build: Build, cores: Callable[[int], None]) -> None:
+def test_joints_are_locked_for_every_robot(build, cores):
     cores(3)
     platform, states = build(num_robots=COUNT)
 
@@ -251,9 +241,7 @@ def test_joints_are_locked_for_every_robot(build: Build, cores: Callable[[int], 
     ("count", "cores_", "expected"),
     [(1, 8, [1]), (3, 8, [3]), (4, 8, [2, 2]), (7, 2, [3, 4]), (64, 3, [21, 21, 22]), (5, 1, [5])],
 )
-def test_threads_share_the_robots(
-    count: int, cores_: int, expected: list[int], cores: Callable[[int], None]
-) -> None:
+def test_threads_share_the_robots(count, cores_, expected, cores):
     cores(cores_)
     found = shares(count)
     assert [len(each) for each in found] == expected

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,16 +19,11 @@ from unicon_base.errors import (
     WorkflowError,
 )
 from unicon_core.platforms.mujoco import MujocoPlatform, make
-from unicon_core.robots import Robot
 from unicon_core.states import States
 
 
 @pytest.fixture
-def build(
-    toy_robot: Callable[..., Robot],
-    toy_model: Callable[..., Path],
-    states_of: Callable[..., States],
-) -> Callable[..., tuple[MujocoPlatform, States]]:
+def build(toy_robot, toy_model, states_of):
     def make_it(
         period: float = 0.01, joints: tuple[str, ...] | None = None, **options: Any
     ) -> tuple[MujocoPlatform, States]:
@@ -47,11 +41,11 @@ Build = Callable[..., tuple[MujocoPlatform, States]]
 JOINTS = ("shoulder_joint", "elbow_joint", "wrist_joint", "fingr_joint")
 
 
-def message(error: pytest.ExceptionInfo[Exception], tmp_path: Path) -> str:
+def message(error, tmp_path):
     return str(error.value).replace(str(tmp_path), "DIR")
 
 
-def test_joint_that_the_model_lacks(build: Build, tmp_path: Path) -> None:
+def test_joint_that_the_model_lacks(build, tmp_path):
     with pytest.raises(ModelError) as error:
         build(joints=JOINTS)
     assert message(error, tmp_path) == (
@@ -61,18 +55,14 @@ def test_joint_that_the_model_lacks(build: Build, tmp_path: Path) -> None:
     )
 
 
-def test_joint_names_may_lack_the_ending(
-    build: Build, tmp_path: Path, toy_model: Callable[..., Path]
-) -> None:
+def test_joint_names_may_lack_the_ending(build, tmp_path, toy_model):
     path = toy_model()
     path.write_text(path.read_text().replace('"wrist_joint"', '"arm/wrist"'))
     platform, _ = build(model=path)
     assert platform.info()["actuators"]["wrist_joint"] == "position"
 
 
-def test_joint_that_could_be_two(
-    build: Build, tmp_path: Path, toy_model: Callable[..., Path]
-) -> None:
+def test_joint_that_could_be_two(build, tmp_path, toy_model):
     path = toy_model()
     text = (
         path.read_text().replace('"wrist_joint"', '"a/wrist"').replace('"elbow_joint"', '"wrist"')
@@ -86,7 +76,7 @@ def test_joint_that_could_be_two(
     )
 
 
-def test_no_model_at_all(build: Build, tmp_path: Path) -> None:
+def test_no_model_at_all(build, tmp_path):
     with pytest.raises(ModelError) as error:
         build(model=None)
     assert message(error, tmp_path) == (
@@ -96,12 +86,12 @@ def test_no_model_at_all(build: Build, tmp_path: Path) -> None:
     )
 
 
-def test_model_file_that_is_not_there(build: Build) -> None:
+def test_model_file_that_is_not_there(build):
     with pytest.raises(ModelError, match=r"^model '/no/such\.xml': no such file"):
         build(model="/no/such.xml")
 
 
-def test_model_file_that_is_broken(build: Build, tmp_path: Path) -> None:
+def test_model_file_that_is_broken(build, tmp_path):
     path = tmp_path / "broken.xml"
     path.write_text("<mujoco><worldbody><geom sise='1'/></worldbody></mujoco>")
     with pytest.raises(ModelError) as error:
@@ -112,7 +102,7 @@ def test_model_file_that_is_broken(build: Build, tmp_path: Path) -> None:
     assert "\n" not in text
 
 
-def test_period_that_is_no_whole_number_of_steps(build: Build, tmp_path: Path) -> None:
+def test_period_that_is_no_whole_number_of_steps(build, tmp_path):
     with pytest.raises(ModelError) as error:
         build(period=0.005)
     assert message(error, tmp_path) == (
@@ -122,7 +112,7 @@ def test_period_that_is_no_whole_number_of_steps(build: Build, tmp_path: Path) -
     )
 
 
-def test_unknown_key_frame(build: Build, tmp_path: Path) -> None:
+def test_unknown_key_frame(build, tmp_path):
     with pytest.raises(ModelError) as error:
         build(initial_pose="keyframe:upp")
     assert message(error, tmp_path) == (
@@ -150,10 +140,7 @@ def test_unknown_key_frame(build: Build, tmp_path: Path) -> None:
             "scene.terrain is 'hills'; known: flat, gaps, obstacles, patches, pyramid, rough, "
             "slope, stairs; or put other ground into a model (scene: {model: PATH})",
         ),
-        (
-            {"noise": {"joint_pos": -1.0}},
-            "scene.noise.joint_pos is -1.0; write a number from 0",
-        ),
+        ({"noise": {"joint_pos": -1.0}}, "scene.noise.joint_pos is -1.0; write a number from 0"),
         (
             {"push": {"each": 1.0, "every": 1.0, "velocity": 1.0}},
             "scene.push: unknown key 'each'; known: every, velocity",
@@ -164,13 +151,13 @@ def test_unknown_key_frame(build: Build, tmp_path: Path) -> None:
         ),
     ],
 )
-def test_wrong_options(build: Build, options: dict[str, Any], expected: str) -> None:
+def test_wrong_options(build, options, expected):
     with pytest.raises((PlatformError, WorkflowError)) as error:
         build(**options)
     assert str(error.value) == expected
 
 
-def test_noise_of_a_state_that_is_not_measured(build: Build) -> None:
+def test_noise_of_a_state_that_is_not_measured(build):
     with pytest.raises(PlatformError) as error:
         build(noise={"joint_poss": 0.1})
     assert str(error.value).startswith(
@@ -179,20 +166,20 @@ def test_noise_of_a_state_that_is_not_measured(build: Build) -> None:
 
 
 @pytest.mark.parametrize("timestep", [1e-300, 1e-9, 0.0, -0.01, np.nan])
-def test_physics_steps_without_number(build: Build, timestep: float, tmp_path: Path) -> None:
+def test_physics_steps_without_number(build, timestep, tmp_path):
     with pytest.raises(ModelError) as error:
         build(timestep=timestep)
     assert "timestep" in str(error.value)
 
 
-def test_mujoco_that_is_not_installed(build: Build, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_mujoco_that_is_not_installed(build, monkeypatch):
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(MissingDependencyError) as error:
         build()
     assert str(error.value) == ("platform 'mujoco' needs mujoco: pip install 'unicon_ros[sim]'")
 
 
-def test_viewer_without_a_display(build: Build, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_viewer_without_a_display(build, monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(PlatformError) as error:
@@ -205,7 +192,7 @@ def test_viewer_without_a_display(build: Build, monkeypatch: pytest.MonkeyPatch)
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("state", ["joint_pos_target", "joint_effort_ff", "joint_damping"])
-def test_command_that_is_not_finite_moves_nothing(build: Build, state: str, value: float) -> None:
+def test_command_that_is_not_finite_moves_nothing(build, state, value):
     platform, states = build()
     platform.send()
     before = platform.data.qpos.copy()
@@ -216,9 +203,7 @@ def test_command_that_is_not_finite_moves_nothing(build: Build, state: str, valu
     assert platform.data.qpos.tolist() == before.tolist()
 
 
-def test_physics_that_blows_up(
-    build: Build, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_physics_that_blows_up(build, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     platform, states = build()
     platform.model.actuator_forcelimited[:] = 0

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
-
 import pytest
 
 from unicon_base.errors import ModelError
 from unicon_core.models.load import load_model
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.mujoco import make
-from unicon_core.robots import Robot, load_robot
+from unicon_core.robots import load_robot
 from unicon_core.states import States
 
 URDF = """
@@ -41,7 +38,7 @@ LIMB = """
 PLACES = {"shoulder": (1, 1), "elbow": (1, -1), "wrist": (-1, 1), "finger": (-1, -1)}
 
 
-def stand(states: States, robot: Robot, platform: object, ticks: int = 100) -> None:
+def stand(states, robot, platform, ticks=100):
     states.joint_pos_target = robot.default_joint_pos
     states.joint_stiffness = robot.joint_stiffness
     states.joint_damping = robot.joint_damping
@@ -50,9 +47,7 @@ def stand(states: States, robot: Robot, platform: object, ticks: int = 100) -> N
     platform.recv()  # type: ignore[attr-defined]
 
 
-def test_urdf_gets_base_floor_and_motors(
-    tmp_path: Path, toy_robot: Callable[..., Robot], states_of: Callable[..., States]
-) -> None:
+def test_urdf_gets_base_floor_and_motors(tmp_path, toy_robot, states_of):
     limbs = "".join(LIMB.format(name=n, x=0.2 * x, y=0.15 * y) for n, (x, y) in PLACES.items())
     path = tmp_path / "toy.urdf"
     path.write_text(URDF.format(limbs=limbs))
@@ -73,7 +68,7 @@ def test_urdf_gets_base_floor_and_motors(
     assert states.projected_gravity[2] < -0.99
 
 
-def with_mesh(path: Path, geom: str) -> Path:
+def with_mesh(path, geom):
     text = path.read_text()
     text = text.replace(
         "<worldbody>", '<asset><mesh name="skin" file="skin.stl"/></asset><worldbody>'
@@ -82,11 +77,7 @@ def with_mesh(path: Path, geom: str) -> Path:
     return path
 
 
-def test_absent_meshes_are_left_out_with_one_line(
-    toy_robot: Callable[..., Robot],
-    toy_model: Callable[..., Path],
-    states_of: Callable[..., States],
-) -> None:
+def test_absent_meshes_are_left_out_with_one_line(toy_robot, toy_model, states_of):
     geom = '<geom type="mesh" mesh="skin" contype="0" conaffinity="0"/>'
     path = with_mesh(toy_model(), geom + '<geom type="mesh" mesh="skin"/>')
     robot = toy_robot()
@@ -100,11 +91,7 @@ def test_absent_meshes_are_left_out_with_one_line(
     assert load_model(path, robot).absent == {path: line}
 
 
-def test_body_that_weighs_nothing_without_its_mesh_is_an_error(
-    toy_robot: Callable[..., Robot],
-    toy_model: Callable[..., Path],
-    states_of: Callable[..., States],
-) -> None:
+def test_body_that_weighs_nothing_without_its_mesh_is_an_error(toy_robot, toy_model, states_of):
     geom = '<body name="hat"><joint name="hat_joint"/><geom type="mesh" mesh="skin"/></body>'
     path = with_mesh(toy_model(), geom)
     robot = toy_robot()
@@ -113,11 +100,7 @@ def test_body_that_weighs_nothing_without_its_mesh_is_an_error(
         make(states_of(robot), robot, 0.01, scene=Scene(model=path))
 
 
-def test_actuator_dynamics_are_left_out(
-    toy_robot: Callable[..., Robot],
-    toy_model: Callable[..., Path],
-    states_of: Callable[..., States],
-) -> None:
+def test_actuator_dynamics_are_left_out(toy_robot, toy_model, states_of):
     actuators = "".join(
         f'<position name="{n}" joint="{n}_joint" kp="5" timeconst="0.1"/>' for n in PLACES
     )
@@ -131,11 +114,7 @@ def test_actuator_dynamics_are_left_out(
     assert states.joint_effort.tolist() == [1.0] * 4  # at once
 
 
-def test_second_actuator_of_a_joint_is_silent(
-    toy_robot: Callable[..., Robot],
-    toy_model: Callable[..., Path],
-    states_of: Callable[..., States],
-) -> None:
+def test_second_actuator_of_a_joint_is_silent(toy_robot, toy_model, states_of):
     actuators = "".join(
         f'<position joint="{n}_joint" kp="5"/><velocity joint="{n}_joint" kv="3"/>' for n in PLACES
     )
@@ -157,7 +136,7 @@ def test_second_actuator_of_a_joint_is_silent(
         ("g1_29dof", "assets:models/g1_29dof/g1_29dof.xml"),
     ],
 )
-def test_models_of_others_load(assets: Path, robot_name: str, model: str) -> None:
+def test_models_of_others_load(assets, robot_name, model):
     from unicon_core.states import standard_states
 
     robot = load_robot(robot_name)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -13,7 +12,8 @@ import pytest
 
 from unicon_base.errors import Fault
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.mujoco import MujocoPlatform, make, rehearsal
+from unicon_core.platforms.mujoco import MujocoPlatform, make
+from unicon_core.platforms.mujoco import reader as rehearsal
 from unicon_core.platforms.platform import WarmsUp
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
@@ -23,13 +23,14 @@ from unicon_core.workflow import load_workflow
 Build = Callable[..., tuple[MujocoPlatform, States]]
 
 INTEGRATORS = ["Euler", "implicitfast", "RK4"]
+# Arrays that nothing has written here: up to MuJoCo 3.16 they show what lay there before.
 UNWRITTEN = ("efc_AR", "efc_Y", "efm_", "tree_island", "map_itree2tree")
-"""Arrays that nothing has written here: up to MuJoCo 3.16 they show what lay there before."""
 
 
-def everything(platform: MujocoPlatform) -> dict[str, Any]:
+def everything(platform):
     """All that can be seen of a robot's data, and what the platform goes on from."""
-    data, found = platform.data, {}
+    data = platform.data
+    found = {}
     for name in dir(data):
         value = None if name.startswith(("_", *UNWRITTEN)) else getattr(data, name)
         if isinstance(value, np.ndarray):
@@ -49,12 +50,12 @@ def everything(platform: MujocoPlatform) -> dict[str, Any]:
     return found
 
 
-def command(states: States, rng: np.random.Generator) -> None:
+def command(states, rng):
     for name in ("joint_pos_target", "joint_stiffness", "joint_damping"):
         states[name] = rng.uniform(0, 2, states[name].shape)
 
 
-def rehearsed(platform: MujocoPlatform, times: int = 2) -> None:
+def rehearsed(platform, times=2):
     """Rehearse, and see that a step was made."""
     steps: list[int] = []
     real = platform.robots[0].rehearse._mujoco
@@ -76,7 +77,7 @@ def rehearsed(platform: MujocoPlatform, times: int = 2) -> None:
 
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 @pytest.mark.parametrize("base", ["<freejoint/>", ""])
-def test_nothing_that_can_be_seen_changes(build: Build, integrator: str, base: str) -> None:
+def test_nothing_that_can_be_seen_changes(build, integrator, base):
     platform, states = build(model={"integrator": integrator, "base": base})
     assert isinstance(platform, WarmsUp)
     rng = np.random.default_rng(0)
@@ -84,14 +85,15 @@ def test_nothing_that_can_be_seen_changes(build: Build, integrator: str, base: s
         command(states, rng)
         platform.send()
         platform.recv()
-        told, before = bytes(states.snapshot().data), everything(platform)
+        told = bytes(states.snapshot().data)
+        before = everything(platform)
         rehearsed(platform, 3)
         assert bytes(states.snapshot().data) == told
         after = everything(platform)
         assert {name for name in before if before[name] != after[name]} == set()
 
 
-def standing() -> tuple[MujocoPlatform, States]:
+def standing():
     """A Go2 on its feet: contacts, friction, a warm start."""
     robot = load_robot("go2")
     states = States(standard_states(robot.joint_names))
@@ -101,7 +103,7 @@ def standing() -> tuple[MujocoPlatform, States]:
     return make(states, robot, 0.02, scene=Scene()), states
 
 
-def test_neither_do_contacts_nor_arrays_that_somebody_holds() -> None:
+def test_neither_do_contacts_nor_arrays_that_somebody_holds():
     platform, _ = standing()
     for _ in range(30):
         platform.send()
@@ -118,11 +120,12 @@ def test_neither_do_contacts_nor_arrays_that_somebody_holds() -> None:
         assert np.shares_memory(array, getattr(data, name))
 
 
-def test_the_ticks_that_follow_are_the_same_to_the_bit() -> None:
+def test_the_ticks_that_follow_are_the_same_to_the_bit():
     traces = []
     for warm in (False, True):
         platform, states = standing()
-        rng, trace = np.random.default_rng(5), []
+        rng = np.random.default_rng(5)
+        trace = []
         for tick in range(60):
             for _ in range(int(rng.integers(0, 4))):
                 if warm:
@@ -145,19 +148,18 @@ def test_the_ticks_that_follow_are_the_same_to_the_bit() -> None:
     assert traces[0] == traces[1]
 
 
-def test_a_robot_of_a_batch_is_rehearsed_alike(build: Build) -> None:
+def test_a_robot_of_a_batch_is_rehearsed_alike(build):
     platform, states = build(num_robots=5)
     command(states, np.random.default_rng(1))
     platform.send()
-    told, before = bytes(states.snapshot().data), everything(platform)
+    told = bytes(states.snapshot().data)
+    before = everything(platform)
     rehearsed(platform, 3)
     assert (bytes(states.snapshot().data), everything(platform)) == (told, before)
     platform.close()
 
 
-def test_a_rehearsal_that_blows_up_says_nothing_and_the_real_step_does(
-    build: Build, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_rehearsal_that_blows_up_says_nothing_and_the_real_step_does(build, monkeypatch):
     said: list[str] = []
     was = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(said.append)
@@ -177,7 +179,7 @@ def test_a_rehearsal_that_blows_up_says_nothing_and_the_real_step_does(
         mujoco.set_mju_user_warning(was)
 
 
-def test_nan_is_left_where_it_is(build: Build) -> None:
+def test_nan_is_left_where_it_is(build):
     platform, states = build()
     platform.data.qpos[3] = np.nan
     states.joint_pos_target[0] = np.nan
@@ -186,10 +188,11 @@ def test_nan_is_left_where_it_is(build: Build) -> None:
     assert (bytes(states.snapshot().data), platform.data.qpos.tobytes()) == before
 
 
-def test_a_step_that_is_broken_off_is_set_back(build: Build) -> None:
+def test_a_step_that_is_broken_off_is_set_back(build):
     platform, _ = build()
     platform.warm_up()
-    before, real = everything(platform), mujoco
+    before = everything(platform)
+    real = mujoco
 
     class Broken:
         def __getattr__(self, name: str) -> Any:
@@ -203,9 +206,7 @@ def test_a_step_that_is_broken_off_is_set_back(build: Build) -> None:
     assert everything(platform) == before
 
 
-def test_long_steps_are_not_rehearsed_but_for_a_look_now_and_then(
-    build: Build, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_long_steps_are_not_rehearsed_but_for_a_look_now_and_then(build, monkeypatch):
     monkeypatch.setattr(rehearsal, "REST", 10)
     monkeypatch.setattr(rehearsal, "LONGEST_NS", -1)  # all are longer
     platform, _ = build()
@@ -216,7 +217,9 @@ def test_long_steps_are_not_rehearsed_but_for_a_look_now_and_then(
     for _ in range(80):
         calls.append(1)
         platform.warm_up()
-    first, second, third = ([2, 3, 4, 5], [16, 17, 18, 19], [40, 41, 42, 43])
+    first = [2, 3, 4, 5]
+    second = [16, 17, 18, 19]
+    third = [40, 41, 42, 43]
     assert steps == [*first, *second, *third]
     monkeypatch.setattr(rehearsal, "LONGEST_NS", 10**12)
     for _ in range(100):
@@ -225,7 +228,7 @@ def test_long_steps_are_not_rehearsed_but_for_a_look_now_and_then(
     assert steps[len(first) * 3 :] == list(range(84, 181))
 
 
-def test_a_model_with_a_plugin_is_not_rehearsed(build: Build) -> None:
+def test_a_model_with_a_plugin_is_not_rehearsed(build):
     platform, _ = build()
     robot = platform.robots[0]
 
@@ -239,8 +242,9 @@ def test_a_model_with_a_plugin_is_not_rehearsed(build: Build) -> None:
 
 
 @pytest.mark.usefixtures("time_passes")
-def test_a_run_in_real_time_sends_the_bytes_of_one_at_full_speed(tmp_path: Path) -> None:
-    digests, calls = set(), []
+def test_a_run_in_real_time_sends_the_bytes_of_one_at_full_speed(tmp_path):
+    digests = set()
+    calls = []
     for options in ({"duration": 1.5}, {"duration": 1.5, "speed": "max"}):
         program = load_workflow("go2_walk")
         rehearse = program.platform.robots[0].rehearse  # type: ignore[attr-defined]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -22,7 +20,7 @@ LIMIT = np.array([9.0, 6.0, 9.0, 5.0])
 TARGET_RANGE = {2: 1.5}  # the position actuator of the wrist clips its targets
 
 
-def pd_torque(command: Any, pos: Any, vel: Any) -> Any:
+def pd_torque(command, pos, vel):
     """tau = kp (q* - q) + kd (qd* - qd) + tau_ff, clipped; rows as in COMMAND_STATES."""
     target = np.array(command[0])
     for joint, bound in TARGET_RANGE.items():
@@ -31,13 +29,13 @@ def pd_torque(command: Any, pos: Any, vel: Any) -> Any:
     return np.clip(torque, -LIMIT, LIMIT)
 
 
-def send_command(states: States, command: Any) -> None:
+def send_command(states, command):
     names = ("joint_pos_target", "joint_vel_target", "joint_effort_ff")
     for name, row in zip((*names, "joint_stiffness", "joint_damping"), command):
         states[name] = row
 
 
-def random_command(rng: np.random.Generator, count: int, strength: float = 1.0) -> Any:
+def random_command(rng, count, strength=1.0):
     """Commands in float32, as the states carry them, in float64 for the equation."""
     rows = [
         rng.uniform(-2, 2, count),
@@ -51,19 +49,18 @@ def random_command(rng: np.random.Generator, count: int, strength: float = 1.0) 
 
 class Toy:
     def __init__(self, platform: MujocoPlatform, states: States, robot: Robot) -> None:
-        self.platform, self.states, self.robot = platform, states, robot
-        self.model, self.data = platform.model, platform.data
+        self.platform = platform
+        self.states = states
+        self.robot = robot
+        self.model = platform.model
+        self.data = platform.data
         ids = [self.model.joint(name).id for name in robot.joint_names]
         self.qpos = [int(self.model.jnt_qposadr[i]) for i in ids]
         self.dof = [int(self.model.jnt_dofadr[i]) for i in ids]
 
 
 @pytest.fixture
-def toy(
-    toy_robot: Callable[..., Robot],
-    toy_model: Callable[..., Path],
-    states_of: Callable[..., States],
-) -> Callable[..., Toy]:
+def toy(toy_robot, toy_model, states_of):
     def build(period: float = 0.002, integrator: str = "implicitfast", **options: Any) -> Toy:
         robot = toy_robot()
         states = states_of(robot)
@@ -73,7 +70,7 @@ def toy(
     return build
 
 
-def test_torque_equals_the_equation_for_every_kind_of_actuator(toy: Callable[..., Toy]) -> None:
+def test_torque_equals_the_equation_for_every_kind_of_actuator(toy):
     it = toy()
     assert it.platform.info()["actuators"] == {
         "shoulder_joint": "motor",
@@ -91,7 +88,8 @@ def test_torque_equals_the_equation_for_every_kind_of_actuator(toy: Callable[...
         it.data.qpos[it.qpos] = rng.uniform(-1.5, 1.5, 4)
         it.data.qvel[it.dof] = rng.uniform(-8, 8, 4)
         mujoco.mj_step1(it.model, it.data)
-        pos, vel = it.data.qpos[it.qpos].copy(), it.data.qvel[it.dof].copy()
+        pos = it.data.qpos[it.qpos].copy()
+        vel = it.data.qvel[it.dof].copy()
         command = random_command(rng, 4, strength)
         send_command(it.states, command)
         it.platform.send()
@@ -105,7 +103,7 @@ def test_torque_equals_the_equation_for_every_kind_of_actuator(toy: Callable[...
     assert clipped == {True, False}  # both sides of the limits were seen
 
 
-def test_ticks_equal_explicit_pd_in_every_physics_step(toy: Callable[..., Toy]) -> None:
+def test_ticks_equal_explicit_pd_in_every_physics_step(toy):
     """With an explicit integrator whole trajectories equal those of a Python PD loop."""
     it = toy(period=0.01, integrator="Euler")
     twin_model = mujoco.MjModel.from_xml_path(it.platform.info()["model"])
@@ -126,11 +124,12 @@ def test_ticks_equal_explicit_pd_in_every_physics_step(toy: Callable[..., Toy]) 
     assert it.platform.decimation == 5
 
 
-def test_gains_may_change_in_every_tick(toy: Callable[..., Toy]) -> None:
+def test_gains_may_change_in_every_tick(toy):
     it = toy()
     rng = np.random.default_rng(2)
     for tick in range(20):
-        pos, vel = it.data.qpos[it.qpos].copy(), it.data.qvel[it.dof].copy()
+        pos = it.data.qpos[it.qpos].copy()
+        vel = it.data.qvel[it.dof].copy()
         command = random_command(rng, 4)
         if tick % 2:
             command[3] = 0.0  # damping only
@@ -140,15 +139,16 @@ def test_gains_may_change_in_every_tick(toy: Callable[..., Toy]) -> None:
         np.testing.assert_allclose(it.data.qfrc_actuator[it.dof], expected, rtol=0, atol=1e-9)
 
 
-def test_effort_limits_are_the_tightest_of_all(toy: Callable[..., Toy]) -> None:
+def test_effort_limits_are_the_tightest_of_all(toy):
     info = toy().platform.info()
     assert list(info["effort_upper"].values()) == LIMIT.tolist()
     assert list(info["effort_lower"].values()) == (-LIMIT).tolist()
 
 
-def test_commands_act_after_the_delay(toy: Callable[..., Toy]) -> None:
+def test_commands_act_after_the_delay(toy):
     it = toy(delay=3)
-    sent, applied = [], []
+    sent = []
+    applied = []
     for tick in range(10):
         command = np.zeros((5, 4))
         command[2] = 0.1 * (tick + 1)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import struct
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,14 +13,12 @@ from test_mujoco_load import LIMB, PLACES, URDF, stand
 from unicon_base.errors import MissingDependencyError, ModelError
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.mujoco import make
-from unicon_core.robots import Robot
-from unicon_core.states import States
 
 LIMBS = "".join(LIMB.format(name=n, x=0.2 * x, y=0.15 * y) for n, (x, y) in PLACES.items())
 
 
 @pytest.fixture
-def toy_urdf(tmp_path: Path) -> Callable[..., Path]:
+def toy_urdf(tmp_path):
     """Writes the URDF with changes, in a folder of its own below; returns its path."""
 
     def write(*changes: tuple[str, str], folder: str = ".") -> Path:
@@ -41,7 +38,7 @@ def toy_urdf(tmp_path: Path) -> Callable[..., Path]:
 
 
 @pytest.fixture
-def descriptions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def descriptions(tmp_path, monkeypatch):
     """A stand-in for the package: the real one downloads from the network when it is used."""
     for name in [name for name in sys.modules if name.startswith("robot_descriptions")]:
         monkeypatch.delitem(sys.modules, name)
@@ -54,13 +51,8 @@ def descriptions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.mark.parametrize("key", ["MJCF_PATH", "URDF_PATH"])
 def test_a_model_of_robot_descriptions_is_found_by_its_name(
-    key: str,
-    descriptions: Path,
-    toy_robot: Callable[..., Robot],
-    toy_model: Callable[..., Path],
-    toy_urdf: Callable[..., Path],
-    states_of: Callable[..., States],
-) -> None:
+    key, descriptions, toy_robot, toy_model, toy_urdf, states_of
+):
     model = toy_model() if key == "MJCF_PATH" else toy_urdf()
     (descriptions / "toy_description.py").write_text(f"{key} = {str(model)!r}\n")
     robot = toy_robot()
@@ -94,13 +86,8 @@ def test_a_model_of_robot_descriptions_is_found_by_its_name(
     ],
 )
 def test_what_robot_descriptions_cannot_give_is_told(
-    content: str,
-    name: str,
-    message: str,
-    descriptions: Path,
-    toy_robot: Callable[..., Robot],
-    states_of: Callable[..., States],
-) -> None:
+    content, name, message, descriptions, toy_robot, states_of
+):
     (descriptions / "toy_description.py").write_text(content)
     robot = toy_robot()
     with pytest.raises(ModelError) as caught:
@@ -108,11 +95,7 @@ def test_what_robot_descriptions_cannot_give_is_told(
     assert str(caught.value) == message
 
 
-def test_without_robot_descriptions_the_install_command_is_told(
-    toy_robot: Callable[..., Robot],
-    states_of: Callable[..., States],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_without_robot_descriptions_the_install_command_is_told(toy_robot, states_of, monkeypatch):
     monkeypatch.setitem(sys.modules, "robot_descriptions", None)
     robot = toy_robot()
     with pytest.raises(MissingDependencyError) as caught:
@@ -131,11 +114,7 @@ def test_without_robot_descriptions_the_install_command_is_told(
 # -- URDF files as they are published ------------------------------------------------------------
 
 
-def test_what_stands_twice_in_a_urdf_is_read_once(
-    toy_robot: Callable[..., Robot],
-    toy_urdf: Callable[..., Path],
-    states_of: Callable[..., States],
-) -> None:
+def test_what_stands_twice_in_a_urdf_is_read_once(toy_robot, toy_urdf, states_of):
     """Unitree's go2_description.urdf gives a visual two materials, which MuJoCo refuses."""
     material = '<material name="a"/><material name="b"/>'
     path = toy_urdf(("</geometry></visual>", f"</geometry>{material}</visual>"))
@@ -149,11 +128,7 @@ def test_what_stands_twice_in_a_urdf_is_read_once(
     assert states.projected_gravity[2] < -0.99
 
 
-def test_an_inertia_that_no_body_has_is_mended(
-    toy_robot: Callable[..., Robot],
-    toy_urdf: Callable[..., Path],
-    states_of: Callable[..., States],
-) -> None:
+def test_an_inertia_that_no_body_has_is_mended(toy_robot, toy_urdf, states_of):
     """The XHand's URDF repeats one figure six times for its small links."""
     path = toy_urdf(
         (
@@ -169,10 +144,8 @@ def test_an_inertia_that_no_body_has_is_mended(
 
 
 def test_principal_moments_of_which_two_sum_to_less_than_the_third_are_mended(
-    toy_robot: Callable[..., Robot],
-    toy_urdf: Callable[..., Path],
-    states_of: Callable[..., States],
-) -> None:
+    toy_robot, toy_urdf, states_of
+):
     """A camera of ANYbotics' ANYmal C has such an inertia; every figure of it is positive."""
     path = toy_urdf(('ixx=".05" iyy=".05" izz=".05"', 'ixx=".01" iyy=".02" izz=".05"'))
     robot = toy_robot()
@@ -190,13 +163,7 @@ def test_principal_moments_of_which_two_sum_to_less_than_the_third_are_mended(
         ('<box size="0.1 0 0.1"/>', "box"),
     ],
 )
-def test_a_shape_without_an_extent_is_left_out(
-    shape: str,
-    kind: str,
-    toy_robot: Callable[..., Robot],
-    toy_urdf: Callable[..., Path],
-    states_of: Callable[..., States],
-) -> None:
+def test_a_shape_without_an_extent_is_left_out(shape, kind, toy_robot, toy_urdf, states_of):
     flat = f"<collision><geometry>{shape}</geometry></collision>"
     path = toy_urdf(('<link name="box">', f'<link name="box">{flat}'))
     robot = toy_robot()
@@ -206,22 +173,14 @@ def test_a_shape_without_an_extent_is_left_out(
     )
 
 
-def test_a_urdf_that_is_no_xml_is_told_with_its_place(
-    toy_robot: Callable[..., Robot],
-    toy_urdf: Callable[..., Path],
-    states_of: Callable[..., States],
-) -> None:
+def test_a_urdf_that_is_no_xml_is_told_with_its_place(toy_robot, toy_urdf, states_of):
     path = toy_urdf(("</robot>", ""))
     robot = toy_robot()
     with pytest.raises(ModelError, match=r"toy\.urdf: no element found: line \d+.*; correct the"):
         make(states_of(robot), robot, 0.01, scene=Scene(model=path))
 
 
-def test_strong_damping_on_light_links_of_a_urdf_does_not_blow_up(
-    toy_robot: Callable[..., Robot],
-    toy_urdf: Callable[..., Path],
-    states_of: Callable[..., States],
-) -> None:
+def test_strong_damping_on_light_links_of_a_urdf_does_not_blow_up(toy_robot, toy_urdf, states_of):
     """kd · step / inertia is 33 here: an explicit step is unstable from 2 on."""
     path = toy_urdf(
         ('ixx=".01" iyy=".01" izz=".01"', 'ixx="1e-4" iyy="1e-4" izz="1e-4"'),
@@ -241,9 +200,12 @@ def test_strong_damping_on_light_links_of_a_urdf_does_not_blow_up(
     assert states.projected_gravity[2] < -0.99
 
 
-def write_box(path: Path) -> None:
+def write_box(path):
     """Write a binary STL of a tetrahedron of 0.2 m."""
-    a, b, c, d = (0, 0, 0), (0.2, 0, 0), (0, 0.2, 0), (0, 0, 0.2)
+    a = (0, 0, 0)
+    b = (0.2, 0, 0)
+    c = (0, 0.2, 0)
+    d = (0, 0, 0.2)
     faces = [(a, c, b), (a, b, d), (a, d, c), (b, c, d)]
     path.parent.mkdir(parents=True, exist_ok=True)
     body = b"".join(
@@ -258,12 +220,7 @@ COLLISION = (
 )
 
 
-def test_a_mesh_is_found_in_the_ros_package_that_it_names(
-    tmp_path: Path,
-    toy_robot: Callable[..., Robot],
-    toy_urdf: Callable[..., Path],
-    states_of: Callable[..., States],
-) -> None:
+def test_a_mesh_is_found_in_the_ros_package_that_it_names(tmp_path, toy_robot, toy_urdf, states_of):
     write_box(tmp_path / "toy" / "meshes" / "skin.stl")
     old, new = COLLISION
     visual = '<visual><geometry><mesh filename="package://toy/meshes/box.stl"/></geometry></visual>'
@@ -275,11 +232,8 @@ def test_a_mesh_is_found_in_the_ros_package_that_it_names(
 
 
 def test_a_mesh_in_a_format_that_mujoco_cannot_read_is_left_out(
-    tmp_path: Path,
-    toy_robot: Callable[..., Robot],
-    toy_urdf: Callable[..., Path],
-    states_of: Callable[..., States],
-) -> None:
+    tmp_path, toy_robot, toy_urdf, states_of
+):
     (tmp_path / "meshes").mkdir()
     (tmp_path / "meshes" / "skin.dae").write_text("<COLLADA/>")
     old, new = COLLISION
@@ -289,11 +243,7 @@ def test_a_mesh_in_a_format_that_mujoco_cannot_read_is_left_out(
     assert "1 of them may collide" in "\n".join(platform.info()["notes"])
 
 
-def test_a_robot_without_anything_that_collides_is_told_to_fall(
-    toy_robot: Callable[..., Robot],
-    toy_urdf: Callable[..., Path],
-    states_of: Callable[..., States],
-) -> None:
+def test_a_robot_without_anything_that_collides_is_told_to_fall(toy_robot, toy_urdf, states_of):
     old, new = COLLISION
     limb = '<geometry><sphere radius="0.03"/></geometry>'
     mesh = '<geometry><mesh filename="limb.stl"/></geometry>'
@@ -304,11 +254,7 @@ def test_a_robot_without_anything_that_collides_is_told_to_fall(
     assert "so it falls through the floor: add the files" in notes
 
 
-def test_an_absent_texture_is_left_out(
-    toy_robot: Callable[..., Robot],
-    toy_model: Callable[..., Path],
-    states_of: Callable[..., States],
-) -> None:
+def test_an_absent_texture_is_left_out(toy_robot, toy_model, states_of):
     """PND's adam_lite.xml paints its torso with a picture that is not beside it."""
     path = toy_model()
     asset = (
@@ -343,23 +289,20 @@ KINDS = {
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
-def test_every_kind_of_actuator_becomes_the_same_servo(
-    kind: str,
-    toy_robot: Callable[..., Robot],
-    toy_model: Callable[..., Path],
-    states_of: Callable[..., States],
-) -> None:
+def test_every_kind_of_actuator_becomes_the_same_servo(kind, toy_robot, toy_model, states_of):
     """tau = kp (q* - q) + kd (qd* - qd) + tau_ff, whatever the model has."""
     robot = toy_robot()
     states = states_of(robot)
     model = toy_model(actuators="".join(KINDS[kind].format(n) for n in robot.joint_names))
     platform = make(states, robot, 0.002, scene=Scene(model=model))
     platform.recv()
-    pos, vel = states.joint_pos.copy(), states.joint_vel.copy()
+    pos = states.joint_pos.copy()
+    vel = states.joint_vel.copy()
     states.joint_pos_target = np.float32([0.2, 0.0, 0.15, 0.05])
     states.joint_vel_target = np.float32([0.5, -0.5, 0.0, 1.0])
     states.joint_effort_ff = np.float32([0.1, 0.2, -0.3, 0.0])
-    states.joint_stiffness, states.joint_damping = np.float32(10.0), np.float32(0.3)
+    states.joint_stiffness = np.float32(10.0)
+    states.joint_damping = np.float32(0.3)
     platform.send()
     platform.recv()
     expected = 10.0 * (states.joint_pos_target - pos) + 0.3 * (states.joint_vel_target - vel)
@@ -368,11 +311,7 @@ def test_every_kind_of_actuator_becomes_the_same_servo(
     np.testing.assert_allclose(states.joint_effort, expected, atol=1e-5)
 
 
-def test_joints_that_a_tendon_pulls_get_motors_of_their_own(
-    toy_robot: Callable[..., Robot],
-    toy_model: Callable[..., Path],
-    states_of: Callable[..., States],
-) -> None:
+def test_joints_that_a_tendon_pulls_get_motors_of_their_own(toy_robot, toy_model, states_of):
     robot = toy_robot()
     path = toy_model(actuators='<motor tendon="string"/>')
     tendon = '<tendon><fixed name="string"><joint joint="elbow_joint" coef="1"/></fixed></tendon>'

@@ -16,7 +16,7 @@ from unicon_core.states import States, standard_states
 Build = Callable[..., tuple[MujocoPlatform, States]]
 
 
-def rotation(quat: Any) -> Any:
+def rotation(quat):
     """R(q), base to world, of a quaternion wxyz; the textbook matrix."""
     w, x, y, z = np.asarray(quat, np.float64) / np.linalg.norm(quat)
     return np.array(
@@ -28,7 +28,7 @@ def rotation(quat: Any) -> Any:
     )
 
 
-def tumble(platform: MujocoPlatform, ticks: int = 20) -> None:
+def tumble(platform, ticks=20):
     """Let the box fly and turn about all axes."""
     free = platform.model.jnt_dofadr[1]
     platform.data.qvel[free : free + 6] = (0.5, -0.3, 2.0, 1.0, -2.0, 1.5)
@@ -37,9 +37,11 @@ def tumble(platform: MujocoPlatform, ticks: int = 20) -> None:
     platform.recv()
 
 
-def base_truth(platform: MujocoPlatform) -> dict[str, Any]:
-    model, data = platform.model, platform.data
-    qpos, qvel = data.qpos[model.jnt_qposadr[1] :], data.qvel[model.jnt_dofadr[1] :]
+def base_truth(platform):
+    model = platform.model
+    data = platform.data
+    qpos = data.qpos[model.jnt_qposadr[1] :]
+    qvel = data.qvel[model.jnt_dofadr[1] :]
     turn = rotation(qpos[3:7])
     return {
         "base_quat": qpos[3:7],
@@ -55,9 +57,7 @@ SITES = ["", 'euler="0.3 -0.7 1.1"']
 
 @pytest.mark.parametrize("site", SITES)
 @pytest.mark.parametrize("with_sensors", [True, False])
-def test_base_states_are_those_of_the_base_whatever_the_imu(
-    build: Build, site: str, with_sensors: bool
-) -> None:
+def test_base_states_are_those_of_the_base_whatever_the_imu(build, site, with_sensors):
     options: dict[str, Any] = {"site": site} if with_sensors else {"site": site, "sensors": ""}
     platform, states = build(model=options)
     tumble(platform)
@@ -68,7 +68,7 @@ def test_base_states_are_those_of_the_base_whatever_the_imu(
 
 
 @pytest.mark.parametrize("integrator", ["Euler", "RK4", "implicitfast"])
-def test_sensors_are_fresh_at_the_end_of_the_tick(build: Build, integrator: str) -> None:
+def test_sensors_are_fresh_at_the_end_of_the_tick(build, integrator):
     """A gyro read after a plain mj_step would lag by one physics step."""
     platform, states = build(model={"integrator": integrator})
     tumble(platform)
@@ -86,9 +86,7 @@ MANY = """
 @pytest.mark.parametrize("integrator", ["Euler", "RK4", "implicitfast"])
 @pytest.mark.parametrize("period", [0.002, 0.004, 0.02])
 @pytest.mark.parametrize("late", [{}, {"joints": {"*": {"delay": 0.006}}}])
-def test_sensors_of_the_last_step_are_those_of_every_step(
-    build: Build, integrator: str, period: float, late: dict[str, Any]
-) -> None:
+def test_sensors_of_the_last_step_are_those_of_every_step(build, integrator, period, late):
     told = []
     for every in (False, True):
         model = {"integrator": integrator, "sensors": MANY}
@@ -97,7 +95,8 @@ def test_sensors_of_the_last_step_are_those_of_every_step(
         assert robot._unseen == mujoco.mjtDisableBit.mjDSBL_SENSOR
         if every:
             robot._unseen = 0
-        flags, data = platform.model.opt.disableflags, platform.data
+        flags = platform.model.opt.disableflags
+        data = platform.data
         data.qpos[2] = 0.1  # the ball touches the floor
         states.joint_stiffness = 20.0
         for tick in range(5):
@@ -110,7 +109,7 @@ def test_sensors_of_the_last_step_are_those_of_every_step(
         assert (seldom == always).all()
 
 
-def test_sensors_that_remember_are_reckoned_in_every_step(build: Build) -> None:
+def test_sensors_that_remember_are_reckoned_in_every_step(build):
     if not hasattr(mujoco.MjModel, "sensor_interval"):
         pytest.skip("this MuJoCo has no such sensors: pip install -U mujoco")
     sensors = '<gyro site="imu" interval="0.004" nsample="3"/>'
@@ -119,9 +118,7 @@ def test_sensors_that_remember_are_reckoned_in_every_step(build: Build) -> None:
 
 
 @pytest.mark.parametrize("with_sensors", [True, False])
-def test_accelerometer_reads_zero_in_flight_and_one_g_at_rest(
-    build: Build, with_sensors: bool
-) -> None:
+def test_accelerometer_reads_zero_in_flight_and_one_g_at_rest(build, with_sensors):
     model: dict[str, Any] = {} if with_sensors else {"sensors": ""}
     platform, states = build(model=model)
     platform.recv()
@@ -140,7 +137,7 @@ def test_accelerometer_reads_zero_in_flight_and_one_g_at_rest(
     assert 0.25 < states_go2.base_pos_w[2] < 0.32
 
 
-def test_joints_are_matched_by_name(build: Build) -> None:
+def test_joints_are_matched_by_name(build):
     platform, states = build()
     for i, name in enumerate(("shoulder", "elbow", "wrist", "finger")):
         joint = platform.model.joint(f"{name}_joint")
@@ -154,7 +151,7 @@ def test_joints_are_matched_by_name(build: Build) -> None:
 @pytest.mark.parametrize(
     ("timestep", "period"), [(0.002, 0.02), (1 / 300, 1 / 30), (0.0007, 0.0021), (0.004, 0.02)]
 )
-def test_time_stamps_do_not_drift(build: Build, timestep: float, period: float) -> None:
+def test_time_stamps_do_not_drift(build, timestep, period):
     platform, states = build(period, timestep=timestep)
     platform.recv()
     assert states.stamp_ns == 0
@@ -166,7 +163,7 @@ def test_time_stamps_do_not_drift(build: Build, timestep: float, period: float) 
         assert abs(int(states.stamp_ns) - ticks * period * 1e9) <= 1 + 4e-16 * ticks * period * 1e9
 
 
-def test_reset_repeats_the_run_bit_for_bit(build: Build) -> None:
+def test_reset_repeats_the_run_bit_for_bit(build):
     platform, states = build(noise={"joint_pos": 0.01}, seed=3)
     runs = []
     for _ in range(2):
@@ -181,7 +178,7 @@ def test_reset_repeats_the_run_bit_for_bit(build: Build) -> None:
     assert runs[0] == runs[1]
 
 
-def test_every_robot_of_a_batch_equals_a_run_of_its_own(build: Build) -> None:
+def test_every_robot_of_a_batch_equals_a_run_of_its_own(build):
     rng = np.random.default_rng(4)
     commands = rng.uniform(0, 2, (15, 5, 3, 4)).astype(np.float32)  # tick, state, robot, joint
     batch, many = build(num_robots=3)
@@ -204,9 +201,10 @@ def test_every_robot_of_a_batch_equals_a_run_of_its_own(build: Build) -> None:
             single.send()
 
 
-def test_noise_has_the_given_spread_and_quaternions_stay_unit(build: Build) -> None:
+def test_noise_has_the_given_spread_and_quaternions_stay_unit(build):
     platform, states = build(noise={"joint_vel": 0.5, "base_quat": 0.05}, seed=1)
-    readings, norms = [], []
+    readings = []
+    norms = []
     for _ in range(500):
         platform.recv()
         readings.append(states.joint_vel.copy())
@@ -216,7 +214,7 @@ def test_noise_has_the_given_spread_and_quaternions_stay_unit(build: Build) -> N
     assert states.base_ang_vel.tolist() == [0.0, 0.0, 0.0]
 
 
-def test_pushes_move_the_base_at_their_times_only(build: Build) -> None:
+def test_pushes_move_the_base_at_their_times_only(build):
     velocities = []
     for options in ({}, {"push": {"every": 0.05, "velocity": 1.0}, "seed": 5}):
         platform, states = build(**options)
@@ -231,7 +229,7 @@ def test_pushes_move_the_base_at_their_times_only(build: Build) -> None:
     assert {int(i) for i in np.argsort(jumps)[-2:]} == {5, 10}  # the pushes come in these ticks
 
 
-def test_fixed_base_leaves_the_base_states_alone(build: Build) -> None:
+def test_fixed_base_leaves_the_base_states_alone(build):
     platform, states = build(model={"base": ""})
     platform.send()
     platform.recv()
@@ -241,11 +239,12 @@ def test_fixed_base_leaves_the_base_states_alone(build: Build) -> None:
     assert states.joint_vel.any()
 
 
-def test_initial_pose_stands_on_the_floor(build: Build) -> None:
+def test_initial_pose_stands_on_the_floor(build):
     platform, states = build()
     platform.recv()
     np.testing.assert_allclose(states.joint_pos, 0.1, rtol=1e-6)
-    model, data = platform.model, platform.data
+    model = platform.model
+    data = platform.data
     floor = model.geom("floor").id
     gaps = [
         mujoco.mj_geomDistance(model, data, floor, i, 10.0, None)
@@ -264,9 +263,7 @@ def test_initial_pose_stands_on_the_floor(build: Build) -> None:
         ({"initial_pose": "keyframe:up"}, [0.1, 0.2, 0.3, 0.4], (1, 2, 3)),
     ],
 )
-def test_initial_pose_can_be_chosen(
-    build: Build, options: dict[str, Any], pos: list[float], base: tuple[float, ...] | None
-) -> None:
+def test_initial_pose_can_be_chosen(build, options, pos, base):
     platform, states = build(**options)
     platform.recv()
     np.testing.assert_allclose(states.joint_pos, pos, rtol=1e-6, atol=1e-9)
@@ -274,6 +271,6 @@ def test_initial_pose_can_be_chosen(
         np.testing.assert_allclose(states.base_pos_w, base, rtol=1e-6, atol=1e-9)
 
 
-def test_info_names_joints_beyond_the_robots(build: Build) -> None:
+def test_info_names_joints_beyond_the_robots(build):
     notes = build()[0].info()["notes"]
     assert any("joints beyond the robot's" in note for note in notes)

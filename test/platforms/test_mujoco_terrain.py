@@ -21,7 +21,7 @@ WALK: dict[str, Any] = {
 }
 
 
-def walked(said: Any, ticks: int, **more: Any) -> Any:
+def walked(said, ticks, **more):
     """Return the states behind each tick of a walk at 0.6 m/s, name to array."""
     program = Program(load_document("go2_walk", WALK | {"scene.terrain": said} | more))
     try:
@@ -32,7 +32,7 @@ def walked(said: Any, ticks: int, **more: Any) -> Any:
         program.close()
 
 
-def test_a_slope_tilts_what_the_robot_feels() -> None:
+def test_a_slope_tilts_what_the_robot_feels():
     up, down = (walked({"slope": {"angle": a, "flat": 1.0}}, 150) for a in (0.1, -0.1))
     for told, way in ((up, -1.0), (down, 1.0)):
         assert told["base_pos_w"][-1, 0] > 1.2  # all four feet are on it
@@ -40,7 +40,7 @@ def test_a_slope_tilts_what_the_robot_feels() -> None:
     assert up["base_pos_w"][-1, 2] > 0.33 > 0.25 > down["base_pos_w"][-1, 2]
 
 
-def test_a_robot_that_stands_across_a_slope_leans_to_its_side() -> None:
+def test_a_robot_that_stands_across_a_slope_leans_to_its_side():
     changed = {"flow": "hold", "policies": {}, "commands": [], "scene.initial_pose": "default"}
     changed |= {"scene.terrain.slope": {"angle": 0.1}}
     program = Program(load_document("go2_walk", changed))
@@ -55,7 +55,7 @@ def test_a_robot_that_stands_across_a_slope_leans_to_its_side() -> None:
     assert gravity == pytest.approx([0.0, np.sin(0.1), -np.cos(0.1)], abs=0.02)
 
 
-def test_patches_without_friction_make_it_slip() -> None:
+def test_patches_without_friction_make_it_slip():
     ways = [
         walked({"patches": {"friction": f, "flat": 1.0, "extent": 8.0}}, 200)["base_pos_w"]
         for f in (0, 1)
@@ -66,7 +66,7 @@ def test_patches_without_friction_make_it_slip() -> None:
 
 
 @pytest.mark.slow
-def test_rough_ground_without_height_is_walked_as_flat_ground_is() -> None:
+def test_rough_ground_without_height_is_walked_as_flat_ground_is():
     even, plain = (walked(said, 200) for said in ({"rough": {"height": 0, "extent": 10.0}}, "flat"))
     assert even["base_pos_w"][-1] == pytest.approx(plain["base_pos_w"][-1], abs=0.15)
     for told in (even, plain):
@@ -77,12 +77,12 @@ def test_rough_ground_without_height_is_walked_as_flat_ground_is() -> None:
 
 
 @pytest.mark.parametrize("kind", ["rough", "patches"])
-def test_it_begins_as_on_flat_ground(kind: str) -> None:
+def test_it_begins_as_on_flat_ground(kind):
     one, other = (walked(said, 1)["base_pos_w"][0] for said in (kind, "flat"))
     assert one == pytest.approx(other, abs=1e-4)
 
 
-def test_robots_of_a_batch_stand_on_the_same_ground() -> None:
+def test_robots_of_a_batch_stand_on_the_same_ground():
     said = {"rough": {"height": 0.1, "flat": 1.0, "extent": 8.0}}
     alone = walked(said, 40)
     document = load_document("go2_walk", WALK | {"scene.terrain": said, "num_robots": 2})
@@ -94,14 +94,14 @@ def test_robots_of_a_batch_stand_on_the_same_ground() -> None:
 
 
 @pytest.mark.slow
-def test_a_simulator_in_a_process_of_its_own_has_the_ground_too() -> None:
+def test_a_simulator_in_a_process_of_its_own_has_the_ground_too():
     said = {"stairs": {"rise": 0.05, "flat": 1.0}}
     own = walked(said, 60)
     child = walked(said, 60, platform={"child": "mujoco"})
     assert (own["base_pos_w"] == child["base_pos_w"]).all()
 
 
-def test_reports_tell_it() -> None:
+def test_reports_tell_it():
     program = Program(load_document("go2_stand", {"scene.terrain.slope.angle": 0.2}))
     told = info_of(program.platform)["terrain"]
     program.close()
@@ -112,6 +112,6 @@ def test_reports_tell_it() -> None:
     }
 
 
-def test_a_robot_that_is_none_is_refused() -> None:
+def test_a_robot_that_is_none_is_refused():
     with pytest.raises(UniconError, match=r"scene\.terrain is for simulators, and platform"):
         Program(load_document("go2_stand", {"platform": "unitree", "scene.terrain": "rough"}))

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import sys
 from contextlib import nullcontext
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,20 +14,20 @@ from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow
 from unicon_sims.newton.platform import NewtonPlatform
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "vendor"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 pytest.importorskip("mujoco", reason="pip install 'unicon_ros[sim]'")
 INSTALL = "pip install 'unicon_ros[sim-newton]'"
 
 
 @pytest.fixture
-def newton() -> Any:
+def newton():
     """Return the module; where it is not installed, the test is skipped."""
     return pytest.importorskip("newton", reason=INSTALL)
 
 
-def walked(name: str, seconds: float) -> tuple[Any, float]:
+def walked(name, seconds):
     """Run a workflow in Newton; return its states, and its share of the commanded way."""
     workflow = load_workflow(name, ["platform=newton"])
     runner = Runner(workflow, RunOptions(speed="max"))
@@ -54,7 +52,7 @@ def walked(name: str, seconds: float) -> tuple[Any, float]:
 @pytest.mark.parametrize(
     ("name", "seconds", "least"), [("go2_walk", 20, 3.5), ("g1_walk", 10, 4.0)]
 )
-def test_it_walks(newton: Any, name: str, seconds: int, least: float) -> None:
+def test_it_walks(newton, name, seconds, least):
     pytest.importorskip("onnxruntime", reason="the policy needs onnxruntime")
     states, share = walked(name, seconds)
     assert np.hypot(*states["base_pos_w"][:2]) >= least
@@ -63,7 +61,7 @@ def test_it_walks(newton: Any, name: str, seconds: int, least: float) -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
-def test_warp_does_what_mujoco_does(newton: Any, tmp_path: Path) -> None:
+def test_warp_does_what_mujoco_does(newton, tmp_path):
     ends = []
     for solver in ("mujoco", "warp"):
         (tmp_path / solver).mkdir()
@@ -84,9 +82,7 @@ def test_warp_does_what_mujoco_does(newton: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_physics_that_blow_up_are_a_fault_and_begin_nothing_anew(
-    newton: Any, tmp_path: Path
-) -> None:
+def test_physics_that_blow_up_are_a_fault_and_begin_nothing_anew(newton, tmp_path):
     it = Rig("newton", tmp_path)
     platform = it.platform
     assert isinstance(platform, NewtonPlatform)
@@ -98,13 +94,12 @@ def test_physics_that_blow_up_are_a_fault_and_begin_nothing_anew(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("solver", ["mujoco", "warp"])
-def test_joints_do_without_their_damping_for_a_while(
-    newton: Any, tmp_path: Path, solver: str
-) -> None:
+def test_joints_do_without_their_damping_for_a_while(newton, tmp_path, solver):
     model = {"joint": 'damping="0.05"', "gravity": 0.0}
     it = Rig("newton", tmp_path, {"solver": solver}, floating=False, model=model)
     it.command(joint_effort_ff={"yaw": 0.1})
-    platform, yaw = it.platform, it.joint("yaw")
+    platform = it.platform
+    yaw = it.joint("yaw")
     assert isinstance(platform, NewtonPlatform)
     assert platform.passive_damping.tolist() == pytest.approx([0.05] * 4)
     speeds = []
@@ -129,15 +124,13 @@ def test_joints_do_without_their_damping_for_a_while(
         ({"passive": "maybe"}, r"passive 'maybe' is not known; known: keep, replace"),
     ],
 )
-def test_options_that_are_wrong_are_told(
-    newton: Any, tmp_path: Path, option: dict[str, str], message: str
-) -> None:
+def test_options_that_are_wrong_are_told(newton, tmp_path, option, message):
     with pytest.raises(PlatformError, match=message):
         Rig("newton", tmp_path, option)
 
 
 @pytest.mark.slow
-def test_nothing_is_printed(newton: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_nothing_is_printed(newton, tmp_path, capfd):
     it = Rig("newton", tmp_path)
     it.run(3)
     it.close()
@@ -146,16 +139,14 @@ def test_nothing_is_printed(newton: Any, tmp_path: Path, capfd: pytest.CaptureFi
     assert [line for line in told.err.splitlines() if not line.startswith("newton: ")] == []
 
 
-def test_without_newton_the_install_command_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_newton_the_install_command_is_told(monkeypatch):
     monkeypatch.setitem(sys.modules, "newton", None)
     with pytest.raises(MissingDependencyError) as error:
         load_workflow("go2_stand", ["platform=newton"])
     assert str(error.value) == f"platform 'newton' needs newton: {INSTALL}"
 
 
-def test_newton_without_its_part_sim_is_named_as_such(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_newton_without_its_part_sim_is_named_as_such(tmp_path, monkeypatch):
     (tmp_path / "newton").mkdir()
     (tmp_path / "newton" / "__init__.py").touch()
     (tmp_path / "warp.py").write_text("import warp_of_newton_sim", "utf-8")

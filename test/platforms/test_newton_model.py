@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,28 +11,28 @@ from unicon_base.errors import UniconError
 from unicon_core.conformance import Rig
 from unicon_core.platforms.kit.joint_model import joint_model
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.kit.start import Start, start_of
-from unicon_core.robots import Robot, load_robot
+from unicon_core.platforms.kit.start import start_of
+from unicon_core.robots import load_robot
 from unicon_sims.newton.platform import make
 
 mujoco = pytest.importorskip("mujoco", reason="pip install 'unicon_ros[sim]'")
 
 
 @pytest.fixture
-def newton() -> Any:
+def newton():
     """Return the module; where it is not installed, the test is skipped."""
     return pytest.importorskip("newton", reason="pip install 'unicon_ros[sim-newton]'")
 
 
 @lru_cache
-def built(name: str, pose: str = "default") -> tuple[Robot, Start, Any, dict[str, int]]:
+def built(name, pose="default"):
     """Return a robot, where it begins, the MuJoCo model that Newton made of it, and its joints."""
     robot = load_robot(name)
     start = start_of(robot, Scene(initial_pose=pose))
     return robot, start, *made_of(robot, start)
 
 
-def made_of(robot: Robot, start: Start) -> tuple[Any, dict[str, int]]:
+def made_of(robot, start):
     """Return the MuJoCo model that Newton makes of a robot's, and first velocity of each joint."""
     import newton
     import warp
@@ -49,10 +47,11 @@ def made_of(robot: Robot, start: Start) -> tuple[Any, dict[str, int]]:
     return solver.mj_model, {joint: int(firsts[number]) for joint, number in numbers.items()}
 
 
-def both(name: str, pose: str = "default") -> tuple[list[Any], list[list[int]]]:
+def both(name, pose="default"):
     """Return MuJoCo's data of the model and of Newton's at the start, and degrees of freedom."""
     robot, start, made, dofs = built(name, pose)
-    loaded, given = start.loaded, start.loaded.model
+    loaded = start.loaded
+    given = start.loaded.model
     own = [*range(6), *(int(given.jnt_dofadr[joint]) for joint in loaded.joints)]
     other = [*range(6), *(dofs[joint] for joint in robot.joint_names)]
     found = []
@@ -70,7 +69,7 @@ def both(name: str, pose: str = "default") -> tuple[list[Any], list[list[int]]]:
 ROBOTS = ["go2", "go1", "t1", "g1_29dof", "h1"]
 
 
-def available(name: str) -> str:
+def available(name):
     """Return the name; a robot whose model is not here skips the test."""
     try:
         start_of(load_robot(name), Scene())
@@ -81,11 +80,12 @@ def available(name: str) -> str:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ROBOTS)
-def test_masses_inertias_and_places_are_the_models(newton: Any, name: str) -> None:
+def test_masses_inertias_and_places_are_the_models(newton, name):
     (given, made), orders = both(available(name))
     # Accelerations under gravity, with all the centrifugal forces of a random motion: masses,
     # centres, inertias, axes, anchors and armatures all count.
-    matrices, biases = [], []
+    matrices = []
+    biases = []
     for data, model, order in zip((given, made), (given.model, made.model), orders):
         full = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, full) if _new() else mujoco.mj_fullM(model, full, data.qM)
@@ -109,14 +109,14 @@ def test_masses_inertias_and_places_are_the_models(newton: Any, name: str) -> No
     assert seen >= len(orders[0]) - 7
 
 
-def _new() -> bool:
+def _new():
     """Return whether `mj_fullM` takes the data, not its matrix."""
     return "qM" not in dir(mujoco.MjData)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ROBOTS)
-def test_joints_are_passive_as_the_model_says(newton: Any, name: str) -> None:
+def test_joints_are_passive_as_the_model_says(newton, name):
     (given, made), (own, other) = both(available(name))
     for of in ("dof_damping", "dof_frictionloss", "dof_armature", "dof_solref", "dof_solimp"):
         figures = getattr(given.model, of)[own], getattr(made.model, of)[other]
@@ -134,7 +134,7 @@ def test_joints_are_passive_as_the_model_says(newton: Any, name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ROBOTS)
 @pytest.mark.parametrize("pose", ["default", "rest"])
-def test_what_touches_touches_in_newton_too(newton: Any, name: str, pose: str) -> None:
+def test_what_touches_touches_in_newton_too(newton, name, pose):
     robot, start, made, dofs = built(available(name), pose)
     given = start.loaded.model
     own = [int(given.jnt_qposadr[joint]) for joint in start.loaded.joints]
@@ -215,7 +215,7 @@ _ODD = """
 
 
 @pytest.mark.slow
-def test_all_kinds_of_geoms_joints_and_contacts_are_the_models(newton: Any, tmp_path: Path) -> None:
+def test_all_kinds_of_geoms_joints_and_contacts_are_the_models(newton, tmp_path):
     rig = Rig("mujoco", tmp_path)
     (tmp_path / "odd.xml").write_text(_ODD.format(margin=0, option="", more=""), encoding="utf-8")
     start = start_of(rig.robot, Scene(model=str(tmp_path / "odd.xml"), initial_pose="model"))
@@ -229,7 +229,8 @@ def test_all_kinds_of_geoms_joints_and_contacts_are_the_models(newton: Any, tmp_
     for _ in range(100):
         quat = rng.normal(size=4) * (0.4, 1.0, 1.0, 1.0)
         place = [*rng.normal(scale=0.1, size=3), *quat / np.linalg.norm(quat)]
-        angles, speeds = rng.uniform(-2.5, 2.5, 5), rng.normal(size=11)
+        angles = rng.uniform(-2.5, 2.5, 5)
+        speeds = rng.normal(size=11)
         told = []
         for model, order in ((given, orders), (made, others)):
             data = mujoco.MjData(model)
@@ -246,7 +247,7 @@ def test_all_kinds_of_geoms_joints_and_contacts_are_the_models(newton: Any, tmp_
     assert met > 500
 
 
-def _deepest(data: Any, made: Any) -> dict[tuple[int, ...], tuple[float, ...]]:
+def _deepest(data, made):
     """Return the deepest contact of each pair of the given model's geoms that touch."""
     found: dict[tuple[int, ...], tuple[float, ...]] = {}
     for c in sorted(data.contact, key=lambda contact: -contact.dist):
@@ -259,7 +260,7 @@ def _deepest(data: Any, made: Any) -> dict[tuple[int, ...], tuple[float, ...]]:
 
 
 @pytest.mark.slow
-def test_what_newton_leaves_out_is_a_note(newton: Any, tmp_path: Path) -> None:
+def test_what_newton_leaves_out_is_a_note(newton, tmp_path):
     more = """<tendon><fixed><joint joint="knee" coef="1"/></fixed></tendon>
       <equality><joint joint1="yaw" joint2="right"/></equality>"""
     text = _ODD.format(margin=0.01, option='noslip_iterations="3"', more=more)

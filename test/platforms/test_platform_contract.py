@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from unicon_base.errors import UniconError
@@ -58,16 +56,14 @@ flow: hold
 
 
 @pytest.fixture
-def path(tmp_path: Path) -> Path:
+def path(tmp_path):
     """A workflow of somebody's own robot."""
     file = tmp_path / "theirs.yaml"
     file.write_text(WORKFLOW, encoding="utf-8")
     return file
 
 
-def driver(
-    folder: Path, patch: pytest.MonkeyPatch, facts: str = "pass", close: str = "close"
-) -> None:
+def driver(folder, patch, facts="pass", close="close"):
     """Write the package `my_robot`, never imported before."""
     import sys
 
@@ -80,9 +76,7 @@ def driver(
         patch.delitem(sys.modules, name, raising=False)
 
 
-def test_recv_send_and_close_are_enough(
-    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_recv_send_and_close_are_enough(path, tmp_path, monkeypatch):
     driver(tmp_path, monkeypatch)
     assert check_workflow(path).clean
     workflow = load_workflow(path)
@@ -95,9 +89,7 @@ def test_recv_send_and_close_are_enough(
     assert workflow.platform.closed  # type: ignore[attr-defined]
 
 
-def test_what_it_does_not_declare_is_not_there(
-    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_it_does_not_declare_is_not_there(path, tmp_path, monkeypatch):
     driver(tmp_path, monkeypatch)
     with pytest.raises(UniconError, match="reads 'projected_gravity', which no block writes"):
         load_workflow(path, ["safety=[finite, tilt_stop]"])
@@ -107,9 +99,7 @@ def test_what_it_does_not_declare_is_not_there(
     workflow.close()
 
 
-def test_open_options_are_handed_over(
-    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_open_options_are_handed_over(path, tmp_path, monkeypatch):
     driver(tmp_path, monkeypatch)
     name = "my_robot.driver:made"
     options = {"port": "can0", "slow": True}
@@ -166,15 +156,7 @@ def test_open_options_are_handed_over(
         ),
     ],
 )
-def test_what_lacks_is_told(
-    factory: str,
-    facts: str,
-    close: str,
-    message: str,
-    path: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_what_lacks_is_told(factory, facts, close, message, path, tmp_path, monkeypatch):
     driver(tmp_path, monkeypatch, facts, close)
     with pytest.raises(UniconError) as error:
         load_workflow(path, {"platform": f"my_robot.driver:{factory}"})

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import importlib.util
 import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from unicon_base.errors import Fault, MissingDependencyError
-from unicon_core.models.kinematic_tree import read_tree
-from unicon_core.models.urdf_write import physical_links
+from unicon_core.models.kinematic_tree import physical_links, read_tree
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.kit.start import start_of
 from unicon_core.platforms.platform import Resettable
@@ -20,8 +18,8 @@ from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow
 
+# What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "vendor"
-"""What these tests run against, the most that config/evidence.yaml may say by them."""
 
 needs_pybullet = pytest.mark.skipif(
     importlib.util.find_spec("pybullet") is None,
@@ -29,7 +27,7 @@ needs_pybullet = pytest.mark.skipif(
 )
 
 
-def ticked(name: str, overrides: list[str], seconds: float) -> dict[str, Any]:
+def ticked(name, overrides, seconds):
     """Run a workflow tick by tick; return what the platform measured, rows of ticks."""
     workflow = load_workflow(name, overrides)
     runner = Runner(workflow, RunOptions(speed="max"))
@@ -48,12 +46,12 @@ def ticked(name: str, overrides: list[str], seconds: float) -> dict[str, Any]:
     return {name: np.array(row) for name, row in rows.items()}
 
 
+# Enough for a Go2, in half the time.
 COARSE = "platforms={pybullet: {timestep: 0.001}}"
-"""Enough for a Go2, in half the time."""
 
 
 @needs_pybullet
-def test_go2_stand_lies_stands_and_lies_as_on_mujoco() -> None:
+def test_go2_stand_lies_stands_and_lies_as_on_mujoco():
     heights = {}
     for platform in ("mujoco", "pybullet"):
         told = ticked("go2_stand", [f"platform={platform}", COARSE], 15.0)
@@ -66,14 +64,15 @@ def test_go2_stand_lies_stands_and_lies_as_on_mujoco() -> None:
     apart = np.abs(np.subtract(*heights.values()))
     assert len(apart) == 750
     assert float(apart[::25].max()) < 0.02  # every half second: measured 0.3 cm
-    low, high = heights["pybullet"][0], heights["pybullet"][150]
+    low = heights["pybullet"][0]
+    high = heights["pybullet"][150]
     assert low < 0.15 < 0.25 < high
     assert heights["pybullet"][-1] < 0.15
 
 
 @pytest.mark.slow
 @needs_pybullet
-def test_go2_walk_walks_there() -> None:
+def test_go2_walk_walks_there():
     pytest.importorskip("onnxruntime", reason="the policy needs onnxruntime")
     workflow = load_workflow("go2_walk", ["platform=pybullet", COARSE])
     report = Runner(workflow, RunOptions(speed="max")).run()
@@ -85,7 +84,7 @@ def test_go2_walk_walks_there() -> None:
 
 @needs_pybullet
 @pytest.mark.slow
-def test_g1_walks_there(assets: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_g1_walks_there(assets, monkeypatch):
     monkeypatch.setenv("UNICON_ASSETS", str(assets))
     pytest.importorskip("onnxruntime", reason="the policy needs onnxruntime")
     workflow = load_workflow("g1_walk", ["platform=pybullet", "duration=20"])
@@ -96,7 +95,7 @@ def test_g1_walks_there(assets: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @needs_pybullet
-def test_it_is_disturbed_as_every_simulator() -> None:
+def test_it_is_disturbed_as_every_simulator():
     flow = "flow={hold: {duration: 0.6}}"
     calm = ticked("go2_stand", ["platform=pybullet", COARSE, flow], 0.6)
     pushes = "scene={initial_pose: rest, push: {every: 0.2, velocity: 2.0}, seed: 3}"
@@ -112,10 +111,12 @@ def test_it_is_disturbed_as_every_simulator() -> None:
 
 
 @needs_pybullet
-def test_a_reset_begins_anew_and_two_worlds_do_not_meet() -> None:
+def test_a_reset_begins_anew_and_two_worlds_do_not_meet():
     first = load_workflow("go2_stand", ["platform=pybullet"])
     other = load_workflow("go2_stand", ["platform=pybullet"])
-    platform, states, robot = first.platform, first.states, first.robot
+    platform = first.platform
+    states = first.states
+    robot = first.robot
     assert isinstance(platform, Resettable)
     traces = []
     for _ in range(2):
@@ -125,7 +126,8 @@ def test_a_reset_begins_anew_and_two_worlds_do_not_meet() -> None:
         assert states.joint_pos == pytest.approx(robot.rest_joint_pos, abs=1e-6)
         for _ in range(20):
             states.joint_pos_target = robot.rest_joint_pos
-            states.joint_stiffness, states.joint_damping = 20.0, 1.0
+            states.joint_stiffness = 20.0
+            states.joint_damping = 1.0
             platform.send()
             platform.recv()
         traces.append(np.array([*states.joint_pos, *states.base_pos_w]))
@@ -140,7 +142,7 @@ def test_a_reset_begins_anew_and_two_worlds_do_not_meet() -> None:
 
 
 @needs_pybullet
-def test_a_command_that_is_not_finite_moves_nothing() -> None:
+def test_a_command_that_is_not_finite_moves_nothing():
     workflow = load_workflow("go2_stand", ["platform=pybullet"])
     workflow.platform.recv()
     workflow.states.joint_pos_target[3] = np.nan
@@ -150,12 +152,12 @@ def test_a_command_that_is_not_finite_moves_nothing() -> None:
 
 
 @needs_pybullet
-def test_it_prints_nothing(capfd: pytest.CaptureFixture[str]) -> None:
+def test_it_prints_nothing(capfd):
     load_workflow("go2_stand", ["platform=pybullet"]).close()
     assert capfd.readouterr().out == ""
 
 
-def test_without_pybullet_the_install_command_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_pybullet_the_install_command_is_told(monkeypatch):
     monkeypatch.setitem(sys.modules, "pybullet_utils", None)
     monkeypatch.setitem(sys.modules, "pybullet_utils.bullet_client", None)
     with pytest.raises(MissingDependencyError) as error:
@@ -165,7 +167,7 @@ def test_without_pybullet_the_install_command_is_told(monkeypatch: pytest.Monkey
     )
 
 
-def test_its_links_weigh_what_the_model_weighs() -> None:
+def test_its_links_weigh_what_the_model_weighs():
     pytest.importorskip("mujoco", reason="mujoco reads the models")
     robot = load_robot("go2")
     loaded = start_of(robot, Scene()).loaded

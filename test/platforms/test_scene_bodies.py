@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,8 +9,8 @@ import pytest
 
 from unicon_base.errors import PlatformError, UniconError
 from unicon_core.models.load import load_model
-from unicon_core.platforms.kit.bodies import tell_bodies
 from unicon_core.platforms.kit.scene import Scene
+from unicon_core.platforms.kit.start import tell_bodies
 from unicon_core.robots import load_robot
 from unicon_core.runtime.rollouts import Rollouts
 from unicon_core.workflow import Program, load_document
@@ -21,13 +20,13 @@ mujoco = pytest.importorskip("mujoco")
 AT = [0.1, -0.05, 0.12]
 
 
-def go2() -> tuple[Any, Path]:
+def go2():
     robot = load_robot("go2")
     return robot, Scene().model_path(robot)
 
 
 @pytest.mark.parametrize("body", ["", "FL_calf"])
-def test_a_payload_moves_like_a_welded_point(body: str) -> None:
+def test_a_payload_moves_like_a_welded_point(body):
     robot, path = go2()
     loaded = load_model(path, robot, quiet=True)
     name = body or loaded.model.body(loaded.model.jnt_bodyid[loaded.base]).name
@@ -35,7 +34,9 @@ def test_a_payload_moves_like_a_welded_point(body: str) -> None:
 
     def weld(spec: Any) -> None:
         point = spec.body(name).add_body(name="payload", pos=AT)
-        point.mass, point.ipos, point.inertia = 3.0, [0.0] * 3, [1e-12] * 3
+        point.mass = 3.0
+        point.ipos = [0.0] * 3
+        point.inertia = [1e-12] * 3
         point.explicitinertial = True
 
     welded = load_model(path, robot, quiet=True, prepare=weld).model
@@ -50,7 +51,7 @@ def test_a_payload_moves_like_a_welded_point(body: str) -> None:
     assert loaded.model.body_subtreemass[0] == pytest.approx(welded.body_subtreemass[0])
 
 
-def test_a_payload_without_place_is_at_the_centre_of_mass() -> None:
+def test_a_payload_without_place_is_at_the_centre_of_mass():
     robot, path = go2()
     loaded, plain = (load_model(path, robot, quiet=True) for _ in range(2))
     tell_bodies(loaded, {"mass": 2.5}, 1.0)
@@ -61,7 +62,7 @@ def test_a_payload_without_place_is_at_the_centre_of_mass() -> None:
     assert loaded.model.body_subtreemass[0] > plain.model.body_subtreemass[0] + 2.4
 
 
-def test_friction_changes_every_contact() -> None:
+def test_friction_changes_every_contact():
     robot, path = go2()
     loaded, plain = (load_model(path, robot, quiet=True) for _ in range(2))
     tell_bodies(loaded, {}, 0.5)
@@ -77,7 +78,7 @@ def test_friction_changes_every_contact() -> None:
 
 
 @pytest.mark.parametrize("platform", ["mujoco", pytest.param("pybullet", marks=pytest.mark.slow)])
-def test_a_robot_on_ice_does_not_come_far(platform: str) -> None:
+def test_a_robot_on_ice_does_not_come_far(platform):
     pytest.importorskip(platform)
     ways = []
     for friction in (1.0, 0.02):
@@ -107,14 +108,14 @@ def test_a_robot_on_ice_does_not_come_far(platform: str) -> None:
         ({"mass": 1.0, "position": [0, 0, 99]}, 1.0, "payload.position.2 is 99"),
     ],
 )
-def test_what_is_wrong_is_told(payload: Any, friction: Any, told: str) -> None:
+def test_what_is_wrong_is_told(payload, friction, told):
     with pytest.raises(PlatformError) as caught:
         Scene(payload=payload, contact_friction=friction)
     assert told in str(caught.value)
     assert "scene." in str(caught.value)
 
 
-def test_an_unknown_body_and_a_base_that_stands_are_told() -> None:
+def test_an_unknown_body_and_a_base_that_stands_are_told():
     with pytest.raises(PlatformError, match=r"has no body 'trunc'; .*known: "):
         Program(load_document("go2_walk", {"scene.payload": {"mass": 1.0, "body": "trunc"}}))
     robot, path = go2()
@@ -128,7 +129,7 @@ def test_an_unknown_body_and_a_base_that_stands_are_told() -> None:
         tell_bodies(loaded, {"mass": 1.0}, 1.0)
 
 
-def test_a_platform_that_cannot_be_told_refuses() -> None:
+def test_a_platform_that_cannot_be_told_refuses():
     with pytest.raises(UniconError, match=r"'fake' cannot be told scene\.payload; take it out of"):
         Program(load_document("go2_stand", {"platform": "fake", "scene.payload.mass": 1.0}))
     with pytest.raises(UniconError, match=r"cannot be told scene\.contact_friction"):

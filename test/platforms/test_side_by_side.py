@@ -5,18 +5,17 @@ from __future__ import annotations
 import gc
 import threading
 import time
-from collections.abc import Callable
 
 import pytest
 
 from unicon_core.platforms.mujoco.batch import SideBySide
 
 
-def alive(name: str) -> list[threading.Thread]:
+def alive(name):
     return [thread for thread in threading.enumerate() if thread.name.startswith(name)]
 
 
-def test_each_job_has_its_thread_and_the_callers_the_first() -> None:
+def test_each_job_has_its_thread_and_the_callers_the_first():
     seen: list[tuple[int, str]] = []
     jobs = [lambda k=k: seen.append((k, threading.current_thread().name)) for k in range(3)]
     both = SideBySide(jobs, "abreast")
@@ -29,14 +28,14 @@ def test_each_job_has_its_thread_and_the_callers_the_first() -> None:
     assert alive("abreast") == []
 
 
-def test_they_run_at_the_same_time() -> None:
+def test_they_run_at_the_same_time():
     meet = threading.Barrier(3, timeout=20.0)
     both = SideBySide([meet.wait] * 3, "meeting")
     both()  # one after the other nobody would come through
     both.close()
 
 
-def failing(text: str, after: float = 0.0) -> Callable[[], None]:
+def failing(text, after=0.0):
     def job() -> None:
         time.sleep(after)
         raise ValueError(text)
@@ -45,9 +44,7 @@ def failing(text: str, after: float = 0.0) -> Callable[[], None]:
 
 
 @pytest.mark.parametrize("order", [(0.05, 0.0, 0.0), (0.0, 0.05, 0.0), (0.0, 0.0, 0.05)])
-def test_of_several_errors_the_first_jobs_is_raised_once_all_have_ended(
-    order: tuple[float, ...],
-) -> None:
+def test_of_several_errors_the_first_jobs_is_raised_once_all_have_ended(order):
     done: list[int] = []
 
     def slow() -> None:
@@ -67,7 +64,7 @@ def test_of_several_errors_the_first_jobs_is_raised_once_all_have_ended(
     one.close()
 
 
-def test_once_closed_the_jobs_are_done_in_turn_and_no_thread_is_born() -> None:
+def test_once_closed_the_jobs_are_done_in_turn_and_no_thread_is_born():
     seen: list[str] = []
     both = SideBySide([lambda: seen.append(threading.current_thread().name)] * 3, "closed")
     both.close()
@@ -77,8 +74,9 @@ def test_once_closed_the_jobs_are_done_in_turn_and_no_thread_is_born() -> None:
     assert alive("closed") == []
 
 
-def test_what_an_interrupted_call_left_is_not_taken_for_the_next_ones() -> None:
-    hold, done = threading.Event(), []
+def test_what_an_interrupted_call_left_is_not_taken_for_the_next_ones():
+    hold = threading.Event()
+    done = []
 
     def waits() -> None:
         assert hold.wait(20.0)
@@ -101,7 +99,7 @@ def test_what_an_interrupted_call_left_is_not_taken_for_the_next_ones() -> None:
     both.close()
 
 
-def test_threads_end_with_whom_nobody_closed() -> None:
+def test_threads_end_with_whom_nobody_closed():
     both = SideBySide([int, int], "forgotten")
     both()
     threads = alive("forgotten")
@@ -113,7 +111,7 @@ def test_threads_end_with_whom_nobody_closed() -> None:
     assert alive("forgotten") == []
 
 
-def test_with_one_job_there_is_no_thread() -> None:
+def test_with_one_job_there_is_no_thread():
     before = threading.active_count()
     seen: list[int] = []
     alone = SideBySide([lambda: seen.append(1)], "alone")

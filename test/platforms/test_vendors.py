@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -21,23 +20,23 @@ from unicon_sims.webots import platform as webots
 pytest.importorskip("mujoco", reason="mujoco is not installed: pip install 'unicon_ros[sim]'")
 
 MODULES = Path(__file__).parent / "vendor_modules"
+# What says how to install each.
 REMEDIES = {
     "isaacgym": "unpack NVIDIA's Isaac Gym Preview 4",
     "isaaclab": "pip install 'isaaclab[isaacsim,all]==2.3.2.post1'",
     "webots": "install Webots, and put $WEBOTS_HOME/lib/controller/python on PYTHONPATH",
 }
-"""What says how to install each."""
 
 OURS = tuple({path.stem for path in MODULES.iterdir()})
 
 
-def _forget() -> None:
+def _forget():
     for name in [name for name in sys.modules if name.split(".")[0] in OURS]:
         del sys.modules[name]
 
 
 @pytest.fixture
-def vendors(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def vendors(monkeypatch):
     """The stand-ins, fresh, in place of what may be installed."""
     kept = {name: module for name, module in sys.modules.items() if name.split(".")[0] in OURS}
     _forget()
@@ -110,7 +109,7 @@ class TestWebots(_Left):
 @pytest.mark.slow
 @pytest.mark.usefixtures("vendors")
 @pytest.mark.parametrize("word", ["isaacgym", "isaaclab", "webots_world:make"])
-def test_go2_walk_walks_through_a_stand_in_by_one_word(word: str) -> None:
+def test_go2_walk_walks_through_a_stand_in_by_one_word(word):
     program = load_workflow("go2_walk", [f"platform={word}"])
     report = Runner(program, RunOptions(speed="max")).run()
     assert report.faults == []
@@ -119,7 +118,7 @@ def test_go2_walk_walks_through_a_stand_in_by_one_word(word: str) -> None:
 
 
 @pytest.mark.parametrize("word", list(REMEDIES))
-def test_what_is_not_installed_is_one_line(word: str, tmp_path: Path) -> None:
+def test_what_is_not_installed_is_one_line(word, tmp_path):
     with pytest.raises(MissingDependencyError) as said:
         Rig(word, tmp_path)
     (line,) = str(said.value).splitlines()
@@ -128,7 +127,7 @@ def test_what_is_not_installed_is_one_line(word: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("vendors")
-def test_isaac_gym_says_what_is_wrong_and_leaves_nothing(tmp_path: Path) -> None:
+def test_isaac_gym_says_what_is_wrong_and_leaves_nothing(tmp_path):
     with pytest.raises(PlatformError, match=r"^platform 'isaacgym': no simulation on cuda"):
         Rig("isaacgym", tmp_path, {"device": "cuda:0"})
     import torch  # noqa: F401
@@ -143,11 +142,12 @@ def test_isaac_gym_says_what_is_wrong_and_leaves_nothing(tmp_path: Path) -> None
 
 
 @pytest.mark.usefixtures("vendors")
-def test_the_stand_in_of_isaac_gym_refuses_what_gym_would() -> None:
+def test_the_stand_in_of_isaac_gym_refuses_what_gym_would():
     from isaacgym import gymapi
     from vendor_world import Refused
 
-    gym, params = gymapi.acquire_gym(), gymapi.SimParams()
+    gym = gymapi.acquire_gym()
+    params = gymapi.SimParams()
     params.up_axis = gymapi.UP_AXIS_Z
     sim = gym.create_sim(0, -1, gymapi.SIM_PHYSX, params)
     assert sim is not None
@@ -170,14 +170,14 @@ def test_the_stand_in_of_isaac_gym_refuses_what_gym_would() -> None:
         gym.simulate(sim)
 
 
-def _plane(gymapi: Any) -> Any:
+def _plane(gymapi):
     plane = gymapi.PlaneParams()
     plane.normal = gymapi.Vec3(0.0, 0.0, 1.0)
     return plane
 
 
 @pytest.mark.usefixtures("vendors")
-def test_isaac_lab_has_one_simulation_and_lets_go_of_it(tmp_path: Path) -> None:
+def test_isaac_lab_has_one_simulation_and_lets_go_of_it(tmp_path):
     folders = [tmp_path / name for name in ("one", "other", "third")]
     for folder in folders:
         folder.mkdir()
@@ -193,13 +193,14 @@ def test_isaac_lab_has_one_simulation_and_lets_go_of_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("vendors")
-def test_the_stand_in_of_isaac_lab_refuses_what_lab_would(tmp_path: Path) -> None:
+def test_the_stand_in_of_isaac_lab_refuses_what_lab_would(tmp_path):
     from vendor_world import Refused
 
     with pytest.raises(Refused, match="modules of Isaac Sim before the app"):
         import_module("isaaclab.sim")
     it = Rig("isaaclab", tmp_path)
-    lab, torch = import_module("isaaclab.lab"), import_module("torch")
+    lab = import_module("isaaclab.lab")
+    torch = import_module("torch")
     context, robot = lab.SimulationContext.instance(), it.platform._robot  # type: ignore[attr-defined]
     it.run(1)
     with pytest.raises(Refused, match="a step without write_data_to_sim"):
@@ -215,7 +216,7 @@ def test_the_stand_in_of_isaac_lab_refuses_what_lab_would(tmp_path: Path) -> Non
     it.close()
 
 
-def test_webots_says_what_is_wrong_with_a_world(vendors: None, tmp_path: Path) -> None:
+def test_webots_says_what_is_wrong_with_a_world(vendors, tmp_path):
     it = Rig("webots_world:make", tmp_path)
     controller = import_module("controller")
     with pytest.raises(PlatformError, match=r"the controller of one robot, and is so already"):
@@ -239,14 +240,14 @@ def test_webots_says_what_is_wrong_with_a_world(vendors: None, tmp_path: Path) -
     assert len(str(said.value).splitlines()) == 1
 
 
-def test_stops_that_webots_does_not_have_are_told(vendors: None, tmp_path: Path) -> None:
+def test_stops_that_webots_does_not_have_are_told(vendors, tmp_path):
     it = Rig("webots_world:make", tmp_path, model={"upper": 4.5})
     note = "left out: stops beyond ±π, which Webots does not have, of left, knee, right, yaw"
     assert note in it.info["notes"]
     assert note in it.platform.facts.notes
 
 
-def test_the_stand_in_of_webots_refuses_what_webots_would(vendors: None, tmp_path: Path) -> None:
+def test_the_stand_in_of_webots_refuses_what_webots_would(vendors, tmp_path):
     from vendor_world import Refused
 
     it = Rig("webots_world:make", tmp_path)
@@ -265,6 +266,6 @@ def test_the_stand_in_of_webots_refuses_what_webots_would(vendors: None, tmp_pat
         supervisor.step(1)
 
 
-def _folder(path: Path, name: str) -> Path:
+def _folder(path, name):
     (path / name).mkdir()
     return path / name

@@ -18,7 +18,7 @@ from unicon_core.check.memory_proof import prove
 from unicon_core.flow import Block, Stage, compile_graph
 from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.flow.nodes import unfused
-from unicon_core.gates.beginning import first_command
+from unicon_core.gates.build import first_command
 from unicon_core.memory import Memory, Snapshot
 from unicon_core.memory_json import from_json, to_json
 from unicon_core.runtime import Runner, RunOptions
@@ -27,8 +27,8 @@ from unicon_core.states.standard import forwarded_states, hardware_states
 from unicon_core.testing import Bench
 from unicon_core.workflow import Program, load_document, workflow_names
 from unicon_core.workflow.live_twin import twin_states
-from unicon_core.workflow.program_memory import memory_of
 from unicon_core.workflow.registry import known
+from unicon_core.workflow.tick_tree import memory_of
 
 OPTIONS: dict[str, dict[str, Any]] = {
     "action_stop": {},

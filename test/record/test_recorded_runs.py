@@ -256,7 +256,7 @@ BRIEF = {"safety": ["finite"], "duration": 2.0, "flow.chain.0.pose.duration": 0.
 
 def scaled_from_outside(file: Path, declared: bool) -> Record:
     """Record go2_walk while somebody makes its joints stiffer, as by the node's parameter."""
-    from unicon_ros.bridge.tuning import Tuning
+    from unicon_ros.parameters import Tuning
 
     tuning, tick = Tuning(), 0
 

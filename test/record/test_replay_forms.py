@@ -18,7 +18,7 @@ from test_recorded_runs import noise, recorded, written
 from unicon_base.errors import UniconError
 from unicon_base.resources import find_config
 from unicon_core.flow import Block, Stage
-from unicon_core.gates.beginning import beginning
+from unicon_core.gates.build import beginning
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.workflow import Program, load_workflow
 from unicon_lab.recording import open_record

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.retarget import bent
-from unicon_core.models.quaternions import about, multiply, rotate
+from unicon_core.models.loaded import about, multiply, rotate
 from unicon_manipulation.retarget.human_hand import CHAINS
 
 __all__ = ["human_hand", "pinched", "placed"]

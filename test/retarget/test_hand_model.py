@@ -14,7 +14,7 @@ from unicon_base.errors import ModelError, RobotError
 from unicon_core.models.load import load_model
 from unicon_core.models.posed import PosedModel
 from unicon_core.robots import Robot, compose, load_robot
-from unicon_core.robots.places import Hand, Place
+from unicon_core.robots.robot import Hand, Place
 from unicon_manipulation.retarget.hand_model import HandModel
 
 Build = Callable[[str], HandModel]

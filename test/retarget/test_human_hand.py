@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from unicon_core.robots.places import FINGERS
-from unicon_hardware.peripherals.webxr.frames import JOINTS
+from unicon_core.robots.robot import FINGERS
+from unicon_hardware.peripherals.webxr.webxr import JOINTS
 from unicon_manipulation.retarget.human_hand import ABSENT, CHAINS, HumanHand
 
 NEUTRAL = np.tile(np.array((0, 0, 0, 1, 0, 0, 0), np.float32), (25, 1))

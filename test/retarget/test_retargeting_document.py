@@ -13,7 +13,7 @@ from benchmarks.retarget import run
 from unicon_base.errors import RobotError
 from unicon_base.schema.read import read_value
 from unicon_core.robots import load_robot
-from unicon_core.robots.places import Hand
+from unicon_core.robots.robot import Hand
 from unicon_manipulation.retargeting_block import Retarget
 from unicon_ros.cli.main import main
 

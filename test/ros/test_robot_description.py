@@ -11,14 +11,13 @@ import numpy as np
 import pytest
 
 from unicon_core.models.find import pick_model
-from unicon_core.models.kinematic_tree import Link, read_tree
+from unicon_core.models.kinematic_tree import Link, _rpy, read_tree, urdf
 from unicon_core.models.load import load_model
-from unicon_core.models.quaternions import multiply, rotate
-from unicon_core.models.urdf_write import _rpy, urdf
+from unicon_core.models.loaded import multiply, rotate
 from unicon_core.robots import Robot, load_robot
 from unicon_msgs_map import Encoder
 from unicon_ros.bridge.bindings import robot_variables
-from unicon_ros.bridge.transforms import LinkTransforms, tf_entry
+from unicon_ros.bridge.robot_frames import LinkTransforms, tf_entry
 
 mujoco = pytest.importorskip("mujoco")
 

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import pytest
 
-from unicon_base.registered import all_registered
+from unicon_base.packages import all_registered
 from unicon_core.runtime import Report, Runner
 from unicon_ros.bridge.ros_platform import RosPlatform
 from unicon_ros.cli.main import main

@@ -11,7 +11,7 @@ import pytest
 from unicon_base.errors import PlatformError
 from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states
-from unicon_hardware.emulate.ros_face import RosFace, face
+from unicon_hardware.emulate.ros_face import RosEndpoint, face
 
 pytestmark = pytest.mark.ros
 ROBOT = load_robot("go2")
@@ -25,7 +25,7 @@ def message(
 
 
 @pytest.fixture
-def built() -> Iterator[tuple[RosFace, States]]:
+def built() -> Iterator[tuple[RosEndpoint, States]]:
     states = States(standard_states(ROBOT.joint_names))
     found = face(states, ROBOT)
     yield found, states
@@ -33,7 +33,7 @@ def built() -> Iterator[tuple[RosFace, States]]:
     found.close()
 
 
-def test_what_is_no_command_is_left(built: tuple[RosFace, States]) -> None:
+def test_what_is_no_command_is_left(built: tuple[RosEndpoint, States]) -> None:
     face, states = built
     for bad in (
         message([]),
@@ -51,7 +51,7 @@ def test_what_is_no_command_is_left(built: tuple[RosFace, States]) -> None:
     assert list(states["joint_pos_target"][3:5]) == [0.25, -0.5]
 
 
-def test_gains_go_by_name_and_bad_ones_are_left(built: tuple[RosFace, States]) -> None:
+def test_gains_go_by_name_and_bad_ones_are_left(built: tuple[RosEndpoint, States]) -> None:
     face, states = built
     order = NAMES[::-1]
     face._gained(message(order, effort=[float(i) for i in range(12)]))

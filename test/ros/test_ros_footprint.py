@@ -15,8 +15,8 @@ from sensor_msgs.msg import Imu
 
 from unicon_core.models.find import pick_model
 from unicon_core.models.load import load_model
+from unicon_core.models.loaded import about, multiply, rotate
 from unicon_core.models.posed import Footprint, PosedModel, foot_geoms
-from unicon_core.models.quaternions import about, multiply, rotate
 from unicon_core.robots import load_robot
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(90)]

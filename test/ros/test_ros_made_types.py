@@ -14,9 +14,9 @@ from typing import Any
 import pytest
 
 from unicon_msgs_map import Messages
-from unicon_msgs_map.layout.described import described, rihs01
 from unicon_ros import compat
 from unicon_ros.compat import made_types
+from unicon_ros.compat.made_types import described, rihs01
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 

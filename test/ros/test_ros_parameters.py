@@ -13,8 +13,7 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from unicon_base.errors import UniconError
-from unicon_ros.bridge.tuning import Tuning
-from unicon_ros.parameters import Parameters
+from unicon_ros.parameters import Parameters, Tuning
 
 pytestmark = pytest.mark.ros
 

@@ -16,7 +16,7 @@ from command_watch import CommandWatch
 from peer import Peer, wait_for
 from standin_runs import FIRST, SILENCE, Driven, begun, drive, ended, said, seen, stand_in
 
-from unicon_core.gates.beginning import beginning
+from unicon_core.gates.build import beginning
 from unicon_core.platforms.child.platform import WATCHDOG
 from unicon_core.platforms.kit.damping import DAMPING_TIME
 from unicon_core.workflow import load_workflow

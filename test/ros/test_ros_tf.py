@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from peer import Peer
 
-from unicon_core.models.quaternions import rotate
+from unicon_core.models.loaded import rotate
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(900)]
 

@@ -14,7 +14,8 @@ from typing import Any
 import pytest
 
 from unicon_base.resources import find_config
-from unicon_ros import compat, transport
+from unicon_ros import compat
+from unicon_ros.bridge import own_node as transport
 
 JAZZY, KILTED = transport.PROFILES
 FAST = str(find_config("dds", "fast_discovery", ".xml"))

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from unicon_core.runtime import Pacing
-from unicon_ros.bridge import bindings, slack
+from unicon_ros.bridge import bindings
+from unicon_ros.bridge import services as slack
 from unicon_ros.bridge.bindings import WallStamp
-from unicon_ros.bridge.slack import SlackServer
+from unicon_ros.bridge.services import Controls, SlackServer
 from unicon_ros.compat import Piece, services
-from unicon_ros.controls import Controls
 
 MS = 1_000_000
 

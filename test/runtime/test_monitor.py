@@ -7,7 +7,7 @@ import hashlib
 import numpy as np
 import pytest
 
-from unicon_core.blocks.monitor import Monitor
+from unicon_core.blocks.approach import Monitor
 from unicon_core.robots import load_robot
 from unicon_core.states import Layout, States
 from unicon_core.states.standard import COMMAND_STATES, standard_states

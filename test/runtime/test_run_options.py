@@ -12,7 +12,7 @@ from unicon_base.errors import UniconError
 from unicon_core.flow import Block, Stage
 from unicon_core.run_program import run
 from unicon_core.runtime import Runner, RunOptions
-from unicon_core.runtime.options import never_ends
+from unicon_core.runtime.phases import never_ends
 from unicon_core.workflow import Program
 from unicon_core.workflow.uses import block
 from unicon_ros.cli.main import main

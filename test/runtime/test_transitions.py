@@ -13,7 +13,7 @@ import pytest
 from unicon_base.errors import Fault, Hung, PlatformError
 from unicon_core import Block, Program, Stage, block, policy, pose
 from unicon_core.blocks.approach import Approach, Entry, Target
-from unicon_core.gates.beginning import first_command
+from unicon_core.gates.build import first_command
 from unicon_core.pacing import WallClock
 from unicon_core.platforms.child.platform import SILENCE, WATCHDOG
 from unicon_core.platforms.kit.damping import BLEND, DAMPING_TIME, Damping, LastSent
@@ -24,7 +24,7 @@ from unicon_core.runtime.phases import Damp as DampPhase
 from unicon_core.runtime.startup_sequence import PATIENCE, REPEAT, Waiting
 from unicon_core.states import States, standard_states
 from unicon_core.states.standard import COMMAND_STATES
-from unicon_core.workflow.gate import Gate
+from unicon_core.workflow.program_data import Gate
 
 GO2 = load_robot("go2")
 PERIOD = 0.02

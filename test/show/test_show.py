@@ -28,10 +28,8 @@ from unicon_core.flow import (
     fuse,
 )
 from unicon_core.policies import ActionSpec, ObservationSpec, ObservationTerm, PolicyContract
-from unicon_core.show.state_table import state_rows
 from unicon_core.show.svg import CHAR, show_svg
-from unicon_core.show.text import show_mermaid, show_text
-from unicon_core.show.tree import data_flow, shortened
+from unicon_core.show.text import data_flow, shortened, show_mermaid, show_text, state_rows
 from unicon_core.states import States, standard_states
 
 STATES = States(standard_states(["hip", "thigh", "calf"]), 2)

@@ -8,7 +8,7 @@ import pytest
 from pages import Page, looked_at, read_page
 
 from unicon_core.flow import blocks_of
-from unicon_core.show.page import show_page
+from unicon_core.show.svg import show_page
 from unicon_core.workflow import Program, load_document
 from unicon_ros.cli.main import main
 

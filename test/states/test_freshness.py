@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from unicon_core.states.backends.freshness import SETTLE, SILENCE, Freshness
+from unicon_core.states.backends.zmq_socket import SETTLE, SILENCE, Freshness
 
 MS = 1_000_000
 PERIOD = 10 * MS

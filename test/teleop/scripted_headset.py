@@ -8,8 +8,7 @@ from typing import Any
 
 from unicon_core.flow import Block, Stage
 from unicon_core.workflow.autowire import BuildContext
-from unicon_hardware.peripherals.webxr.frames import PARTS, Frame
-from unicon_hardware.peripherals.webxr.webxr import webxr
+from unicon_hardware.peripherals.webxr.webxr import PARTS, Frame, webxr
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples"))
 

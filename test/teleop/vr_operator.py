@@ -10,8 +10,7 @@ import numpy as np
 from unicon_core.robots import load_robot
 from unicon_core.states import States, StateSpec
 from unicon_core.workflow.autowire import BuildContext, autowire
-from unicon_hardware.peripherals.webxr.frames import BUTTONS, PARTS
-from unicon_hardware.peripherals.webxr.webxr import webxr
+from unicon_hardware.peripherals.webxr.webxr import BUTTONS, PARTS, webxr
 from unicon_manipulation.headset import HeadsetControls
 from unicon_manipulation.teleop.operator import FINGERS
 from unicon_manipulation.teleop.teleop import Teleop

@@ -17,7 +17,7 @@ import numpy as np
 
 from unicon_base.errors import UniconError
 from unicon_core.flow import Block, Tick
-from unicon_core.flow.stage import Stage
+from unicon_core.flow.block import Stage
 from unicon_core.runtime import Runner, RunOptions, phases
 from unicon_core.workflow import Program, load_workflow
 

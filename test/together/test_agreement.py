@@ -9,14 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from unicon_core.synchronised_start.agreement import (
-    BEGUN,
-    FRESH_NS,
-    LEAD_NS,
-    READY,
-    Agreement,
-    Word,
-)
+from unicon_core.synchronised_start.agreement import FRESH_NS, LEAD_NS, Agreement, Word
+from unicon_core.synchronised_start.meeting import BEGUN, READY
 
 MS = 1_000_000
 TIMEOUT = 3_000 * MS

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from unicon_core.trajectory.spline import Spline
+from unicon_core.trajectory.accepted import Spline
 
 NONE = float("nan")
 Float = NDArray[np.float64]

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
-from unicon_core.robots import Robot, load_robot
+from unicon_core.robots import load_robot
 
 ROBOT = """
 schema: unicon.robot/1
@@ -59,7 +57,7 @@ MODEL = """
 
 
 @pytest.fixture
-def reacher(tmp_path: Path) -> Robot:
+def reacher(tmp_path):
     """The robot file beside its model."""
     (tmp_path / "reacher.xml").write_text(MODEL)
     path = tmp_path / "reacher.yaml"

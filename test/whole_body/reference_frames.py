@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
-
-from unicon_core.models.loaded import LoadedModel
-from unicon_core.robots.places import Place
 
 Float = NDArray[np.float64]
 
 
-def matrix(quat: Any) -> Float:
+def matrix(quat):
     w, x, y, z = quat
     return np.array(
         [
@@ -24,20 +19,24 @@ def matrix(quat: Any) -> Float:
     )
 
 
-def pose(loaded: LoadedModel, joint_pos: Any, place: Place, above: str) -> tuple[Float, Float]:
+def pose(loaded, joint_pos, place, above):
     """Return position and rotation of a place in the frame of a body above it, all hinges."""
     model = loaded.model
     angles = dict(zip(loaded.joints, joint_pos))
-    turn, at = matrix(place.quat), np.array(place.position)
+    turn = matrix(place.quat)
+    at = np.array(place.position)
     body = model.body(place.body).id
     while model.body(body).name != above:
-        first, count = model.body_jntadr[body], model.body_jntnum[body]
+        first = model.body_jntadr[body]
+        count = model.body_jntnum[body]
         for joint in range(first + count - 1, first - 1, -1):
             half = 0.5 * angles[joint]
             hinge = matrix([np.cos(half), *(np.sin(half) * model.jnt_axis[joint])])
             anchor = model.jnt_pos[joint]
-            turn, at = hinge @ turn, anchor + hinge @ (at - anchor)
+            turn = hinge @ turn
+            at = anchor + hinge @ (at - anchor)
         own = matrix(model.body_quat[body])
-        turn, at = own @ turn, model.body_pos[body] + own @ at
+        turn = own @ turn
+        at = model.body_pos[body] + own @ at
         body = model.body_parentid[body]
     return at, turn

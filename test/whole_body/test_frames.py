@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,8 +15,8 @@ from unicon_base.errors import ModelError, UniconError, WorkflowError
 from unicon_core.models.find import pick_model
 from unicon_core.models.frames import Frames
 from unicon_core.models.load import load_model
-from unicon_core.robots import Robot, load_robot
-from unicon_core.robots.places import Place
+from unicon_core.robots import load_robot
+from unicon_core.robots.robot import Place
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states.standard import pose_states
 from unicon_core.testing import Bench
@@ -31,7 +30,7 @@ GO2_MODEL = load_model(pick_model(GO2), GO2, quiet=True)
 TOE = Place("RL_calf", (0.01, -0.02, -0.2), (0.5, 0.5, -0.5, 0.5))
 
 
-def of_reacher(robot: Robot, **options: Any) -> tuple[Bench, Any]:
+def of_reacher(robot, **options):
     names = options["of"] if isinstance(options.get("of"), dict) else robot.end_effectors
     specs: dict[str, Any] = {}
     for name in names:
@@ -42,14 +41,14 @@ def of_reacher(robot: Robot, **options: Any) -> tuple[Bench, Any]:
 
 @settings(max_examples=60)
 @given(st.lists(st.floats(-3.0, 3.0), min_size=12, max_size=12))
-def test_a_pose_is_that_of_a_chain_of_matrices(joint_pos: list[float]) -> None:
+def test_a_pose_is_that_of_a_chain_of_matrices(joint_pos):
     found = Frames(GO2_MODEL, GO2, {"toe": TOE}).of(joint_pos)["toe"]
     at, turn = pose(GO2_MODEL, joint_pos, TOE, "base_link")
     np.testing.assert_allclose(found[:3], at, atol=1e-12)
     np.testing.assert_allclose(matrix(found[3:]), turn, atol=1e-12)
 
 
-def test_of_a_fixed_base_it_is_told_in_the_bases_frame(reacher: Robot) -> None:
+def test_of_a_fixed_base_it_is_told_in_the_bases_frame(reacher):
     bench, made = of_reacher(reacher)
     bench.states.joint_pos = angles = np.array((0.4, -0.7, 1.2), np.float32)
     made.tick()
@@ -65,7 +64,7 @@ def test_of_a_fixed_base_it_is_told_in_the_bases_frame(reacher: Robot) -> None:
     assert bench.states.layout.specs["tool_pose"].frame == "world"
 
 
-def test_in_the_world_a_base_that_floats_is_where_it_is_said_to_be() -> None:
+def test_in_the_world_a_base_that_floats_is_where_it_is_said_to_be():
     specs = pose_states("toe", "world")
     bench = Bench("go2", states=specs)
     made = bench.block("frames", of={"toe": "RL_calf"}, frame="world")
@@ -79,7 +78,7 @@ def test_in_the_world_a_base_that_floats_is_where_it_is_said_to_be() -> None:
     np.testing.assert_allclose(bench.states.toe_pose[:3], expected, atol=1e-5)
 
 
-def test_the_quaternion_does_not_jump_in_sign(reacher: Robot) -> None:
+def test_the_quaternion_does_not_jump_in_sign(reacher):
     bench, made = of_reacher(reacher)
     before = np.zeros(7)
     for turn in np.linspace(-3.0, 3.0, 200):
@@ -91,7 +90,7 @@ def test_the_quaternion_does_not_jump_in_sign(reacher: Robot) -> None:
         before = now
 
 
-def test_nan_of_an_encoder_is_not_known_and_gone_with_it(reacher: Robot) -> None:
+def test_nan_of_an_encoder_is_not_known_and_gone_with_it(reacher):
     bench, made = of_reacher(reacher)
     assert np.isnan(bench.states.tool_pose).all()  # nobody knows yet
     made.tick()
@@ -105,7 +104,7 @@ def test_nan_of_an_encoder_is_not_known_and_gone_with_it(reacher: Robot) -> None
         assert bench.states.tool_pose.tolist() == good.tolist()
 
 
-def test_a_hands_own_frames_are_of_its_own_model(assets: Path) -> None:
+def test_a_hands_own_frames_are_of_its_own_model(assets):
     program = Program(
         robot={"body": "g1_29dof", "left_hand": "inspire_rh56_left"},
         platform="mujoco",
@@ -117,7 +116,8 @@ def test_a_hands_own_frames_are_of_its_own_model(assets: Path) -> None:
         flow=block("hold"),
     )
     Runner(program, RunOptions(duration=0.04, speed="max")).run()
-    hand, own = program.robot.members["left_hand"], program.states["joint_pos"][29:]
+    hand = program.robot.members["left_hand"]
+    own = program.states["joint_pos"][29:]
     loaded = load_model(pick_model(hand), hand, quiet=True)
     tip = Frames(loaded, hand, {"tip": Place("L_index_intermediate")}).of(own)["tip"]
     np.testing.assert_allclose(program.states["tip_pose"], tip, atol=1e-6)
@@ -127,9 +127,7 @@ def test_a_hands_own_frames_are_of_its_own_model(assets: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["g1_29dof", "g1_23dof", "h1", "h1_2", "t1", "adam_lite"])
-def test_hands_of_a_humanoid_are_on_both_sides_with_x_along_the_fingers(
-    name: str, assets: Path
-) -> None:
+def test_hands_of_a_humanoid_are_on_both_sides_with_x_along_the_fingers(name, assets):
     robot = load_robot(name)
     loaded = load_model(pick_model(robot), robot, quiet=True)
     elbows = {
@@ -137,7 +135,8 @@ def test_hands_of_a_humanoid_are_on_both_sides_with_x_along_the_fingers(
         for side in ("left", "right")
     }
     found = Frames(loaded, robot, {**robot.end_effectors, **elbows}).of(robot.default_joint_pos)
-    left, right = found["left_hand"], found["right_hand"]
+    left = found["left_hand"]
+    right = found["right_hand"]
     np.testing.assert_allclose(left[:3] * (1, -1, 1), right[:3], atol=0.012)
     assert left[1] > 0.05
     for side, hand in (("left", left), ("right", right)):
@@ -146,7 +145,7 @@ def test_hands_of_a_humanoid_are_on_both_sides_with_x_along_the_fingers(
         assert matrix(hand[3:])[:, 0] @ forearm > 0.9 * np.linalg.norm(forearm)
 
 
-def model_elbow(model: Any, side: str) -> int:
+def model_elbow(model, side):
     """Return the body that turns at the elbow."""
     for joint in range(model.njnt):
         name = model.joint(joint).name.lower()
@@ -167,9 +166,7 @@ def model_elbow(model: Any, side: str) -> int:
         ({"frame": "map"}, "frame 'map' is not known; known: base, world"),
     ],
 )
-def test_a_wrong_option_is_told_with_what_there_is(
-    reacher: Robot, options: dict[str, Any], message: str
-) -> None:
+def test_a_wrong_option_is_told_with_what_there_is(reacher, options, message):
     with pytest.raises(UniconError) as told:
         Program(
             robot=str(reacher.path),
@@ -181,7 +178,7 @@ def test_a_wrong_option_is_told_with_what_there_is(
     assert message in str(told.value)
 
 
-def test_a_batch_or_a_robot_without_end_effectors_is_refused(reacher: Robot) -> None:
+def test_a_batch_or_a_robot_without_end_effectors_is_refused(reacher):
     batch = Bench(reacher, 3, states=pose_states("tool"))
     with pytest.raises(WorkflowError, match="is for one robot; leave num_robots out"):
         batch.block("frames")

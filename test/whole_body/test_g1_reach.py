@@ -7,7 +7,6 @@ import re
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,14 +24,15 @@ pytest.importorskip("onnxruntime", reason="the policies need onnxruntime")
 pytest.importorskip("daqp", reason="reach needs daqp")
 
 POLICIES = ("g1_walk", "g1_holosoma")
-WALKING, STANDING = 0.6, 0.0
+WALKING = 0.6
+STANDING = 0.0
 SPEED = "commands.0.velocity_command.constant.0"
 ARMS = slice(15, 29)
 
 
 @pytest.mark.parametrize("speed", [WALKING, STANDING], ids=["walking", "standing"])
 @pytest.mark.parametrize("policy", POLICIES)
-def test_hands_stay_on_their_targets(policy: str, speed: float, assets: Path) -> None:
+def test_hands_stay_on_their_targets(policy, speed, assets):
     done = walk([*under(policy), f"{SPEED}={speed}"], duration=5.0)
     assert not done.report.faults
     assert not done.report.fell
@@ -44,7 +44,7 @@ def test_hands_stay_on_their_targets(policy: str, speed: float, assets: Path) ->
 @pytest.mark.slow
 @pytest.mark.parametrize("speed", [WALKING, STANDING], ids=["walking", "standing"])
 @pytest.mark.parametrize("policy", POLICIES)
-def test_ten_walks_of_ten_bring_both_hands_along(policy: str, speed: float, assets: Path) -> None:
+def test_ten_walks_of_ten_bring_both_hands_along(policy, speed, assets):
     """Worst of 10 seeds in [mm]: p50 4.7 and 18.7 at most walking, 1.6 and 5.4 standing."""
     for seed in range(10):
         done = walk([*under(policy), f"{SPEED}={speed}"], seed=seed)
@@ -58,7 +58,7 @@ def test_ten_walks_of_ten_bring_both_hands_along(policy: str, speed: float, asse
 
 
 @pytest.mark.slow
-def test_pushes_are_walked_off_with_the_hands_on_their_targets(assets: Path) -> None:
+def test_pushes_are_walked_off_with_the_hands_on_their_targets(assets):
     push = "scene.push={every: 4.0, velocity: 0.4}"
     for seed in range(5):
         done = walk([push], seed=seed)
@@ -66,13 +66,14 @@ def test_pushes_are_walked_off_with_the_hands_on_their_targets(assets: Path) -> 
         assert done.figures[0] <= 8.0, seed
 
 
-def test_without_gravity_fed_forward_the_hands_hang_lower(assets: Path) -> None:
+def test_without_gravity_fed_forward_the_hands_hang_lower(assets):
     none = 'flow.zip.2={when: {if: "tick < 0", do: {gravity: {moves: [arms]}}}}'
-    with_it, without = walk(duration=4.5), walk([none], duration=4.5)
+    with_it = walk(duration=4.5)
+    without = walk([none], duration=4.5)
     assert without.figures[0] > 1.7 * with_it.figures[0]
 
 
-def test_when_inverse_kinematics_dies_the_arms_go_home_and_the_legs_walk_on(assets: Path) -> None:
+def test_when_inverse_kinematics_dies_the_arms_go_home_and_the_legs_walk_on(assets):
     rows: list[NDArray[np.float32]] = []
 
     def hook(program: Program) -> Mapping[Stage, Sequence[Block]]:
@@ -98,7 +99,7 @@ def test_when_inverse_kinematics_dies_the_arms_go_home_and_the_legs_walk_on(asse
     assert steps.max() <= 1.0 * program.period * 1.001  # home_rate
 
 
-def test_targets_that_are_lost_and_come_back_are_followed_again(assets: Path) -> None:
+def test_targets_that_are_lost_and_come_back_are_followed_again(assets):
     """Lost from 2 to 4 s: the arms are on their way home then; from 6 s on they are on them."""
     commands = list(load_document("g1_reach").values["commands"])
     commands.insert(3, {"call": {"function": "reaching_walks:lost", "begin": 100, "end": 200}})
@@ -125,7 +126,7 @@ commands:
 
 
 @pytest.fixture
-def split(tmp_path: Path) -> Path:
+def split(tmp_path):
     """The workflow with targets and inverse kinematics on a workstation, over zmq."""
     text = find_config("workflows", "g1_reach").read_text("utf-8")
     text = text.replace("\ncommands:\n", SPLIT.replace("SOCKET", str(tmp_path / "socket")))
@@ -138,7 +139,7 @@ def split(tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_a_workstation_that_is_killed_lets_the_arms_go_home(split: Path, assets: Path) -> None:
+def test_a_workstation_that_is_killed_lets_the_arms_go_home(split, assets):
     command = [sys.executable, "-m", "unicon_ros", "run", str(split), "--part", "workstation"]
     pipe = subprocess.DEVNULL
     workstation = subprocess.Popen(command, stdout=pipe, stderr=pipe)

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -14,7 +11,7 @@ from unicon_core.models.find import pick_model
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.models.posed import Weight
-from unicon_core.robots import Robot, compose, load_robot
+from unicon_core.robots import compose, load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.testing import Bench
 from unicon_core.workflow import Program
@@ -23,9 +20,10 @@ from unicon_core.workflow.uses import block, of
 pytest.importorskip("mujoco", reason="weights need mujoco")
 
 
-def energy(robot: Robot, joint_pos: Any, quat: Any = (1.0, 0.0, 0.0, 0.0)) -> float:
+def energy(robot, joint_pos, quat=(1.0, 0.0, 0.0, 0.0)):
     """Return the potential energy of a model in [J]."""
-    mujoco, loaded = import_mujoco(), load_model(pick_model(robot), robot, quiet=True)
+    mujoco = import_mujoco()
+    loaded = load_model(pick_model(robot), robot, quiet=True)
     loaded.model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
     data = mujoco.MjData(loaded.model)
     data.qpos[loaded.addresses] = joint_pos
@@ -35,9 +33,10 @@ def energy(robot: Robot, joint_pos: Any, quat: Any = (1.0, 0.0, 0.0, 0.0)) -> fl
     return float(data.energy[0])
 
 
-def test_the_torques_are_the_slope_of_the_potential_energy(reacher: Robot) -> None:
+def test_the_torques_are_the_slope_of_the_potential_energy(reacher):
     weight = Weight(load_model(pick_model(reacher), reacher, quiet=True))
-    rng, found = np.random.default_rng(1), np.zeros(3)
+    rng = np.random.default_rng(1)
+    found = np.zeros(3)
     for _ in range(5):
         angles = rng.uniform(-1.5, 1.5, 3)
         weight(angles, found)
@@ -47,9 +46,10 @@ def test_the_torques_are_the_slope_of_the_potential_energy(reacher: Robot) -> No
             assert found[joint] == pytest.approx(slope, abs=1e-6)
 
 
-def test_a_base_that_leans_turns_the_weight_with_it(assets: Path) -> None:
+def test_a_base_that_leans_turns_the_weight_with_it(assets):
     robot = load_robot("g1_29dof")
-    weight, found = Weight(load_model(pick_model(robot), robot, quiet=True)), np.zeros(29)
+    weight = Weight(load_model(pick_model(robot), robot, quiet=True))
+    found = np.zeros(29)
     quat = np.array((0.9, 0.2, -0.3, 0.1)) / np.linalg.norm((0.9, 0.2, -0.3, 0.1))
     arms = robot.group(["arms"])
     angles = robot.default_joint_pos.astype(float)
@@ -61,7 +61,7 @@ def test_a_base_that_leans_turns_the_weight_with_it(assets: Path) -> None:
         assert found[joint] == pytest.approx(slope / 2e-5, abs=1e-5)
 
 
-def lying(robot: str, *more: Any) -> tuple[Any, Any]:
+def lying(robot, *more):
     """Return where an arm without stiffness begins, and where it is after a second."""
     program = Program(
         robot=robot,
@@ -73,14 +73,14 @@ def lying(robot: str, *more: Any) -> tuple[Any, Any]:
     return program.robot.default_joint_pos, program.states["joint_pos"]
 
 
-def test_without_stiffness_an_arm_stays_where_it_is(reacher: Robot) -> None:
+def test_without_stiffness_an_arm_stays_where_it_is(reacher):
     begin, fallen = lying(str(reacher.path))
     assert np.abs(fallen - begin).max() > 0.3
     begin, held = lying(str(reacher.path), "gravity")
     assert np.abs(held - begin).max() < 2e-3
 
 
-def test_only_the_joints_that_are_named_are_carried_within_their_effort(reacher: Robot) -> None:
+def test_only_the_joints_that_are_named_are_carried_within_their_effort(reacher):
     bench = Bench(reacher)
     bench.states.joint_effort_ff = (1.0, 2.0, 2.9)
     made = bench.block("gravity", moves=["last"])
@@ -93,7 +93,7 @@ def test_only_the_joints_that_are_named_are_carried_within_their_effort(reacher:
     assert bench.states.joint_effort_ff[2] == np.float32(-3.0)
 
 
-def test_a_measurement_that_is_none_leaves_the_last_torque(reacher: Robot) -> None:
+def test_a_measurement_that_is_none_leaves_the_last_torque(reacher):
     bench = Bench(reacher)
     made = bench.block("gravity")
     made.tick()
@@ -107,7 +107,7 @@ def test_a_measurement_that_is_none_leaves_the_last_torque(reacher: Robot) -> No
     bench.states.joint_pos = 0.0
 
 
-def test_hands_weigh_what_their_models_say(assets: Path) -> None:
+def test_hands_weigh_what_their_models_say(assets):
     robot = load_robot("g1_29dof")
     hands = {side: load_robot(f"inspire_rh56_{side}") for side in ("left", "right")}
     whole = compose({"body": robot, **{f"{s}_hand": hand for s, hand in hands.items()}})
@@ -128,7 +128,7 @@ def test_hands_weigh_what_their_models_say(assets: Path) -> None:
         (["wings"], "no group or joint 'wings'"),
     ],
 )
-def test_what_cannot_be_carried_is_refused(moves: list[str], message: str, assets: Path) -> None:
+def test_what_cannot_be_carried_is_refused(moves, message, assets):
     with pytest.raises(UniconError) as told:
         Program(
             robot={"body": "g1_29dof", "left_hand": "inspire_rh56_left"},
@@ -139,7 +139,7 @@ def test_what_cannot_be_carried_is_refused(moves: list[str], message: str, asset
     assert message in str(told.value)
 
 
-def test_a_batch_and_a_carried_member_are_refused(assets: Path, reacher: Robot) -> None:
+def test_a_batch_and_a_carried_member_are_refused(assets, reacher):
     with pytest.raises(WorkflowError, match="is for one robot; leave num_robots out"):
         Bench(reacher, 3).block("gravity")
     hand = of("left_hand", block("gravity"))
@@ -152,7 +152,7 @@ def test_a_batch_and_a_carried_member_are_refused(assets: Path, reacher: Robot) 
         )
 
 
-def test_what_a_walker_carries_has_to_be_said(assets: Path, reacher: Robot) -> None:
+def test_what_a_walker_carries_has_to_be_said(assets, reacher):
     with pytest.raises(WorkflowError, match=r"name the joints that others move: moves: \[arms\]"):
         Bench("g1_29dof").block("gravity")
     with pytest.raises(WorkflowError, match="every joint of inspire_rh56_left takes positions"):
@@ -175,9 +175,7 @@ def make(states, robot, period, scene: Scene) -> Positions:
 """
 
 
-def test_a_platform_that_takes_no_torques_is_a_finding(
-    reacher: Robot, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_platform_that_takes_no_torques_is_a_finding(reacher, monkeypatch):
     folder = reacher.path.parent
     (folder / "positions_alone.py").write_text(WITHOUT_TORQUES)
     monkeypatch.syspath_prepend(str(folder))

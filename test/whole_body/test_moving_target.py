@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -11,7 +9,6 @@ from unicon_base.errors import UniconError
 from unicon_core.models.find import pick_model
 from unicon_core.models.frames import Frames
 from unicon_core.models.load import load_model
-from unicon_core.robots import Robot
 from unicon_core.states.standard import target_states
 from unicon_core.testing import Bench
 from unicon_core.workflow import Program
@@ -20,12 +17,12 @@ from unicon_core.workflow.uses import block
 pytest.importorskip("mujoco", reason="the centre needs mujoco")
 
 
-def moving(robot: Robot, **options: Any) -> tuple[Bench, Any]:
+def moving(robot, **options):
     bench = Bench(robot, period=0.01, states=target_states("tool"))
     return bench, bench.block("moving_target", effector="tool", **options)
 
 
-def test_it_begins_at_the_default_pose_and_ends_on_the_circle(reacher: Robot) -> None:
+def test_it_begins_at_the_default_pose_and_ends_on_the_circle(reacher):
     bench, made = moving(reacher, radius=0.1, frequency=0.5, ramp=1.0, plane="xz")
     assert np.isnan(bench.states.tool_target).all()
     loaded = load_model(pick_model(reacher), reacher, quiet=True)
@@ -49,19 +46,20 @@ def test_it_begins_at_the_default_pose_and_ends_on_the_circle(reacher: Robot) ->
     np.testing.assert_allclose(bench.states.tool_target, begin, atol=1e-6)
 
 
-def test_the_velocity_is_that_of_the_target(reacher: Robot) -> None:
+def test_the_velocity_is_that_of_the_target(reacher):
     bench, made = moving(reacher, radius=0.08, frequency=0.4, ramp=1.0, centre=[0.3, 0.0, 0.2])
     before = None
     for _ in range(200):
         made.tick()
-        now, velocity = bench.states.tool_target[:3].copy(), bench.states.tool_target_velocity[:3]
+        now = bench.states.tool_target[:3].copy()
+        velocity = bench.states.tool_target_velocity[:3]
         if before is not None:
             mean = 0.5 * (velocity + before[1])
             np.testing.assert_allclose((now - before[0]) / 0.01, mean, atol=2e-4)
         before = now, velocity.copy()
 
 
-def test_without_a_ramp_it_is_on_the_circle_at_once(reacher: Robot) -> None:
+def test_without_a_ramp_it_is_on_the_circle_at_once(reacher):
     bench, made = moving(reacher, radius=0.1, ramp=0.0, centre=[0.3, 0.0, 0.2])
     made.tick()
     np.testing.assert_allclose(bench.states.tool_target[:3], (0.3, 0.1, 0.2), atol=1e-7)
@@ -80,7 +78,7 @@ def test_without_a_ramp_it_is_on_the_circle_at_once(reacher: Robot) -> None:
         ({"effector": "tool", "centre": "there"}, "centre is 'there'; write default or a list"),
     ],
 )
-def test_a_wrong_option_is_told(reacher: Robot, options: dict[str, Any], message: str) -> None:
+def test_a_wrong_option_is_told(reacher, options, message):
     with pytest.raises(UniconError) as told:
         Program(
             robot=str(reacher.path),
@@ -92,7 +90,7 @@ def test_a_wrong_option_is_told(reacher: Robot, options: dict[str, Any], message
     assert message in str(told.value)
 
 
-def test_a_batch_is_refused(reacher: Robot) -> None:
+def test_a_batch_is_refused(reacher):
     bench = Bench(reacher, 2, states=target_states("tool"))
     with pytest.raises(UniconError, match="it is for one robot; leave num_robots out"):
         bench.block("moving_target", effector="tool")

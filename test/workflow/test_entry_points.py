@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from unicon_base.errors import PolicyError, WorkflowError
-from unicon_base.registered import all_registered
+from unicon_base.packages import all_registered
 from unicon_core.policies import load_policy, policy_names
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow

@@ -12,8 +12,8 @@ import pytest
 
 from unicon_base.errors import Fault, WorkflowError
 from unicon_core.flow import Block, Stage
+from unicon_core.platforms.kit.disturbances import Beside
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.kit.tracking_simulator import Beside
 from unicon_core.platforms.mujoco import make
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions

@@ -13,8 +13,7 @@ import pytest
 
 from unicon_base import packages
 from unicon_base.errors import ModelError, PolicyError, RobotError, UniconError
-from unicon_base.packages import share_folder
-from unicon_base.registered import all_registered
+from unicon_base.packages import all_registered, share_folder
 from unicon_base.resources import config_roots, find_config, find_resource
 from unicon_core.models.find import find_model
 from unicon_core.policies import load_policy, policy_names

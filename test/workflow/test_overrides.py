@@ -13,7 +13,7 @@ from unicon_base.errors import WorkflowError
 from unicon_base.located_yaml import read_yaml
 from unicon_core.workflow import load_document, load_workflow, workflow_names
 from unicon_core.workflow.document import set_value, split_setting
-from unicon_core.workflow.platform_use import read_platforms
+from unicon_core.workflow.members import read_platforms
 from unicon_ros.cli.main import main
 
 ROOT = Path(__file__).parents[2]

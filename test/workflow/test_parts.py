@@ -165,7 +165,7 @@ def test_what_came_is_written_anew_in_each_tick(build):
 
 
 def test_a_desk_without_a_robot_says_what_to_run(workflow, monkeypatch):
-    monkeypatch.setattr("unicon_core.platforms.part.PartPlatform.__init__.__defaults__", (0.1,))
+    monkeypatch.setattr("unicon_core.platforms.joined.PartPlatform.__init__.__defaults__", (0.1,))
     with pytest.raises(UniconError, match="part 'robot' is not heard; run it first"):
         Program(load_document(workflow), part="desk")
 

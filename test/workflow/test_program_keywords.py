@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from unicon_base.schema.records import record_of
-from unicon_core.workflow.described import Described
 from unicon_core.workflow.file import Workflow
+from unicon_core.workflow.program import Described
 
 PROGRAM = """\
 from unicon_core import Program, block

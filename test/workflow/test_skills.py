@@ -18,7 +18,7 @@ from unicon_core.robots import Robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states.standard import BUTTONS
 from unicon_core.workflow import Program, load_workflow
-from unicon_core.workflow.skills import skills_of
+from unicon_core.workflow.flow_yaml import skills_of
 
 SKILLS = {
     "rise": {"do": {"pose": {"to": "stand", "duration": 0.2}}, "next": "stand"},

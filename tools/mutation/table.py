@@ -159,7 +159,7 @@ ROWS = [
         ("rate_limit", "rate * np.float32(period)", "rate * np.float32(10 * period)"),
     ),
     *_rows(
-        "blocks/safety/speeds.py",
+        "blocks/safety/limits.py",
         BLOCKS,
         ("velocity_limits", "robot.velocity_limit,", "10 * robot.velocity_limit,"),
         ("velocity_limits", 'if beyond == "trip"', 'if beyond != "trip"'),
@@ -309,7 +309,7 @@ ROWS = [
         ("", "COLDEST = -40.0", "COLDEST = -400.0"),
     ),
     *_rows(
-        "blocks/safety/overrun.py",
+        "blocks/safety/servo_stops.py",
         BLOCKS,
         ("OverrunStop.__call__", REMOVED),
         ("OverrunStop.__call__", "<= self._window_ns", "<= 0.1 * self._window_ns"),
@@ -320,7 +320,7 @@ ROWS = [
         ("OverrunStop.__init__", "platform is None or not platform.facts.simulated", "False"),
     ),
     *_rows(
-        "blocks/safety/learned.py",
+        "blocks/safety/ranges.py",
         LEARNED,
         ("ObservationStop._raise", REMOVED),
         ("ObservationStop.__init__", "margin * (upper - lower)", "10 * margin * (upper - lower)"),
@@ -430,7 +430,7 @@ ROWS = [
         ("_tilt", "isinstance(block.tick, TiltStop)", "False"),
     ),
     *_rows(
-        "gates/beginning.py",
+        "gates/build.py",
         (*BEGINNING, *PHASES),
         (
             "beginning",
@@ -501,7 +501,7 @@ ROWS = [
         GATES,
         ("prepared", 'next(filter(None, (gate() for gate in alone)), "")', "''"),
     ),
-    *_rows("runtime/options.py", ENDS, ("refuse_pace", REMOVED)),
+    *_rows("runtime/phases.py", ENDS, ("refuse_pace", REMOVED)),
     *_rows(
         "runtime/runner.py",
         SIGNALS,
@@ -552,7 +552,7 @@ ROWS = [
         ("repeated", "raise error", "pass"),
     ),
     *_rows(
-        "workflow/gate.py",
+        "workflow/program_data.py",
         CLOSED,
         ("Gate.before", "if self.closed or now() > self.until_ns:", "if now() > self.until_ns:"),
         ("Gate.before", "if self.closed or now() > self.until_ns:", "if self.closed:"),

@@ -28,12 +28,12 @@ from unicon_core.bounds import (
     within,
 )
 from unicon_core.robots import Robot
-from unicon_core.robots.poses import joints_like, named_pose
+from unicon_core.robots.load import joints_like, named_pose
 
 Signal = Literal["sine", "chirp", "square", "triangle", "random"]
 
+# In [Hz]: no leg's joint follows a tenth of it.
 FREQUENCY = 100.0
-"""In [Hz]: no leg's joint follows a tenth of it."""
 
 
 class Excite(Counting):
@@ -86,16 +86,19 @@ class Excite(Counting):
         sizes = _amplitudes(robot, joints, amplitude)
         _check(robot, signal, self._centre.astype(np.float32), sizes, max(sweep))
         self._amplitudes = np.diag(sizes)[sizes > 0.0] if in_turn else sizes[None]
-        self._ticks, self._fade = ticks_of(duration, period), ticks_of(fade, period)
+        self._ticks = ticks_of(duration, period)
+        self._fade = ticks_of(fade, period)
         self.gains = robot_gains(robot, "excite", stiffness_scale, damping_scale)
         self._wave = _Wave(signal, sweep, self._ticks, period, seed, robot.num_joints)
-        self._command, self._approach = command, self._fade
+        self._command = command
+        self._approach = self._fade
         self._ticks_per_rad = 0.5 * math.pi / (POSE_SPEED * period)
         self._start, self._way = (np.zeros_like(command.joint_pos_target) for _ in range(2))
         self._tick = 0
 
     def __call__(self) -> bool:
-        command, target = self._command, self._command.joint_pos_target
+        command = self._command
+        target = self._command.joint_pos_target
         if self._tick == 0:
             command.entry(self._start)
             np.subtract(self._centre, self._start, out=self._way)
@@ -151,14 +154,16 @@ def _amplitudes(
 def _check(robot: Robot, signal: str, centre: Float32, sizes: Float32, frequency: float) -> None:
     """Refuse what would leave the limits of position or speed."""
     for i in np.flatnonzero(sizes):
-        name, size = robot.joint_names[i], float(sizes[i])
+        name = robot.joint_names[i]
+        size = float(sizes[i])
         room = float(np.nanmin((robot.upper[i] - centre[i], centre[i] - robot.lower[i], POSITION)))
         if size > room + 1e-6:
             raise WorkflowError(
                 f"amplitude {size:g} rad about {centre[i]:g} rad is beyond the limits of joint "
                 f"{name}; give at most {max(room, 0.0):.3g}, or another pose (around)"
             )
-        speed, limit = size * frequency * _SIGNALS[signal][0], float(robot.velocity_limit[i])
+        speed = size * frequency * _SIGNALS[signal][0]
+        limit = float(robot.velocity_limit[i])
         if speed > limit:  # false for an unknown limit
             raise WorkflowError(
                 f"a {signal} of {size:g} rad at {frequency:g} Hz asks joint {name} for "
@@ -178,9 +183,11 @@ class _Wave:
         seed: int,
         count: int,
     ) -> None:
-        self._period, self._first = period, sweep[0]
+        self._period = period
+        self._first = sweep[0]
         self._half_slope = 0.5 * (sweep[1] - sweep[0]) / (ticks * period)
-        self._seed, self._count = seed, count
+        self._seed = seed
+        self._count = count
         self._shape = _SIGNALS[signal][1] or self._random
 
     def __call__(self, tick: int) -> Any:

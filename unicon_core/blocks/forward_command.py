@@ -32,23 +32,23 @@ from unicon_core.bounds import (
     StiffnessScale,
 )
 from unicon_core.flow.block import Bundle, Reads
-from unicon_core.models.rows import index_of
+from unicon_core.models.loaded import index_of
 from unicon_core.robots import Robot
-from unicon_core.robots.poses import named_pose
+from unicon_core.robots.load import named_pose
 from unicon_core.states import StateSpec
 from unicon_core.states.standard import forwarded_states
 from unicon_core.workflow.autowire import BuildContext
 
+# In [rad/s], unless told: an arm that is jogged has 0.5 to 3, and a person can step back.
 MAX_RATE = 2.0
-"""In [rad/s], unless told: an arm that is jogged has 0.5 to 3, and a person can step back."""
 
+# In [rad/s] to the robot's default pose where nobody commands: an arm is home within 2 s.
 HOME_RATE = 1.0
-"""In [rad/s] to the robot's default pose where nobody commands: an arm is home within 2 s."""
 
+# In [1/s]: a joint's servo settles in 0.1 to 0.3 s, and has to be quicker.
 MOST_INTEGRAL = 20.0
-"""In [1/s]: a joint's servo settles in 0.1 to 0.3 s, and has to be quicker."""
+# In [rad], that the integral moves a target at most: a leg's sag is 0.05 to 0.15.
 FARTHEST = 0.25
-"""In [rad], that the integral moves a target at most: a leg's sag is 0.05 to 0.15."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,14 +126,18 @@ class ForwardCommand:
         damping: Damping | Mapping[str, Damping] | None = None,
         duration: Annotated[float | None, positive(DURATION, "s")] = None,
     ) -> None:
-        robot, period = context.robot, context.period
+        robot = context.robot
+        period = context.period
         scales = stiffness_scale, damping_scale
         self.gains = robot_gains(robot, "forward_command", *scales, stiffness, damping)
         self.moves = tuple(moves)
         self._places = robot.group(self.moves or robot.joint_names)
         self._at = (..., index_of(self._places.tolist()))
-        self._command, self._commanded, self._robot = command, commanded, robot
-        self._ends, self.endless = end_of(duration, period), duration is None
+        self._command = command
+        self._commanded = commanded
+        self._robot = robot
+        self._ends = end_of(duration, period)
+        self.endless = duration is None
         self.max_rate = rates_of(max_rate, robot, "forward_command")
         self.ticks = 0
         self._period = np.float32(period)
@@ -142,12 +146,14 @@ class ForwardCommand:
         self._effort = np.nan_to_num(robot.effort_limit, nan=np.inf)
         target = command.joint_pos_target
         self.held, self._bound, self._wanted, self._fed = (np.zeros_like(target) for _ in range(4))
-        self._share, self._offset = np.float32(integral * period), np.zeros_like(target)
+        self._share = np.float32(integral * period)
+        self._offset = np.zeros_like(target)
         self._silent = np.zeros(target.shape, np.bool_)
         self._home: tuple[Float32, Float32] | None = None
         self._tolerance = np.inf if start_tolerance is None else start_tolerance
         self._tell = context.tell
-        self._heard, self._refused = False, False
+        self._heard = False
+        self._refused = False
         if silent == "home":
             self._go_home(home_rate, home)
 
@@ -158,7 +164,8 @@ class ForwardCommand:
 
     def _go_home(self, rate: float, to: str | Mapping[str, float]) -> None:
         """Let joints of which nothing is commanded go to a pose, at a rate in [rad/s]."""
-        robot, home = self._robot, self._robot.default_joint_pos
+        robot = self._robot
+        home = self._robot.default_joint_pos
         if to != "default":
             pose, said = named_pose(to, robot, "block 'forward_command'")
             home = np.where(said, pose, home).astype(np.float32)
@@ -172,10 +179,12 @@ class ForwardCommand:
                 )
         step = np.fmin(self._step, np.float32(rate) * self._period)
         self._home = home, np.where(robot.endless, np.float32(0.0), step)  # a wheel stays
-        self._steps, self._goes = np.empty_like(self.held), np.empty_like(self._silent)
+        self._steps = np.empty_like(self.held)
+        self._goes = np.empty_like(self._silent)
 
     def __call__(self) -> bool:
-        command, held = self._command, self.held
+        command = self._command
+        held = self.held
         if self.ticks == 0:
             command.entry(held)
             self._offset[...] = 0.0
@@ -218,7 +227,8 @@ class ForwardCommand:
 
     def _head_home(self, home: Float32, step: Float32) -> None:
         """Let robots of which nothing is commanded want to be home, slowly."""
-        goes, at = self._goes, self._at
+        goes = self._goes
+        at = self._at
         goes[...] = self._silent[at].all(axis=-1, keepdims=True)
         np.copyto(self._steps, self._step)
         if not goes.any():
@@ -240,7 +250,8 @@ class ForwardCommand:
         np.abs(self._bound, out=self._bound)
         off = self._bound[self._at]
         if float(off.max()) <= self._tolerance:
-            self._heard, self._refused = True, False
+            self._heard = True
+            self._refused = False
             return
         if not self._refused:
             self._refused = True

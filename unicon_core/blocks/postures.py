@@ -21,7 +21,7 @@ from unicon_core.bounds import (
 )
 from unicon_core.flow.block import Reads
 from unicon_core.robots import Robot
-from unicon_core.robots.poses import joints_like, named_pose
+from unicon_core.robots.load import joints_like, named_pose
 
 
 class Pose(Counting):
@@ -123,7 +123,8 @@ class Hold(Counting):
         duration: Seconds | None = None,
         keep_gains: bool = False,
     ) -> None:
-        self._command, self._ticks = command, end_of(duration, period)
+        self._command = command
+        self._ticks = end_of(duration, period)
         self.endless = duration is None
         self.gains = None if keep_gains else robot_gains(robot, "hold")
         self._held = np.zeros_like(command.joint_pos_target)
@@ -159,7 +160,8 @@ class Damp(Counting):
         duration: Seconds | None = None,
         damping: Damping | None = None,
     ) -> None:
-        self._command, self._ticks = command, end_of(duration, period)
+        self._command = command
+        self._ticks = end_of(duration, period)
         self._gain = (
             robot_gains(robot, "damp")[1]
             if damping is None
@@ -179,8 +181,8 @@ class Damp(Counting):
         return self._ticks is not None and self._tick >= self._ticks
 
 
+# What helps a robot that the workflow was not written for.
 OTHERS = "give gains of its joints, or run h1_stand, which names none"
-"""What helps a robot that the workflow was not written for."""
 
 
 class Sway(Counting):
@@ -221,13 +223,15 @@ class Sway(Counting):
             matrix[:, joints_like(pattern, robot, OTHERS)] += np.asarray(row, np.float32)[:, None]
         centre, said = named_pose(around, robot, "block 'sway'")
         self._centre = np.where(said > 0.0, centre, np.nan_to_num(robot.default_joint_pos))
-        self._command, self._velocity = command, velocity_command
+        self._command = command
+        self._velocity = velocity_command
         self._amplitude = np.asarray(amplitude, np.float32)
         self._turn = 2.0 * math.pi * frequency * period
         self._share = 1.0 if time_constant <= 0.0 else -math.expm1(-period / time_constant)
         self._lower, self._upper = robot.limits()
         self.gains = robot_gains(robot, "sway")
-        self._ticks, self._tick = end_of(duration, period), 0
+        self._ticks = end_of(duration, period)
+        self._tick = 0
         self.endless = duration is None
         self._filtered, self._wanted, self._moved = (
             np.zeros_like(command.joint_pos_target) for _ in range(3)
@@ -236,7 +240,9 @@ class Sway(Counting):
         self._parts = [(self._twist[..., i : i + 1], row) for i, row in enumerate(matrix)]
 
     def __call__(self) -> bool:
-        command, wanted, filtered = self._command, self._wanted, self._filtered
+        command = self._command
+        wanted = self._wanted
+        filtered = self._filtered
         if self._tick == 0:
             command.entry(filtered)
         self._tick += 1

@@ -23,7 +23,8 @@ class Elapsed(Counting):
     """
 
     def __init__(self, *, period: float, seconds: Seconds) -> None:
-        self._ticks, self._tick = ticks_of(seconds, period), 0
+        self._ticks = ticks_of(seconds, period)
+        self._tick = 0
 
     def __call__(self) -> bool:
         self._tick += 1
@@ -31,9 +32,7 @@ class Elapsed(Counting):
 
 
 def tilted(
-    projected_gravity: Reads,
-    *,
-    angle: Annotated[float, positive(math.pi, "rad")] = 1.0,
+    projected_gravity: Reads, *, angle: Annotated[float, positive(math.pi, "rad")] = 1.0
 ) -> Callable[[], bool]:
     """Hold while the base leans by more than an angle; of a batch, any of them.
 
@@ -41,7 +40,8 @@ def tilted(
         projected_gravity: unit vector of gravity in the base frame, shape (..., 3).
         angle: between the base's z axis and the vertical in [rad].
     """
-    bound, most = -math.cos(angle), largest(projected_gravity[..., 2])
+    bound = -math.cos(angle)
+    most = largest(projected_gravity[..., 2])
 
     def is_tilted() -> bool:
         return not most() <= bound  # true for NaN: a lost IMU is not an upright robot
@@ -66,15 +66,12 @@ class Commanded:
     memory = ("_left",)
 
     def __init__(
-        self,
-        velocity_command: Reads,
-        *,
-        period: float,
-        least: float = 0.05,
-        hold: Seconds = 1.0,
+        self, velocity_command: Reads, *, period: float, least: float = 0.05, hold: Seconds = 1.0
     ) -> None:
-        self._command, self._least = velocity_command.reshape(-1), least
-        self._ticks, self._left = ticks_of(hold, period), 0
+        self._command = velocity_command.reshape(-1)
+        self._least = least
+        self._ticks = ticks_of(hold, period)
+        self._left = 0
 
     def __call__(self) -> bool:
         if max(map(abs, self._command.tolist())) > self._least:
@@ -100,14 +97,11 @@ class Settled:
     memory = ("_slow",)
 
     def __init__(
-        self,
-        joint_vel: Reads,
-        *,
-        period: float,
-        velocity: float = 0.1,
-        duration: Seconds = 0.5,
+        self, joint_vel: Reads, *, period: float, velocity: float = 0.1, duration: Seconds = 0.5
     ) -> None:
-        self._vel, self._bound, self._ticks = joint_vel, velocity, ticks_of(duration, period)
+        self._vel = joint_vel
+        self._bound = velocity
+        self._ticks = ticks_of(duration, period)
         self._speed = np.zeros_like(joint_vel)
         self._slow = 0
 

@@ -15,8 +15,7 @@ from unicon_base.errors import WorkflowError
 from unicon_base.schema.marks import NotEmpty, Within, Write, positive
 from unicon_core.blocks.controls.device import declares_controls
 from unicon_core.blocks.joint_command import end_of, single
-from unicon_core.bounds import Seconds
-from unicon_core.buttons import BUTTONS, Button
+from unicon_core.bounds import BUTTONS, Button, Seconds
 from unicon_core.flow.block import Reads, Writes
 
 Twist = tuple[float, float, float]
@@ -73,7 +72,8 @@ class VelocityCommand:
             np.clip(self._values, lower, upper, out=self._values)
         self._step = None if ramp is None else np.asarray(ramp, np.float32) * np.float32(period)
         self._starts = [round(t / period) for t in times]
-        self._out, self._ticks = velocity_command, end_of(duration, period)
+        self._out = velocity_command
+        self._ticks = end_of(duration, period)
         self.endless = duration is None
         self._change = np.zeros_like(velocity_command)
         self._zero = np.zeros(3, np.float32)
@@ -94,7 +94,8 @@ class VelocityCommand:
 
     def reset(self) -> None:
         """Begin the schedule anew."""
-        self._tick, self._row = 0, -1
+        self._tick = 0
+        self._row = -1
 
 
 Fast = Annotated[float, Within(0.0)]
@@ -132,10 +133,13 @@ class Drive:
         hold: Button | None = None,
     ) -> None:
         single(sticks)
-        self._sticks, self._buttons, self._alive = sticks, buttons, controls_alive
+        self._sticks = sticks
+        self._buttons = buttons
+        self._alive = controls_alive
         self.buttons_used = () if hold is None else (hold,)
         self._held = None if hold is None else BUTTONS.index(hold)
-        self._out, self._dead_zone = velocity_command, dead_zone
+        self._out = velocity_command
+        self._dead_zone = dead_zone
         vx, vy, wz = speed
         # Right is positive on a stick, and left on the ground.
         self._axes = ((1, vx), (0, -vy), (2, -wz))

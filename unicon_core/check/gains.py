@@ -1,4 +1,4 @@
-"""Gains and limits of policy, robot and model side by side, and what cannot be right in them."""
+"""Gains, limits and action of a policy beside robot and model: what cannot be right in them."""
 
 from __future__ import annotations
 
@@ -8,17 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base.arrays import Array, Float32, Float64, Index
+from unicon_base.arrays import Array, Float64, Index
 from unicon_base.errors import MissingDependencyError, ModelError
-from unicon_core.check.model_facts import ModelJoints, model_joints
-from unicon_core.check.order import check_mirrored
-from unicon_core.check.result import CheckResult, PolicyResult
+from unicon_core.check.joints import ModelJoints, check_mirrored, model_joints, robot_values
+from unicon_core.check.result import CheckResult, PolicyResult, first
 from unicon_core.check.subject import Subject, listed
-from unicon_core.figures import figure, figures, spans
 from unicon_core.models.find import model_of
 from unicon_core.models.load import load_model
 from unicon_core.platforms.platform import info_of
 from unicon_core.robots import Robot, joint_index
+from unicon_core.text_table import figure, figures, spans
 
 EFFORT_FACTOR = 3.0
 """Robot file and model may differ by variants of a motor (35 and 50 N·m), not by this."""
@@ -45,16 +44,31 @@ mujoco_playground, 0.02 to 0.06 in contracts that give a damping."""
 
 def check_gains(subject: Subject, result: CheckResult) -> None:
     """Add one table of gains for each policy, and its findings."""
-    model = model_joints(subject.model)
-    passive = np.zeros(subject.robot.num_joints)  # that is simulated
-    if model is not None and info_of(subject.program.platform).get("passive") != "replace":
+    robot, platform, model = subject.robot, subject.program.platform, model_joints(subject.model)
+    passive = np.zeros(robot.num_joints)  # that is simulated
+    if model is not None and info_of(platform).get("passive") != "replace":
         passive = model.passive
     for policy in subject.policy_results(result):
         contract = policy.contract
-        _table(subject.robot, policy, model)
-        _plausible(subject.robot, policy, passive)
-        _counted_twice(subject, policy, passive)
-        for what, values in (("stiffness", contract.stiffness), ("damping", contract.damping)):
+        own = joint_index(contract.joints, robot.joint_names)
+        _table(robot, policy, model)
+        _plausible(robot, policy, passive[own])
+        twice = counted_twice(contract.damping, passive[own])
+        if twice.size:
+            i, name = twice[0], platform.facts.name
+            result.note(
+                "gains.passive",
+                f"passive damping of model {subject.model.path if subject.model else name}",
+                f"{twice.size} of {len(own)} joints damp themselves beside the damping of policy "
+                f"{policy.key!r}: {contract.joints[i]} by {passive[own[i]]:g} and "
+                f"{contract.damping[i]:g} N·m·s/rad; in simulation both act, on the robot only the "
+                "policy's",
+                "if the model has the policy's damping as <joint damping>, let the policy's "
+                f"replace it: platforms: {{{name}: {{passive: replace}}}}",
+                subject.document.where("platform"),
+            )
+        for what in ("stiffness", "damping"):
+            values = getattr(contract, what)
             check_mirrored(policy, "gains.symmetry", what, contract.joints, values)
 
 
@@ -67,36 +81,29 @@ def check_held(subject: Subject, result: CheckResult) -> None:
     """
     robot = subject.robot
     own = robot.joint_stiffness, robot.joint_damping
-    sets: list[tuple[str, Any, Any]] = [(f"robot {robot.name}", own, robot.path)]
-    for block in subject.blocks:
-        gains = getattr(block.tick, "gains", None)
+    sets: dict[bytes, tuple[str, Any, Any]] = {}
+    named: list[tuple[str, Any, Any]] = [(f"robot {robot.name}", own, robot.path)]
+    named += [
+        (f"block {b.name!r}", getattr(b.tick, "gains", None), b.where) for b in subject.blocks
+    ]
+    for culprit, gains, where in named:
         if gains is not None and len(gains[0]) == robot.num_joints:  # not of a member
-            sets.append((f"block {block.name!r}", gains, block.where))
-    seen: set[bytes] = set()
-    for culprit, gains, where in sets:
-        key = gains[0].tobytes() + gains[1].tobytes()
-        if key not in seen:
-            seen.add(key)
-            _held(subject, result, f"{culprit}, gains", gains, where)
+            sets.setdefault(np.concatenate(gains).tobytes(), (culprit, gains, where))
+    for culprit, gains, where in sets.values():
+        result.find("gains.stiff", f"{culprit}, gains", _too_hard(subject, *gains), where=where)
 
 
-def _held(
-    subject: Subject,
-    result: CheckResult,
-    culprit: str,
-    gains: tuple[Float32, Float32],
-    where: Any,
-) -> None:
-    robot = subject.robot
-    kp, kd, effort, speed = (
-        values.astype(np.float64) for values in (*gains, robot.effort_limit, robot.velocity_limit)
-    )
+def _too_hard(subject: Subject, stiffness: Array, damping: Array) -> str:
+    """Return which joints hold too hard, "" for none or few."""
+    robot, period, names = subject.robot, subject.program.period, subject.robot.joint_names
+    kp, kd = stiffness.astype(np.float64), damping.astype(np.float64)
+    effort, speed = robot_values(robot, names, "effort_limit", "velocity_limit")
     with np.errstate(divide="ignore", invalid="ignore"):  # nothing below compares with an unknown
         error, rate = effort / kp, effort / kd
         excess = np.fmax(SOFTEST_LIMIT / error, SLOWEST * speed / rate)
     hard = np.flatnonzero((excess > 1.0) & ~robot.by_position)  # those have gains of their vendor
     if not hard.size:
-        return
+        return ""
     i, swings, fastest = hard[np.argmax(excess[hard])], "", 0.0
     inertia = _inertia(subject)
     if inertia is not None:
@@ -104,45 +111,43 @@ def _held(
         ratio = kd[i] / (2.0 * inertia[i] * frequency[i]) if kp[i] > 0.0 else np.inf
         fastest = float(frequency[hard].max())
         swings = (
-            f", and swing at {frequency[i]:.3g} rad/s (a tick is {subject.program.period:g} s) "
+            f", and swing at {frequency[i]:.3g} rad/s (a tick is {period:g} s) "
             f"with damping ratio {ratio:.2g} ({inertia[i]:.3g} kg·m²)"
         )
-    if hard.size <= MANY * len(kp) and fastest * subject.program.period <= SWING:
-        return
-    result.find(
-        "gains.stiff",
-        culprit,
-        f"{robot.joint_names[i]}: {figure(kp[i])} N·m/rad and {figure(kd[i])} N·m·s/rad reach its "
+    if hard.size <= MANY * len(kp) and fastest * period <= SWING:
+        return ""
+    return (
+        f"{names[i]}: {figure(kp[i])} N·m/rad and {figure(kd[i])} N·m·s/rad reach its "
         f"effort limit of {effort[i]:g} N·m within {error[i]:.2g} rad or {rate[i]:.2g} rad/s"
-        f"{swings} ({hard.size} joints)",
-        where=where,
+        f"{swings} ({hard.size} joints)"
     )
 
 
 def _inertia(subject: Subject) -> Float64 | None:
     """Return what joints turn in [kg·m²] by the model, on hardware by the robot file's, if any."""
+    robot = subject.robot
     try:
-        platform, robot = subject.program.platform, subject.robot
-        loaded = subject.model or load_model(model_of(platform, robot), robot, quiet=True)
+        path = model_of(subject.program.platform, robot)
+        loaded = model_joints(subject.model or load_model(path, robot, quiet=True))
     except (ModelError, MissingDependencyError):
         return None
-    model = model_joints(loaded)
-    return None if model is None else model.inertia
+    return None if loaded is None else loaded.inertia
 
 
 def _table(robot: Robot, policy: PolicyResult, model: ModelJoints | None) -> None:
-    contract = policy.contract
-    own = joint_index(contract.joints, robot.joint_names)
-    kp, kd = gains = np.array([contract.stiffness, contract.damping], np.float64)
-    known = np.array([robot.joint_stiffness[own], robot.joint_damping[own]], np.float64)
-    shown = {"kp policy": kp, "kp robot": known[0]}
+    contract, joints = policy.contract, policy.contract.joints
+    own = joint_index(joints, robot.joint_names)
+    gains = np.array([contract.stiffness, contract.damping], np.float64)
+    known = np.array(robot_values(robot, joints, "joint_stiffness", "joint_damping"))
+    shown: dict[str, Float64] = {}
+    for what, name, value, other in zip(("kp", "kd"), ("stiffness", "damping"), gains, known):
+        shown |= {f"{what} policy": value, f"{what} robot": other}
+        if model is not None:
+            shown[f"{what} model"] = getattr(model, name)[own]
     if model is not None:
-        shown["kp model"] = model.stiffness[own]
-    shown |= {"kd policy": kd, "kd robot": known[1]}
-    if model is not None:
-        shown |= {"kd model": model.damping[own], "passive": model.passive[own]}
+        shown["passive"] = model.passive[own]
     same = np.all(np.isclose(gains, known, rtol=0.02), axis=0) | np.isnan(known).any(axis=0)
-    columns: dict[str, Sequence[str]] = {"joint": contract.joints}
+    columns: dict[str, Sequence[str]] = {"joint": joints}
     columns |= {name: figures(values, ".4g") for name, values in shown.items()}
     columns[""] = ["" if fits else "≠" for fits in same]
     policy.result.columns(f"Gains of policy {policy.key} [N·m/rad, N·m·s/rad]", columns)
@@ -150,8 +155,8 @@ def _table(robot: Robot, policy: PolicyResult, model: ModelJoints | None) -> Non
         policy.note(
             "gains.differ",
             "",
-            f"gains differ from robot {robot.name}'s at {listed(compress(contract.joints, ~same))}"
-            "; the policy's are used",
+            f"gains differ from robot {robot.name}'s at {listed(compress(joints, ~same))}; the "
+            "policy's are used",
         )
 
 
@@ -169,50 +174,32 @@ def counted_twice(damping: Array, passive: Float64) -> Index:
     return twice[np.argsort(-passive[twice] / damping[twice], kind="stable")]
 
 
-def _counted_twice(subject: Subject, policy: PolicyResult, passive: Float64) -> None:
-    """Note a model whose joints damp themselves about as much as the policy asks the motors to."""
-    contract, platform = policy.contract, subject.program.platform
-    own = passive[joint_index(contract.joints, subject.robot.joint_names)]
-    twice = counted_twice(contract.damping, own)
-    if not twice.size:
-        return
-    i = twice[0]
-    name = platform.facts.name
-    policy.result.note(
-        "gains.passive",
-        f"passive damping of model {subject.model.path if subject.model else name}",
-        f"{twice.size} of {len(own)} joints damp themselves beside the damping of policy "
-        f"{policy.key!r}: {contract.joints[i]} by {own[i]:g} and {contract.damping[i]:g} "
-        "N·m·s/rad; in simulation both act, on the robot only the policy's",
-        "if the model has the policy's damping as <joint damping>, let the policy's replace it: "
-        f"platforms: {{{name}: {{passive: replace}}}}",
-        subject.document.where("platform"),
-    )
-
-
 def _plausible(robot: Robot, policy: PolicyResult, passive: Float64) -> None:
-    joints, kp, kd = policy.contract.joints, policy.contract.stiffness, policy.contract.damping
-    own = joint_index(joints, robot.joint_names)
-    bare = np.flatnonzero((kp > 0.0) & (kd <= 0.0))
-    if bare.size:
-        names = listed(joints[i] for i in bare)
-        evidence = f"{names}: stiffness {kp[bare[0]]:g} and damping {figure(kd[bare[0]])}"
-        if (passive[own][bare] >= PASSIVE * kp[bare]).all():
+    contract = policy.contract
+    joints, kp, kd, action = contract.joints, contract.stiffness, contract.damping, contract.action
+    bare = (kp > 0.0) & (kd <= 0.0)
+    if bare.any():
+        i = int(bare.argmax())
+        evidence = (
+            f"{listed(compress(joints, bare))}: stiffness {kp[i]:g} and damping {figure(kd[i])}"
+        )
+        if (passive[bare] >= PASSIVE * kp[bare]).all():
             evidence += "; the model's joints damp themselves, a motor has to be told"
             policy.note("gains.damping", "damping", evidence)
         else:
             policy.find("gains.damping", "damping", evidence)
-    effort = robot.effort_limit[own]
-    hard = np.flatnonzero(kp * SOFTEST_LIMIT > effort)  # false where the effort is not known
-    if hard.size:
-        i = hard[0]
-        policy.find(
-            "gains.stiff",
-            "stiffness",
-            f"{joints[i]}: {kp[i]:g} N·m/rad reaches its effort limit of {effort[i]:g} "
-            f"N·m within {effort[i] / kp[i]:.2g} rad ({hard.size} joints)",
-        )
-    action = policy.contract.action
+    (effort,) = robot_values(robot, joints, "effort_limit")
+    policy.find(
+        "gains.stiff",
+        "stiffness",
+        first(
+            kp * SOFTEST_LIMIT > effort,  # false where the effort is not known
+            lambda i: (
+                f"{joints[i]}: {kp[i]:g} N·m/rad reaches its effort limit of {effort[i]:g} "
+                f"N·m within {effort[i] / kp[i]:.2g} rad"
+            ),
+        ),
+    )
     turned = dict(zip(action.joints, ~action.of_kind("position")))  # they need no stiffness
     held = (kp > 0.0) & ~np.array([turned.get(name, False) for name in joints])
     stiffer = np.flatnonzero((kd > kp) & held)
@@ -228,12 +215,10 @@ def _plausible(robot: Robot, policy: PolicyResult, passive: Float64) -> None:
 
 def check_limits(subject: Subject, result: CheckResult) -> None:
     """Add the table of limits of robot and model, with differences."""
-    robot, model = subject.robot, model_joints(subject.model)
-    lower, upper, effort = (
-        limit.astype(np.float64) for limit in (robot.lower, robot.upper, robot.effort_limit)
-    )
+    robot, model, names = subject.robot, model_joints(subject.model), subject.robot.joint_names
+    lower, upper, effort = robot_values(robot, names, "lower", "upper", "effort_limit")
     columns: dict[str, Sequence[str]] = {
-        "joint": robot.joint_names,
+        "joint": names,
         "position [rad]": spans(lower, upper, ".4g"),
         "velocity [rad/s]": figures(robot.velocity_limit, ".4g"),
         "effort [N·m]": figures(effort, ".4g"),
@@ -251,30 +236,29 @@ def check_limits(subject: Subject, result: CheckResult) -> None:
         "": ["≠" if other else "" for other in ranges | efforts],
     }
     result.columns(title, columns)
-    if ranges.any():
-        result.note(
-            "limits.differ",
-            f"model {model.path}",
+    unlike = [f"{names[j]} {effort[j]:g}/{model.effort[j]:g}" for j in np.flatnonzero(efforts)]
+    for differ, evidence in (
+        (
+            ranges,
             f"position limits differ from robot {robot.name}'s at "
-            f"{listed(compress(robot.joint_names, ranges))}; targets are kept within the robot's",
-        )
-    unlike = np.flatnonzero(efforts)
-    if unlike.size:
-        names = listed(f"{robot.joint_names[j]} {effort[j]:g}/{model.effort[j]:g}" for j in unlike)
-        result.note(
-            "limits.differ",
-            f"model {model.path}",
-            f"effort limits robot/model [N·m] differ: {names}; the smaller ones are simulated",
-        )
-    far = [
-        j for j in unlike if not 1.0 / EFFORT_FACTOR < effort[j] / model.effort[j] < EFFORT_FACTOR
-    ]
-    if far:
+            f"{listed(compress(names, ranges))}; targets are kept within the robot's",
+        ),
+        (
+            efforts,
+            f"effort limits robot/model [N·m] differ: {listed(unlike)}; the smaller ones are "
+            "simulated",
+        ),
+    ):
+        if differ.any():
+            result.note("limits.differ", f"model {model.path}", evidence)
+    ratio = effort / model.effort
+    far = np.flatnonzero(efforts & ~((ratio > 1.0 / EFFORT_FACTOR) & (ratio < EFFORT_FACTOR)))
+    if far.size:
         j = far[0]
         result.find(
             "limits.effort",
-            f"robot {robot.name}, effort of {robot.joint_names[j]}",
+            f"robot {robot.name}, effort of {names[j]}",
             f"the robot file says {effort[j]:g} N·m and the model {model.effort[j]:g} "
-            f"({len(far)} joints differ by more than {EFFORT_FACTOR:g} times)",
+            f"({far.size} joints differ by more than {EFFORT_FACTOR:g} times)",
             where=robot.path,
         )

@@ -1,22 +1,26 @@
-"""The default pose: within limits, the same on both sides, feet on the ground, which they touch."""
+"""Default pose and action: within limits, the same on both sides, feet on the ground, and sent."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from itertools import compress
 from typing import Any
 
 import numpy as np
 
-from unicon_core.check.order import check_mirrored, mirror_pairs
-from unicon_core.check.result import CheckResult, PolicyResult
+from unicon_base.arrays import Bool
+from unicon_core.blocks.safety.limits import EffortLimits, JointLimits, VelocityLimits
+from unicon_core.check.graph import has_limits
+from unicon_core.check.joints import check_mirrored, mirror_pairs, robot_values
+from unicon_core.check.result import CheckResult, PolicyResult, first
 from unicon_core.check.subject import Subject, listed
-from unicon_core.figures import figure, figures, span, spans
-from unicon_core.models.loaded import LoadedModel
+from unicon_core.flow import Stage
+from unicon_core.models.loaded import LoadedModel, floors, on_floor
 from unicon_core.models.posed import PosedModel, foot_bodies, foot_geoms
-from unicon_core.models.touching import floors, on_floor
 from unicon_core.platforms.platform import Resettable
+from unicon_core.policies.contract import ActionKind
 from unicon_core.robots import Robot, joint_index
+from unicon_core.text_table import figure, figures, span, spans
 
 BELOW_FEET = 0.01
 """How far another part may be below the feet in [m]."""
@@ -28,6 +32,15 @@ INSIDE_FLOOR = 0.02
 """How far a simulation may begin inside the floor in [m]."""
 ABOVE_FLOOR = 0.3
 """How far above it."""
+PLAUSIBLE_ACTION = 1.0
+"""Action that a trained policy reaches in every walk; used where the contract has no clip."""
+UNIT_TORQUE = 2.0
+"""Stiffness · scale over the effort limit: 0.25 in BeyondMimic's rule, 0.74 for the Go1 policy.
+More is worth a look and may be right: a wrist of 5 N·m has 8 with a scale of 1."""
+LARGEST_SCALE = 1.0
+"""In [rad] for one unit of action: actions in radians have 1, published ones 0.07 to 1."""
+ROUNDING = 1e-4
+"""In [rad]: by how much a figure may be beyond a limit, which is often the same one rounded."""
 
 
 def check_pose(subject: Subject, result: CheckResult) -> None:
@@ -54,13 +67,8 @@ def check_pose(subject: Subject, result: CheckResult) -> None:
 
 
 def _limits(robot: Robot, policy: PolicyResult) -> None:
-    joints = policy.contract.joints
-    index = joint_index(joints, robot.joint_names)
-    pose = policy.contract.default_joint_pos.astype(np.float64)
-    own, lower, upper = (
-        values[index].astype(np.float64)
-        for values in (robot.default_joint_pos, robot.lower, robot.upper)
-    )
+    joints, pose = policy.contract.joints, policy.contract.default_joint_pos.astype(np.float64)
+    own, lower, upper = robot_values(robot, joints, "default_joint_pos", "lower", "upper")
     outside = (pose < lower - 1e-4) | (pose > upper + 1e-4)
     far = np.abs(pose - own) > 0.3
     columns = {
@@ -71,15 +79,17 @@ def _limits(robot: Robot, policy: PolicyResult) -> None:
         "": ["outside" if out else "≠" if off else "" for out, off in zip(outside, far)],
     }
     policy.result.columns(f"Default pose of policy {policy.key}", columns)
-    wrong = np.flatnonzero(outside)
-    if wrong.size:
-        i = wrong[0]
-        policy.find(
-            "pose.limits",
-            "default_joint_pos",
-            f"{joints[i]} is {figure(pose[i])} rad, its limits are "
-            f"[{span(lower[i], upper[i], ', ', '.4g')}] ({wrong.size} joints)",
-        )
+    policy.find(
+        "pose.limits",
+        "default_joint_pos",
+        first(
+            outside,
+            lambda i: (
+                f"{joints[i]} is {figure(pose[i])} rad, its limits are "
+                f"[{span(lower[i], upper[i], ', ', '.4g')}]"
+            ),
+        ),
+    )
     if far.any():
         policy.note(
             "pose.differ",
@@ -228,3 +238,156 @@ def check_collision(loaded: LoadedModel, robot: Robot, result: CheckResult, wher
         what,
         where=where,
     )
+
+
+def check_action(subject: Subject, result: CheckResult) -> None:
+    """Add one table of reachable targets for each policy, and findings."""
+    for policy in subject.policy_results(result):
+        action = policy.contract.action
+        _action(subject, policy)
+        check_mirrored(
+            policy, "action.symmetry", "action.scale", action.joints, np.abs(action.scale)
+        )
+
+
+def _action(subject: Subject, policy: PolicyResult) -> None:
+    robot, contract, action = subject.robot, policy.contract, policy.contract.action
+    joints, kinds = action.joints, action.kinds
+    offset, scale = action.offset.astype(np.float64), action.scale.astype(np.float64)
+    bound = np.tile([[-PLAUSIBLE_ACTION], [PLAUSIBLE_ACTION]], (1, len(joints)))
+    clip = bound if action.clip is None else action.clip.astype(np.float64)
+    wide = np.abs(clip).max(axis=0) > 10.0  # a clip that only guards against blow-ups
+    clip = np.where(wide, bound, clip)
+    low, high = np.sort(offset + scale * clip, axis=0)
+    lower, upper, speed, effort = robot_values(
+        robot, joints, "lower", "upper", "velocity_limit", "effort_limit"
+    )
+    position, velocity = action.of_kind("position"), action.of_kind("velocity")
+    most = np.where(velocity, speed, effort)
+    lower, upper = np.where(position, (lower, upper), (-most, most))
+    at = joint_index(joints, contract.joints)
+    stiffness, damping = np.array([contract.stiffness, contract.damping], np.float64)[:, at]
+    share = np.abs(scale) * np.where(position, stiffness, np.where(velocity, damping, 1.0)) / effort
+    outside = (low < lower - ROUNDING) | (high > upper + ROUNDING)
+    unit = "" if kinds else " [rad]"
+    columns: dict[str, Sequence[str]] = {
+        "joint": joints,
+        **({"target": kinds} if kinds else {}),
+        "offset": figures(offset),
+        "scale": figures(scale),
+        "action": spans(*clip),
+        f"reach{unit}": spans(low, high, ".4g"),
+        f"limits{unit}": spans(lower, upper, ".4g"),
+        "torque/unit": [figure(each, ".2f") if np.isfinite(each) else "?" for each in share],
+        "": ["outside" if each else "" for each in outside],
+    }
+    lines = [f"target = offset + scale · action; last action is the {action.feedback} one"]
+    if action.clip is None or wide.any():
+        lines.append(f"no clip that binds: shown is an action of ±{PLAUSIBLE_ACTION:g}")
+    lines += (
+        [
+            "position in [rad], velocity in [rad/s], torque in [N·m]",
+            "torque/unit: scale · stiffness (velocity: · damping), of the effort limit",
+        ]
+        if kinds
+        else ["torque/unit: stiffness · scale as a share of the effort limit"]
+    )
+    policy.result.columns(f"Action of policy {policy.key}", columns, lines)
+    idle = scale == 0.0
+    if idle.all():
+        policy.find("action.scale", "action.scale", "it is 0: no joint could move")
+    elif idle.any():
+        evidence = f"0 at {listed(compress(joints, idle))}: they stay at their offset"
+        policy.note("action.scale", "action.scale", evidence)
+    policy.find(
+        "action.limp",
+        "action.kind",
+        first(
+            position & (stiffness == 0.0) & ~idle,
+            lambda i: (
+                f"{joints[i]} is given positions and its stiffness is 0: it does not go there"
+            ),
+        ),
+    )
+    jumps = position & (np.abs(scale) > upper - lower)
+    policy.find(
+        "action.scale",
+        "action.scale",
+        first(
+            jumps,
+            lambda i: (
+                f"one unit of action moves {joints[i]} by {scale[i]:g} rad, and its whole "
+                f"range is {upper[i] - lower[i]:.4g}"
+            ),
+        ),
+        # An action in radians (scale 1) may well span more than a narrow joint's range.
+        error=bool((np.abs(scale[jumps]) > LARGEST_SCALE + 1e-6).any()),
+    )
+    policy.note(
+        "action.torque",
+        "action.scale and stiffness",
+        first(
+            position & (share > UNIT_TORQUE),
+            lambda i: (
+                f"one unit of action asks {joints[i]} for {stiffness[i]:g} · {scale[i]:g} = "
+                f"{stiffness[i] * scale[i]:.3g} N·m, and its effort limit is {effort[i]:g}"
+            ),
+        ),
+    )
+    strange = position & ((offset < lower - ROUNDING) | (offset > upper + ROUNDING))
+    if strange.any():
+        i = int(strange.argmax())
+        policy.find(
+            "action.offset",
+            "action.offset",
+            f"action 0 puts {joints[i]} at {figure(offset[i])} rad, its limits are "
+            f"[{span(lower[i], upper[i], ', ', '.4g')}]",
+        )
+    _reach(subject, policy, outside)
+
+
+# Of a target: its state, and the block that limits it, NAME_limits.
+_KINDS: tuple[tuple[ActionKind, str, str, type], ...] = (
+    ("position", "joint_pos_target", "joint", JointLimits),
+    ("velocity", "joint_vel_target", "velocity", VelocityLimits),
+    ("torque", "joint_effort_ff", "effort", EffortLimits),
+)
+
+
+def _reach(subject: Subject, policy: PolicyResult, outside: Bool) -> None:
+    """Find targets that are not sent (a joint would stand still), and those that nothing limits."""
+    action, where = policy.contract.action, subject.document.where
+    for kind, state, limits, block in _KINDS:
+        own = action.of_kind(kind)
+        unsent = _unsent(subject, state)
+        if action.kinds and own.any() and unsent:
+            given = f"it gives {listed(compress(action.joints, own))} a {kind}, and {unsent}"
+            policy.find("action.unsent", "", given, where=where("platform"))
+        far = outside & own
+        if not far.any():
+            continue
+        text = (
+            f"actions within the table reach beyond the {limits} limits of "
+            f"{listed(compress(action.joints, far))}"
+        )
+        if has_limits(subject, block):
+            policy.note("action.reach", "", f"{text}; {limits}_limits cuts them off")
+            continue
+        text += f", and no {limits}_limits is in safety:"
+        policy.find("action.reach", "", text, f"add {limits}_limits to safety", where("safety"))
+
+
+def _unsent(subject: Subject, state: str) -> str:
+    """Return that the platform does not send a state; "" where it does, or is elsewhere."""
+    facts = subject.program.platform.facts
+    sent = not subject.program.has_platform or state in facts.reads
+    return "" if sent else f"platform {facts.name!r} does not send {state}"
+
+
+def check_fed(subject: Subject, result: CheckResult) -> None:
+    """Find blocks whose torques a platform leaves out, such as `gravity`: the arms would sag."""
+    unsent = _unsent(subject, "joint_effort_ff")
+    for block in subject.blocks if unsent else ():
+        if block.stage is Stage.FLOW and "joint_effort_ff" in block.amends:
+            evidence = f"it adds torques, and {unsent}"
+            result.find("action.unsent", f"block {block.name!r}", evidence, where=block.where)

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from unicon_base.arrays import Bool
 from unicon_base.errors import UniconError, alternatives
-from unicon_core.check.rules import CODES, FIRM
+from unicon_core.check.rules import CODES, FIRM, RULES
 from unicon_core.page import write_file
-from unicon_core.terminal import WIDTH, near, wrapped
-from unicon_core.text_table import aligned
+from unicon_core.text_table import WIDTH, aligned, near, wrapped
 
 if TYPE_CHECKING:
     from unicon_core.policies import PolicyContract
@@ -122,12 +122,14 @@ class CheckResult:
         Args:
             code: of its rule.
             culprit: who is to blame.
-            evidence: what was seen, with numbers.
+            evidence: what was seen, with numbers; nothing is added where it is empty.
             remedy: what to do; None for the rule's.
             where: `file:line` or a file.
             error: False where it may be right.
         """
         remedy = CODES[code].remedy if remedy is None else remedy
+        if not evidence:
+            return
         if code in self.accepted:
             if error:
                 self.waived.append(Finding(code, culprit, evidence, "", str(where)))
@@ -145,8 +147,9 @@ class CheckResult:
     def note(
         self, code: str, culprit: str, evidence: str, remedy: str = "", where: Any = ""
     ) -> None:
-        """Add what is worth knowing and does not fail the check."""
-        self.notes.append(Finding(code, culprit, evidence, remedy, str(where), "note"))
+        """Add what is worth knowing and does not fail the check; nothing where it is empty."""
+        if evidence:
+            self.notes.append(Finding(code, culprit, evidence, remedy, str(where), "note"))
 
     def table(
         self,
@@ -248,3 +251,31 @@ class PolicyResult:
 
     def _culprit(self, part: str) -> str:
         return f"policy {self.key!r}, {part}" if part else f"policy {self.key!r}"
+
+
+def first(wrong: Bool, text: Callable[[int], str]) -> str:
+    """Return what is wrong with the first of several joints, and how many they are; "" for none."""
+    return f"{text(int(wrong.argmax()))} ({wrong.sum()} joints)" if wrong.any() else ""
+
+
+def markdown() -> str:
+    """Return all rules as the page docs/reference/rules.md."""
+    lines = [_PAGE]
+    for rule in RULES:
+        cells = (f"`{rule.code}`", rule.kind, rule.needs, rule.what, rule.why, rule.remedy)
+        lines.append(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+_PAGE = """\
+# Rules
+
+What `unicon check` looks at; `unicon run` refuses by the same errors, the twin's aside. \
+Gates and `unicon preflight` look at *live* data. \
+`unicon explain CODE` prints one. Generated: `unicon explain --markdown`.
+
+A workflow accepts a finding with `check: {accept: [CODE]}`, a run with `--force CODE`; \
+those marked *firm* cannot be accepted.
+
+| code | kind | looks at | what | why | remedy |
+| --- | --- | --- | --- | --- | --- |"""

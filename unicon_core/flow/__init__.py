@@ -1,12 +1,21 @@
 """Flow: blocks composed by zip, chain and loop, checked and compiled, for workflow authors."""
 
-from unicon_core.flow.block import Amends, Block, Bundle, Reads, Tick, Writes, as_block
+from unicon_core.flow.block import (
+    Amends,
+    Block,
+    Bundle,
+    LinearMap,
+    Reads,
+    Stage,
+    Tick,
+    Writes,
+    as_block,
+)
 from unicon_core.flow.checks import check_graph
 from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.flow.compiler import compile_graph
 from unicon_core.flow.critical_path import critical_path
 from unicon_core.flow.fuse import fuse
-from unicon_core.flow.linear import LinearMap
 from unicon_core.flow.nodes import (
     Blender,
     Chain,
@@ -21,7 +30,6 @@ from unicon_core.flow.nodes import (
     blocks_of,
     children_of,
 )
-from unicon_core.flow.stage import Stage
 
 __all__ = [
     "Amends",

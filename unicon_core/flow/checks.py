@@ -10,9 +10,8 @@ from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 from unicon_base.errors import WorkflowError, alternatives
-from unicon_core.flow.block import Block
-from unicon_core.flow.check_order import Finding, behind_send, reads_before_writes
-from unicon_core.flow.linear import LinearMap
+from unicon_core.flow.block import Block, LinearMap
+from unicon_core.flow.critical_path import Finding, behind_send, reads_before_writes
 from unicon_core.flow.nodes import (
     Chain,
     Every,

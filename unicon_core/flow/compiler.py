@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from unicon_core.flow.block import Block
-from unicon_core.flow.compiled import CompiledGraph
+from unicon_core.flow.compiled import CompiledGraph, Lines, Scope, indent
 from unicon_core.flow.nodes import (
     Chain,
     Deferred,
@@ -25,7 +25,6 @@ from unicon_core.flow.nodes import (
     Zip,
     children_of,
 )
-from unicon_core.flow.scope import Lines, Scope, indent
 
 
 def compile_graph(root: Node, *, trace: bool = False) -> CompiledGraph:

@@ -16,10 +16,8 @@ from numpy.typing import ArrayLike
 
 from unicon_base.arrays import Array, Index
 from unicon_base.generated import define
-from unicon_core.flow.block import Block, Tick
-from unicon_core.flow.linear import LinearMap
+from unicon_core.flow.block import FIXED, Block, LinearMap, Tick
 from unicon_core.flow.nodes import Node, Zip, children_of, with_children
-from unicon_core.flow.stage import FIXED
 from unicon_core.states import States
 from unicon_core.states.stacked import Range, Screen, places
 

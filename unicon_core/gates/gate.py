@@ -11,8 +11,8 @@ from typing import Any, Protocol
 
 from unicon_base.arrays import Array
 from unicon_base.errors import Fault
-from unicon_core.figures import figure
 from unicon_core.robots import Robot
+from unicon_core.text_table import figure
 
 
 class StartGate(Protocol):

@@ -7,15 +7,20 @@ axes may stand in front, (b, n, d); then so does the result's. Whoever has recor
 
 from unicon_core.metrics.alignment import Aligned, aligned_mse, shift_losses
 from unicon_core.metrics.distances import (
+    Load,
+    Warming,
     chamfer,
+    compare,
+    fall_time,
+    load,
     mse,
     rmse,
     spectral_distance,
     unfolded_mse,
+    warming,
     wasserstein,
 )
 from unicon_core.metrics.elements import Affine, Matching, affine, match_elements
-from unicon_core.metrics.strain import Load, Warming, compare, fall_time, load, warming
 
 __all__ = [
     "Affine",

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from unicon_base.arrays import Array, Float64, Int64
-from unicon_core.metrics.alignment import admissible_shifts, correlations
-from unicon_core.metrics.trajectories import two
+from unicon_core.metrics.alignment import admissible_shifts, correlations, two
 
 STILL = 1e-7
 """Share of an element's largest number below which its spread is rounding: float32 has 1e-7."""

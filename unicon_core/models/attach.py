@@ -37,11 +37,7 @@ def lacking_members(spec: Any, robot: Robot) -> list[str]:
 
 
 def attach_members(
-    spec: Any,
-    robot: Robot,
-    path: Path,
-    read: Callable[[Robot, list[str]], Any],
-    notes: list[str],
+    spec: Any, robot: Robot, path: Path, read: Callable[[Robot, list[str]], Any], notes: list[str]
 ) -> None:
     """Attach the models of those members whose joints the body's model lacks.
 

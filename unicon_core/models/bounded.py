@@ -20,21 +20,21 @@ import numpy as np
 
 from unicon_base.errors import ModelError
 
+# Elements made by repetition: MuJoCo takes 1 to 3 s for so many, and 4 times that for twice.
 COPIES = 5_000
-"""Elements made by repetition: MuJoCo takes 1 to 3 s for so many, and 4 times that for twice."""
+# How many elements one point of these costs as much time as.
 HEAVY = {"composite": 15, "flexcomp": 2}
-"""How many elements one point of these costs as much time as."""
+# Of a model file and all that it includes: a chain of 5,000 links takes 5 s.
 ELEMENTS = 20_000
-"""Of a model file and all that it includes: a chain of 5,000 links takes 5 s."""
+# Rows, columns, pixels, user data: a texture of this width and height takes 300 MB.
 FIGURE = 10_000
-"""Rows, columns, pixels, user data: a texture of this width and height takes 300 MB."""
 FIGURES = frozenset(("nrow", "ncol", "width", "height", "params", "dim", "actdim", "nsample"))
+# Of one file of XML: meshes written into it are some MB.
 BYTES = 64 * 2**20
-"""Of one file of XML: meshes written into it are some MB."""
+# Of files that include or attach others.
 DEPTH = 50
-"""Of files that include or attach others."""
+# In which all files are looked for: `meshdir`, `texturedir`, `assetdir`.
 FOLDERS = 20
-"""In which all files are looked for: `meshdir`, `texturedir`, `assetdir`."""
 
 # Cut as MuJoCo's own parser does, so that nothing hides in a comment or in quotes. What has no end
 # matches too: nothing is looked at twice.
@@ -45,8 +45,8 @@ _TAG = re.compile(
 )
 _ATTRIBUTE = re.compile(r"(?<![^\s/\"'=])([^\s/\"'=]+)\s*=\s*(\"[^\"]*\"|'[^']*')")
 
+# Name, attributes, whether it closes an element, whether its element has nothing inside.
 Tag = tuple[str, dict[str, str], bool, bool]
-"""Name, attributes, whether it closes an element, whether its element has nothing inside."""
 
 
 def refuse_endless(path: Path) -> None:
@@ -130,13 +130,16 @@ class _Reader:
         return folders
 
     def _counted(self, tags: list[Tag], models: dict[str | None, float]) -> float:
-        size, copies, times = sum(models.values()), 0.0, [1.0]
+        size = sum(models.values())
+        copies = 0.0
+        times = [1.0]
         most = max(models.values(), default=0.0)
         for name, given, closes, empty in tags:
             if closes:
                 times = times[:-1] or [1.0]
                 continue
-            here, count = times[-1], prod(_numbers(given.get("count", "")))
+            here = times[-1]
+            count = prod(_numbers(given.get("count", "")))
             size += 1.0
             copies += here - 1.0
             if name in HEAVY:

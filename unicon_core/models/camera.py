@@ -18,9 +18,8 @@ import numpy as np
 from unicon_base.arrays import Array, Float64
 from unicon_base.errors import ModelError, UniconError, alternatives, one_line
 from unicon_core.models.kinematic_tree import frame_of
-from unicon_core.models.loaded import body_in, import_mujoco
+from unicon_core.models.loaded import body_in, import_mujoco, multiply
 from unicon_core.models.posed import PosedModel
-from unicon_core.models.quaternions import multiply
 from unicon_core.models.terrain import load_on
 from unicon_core.robots import Robot
 from unicon_core.terrain.words import Terrain
@@ -29,10 +28,10 @@ NO_GL = (
     "camera: no offscreen OpenGL ({reason}); on Debian and Ubuntu: apt install libegl1 "
     "libgl1-mesa-dri, or libosmesa6 with MUJOCO_GL=osmesa"
 )
+# The frame of the world that the states' base poses are in (REP-105).
 ODOM = "odom"
-"""The frame of the world that the states' base poses are in (REP-105)."""
+# Optical frame to MuJoCo's camera frame, wxyz.
 OPTICAL = np.array((0.0, 1.0, 0.0, 0.0))
-"""Optical frame to MuJoCo's camera frame, wxyz."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +91,8 @@ class ModelCamera:
 
         def prepare(spec: Any) -> None:
             vis = spec.visual.global_
-            vis.offwidth, vis.offheight = max(size[0], vis.offwidth), max(size[1], vis.offheight)
+            vis.offwidth = max(size[0], vis.offwidth)
+            vis.offheight = max(size[1], vis.offheight)
             if body is not None:
                 # MuJoCo's cameras look along -z with y up; this one along the body's x, z up.
                 body_in(spec, body, "camera", path).add_camera(
@@ -105,7 +105,8 @@ class ModelCamera:
                 )
 
         self._posed = PosedModel(load_on(path, robot, terrain, prepare=prepare))
-        self._mujoco, model = mujoco, self._posed.loaded.model
+        self._mujoco = mujoco
+        model = self._posed.loaded.model
         self._camera = int(model.camera(name).id)
         try:
             self._renderer = mujoco.Renderer(model, size[1], size[0])
@@ -153,7 +154,8 @@ def intrinsics(model: Any, camera: int, width: int, height: int) -> Intrinsics:
         focal = 0.5 * height / float(np.tan(0.5 * np.radians(model.cam_fovy[camera])))
         return Intrinsics(focal, focal, *middle)
     fx, fy, right, up = (float(value) for value in model.cam_intrinsic[camera])  # [m]
-    right, up = right / across * width, up / down * height
+    right = right / across * width
+    up = up / down * height
     return Intrinsics(fx / across * width, fy / down * height, middle[0] - right, middle[1] - up)
 
 
@@ -177,7 +179,8 @@ def optical_frame(model: Any, robot: Robot, camera: int) -> tuple[str, Float64, 
     carrier = frame_of(model, robot, int(model.cam_bodyid[camera]))
     if carrier is not None:
         name, origin = carrier
-        position, quat = model.cam_pos[camera] - origin, np.array(model.cam_quat[camera])
+        position = model.cam_pos[camera] - origin
+        quat = np.array(model.cam_quat[camera])
         return name, position, multiply(quat, OPTICAL)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)

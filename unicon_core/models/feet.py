@@ -14,17 +14,23 @@ from numpy.lib.stride_tricks import as_strided
 
 from unicon_base.arrays import Array, Float64, Index
 from unicon_base.errors import ModelError
-from unicon_core.models.loaded import LoadedModel, dofs_above, import_mujoco
+from unicon_core.models.loaded import (
+    LoadedModel,
+    dofs_above,
+    import_mujoco,
+    index_of,
+    rows_of,
+    solid,
+)
 from unicon_core.models.posed import foot_bodies, foot_geoms
-from unicon_core.models.rows import index_of, rows_of
-from unicon_core.models.touching import solid
 from unicon_core.robots import Robot
 
+# In [m/s²].
 GRAVITY = 9.81
-"""In [m/s²]."""
 # Damping of the least squares, in [m²] and none: legs move a foot by 0.1 m for a radian or more,
 # and where their joints cannot tell force from moment, 10 N are as likely as 1 N·m.
-_OF_FORCE, _OF_MOMENT = 1e-5, 1e-3
+_OF_FORCE = 1e-5
+_OF_MOMENT = 1e-3
 # Squared norm of all that is measured, in [rad²], [rad²/s²], [N²·m²]: no robot has so much.
 _SENSE = 1e8
 # a × r = a @ M(r), and M(r) = (r @ _CROSS).reshape(3, 3)
@@ -60,7 +66,8 @@ class Feet:
     def __init__(self, loaded: LoadedModel, robot: Robot) -> None:
         self._mujoco = mujoco = import_mujoco()
         model = self._model = loaded.model
-        found, base = foot_bodies(model, robot.feet), loaded.base
+        found = foot_bodies(model, robot.feet)
+        base = loaded.base
         if base is None or not found:
             lacking = "feet" if base is not None else "free joint of its base"
             raise ModelError(
@@ -70,10 +77,13 @@ class Feet:
             )
         self.names = tuple(found)
         data = self._data = mujoco.MjData(model)
-        start, first = int(model.jnt_qposadr[base]), int(model.jnt_dofadr[base])
+        start = int(model.jnt_qposadr[base])
+        first = int(model.jnt_dofadr[base])
         data.qpos[start : start + 7] = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-        self._quat, self._turning = data.qpos[start + 3 : start + 7], data.qvel[first + 3 :][:3]
-        self._qpos, self._qvel = data.qpos, data.qvel
+        self._quat = data.qpos[start + 3 : start + 7]
+        self._turning = data.qvel[first + 3 :][:3]
+        self._qpos = data.qpos
+        self._qvel = data.qvel
         self._positions = index_of(loaded.addresses.tolist())
         self._velocities = index_of(loaded.dofs.tolist())
         trunk = int(model.jnt_bodyid[base])
@@ -81,14 +91,17 @@ class Feet:
         self._centre = data.subtree_com[int(model.body_rootid[trunk])]
         count = len(found)
         self._moved: list[Callable[[], object]] = []
-        self.position, self.velocity = np.zeros((count, 3)), np.zeros((count, 3))
+        self.position = np.zeros((count, 3))
+        self.velocity = np.zeros((count, 3))
         self.force = np.zeros(count)
-        self._arm, self._across = np.zeros((count, 3)), np.zeros((count, 9))
+        self._arm = np.zeros((count, 3))
+        self._across = np.zeros((count, 9))
         self._cross = self._across.reshape(count, 3, 3)
         self._turned = self.velocity[:, None]
         body = np.array(list(found.values()), np.intp)
         twists = self._rows(data.cvel, body)
-        self._spin, self._shift = twists[:, None, :3], twists[:, 3:]
+        self._spin = twists[:, None, :3]
+        self._shift = twists[:, 3:]
         self._find_points(_points(model, found, robot), body)
         self._find_legs(_dofs(model, body, first))
 
@@ -102,26 +115,32 @@ class Feet:
         """Keep where each foot may touch the ground."""
         self._points, self._radius = points
         count, most = self._radius.shape
-        self._each, self._places = np.arange(count), np.zeros((count, most, 3))
+        self._each = np.arange(count)
+        self._places = np.zeros((count, most, 3))
         self._origins = self._rows(self._data.xpos, body)
         turns = self._rows(self._data.xmat, body)
         self._turns = as_strided(turns, (count, 3, 3), (turns.strides[0], 8, 24))  # transposed
 
     def _find_legs(self, dofs: Index) -> None:
         """Keep the degrees of freedom of each leg, shape (F, most), -1 for none."""
-        model, data = self._model, self._data
+        model = self._model
+        data = self._data
         self._own = (dofs >= 0)[..., None] if (dofs < 0).any() else None
-        self._torque, self._asked = np.zeros(model.nv), np.zeros(model.nv)
+        self._torque = np.zeros(model.nv)
+        self._asked = np.zeros(model.nv)
         count, most = dofs.shape
         rows = 3 if most <= 3 else 6  # three joints bear no moment of a foot
         axes = self._rows(data.cdof, dofs)
-        self._turn_axes, self._shift_axes = axes[..., :3], axes[..., 3:]
+        self._turn_axes = axes[..., :3]
+        self._shift_axes = axes[..., 3:]
         self._jacobian = np.zeros((count, most, rows))  # transposed
-        self._by_force, self._by_moment = self._jacobian[..., :3], self._jacobian[..., 3:]
+        self._by_force = self._jacobian[..., :3]
+        self._by_moment = self._jacobian[..., 3:]
         self._back = self._jacobian.transpose(0, 2, 1)
         self._legs, self._refresh_legs = rows_of(self._asked, dofs)
         self._damping = np.diag([_OF_FORCE] * 3 + [_OF_MOMENT] * (rows - 3))
-        self._square, self._pushed = np.zeros((count, rows, rows)), np.zeros((count, rows, 1))
+        self._square = np.zeros((count, rows, rows))
+        self._pushed = np.zeros((count, rows, 1))
 
     def __call__(
         self,
@@ -139,8 +158,12 @@ class Feet:
             joint_pos, joint_vel, joint_effort: in the robot's order, shape (n,); without torques
                 `force` stays as it is.
         """
-        mujoco, model, data = self._mujoco, self._model, self._data
-        qpos, qvel, torque = self._qpos, self._qvel, self._torque
+        mujoco = self._mujoco
+        model = self._model
+        data = self._data
+        qpos = self._qpos
+        qvel = self._qvel
+        torque = self._torque
         self._quat[:] = quat
         self._turning[:] = ang_vel
         qpos[self._positions] = joint_pos
@@ -154,7 +177,8 @@ class Feet:
         mujoco.mj_comVel(model, data)
         for refresh in self._moved:
             refresh()
-        places, position = self._places, self.position
+        places = self._places
+        position = self.position
         np.matmul(self._points, self._turns, out=places)
         places[..., 2] -= self._radius
         if len(places[0]) > 1:
@@ -169,7 +193,8 @@ class Feet:
         return True
 
     def _bear(self) -> None:
-        asked, square = self._asked, self._square
+        asked = self._asked
+        square = self._square
         self._mujoco.mj_rne(self._model, self._data, 0, asked)
         asked -= self._torque
         if self._refresh_legs is not None:
@@ -224,14 +249,19 @@ def _points(model: Any, bodies: dict[str, int], robot: Robot) -> tuple[Float64, 
 def _of_geom(model: Any, geom: int) -> tuple[Float64, float]:
     """Return the spheres that a geom is made of, or its corners: their centres, and the radius."""
     mujoco = import_mujoco()
-    kinds, kind = mujoco.mjtGeom, int(model.geom_type[geom])
+    kinds = mujoco.mjtGeom
+    kind = int(model.geom_type[geom])
     size = np.array(model.geom_size[geom])
-    middle, half, radius = np.zeros(3), np.array(model.geom_aabb[geom, 3:]), 0.0
+    middle = np.zeros(3)
+    half = np.array(model.geom_aabb[geom, 3:])
+    radius = 0.0
     signs = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, -1).T
     if kind == int(kinds.mjGEOM_SPHERE):
-        signs, radius = np.zeros((1, 3)), float(size[0])
+        signs = np.zeros((1, 3))
+        radius = float(size[0])
     elif kind == int(kinds.mjGEOM_CAPSULE):
-        signs, radius = np.array(((0.0, 0.0, -1.0), (0.0, 0.0, 1.0))), float(size[0])
+        signs = np.array(((0.0, 0.0, -1.0), (0.0, 0.0, 1.0)))
+        radius = float(size[0])
         half = np.array((0.0, 0.0, size[1]))
     else:
         middle = np.array(model.geom_aabb[geom, :3])

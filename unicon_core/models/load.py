@@ -8,22 +8,107 @@ be absent.
 from __future__ import annotations
 
 import logging
-import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from unicon_base.arrays import Float64
 from unicon_base.errors import ModelError, RobotError, one_line
-from unicon_core.models.absent import drop_absent_meshes, drop_absent_textures
-from unicon_core.models.actuators import mend_actuators
+from unicon_core.models.absent import drop_absent_meshes, drop_absent_textures, repaired_urdf
 from unicon_core.models.attach import attach_members
 from unicon_core.models.bounded import refuse_endless, refuse_not_finite
 from unicon_core.models.find import pick_model
-from unicon_core.models.loaded import LoadedModel, find_joints, import_mujoco, simple_joints
+from unicon_core.models.loaded import LoadedModel, drives, find_joints, import_mujoco, simple_joints
 from unicon_core.robots import Robot, joint_index
+
+
+def actuator_kind(model: Any, i: int) -> str:
+    """Return what an actuator is: `motor`, `position`, `velocity` or `general`."""
+    mujoco = import_mujoco()
+    bias = model.actuator_biastype[i]
+    if model.actuator_gaintype[i] != int(mujoco.mjtGain.mjGAIN_FIXED):
+        return "general"
+    if bias == int(mujoco.mjtBias.mjBIAS_NONE):
+        return "motor"
+    if bias != int(mujoco.mjtBias.mjBIAS_AFFINE):
+        return "general"
+    if model.actuator_biasprm[i, 1] != 0.0:
+        return "position"
+    return "velocity" if model.actuator_biasprm[i, 2] != 0.0 else "motor"
+
+
+def effort_ranges(loaded: LoadedModel, robot: Robot) -> tuple[Float64, Float64]:
+    """Return the torques in [N·m] between which each joint's motor stays, infinite for no limit.
+
+    They are the tightest of the robot file's, and in the model of the control range of a motor, the
+    actuator's force range and the joint's.
+
+    Args:
+        loaded: the model, its actuators as the file has them.
+        robot: says the largest torques, NaN for none.
+
+    Returns:
+        Lower and upper, shape (n,) each.
+    """
+    model = loaded.model
+    driven = drives(loaded.model)
+    lower, upper = np.full((2, len(loaded.joints)), np.inf)
+    lower *= -1.0
+    for k, (joint, effort) in enumerate(zip(loaded.joints, robot.effort_limit)):
+        actuator = driven[joint][0]
+        gear = float(model.actuator_gear[actuator, 0])
+        ends = []
+        if np.isfinite(effort):
+            ends.append((-float(effort), float(effort)))
+        if model.actuator_ctrllimited[actuator] and actuator_kind(model, actuator) == "motor":
+            gain = model.actuator_gainprm[actuator, 0]
+            ends.append(model.actuator_ctrlrange[actuator] * gain * gear)
+        if model.actuator_forcelimited[actuator]:
+            ends.append(model.actuator_forcerange[actuator] * gear)
+        if model.jnt_actfrclimited[joint]:
+            ends.append(model.jnt_actfrcrange[joint])
+        if ends:
+            lower[k], upper[k] = np.min(ends, axis=1).max(), np.max(ends, axis=1).min()
+    return lower, upper
+
+
+def mend_actuators(
+    spec: Any, model: Any, joints: Sequence[int], names: Sequence[str], notes: list[str]
+) -> bool:
+    """Give each joint a motor without dynamics of its own; return whether the spec was changed."""
+    mujoco = import_mujoco()
+    driven = drives(model)
+    changed = False
+    added: list[str] = []
+    for name, joint in zip(names, joints):
+        if joint not in driven:
+            actuator = spec.add_actuator(
+                name=f"unicon_{name}",
+                target=model.joint(joint).name,
+                trntype=mujoco.mjtTrn.mjTRN_JOINT,
+            )
+            actuator.set_to_motor()
+            added.append(name)
+            changed = True
+        elif model.actuator_dyntype[driven[joint][0]] != int(mujoco.mjtDyn.mjDYN_NONE):
+            actuator = spec.actuators[driven[joint][0]]
+            actuator.dyntype = mujoco.mjtDyn.mjDYN_NONE
+            actuator.actdim = 0
+            actuator.actlimited = mujoco.mjtLimited.mjLIMITED_FALSE
+            actuator.actrange = [0.0, 0.0]
+            notes.append(f"the actuator of {name} has dynamics of its own: they were left out")
+            changed = True
+    if added:
+        notes.append(f"motors were added to {len(added)} joints without one: {', '.join(added)}")
+    if changed:
+        for key in spec.keys:  # their controls and activations no longer fit
+            key.ctrl = []
+            key.act = []
+    return changed
+
 
 _log = logging.getLogger(__name__)
 
@@ -211,7 +296,8 @@ def weld_absent(spec: Any, model: Any, robot: Robot, notes: list[str]) -> tuple[
     """
     ids = simple_joints(model)
     names = list(ids)
-    there, absent = [], []
+    there = []
+    absent = []
     for name in robot.joint_names:
         try:
             there.append(ids[names[joint_index([name], names, loose=True)[0]]])
@@ -225,7 +311,8 @@ def weld_absent(spec: Any, model: Any, robot: Robot, notes: list[str]) -> tuple[
     for name in absent:
         body = base.add_body(name=f"unicon_{name}")
         body.explicitinertial = True
-        body.mass, body.inertia = _MASS, [_INERTIA] * 3
+        body.mass = _MASS
+        body.inertia = [_INERTIA] * 3
         body.add_joint(
             name=name,
             type=import_mujoco().mjtJoint.mjJNT_HINGE,
@@ -240,105 +327,3 @@ def weld_absent(spec: Any, model: Any, robot: Robot, notes: list[str]) -> tuple[
             spec.delete(key)
     notes.append(f"the model lacks {', '.join(absent)}: taken as welded")
     return tuple(absent)
-
-
-_ONCE = ("origin", "geometry", "material", "inertial", "mass", "inertia")
-_TERMS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-
-
-def repaired_urdf(path: Path, notes: list[str]) -> str | None:
-    """Return the text of a URDF with its mistakes mended, None where there are none.
-
-    Mended are elements that stand twice (two materials in the visuals of Unitree's Go2), inertias
-    that no body can have (Robotera's XHand repeats one figure six times; of a camera of ANYbotics'
-    ANYmal C two principal moments sum to less than the third), and shapes without an extent.
-
-    Args:
-        path: the file.
-        notes: gets one line for each kind of mistake.
-
-    Raises:
-        ModelError: the file is not XML, or declares entities: no robot needs any, and they may grow
-            without end or name other files.
-    """
-    try:
-        raw = path.read_bytes()
-        if b"\0" in raw:  # else entities could hide in another encoding, which MuJoCo cannot read
-            raise ModelError(f"model {path}: it is not UTF-8; save it as that")
-        text = raw.decode("utf-8-sig", "replace")
-        if "<!ENTITY" in text or "<!DOCTYPE" in text:
-            raise ModelError(f"model {path}: it has a DOCTYPE or entities; take them out")
-        root = ET.fromstring(text)  # whatever encoding it declares: MuJoCo reads UTF-8
-    except (ET.ParseError, OSError, ValueError, LookupError) as error:
-        raise ModelError(f"model {path}: {error}; correct the file") from error
-    twice = _drop_repeated(root)
-    bodies = _mend_inertias(root)
-    flat = _drop_flat(root)
-    if twice:
-        notes.append(f"{len(twice)} elements stand twice in the URDF (first: {twice[0]})")
-    if bodies:
-        notes.append(
-            f"the inertia of {', '.join(bodies)} is none that a body can have: "
-            "its largest figure stands for all axes"
-        )
-    if flat:
-        notes.append(f"shapes without an extent are left out: {', '.join(flat)}")
-    try:
-        return ET.tostring(root, encoding="unicode") if twice or bodies or flat else None
-    except RecursionError as error:
-        raise ModelError(f"model {path}: its elements are nested too deep") from error
-
-
-def _drop_repeated(root: ET.Element) -> list[str]:
-    dropped = []
-    for parent in root.iter():
-        if parent.tag not in ("visual", "collision", "inertial", "link"):
-            continue
-        seen: set[str] = set()
-        for child in list(parent):
-            if child.tag in _ONCE and child.tag in seen:
-                parent.remove(child)
-                dropped.append(f"{child.tag} of a {parent.tag}")
-            seen.add(child.tag)
-    return dropped
-
-
-def _mend_inertias(root: ET.Element) -> list[str]:
-    mended = []
-    for link in root.findall("link"):
-        inertia = link.find("inertial/inertia")
-        if inertia is None:
-            continue
-        try:
-            xx, yy, zz, xy, xz, yz = (float(inertia.get(term, "0")) for term in _TERMS)
-        except ValueError:
-            continue  # MuJoCo names the line
-        matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        if not np.isfinite(matrix).all():
-            continue  # MuJoCo refuses it
-        if not matrix.any():
-            continue  # MuJoCo takes it from mass and shapes, or says so
-        small, middle, large = np.linalg.eigvalsh(matrix)
-        if small > 1e-9 * abs(matrix).max() and small + middle >= large:
-            continue
-        for term in _TERMS:
-            inertia.set(term, repr(float(abs(matrix).max())) if term[1] == term[2] else "0")
-        mended.append(str(link.get("name")))
-    return mended
-
-
-def _drop_flat(root: ET.Element) -> list[str]:
-    """Take shapes with a radius, length or edge of 0 out; return what was dropped."""
-    dropped = []
-    for link in root.findall("link"):
-        for element in (*link.findall("visual"), *link.findall("collision")):
-            shape = element.find("geometry/*")
-            sizes = () if shape is None else map(shape.get, ("radius", "length", "size"))
-            try:
-                flat = any(0.0 in map(float, size.split()) for size in sizes if size)
-            except ValueError:
-                continue  # MuJoCo names the line
-            if shape is not None and flat:
-                link.remove(element)
-                dropped.append(f"{shape.tag} in a {element.tag} of {link.get('name')}")
-    return dropped

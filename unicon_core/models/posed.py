@@ -12,9 +12,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from unicon_base.arrays import Array, Bool, Float64
-from unicon_core.models.loaded import LoadedModel, bodies_above, import_mujoco
-from unicon_core.models.rows import index_of
-from unicon_core.models.touching import floors, may_touch, on_floor, solid
+from unicon_core.models.loaded import (
+    LoadedModel,
+    bodies_above,
+    floors,
+    import_mujoco,
+    index_of,
+    may_touch,
+    on_floor,
+    solid,
+)
 from unicon_core.robots import Robot
 
 _FAR = 100.0  # [m]
@@ -33,9 +40,11 @@ class PosedModel:
     """
 
     def __init__(self, loaded: LoadedModel) -> None:
-        self.loaded, self._mujoco = loaded, import_mujoco()
+        self.loaded = loaded
+        self._mujoco = import_mujoco()
         self.data = self._mujoco.MjData(loaded.model)
-        self._qpos, base = self.data.qpos, loaded.base
+        self._qpos = self.data.qpos
+        base = loaded.base
         self._joints = index_of(loaded.addresses.tolist())
         self._base = None if base is None else int(loaded.model.jnt_qposadr[base])
         self._followers = followers(loaded)
@@ -48,7 +57,9 @@ class PosedModel:
             base: position in the world in [m], and base to world, wxyz, shape (7,); None leaves it
                 where it is. A fixed base does not move.
         """
-        data, model, qpos = self.data, self.loaded.model, self._qpos
+        data = self.data
+        model = self.loaded.model
+        qpos = self._qpos
         qpos[self._joints] = joint_pos
         for joint, driver, offset, start, (a, b, c, d, e) in self._followers:
             turned = float(qpos[driver]) - start if driver >= 0 else 0.0
@@ -65,7 +76,9 @@ class PosedModel:
 
         Geoms that do not collide with the floor are left out; none is higher than 100 m.
         """
-        mujoco, model, data = self._mujoco, self.loaded.model, self.data
+        mujoco = self._mujoco
+        model = self.loaded.model
+        data = self.data
         planes = floors(model)
         found: dict[int, float] = {}
         for geom in on_floor(self.loaded):
@@ -82,14 +95,17 @@ def followers(loaded: LoadedModel) -> list[tuple[int, int, float, float, list[fl
     Each is its place in `qpos`, that of its driver or -1, both at rest, and the polynomial by which
     it follows (MuJoCo, XML reference, `equality/joint`).
     """
-    model, kind = loaded.model, int(import_mujoco().mjtEq.mjEQ_JOINT)
-    driven, found = {int(place) for place in loaded.addresses}, []
+    model = loaded.model
+    kind = int(import_mujoco().mjtEq.mjEQ_JOINT)
+    driven = {int(place) for place in loaded.addresses}
+    found = []
     left = [i for i in range(model.neq) if model.eq_type[i] == kind and model.eq_active0[i]]
     followers = {int(model.jnt_qposadr[model.eq_obj1id[i]]) for i in left} - driven
     while left:
         ready = []
         for i in left:
-            joint, other = int(model.eq_obj1id[i]), int(model.eq_obj2id[i])
+            joint = int(model.eq_obj1id[i])
+            other = int(model.eq_obj2id[i])
             place = int(model.jnt_qposadr[joint])
             driver = int(model.jnt_qposadr[other]) if other >= 0 else -1
             if driver in followers and driver != place:
@@ -182,11 +198,14 @@ class Weight:
     """
 
     def __init__(self, loaded: LoadedModel) -> None:
-        self._model, self._posed = loaded.model, PosedModel(loaded)
-        self._mujoco, self.floats = import_mujoco(), loaded.base is not None
+        self._model = loaded.model
+        self._posed = PosedModel(loaded)
+        self._mujoco = import_mujoco()
+        self.floats = loaded.base is not None
         model = loaded.model
         self._dofs = index_of(loaded.dofs.tolist())
-        self._asked, self._base = np.zeros(model.nv), np.array((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
+        self._asked = np.zeros(model.nv)
+        self._base = np.array((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
 
     def __call__(self, joint_pos: ArrayLike, out: Float64, quat: ArrayLike | None = None) -> None:
         """Write the torques in [N·m], or forces in [N], in the robot's order, shape (n,).
@@ -235,21 +254,20 @@ class Footprint:
     """
 
     def __init__(
-        self,
-        loaded: LoadedModel,
-        feet: dict[str, list[int]],
-        joint_pos: Array,
-        base_quat: Array,
+        self, loaded: LoadedModel, feet: dict[str, list[int]], joint_pos: Array, base_quat: Array
     ) -> None:
-        mujoco, model = import_mujoco(), loaded.model
+        mujoco = import_mujoco()
+        model = loaded.model
         self._posed = PosedModel(loaded)
-        self._joint_pos, self._base_quat = joint_pos, base_quat
+        self._joint_pos = joint_pos
+        self._base_quat = base_quat
         groups = [[g for g in group if solid(model, g)] or group for group in feet.values()]
         geoms = self._geoms = np.array([geom for group in groups for geom in group], np.intp)
         # Of the mean of the feet each foot is one part, however many geoms it has.
         self._weights = np.array([1.0 / len(g) / len(groups) for g in groups for _ in g])
         # What reaches beyond the middle of a geom: half edges of its box, or a radius.
-        kinds, round_ = model.geom_type[geoms], np.zeros(len(geoms))
+        kinds = model.geom_type[geoms]
+        round_ = np.zeros(len(geoms))
         self._middle = np.array(model.geom_aabb[geoms, :3])
         self._half = np.array(model.geom_aabb[geoms, 3:])
         sphere = kinds == int(mujoco.mjtGeom.mjGEOM_SPHERE)
@@ -259,7 +277,8 @@ class Footprint:
         self._half[capsule] = 0.0
         self._half[capsule, 2] = model.geom_size[geoms[capsule], 1]
         self._radius = round_
-        self.position, self.quat = np.zeros(3), np.array((1.0, 0.0, 0.0, 0.0))
+        self.position = np.zeros(3)
+        self.quat = np.array((1.0, 0.0, 0.0, 0.0))
 
     @classmethod
     def of(
@@ -277,7 +296,10 @@ class Footprint:
         norm = math.sqrt(w * w + x * x + y * y + z * z)
         if not 0.5 < norm < 2.0:
             return
-        w, x, y, z = w / norm, x / norm, y / norm, z / norm
+        w = w / norm
+        x = x / norm
+        y = y / norm
+        z = z / norm
         # The world's z in the base's frame.
         up = np.array((2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)))
         data = self._posed.put(self._joint_pos, ORIGIN)
@@ -292,5 +314,6 @@ class Footprint:
         self.position[:] = position
         # Base to world is yaw · rest, so footprint to base is (yaw⁻¹ · base)⁻¹.
         half = 0.5 * math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-        c, s = math.cos(half), math.sin(half)
+        c = math.cos(half)
+        s = math.sin(half)
         self.quat[:] = (c * w + s * z, -(c * x + s * y), -(c * y - s * x), -(c * z - s * w))

@@ -15,18 +15,17 @@ import numpy as np
 
 from unicon_base.errors import ModelError
 from unicon_core.models.load import load_model
-from unicon_core.models.loaded import LoadedModel, import_mujoco
+from unicon_core.models.loaded import LoadedModel, around, floors, import_mujoco
 from unicon_core.models.posed import PosedModel
-from unicon_core.models.touching import around, floors
 from unicon_core.robots import Robot
 from unicon_core.terrain.ground import THICK, Ground, ground_of
 from unicon_core.terrain.words import Terrain
 
+# Its geoms and its field are called so, with a number behind.
 TERRAIN = "terrain"
-"""Its geoms and its field are called so, with a number behind."""
 
+# `<pair>` elements of ground and robot.
 PAIRS = 20_000
-"""`<pair>` elements of ground and robot."""
 
 _EVEN = 1e-6  # [m]; a field needs a height, even where it has none
 
@@ -80,7 +79,9 @@ class Models:
     """
 
     def __init__(self, path: Path, robot: Robot, timestep: float | None) -> None:
-        self._path, self._robot, self._timestep = path, robot, timestep
+        self._path = path
+        self._robot = robot
+        self._timestep = timestep
         self.flat = load_model(path, robot, timestep)
         self._laid: tuple[Terrain, LoadedModel] | None = None
 
@@ -143,7 +144,9 @@ def laying(loaded: LoadedModel, ground: Ground) -> Callable[[Any], None]:
 
 def _floor_of(loaded: LoadedModel) -> tuple[int, float]:
     """Return the one level plane that lies around a robot, and its height in [m]."""
-    mujoco, model, planes = import_mujoco(), loaded.model, floors(loaded.model)
+    mujoco = import_mujoco()
+    model = loaded.model
+    planes = floors(loaded.model)
     others = around(loaded)
     if others:
         names = ", ".join(model.geom(g).name or f"geom {g}" for g in others[:3])
@@ -178,8 +181,10 @@ def _geoms(spec: Any, plane: Any, ground: Ground, height: float) -> list[tuple[A
         )
         found.append((geom, box.friction))
     if ground.field is not None:
-        heights, half = ground.field.heights, ground.field.half
-        low, high = float(heights.min()), float(heights.max())
+        heights = ground.field.heights
+        half = ground.field.half
+        low = float(heights.min())
+        high = float(heights.max())
         rows, columns = heights.shape
         spec.add_hfield(
             name=TERRAIN,
@@ -199,8 +204,8 @@ def _geoms(spec: Any, plane: Any, ground: Ground, height: float) -> list[tuple[A
     return found
 
 
+# What a geom and a pair say of a contact.
 TOUCH = ("condim", "friction", "solref", "solimp", "margin", "gap")
-"""What a geom and a pair say of a contact."""
 _SINK = 0.001  # [m] by which the robot is put into the floor to see what a contact is like
 
 
@@ -215,7 +220,9 @@ class FloorContact(NamedTuple):
 
 def floor_contact(loaded: LoadedModel, floor: int) -> FloorContact:
     """Return what the floor and the robot's lowest part make of a contact; else the floor's own."""
-    mujoco, model, base = import_mujoco(), loaded.model, loaded.base
+    mujoco = import_mujoco()
+    model = loaded.model
+    base = loaded.base
     own = FloorContact(
         int(model.geom_condim[floor]),
         np.array(model.geom_friction[floor]),
@@ -248,9 +255,12 @@ def give_patch(geom: Any, contact: FloorContact, friction: float, rank: int) -> 
     MuJoCo takes the larger of two geoms' friction, or that of the higher priority
     (https://mujoco.readthedocs.io/en/stable/modeling.html#contact-parameters).
     """
-    geom.priority, geom.condim = rank, contact.dimensions
+    geom.priority = rank
+    geom.condim = contact.dimensions
     geom.friction = contact.friction * friction
-    geom.solref, geom.solimp, geom.material = contact.solref, contact.solimp, ""
+    geom.solref = contact.solref
+    geom.solimp = contact.solimp
+    geom.material = ""
     shade = 0.35 + 0.5 * round(min(friction, 1.0), 1)  # the more slippery, the bluer
     geom.rgba = [shade, shade, 0.85, 1.0]
 

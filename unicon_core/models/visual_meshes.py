@@ -21,13 +21,11 @@ import numpy as np
 from unicon_base.arrays import Float64
 from unicon_base.errors import UniconError
 from unicon_base.packages import PACKAGE, package_file
-from unicon_core.models.absent import mesh_places, model_folders
+from unicon_core.models.absent import mesh_places, model_folders, repaired_urdf
 from unicon_core.models.find import pick_model
 from unicon_core.models.kinematic_tree import BASE, Geom, Link, read_tree
-from unicon_core.models.load import load_model, repaired_urdf
-from unicon_core.models.loaded import LoadedModel, import_mujoco
-from unicon_core.models.quaternions import about, multiply, rotate
-from unicon_core.models.touching import solid
+from unicon_core.models.load import load_model
+from unicon_core.models.loaded import LoadedModel, about, import_mujoco, multiply, rotate, solid
 from unicon_core.robots import Robot
 
 # Opacity below which a geom is there for contacts alone.
@@ -123,8 +121,8 @@ def _mesh(geom: Geom, model: Any, references: dict[str, _Reference], files: Mesh
     return Geom("mesh", tuple(scale), position, quat, geom.rgba, geom.number, uri)
 
 
+# What RViz and Foxglove both read.
 FORMATS = (".stl", ".dae", ".obj")
-"""What RViz and Foxglove both read."""
 # Folders of models alone: their meshes lie beside them, in `../meshes`.
 _PARTED = ("urdf", "mjcf", "xml", "robots")
 _FILE = "file://"

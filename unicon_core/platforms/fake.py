@@ -12,10 +12,8 @@ import numpy as np
 
 from unicon_base.arrays import Float32
 from unicon_base.schema.marks import Unit, Within
-from unicon_core.platforms.kit.bodies import GANTRY
-from unicon_core.platforms.kit.command import Command
-from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.kit.servo import Servo
+from unicon_core.platforms.kit.command import Command, Servo
+from unicon_core.platforms.kit.scene import GANTRY, Scene
 from unicon_core.platforms.kit.start import start_of
 from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.robots import Robot
@@ -71,7 +69,8 @@ class FakePlatform:
     ) -> None:
         writes = tuple(name for name in self.facts.writes if name in states)
         self.facts = replace(self.facts, writes=writes)
-        self._period, self._time_constant = period, time_constant
+        self._period = period
+        self._time_constant = time_constant
         self._share = 1.0 if time_constant == 0.0 else -math.expm1(-period / time_constant)
         by_model = scene.posed_by_model
         self._initial = start_of(robot, scene).joint_pos if by_model else scene.joint_pos(robot)
@@ -81,7 +80,8 @@ class FakePlatform:
         self._servo = Servo(self._command.rows, robot.effort_limit)
         shape = states["joint_pos_target"].shape
         self._pos, self._vel = (np.zeros(shape, np.float32) for _ in range(2))
-        self._next, self._gain = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+        self._next = np.zeros(shape, np.float32)
+        self._gain = np.zeros(shape, np.float32)
         self._still = bytes(self._pos.nbytes)
         self._stamp = states["stamp_ns"] if "stamp_ns" in writes else np.zeros((), np.int64)
         self._outputs = [
@@ -172,18 +172,20 @@ class FakeRobot(FakePlatform):
 
     facts = replace(FakePlatform.facts, name="fake_robot", simulated=False, batch=False)
 
+    # After so long a first move takes one period, [ns].
     PAUSE = 100_000_000
-    """After so long a first move takes one period, [ns]."""
 
     def __init__(
         self, states: States, robot: Robot, period: float, scene: Scene, time_constant: float
     ) -> None:
         super().__init__(states, robot, period, scene, time_constant)
         self._told = self._moved = 0
-        self._sent, self._period_ns = False, round(period * 1e9)
+        self._sent = False
+        self._period_ns = round(period * 1e9)
         step = np.nan_to_num(robot.velocity_limit, nan=np.inf) * period
         self._longest = step.astype(np.float32)
-        rng, noise = np.random.default_rng(0), {"base_ang_vel": 1e-3, "base_lin_acc": 1e-2}
+        rng = np.random.default_rng(0)
+        noise = {"base_ang_vel": 1e-3, "base_lin_acc": 1e-2}
         self._noise = [
             (states[name], rng.normal(0.0, scale, (1000, 3)).astype(np.float32))
             for name, scale in noise.items()  # [rad/s] and [m/s²], of a MEMS sensor

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from unicon_base.arrays import Array
-from unicon_base.errors import Fault
+from unicon_base.errors import Fault, PlatformError
 from unicon_core.platforms.platform import (
     Facts,
     Platform,
@@ -21,8 +21,10 @@ from unicon_core.platforms.platform import (
     info_of,
 )
 from unicon_core.robots import Robot
+from unicon_core.signals import SIGNALS
 from unicon_core.states import States
-from unicon_core.states.member import STAMP, divided, stamp_of
+from unicon_core.states.groups import STAMP, divided, stamp_of
+from unicon_core.states.links import Incoming
 from unicon_core.states.standard import JOINT_STATES, MOTOR_STATES
 
 _OF_BASE = ("wait", "arrivals", "push", "viewer")
@@ -83,7 +85,8 @@ class JoinedPlatform:
         base = next(iter(members))
         self._recvs = [(name, each.recv) for name, each in members.items()]
         self._sends = [(name, each.send) for name, each in members.items()]
-        self._stamp, self._of_base = states[STAMP], states[stamp_of(base)]
+        self._stamp = states[STAMP]
+        self._of_base = states[stamp_of(base)]
         # A simulator among robots keeps a time of its own, which is nobody else's.
         self._mixed = members[base].facts.simulated and not self.facts.simulated
         # Told again in every tick: gates find out by a mark whether anybody tells a state.
@@ -203,3 +206,62 @@ def _all(calls: Sequence[Callable[[], object]]) -> Callable[[], None]:
             each()
 
     return call
+
+
+# How long the first part is waited for, in [s].
+START = 10.0
+
+
+class PartPlatform:
+    """See the module.
+
+    Args:
+        part: name of this part.
+        first: the part with the robot; it must be heard before this one starts.
+        arrivals: bring the states of the others.
+        patience: how long to wait for it in [s].
+
+    Raises:
+        PlatformError: it is not heard in time.
+    """
+
+    def __init__(
+        self, part: str, first: str, arrivals: Sequence[Incoming], patience: float = START
+    ) -> None:
+        writes = tuple(state for arrival in arrivals for state in arrival.writes)
+        self.facts = Facts(f"part {part}", simulated=True, reads=(), writes=writes)
+        self._arrivals = tuple(arrivals)
+        self._first = next((a for a in arrivals if a.part == first), None)
+        end = time.monotonic() + patience
+        while self._first is not None and not self._first.heard:
+            self._first.quiet = True
+            self._first()
+            self._first.quiet = False
+            if self._first.refused or time.monotonic() > end:
+                raise PlatformError(
+                    f"part {part!r}: {self._first.refused or f'part {first!r} is not heard'}; run "
+                    f"it first: unicon run WORKFLOW --part {first}"
+                )
+            SIGNALS.check()
+            if not self._first.heard:
+                self._first.wait(0.02)
+
+    def recv(self) -> None:
+        """Take what has come."""
+        for arrival in self._arrivals:
+            arrival()
+
+    def wait(self, timeout: float) -> bool:
+        """Return True when the first part has published, False after `timeout` in [s]."""
+        if self._first is None:
+            time.sleep(timeout)
+            return False
+        return self._first.wait(timeout)
+
+    def send(self) -> None:
+        """Do nothing."""
+
+    def close(self) -> None:
+        """Let go of the others."""
+        for arrival in self._arrivals:
+            arrival.close()

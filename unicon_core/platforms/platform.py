@@ -28,8 +28,8 @@ from unicon_core.states.standard import BASE_STATES, COMMAND_STATES, JOINT_STATE
 if TYPE_CHECKING:
     from unicon_core.platforms.kit.scene import Scene
 
+# What `recv` of a simulator writes.
 SIMULATED = (*JOINT_STATES, *BASE_STATES, "stamp_ns")
-"""What `recv` of a simulator writes."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Facts:
         reads: states that `send` reads.
         writes: states that `recv` writes; what is not named here is not there for policies.
         physics: what it can be told of joints, of `robots/poses.py`, of bodies, of
-            `kit/bodies.py`, and `terrain`.
+            `kit/scene.py`, and `terrain`.
         protocols: of robot files (`transport.protocol`), those that it speaks; empty for any.
         notes: what could not be looked at, one line each.
         examine: takes what the factory takes and tells, without opening anything, how it would be

@@ -19,13 +19,13 @@ from typing import Annotated, Any, Literal
 from unicon_base.errors import PolicyError, UniconError, alternatives
 from unicon_base.schema.marks import Key, Made
 from unicon_base.schema.read import read_value
-from unicon_core.figures import figure
 from unicon_core.models.find import pick_model
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import drives, position_gains
 from unicon_core.policies.facts import GAINS, Facts, is_open, missing_facts
 from unicon_core.policies.hints import listed
 from unicon_core.robots import Robot, load_robot
+from unicon_core.text_table import figure
 
 
 @dataclass(frozen=True)

@@ -16,10 +16,10 @@ from unicon_base.errors import PolicyError, alternatives
 from unicon_base.located_yaml import Where
 from unicon_base.schema.marks import Write
 from unicon_base.schema.read import read_value
-from unicon_core.figures import figure
 from unicon_core.policies.facts import TO_GIVE, Facts, dig, dotted, is_open, says, shown, value_of
 from unicon_core.policies.importers.source import values_by_pattern
 from unicon_core.robots.robot import plain_name
+from unicon_core.text_table import figure
 
 _CHANGE = Annotated[Mapping[str, Any], Write("{scale: 0.05}")]
 _TERMS = (

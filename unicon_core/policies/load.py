@@ -12,7 +12,7 @@ from typing import Any
 
 from unicon_base.errors import PolicyError, alternatives
 from unicon_base.located_yaml import Located, Where, read_yaml
-from unicon_base.registered import path_of, registered
+from unicon_base.packages import path_of, registered
 from unicon_base.resources import (
     config_roots,
     find_resource,

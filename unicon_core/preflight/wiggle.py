@@ -20,15 +20,15 @@ import numpy as np
 from unicon_base.errors import Fault
 from unicon_core.blocks.joint_command import robot_gains
 from unicon_core.bounds import within
-from unicon_core.figures import figure
 from unicon_core.flow import Zip, as_block
-from unicon_core.flow.stage import Stage
+from unicon_core.flow.block import Stage
 from unicon_core.runtime.startup_sequence import Waiting, prepared, waiting_tree
 from unicon_core.runtime.ticker import Ticker
 from unicon_core.signals import SIGNALS
 from unicon_core.states.standard import COMMAND_STATES
+from unicon_core.text_table import figure
 from unicon_core.workflow import Program
-from unicon_core.workflow.gate import NEVER_NS
+from unicon_core.workflow.program_data import NEVER_NS
 
 ANGLE = 0.05
 """Of a move in [rad]."""

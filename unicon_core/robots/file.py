@@ -25,8 +25,7 @@ from unicon_base.schema.marks import (
 )
 from unicon_base.schema.records import largest, record_of
 from unicon_base.schema.types import Here
-from unicon_core.bounds import EFFORT, POSITION, Damping, Speed, Stiffness
-from unicon_core.buttons import BUTTONS, Button
+from unicon_core.bounds import BUTTONS, EFFORT, POSITION, Button, Damping, Speed, Stiffness
 from unicon_core.robots.file_rules import (
     joints_of,
     note_contacts,
@@ -35,8 +34,7 @@ from unicon_core.robots.file_rules import (
     note_sources,
     note_unknown,
 )
-from unicon_core.robots.places import Capsules, Hand, Places
-from unicon_core.robots.robot import JOINT_ORDER
+from unicon_core.robots.robot import JOINT_ORDER, Capsules, Hand, Places
 
 SCHEMA = "unicon.robot/1"
 Kind = Literal["quadruped", "humanoid", "wheeled", "hand", "arm"]

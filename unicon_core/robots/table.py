@@ -8,11 +8,9 @@ from typing import Any
 
 from unicon_base.errors import RobotError, one_line
 from unicon_core.evidence import evidence_of, load_evidence
-from unicon_core.figures import figure, span
 from unicon_core.robots.load import load_robot, robot_names
-from unicon_core.robots.places import Hand, Place
-from unicon_core.robots.robot import JOINT_FIELDS, Robot
-from unicon_core.text_table import aligned
+from unicon_core.robots.robot import JOINT_FIELDS, Hand, Place, Robot
+from unicon_core.text_table import aligned, figure, span
 
 _UNITS = {
     "lower": "rad",

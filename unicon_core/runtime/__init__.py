@@ -1,7 +1,7 @@
 """Runtime: pacing, statistics, trace and report of a running graph."""
 
 from unicon_core.pacing import Pacing, WallClock, WarmUp, prepare_process
-from unicon_core.runtime.options import RunOptions
+from unicon_core.runtime.phases import RunOptions
 from unicon_core.runtime.report import Report
 from unicon_core.runtime.runner import Runner
 from unicon_core.runtime.statistics import TickStatistics, percentiles

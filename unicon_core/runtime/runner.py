@@ -13,8 +13,7 @@ from unicon_core.flow import Node
 from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.pacing import prepare_process, process_age_s
 from unicon_core.platforms.platform import Resettable
-from unicon_core.runtime.options import RunOptions, refuse_pace
-from unicon_core.runtime.phases import WIND_DOWN, Damp, Phase
+from unicon_core.runtime.phases import WIND_DOWN, Damp, Phase, RunOptions, refuse_pace
 from unicon_core.runtime.report import Report, SpareFiles, reason_of
 from unicon_core.runtime.startup_sequence import StartupSequence
 from unicon_core.runtime.statistics import Starvation, advice_of

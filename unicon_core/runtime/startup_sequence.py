@@ -9,16 +9,15 @@ from typing import Any
 from unicon_base.errors import Fault
 from unicon_core.blocks.approach import Approach
 from unicon_core.flow import Deferred, Node, Zip, as_block
-from unicon_core.gates.beginning import beginning
+from unicon_core.gates.build import beginning
 from unicon_core.gates.gate import SoleCommander, StartGate
 from unicon_core.platforms.joined import members_of
 from unicon_core.platforms.platform import Prepares, SeesCommanders
-from unicon_core.runtime.options import RunOptions
-from unicon_core.runtime.phases import Phase
+from unicon_core.runtime.phases import Phase, RunOptions
 from unicon_core.synchronised_start.meeting import Meeting
 from unicon_core.synchronised_start.rendezvous import Rendezvous, WallClock
 from unicon_core.workflow import Program
-from unicon_core.workflow.gate import NEVER_NS
+from unicon_core.workflow.program_data import NEVER_NS
 
 Ticked = Callable[[Phase, Node, int | None], bool]
 """Ticks a tree until it is done, as a phase of the run; False where the run is to end.

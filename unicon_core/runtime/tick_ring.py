@@ -21,7 +21,7 @@ from unicon_core.flow import Block, Node, Stage
 from unicon_core.flow.nodes import blocks_of
 from unicon_core.memory import Memory, Snapshot
 from unicon_core.runtime.phases import Phase
-from unicon_core.workflow.program_memory import memory_of
+from unicon_core.workflow.tick_tree import memory_of
 
 if TYPE_CHECKING:
     from unicon_core.runtime.runner import Runner

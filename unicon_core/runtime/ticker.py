@@ -15,7 +15,7 @@ from unicon_core.platforms.platform import CountsArrivals
 from unicon_core.runtime.arrivals import Arrivals, awaited
 from unicon_core.runtime.statistics import Detail, TickStatistics
 from unicon_core.workflow import Program
-from unicon_core.workflow.gate import NEVER_NS
+from unicon_core.workflow.program_data import NEVER_NS
 
 ENOUGH = 4
 """Arrivals that tell when the next ones come."""

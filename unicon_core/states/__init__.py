@@ -1,7 +1,6 @@
 """States: typed NumPy arrays under global labels, in one buffer, for every block and bridge."""
 
-from unicon_core.states.layout import Layout, Slot
-from unicon_core.states.spec import StateSpec
+from unicon_core.states.layout import Layout, Slot, StateSpec
 from unicon_core.states.standard import standard_states
 from unicon_core.states.states import Snapshot, States
 

@@ -15,8 +15,7 @@ from pathlib import Path
 from unicon_base.errors import StateError, cannot
 from unicon_core.states.backends.shm import places
 from unicon_core.states.groups import Groups, groups_hash, groups_json
-from unicon_core.states.layout import Layout
-from unicon_core.states.spec import StateSpec, check_name
+from unicon_core.states.layout import Layout, StateSpec, check_name
 
 _TYPES = {
     "bool": "uint8_t",  # a byte that is neither 0 nor 1 is not defined as a bool of C

@@ -3,17 +3,24 @@
 group = subset(states.layout, ("joint_pos", "joint_vel"))
 copies = Copies(states, group, memory)     # memory: group.nbytes bytes, anywhere
 copies.pack()                              # states -> memory
+
+The states of a member of a robot are such a part, too: a platform or a block that is built with
+them sees a robot of its own, and writes slices of the whole without a copy.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
 
 from unicon_base.errors import StateError
-from unicon_core.states.layout import Layout
-from unicon_core.states.standard import COMMAND_STATES, GAIN_SCALE, GAIN_SCALE_SPEC
+from unicon_core.states.layout import Layout, Slot, StateSpec
+from unicon_core.states.standard import BASE_STATES, COMMAND_STATES, GAIN_SCALE, GAIN_SCALE_SPEC
 from unicon_core.states.states import States
 
 MEASURED, COMMAND = "measured", "command"
@@ -145,3 +152,75 @@ class Copies:
 def _differ(mine: Layout, theirs: Layout, name: str) -> bool:
     ours, others = mine.specs[name], theirs.specs[name]
     return any(getattr(ours, key) != getattr(others, key) for key in _MEANING)
+
+
+STAMP = "stamp_ns"
+_OF_THE_BASE = (*BASE_STATES, "battery_charge", "battery_voltage")
+
+_Placed = tuple[dict[str, Slot], dict[str, tuple[int, int]], int]
+
+
+@dataclass(frozen=True, eq=False)
+class _Within(Layout):
+    """A layout whose states stand within the buffer of another one."""
+
+    place: _Placed = field(default=({}, {}, 0), kw_only=True)
+
+    @cached_property
+    def _placed(self) -> _Placed:
+        return self.place
+
+
+def stamp_of(member: str) -> str:
+    """Return the state of the whole that is `stamp_ns` of a member."""
+    return f"{member}_{STAMP}"
+
+
+def divided(layout: Layout, joint_names: Sequence[str]) -> frozenset[str]:
+    """Return the states that have an element for each joint of the whole."""
+    whole = tuple(joint_names)
+    return frozenset(name for name, spec in layout.specs.items() if spec.names == whole)
+
+
+def member_states(
+    states: States,
+    joint_names: Sequence[str],
+    member: str,
+    joints: slice,
+    own_names: Sequence[str],
+    *,
+    base: bool,
+) -> States:
+    """Return the states of a member.
+
+    Args:
+        states: of the whole robot, one and no batch.
+        joint_names: of the whole robot.
+        member: its name.
+        joints: where its joints stand.
+        own_names: its joints as its robot file calls them.
+        base: it has the base: IMU, battery.
+    """
+    layout = states.layout
+    shared = divided(layout, joint_names)
+    specs: dict[str, StateSpec] = {}
+    slots: dict[str, Slot] = {}
+    for name, spec in layout.specs.items():
+        slot = layout.slots[name]
+        if name in shared and spec.shape == (len(joint_names),):
+            size = np.dtype(slot.dtype).itemsize
+            count = joints.stop - joints.start
+            initial = spec.initial
+            slots[name] = Slot(slot.offset + joints.start * size, (count,), slot.dtype)
+            specs[name] = replace(
+                spec,
+                shape=(count,),
+                names=tuple(own_names),
+                initial=initial[joints] if isinstance(initial, tuple) else initial,
+            )
+        elif name == STAMP and stamp_of(member) in layout.specs:
+            slots[name], specs[name] = layout.slots[stamp_of(member)], spec
+        elif name not in shared and (base or name not in _OF_THE_BASE):
+            slots[name], specs[name] = slot, spec
+    place = (slots, layout.sections, layout.nbytes)
+    return States(_Within(specs, place=place), buffer=states.buffer)

@@ -22,7 +22,7 @@ from unicon_base.errors import Fault, StateError
 from unicon_base.schema.marks import Key, Write, positive
 from unicon_core.states.backends import Reader, Writer
 from unicon_core.states.groups import Groups
-from unicon_core.states.spec import StateSpec
+from unicon_core.states.layout import StateSpec
 from unicon_core.states.states import States
 
 AGAIN_NS, REFUSED_NS = 50_000_000, 1_000_000_000

@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 
-from unicon_core.buttons import BUTTONS
-from unicon_core.states.spec import StateSpec
+from unicon_core.bounds import BUTTONS
+from unicon_core.states.layout import StateSpec
 
 JOINT_STATES = ("joint_pos", "joint_vel", "joint_effort")
 """What the motors tell of the joints."""

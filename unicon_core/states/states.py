@@ -13,8 +13,7 @@ from numpy.typing import DTypeLike
 
 from unicon_base.arrays import Array, UInt8
 from unicon_base.errors import StateError, alternatives
-from unicon_core.states.layout import ALIGNMENT, Layout
-from unicon_core.states.spec import StateSpec
+from unicon_core.states.layout import ALIGNMENT, Layout, StateSpec
 
 _MAGIC = b"UNICONST1\n"
 

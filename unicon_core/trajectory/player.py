@@ -11,8 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from unicon_base.arrays import Array, Float64
-from unicon_core.trajectory.accepted import Code, Limits, Points, Refusal, Start, accepted
-from unicon_core.trajectory.spline import Spline
+from unicon_core.trajectory.accepted import Code, Limits, Points, Refusal, Spline, Start, accepted
 
 
 @dataclass(frozen=True)

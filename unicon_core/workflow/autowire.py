@@ -3,7 +3,7 @@
 A parameter annotated `Reads`, `Writes` or `Amends` gets the view of the state of its name (or of
 another label, where the workflow renames it); one annotated with a `Bundle` gets the views of its
 fields; `states`, `robot`, `period` and `context` get those objects; all others are options of the
-YAML file.
+YAML file. The JSON Schema of flows and platforms completes in an editor what is read here.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from unicon_base.errors import (
     WorkflowError,
     alternatives,
 )
-from unicon_base.schema.records import option_hints, option_type
-from unicon_base.schema.types import Mistakes
-from unicon_core.flow.block import Block, Bundle, as_block
-from unicon_core.flow.stage import Stage
+from unicon_base.located_yaml import Where
+from unicon_base.schema.records import described, option_hints, option_type, type_of
+from unicon_base.schema.types import Mistakes, Type
+from unicon_core.flow.block import Block, Bundle, Stage, as_block
 from unicon_core.models.find import model_of
 from unicon_core.platforms.kit.damping import LastSent
 from unicon_core.platforms.platform import Platform
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_core.workflow.registry import Factory, product_of, states_in
+from unicon_core.workflow.registry import Factory, find_factory, known, product_of, states_in
 
 
 @dataclass
@@ -267,3 +267,114 @@ def _states_of(
 def _annotated(factory: Factory) -> tuple[dict[str, str], dict[str, type[Bundle]]]:
     hints = option_hints(factory)
     return states_in({name: hints.get(name) for name in inspect.signature(factory).parameters})
+
+
+Json = dict[str, Any]
+
+_OWN = {"pattern": r"^[\w.]+:\w+$", "type": "string", "description": "a factory of one's own"}
+_SEVERAL = ("zip", "chain")
+_WORDS = ("loop", "every", "when", "switch", "skills", "call")
+
+
+class Flow(Type):
+    """A graph: a block, or a word such as `chain` around others."""
+
+    wanted = "a block, or {chain: [...]}"
+
+    def json(self, definitions: Json) -> Json:
+        """Return a reference to the schema of all flows."""
+        if "Flow" not in definitions:
+            definitions["Flow"] = flow = Json()
+            here = {"$ref": "#/$defs/Flow"}
+            blocks = {name: _block(name, definitions) for name in sorted(known("blocks"))}
+            words: Json = {
+                word: {"type": "array", "items": here, "minItems": 1} for word in _SEVERAL
+            }
+            words |= {word: {} for word in _WORDS}
+            words |= {"deferred": here, "of": {"type": "string"}, "on": {"type": "string"}}
+            words["policy"] = {"description": "the policy of that name, under `policies:`"}
+            flow["anyOf"] = [
+                {"enum": [*blocks, "policy", "skills"]},
+                {
+                    "type": "object",
+                    "properties": blocks | words,
+                    "patternProperties": {r"^[\w.]+:\w+$": {}},
+                    "additionalProperties": False,
+                    "minProperties": 1,
+                },
+                _OWN,
+            ]
+        return {"$ref": "#/$defs/Flow"}
+
+
+class Platforms(Type):
+    """Options by platform."""
+
+    wanted = "a mapping of platforms to their options"
+
+    def read(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
+        """Return the mapping; options are read by the builder, for the platforms that are used."""
+        return type_of(Mapping[str, Mapping[str, Any] | None]).read(value, where, mistakes)
+
+    def json(self, definitions: Json) -> Json:
+        """Return the schema of `platforms:`."""
+        options = {n: _options("platforms", n, definitions) for n in sorted(known("platforms"))}
+        given = {
+            name: {"anyOf": [each, {"type": "null"}]}
+            for name, each in options.items()
+            if each is not None
+        }
+        anything = {"type": ["object", "null"]}
+        return {"type": "object", "properties": given, "additionalProperties": anything}
+
+
+class PlatformName(Type):
+    """A platform's name, or a mapping of members to names."""
+
+    wanted = "NAME, or {MEMBER: NAME}"
+
+    def json(self, definitions: Json) -> Json:
+        """Return the schema of `platform:`."""
+        members = {"type": "object", "additionalProperties": {"type": "string"}}
+        return {"anyOf": [{"enum": sorted(known("platforms"))}, _OWN, members]}
+
+
+FLOW, PLATFORMS, PLATFORM_NAME = Flow(), Platforms(), PlatformName()
+
+
+def _block(name: str, definitions: Json) -> Json:
+    options = _options("blocks", name, definitions)
+    if options is None:  # what it needs is not installed
+        return {}
+    first = next(iter(options["properties"].values()), None)
+    rest = [] if first is None else [{k: v for k, v in first.items() if k != "description"}]
+    return {"description": options.pop("description", ""), "anyOf": [options, *rest, _NULL]}
+
+
+_NULL = {"type": "null"}
+
+
+def _options(kind: str, name: str, definitions: Json) -> Json | None:
+    try:
+        factory: Factory = find_factory(kind, name, UniconError)
+    except UniconError:
+        return None
+    free, text = option_names(factory), inspect.getdoc(factory) or ""
+    types = {name: option_type(factory, name) for name in free}
+    texts, parameters = described(text), inspect.signature(factory).parameters
+    schema: Json = {
+        option: (made.json(definitions) if (made := types[option]) is not None else {})
+        | ({"description": texts[option]} if option in texts else {})
+        for option in parameters
+        if option in free
+    }
+    extra = any(each.kind is each.VAR_KEYWORD for each in parameters.values())
+    if kind == "blocks":
+        schema |= {"name": {"type": "string"}, "states": {"type": "object"}}
+    about = text.partition("\n")[0]
+    return {
+        "type": "object",
+        "properties": schema,
+        "additionalProperties": extra,
+        "description": about,
+    }

@@ -11,15 +11,14 @@ from typing import Any
 from unicon_base.errors import UniconError, WorkflowError, alternatives
 from unicon_core.blocks.safety.stops import Finite
 from unicon_core.flow import Blender, Block, Every, Node, Switch, blocks_of, children_of
-from unicon_core.flow.block import Tick
+from unicon_core.flow.block import Stage, Tick
 from unicon_core.flow.nodes import chooser_of, with_children
-from unicon_core.flow.stage import Stage
 from unicon_core.policies.action_map import lacking_joints
 from unicon_core.policies.controller import controller_contract
 from unicon_core.robots import Robot
 from unicon_core.signals import SIGNALS
 from unicon_core.states import States, StateSpec, standard_states
-from unicon_core.states.spec import check_name
+from unicon_core.states.layout import check_name
 from unicon_core.states.stacked import spans
 from unicon_core.states.standard import COMMAND_STATES, control_states, hardware_states
 from unicon_core.workflow.autowire import (

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping
 
 from unicon_base.errors import WorkflowError, alternatives
 from unicon_core.flow import Block, Node, Zip, as_block, blocks_of, children_of
+from unicon_core.flow.block import Stage
 from unicon_core.flow.nodes import with_children
-from unicon_core.flow.stage import Stage
 from unicon_core.states import States
 from unicon_core.states.groups import COMMAND, Groups
 from unicon_core.states.links import Publisher, Store, open_writers

@@ -24,12 +24,11 @@ from unicon_base.schema.marks import (
 )
 from unicon_base.schema.records import meant
 from unicon_base.schema.types import Here
-from unicon_core.bounds import DURATION, Seconds
-from unicon_core.buttons import Button
+from unicon_core.bounds import DURATION, Button, Seconds
 from unicon_core.pacing import Pacing
 
 _BLOCK = Write("a block, or {chain: [...]}")
-FlowType = Annotated[Any, Later("unicon_core.workflow.flow_schema:FLOW"), _BLOCK]
+FlowType = Annotated[Any, Later("unicon_core.workflow.autowire:FLOW"), _BLOCK]
 Blocks = Annotated[list[FlowType], Write("a list of blocks")]
 MOST_ROBOTS = 4096
 """Of a batch: each takes half a megabyte and 1.5 ms to begin in MuJoCo."""
@@ -182,7 +181,7 @@ class Workflow:
     """
 
     robot: Annotated[str | Annotated[Mapping[Member, _ROBOT], NotEmpty], _NAMES]
-    platform: Annotated[Any, Later("unicon_core.workflow.flow_schema:PLATFORM_NAME"), _NAMES]
+    platform: Annotated[Any, Later("unicon_core.workflow.autowire:PLATFORM_NAME"), _NAMES]
     flow: FlowType
     schema: Literal["unicon.workflow/1"] | None = None
     name: str | None = None
@@ -197,7 +196,7 @@ class Workflow:
     ) = None
     parts: Annotated[Any, Later("unicon_core.workflow.parts:PartFiles")] | None = None
     scene: Annotated[Any, Later("unicon_core.platforms.kit.scene:Scene")] | None = None
-    platforms: Annotated[Any, Later("unicon_core.workflow.flow_schema:PLATFORMS")] | None = None
+    platforms: Annotated[Any, Later("unicon_core.workflow.autowire:PLATFORMS")] | None = None
     rate: Annotated[float | None, Within(0.001, 10_000.0, "Hz")] = None
     duration: Annotated[float | None, positive(DURATION, "s")] = None
     num_robots: Annotated[int | None, Within(1, MOST_ROBOTS)] = None

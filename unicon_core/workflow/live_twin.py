@@ -21,15 +21,14 @@ from unicon_core.bounds import POSITION
 from unicon_core.flow import Block
 from unicon_core.memory import Library
 from unicon_core.metrics import aligned_mse
-from unicon_core.platforms.kit.tracking_simulator import PLACE, Beside
+from unicon_core.platforms.kit.disturbances import PLACE, Beside
 from unicon_core.robots import Robot
 from unicon_core.states import States, StateSpec
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow.autowire import BuildContext
 from unicon_core.workflow.document import WorkflowDocument, read_part
-from unicon_core.workflow.hardware import declared_facts
+from unicon_core.workflow.hardware import declared_facts, read_scene
 from unicon_core.workflow.registry import find_factory
-from unicon_core.workflow.scene import read_scene
 
 TWIN_STATES = ("twin_joint_pos", "twin_gap", "twin_lag", "twin_flag")
 """What a twin writes."""

@@ -22,21 +22,27 @@ from unicon_core.platforms.kit.disturbances import disturb
 from unicon_core.platforms.kit.scene import SCENE_KEYS, Scene
 from unicon_core.platforms.platform import SIMULATED, Binding, Facts, Platform
 from unicon_core.robots import Robot
-from unicon_core.robots.poses import joint_physics
+from unicon_core.robots.load import joint_physics
 from unicon_core.workflow.autowire import BuildContext, option_names, read_options
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.hardware import (
     UNDECLARED,
     checked,
     declared_facts,
+    read_scene,
     refuse_incomplete,
     refuse_loud,
     refuse_protocol,
 )
-from unicon_core.workflow.members import member_context, member_robot, scene_of_member
-from unicon_core.workflow.platform_use import PlatformUse, read_members, read_platforms
+from unicon_core.workflow.members import (
+    PlatformUse,
+    member_context,
+    member_robot,
+    read_members,
+    read_platforms,
+    scene_of_member,
+)
 from unicon_core.workflow.registry import Factory, find_factory, known
-from unicon_core.workflow.scene import read_scene
 
 if TYPE_CHECKING:
     from unicon_core.latches import Latch

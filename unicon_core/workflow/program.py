@@ -11,15 +11,14 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypedDict
 
-from unicon_core.blocks.approach import Entry
-from unicon_core.blocks.monitor import Monitor
+from unicon_core.blocks.approach import Entry, Monitor
 from unicon_core.flow import Block, Node, as_block, blocks_of
-from unicon_core.flow.stage import Stage
+from unicon_core.flow.block import Stage
 from unicon_core.gates.build import gates_of
+from unicon_core.platforms.joined import PartPlatform
 from unicon_core.platforms.kit.damping import LastSent
-from unicon_core.platforms.part import PartPlatform
 from unicon_core.platforms.platform import Platform, RequiresStates, WarmsUp
 from unicon_core.policies import PolicyContract
 from unicon_core.signals import SIGNALS
@@ -43,13 +42,12 @@ from unicon_core.workflow.division import (
     refuse_parts,
 )
 from unicon_core.workflow.document import WorkflowDocument, document_of, load_document
-from unicon_core.workflow.gate import Gate, withheld
 from unicon_core.workflow.live_twin import build_twin, twin_of
 from unicon_core.workflow.members import load_robot_of
 from unicon_core.workflow.parts import read_parts, read_store
 from unicon_core.workflow.platforms import build_platform, latches_of
 from unicon_core.workflow.policies import load_policies, with_weldable
-from unicon_core.workflow.program_data import ProgramData
+from unicon_core.workflow.program_data import Gate, ProgramData, withheld
 from unicon_core.workflow.safety_set import completed, left_out
 from unicon_core.workflow.settings import pacing_of, safety_of, start_of
 from unicon_core.workflow.tick_tree import bound_commands, tick_tree, with_flow
@@ -58,7 +56,42 @@ from unicon_core.workflow.uses import EXPRESSION, Use
 if TYPE_CHECKING:
     from typing import Unpack
 
-    from unicon_core.workflow.described import Described
+
+Named = str | Mapping[str, Any]
+Flow = Node | Callable[..., object] | str | Mapping[str, Any]
+Blocks = Sequence[Flow]
+
+
+class Described(TypedDict, total=False):
+    """A workflow in Python; `Workflow` says what each key means and which values it takes."""
+
+    robot: Named
+    platform: Named
+    flow: Flow
+    name: str
+    description: str
+    store: Named
+    parts: Mapping[str, Any]
+    scene: Mapping[str, Any]
+    platforms: Mapping[str, Any]
+    rate: float
+    duration: float
+    num_robots: int
+    map: str
+    ros: bool
+    states: Mapping[str, Any]
+    policies: Mapping[str, Any]
+    skills: Mapping[str, Any]
+    estimate: Blocks
+    commands: Blocks
+    start: Named
+    wind_down: Flow
+    safety: str | Blocks | Mapping[str, Any]
+    deferred: Blocks
+    twin: Named
+    pacing: Mapping[str, Any]
+    check: Mapping[str, Any]
+
 
 Hook = Callable[["Program"], Mapping[Stage, Sequence[Block]]]
 """Gives a program further blocks, each for its stage, once states and platform exist: a bridge, a

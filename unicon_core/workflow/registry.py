@@ -19,7 +19,7 @@ from importlib import import_module
 from typing import Annotated, Any, TypeAlias, get_args, get_origin
 
 from unicon_base.errors import MissingDependencyError, UniconError, alternatives
-from unicon_base.registered import registered
+from unicon_base.packages import registered
 from unicon_base.schema.records import option_hints
 from unicon_core.flow.block import Access, Block, Bundle, Tick
 from unicon_core.platforms.platform import Facts
@@ -125,7 +125,7 @@ _SAY = {
     "unicon_core.flow, or register it in the entry point group unicon.blocks",
     "platforms": "annotate what it returns (-> Platform of unicon_core.platforms.platform, or a "
     "class with recv, send and close), or register it in the entry point group unicon.platforms",
-    "faces": "annotate what it returns (-> Face of unicon_hardware.emulate.face, or a class with "
+    "faces": "annotate what it returns (-> Endpoint of unicon_hardware.endpoint, or a class with "
     "tell, hear and close), or register it in the entry point group unicon.faces",
 }
 

@@ -7,6 +7,7 @@ the vendor's SDK does to read them. One tick asks, the next one takes.
 
 from __future__ import annotations
 
+import math
 import time
 from typing import Any
 
@@ -18,16 +19,28 @@ from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES, JOINT_STATES
-from unicon_hardware.arx.codec import DM, EC, ENABLE, ENABLED, Motors, Packing, reply_of
+from unicon_hardware.arx.codec import (
+    DM,
+    EC,
+    ENABLE,
+    ENABLED,
+    Motors,
+    Packing,
+    Reply,
+    answer,
+    command_of,
+    reply_of,
+)
+from unicon_hardware.endpoint import EmulatedModes, Endpoint
 from unicon_hardware.modes import UNDOCUMENTED, ModeGuard
-from unicon_hardware.wire import Answers, Counts, known
+from unicon_hardware.wire import Answers, Counts, Wire, known
 from unicon_hardware.wired_robot import WiredRobot, opened
 
+# Frames that are looked at in a tick: a flood must not hold it up. More than a bus of 1 Mbit/s
+# carries in 20 ms (180 of 111 bits), so that answers do not pile up behind others' frames.
 MOST = 256
-"""Frames that are looked at in a tick: a flood must not hold it up. More than a bus of 1 Mbit/s
-carries in 20 ms (180 of 111 bits), so that answers do not pile up behind others' frames."""
+# A stranger's command counts for so long, [s].
 RECENT = 1.0
-"""A stranger's command counts for so long, [s]."""
 TORQUE = COMMAND_STATES.index("joint_effort_ff")
 
 
@@ -61,7 +74,7 @@ def open_bus(channel: str, interface: str) -> Any:
         ) from error
 
 
-class ArxWire:
+class ArxWire(Wire):
     """See the module.
 
     Args:
@@ -74,20 +87,22 @@ class ArxWire:
         modes: of the motors; those of EC motors, which report none, are always 0.
     """
 
+    modes: ModeGuard
+
     def __init__(self, states: States, motors: Motors, bus: Any, rate: float) -> None:
         self._can, self._bus, self._states, self._motors = import_can(), bus, states, motors
         self.counts, self._rate = Counts(), rate
         labels = map("{} (motor {})".format, motors.names, motors.numbers)
         self._answered = Answers(list(labels))
-        kinds = zip(motors.layouts, motors.numbers)
-        self._joints = {(layout is DM, number): i for i, (layout, number) in enumerate(kinds)}
+        damiao = [layout is DM for layout in motors.layouts]
+        self._joints = {each: i for i, each in enumerate(zip(damiao, motors.numbers))}
         self._packing = Packing(motors)
-        enabled = [ENABLED if layout is DM else 0 for layout in motors.layouts]
+        enabled = np.array(damiao) * ENABLED
         self.modes = ModeGuard("arx", motors.names, enabled, settles=UNDOCUMENTED)
         self._command = Command(states, motors.names, dtype=np.float32)
         self._packing(self._command.rows)
         empty = [frame.tobytes() for frame in self._packing.frames]
-        self._asking = [ENABLE if lay is DM else e for lay, e in zip(motors.layouts, empty)]
+        self._asking = [ENABLE if each else frame for each, frame in zip(damiao, empty)]
         self._error = known(states, "motor_error")
         self._pending: list[Any] = []
         self._asked, self._commanding, self._foreign = -np.inf, False, -np.inf
@@ -183,8 +198,8 @@ class ArxWire:
         self._bus.shutdown()
 
 
+# In [s]: 50 answers at the vendor's 500 Hz, 5 at a tick of 50 Hz.
 SILENCE = 0.1
-"""In [s]: 50 answers at the vendor's 500 Hz, 5 at a tick of 50 Hz."""
 
 
 class Arx(WiredRobot):
@@ -235,3 +250,102 @@ def make(
         )
     wire = ArxWire(states, motors, open_bus(channel or motors.channel, interface), motors.rate)
     return opened(Arx(states, robot, period, wire, silence=silence), connect)
+
+
+# [N·m]: torques of 12 bits have no zero.
+EMPTY = 0.1
+
+
+class ArxEndpoint(Endpoint):
+    """The arm's end of the bus; see `Face`.
+
+    Args:
+        states: of the emulator.
+        robot: its file.
+        channel: of the bus; the robot file's.
+        interface: of python-can; `virtual` is seen in this process alone.
+
+    Attributes:
+        modes: of the motors.
+
+    Raises:
+        PlatformError: the bus cannot be opened.
+        RobotError: the robot file lacks a fact.
+    """
+
+    # Whether motors let go when commands stop is not known.
+    dead_man = math.inf
+
+    def __init__(
+        self, states: States, robot: Robot, *, channel: str = "", interface: str = "virtual"
+    ) -> None:
+        self._states, self._motors = states, Motors.of(robot)
+        channel = channel or self._motors.channel
+        self._bus = open_bus(channel, interface)
+        self.rate, self.where = self._motors.rate, self._bus.channel_info
+        reach = {"channel": channel, "interface": interface, "unverified": True}
+        self.reach: dict[str, object] = reach if interface != "virtual" else {}
+        self.platform = "arx" if self.reach else ""
+        self._can = import_can()
+        self._joints = {number: joint for joint, number in enumerate(self._motors.numbers)}
+        self._on = np.array([ENABLED * (lay is DM) for lay in self._motors.layouts], np.uint8)
+        self._entered = np.zeros_like(self._on)
+        self.modes = EmulatedModes(np.zeros_like(self._on))
+        self._asked: list[int] = []
+
+    @property
+    def obeys(self) -> bool:
+        """Whether all motors are enabled."""
+        return bool((self._entered == self._on).all())
+
+    def hear(self) -> bool:
+        """See `Face`; a command without gains and torque only asks."""
+        heard = False
+        for _ in range(MOST):
+            frame = self._bus.recv(0.0)
+            if frame is None:
+                break
+            joint = self._joints.get(frame.arbitration_id)
+            if joint is None or frame.is_extended_id or len(frame.data) != 8:
+                continue
+            self._asked.append(joint)
+            if bytes(frame.data) == ENABLE:
+                self._entered[joint] = self._on[joint]
+            elif self._entered[joint] == self._on[joint]:
+                heard |= self._commanded(joint, bytes(frame.data))
+        self.modes.command(self._entered, self._states)
+        return heard
+
+    def _commanded(self, joint: int, data: bytes) -> bool:
+        pos, vel, torque, kp, kd = command_of(self._motors.layouts[joint], data)
+        torque /= self._motors.command[joint]
+        figures = (pos, vel, torque, kp, kd)
+        for name, figure in zip(COMMAND_STATES, figures):
+            self._states[name][joint] = figure
+        return kp > 0.0 or kd > 0.0 or abs(torque) > EMPTY
+
+    def tell(self) -> None:
+        """See `Face`: the answers to what was asked."""
+        states, motors = self._states, self._motors
+        for joint in self._asked:
+            told = Reply(
+                motors.numbers[joint],
+                float(states["joint_pos"][joint]),
+                float(states["joint_vel"][joint]),
+                float(states["joint_effort"][joint] / motors.state[joint]),
+                float(states["motor_temperature"][joint]),
+                int(states["motor_error"][joint]),
+                int(self.modes.reported[joint]),
+            )
+            number, data = answer(motors.numbers[joint], motors.layouts[joint], told)
+            self._bus.send(
+                self._can.Message(arbitration_id=number, data=data, is_extended_id=False)
+            )
+        self._asked.clear()
+
+    def close(self) -> None:
+        """See `Face`."""
+        self._bus.shutdown()
+
+
+face = ArxEndpoint

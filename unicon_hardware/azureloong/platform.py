@@ -24,14 +24,13 @@ from unicon_core.states import States
 from unicon_core.states.standard import JOINT_STATES
 from unicon_hardware.azureloong.codec import COPIED, LoongTransport, part
 from unicon_hardware.facts import fact, ipv4
-from unicon_hardware.udp import Udp
-from unicon_hardware.wire import Counts
+from unicon_hardware.wire import Counts, Udp, Wire
 from unicon_hardware.wired_robot import WiredRobot, opened
 
 STAMP = struct.Struct("<d")
 
 
-class AzureWire:
+class AzureWire(Wire):
     """See the module.
 
     Args:
@@ -59,15 +58,15 @@ class AzureWire:
         self.counts, self.where = Counts(), f"{address}:{link.port}"
         self._mounting = Mounting.of(robot)
         self._command = Command(states, robot.joint_names, dtype=np.float32)
-        frame = self._frame = np.zeros(1, link.command)
+        command, kind = link.layouts
+        frame = self._frame = np.zeros(1, command)
         frame["checker"], frame["size"] = link.checker, frame.nbytes
         frame["torque_limit_rate"], frame["filter_rate"] = torque_limit_rate, filter_rate
         self._bytes = self._frame.view(np.uint8).data
-        block = frame.view(np.uint8)[part(link.command, "joint_pos_target", "finger_left")]
+        block = frame.view(np.uint8)[part(command, "joint_pos_target", "finger_left")]
         self._block = block.view("<f4").reshape(self._lower.shape)
         self._stamp, self._plan = -math.inf, 0
         self._asked, self._commanding = -math.inf, False
-        kind = link.state
         self._floats, self._size = part(kind, "rpy", "temperature"), kind.itemsize
         self._heard = bytearray(self._size)
         heard = np.frombuffer(self._heard, kind)[0:1]
@@ -180,8 +179,8 @@ class AzureWire:
 
 
 SHARE = Annotated[float, Within(0.001, 1.0)]
+# In [s]: 20 frames at 200 Hz, a fifth of what the robot allows us.
 SILENCE = 0.1
-"""In [s]: 20 frames at 200 Hz, a fifth of what the robot allows us."""
 
 
 class AzureLoong(WiredRobot):

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from unicon_base.arrays import Index
+from unicon_base.arrays import Array, Index
 from unicon_base.errors import RobotError
 from unicon_base.schema.marks import Key, Text
 from unicon_core.robots import Robot
@@ -24,14 +24,15 @@ from unicon_hardware.dds.maps import (
     Frames,
     Message,
     motors,
+    zeros,
 )
 from unicon_hardware.facts import fact, facts_of, named, one_of, slots, wrong_fact
 from unicon_hardware.wire import Counts
 
 MODES = ("damping", "prepare", "walking", "custom")
 REQUESTS = ("change_mode", "get_mode")
+# Field of MotorState to state.
 MOTOR = MEASURED | {"temperature": "motor_temperature", "reserve[0]": "motor_error"}
-"""Field of MotorState to state."""
 # Place of the first length in a LowState, and bytes of a motor in it.
 _PARALLEL_AT, _MOTOR = 40, 36
 MOST_MOTORS = 64
@@ -73,6 +74,10 @@ class BoosterFacts(DdsFacts):
             RobotError: one lacks, or is not what it must be.
         """
         return facts_of(cls, robot, servo=_servo(robot, fact(robot, "motors", SLOTS)))
+
+    def own(self, joints: int) -> dict[str, Array]:
+        """Return the arrays of the messages that are not states, zero."""
+        return zeros("rpy f4 3, mode i4, cmd_type u4")
 
     @property
     def kind(self) -> int:
@@ -146,7 +151,7 @@ def _servo(robot: Robot, slots: list[int]) -> Index:
 
 
 class LowStates:
-    """Checks and reads LowState; a `Checked` of `DdsEnd`.
+    """Checks and reads LowState, for `Inlet`.
 
     The cranks in front of the joints may be any number; the joints must be the robot's own: a T1
     with arms of 7 joints has 29, a K1 has 22.
@@ -157,27 +162,22 @@ class LowStates:
         self.read = frames.read
 
     def good(self, raw: bytes) -> bool:
-        """Tell whether a message is whole, and of this robot."""
+        """Return whether a message is whole, and of this robot."""
         if not self._frames.good(raw):
             return False
-        cranks = _uint(raw, _PARALLEL_AT)
+        cranks = int.from_bytes(raw[_PARALLEL_AT : _PARALLEL_AT + 4], "little")
         at = _PARALLEL_AT + 4 + _MOTOR * cranks
+        joints = int.from_bytes(raw[at : at + 4], "little")
+        whole, refuse = at + 4 + _MOTOR * joints, self._counts.refuse
         if cranks > MOST_MOTORS or len(raw) < at + 4:
-            self._counts.refuse("short", f"{len(raw)} bytes for {cranks} cranks")
-            return False
-        joints = _uint(raw, at)
-        if joints != self._joints:
-            self._counts.refuse(
+            refuse("short", f"{len(raw)} bytes for {cranks} cranks")
+        elif joints != self._joints:
+            refuse(
                 "another length of motor_state_serial",
                 f"{joints}, not {self._joints}: another variant of the robot",
             )
-            return False
-        whole = at + 4 + _MOTOR * joints
-        if len(raw) != whole:
-            self._counts.refuse("short" if len(raw) < whole else "long", f"{len(raw)}, not {whole}")
-            return False
-        return True
-
-
-def _uint(raw: bytes, at: int) -> int:
-    return int.from_bytes(raw[at : at + 4], "little")
+        elif len(raw) != whole:
+            refuse("short" if len(raw) < whole else "long", f"{len(raw)}, not {whole}")
+        else:
+            return True
+        return False

@@ -16,78 +16,53 @@ import numpy as np
 
 from unicon_base.arrays import Array
 from unicon_base.errors import Fault
-from unicon_core.blocks.controls.device import Controls
-from unicon_core.blocks.controls.remotes import REMOTES
+from unicon_core.blocks.controls.device import REMOTES, Controls
 from unicon_core.platforms.kit.base import Mounting, quat_of_rpy
 from unicon_core.platforms.platform import Facts
-from unicon_core.robots import Robot
-from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES, CONTROL_STATES, JOINT_STATES
 from unicon_hardware.booster.codec import BoosterFacts
 from unicon_hardware.booster.takeover import Client, Takeover
-from unicon_hardware.dds.end import DdsEnd, Inlet, factory_of
-from unicon_hardware.dds.maps import HEADER, Arrays, Message, arrays_of, command_arrays
-from unicon_hardware.dds.participant import Participant
-from unicon_hardware.torso import IMU_STATES
-from unicon_hardware.wire import Counts
+from unicon_hardware.dds.end import DdsWire, factory_of
+from unicon_hardware.dds.maps import HEADER, Arrays, command_arrays
+from unicon_hardware.dds.service import Inlet
+from unicon_hardware.wire import IMU_STATES, Counts
 from unicon_hardware.wired_robot import WiredRobot
 
-EXTRA = "hw-booster"
+# Times that the last words are sent, 2 ms apart.
 LAST = 5
-"""Times that the last words are sent, 2 ms apart."""
 
 
-class BoosterWire(DdsEnd):
+class BoosterWire(DdsWire):
     """The connection to a robot.
 
-    LowState has no number: a robot that repeats itself is not told from one that does not move.
-
-    Args:
-        states: what is measured goes into these, commands come from these.
-        robot: its file.
-        domain: of DDS; None for the robot file's.
-        address: of this machine's network interface, or its name.
-        silent: nothing is sent.
-
-    Raises:
-        UniconError: it cannot be opened.
+    LowState has no number: a robot that repeats itself is not distinguished from one that does not
+    move.
     """
 
-    label, extra = "platform 'booster'", EXTRA
+    label, extra, announced = "platform 'booster'", "hw-booster", True
+    table = BoosterFacts
+    _takeover: Takeover | None = None
 
-    def __init__(
-        self,
-        states: States,
-        robot: Robot,
-        domain: int | None,
-        address: str | None,
-        *,
-        silent: bool = False,
-    ) -> None:
-        facts = BoosterFacts.of(robot)
-        self._states, self._robot, self._facts = states, robot, facts
-        self._rpy = np.zeros(3, np.float32)
+    def _built(self) -> None:
+        states, robot = self._states, self._robot
         self._mounting = Mounting.of(robot)
         self._given = {name: states[name] for name in COMMAND_STATES}
         self._sent = command_arrays(robot.num_joints)
-        self._effort = robot.effort_limit[facts.servo].astype(np.float32)
+        self._effort = robot.effort_limit[self._facts.servo].astype(np.float32)
         self._held: dict[str, Array] | None = None
-        self._client: Client | None = None
-        self._takeover: Takeover | None = None
         self._put = False
-        super().__init__(facts.state_topic, facts.domain, domain, address, announced=True)
-        with self.closing():
-            arrays = arrays_of(states)
-            self.listen(facts.state, facts.state_in(arrays | {"rpy": self._rpy}, self.counts))
-            controls = Controls(states) if "sticks" in states else None
-            self._side = SideTopics(self.participant, facts, arrays, controls)
-            self.watch(facts.command_topic)
-            if not silent:
-                self.speak(facts.command, self._sent)
-                self._client = Client(self.participant, facts.rpc_topic)
-                self._takeover = Takeover(
-                    self._client, facts, lambda: self.matched, self._hold, self.label
-                )
+
+    def _open(self) -> None:
+        facts = self._facts
+        self.listen(facts.state, facts.state_in(self._arrays, self.counts))
+        self._side = SideTopics(self, facts, self._arrays, self._controls)
+        self.watch(facts.command_topic)
+        if not self._silent:
+            self.speak(facts.command, self._sent)
+            self._client = Client(self.participant, facts.rpc_topic)
+            self._takeover = Takeover(
+                self._client, facts, lambda: self.matched, self._hold, self.label
+            )
 
     def take(self) -> int:
         """Bring the newest good frame into the states; return how many good ones have come.
@@ -106,7 +81,7 @@ class BoosterWire(DdsEnd):
 
     def _measured(self) -> None:
         states, mounting = self._states, self._mounting
-        states["base_quat"][...] = mounting.quat(quat_of_rpy(self._rpy))
+        states["base_quat"][...] = mounting.quat(quat_of_rpy(self._own["rpy"]))
         if mounting.turned:
             for name in ("base_ang_vel", "base_lin_acc"):
                 states[name][...] = mounting.vector(states[name])
@@ -162,51 +137,47 @@ class BoosterWire(DdsEnd):
     def close(self) -> None:
         """Leave the robot in its own damping mode, where it was taken, and the domain."""
         try:
-            if self._held is not None and self._client is not None:
-                self._let_go(self._client, self._held)
+            if self._held is not None:
+                self._let_go(self._held)
         finally:
             self._held = None
             super().close()
 
-    def _let_go(self, client: Client, held: dict[str, Array]) -> None:
+    def _let_go(self, held: dict[str, Array]) -> None:
         if not self._put:  # else the damping command has been sent
             held["joint_stiffness"][...] = 0.0
             for _ in range(LAST):
                 self._send(held)
                 time.sleep(0.002)
-        client.ask(self._facts.requests["change_mode"], mode=self._facts.modes["damping"])
+        self._client.ask(self._facts.requests["change_mode"], mode=self._facts.modes["damping"])
         time.sleep(0.002 * LAST)  # for it to leave this machine
 
 
 class SideTopics:
-    """What a T1 tells besides LowState, each on a topic of its own: mode, battery, gamepad.
+    """What a T1 sends besides LowState, each on a topic of its own: mode, battery, gamepad.
 
-    A robot need not tell any of it, and none of it counts as a sign of life.
+    A robot need not send any of it, and none of it counts as a sign of life.
 
     Args:
-        participant: of the robot's domain.
+        end: on the robot's domain.
         facts: of the robot file.
         arrays: states; the battery's are written where they are there.
-        controls: take the gamepad; None where nobody asks for it.
+        controls: take the gamepad; None where it is not needed.
     """
 
     def __init__(
-        self,
-        participant: Participant,
-        facts: BoosterFacts,
-        arrays: Arrays,
-        controls: Controls | None,
+        self, end: DdsWire, facts: BoosterFacts, arrays: Arrays, controls: Controls | None
     ) -> None:
-        self._participant, self._counts = participant, Counts()
-        self._number = np.full((), -1, np.int32)
+        counts, self._number = Counts(), np.full((), -1, np.int32)
         self._names = {value: name for name, value in facts.modes.items()}
         self._was_custom = False
-        self._mode = self._inlet(facts.mode, {"mode": self._number})
+        self._mode = end.inlet(facts.mode, {"mode": self._number}, counts)
         self._others: list[Inlet] = []
         if {"battery_charge", "battery_voltage"} <= set(arrays):
-            self._others.append(self._inlet(facts.battery, arrays))
+            self._others.append(end.inlet(facts.battery, arrays, counts))
         if controls is not None:
-            self._others.append(self._remote(facts.remote, controls))
+            remote, let_go = Remote(controls), controls.let_go
+            self._others.append(end.inlet(facts.remote, remote, counts, forget=let_go))
 
     @property
     def mode(self) -> str:
@@ -224,23 +195,22 @@ class SideTopics:
             return ""
         return "custom" if self.mode == "custom" else "another"
 
-    def _inlet(self, message: Message, arrays: Arrays) -> Inlet:
-        frames = message.frames(arrays, self._counts)
-        reader = self._participant.reader(message.topic, message.struct)
-        return Inlet(reader, frames.good, frames.read, self._counts, message.topic)
 
-    def _remote(self, message: Message, controls: Controls) -> Inlet:
-        size, taken = REMOTES["booster"]
+class Remote:
+    """Checks and reads the gamepad's message, for `Inlet`."""
 
-        def good(raw: bytes) -> bool:
-            return raw[:2] == HEADER and 0 <= len(raw) - len(HEADER) - 2 - size < 4
+    def __init__(self, controls: Controls) -> None:
+        self._controls = controls
+        self._size, self._taken = REMOTES["booster"]
 
-        def read(raw: bytes) -> bool:
-            taken(raw[4 : 4 + size], controls)
-            return True
+    def good(self, raw: bytes) -> bool:
+        """Return whether a message is whole."""
+        return raw[:2] == HEADER and 0 <= len(raw) - len(HEADER) - 2 - self._size < 4
 
-        reader = self._participant.reader(message.topic, message.struct)
-        return Inlet(reader, good, read, self._counts, message.topic, controls.let_go)
+    def read(self, raw: bytes) -> bool:
+        """Bring what is held into the controls."""
+        self._taken(raw[4 : 4 + self._size], self._controls)
+        return True
 
 
 class Booster(WiredRobot):

@@ -12,14 +12,19 @@ ends of the topics' names were seen on the wire of its release 1.6.3).
 from __future__ import annotations
 
 import json
+import math
 import time
 import uuid
 from collections.abc import Callable, Generator
 from functools import partial
 from typing import Any
 
-from unicon_base.errors import Fault
+from unicon_base.errors import Fault, PlatformError
+from unicon_core.platforms.kit.base import rpy_of_quat
+from unicon_core.robots import Robot
+from unicon_core.states import States
 from unicon_hardware.booster.codec import BoosterFacts
+from unicon_hardware.dds.end import DdsEndpoint
 from unicon_hardware.dds.service import Procedure, ServiceEnd
 
 SUCCESS = 0
@@ -69,10 +74,11 @@ class Server(_End):
         self._say(self._types[self.response[0]](asked.uuid, head, body))
 
 
+# Between two requests in [s].
 AGAIN = 0.5
-"""Between two requests in [s]."""
+# How long commands are there before the mode is changed, in [s]; as the vendor's program.
 AHEAD = 0.1
-"""How long commands are there before the mode is changed, in [s]; as the vendor's program."""
+# Status of a refusal, with remedy (booster_robotics_sdk include/booster/robot/rpc/error.hpp).
 CODES = {
     100: "the robot's own controller was too slow; start the robot anew",
     400: "it does not know the mode; its firmware is another generation",
@@ -81,7 +87,6 @@ CODES = {
     501: "bring the robot into prepare mode with the remote, and look at the app",
     502: "its state machine does not go there; bring it into prepare mode with the remote",
 }
-"""Status of a refusal, with remedy (booster_robotics_sdk include/booster/robot/rpc/error.hpp)."""
 
 
 class Takeover(Procedure):
@@ -170,3 +175,121 @@ class Takeover(Procedure):
                 f"{self._what}: the robot refuses request {asked} with status {status}: {why}"
             )
         return body
+
+
+# Mode and battery are told with every so many a frame.
+SELDOM = 50
+BAD_REQUEST, NOT_FROM_HERE = 400, 502
+
+
+class BoosterEndpoint(DdsEndpoint):
+    """An emulated T1: LowState, LowCmd, the service that changes its mode, battery and gamepad.
+
+    Its state machine is stricter than what is public: custom mode from prepare mode alone, and only
+    once a command is there. Not emulated, as it is not public: what the robot does when LowCmd
+    stops, and its cranks, which are sent as its joints.
+
+    Args:
+        states: of the emulator.
+        robot: its file.
+        address: of this machine's network interface, or its name.
+        domain: of DDS, instead of the robot file's.
+        mode: in which it begins: `damping`, `prepare`, `walking` or `custom`.
+
+    Attributes:
+        dead_man: infinity, as what the robot does is not public; 0 in its damping mode.
+        obeys: it is in custom mode.
+        mode: number of its mode.
+
+    Raises:
+        UniconError: the robot file lacks a fact, or the network cannot be used.
+    """
+
+    label, extra, announced = "emulated booster", "hw-booster", True
+    table, platform = BoosterFacts, "booster"
+    _facts: BoosterFacts
+
+    def __init__(
+        self,
+        states: States,
+        robot: Robot,
+        *,
+        address: str = "127.0.0.1",
+        domain: int | None = None,
+        mode: str = "prepare",
+    ) -> None:
+        facts = BoosterFacts.of(robot)
+        if mode not in facts.modes:
+            raise PlatformError(
+                f"{self.label}: mode is {mode!r}; give one of {', '.join(sorted(facts.modes))}"
+            )
+        self._commanded, self._told = False, 0
+        self._build(states, robot, facts, address, domain)
+        self.mode[...] = facts.modes[mode]
+
+    def _open(self) -> None:
+        super()._open()
+        facts, joined = self._facts, self.participant
+        self.mode = self.own["mode"]
+        self._server = Server(joined, facts.rpc_topic)
+        self._seldom = [
+            (joined.writer(told.topic, told.struct), told.encoder(self._arrays).encode)
+            for told in (facts.mode, facts.battery)
+        ]
+
+    @property
+    def obeys(self) -> bool:
+        """Whether commands act."""
+        return int(self.mode) == self._facts.modes["custom"]
+
+    @property
+    def dead_man(self) -> float:
+        """How long it does what it was told last, in [s]."""
+        return 0.0 if int(self.mode) == self._facts.modes["damping"] else math.inf
+
+    def tell(self) -> None:
+        """Send what the robot measures."""
+        self.own["rpy"][...] = rpy_of_quat(self._states["base_quat"])
+        self.put()
+        if self._told % SELDOM == 0:
+            for writer, encode in self._seldom:
+                writer.write(encode())
+        self._told += 1
+
+    def hear(self) -> bool:
+        """Bring the newest good command into the command states, and answer requests."""
+        came = super().hear()
+        self._answer()
+        return came
+
+    def _acts(self) -> bool:
+        right = self._right("cmd_type", self._heard["cmd_type"], self._facts.kind)
+        self._commanded |= right
+        return right and self.obeys
+
+    def _answer(self) -> None:
+        requests = self._facts.requests
+        for asked in self._server.heard():
+            request = number(asked.header, "api_id")
+            if request == requests["get_mode"]:
+                self._server.reply(asked, SUCCESS, mode=int(self.mode))
+            elif request == requests["change_mode"]:
+                self._server.reply(asked, self._changed(number(asked.body, "mode")))
+            else:
+                self._server.reply(asked, BAD_REQUEST)
+
+    def _changed(self, wanted: int | None) -> int:
+        """Change the mode; return the status."""
+        modes = self._facts.modes
+        if wanted is None or wanted not in modes.values():
+            return BAD_REQUEST
+        ready = self.obeys or (self._commanded and int(self.mode) == modes["prepare"])
+        if wanted == modes["custom"] and not ready:
+            return NOT_FROM_HERE
+        self.mode[...] = wanted
+        self._commanded = False
+        self._told = 0  # it tells so at once
+        return SUCCESS
+
+
+face = BoosterEndpoint

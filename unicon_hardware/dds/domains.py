@@ -20,14 +20,14 @@ from threading import Event, Lock, Thread
 from typing import Any
 
 from unicon_base.errors import PlatformError
-from unicon_core.interfaces import ipv4_of
+from unicon_core.latches import ipv4_of
 
+# The parameter that is left out.
 FOREIGN = 0x8007
-"""The parameter that is left out."""
+# Where participants announce themselves (RTPS 2.5, 9.6.2.4).
 GROUP, BASE, PER_DOMAIN = "239.255.0.1", 7400, 250
-"""Where participants announce themselves (RTPS 2.5, 9.6.2.4)."""
+# Between two announcements in [s]; the lease of CycloneDDS is 10 s.
 AGAIN = 1.0
-"""Between two announcements in [s]; the lease of CycloneDDS is 10 s."""
 LARGEST = 65536
 _DATA, _SENTINEL = 0x15, 0x01
 _LITTLE, _INLINE_QOS, _PAYLOAD = 1, 2, 4
@@ -165,7 +165,7 @@ class _Shared:
     address: str | None
     made: Any = None
     announcer: Announcer | None = None
-    users: int = 1
+    users: int = 0
 
 
 _lock = Lock()
@@ -184,27 +184,22 @@ def enter(domain: int, address: str | None, what: str, *, announced: bool) -> No
             "the robot's DDS has to be told of it"
         )
     with _lock:
-        if domain in _domains:
-            _share(_domains[domain], domain, address, what, announced=announced)
-        else:
-            _domains[domain] = _configured(domain, address, what, announced=announced)
-
-
-def _share(
-    shared: _Shared, domain: int, address: str | None, what: str, *, announced: bool
-) -> None:
-    if shared.address != address:
-        raise PlatformError(
-            f"{what}: domain {domain} is open on {shared.address or 'the interface by default'} in "
-            f"this process, and not on {address or 'that by default'}; give both the same "
-            "address, or another domain"
-        )
-    if announced and shared.announcer is None:
-        raise PlatformError(
-            f"{what}: domain {domain} is open in this process for another platform, which older "
-            f"Fast DDS does not see; give one of them a process of its own: platform: {{child: …}}"
-        )
-    shared.users += 1
+        shared = _domains.get(domain)
+        if shared is None:
+            shared = _domains[domain] = _configured(domain, address, what, announced=announced)
+        elif shared.address != address:
+            raise PlatformError(
+                f"{what}: domain {domain} is open on "
+                f"{shared.address or 'the interface by default'} in this process, and not on "
+                f"{address or 'that by default'}; give both the same address, or another domain"
+            )
+        elif announced and shared.announcer is None:
+            raise PlatformError(
+                f"{what}: domain {domain} is open in this process for another platform, which "
+                "older Fast DDS does not see; give one of them a process of its own: platform: "
+                "{child: …}"
+            )
+        shared.users += 1
 
 
 def _configured(domain: int, address: str | None, what: str, *, announced: bool) -> _Shared:

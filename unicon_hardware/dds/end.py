@@ -1,141 +1,55 @@
-"""DdsEnd: one end of a robot's topics, for wires of drivers and for faces of emulators.
+"""Both ends of a robot's topics over DDS, made of the facts of its robot file.
 
-class MyWire(DdsEnd):
-    label = "platform 'mine'"
+class MyWire(DdsWire):                          # the driver's end, a `Wire`
+    label, table = "platform 'mine'", MyFacts
 
-    def __init__(self, …):
-        super().__init__(facts.state_topic, facts.domain, domain, address)
-        with self.closing():
-            self.listen(facts.state, arrays)
-            self.speak(facts.command, arrays)
+class MyEndpoint(DdsEndpoint):                  # the robot's end, for the emulator
+    label, table, platform = "emulated mine", MyFacts, "mine"
 
-It has `take`, `wait`, `put`, `warm_up`, `commanders` and `close` of a `Wire`.
+make = factory_of(MyRobot, MyWire)
+
+A vendor's `DdsFacts` declare messages, modes and arrays of their own; hooks do what is odd.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Protocol, TypeVar
+from typing import Any, ClassVar, TypeVar
 
-from unicon_base.errors import Fault
+import numpy as np
+from numpy.typing import ArrayLike
+
+from unicon_base.arrays import Array
+from unicon_core.blocks.controls.device import Controls
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_hardware.dds.maps import Arrays, Message
-from unicon_hardware.dds.participant import Participant, Reader, Writer
-from unicon_hardware.wire import Counts
+from unicon_core.states.standard import COMMAND_STATES, hardware_states
+from unicon_hardware.dds.maps import Arrays, Message, arrays_of, command_arrays
+from unicon_hardware.dds.participant import Participant, Writer
+from unicon_hardware.dds.service import Inlet
+from unicon_hardware.endpoint import EmulatedModes, Endpoint
+from unicon_hardware.modes import UNDOCUMENTED, ModeGuard
+from unicon_hardware.wire import Counts, Wire
 from unicon_hardware.wired_robot import SILENCE, WiredRobot, opened
 
 R = TypeVar("R", bound=WiredRobot)
-
-
-class Inlet:
-    """Messages of whoever sent the first good one, until that sender has gone.
-
-    Args:
-        reader: of the topic.
-        good: whether a message may be read; it counts what it refuses.
-        read: reads a message; where it returns False, the one before it is read.
-        counts: gets the good ones, and those of others.
-        where: topic and domain, for messages.
-        forget: called when the sender has gone: the next one begins anew.
-        anyone: whoever sends is read, as a robot does with commands.
-    """
-
-    def __init__(
-        self,
-        reader: Reader,
-        good: Callable[[bytes], bool],
-        read: Callable[[bytes], bool],
-        counts: Counts,
-        where: str,
-        forget: Callable[[], None] = lambda: None,
-        *,
-        anyone: bool = False,
-    ) -> None:
-        self._reader, self._good, self._read = reader, good, read
-        self._counts, self._where, self._forget = counts, where, forget
-        self._anyone = anyone
-        self._source: int | None = None
-        self._ahead = 0
-        self._fault: Fault | None = None
-
-    def wait(self, timeout: float) -> bool:
-        """Return True once something is there, False after `timeout` in [s]."""
-        return bool(self._ahead) or self._fault is not None or self._reader.wait(timeout)
-
-    def read_ahead(self) -> None:
-        """Do now what `take` would do; it tells of it, of a fault too, when it is called."""
-        if self._fault is None:
-            try:
-                self._ahead += self._take()
-            except Fault as fault:
-                self._fault = fault
-
-    def take(self) -> int:
-        """Read the newest good message; return how many good ones have come."""
-        fault, ahead = self._fault, self._ahead
-        self._fault, self._ahead = None, 0
-        if fault is not None:
-            raise fault
-        return ahead + self._take()
-
-    def _take(self) -> int:
-        good: list[bytes] = []
-        for raw, info in self._reader.take():
-            if not info.valid_data:
-                if info.publication_handle == self._source:
-                    self._anew()
-            elif self._own(info.publication_handle) and self._good(raw):
-                self._source = info.publication_handle
-                good.append(raw)
-        number = len(good)
-        while good and not self._read(good.pop()):
-            number -= 1
-        self._counts.good += number
-        return number
-
-    def _anew(self) -> None:
-        self._source = None
-        self._forget()
-
-    def _own(self, source: int) -> bool:
-        if self._anyone or self._source in (None, source):
-            return True
-        if self._source not in self._reader.sources:  # it has gone, and another robot has come
-            self._anew()
-            return True
-        self._counts.refuse("another sender", f"{self._where} has two")
-        return False
-
-
-class Checked(Protocol):
-    """What looks at messages and reads them, such as `Frames`."""
-
-    def good(self, raw: bytes) -> bool:
-        """Tell whether a message may be read; count what may not."""
-        ...
-
-    def read(self, raw: bytes) -> bool:
-        """Read a good one; where it is refused nothing is written."""
-        ...
 
 
 class DdsEnd:
     """Topics that are listened to, and topics that are spoken on.
 
     Args:
+        facts: of the robot file's transport.
         topic: for messages.
-        own: domain of DDS that the robot file says.
-        domain: instead of it; None for that.
+        domain: of DDS, in place of the robot file's.
         address: of this machine's network interface, or its name; None for the default.
-        ahead: `warm_up` reads what is there already, so that what is read into must be arrays of
-            the wire's own until `take` is called.
-        announced: see `Participant`.
 
     Attributes:
         label: stands in front of messages.
         extra: of the package, which installs cyclonedds.
+        table: class of the facts.
+        announced: see `Participant`.
         participant: of the domain.
         counts: of what came in.
         where: topic and domain.
@@ -144,23 +58,15 @@ class DdsEnd:
         UniconError: it cannot be opened.
     """
 
-    label, extra = "", "hw-unitree"
+    label, extra, announced = "", "hw-unitree", False
+    table: ClassVar[Any]
 
-    def __init__(
-        self,
-        topic: str,
-        own: int,
-        domain: int | None,
-        address: str | None,
-        *,
-        ahead: bool = False,
-        announced: bool = False,
-    ) -> None:
-        domain = own if domain is None else domain
-        self.where = f"{topic} of DDS domain {domain}"
-        self.counts = Counts()
-        self._ahead = ahead
-        self.participant = Participant(domain, address, self.label, self.extra, announced=announced)
+    def _join(self, facts: Any, topic: str, domain: int | None, address: str | None) -> None:
+        domain = facts.domain if domain is None else domain
+        self.where, self.counts = f"{topic} of DDS domain {domain}", Counts()
+        self.participant = Participant(
+            domain, address, self.label, self.extra, announced=self.announced
+        )
         self._inlets: list[Inlet] = []
         self._outlets: list[tuple[Writer, Callable[[], bytes]]] = []
         self._commands: list[str] = []
@@ -174,21 +80,15 @@ class DdsEnd:
             self.close()
             raise
 
-    def listen(
-        self,
-        message: Message,
-        into: Arrays | Checked,
-        *,
-        forget: Callable[[], None] = lambda: None,
-        anyone: bool = False,
-    ) -> None:
-        """Read a message into arrays, or with what checks and reads it; see `Inlet`."""
-        frames = message.frames(into, self.counts) if isinstance(into, Mapping) else into
+    def inlet(self, message: Message, into: Any, counts: Counts, **how: Any) -> Inlet:
+        """Return what reads a message into arrays, or with what checks and reads it."""
+        frames = message.frames(into, counts) if isinstance(into, Mapping) else into
         reader = self.participant.reader(message.topic, message.struct, message.name)
-        inlet = Inlet(
-            reader, frames.good, frames.read, self.counts, self.where, forget, anyone=anyone
-        )
-        self._inlets.append(inlet)
+        return Inlet(reader, frames, counts, self.where, **how)
+
+    def listen(self, message: Message, into: Any, **how: Any) -> None:
+        """Read a message each time `take` is called; arguments as of `inlet` and `Inlet`."""
+        self._inlets.append(self.inlet(message, into, self.counts, **how))
 
     def speak(self, message: Message, of: Arrays | Callable[[], bytes]) -> None:
         """Write a message of arrays, or what a function returns, each time `put` is called."""
@@ -213,7 +113,7 @@ class DdsEnd:
         return number
 
     def _measured(self) -> None:
-        """Make what the states shall be of the arrays that were read."""
+        """Make the states of the arrays that were read."""
 
     def wait(self, timeout: float) -> bool:
         """Return True once something is there on the first topic, False after `timeout` in [s]."""
@@ -226,23 +126,12 @@ class DdsEnd:
             Fault: CycloneDDS refuses it.
         """
         for writer, encode in self._outlets:
-            raw = encode()
-            writer.write(raw + bytes(-len(raw) % 4))
+            writer.write(encode())
 
     def warm_up(self) -> None:
-        """Read ahead, and do what `put` does, but send nothing to the robot."""
-        if self._ahead:
-            for inlet in self._inlets:
-                inlet.read_ahead()
+        """Do what `put` does, but send nothing to the robot."""
         for writer, encode in self._outlets:
             writer.warm_up(encode())
-
-    @property
-    def reach(self) -> dict[str, object]:
-        """Options `address` and `domain` of a platform for the other end; see `Face`."""
-        participant = self.participant
-        where = {} if participant.address is None else {"address": participant.address}
-        return {**where, "domain": participant.domain}
 
     @property
     def matched(self) -> bool:
@@ -258,14 +147,170 @@ class DdsEnd:
         self.participant.close()
 
 
-def factory_of(
-    kind: type[R], wire: Callable[..., DdsEnd], silence: float = SILENCE
-) -> Callable[..., R]:
+class DdsWire(DdsEnd, Wire):
+    """The driver's end: it reads `facts.state`, and sends `facts.command`.
+
+    Args:
+        states: what is measured goes into these, commands come from these.
+        robot: its file.
+        domain: of DDS; None for the robot file's.
+        address: of this machine's network interface, or its name; None for the default.
+        silent: nothing is sent.
+        options: of the facts.
+
+    Attributes:
+        settles: as of `ModeGuard`; infinity where no public source says what motors report.
+
+    Raises:
+        UniconError: it cannot be opened.
+    """
+
+    settles = UNDOCUMENTED
+
+    def __init__(
+        self,
+        states: States,
+        robot: Robot,
+        domain: int | None,
+        address: str | None,
+        *,
+        silent: bool = False,
+        **options: Any,
+    ) -> None:
+        facts = self._facts = self.table.of(robot, **options)
+        self._states, self._robot, self._silent = states, robot, silent
+        self._own = facts.own(robot.num_joints)
+        self._controls = Controls(states) if "sticks" in states else None
+        if "modes" in self._own:
+            self.modes = ModeGuard(self.label, robot.joint_names, facts.modes, settles=self.settles)
+            self.modes.reported = self._own["modes"]
+        self._arrays = arrays_of(states) | self._own
+        self._built()
+        self._join(facts, facts.state_topic, domain, address)
+        with self.closing():
+            self._open()
+
+    def _built(self) -> None:
+        """Make what has to be there before it opens."""
+
+    def _open(self) -> None:
+        """Begin to listen, and to speak unless `silent`."""
+        facts = self._facts
+        self.listen(facts.state, facts.state_in(self._arrays, self.counts))
+        self.watch(facts.command_topic)
+        if not self._silent:
+            self.speak(facts.command, self._arrays)
+
+
+class DdsEndpoint(DdsEnd, Endpoint):
+    """The robot's end: it sends `facts.state`, and hears `facts.command`.
+
+    What the robot does without commands is not public: it goes on with the last one.
+
+    Args:
+        states: of the emulator; where those of hardware lack, what they begin with is sent.
+        robot: its file.
+        address: of this machine's network interface, or its name.
+        domain: of DDS, in place of the robot file's.
+
+    Attributes:
+        rate: of its state in [Hz].
+        own: what it sends besides states, by name; `modes` are those of its motors.
+        modes: of the motors, where commands say theirs: those of the last one.
+
+    Raises:
+        UniconError: the robot file lacks a fact, or the network cannot be used.
+    """
+
+    modes: EmulatedModes
+
+    def __init__(
+        self,
+        states: States,
+        robot: Robot,
+        *,
+        address: str | None = "127.0.0.1",
+        domain: int | None = None,
+    ) -> None:
+        self._build(states, robot, self.table.of(robot), address, domain)
+
+    def _build(
+        self, states: States, robot: Robot, facts: Any, address: str | None, domain: int | None
+    ) -> None:
+        n = robot.num_joints
+        self.rate, self._facts, self._states = facts.rate, facts, states
+        self.own, heard = facts.own(n), facts.own(n)
+        self._heard = command_arrays(n) | heard
+        if "modes" in self.own:
+            self.modes = EmulatedModes(self.own["modes"])
+        self._built()
+        unless = States(hardware_states(robot.joint_names))
+        self._arrays = arrays_of(unless) | arrays_of(states) | self.own
+        self._join(facts, facts.command_topic, domain, address)
+        with self.closing():
+            self._open()
+
+    def _built(self) -> None:
+        """Make what has to be there before it opens."""
+
+    @property
+    def reach(self) -> dict[str, object]:
+        """Options `address` and `domain` of the platform."""
+        at = self.participant
+        where = {} if at.address is None else {"address": at.address}
+        return {**where, "domain": at.domain}
+
+    def _open(self) -> None:
+        """Begin to speak and to listen."""
+        facts = self._facts
+        self.speak(facts.state, self._arrays)
+        self._frames = facts.command_in(self._heard, self.counts)
+        self.listen(facts.command, self, anyone=True)
+
+    def tell(self) -> None:
+        """Send what the robot measures."""
+        self.put()
+
+    def hear(self) -> bool:
+        """Bring the newest command that acts into the command states; True where one came."""
+        return bool(self.take())
+
+    def good(self, raw: bytes) -> bool:
+        """Return whether a command acts; count what does not."""
+        return bool(self._frames.good(raw) and self._frames.read(raw) and self._acts())
+
+    def read(self, raw: bytes) -> bool:
+        """Bring a command that acts into the command states."""
+        read = bool(self._frames.read(raw))
+        if read:
+            self._act()
+        return read
+
+    def _acts(self) -> bool:
+        """Return whether a command acts; it is counted where it does not."""
+        raise NotImplementedError
+
+    def _act(self) -> None:
+        """Bring the command that came into the command states."""
+        for name in COMMAND_STATES:
+            self._states[name][...] = self._heard[name]
+        if "modes" in self._heard:
+            self.modes.command(self._heard["modes"], self._states)
+
+    def _right(self, reason: str, said: Array, wanted: ArrayLike) -> bool:
+        """Return whether a command says what is wanted; it is counted where it does not."""
+        right = bool((said == wanted).all())
+        if not right:
+            self.counts.refuse(reason, f"{said.tolist()}, not {np.unique(wanted).tolist()}")
+        return right
+
+
+def factory_of(kind: type[R], wire: type[DdsWire], silence: float = SILENCE) -> Callable[..., R]:
     """Return the factory of a platform, which stands as `make` in the module of its class.
 
     Args:
         kind: its class.
-        wire: makes the wire of states, robot, domain, address and `silent`.
+        wire: class of its wire.
         silence: default of the option, in [s].
     """
     usual = silence

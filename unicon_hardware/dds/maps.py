@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, TypeAlias
 
@@ -16,7 +16,7 @@ from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_hardware.dds.participant import LARGEST_DOMAIN
 from unicon_hardware.facts import Rate, Transport
-from unicon_hardware.wire import Counts
+from unicon_hardware.wire import Counts, frame_type
 from unicon_msgs_map import Decoder, Encoder, MessageMap, PublishSpec, SubscribeSpec, parse_map
 from unicon_msgs_map.codec.checksum import unitree_crc
 from unicon_msgs_map.layout.messages import Struct, shared_messages
@@ -24,10 +24,10 @@ from unicon_msgs_map.layout.paths import Reference, parse_path
 from unicon_msgs_map.layout.walker import static_size
 from unicon_msgs_map.spec import FieldSpec
 
+# Plain CDR (XCDR1), little endian: all that these robots send. XCDR2 has other sizes.
 HEADER = b"\x00\x01"
-"""Plain CDR (XCDR1), little endian: all that these robots send. XCDR2 has other sizes."""
+# Bytes to a multiple of 4 that may follow a message, without being told.
 PADDING = 3
-"""Bytes to a multiple of 4 that may follow a message, without being told."""
 
 
 class Frames:
@@ -119,6 +119,7 @@ def offset_of(message: Struct, name: str) -> int:
 Arrays: TypeAlias = Mapping[str, Array]
 Domain = Annotated[int, Within(0, LARGEST_DOMAIN)]
 
+# Field of MotorCmd, which Unitree, PND and Dobot call the same, to state.
 COMMANDS = {
     "q": "joint_pos_target",
     "dq": "joint_vel_target",
@@ -126,11 +127,10 @@ COMMANDS = {
     "kp": "joint_stiffness",
     "kd": "joint_damping",
 }
-"""Field of MotorCmd, which Unitree, PND and Dobot call the same, to state."""
+# Field of MotorState to state.
 MEASURED = {"q": "joint_pos", "dq": "joint_vel", "tau_est": "joint_effort"}
-"""Field of MotorState to state."""
+# Field of IMUState to state.
 IMU = {"quaternion": "base_quat", "gyroscope": "base_ang_vel", "accelerometer": "base_lin_acc"}
-"""Field of IMUState to state."""
 
 
 def arrays_of(states: States) -> dict[str, Array]:
@@ -144,6 +144,12 @@ def arrays_of(states: States) -> dict[str, Array]:
 def command_arrays(joints: int) -> dict[str, Array]:
     """Return arrays for a command, zero."""
     return {name: np.zeros(joints, np.float32) for name in COMMAND_STATES}
+
+
+def zeros(fields: str) -> dict[str, Array]:
+    """Return arrays that a table declares, zero: `"tick u4, modes u1 12"`, as of `frame_type`."""
+    kind = frame_type(fields)
+    return {name: np.zeros(kind[name].shape, kind[name].base) for name in kind.names or ()}
 
 
 def motors(
@@ -248,11 +254,11 @@ def _sent(said: Any) -> Any:
 
 
 class Messages:
-    """What robot and driver say: the base of facts that have `state` and `command`."""
+    """Messages of robot and driver: the base of facts that have `state` and `command`."""
 
     @property
     def state(self) -> Message:
-        """What the robot tells."""
+        """What the robot sends."""
         raise NotImplementedError
 
     @property
@@ -260,21 +266,17 @@ class Messages:
         """What the robot takes."""
         raise NotImplementedError
 
+    def own(self, joints: int) -> dict[str, Array]:
+        """Return the arrays of the messages that are not states, zero."""
+        return {}
+
     def state_in(self, arrays: Arrays, counts: Counts) -> Any:
         """Return what reads the state into those arrays that are there."""
         return self.state.frames(arrays, counts)
 
-    def state_out(self, arrays: Arrays) -> Callable[[], bytes]:
-        """Return what makes the state."""
-        return self.state.encoder(arrays).encode
-
     def command_in(self, arrays: Arrays, counts: Counts) -> Frames:
         """Return what reads the command, as the robot does."""
         return self.command.frames(arrays, counts)
-
-    def command_out(self, arrays: Arrays) -> Callable[[], bytes]:
-        """Return what makes the command."""
-        return self.command.encoder(arrays).encode
 
 
 @dataclass(frozen=True)

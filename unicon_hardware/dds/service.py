@@ -1,4 +1,7 @@
-"""Services of robots, asked step by step; messages as rosbags' objects, not for the hot path."""
+"""What is heard on topics of robots: `Inlet`, for the tick; and services, asked step by step.
+
+Messages of services are rosbags' objects, not for the hot path.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +11,90 @@ from collections.abc import Callable, Generator, Iterator
 from typing import Any, ClassVar, TypeVar
 
 from unicon_base.errors import Fault
-from unicon_hardware.dds.participant import Participant
+from unicon_hardware.dds.participant import Participant, Reader
+from unicon_hardware.wire import Counts
 from unicon_msgs_map.layout.messages import shared_messages
 
 T = TypeVar("T")
+
+
+class Inlet:
+    """Messages of the sender of the first good one, until that sender has gone.
+
+    Args:
+        reader: of the topic.
+        frames: checks and reads messages: `good` counts what it refuses; where `read` returns
+            False, the message before is read.
+        counts: gets the good ones, and those of others.
+        where: topic and domain, for messages.
+        forget: called when the sender has gone: another one may follow.
+        anyone: messages of all senders are read, as a robot does with commands.
+    """
+
+    def __init__(
+        self,
+        reader: Reader,
+        frames: Any,
+        counts: Counts,
+        where: str,
+        forget: Callable[[], None] = lambda: None,
+        *,
+        anyone: bool = False,
+    ) -> None:
+        self._reader, self._frames, self._counts, self._where = reader, frames, counts, where
+        self._forget, self._anyone = forget, anyone
+        self._source: int | None = None
+        self._ahead = 0
+        self._fault: Fault | None = None
+
+    def wait(self, timeout: float) -> bool:
+        """Return True once something is there, False after `timeout` in [s]."""
+        return bool(self._ahead or self._fault) or self._reader.wait(timeout)
+
+    def read_ahead(self) -> None:
+        """Do now what `take` would do; `take` then returns it, or raises its fault."""
+        if self._fault is None:
+            try:
+                self._ahead += self._take()
+            except Fault as fault:
+                self._fault = fault
+
+    def take(self) -> int:
+        """Read the newest good message; return how many good ones have come."""
+        fault, ahead = self._fault, self._ahead
+        self._fault, self._ahead = None, 0
+        if fault is not None:
+            raise fault
+        return ahead + self._take()
+
+    def _take(self) -> int:
+        good: list[bytes] = []
+        for raw, info in self._reader.take():
+            source = info.publication_handle
+            if not info.valid_data:
+                if source == self._source:
+                    self._anew()
+            elif self._own(source) and self._frames.good(raw):
+                self._source = source
+                good.append(raw)
+        number = len(good)
+        while good and not self._frames.read(good.pop()):
+            number -= 1
+        self._counts.good += number
+        return number
+
+    def _anew(self) -> None:
+        self._source = None
+        self._forget()
+
+    def _own(self, source: int) -> bool:
+        if self._anyone or self._source in (None, source):
+            return True
+        if self._source not in self._reader.sources:  # it has gone, and another robot has come
+            self._anew()
+            return True
+        self._counts.refuse("another sender", f"{self._where} has two")
+        return False
 
 
 class ServiceEnd:
@@ -56,9 +139,7 @@ class ServiceEnd:
                 yield said
 
     def _say(self, message: Any) -> None:
-        """Write a message, zeros behind it up to a multiple of 4."""
-        raw = bytes(self._store.serialize_cdr(message, message.__msgtype__))
-        self._writer.write(raw + bytes(-len(raw) % 4))
+        self._writer.write(bytes(self._store.serialize_cdr(message, message.__msgtype__)))
 
 
 class Procedure:

@@ -1,4 +1,4 @@
-"""Messages of an Atom, made of a robot file; for both ends of the wire.
+"""Messages of an Atom, made of a robot file, for both ends of the wire; its emulator endpoint.
 
 Legs ("lower") and torso, arms, head ("upper") have topics of their own. Angular velocity is in
 [deg/s] on the wire. Of UpperState there are two layouts of one name: the SDK's header has no IMU,
@@ -16,7 +16,10 @@ import numpy as np
 from unicon_base.arrays import Array
 from unicon_base.errors import PlatformError
 from unicon_base.schema.marks import Key, Text
+from unicon_core.platforms.kit.base import IMU_STATES
 from unicon_core.robots import Robot
+from unicon_core.states import States
+from unicon_hardware.dds.end import DdsEndpoint
 from unicon_hardware.dds.maps import (
     COMMANDS,
     IMU,
@@ -25,13 +28,14 @@ from unicon_hardware.dds.maps import (
     Message,
     Messages,
     motors,
+    zeros,
 )
 from unicon_hardware.facts import Octet, Rate, facts_of, joint_number, wrong_fact
+from unicon_hardware.wire import Counts, turned
 
+# Option `layout` to the type of UpperState.
 LAYOUTS = {"sdk": "dobot_atom/msg/UpperState", "ros2": "dobot_atom/msg/UpperStateImu"}
-"""Option `layout` to the type of UpperState."""
-REMOTE = 40
-"""Bytes of the remote."""
+# Motors of either half.
 LOWER, UPPER = 12, 17
 
 
@@ -61,7 +65,7 @@ class Half(Messages):
         told = MEASURED | {"motor_temp": "motor_temperature", "mode": "modes"}
         fields: dict[str, Any] = motors("motor_state", range(self.count), told, self.first)
         if self.first:
-            fields |= {"is_upper_control": "upper_control"}
+            fields["is_upper_control"] = "upper_control"
             name = "dobot_atom.msg.dds_.UpperState_"
             return Message(self.state_topic, self.kind[0], fields, name=name)
         fields |= {f"imu_state.{field}": name for field, name in IMU.items()}
@@ -92,7 +96,7 @@ class DobotFacts:
         rate: of the states in [Hz].
         lower_state_topic, lower_command_topic: of the legs.
         upper_state_topic, upper_command_topic: of torso, arms and head.
-        mode: byte `mode` of motors' commands.
+        modes: byte `mode` of motors' commands.
         waist: number of the joint between pelvis and the torso with the IMU.
         fsm_topic: takes the number of a state of the robot's own state machine.
         switch_topic: takes whether the arms are ours.
@@ -105,7 +109,7 @@ class DobotFacts:
     lower_command_topic: Text
     upper_state_topic: Text
     upper_command_topic: Text
-    mode: Annotated[Octet, Key("motor_mode")]
+    modes: Annotated[Octet, Key("motor_mode")]
     waist: Annotated[int, Key("waist_joint"), joint_number]
     fsm_topic: Text
     switch_topic: Text
@@ -128,11 +132,20 @@ class DobotFacts:
                 "IMU) or ros2 (with one)"
             )
         facts = facts_of(cls, robot, layout=layout)
-        for half, key in ((facts.lower, "lower_motors"), (facts.upper, "upper_motors")):
+        for half, key in zip(facts.halves, ("lower_motors", "upper_motors")):
             last = half.first + half.count - 1
             if [*(robot.transport.get(key) or ())] != [*range(half.first, last + 1)]:
                 raise wrong_fact(robot, key, f"{half.first} to {last}, the only order known")
         return facts
+
+    def own(self, joints: int) -> dict[str, Array]:
+        """Return the arrays of the messages that are not states, zero."""
+        return zeros(f"fsm_id u2, upper_control u1, remote u1 40, modes u1 {joints}")
+
+    @property
+    def state_topic(self) -> str:
+        """Of both halves, for messages."""
+        return f"{self.lower_state_topic} and {self.upper_state_topic}"
 
     @property
     def command_topic(self) -> str:
@@ -140,18 +153,15 @@ class DobotFacts:
         return self.lower_command_topic
 
     @property
-    def lower(self) -> Half:
-        """The legs."""
-        topics = self.lower_state_topic, self.lower_command_topic
-        kind = "dobot_atom/msg/LowerState", "dobot_atom/msg/LowerCmd"
-        return Half(0, LOWER, *topics, kind, self.mode)
-
-    @property
-    def upper(self) -> Half:
-        """Torso, arms and head."""
+    def halves(self) -> tuple[Half, Half]:
+        """The legs; torso, arms and head."""
+        lower = "dobot_atom/msg/LowerState", "dobot_atom/msg/LowerCmd"
+        upper = LAYOUTS[self.layout], "dobot_atom/msg/UpperCmd"
         topics = self.upper_state_topic, self.upper_command_topic
-        kind = LAYOUTS[self.layout], "dobot_atom/msg/UpperCmd"
-        return Half(LOWER, UPPER, *topics, kind, self.mode)
+        return (
+            Half(0, LOWER, self.lower_state_topic, self.lower_command_topic, lower, self.modes),
+            Half(LOWER, UPPER, *topics, upper, self.modes),
+        )
 
     @property
     def fsm(self) -> Message:
@@ -164,11 +174,91 @@ class DobotFacts:
         return Message(self.switch_topic, "dobot_atom/msg/SwitchUpperControl", {"flag": "flag"})
 
 
-def own_arrays() -> dict[str, Array]:
-    """Return the arrays of the messages that are not states, zero; for both ends of the wire."""
-    return {
-        "fsm_id": np.zeros((), np.uint16),
-        "upper_control": np.zeros((), np.uint8),
-        "remote": np.zeros(REMOTE, np.uint8),
-        "modes": np.zeros(LOWER + UPPER, np.uint8),
-    }
+class DobotEndpoint(DdsEndpoint):
+    """An emulated Atom: both states, both commands, its state machine's number, the arms' switch.
+
+    Not emulated, as it is not public: what its state machine does, and what the robot does when
+    commands stop.
+
+    Args:
+        states: of the emulator.
+        robot: its file.
+        address: of this machine's network interface, or its name.
+        domain: of DDS, instead of the robot file's.
+        layout: of UpperState, `sdk` or `ros2`.
+        acts_in: state of its state machine in which joint commands act; it begins in 0.
+
+    Attributes:
+        obeys: its state machine is where joint commands act, and the arms are switched over.
+
+    Raises:
+        UniconError: the robot file lacks a fact, or the network cannot be used.
+    """
+
+    label, extra, platform = "emulated dobot", "hw-dobot", "dobot"
+
+    def __init__(
+        self,
+        states: States,
+        robot: Robot,
+        *,
+        address: str | None = "127.0.0.1",
+        domain: int | None = None,
+        layout: str = "sdk",
+        acts_in: int = 2,
+    ) -> None:
+        self._acts_in, self._came = acts_in, (False, False)
+        self._build(states, robot, DobotFacts.of(robot, layout), address, domain)
+
+    def _built(self) -> None:
+        self._imu = {name: np.array(self._states[name]) for name in IMU_STATES}
+        self.own |= self._imu
+        self._asked = zeros("id u2, flag u1")
+
+    def _open(self) -> None:
+        facts = self._facts
+        for half in facts.halves:
+            self.speak(half.state, self._arrays)
+            self.listen(half.command, self._heard, anyone=True)
+        for message in (facts.fsm, facts.switch):
+            self.listen(message, message.frames(self._asked, Counts()), anyone=True)
+
+    @property
+    def reach(self) -> dict[str, object]:
+        """Options of the platform."""
+        return {**super().reach, "layout": self._facts.layout, "fsm_id": self._acts_in}
+
+    @property
+    def obeys(self) -> bool:
+        """Whether commands act."""
+        return int(self.own["fsm_id"]) == self._acts_in and bool(self.own["upper_control"])
+
+    def tell(self) -> None:
+        """Send what the robot measures."""
+        states, waist = self._states, self._facts.waist
+        angle, rate = (-float(states[name][waist]) for name in ("joint_pos", "joint_vel"))
+        turned({name: states[name] for name in IMU_STATES}, self._imu, angle, rate)
+        self.put()
+
+    def hear(self) -> bool:
+        """Answer requests, and bring the newest good commands into the command states."""
+        lower, upper, fsm, switch = self._inlets
+        if fsm.take():
+            self.own["fsm_id"][...] = self._asked["id"]
+        if switch.take():
+            self.own["upper_control"][...] = self._asked["flag"]
+        came = bool(lower.take()), bool(upper.take())
+        self._came = self._came[0] or came[0], self._came[1] or came[1]
+        if not any(came) or not all(self._came) or not self._acts():
+            return False
+        self._act()
+        return True
+
+    def _acts(self) -> bool:
+        if not self.obeys:
+            self.counts.refuse("its own controller commands", f"state {int(self.own['fsm_id'])}")
+            return False
+        return self._right("motor mode", self._heard["modes"], self._facts.modes)
+
+
+face = DobotEndpoint

@@ -14,29 +14,27 @@ public, and the arms must be switched over besides (Dobot-Arm/dobot_atom_ros2 "D
 from __future__ import annotations
 
 from collections.abc import Callable, Generator
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from unicon_base.arrays import Array
 from unicon_base.errors import Fault, PlatformError
-from unicon_core.blocks.controls.device import Controls
-from unicon_core.blocks.controls.remotes import dobot
+from unicon_core.blocks.controls.device import dobot
 from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import CONTROL_STATES, JOINT_STATES
-from unicon_hardware.dds.end import DdsEnd
+from unicon_hardware.dds.end import DdsWire
 from unicon_hardware.dds.maps import Message
 from unicon_hardware.dds.participant import Participant
 from unicon_hardware.dds.service import Procedure
-from unicon_hardware.dobot.codec import DobotFacts, own_arrays
-from unicon_hardware.modes import UNDOCUMENTED, ModeGuard
-from unicon_hardware.torso import IMU_STATES, turned
+from unicon_hardware.dobot.codec import DobotFacts
+from unicon_hardware.wire import IMU_STATES, turned
 from unicon_hardware.wired_robot import SILENCE, WiredRobot, opened
 
+# Between two requests, in [s].
 AGAIN = 0.2
-"""Between two requests, in [s]."""
 
 
 class Takeover(Procedure):
@@ -101,17 +99,15 @@ def _asking(participant: Participant, message: Message, value: int) -> Callable[
     writer = participant.writer(message.topic, message.struct)
     wanted = np.array(value, np.uint16)
     raw = message.encoder(dict.fromkeys(message.fields, wanted)).encode()
-    raw += bytes(-len(raw) % 4)
     return lambda: writer.write(raw)
 
 
-EXTRA = "hw-dobot"
-
-
-class DobotWire(DdsEnd):
+class DobotWire(DdsWire):
     """The connection to a robot; a frame is one of its legs with one of what is above them.
 
-    Neither state has a number: a robot that repeats itself is not told from one that does not move.
+    Neither state has a number: a robot that repeats itself is not distinguished from one that does
+    not move. No public source says which modes motors report ("DDS接口整理.md" of
+    Dobot-Arm/dobot_atom_ros2 names the field only).
 
     Args:
         states: what is measured goes into these, commands come from these.
@@ -122,49 +118,31 @@ class DobotWire(DdsEnd):
         fsm_id: state of the robot's own state machine in which joint commands act.
         silent: nothing is sent.
 
-    Attributes:
-        modes: of the motors; no public source says which values they report ("DDS接口整理.md" of
-            Dobot-Arm/dobot_atom_ros2 names the field only).
-
     Raises:
         UniconError: it cannot be opened.
     """
 
-    label, extra = "platform 'dobot'", EXTRA
+    label, extra, table = "platform 'dobot'", "hw-dobot", DobotFacts
+    _takeover: Takeover | None = None
 
-    def __init__(
-        self,
-        states: States,
-        robot: Robot,
-        domain: int | None,
-        address: str | None,
-        *,
-        layout: str,
-        fsm_id: int,
-        silent: bool = False,
-    ) -> None:
-        facts, own = DobotFacts.of(robot, layout), own_arrays()
-        self._imu = {name: np.array(states[name]) for name in IMU_STATES}
-        arrays = {name: states[name] for name in states} | own | self._imu
-        self._states, self._waist, self._remote = states, facts.waist, own["remote"]
-        self._controls = Controls(states) if "sticks" in states else None
-        self.modes = ModeGuard(self.label, robot.joint_names, facts.mode, settles=UNDOCUMENTED)
-        self.modes.reported = own["modes"]
-        self._fresh = [0, 0]
-        self._pairs = 0
-        self._takeover: Takeover | None = None
-        halves = (facts.lower, facts.upper)
-        topics = " and ".join(half.state_topic for half in halves)
-        super().__init__(topics, facts.domain, domain, address)
-        with self.closing():
-            for half in halves:
-                self.listen(half.state, arrays)
-                self.watch(half.command_topic)
-            if not silent:
-                for half in halves:
-                    self.speak(half.command, arrays)
-                told = own["fsm_id"], own["upper_control"]
-                self._takeover = Takeover(self.participant, facts, told, fsm_id, self.label)
+    def __init__(self, *given: Any, fsm_id: int, **options: Any) -> None:
+        self._fsm_id, self._fresh, self._pairs = fsm_id, [0, 0], 0
+        super().__init__(*given, **options)
+
+    def _built(self) -> None:
+        self._imu = {name: np.array(self._states[name]) for name in IMU_STATES}
+        self._arrays |= self._imu
+
+    def _open(self) -> None:
+        facts, own = self._facts, self._own
+        for half in facts.halves:
+            self.listen(half.state, self._arrays)
+            self.watch(half.command_topic)
+            if not self._silent:
+                self.speak(half.command, self._arrays)
+        if not self._silent:
+            told = own["fsm_id"], own["upper_control"]
+            self._takeover = Takeover(self.participant, facts, told, self._fsm_id, self.label)
 
     def take(self) -> int:
         """Bring the newest good frames into the states; return how many pairs have come.
@@ -183,11 +161,11 @@ class DobotWire(DdsEnd):
         return number
 
     def _measured(self) -> None:
-        states, waist = self._states, self._waist
+        states, waist = self._states, self._facts.waist
         angle, rate = (float(states[name][waist]) for name in ("joint_pos", "joint_vel"))
         turned(self._imu, {name: states[name] for name in IMU_STATES}, angle, rate)
         if self._controls is not None:
-            dobot(self._remote, self._controls)
+            dobot(self._own["remote"], self._controls)
         if self._takeover is not None:
             self._takeover.check()
 

@@ -14,18 +14,19 @@ import numpy as np
 from unicon_base.arrays import Float32
 from unicon_base.errors import MissingDependencyError, ModelError, PlatformError
 from unicon_core.platforms.fake import FakePlatform
-from unicon_core.platforms.kit.bodies import let_go
 from unicon_core.platforms.kit.disturbances import disturb
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.kit.start import start_of
+from unicon_core.platforms.kit.start import let_go, start_of
 from unicon_core.platforms.platform import Platform
 from unicon_core.robots import Robot
 from unicon_core.states import States
+from unicon_core.states.standard import JOINT_STATES
 from unicon_core.workflow.registry import find_factory
 
+# In place of a model: joints follow their targets, the base stands still.
 JOINTS_ALONE = "fake"
-"""In place of a model: joints follow their targets, the base stands still."""
 POSTURES = ("rest", "default", "random")
+# Standard deviation of what sensors tell, in the states' units: of a good encoder and a MEMS.
 NOISE = {
     "joint_pos": 1e-4,
     "joint_vel": 1e-3,
@@ -33,17 +34,16 @@ NOISE = {
     "base_ang_vel": 2e-3,
     "base_lin_acc": 0.02,
 }
-"""Standard deviation of what sensors tell, in the states' units: of a good encoder and a MEMS."""
+# Longest physics step in [s].
 STEP = 0.002
-"""Longest physics step in [s]."""
+# Of joints without a model, in [s].
 TIME_CONSTANT = 0.03
-"""Of joints without a model, in [s]."""
+# Time constant with which they sink where they are limp, in [s].
 SINKING = 20.0
-"""Time constant with which they sink where they are limp, in [s]."""
+# How far above the floor a robot hangs that would stand on it, in [m].
 LIFT = 0.3
-"""How far above the floor a robot hangs that would stand on it, in [m]."""
+# Share of a joint's range that a posture drawn at random keeps from either limit.
 SPARE = 0.05
-"""Share of a joint's range that a posture drawn at random keeps from either limit."""
 
 
 @dataclass(frozen=True)
@@ -176,3 +176,42 @@ def _simulated(
     timestep = period / math.ceil(period / STEP - 1e-9)
     platform = make(states, robot, period, scene=scene, timestep=timestep)
     return platform, base
+
+
+@dataclass(frozen=True)
+class Defects:
+    """What is wrong with a robot; joints by their numbers.
+
+    Attributes:
+        swapped: two joints whose encoders are exchanged, or none.
+        dead: joints whose motors do nothing.
+        imu_upside_down: the IMU is mounted on its head: turned by half a turn about its x axis.
+        rate: of the frames in [Hz], less than the face's; None for that.
+        leaves: a joint whose motor leaves the commanded mode, and how long after the first command
+            that acts, [s]; None for none.
+    """
+
+    swapped: tuple[int, ...] = ()
+    dead: tuple[int, ...] = ()
+    imu_upside_down: bool = False
+    rate: float | None = None
+    leaves: tuple[int, float] | None = None
+
+    def sensed(self, states: States) -> None:
+        """Change what was measured."""
+        if self.swapped:
+            there, back = list(self.swapped), list(reversed(self.swapped))
+            for name in JOINT_STATES:
+                states[name][there] = states[name][back]
+        if self.imu_upside_down:
+            for name in ("base_ang_vel", "base_lin_acc", "projected_gravity"):
+                states[name][1:] *= -1.0
+            w, x, y, z = states["base_quat"].tolist()
+            states["base_quat"][...] = (-x, w, z, -y)  # q (0, 1, 0, 0)
+
+    def acted(self, states: States) -> None:
+        """Change what the motors do."""
+        if self.dead:
+            dead = list(self.dead)
+            for name in ("joint_stiffness", "joint_damping", "joint_effort_ff"):
+                states[name][dead] = 0.0

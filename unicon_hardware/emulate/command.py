@@ -26,7 +26,7 @@ from unicon_ros.cli.options import (
 
 if TYPE_CHECKING:
     from unicon_core.robots import Robot
-    from unicon_hardware.emulate.defects import Defects
+    from unicon_hardware.emulate.body import Defects
 
 LOOPBACK = "127.0.0.1"
 
@@ -101,7 +101,7 @@ def _told(robot: Robot, variant: int | None) -> Robot:
 
 
 def _defects(arguments: argparse.Namespace, robot: Robot) -> Defects:
-    from unicon_hardware.emulate.defects import Defects
+    from unicon_hardware.emulate.body import Defects
 
     def number(joint: str) -> int:
         if joint not in robot.joint_names:

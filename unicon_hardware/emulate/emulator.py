@@ -30,24 +30,23 @@ from unicon_core.states import States, standard_states
 from unicon_core.states.standard import COMMAND_STATES, hardware_states
 from unicon_core.workflow.autowire import read_options
 from unicon_core.workflow.hardware import refuse_incomplete
-from unicon_hardware.emulate.body import Body, body_of
+from unicon_hardware.emulate.body import Body, Defects, body_of
 from unicon_hardware.emulate.command_log import CommandLog, Say, say
-from unicon_hardware.emulate.defects import Defects
-from unicon_hardware.emulate.face import Face, Timed
+from unicon_hardware.endpoint import Endpoint
 
+# After so long without a command, or its dead man's time, the next one is a first one, [s].
 SILENCE = 0.5
-"""After so long without a command, or its dead man's time, the next one is a first one, [s]."""
+# Share of a second's frames that a busy machine may miss untold.
 LATE = 0.1
-"""Share of a second's frames that a busy machine may miss untold."""
+# A busy machine may be late by so much and the robot makes up for it, [s]: bodies never stop.
 CATCH_UP = 0.05
-"""A busy machine may be late by so much and the robot makes up for it, [s]: bodies never stop."""
+# Of faces in [Hz]: a tick of Python takes 0.1 ms.
 FASTEST = 5000.0
-"""Of faces in [Hz]: a tick of Python takes 0.1 ms."""
+# Of motors in [°C].
 ROOM_TEMPERATURE = 25.0
-"""Of motors in [°C]."""
 
+# What `reaching` runs: it goes to the default pose; any robot does.
 WORKFLOW = "h1_stand"
-"""What `reaching` runs: it goes to the default pose; any robot does."""
 
 
 class Emulator:
@@ -72,7 +71,7 @@ class Emulator:
         self,
         states: States,
         robot: Robot,
-        face: Face,
+        face: Endpoint,
         body: Body,
         *,
         defects: Defects | None = None,
@@ -81,7 +80,6 @@ class Emulator:
         each: bool = False,
     ) -> None:
         self._states, self._face, self._body = states, face, body
-        self._timed = face if isinstance(face, Timed) else None
         self._let_go, self._goes_at = let_go, float("inf")
         self._leaves_at = float("inf")
         self._say = say
@@ -129,8 +127,7 @@ class Emulator:
             Fault: the physics blew up.
         """
         states, face = self._states, self._face
-        if self._timed is not None:
-            self._timed.now = now
+        face.now = now
         self._body.platform.recv()
         self._pos[...] = states["joint_pos"]
         self._defects.sensed(states)
@@ -260,7 +257,7 @@ class Emulator:
 
 def emulated(
     robot: Robot,
-    factory: Callable[..., Face],
+    factory: Callable[..., Endpoint],
     options: Mapping[str, Any] | None = None,
     *,
     name: str = "",
@@ -323,7 +320,7 @@ def emulated(
         raise
 
 
-def reaching(robot: Robot, face: Face) -> dict[str, str]:
+def reaching(robot: Robot, face: Endpoint) -> dict[str, str]:
     """Return `command`, which drives an emulated robot to its default pose in a shell.
 
     A robot whose file lacks what driving it needs has none, and `refused` says what is lacking.

@@ -20,18 +20,19 @@ import numpy as np
 from unicon_base.errors import PlatformError
 from unicon_core.robots import Robot
 from unicon_core.states import States
+from unicon_hardware.endpoint import Endpoint
 from unicon_ros.bridge.own_node import OwnNode
 from unicon_ros.compat.loading import message_class
 
+# Its own dead man, [s].
 WATCHDOG = 0.5
-"""Its own dead man, [s]."""
+# Of its states, [Hz].
 FASTEST = 1000.0
-"""Of its states, [Hz]."""
+# Messages that are looked at in a tick.
 MOST = 8
-"""Messages that are looked at in a tick."""
 
 
-class RosFace:
+class RosEndpoint(Endpoint):
     """A node with two publishers and two subscriptions; see the module.
 
     Args:
@@ -137,4 +138,4 @@ class RosFace:
         self._own.close()
 
 
-face = RosFace
+face = RosEndpoint

@@ -1,28 +1,140 @@
 """ActuatorWire: a socket to each of Fourier's FSA actuators, which answer; for both versions.
 
-One tick asks, the next one takes. A frame is complete when every joint has answered; who has not
-stands in `where`, and so in the fault of a robot that is silent. `Enabling` brings actuators from
-off to where they take commands, limp, step by step.
+One tick asks, the next one takes. A frame is complete when every joint has answered; joints that
+have not stand in `where`, and so in the fault of a robot that is silent. `Enabling` brings
+actuators from off to where they take commands, limp, step by step.
 """
 
 from __future__ import annotations
 
+import ipaddress
 import select
 import time
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 
 from unicon_base.arrays import Float64
-from unicon_base.errors import Fault
+from unicon_base.errors import Fault, RobotError
+from unicon_base.schema.marks import Key
+from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_hardware.fourier.codec import COMMAND_TYPE, DISABLE, Addressed
-from unicon_hardware.udp import Udp
-from unicon_hardware.wire import Answers, Counts, known
+from unicon_hardware.facts import AskingRate, Port, each, each_text, fact, facts_of, wrong_fact
+from unicon_hardware.wire import Answers, Counts, Udp, Wire, frame_type, known
 
+# After so long without an answer a step is sent again, [s].
 AGAIN = 0.05
-"""After so long without an answer a step is sent again, [s]."""
 TRIES = 20
+# [deg], and of gains and currents: nothing beyond it is meant, and its float stays finite.
+LARGEST = 1e6
+DISABLE = 0x02
+# Targets: position, and feed-forward of speed and current.
+COMMAND_TYPE = frame_type("code u1, pos >f4, vel >f4, current >f4")
+
+A = TypeVar("A", bound="Addressed")
+
+
+@dataclass(frozen=True)
+class Addressed:
+    """What the robot file says of the actuators of either version; arrays of shape (n,).
+
+    Attributes:
+        names: of the joints.
+        addresses: of the actuators.
+        port: for codes.
+        rate: at which they may be asked, [Hz].
+        signs: 1 or -1: which way an actuator turns with its joint.
+    """
+
+    names: tuple[str, ...]
+    addresses: tuple[str, ...]
+    port: Annotated[Port, Key("port_fast")]
+    rate: AskingRate
+    signs: Annotated[Float64, Key("actuator_sign"), each(-1.0, 1.0)]
+
+    @cached_property
+    def degrees(self) -> Float64:
+        """Of an actuator for one radian of the joint, with its sign."""
+        return np.rad2deg(self.signs)
+
+
+def addressed(kind: type[A], robot: Robot, network: str, **given: Any) -> A:
+    """Return the facts of one version.
+
+    Args:
+        kind: class of its facts.
+        robot: the file.
+        network: see `addresses`.
+        given: as of `facts_of`.
+
+    Raises:
+        RobotError: a fact is missing or wrong.
+    """
+    where = of_actuators(robot, network)
+    found = facts_of(kind, robot, names=robot.joint_names, addresses=where, **given)
+    if not (np.abs(found.signs) == 1.0).all():
+        raise wrong_fact(robot, "actuator_sign", "1 or -1 for each joint")
+    return found
+
+
+def of_actuators(robot: Robot, network: str) -> tuple[str, ...]:
+    """Return the addresses of the actuators; see `addresses`."""
+    listed = fact(robot, "actuators", Annotated[list[str], each_text])
+    return addresses(robot, "actuators", listed, network)
+
+
+def complete(robot: Robot, version: int, keys: tuple[str, ...], why: str) -> None:
+    """Refuse a robot file of another version of FSA, or without facts that no vendor publishes.
+
+    Args:
+        robot: the file.
+        version: of FSA.
+        keys: of the facts.
+        why: what is not known without them.
+
+    Raises:
+        RobotError: it is such a file.
+    """
+    transport = robot.transport
+    if transport.get("fsa") != version:
+        raise RobotError(
+            f"robot {robot.name}: transport.fsa is {transport.get('fsa')}; write 1 (GR-1) or 2 "
+            f"(N1) into {robot.path.name}, the version of FSA that its actuators have"
+        )
+    missing = [f"transport.{key}" for key in keys if transport.get(key) is None]
+    if missing:
+        raise RobotError(
+            f"robot {robot.name}: its vendor does not say {why}; measure it, and write "
+            f"{', '.join(missing)} into {robot.path.name} with its source"
+        )
+
+
+def addresses(robot: Robot, key: str, listed: Sequence[str], network: str) -> tuple[str, ...]:
+    """Return addresses, each once.
+
+    Args:
+        robot: the file.
+        key: of its transport, for messages.
+        listed: there.
+        network: an address in another network of 256 in which they are; the last number of each
+            address stays.
+
+    Raises:
+        RobotError: one is none, or stands there twice.
+    """
+    if network:
+        start = network.rpartition(".")[0]
+        listed = [f"{start}.{address.rpartition('.')[2]}" for address in listed]
+    try:
+        found = tuple(str(ipaddress.IPv4Address(address)) for address in listed)
+    except ValueError as error:
+        raise wrong_fact(robot, key, f"IPv4 addresses ({error})") from error
+    if len(set(found)) < len(found):
+        raise wrong_fact(robot, key, "an address of its own for each")
+    return found
 
 
 class Enabling:
@@ -37,8 +149,7 @@ class Enabling:
         send: gives a joint a datagram.
 
     Attributes:
-        count: of the step that waits for answers; 0 before the first one.
-        began: whether anything has been sent.
+        count: of the step that waits for answers; 0 before anything has been sent.
     """
 
     def __init__(
@@ -50,11 +161,6 @@ class Enabling:
         self._names, self._steps, self._send = names, list(steps), send
         self.count, self._tries, self._sent = 0, 0, 0.0
         self._pending: set[int] = set()
-
-    @property
-    def began(self) -> bool:
-        """Whether anything has been sent."""
-        return self.count > 0
 
     @property
     def done(self) -> bool:
@@ -69,28 +175,24 @@ class Enabling:
         """
         if not self._steps:
             return ""
-        due = time.monotonic() - self._sent > AGAIN
-        if not self._pending and (due or self._tries < 2):
+        pending, due = self._pending, time.monotonic() - self._sent > AGAIN
+        if not pending and (due or self._tries < 2):
             self.count, self._tries, due = self.count + 1, 0, True
-            self._pending = set(range(len(self._names)))
-        word = self._steps[0][0]
-        if not self._pending:
+            pending.update(range(len(self._names)))
+        word, datagram = self._steps[0]
+        if not pending:
             return f"late answers before {word}"
         if due:
-            self._again()
-        return f"{word}: {len(self._pending)} actuators, {self._names[min(self._pending)]} first"
-
-    def _again(self) -> None:
-        word, datagram = self._steps[0]
-        if self._tries >= TRIES:
-            names = ", ".join(self._names[joint] for joint in sorted(self._pending)[:3])
-            raise Fault(
-                f"fourier: {word} was not answered by {names}"
-                f"{' and others' if len(self._pending) > 3 else ''}; switch the robot off and on"
-            )
-        self._tries, self._sent = self._tries + 1, time.monotonic()
-        for joint in self._pending:
-            self._send(joint, datagram(self.count))
+            if self._tries >= TRIES:
+                names = ", ".join(self._names[joint] for joint in sorted(pending)[:3])
+                raise Fault(
+                    f"fourier: {word} was not answered by {names}"
+                    f"{' and others' if len(pending) > 3 else ''}; switch the robot off and on"
+                )
+            self._tries, self._sent = self._tries + 1, time.monotonic()
+            for joint in pending:
+                self._send(joint, datagram(self.count))
+        return f"{word}: {len(pending)} actuators, {self._names[min(pending)]} first"
 
     def answered(self, joint: int, count: int, refusal: str) -> None:
         """Take an answer.
@@ -115,21 +217,27 @@ class Enabling:
             del self._steps[0]
 
 
-LARGEST = 1e6
-"""[deg], and of gains and currents: nothing beyond it is meant, and its float stays finite."""
-
-
-class ActuatorWire:
+class ActuatorWire(Wire):
     """What the wires of both versions share; each sorts its answers and asks its questions.
 
     Args:
         states: of the workflow.
         actuators: of the robot.
         command: code of a command.
+        steps: see `Enabling`.
     """
 
-    def __init__(self, states: States, actuators: Addressed, command: int) -> None:
-        self._states, self._rate = states, actuators.rate
+    # How often `close` sends `DISABLE`, which is not acknowledged.
+    off_times = 1
+
+    def __init__(
+        self,
+        states: States,
+        actuators: Any,
+        command: int,
+        steps: Sequence[tuple[str, Callable[[int], bytes]]],
+    ) -> None:
+        self._states, self._facts = states, actuators
         self.counts = Counts()
         self._labels = tuple(map("{} ({})".format, actuators.names, actuators.addresses))
         self._answered = Answers(self._labels)
@@ -139,37 +247,38 @@ class ActuatorWire:
         self._commands["code"] = command
         self._hot, self._error = known(states, "motor_temperature"), known(states, "motor_error")
         self._opened: list[Udp] = []
+        self._enabling = Enabling(self._labels, steps, self._step)
         self._sockets = self._open(self._labels, actuators.addresses, actuators.port)
 
     def _open(self, labels: tuple[str, ...], addresses: tuple[str, ...], port: int) -> list[Udp]:
         """Return a socket to each address; where one fails, all of the wire are closed."""
+        first = len(self._opened)
         try:
-            sockets = []
             for label, address in zip(labels, addresses):
                 what = f"fourier: actuator {label}"
-                sockets.append(Udp(("0.0.0.0", 0), (address, port), what, self.counts))
-                self._opened.append(sockets[-1])
-            return sockets
+                self._opened.append(Udp(("0.0.0.0", 0), (address, port), what, self.counts))
         except BaseException:
             self._let_go()
             raise
+        return self._opened[first:]
 
     @property
     def where(self) -> str:
         """The actuators that have not answered since all did last."""
         return str(self._answered)
 
-    def _tell(self, joint: int, data: bytes) -> None:
+    def _step(self, joint: int, data: bytes) -> None:
+        """Send a step of the enabling."""
         self._sockets[joint].send(data)
 
     def take(self) -> int:
-        """See `Wire`."""
+        """Take answers, and ask again when it is due."""
         for joint, socket in enumerate(self._sockets):
             for data in socket.received():
                 self._sort(joint, data)
         self._measured()
         now = time.monotonic()
-        if now - self._asked >= 0.9 / self._rate:
+        if now - self._asked >= 0.9 / self._facts.rate:
             self._asked, self._turn = now, (self._turn + 1) % len(self._sockets)
             self._ask()
         complete = self._complete()
@@ -191,26 +300,26 @@ class ActuatorWire:
         """Send the questions that are due; those that are asked in turn to joint `_turn`."""
         raise NotImplementedError
 
-    def _prepared(self, errors: dict[int, str], enabling: Enabling) -> str:
-        """Go on with the enabling, unless an actuator told an error before it began."""
-        if errors and not enabling.began:
+    def _prepared(self, errors: dict[int, str]) -> str:
+        """Go on with the enabling, unless an actuator reported an error before it began."""
+        if errors and not self._enabling.count:
             joint, words = next(iter(errors.items()))
             return (
                 f"actuator {self._labels[joint]} tells an error: {words}; see the vendor's list, "
                 "and switch the robot off and on"
             )
-        return enabling()
+        return self._enabling()
 
     def wait(self, timeout: float) -> bool:
-        """See `Wire`."""
+        """Return True once an answer is there, False after `timeout` in [s]."""
         return bool(select.select(self._sockets, [], [], timeout)[0])
 
     def _tell_all(self, datagrams: Iterable[tuple[Udp, bytes]]) -> None:
         """Send datagrams, each with its socket.
 
         Raises:
-            Fault: one could not be sent; all others were, since who damps or lets go has to reach
-                the joints that still have a way.
+            Fault: one could not be sent; all others were: damping has to reach the joints that
+                still have a way.
         """
         fault: Fault | None = None
         for socket, data in datagrams:
@@ -251,12 +360,12 @@ class ActuatorWire:
         due: list[int] = np.flatnonzero(changed).tolist()
         return due
 
-    def _close(self, enabled: bool, times: int = 1) -> None:
-        """Let go; switch all actuators off before, so many times, if we have enabled them."""
+    def close(self) -> None:
+        """Switch off what was enabled, behind the damping, and let go."""
         try:
-            if enabled and self._opened:
+            if self._enabling.count and self._opened:
                 off = bytes([DISABLE])
-                self._tell_all((socket, off) for socket in self._sockets * times)
+                self._tell_all((socket, off) for socket in self._sockets * self.off_times)
         finally:
             self._let_go()
 

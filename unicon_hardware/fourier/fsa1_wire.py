@@ -12,7 +12,7 @@ import numpy as np
 
 from unicon_base.errors import Fault
 from unicon_core.states import States
-from unicon_hardware.fourier.actuator_wire import LARGEST, ActuatorWire, Enabling
+from unicon_hardware.fourier.actuator_wire import LARGEST, ActuatorWire
 from unicon_hardware.fourier.fsa1_codec import (
     ERROR,
     ERROR_TYPE,
@@ -32,10 +32,10 @@ from unicon_hardware.fourier.fsa1_codec import (
     understood,
 )
 
+# Of each encoder, whose mean counts.
 SAMPLES = 10
-"""Of each encoder, whose mean counts."""
+# Two samples of a joint's zero may differ by so much, in [deg] of the actuator.
 APART = 3.0
-"""Two samples of a joint's zero may differ by so much, in [deg] of the actuator."""
 
 
 class Zero:
@@ -87,10 +87,8 @@ class Zero:
         self.offset[encoder] = float(np.mean(samples))
 
 
-OFTEN = 3
-"""Disabling is not acknowledged, and nothing else lets these actuators go: sent so many times."""
+# [°C]: beyond it nothing is a temperature.
 HOTTEST = 1e3
-"""[°C]: beyond it nothing is a temperature."""
 
 
 def steps() -> list[tuple[str, Callable[[int], bytes]]]:
@@ -111,16 +109,16 @@ class Fsa1Wire(ActuatorWire):
         servos: of the robot.
     """
 
+    off_times = 3  # nothing else lets these actuators go
+
     def __init__(self, states: States, servos: Servos) -> None:
-        super().__init__(states, servos, POSITION)
-        self._servos, n = servos, len(servos.names)
+        super().__init__(states, servos, POSITION, steps())
+        n = len(servos.names)
         self._controls = self._open(self._labels, servos.addresses, servos.control_port)
         labels = tuple(f"{address} (encoder)" for address in servos.encoders)
         self._encoders = self._open(labels, servos.encoders, servos.control_port)
         self._zero = Zero(servos)
-        self._enabling = Enabling(self._labels, steps(), self._set)
-        self._measurements = np.zeros((n, 3))
-        self._errors = np.zeros(n, np.uint32)
+        self._measurements, self._errors = np.zeros((n, 3)), np.zeros(n, np.uint32)
 
     @property
     def where(self) -> str:
@@ -128,10 +126,10 @@ class Fsa1Wire(ActuatorWire):
         missing = self._zero.missing
         if missing and self._answered.heard.all():
             more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
-            return f"encoder {self._servos.encoders[missing[0]]}{more}"
+            return f"encoder {self._facts.encoders[missing[0]]}{more}"
         return super().where
 
-    def _set(self, joint: int, data: bytes) -> None:
+    def _step(self, joint: int, data: bytes) -> None:
         self._controls[joint].send(data)
 
     def take(self) -> int:
@@ -181,13 +179,13 @@ class Fsa1Wire(ActuatorWire):
     def _encoder(self, encoder: int, data: bytes) -> None:
         angle = number((understood(data) or {}).get("angle"))
         if angle is None or abs(angle) > LARGEST:
-            self.counts.refuse("not understood", f"encoder {self._servos.encoders[encoder]}")
+            self.counts.refuse("not understood", f"encoder {self._facts.encoders[encoder]}")
         elif self._answered.heard[encoder]:
             self._zero.told(encoder, angle, float(self._measurements[encoder, 0]))
 
     def _measured(self) -> None:
         # All of them, as the zero may have become known since.
-        servos, states, measured = self._servos, self._states, self._measurements
+        servos, states, measured = self._facts, self._states, self._measurements
         states["joint_pos"][...] = (measured[:, 0] + self._zero.offset) / servos.degrees
         states["joint_vel"][...] = measured[:, 1] / servos.degrees
         states["joint_effort"][...] = measured[:, 2] * servos.torque
@@ -201,15 +199,15 @@ class Fsa1Wire(ActuatorWire):
                 socket.send(query)
         for encoder in self._zero.missing:
             self._encoders[encoder].send(MEASURED)
-        if self._enabling.done or not self._enabling.began:
+        if self._enabling.done or not self._enabling.count:
             # Answers have no number: between them nothing else is asked.
             self._controls[self._turn].send(TEMPERATURE)
 
     def prepare(self) -> str:
         """See `Prepared`: off, gains 0, position mode, enabled."""
         joints = np.flatnonzero(self._errors).tolist()
-        told = self._prepared({joint: hex(self._errors[joint]) for joint in joints}, self._enabling)
-        if self._enabling.began:
+        told = self._prepared({joint: hex(self._errors[joint]) for joint in joints})
+        if self._enabling.count:
             # Where they are is where they stay, whatever had been sent before.
             self._commands["pos"], self._commands["current"] = self._measurements[:, 0], 0.0
             self._tell_all(self._datagrams())
@@ -222,7 +220,7 @@ class Fsa1Wire(ActuatorWire):
             Fault: stiffness without damping is asked for, or a velocity without stiffness; or the
                 network does not take it.
         """
-        states, servos = self._states, self._servos
+        states, servos = self._states, self._facts
         stiffness, damping = states["joint_stiffness"], states["joint_damping"]
         loose = np.flatnonzero((stiffness > 0.0) & ~(damping > 0.0))
         if len(loose):
@@ -247,7 +245,3 @@ class Fsa1Wire(ActuatorWire):
         gains = held[2:]
         due = [(self._controls[i], loop_gains(*gains[:, i].tolist())) for i in self._due(gains)]
         self._tell_all(self._datagrams() + due)
-
-    def close(self) -> None:
-        """See `Wire`: what we have enabled is off behind the damping."""
-        self._close(self._enabling.began, OFTEN)

@@ -22,11 +22,11 @@ from unicon_base.schema.marks import Within
 from unicon_core.platforms.platform import Binding, Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_hardware.facts import Octet, Word, fact
+from unicon_hardware.facts import Octet, Port, Word, fact
 from unicon_hardware.inspire.dds.wire import InspireDdsWire
-from unicon_hardware.modbus.hand import HandWire
+from unicon_hardware.modbus.hand import HandRegisters, HandWire, Told
 from unicon_hardware.modbus.link import reached
-from unicon_hardware.modbus.registers import HandRegisters, Told
+from unicon_hardware.modbus.served import HandEndpoint, PtyServer, TcpServer
 from unicon_hardware.wire import Wire
 from unicon_hardware.wired_robot import WiredRobot, opened
 
@@ -63,14 +63,14 @@ def registers_of(robot: Robot) -> HandRegisters:
 
 
 NAME, MODBUS = "inspire", "inspire"
+# In [s]: 20 answers, or states, at 100 Hz.
 SILENCE = 0.2
-"""In [s]: 20 answers, or states, at 100 Hz."""
+# Protocol to what is told besides joints.
 TOLD = {
     MODBUS: ("motor_error", "motor_status", "motor_temperature"),
     "inspire_ftp": ("motor_error", "motor_temperature"),
     "inspire_dfx": (),
 }
-"""Protocol to what is told besides joints."""
 
 
 def _facts(robot: Robot) -> Facts:
@@ -145,3 +145,18 @@ def make(
     told = _facts(robot)
     made = Inspire(states, robot, period, wire, silence=silence, silent=silent, facts=told)
     return opened(made, connect)
+
+
+def face(
+    states: States, robot: Robot, *, port: int | None = None, serial: bool = False
+) -> HandEndpoint:
+    """Return the face of a hand.
+
+    Args:
+        port: to listen at on loopback, 0 for any; None for the robot file's.
+        serial: it is reached over a pty, `face.where`.
+    """
+    if port is None:
+        port = fact(robot, "port", Port)
+    server = PtyServer() if serial else TcpServer(port)
+    return HandEndpoint(states, registers_of(robot), server, "inspire")

@@ -9,42 +9,119 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_base.arrays import Float64, Int64
+from unicon_base.arrays import Float32, Float64, Int64
 from unicon_base.errors import PlatformError
 from unicon_core.states import States
-from unicon_hardware.modbus.frames import (
+from unicon_hardware.modbus.link import (
+    ModbusConnection,
     Refused,
-    read_answer,
-    read_request,
-    write_answer,
-    write_request,
 )
-from unicon_hardware.modbus.link import ModbusConnection
-from unicon_hardware.modbus.registers import HandRegisters
-from unicon_hardware.speed import Speed
-from unicon_hardware.wire import Counts
+from unicon_hardware.wire import Counts, Speed, Wire
 
+# A measured angle that is further outside the range, as a share of it, is not a measurement.
+BEYOND = 0.1
+
+
+@dataclass(frozen=True)
+class Told:
+    """A block of registers that tells a state of each joint.
+
+    Attributes:
+        start: first register.
+        bytes: two joints in each register, the first in the high byte; else one in each.
+    """
+
+    start: int
+    bytes: bool = False
+
+    def count(self, joints: int) -> int:
+        """Return the number of registers."""
+        return -(-joints // 2) if self.bytes else joints
+
+    def values(self, registers: NDArray[np.uint16], joints: int) -> Int64:
+        """Return the value of each joint, shape (n,)."""
+        if self.bytes:
+            raw = np.frombuffer(registers.astype(">u2").tobytes(), np.uint8)
+            return raw[:joints].astype(np.int64)
+        return registers.astype(np.int64)
+
+    def registers(self, values: Int64) -> NDArray[np.uint16]:
+        """Return the registers that tell these values; the other way round."""
+        if self.bytes:
+            raw = np.zeros(2 * self.count(len(values)), np.uint8)
+            raw[: len(values)] = values
+            return np.frombuffer(raw.tobytes(), ">u2").astype(np.uint16)
+        return values.astype(np.uint16)
+
+
+@dataclass(frozen=True)
+class HandRegisters:
+    """Where a hand keeps what, and what its numbers mean.
+
+    Attributes:
+        unit: number of the device on the line.
+        target, angle: first register of the angles that are wanted and measured, int16.
+        at_zero, per_rad: register = at_zero + per_rad · angle, for each joint, shape (n,).
+        lowest, highest: smallest and largest number of the target's registers, shape (n,).
+        slow: state to the block that tells it.
+        clear: register and value that clear errors, or None.
+    """
+
+    unit: int
+    target: int
+    angle: int
+    at_zero: Float64
+    per_rad: Float64
+    lowest: Int64
+    highest: Int64
+    slow: Mapping[str, Told] = field(default_factory=dict)
+    clear: tuple[int, int] | None = None
+
+    def raw(self, angles: Float32) -> tuple[NDArray[np.uint16], bool]:
+        """Return the registers of angles [rad], shape (n,), and whether one was clamped."""
+        wanted = np.rint(self.at_zero + self.per_rad * angles)
+        held = np.clip(wanted, self.lowest, self.highest)
+        clamped = bool((np.abs(held - wanted) > 1.0).any())
+        return held.astype(np.int16).view(np.uint16), clamped
+
+    def angles(self, registers: NDArray[np.uint16]) -> Float64:
+        """Return the angles of registers in [rad], shape (n,).
+
+        Raises:
+            Refused: a number is far outside the range.
+        """
+        raw = registers.view(np.int16).astype(np.float64)
+        room = BEYOND * (self.highest - self.lowest)
+        wrong = (raw < self.lowest - room) | (raw > self.highest + room)
+        if wrong.any():
+            joint = int(np.argmax(wrong))
+            raise Refused("angle out of range", f"{raw[joint]:g} of joint {joint}")
+        angles: Float64 = (raw - self.at_zero) / self.per_rad
+        return angles
+
+
+# Exchanges a second: the vendors' examples ask so often.
 RATE = 100.0
-"""Exchanges a second: the vendors' examples ask so often."""
+# Every so many exchanges one of the slow blocks is read: temperatures and errors change slowly.
 SLOW = 10
-"""Every so many exchanges one of the slow blocks is read: temperatures and errors change slowly."""
+# Velocity is the difference of two angles so far apart, [s]: a step of 1.7 mrad is 0.06 rad/s.
 OVER = 0.03
-"""Velocity is the difference of two angles so far apart, [s]: a step of 1.7 mrad is 0.06 rad/s."""
+# Between two attempts to connect anew, [s].
 AGAIN = 0.1
-"""Between two attempts to connect anew, [s]."""
+# How long the last target may take to leave when it closes, [s].
 END = 1.0
-"""How long the last target may take to leave when it closes, [s]."""
+# So often the last target is sent where it is not answered.
 TRIES = 3
-"""So often the last target is sent where it is not answered."""
 
 
-class HandWire:
+class HandWire(Wire):
     """See the module; it is a `Wire` and `Prepared`.
 
     Args:
@@ -180,18 +257,18 @@ class HandWire:
             self._ending.wait(max(due - time.monotonic(), 0.0))
 
     def _exchange(self, link: ModbusConnection, ending: bool) -> None:
-        registers = self._registers
+        registers, unit = self._registers, self._registers.unit
         with self._lock:
             wanted, self._wanted = self._wanted, None
             clearing = self._clear == "asked"
         if clearing and registers.clear is not None:
             start, value = registers.clear
-            self._write(link, start, np.array([value], np.uint16))
+            link.write(unit, start, np.array([value], np.uint16))
             with self._lock:
                 self._clear, self._told = "", {}
         if wanted is not None and not self._silent:
             try:
-                self._write(link, registers.target, wanted)
+                link.write(unit, registers.target, wanted)
             except (OSError, Refused):
                 with self._lock:  # again with the next exchange, if there is no newer one
                     self._wanted = wanted if self._wanted is None else self._wanted
@@ -199,13 +276,13 @@ class HandWire:
         if ending:
             return
         joints = len(registers.at_zero)
-        answer = self._read(link, registers.angle, joints)
+        answer = link.read(unit, registers.angle, joints)
         stamp, angles = time.monotonic_ns(), registers.angles(answer)
         told = {}
         if self._turn and self._exchanges % SLOW < len(self._turn):
             name, block = self._turn[0]
             self._turn.rotate(-1)
-            slow = self._read(link, block.start, block.count(joints))
+            slow = link.read(unit, block.start, block.count(joints))
             told[name] = block.values(slow, joints)
         self._exchanges += 1
         with self._lock:
@@ -213,14 +290,6 @@ class HandWire:
             self._told |= told
             self._came += 1
             self._news.set()
-
-    def _read(self, link: ModbusConnection, start: int, count: int) -> NDArray[np.uint16]:
-        answer = link.exchange(self._registers.unit, read_request(start, count))
-        return read_answer(answer, count)
-
-    def _write(self, link: ModbusConnection, start: int, values: NDArray[np.uint16]) -> None:
-        answer = link.exchange(self._registers.unit, write_request(start, values))
-        write_answer(answer, start, len(values))
 
     def _let_go(self) -> None:
         link, self._link = getattr(self, "_link", None), None

@@ -15,22 +15,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.states import States
-from unicon_hardware.modbus.frames import (
+from unicon_hardware.endpoint import Endpoint
+from unicon_hardware.modbus.hand import HandRegisters
+from unicon_hardware.modbus.link import (
     READ,
     WRITE,
     WRITE_ONE,
     Frame,
     Framing,
+    Line,
     Refused,
     Rtu,
     Tcp,
     refusal,
 )
-from unicon_hardware.modbus.link import Line
-from unicon_hardware.modbus.registers import HandRegisters
 
+# Clients at once, of a hand over TCP.
 MOST = 4
-"""Clients at once, of a hand over TCP."""
 
 Answer = Callable[[Frame], bytes | None]
 
@@ -130,7 +131,7 @@ class PtyServer:
         os.close(self._master)
 
 
-class HandFace:
+class HandEndpoint(Endpoint):
     """The hand behind a server; it is a `Face`.
 
     Args:

@@ -1,4 +1,4 @@
-"""Platform `pnd`: Adam over CycloneDDS, for workflows.
+"""Platform `pnd`: Adam over CycloneDDS, and its emulator endpoint.
 
     platform: pnd
     platforms:
@@ -19,15 +19,15 @@ from typing import Annotated
 
 import numpy as np
 
+from unicon_base.arrays import Array
 from unicon_base.schema.marks import Key, Within
-from unicon_core.blocks.controls.device import Controls
-from unicon_core.blocks.controls.remotes import pnd
+from unicon_core.blocks.controls.device import pnd
 from unicon_core.platforms.kit.base import IMU_STATES, Mounting
 from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import CONTROL_STATES, JOINT_STATES
-from unicon_hardware.dds.end import DdsEnd, factory_of
+from unicon_hardware.dds.end import DdsEndpoint, DdsWire, factory_of
 from unicon_hardware.dds.maps import (
     COMMANDS,
     IMU,
@@ -35,21 +35,20 @@ from unicon_hardware.dds.maps import (
     Arrays,
     DdsFacts,
     Message,
-    arrays_of,
     motors,
+    zeros,
 )
 from unicon_hardware.facts import Octet, slots
-from unicon_hardware.modes import UNDOCUMENTED, ModeGuard
 from unicon_hardware.wire import Counts, newer
 from unicon_hardware.wired_robot import WiredRobot
 from unicon_msgs_map import Decoder
 
+# LowState with the battery and without.
 STATES = {True: "pnd_adam/msg/LowState", False: "pnd_adam/msg/PlainLowState"}
-"""LowState with the battery and without."""
+# Numbers of the remote.
 REMOTE = 19
-"""Numbers of the remote."""
+# Of an emulated battery; what a real one says is not public.
 VOLTAGE, STATUS = 48.0, "=normal"
-"""Of an emulated battery; what a real one says is not public."""
 
 
 @dataclass(frozen=True)
@@ -58,26 +57,29 @@ class PndFacts(DdsFacts):
 
     Attributes:
         slots: motor of each joint; there are as many motors as joints.
-        mode: byte `mode` of every motor's command.
+        modes: byte `mode` of every motor's command.
         mode_pr: 0 for ankles by pitch and roll, 1 by their two motors.
         battery: LowState is the kind that has it.
     """
 
     slots: Annotated[list[int], Key("motors"), slots()]
-    mode: Annotated[Octet, Key("motor_mode")]
+    modes: Annotated[Octet, Key("motor_mode")]
     mode_pr: Annotated[int, Within(0, 1)]
     battery: bool = False
+
+    def own(self, joints: int) -> dict[str, Array]:
+        """Return the arrays that are not states, zero."""
+        return zeros(f"remote f4 {REMOTE}, tick u4, modes u1 {joints}, mode_pr u1")
 
     @property
     def state(self) -> Message:
         """LowState, with the battery or without."""
         motor = MEASURED | {"state": "motor_error", "mode": "modes"}
-        imu = {f"imu_state.{key}": name for key, name in IMU.items()}
         sent = {"battery_data.voltage": VOLTAGE, "battery_data.status": STATUS}
         return Message(
             self.state_topic,
             STATES[self.battery],
-            imu
+            {f"imu_state.{key}": name for key, name in IMU.items()}
             | motors("motor_state", self.slots, motor)
             | {"tick": "tick", "wireless_remote": "remote"},
             sent=sent if self.battery else {},
@@ -93,15 +95,19 @@ class PndFacts(DdsFacts):
             self.command_topic,
             "pnd_adam/msg/LowCmd",
             motors("motor_cmd", self.slots, COMMANDS),
-            sent={f"motor_cmd[{slot}].mode": self.mode for slot in self.slots}
+            sent={f"motor_cmd[{slot}].mode": self.modes for slot in self.slots}
             | {"mode_pr": self.mode_pr},
             taken=motors("motor_cmd", self.slots, {"mode": "modes"}) | {"mode_pr": "mode_pr"},
             lengths={"motor_cmd": len(self.slots)},
         )
 
+    def state_in(self, arrays: Arrays, counts: Counts) -> LowStates:
+        """Return what reads LowState into those arrays that are there."""
+        return LowStates(self, arrays, counts)
+
 
 class LowStates:
-    """Checks and reads LowState of one of the two kinds; a `Checked` of `DdsEnd`.
+    """Checks and reads LowState of one of the two kinds, for `Inlet`.
 
     Args:
         facts: of the robot.
@@ -119,12 +125,12 @@ class LowStates:
         size = 0 if facts.battery else message.encoder(arrays).size
         self._frames = message.frames(arrays, counts, size=size)
         self.read = self._frames.read
-        self._tick = np.zeros((), np.uint32)
-        number = {"tick": self._tick}
+        number = {"tick": np.zeros((), np.uint32)}
+        self._tick = number["tick"]
         self._number = Decoder.build(message.subscribe(number), number)
 
     def good(self, raw: bytes) -> bool:
-        """Tell whether a message is whole and newer than the last."""
+        """Return whether a message is whole and newer than the last."""
         if not self._frames.good(raw):
             return False
         if not self._number.decode(raw):
@@ -143,66 +149,36 @@ class LowStates:
         self._last = -1
 
 
-EXTRA = "hw-pnd"
+class PndWire(DdsWire):
+    """The connection to a robot, which sends one of the two LowStates: both are listened to.
 
-
-class PndWire(DdsEnd):
-    """The connection to a robot, which tells one of the two LowStates: both are listened to.
-
-    Args:
-        states: what is measured goes into these, commands come from these.
-        robot: its file.
-        domain: of DDS; None for the robot file's.
-        address: of this machine's network interface, or its name; None for the default.
-        silent: nothing is sent.
-
-    Attributes:
-        modes: of the motors; no public source says which values they report.
-
-    Raises:
-        UniconError: it cannot be opened.
+    No public source says which modes motors report.
     """
 
-    label, extra = "platform 'pnd'", EXTRA
+    label, extra, table = "platform 'pnd'", "hw-pnd", PndFacts
 
-    def __init__(
-        self,
-        states: States,
-        robot: Robot,
-        domain: int | None,
-        address: str | None,
-        *,
-        silent: bool = False,
-    ) -> None:
-        facts = PndFacts.of(robot)
-        self._remote = np.zeros(REMOTE, np.float32)
-        self.modes = ModeGuard(self.label, robot.joint_names, facts.mode, settles=UNDOCUMENTED)
-        own = {"remote": self._remote, "tick": np.zeros((), np.uint32)}
-        arrays = arrays_of(states) | own | {"modes": self.modes.reported}
-        self._controls = Controls(states) if "sticks" in states else None
-        self._mounting, self._imu = Mounting.of(robot), {name: states[name] for name in IMU_STATES}
-        super().__init__(facts.state_topic, facts.domain, domain, address)
-        with self.closing():
-            kinds = [replace(facts, battery=battery) for battery in STATES]
-            self._kinds = [LowStates(kind, arrays, self.counts) for kind in kinds]
-            for kind, frames in zip(kinds, self._kinds):
-                self.listen(kind.state, frames, forget=frames.forget)
-            self.watch(facts.command_topic)
-            if not silent:
-                self.speak(facts.command, arrays)
+    def _built(self) -> None:
+        self._mounting = Mounting.of(self._robot)
+        self._imu = {name: self._states[name] for name in IMU_STATES}
 
-    def _choose(self) -> None:
-        """Listen only to that kind of LowState that the robot tells."""
-        if len(self._inlets) > 1:
-            kept = next(k for k, frames in enumerate(self._kinds) if frames.good_ones)
-            self._inlets = [self._inlets[kept]]
+    def _open(self) -> None:
+        facts = self._facts
+        kinds = [replace(facts, battery=battery) for battery in STATES]
+        self._kinds = [kind.state_in(self._arrays, self.counts) for kind in kinds]
+        for kind, frames in zip(kinds, self._kinds):
+            self.listen(kind.state, frames, forget=frames.forget)
+        self.watch(facts.command_topic)
+        if not self._silent:
+            self.speak(facts.command, self._arrays)
 
     def _measured(self) -> None:
-        self._choose()
+        if len(self._inlets) > 1:  # from now on only that kind of LowState which the robot sends
+            kept = next(k for k, frames in enumerate(self._kinds) if frames.good_ones)
+            self._inlets = [self._inlets[kept]]
         if self._mounting.turned:
             self._mounting.turn(self._imu, self._imu)
         if self._controls is not None:
-            pnd(self._remote, self._controls)
+            pnd(self._own["remote"], self._controls)
 
 
 class Pnd(WiredRobot):
@@ -223,3 +199,53 @@ class Pnd(WiredRobot):
 
 
 make = factory_of(Pnd, PndWire)
+
+
+class PndEndpoint(DdsEndpoint):
+    """An emulated Adam: LowState, with its battery or without, and LowCmd.
+
+    Not emulated, as it is not public: what the robot does when LowCmd stops, and yaw, pitch and
+    roll, which stay zero.
+
+    Args:
+        states: of the emulator.
+        robot: its file.
+        address: of this machine's network interface, or its name.
+        domain: of DDS, instead of the robot file's.
+        battery: LowState is the one with the battery.
+
+    Attributes:
+        remote: the 19 numbers of its remote, to be pressed.
+
+    Raises:
+        UniconError: the robot file lacks a fact, or the network cannot be used.
+    """
+
+    label, extra, table, platform = "emulated pnd", "hw-pnd", PndFacts, "pnd"
+
+    def __init__(
+        self,
+        states: States,
+        robot: Robot,
+        *,
+        address: str | None = "127.0.0.1",
+        domain: int | None = None,
+        battery: bool = True,
+    ) -> None:
+        facts = replace(PndFacts.of(robot), battery=battery)
+        self._build(states, robot, facts, address, domain)
+        self.remote = self.own["remote"]
+
+    def tell(self) -> None:
+        """Send what the robot measures."""
+        self.own["tick"] += 1
+        self.put()
+
+    def _acts(self) -> bool:
+        facts, heard = self._facts, self._heard
+        return self._right("mode_pr", heard["mode_pr"], facts.mode_pr) and self._right(
+            "motor mode", heard["modes"], facts.modes
+        )
+
+
+face = PndEndpoint

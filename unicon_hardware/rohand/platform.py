@@ -22,10 +22,9 @@ from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_hardware.facts import Octet, Word, fact
-from unicon_hardware.modbus.frames import read_answer, read_request
-from unicon_hardware.modbus.hand import HandWire
+from unicon_hardware.modbus.hand import HandRegisters, HandWire, Told
 from unicon_hardware.modbus.link import ModbusConnection, reached
-from unicon_hardware.modbus.registers import HandRegisters, Told
+from unicon_hardware.modbus.served import HandEndpoint, PtyServer
 from unicon_hardware.wired_robot import WiredRobot, opened
 
 SCALE = Annotated[float, Within(1e-3, 1.0)]
@@ -59,9 +58,8 @@ def check_protocol(link: ModbusConnection, robot: Robot) -> None:
         OSError: the line is gone.
     """
     expected, unit = (fact(robot, key, Octet) for key in ("protocol_major", "node_id"))
-    request = read_request(fact(robot, "register_protocol", Word), 1)
-    answer = link.exchange(unit, request, timeout=0.5)
-    version = int(read_answer(answer, 1)[0])
+    register = fact(robot, "register_protocol", Word)
+    version = int(link.read(unit, register, 1, timeout=0.5)[0])
     if version >> 8 != expected:
         raise PlatformError(
             f"the hand speaks version {version >> 8}.{version & 0xFF} of its protocol, and "
@@ -107,3 +105,13 @@ def make(
     check = partial(check_protocol, robot=robot)
     wire = HandWire(states, registers_of(robot), link, where, silent=silent, first=check)
     return opened(Rohand(states, robot, period, wire, silence=silence, silent=silent), connect)
+
+
+def face(states: States, robot: Robot, *, version: int = 0x0100) -> HandEndpoint:
+    """Return the face of a hand on a pty, `face.where`.
+
+    Args:
+        version: of its protocol, the major one in the high byte.
+    """
+    extra = {fact(robot, "register_protocol", Word): version}
+    return HandEndpoint(states, registers_of(robot), PtyServer(), "rohand", extra)

@@ -16,28 +16,24 @@ from typing import Annotated, Any
 import numpy as np
 
 from unicon_base.schema.marks import Within
-from unicon_core.blocks.controls.device import Controls
+from unicon_core.blocks.controls.device import Controls, unitree_pressed
 from unicon_core.blocks.controls.gamepad import gamepad
-from unicon_core.blocks.controls.remotes import unitree_pressed
 from unicon_core.bounds import within
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import control_states
 from unicon_core.workflow.autowire import BuildContext
-from unicon_hardware.dds.face import DdsFace
-from unicon_hardware.robot_clock import Milliseconds
-from unicon_hardware.torso import IMU_STATES, turned
-from unicon_hardware.unitree.facts import UnitreeFacts
-from unicon_hardware.unitree.platform import REMOTE, own_arrays
-from unicon_hardware.unitree.release import CHECK_MODE, RELEASE_MODE, SWITCHER, Server
-from unicon_hardware.wire import known
+from unicon_hardware.dds.end import DdsEndpoint
+from unicon_hardware.endpoint import Milliseconds
+from unicon_hardware.unitree.facts import CHECK_MODE, RELEASE_MODE, SWITCHER, Server, UnitreeFacts
+from unicon_hardware.wire import IMU_STATES, turned
 
+# Of its own controller, until it lets go.
 MODE = "normal"
-"""Of its own controller, until it lets go."""
 TICK_MS = 2
 NOT_IMPLEMENTED = 3203
+# Of `dead_man` in [s].
 LONGEST = 10.0
-"""Of `dead_man` in [s]."""
 
 
 class Remote:
@@ -46,13 +42,13 @@ class Remote:
     Args:
         device: as of block `gamepad`.
         robot: whose remote it is.
-        raw: those bytes.
+        raw: those bytes, shape (40,).
 
     Raises:
         WorkflowError: the device is a file that is neither device nor pipe.
     """
 
-    def __init__(self, device: str, robot: Robot, raw: bytearray) -> None:
+    def __init__(self, device: str, robot: Robot, raw: Any) -> None:
         states = States(control_states())
         context = BuildContext(states, robot, 1.0, tell=_say)
         self._pad = gamepad(context=context, device=device)
@@ -73,7 +69,7 @@ def _say(line: str) -> None:
     print(f"unicon: {line}", file=sys.stderr)  # standard output has the robot's own lines
 
 
-class UnitreeFace(DdsFace):
+class UnitreeEndpoint(DdsEndpoint):
     """What driver and vendor's SDK see of an emulated robot.
 
     Args:
@@ -102,7 +98,7 @@ class UnitreeFace(DdsFace):
             be used.
     """
 
-    label, platform = "emulated unitree", "unitree"
+    label, table, platform = "emulated unitree", UnitreeFacts, "unitree"
 
     def __init__(
         self,
@@ -116,32 +112,34 @@ class UnitreeFace(DdsFace):
         dead_man: float | None = None,
         remote: str | None = None,
     ) -> None:
-        facts, own = UnitreeFacts.of(robot), own_arrays(robot)
+        facts = UnitreeFacts.of(robot)
         if dead_man is not None:
             label = f"{self.label}: dead_man"
             dead_man = within(dead_man, label, "s", LONGEST, 1.0 / facts.rate)
         self.mode = mode
+        self._variant: Any = (facts.mode_machine or 0) if variant is None else variant
         self._dead_man = math.inf if dead_man is None else dead_man
-        self.remote = bytearray(REMOTE)
         self.held: Remote | None = None
         self.asked: dict[str, list[int]] = {}
-        own["remote"] = np.frombuffer(self.remote, np.uint8)
-        own["foot_force"] = known(states, "foot_force", np.zeros(4, np.float32))
-        self._imu = {name: np.array(states[name]) for name in IMU_STATES}
-        if facts.waist is not None:
-            own |= self._imu
-        self.now, self.clock = math.nan, Milliseconds(TICK_MS)
-        self._tick, self._pairs = own["tick"], own["temperatures"].reshape(-1, 2)
-        self._variant = own["mode_machine"]
-        self._variant[...] = (facts.mode_machine or 0) if variant is None else variant
-        self._modes = np.array(facts.modes, np.uint8)
-        own["modes"][...] = self._modes if mode else 0
-        super().__init__(states, robot, facts, domain, address, own, own_arrays(robot))
+        self.clock = Milliseconds(TICK_MS)
+        self._build(states, robot, facts, address, domain)
         with self.closing():
             services = [SWITCHER, *([facts.release[0][0]] if facts.release[0] else [])]
             self._servers = {name: Server(self.participant, name) for name in services}
             if remote is not None:
                 self.held = Remote(remote, robot, self.remote)
+
+    def _built(self) -> None:
+        own, facts, states = self.own, self._facts, self._states
+        self.remote = memoryview(own["remote"].data)
+        own["mode_machine"][...] = self._variant
+        self._variant = own["mode_machine"]
+        own["modes"][...] = facts.modes if self.mode else 0
+        if "foot_force" not in states:
+            own["foot_force"] = np.zeros(4, np.float32)
+        self._imu = {name: np.array(states[name]) for name in IMU_STATES}
+        if facts.waist is not None:
+            own |= self._imu
 
     @property
     def dead_man(self) -> float:
@@ -156,13 +154,13 @@ class UnitreeFace(DdsFace):
     def tell(self) -> None:
         """Send what the robot measures."""
         states, waist = self._states, self._facts.waist
-        self._tick[...] = self.clock(self.now)
+        self.own["tick"][...] = self.clock(self.now)
         if self.held is not None:
             self.held()
         if waist is not None:
             angle, rate = (-float(states[name][waist]) for name in ("joint_pos", "joint_vel"))
             turned({name: states[name] for name in IMU_STATES}, self._imu, angle, rate)
-        self._pairs[...] = self._arrays["motor_temperature"][:, None]
+        self.own["temperatures"][...] = np.repeat(self._arrays["motor_temperature"], 2)
         self.put()
 
     def hear(self) -> bool:
@@ -174,7 +172,7 @@ class UnitreeFace(DdsFace):
 
     def _acts(self) -> bool:
         heard = self._heard
-        if not self._right("motor mode", heard["modes"], self._modes):
+        if not self._right("motor mode", heard["modes"], self._facts.modes):
             return False
         if not self._right("mode_machine", heard["mode_machine"], self._variant):
             return False
@@ -202,4 +200,4 @@ class UnitreeFace(DdsFace):
         super().close()
 
 
-face = UnitreeFace
+face = UnitreeEndpoint

@@ -15,120 +15,98 @@ from typing import Any, Literal
 
 import numpy as np
 
-from unicon_base.arrays import Array
 from unicon_base.errors import Fault, PlatformError
 from unicon_core.blocks.controls.device import Controls
-from unicon_core.blocks.controls.remotes import unitree as held
+from unicon_core.blocks.controls.device import unitree as held
 from unicon_core.platforms.kit.base import Mounting
 from unicon_core.platforms.platform import Binding, Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.stacked import spans
 from unicon_core.states.standard import CONTROL_STATES, HARDWARE_STATES, JOINT_STATES
-from unicon_hardware.dds.end import DdsEnd
+from unicon_hardware.dds.end import DdsWire
 from unicon_hardware.dds.maps import arrays_of, offset_of
-from unicon_hardware.modes import ModeGuard
+from unicon_hardware.modes import SETTLES
 from unicon_hardware.robot_clock import Repeats
-from unicon_hardware.torso import IMU_STATES, turned
-from unicon_hardware.unitree.facts import PROTOCOLS, UnitreeFacts
-from unicon_hardware.unitree.release import Release
-from unicon_hardware.wire import newer
+from unicon_hardware.unitree.facts import PROTOCOLS, Release, UnitreeFacts
+from unicon_hardware.wire import IMU_STATES, newer, turned
 from unicon_hardware.wired_robot import SILENCE, WiredRobot, opened
 from unicon_msgs_map import Decoder
 
+# States that LowState tells, those that are there.
 TOLD, FOOT_FORCE = (*JOINT_STATES, *IMU_STATES, *HARDWARE_STATES), "foot_force"
-"""States that LowState tells, those that are there."""
-REMOTE = 40
-"""Bytes of the wireless remote."""
 
 
-def own_arrays(robot: Robot) -> dict[str, Array]:
-    """Return the arrays of the messages that are not states, zero; for both ends of the wire."""
-    n = robot.num_joints
-    return {
-        "tick": np.zeros((), np.uint32),
-        "mode_machine": np.zeros((), np.uint8),
-        "mode_pr": np.zeros((), np.uint8),
-        "modes": np.zeros(n, np.uint8),
-        "temperatures": np.zeros(2 * n, np.int16),
-    }
-
-
-class UnitreeWire(DdsEnd):
+class UnitreeWire(DdsWire):
     """The connection to a robot, or to what looks like one.
 
     Args:
         states: what is measured goes into these, commands come from these.
         robot: its file.
-        facts: of the file.
         domain: of DDS; None for the robot file's.
-        address: of this machine's network interface, or its name; None for the default.
-        checked: LowState must have a right checksum and a new number.
-        release: its own controller is asked to let go.
+        address: of this machine's network interface, or its name.
+        real: LowState must have a right checksum and a new number, and its own controller is asked
+            to let go.
         silent: nothing is sent.
 
     Attributes:
         remote: the wireless remote's bytes, as they came last.
-        variant: what the robot tells of itself, {} before its first frame.
-        modes: of the motors.
+        variant: what the robot reports of itself, {} before its first frame.
 
     Raises:
         UniconError: it cannot be opened.
     """
 
-    label = "platform 'unitree'"
+    label, table, settles = "platform 'unitree'", UnitreeFacts, SETTLES
 
-    def __init__(
-        self,
-        states: States,
-        robot: Robot,
-        facts: UnitreeFacts,
-        domain: int | None,
-        address: str | None,
-        *,
-        checked: bool = True,
-        release: bool = True,
-        silent: bool = False,
-    ) -> None:
-        self.remote = bytearray(REMOTE)
+    def __init__(self, *given: Any, real: bool = True, **options: Any) -> None:
+        self._checked = real
+        super().__init__(*given, **options)
+
+    def _built(self) -> None:
+        states, own, facts = self._states, self._own, self._facts
         self.variant: Mapping[str, Any] = {}
-        self._facts, self._checked, self._last = facts, checked, -1
-        own = own_arrays(robot) | {"remote": np.frombuffer(self.remote, np.uint8)}
+        self._last = -1
+        self.remote, self._held = memoryview(own["remote"].data), b""
         self._tick, self._mode = own["tick"], own["mode_machine"]
-        self.modes = ModeGuard(self.label, robot.joint_names, facts.modes)
-        self.modes.reported = own["modes"]
         told = {name for name in (*TOLD, FOOT_FORCE) if name in states}
-        told -= set() if checked else set(HARDWARE_STATES)
+        told -= set() if self._checked else set(HARDWARE_STATES)
         staged = States(states.layout)  # what is read waits here for the tick
         self._read = {name: array for name, array in arrays_of(staged).items() if name in told}
         into, out_of = (memoryview(each.buffer.data) for each in (states, staged))
         remote = CONTROL_STATES if "sticks" in states else ()
         self._controls = Controls(staged) if remote else None
-        self._held = b""
         self._tell = [(into[span], out_of[span]) for span in spans(states.layout, {*told, *remote})]
-        arrays = self._read | own
-        self._mounting = Mounting.of(robot)
+        if "wireless_remote" in states:
+            self._tell.append((memoryview(states["wireless_remote"].data), self.remote))
+        self._mounting = Mounting.of(self._robot)
         self._pairs = own["temperatures"][0::2], own["temperatures"][1::2]
         # Number and variant are the head's.
-        head = {"tick", "mode_machine"}
-        read = {name: array for name, array in arrays.items() if name not in head}
+        head, arrays = {"tick", "mode_machine"}, self._read | own
         self._head = Decoder.build(facts.state.subscribe(head), arrays)
-        message = facts.state.struct
         ends = ("head", "tick") if facts.go else ("imu_state", "wireless_remote")
-        measured = slice(*(offset_of(message, name) for name in ends))
+        measured = slice(*(offset_of(facts.state.struct, name) for name in ends))
         self._repeats = Repeats(self.label, measured)
-        if "wireless_remote" in states:
-            self._tell.append((memoryview(states["wireless_remote"].data), memoryview(self.remote)))
+        self._message = replace(facts.state, checked=self._checked)
+        self._into = {name: array for name, array in arrays.items() if name not in head}
         self._release: Release | None = None
-        super().__init__(facts.state_topic, facts.domain, domain, address, ahead=True)
-        with self.closing():
-            self._frames = replace(facts.state, checked=checked).frames(read, self.counts)
-            self.listen(facts.state, self, forget=self._forget)
-            self.watch(facts.command_topic)
-            if not silent:
-                self.speak(facts.command, arrays_of(states) | own)
-                if release:
-                    self._release = Release(self.participant, *facts.release, self.label)
+
+    def _open(self) -> None:
+        facts = self._facts
+        self._frames = self._message.frames(self._into, self.counts)
+        self.listen(facts.state, self, forget=self._forget)
+        self.watch(facts.command_topic)
+        if not self._silent:
+            self.speak(facts.command, self._arrays)
+            if self._checked:
+                before, wait = facts.release
+                self._release = Release(self.participant, before, wait, self.label)
+
+    def warm_up(self) -> None:
+        """Read ahead, and do what `put` does, but send nothing to the robot."""
+        for inlet in self._inlets:
+            inlet.read_ahead()
+        super().warm_up()
 
     def _measured(self) -> None:
         for view, value in self._tell:
@@ -198,8 +176,8 @@ class UnitreeWire(DdsEnd):
 
 
 SIMULATOR = "unitree_mujoco"
+# States that it writes where a workflow declares them: 40 bytes; four forces, without a unit.
 DECLARED = ("wireless_remote", FOOT_FORCE)
-"""States that it writes where a workflow declares them: 40 bytes; four forces, without a unit."""
 
 
 def _facts(robot: Robot, states: States, peer: str) -> Facts:
@@ -270,10 +248,7 @@ def make(
     """
     if peer not in ("robot", SIMULATOR):
         raise PlatformError(f"platform 'unitree': no peer {peer!r}; known: robot, {SIMULATOR}")
-    facts, real = UnitreeFacts.of(robot), peer == "robot"
-    wire = UnitreeWire(
-        states, robot, facts, domain, address, checked=real, release=real, silent=silent
-    )
+    wire = UnitreeWire(states, robot, domain, address, real=peer == "robot", silent=silent)
     told = _facts(robot, states, peer)
     built = Unitree(states, robot, period, wire, silence=silence, silent=silent, facts=told)
     return opened(built, connect)

@@ -1,4 +1,4 @@
-"""Platform `unitree_dex3`: a Dex3-1 hand over CycloneDDS, for workflows.
+"""Platform `unitree_dex3`: a Dex3-1 hand over CycloneDDS, and its emulator endpoint.
 
     platform: {hand: unitree_dex3}
     platforms:
@@ -8,7 +8,8 @@ It needs the extra `hw-unitree`.
 
 Byte `mode` of a motor's command is id | status << 4 | timeout << 7; a stop is a command whose
 timeout bit is set and whose gains are 0 (unitreerobotics/unitree_sdk2
-example/g1/dex3/g1_dex3_example.cpp: RIS_Mode_t, stopMotors).
+example/g1/dex3/g1_dex3_example.cpp: RIS_Mode_t, stopMotors). HandState has neither number nor
+checksum: a hand that repeats itself is not distinguished from one that does not move.
 """
 
 from __future__ import annotations
@@ -23,18 +24,19 @@ import numpy as np
 from unicon_base.arrays import Array
 from unicon_base.schema.marks import Key, Within
 from unicon_core.platforms.platform import Facts
-from unicon_core.robots import Robot
-from unicon_core.states import States
 from unicon_core.states.standard import JOINT_STATES
-from unicon_hardware.dds.end import DdsEnd, factory_of
-from unicon_hardware.dds.maps import COMMANDS, MEASURED, DdsFacts, Message, arrays_of, motors
+from unicon_hardware.dds.end import DdsEndpoint, DdsWire, factory_of
+from unicon_hardware.dds.maps import COMMANDS, MEASURED, DdsFacts, Message, motors, zeros
 from unicon_hardware.facts import slots
-from unicon_hardware.modes import UNDOCUMENTED, ModeGuard
 from unicon_hardware.wired_robot import WiredRobot
 
+# Lengths of the sequences (same example: MOTOR_MAX, SENSOR_MAX).
 MOTORS, SENSORS = 7, 9
-"""Lengths of the sequences (same example: MOTOR_MAX, SENSOR_MAX)."""
 TIMEOUT = 1 << 7
+# How often and at which distance in [s] the stop is sent: at the 100 Hz of commands.
+STOPS, STOP_PERIOD = 5, 0.01
+# In [s]: ten frames at the 100 Hz at which the vendor's example commands it.
+SILENCE = 0.1
 
 
 @dataclass(frozen=True)
@@ -54,9 +56,13 @@ class Dex3Facts(DdsFacts):
         """Byte `mode` of each joint's motor that shall run."""
         return [slot | self.status << 4 for slot in self.slots]
 
+    def own(self, joints: int) -> dict[str, Array]:
+        """Return the arrays that are not states: two temperatures of each motor, and its mode."""
+        return zeros(f"temperatures f4 {2 * joints}, modes u1 {joints}")
+
     @property
     def state(self) -> Message:
-        """HandState; its sensors of pressure tell 0."""
+        """HandState; its sensors of pressure send 0."""
         told = MEASURED | {"motorstate": "motor_error", "mode": "modes"}
         heat = motors("motor_state", self.slots, {"temperature": "temperatures"}, size=2)
         return Message(
@@ -87,61 +93,18 @@ class Dex3Facts(DdsFacts):
         return {f"motor_cmd[{k}].mode": mode | bits for k, mode in zip(self.slots, self.modes)}
 
 
-def own_arrays(robot: Robot) -> dict[str, Array]:
-    """Return the arrays of the messages that are not states, zero; for both ends of the wire."""
-    n = robot.num_joints
-    return {"temperatures": np.zeros(2 * n, np.float32), "modes": np.zeros(n, np.uint8)}
-
-
-STOPS, STOP_PERIOD = 5, 0.01
-"""How often and at which distance in [s] the stop is sent: at the 100 Hz of commands."""
-
-
-class Dex3Wire(DdsEnd):
+class Dex3Wire(DdsWire):
     """The connection to one hand.
 
-    HandState has neither number nor checksum: a hand that repeats itself is not told from one that
-    does not move.
-
-    Args:
-        states: what is measured goes into these, commands come from these.
-        robot: its file.
-        domain: of DDS; None for the robot file's.
-        address: of this machine's network interface, or its name; None for the default.
-        silent: nothing is sent.
-
-    Attributes:
-        modes: of the motors; no public source says whether a hand reports the commanded ones.
-
-    Raises:
-        UniconError: it cannot be opened.
+    No public source says whether a hand reports the commanded modes.
     """
 
-    label = "platform 'unitree_dex3'"
+    label, table = "platform 'unitree_dex3'", Dex3Facts
 
-    def __init__(
-        self,
-        states: States,
-        robot: Robot,
-        domain: int | None,
-        address: str | None,
-        *,
-        silent: bool = False,
-    ) -> None:
-        facts, own = Dex3Facts.of(robot), own_arrays(robot)
-        arrays = arrays_of(states) | own
-        self.modes = ModeGuard(self.label, robot.joint_names, facts.modes, settles=UNDOCUMENTED)
-        self.modes.reported = own["modes"]
-        self._pairs = own["temperatures"][0::2], own["temperatures"][1::2]
-        self._hottest = arrays.get("motor_temperature")
-        self._stop = facts.stop_out()
-        self._commands_it = False
-        super().__init__(facts.state_topic, facts.domain, domain, address)
-        with self.closing():
-            self.listen(facts.state, arrays)
-            self.watch(facts.command_topic)
-            if not silent:
-                self.speak(facts.command, arrays)
+    def _built(self) -> None:
+        heat = self._own["temperatures"]
+        self._pairs, self._hottest = (heat[0::2], heat[1::2]), self._arrays.get("motor_temperature")
+        self._stop, self._commands_it = self._facts.stop_out(), False
 
     def _measured(self) -> None:
         if self._hottest is not None:
@@ -168,10 +131,6 @@ class Dex3Wire(DdsEnd):
             super().close()
 
 
-SILENCE = 0.1
-"""In [s]: ten frames at the 100 Hz at which the vendor's example commands it."""
-
-
 class Dex3(WiredRobot):
     """One hand; build it with `make`."""
 
@@ -183,3 +142,34 @@ class Dex3(WiredRobot):
 
 
 make = factory_of(Dex3, Dex3Wire, SILENCE)
+
+
+class Dex3Endpoint(DdsEndpoint):
+    """An emulated hand: HandState, and HandCmd with its mode bytes.
+
+    Not emulated, as it is not public: what the hand does when commands stop, its press sensors,
+    which send 0, and its IMU.
+
+    Attributes:
+        stopped: the last command was a stop.
+    """
+
+    label, table, platform = "emulated unitree_dex3", Dex3Facts, "unitree_dex3"
+    stopped = False
+
+    def tell(self) -> None:
+        """Send what the hand measures."""
+        self.own["temperatures"][...] = np.repeat(self._arrays["motor_temperature"], 2)
+        self.put()
+
+    def _acts(self) -> bool:
+        modes = self._heard["modes"]
+        stops = modes >= TIMEOUT
+        if stops.any() != stops.all() or ((modes & ~np.uint8(TIMEOUT)) != self._facts.modes).any():
+            self.counts.refuse("motor mode", f"{modes.tolist()}")
+            return False
+        self.stopped = bool(stops.all())
+        return True
+
+
+face = Dex3Endpoint

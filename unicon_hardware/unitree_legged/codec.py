@@ -8,84 +8,62 @@ and torques to 16 bits. Facts: unitreerobotics/unitree_legged_sdk include/unitre
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from unicon_base.arrays import Array, Float32
+from unicon_base.errors import PlatformError, RobotError, alternatives
+from unicon_base.schema.marks import Key, Text, Within
+from unicon_core.robots import Robot
+from unicon_hardware.facts import (
+    Octet,
+    Port,
+    Rate,
+    fact,
+    facts_of,
+    ipv4,
+    port_number,
+    slots,
+    wrong_fact,
+)
+from unicon_hardware.wire import frame_type
 from unicon_msgs_map.codec.checksum import words_crc
 
+# Motors of a datagram; a robot of 12 leaves the rest idle.
 SLOTS = 20
-"""Motors of a datagram; a robot of 12 leaves the rest idle."""
+# Of the wire for 1 N·m (int16), 1 N·m/rad and 1 N·m·s/rad (uint16); truncated toward zero.
 TORQUE, STIFFNESS, DAMPING = 256.0, 32.0, 16.0
-"""Of the wire for 1 N·m (int16), 1 N·m/rad and 1 N·m·s/rad (uint16); truncated toward zero."""
+# Smallest and largest number of the wire, and its scale: of torque, stiffness, damping.
+_COMPRESSED = ((-32768, 32767, TORQUE), (0, 65535, STIFFNESS), (0, 65535, DAMPING))
+# Of a cell's byte in [V].
 CELL_VOLT = 0.032
-"""Of a cell's byte in [V]."""
 
-_MOTOR_COMMAND = np.dtype(
-    [
-        ("mode", "u1"),
-        ("q", "<f4"),
-        ("dq", "<f4"),
-        ("tau", "<i2"),
-        ("kp", "<u2"),
-        ("kd", "<u2"),
-        ("reserve", "<u4", 3),
-    ]
+_MOTOR_COMMAND = frame_type("mode u1, q <f4, dq <f4, tau <i2, kp <u2, kd <u2, reserve <u4 3")
+_MOTOR_STATE = frame_type(
+    "mode u1, q <f4, dq <f4, ddq <i2, tau <i2, q_raw <f4, dq_raw <f4, ddq_raw <i2, temperature i1, "
+    "reserve <u4 2"
 )
-_MOTOR_STATE = np.dtype(
-    [
-        ("mode", "u1"),
-        ("q", "<f4"),
-        ("dq", "<f4"),
-        ("ddq", "<i2"),
-        ("tau", "<i2"),
-        ("q_raw", "<f4"),
-        ("dq_raw", "<f4"),
-        ("ddq_raw", "<i2"),
-        ("temperature", "i1"),
-        ("reserve", "<u4", 2),
-    ]
+_BMS_STATE = frame_type(
+    "version u1 2, status u1, soc u1, current <i4, cycle <u2, bq_ntc i1 2, mcu_ntc i1 2, "
+    "cells u1 10"
 )
-_IMU: list[Any] = [
-    ("quat", "<f4", 4),  # wxyz
-    ("gyro", "<f4", 3),
-    ("acc", "<f4", 3),
-    ("rpy", "<f4", 3),
-    ("imu_temperature", "i1"),
-]
-_BMS_STATE = np.dtype(
-    [
-        ("version", "u1", 2),
-        ("status", "u1"),
-        ("soc", "u1"),
-        ("current", "<i4"),
-        ("cycle", "<u2"),
-        ("bq_ntc", "i1", 2),
-        ("mcu_ntc", "i1", 2),
-        ("cells", "u1", 10),
-    ]
-)
-_FEET: list[Any] = [("foot_force", "<i2", 4), ("foot_force_est", "<i2", 4), ("tick", "<u4")]
-_END: list[Any] = [("remote", "u1", 40), ("reserve", "<u4"), ("crc", "<u4")]
-_A1: list[Any] = [
-    ("level", "u1"),
-    ("version", "<u2"),
-    ("robot", "<u2"),
-    ("sn", "<u4"),
-    ("band", "u1"),
-]
-_GO1: list[Any] = [
-    ("head", "u1", 2),
-    ("level", "u1"),
-    ("frame", "u1"),
-    ("sn", "<u4", 2),
-    ("version", "<u4", 2),
-    ("band", "<u2"),
-]
-_MOTORS_OUT: list[Any] = [("motors", _MOTOR_COMMAND, SLOTS)]
-_MOTORS_IN: list[Any] = [*_IMU, ("motors", _MOTOR_STATE, SLOTS)]
+_A1 = "level u1, version <u2, robot <u2, sn <u4, band u1, "
+_GO1 = "head u1 2, level u1, frame u1, sn <u4 2, version <u4 2, band <u2, "
+_IMU = "quat <f4 4, gyro <f4 3, acc <f4 3, rpy <f4 3, imu_temperature i1, "  # wxyz
+_FEET = "foot_force <i2 4, foot_force_est <i2 4, tick <u4, "
+_END = "remote u1 40, reserve <u4, crc <u4"
+
+
+def _command(head: str, more: str) -> np.dtype[Any]:
+    return frame_type(f"{head}motors motor {SLOTS}, {more}, {_END}", motor=_MOTOR_COMMAND)
+
+
+def _state(head: str, more: str = "") -> np.dtype[Any]:
+    table = f"{head}{_IMU}motors motor {SLOTS}, {more}{_FEET}{_END}"
+    return frame_type(table, motor=_MOTOR_STATE, bms=_BMS_STATE)
 
 
 @dataclass(frozen=True)
@@ -103,21 +81,14 @@ class Layout:
     head: bytes = b""
 
 
+# By the lengths of command and state in bytes.
 LAYOUTS = {
     (layout.command.itemsize, layout.state.itemsize): layout
     for layout in (
-        Layout(
-            np.dtype([*_A1, *_MOTORS_OUT, ("led", "u1", (4, 3)), *_END]),
-            np.dtype([*_A1, *_MOTORS_IN, *_FEET, *_END]),
-        ),
-        Layout(
-            np.dtype([*_GO1, *_MOTORS_OUT, ("bms", "u1", 4), *_END]),
-            np.dtype([*_GO1, *_MOTORS_IN, ("bms", _BMS_STATE), *_FEET, *_END]),
-            b"\xfe\xef",
-        ),
+        Layout(_command(_A1, "led u1 4x3"), _state(_A1)),
+        Layout(_command(_GO1, "bms u1 4"), _state(_GO1, "bms bms, "), b"\xfe\xef"),
     )
 }
-"""By the lengths of command and state in bytes."""
 
 _BAND_ENCRYPTED = 0xC03A
 
@@ -177,43 +148,29 @@ class CommandFrame(Frame):
     """The datagram that commands the motors; it begins idle, as the vendor's own does.
 
     Args:
-        layout: of the robot's generation.
-        motors: slots of the joints.
-        level_flag: of low-level commands.
-        servo: mode of every motor that takes commands.
-        pos_stop: position that says: no position loop.
-        vel_stop: velocity that says: no velocity loop.
+        link: layout, slots, modes and stops of the robot.
         encrypted: with the other checksum.
 
     Attributes:
         clamped: commands so far with a figure that the wire could not hold.
     """
 
-    def __init__(
-        self,
-        layout: Layout,
-        motors: slice,
-        level_flag: int,
-        servo: int,
-        pos_stop: float,
-        vel_stop: float,
-        encrypted: bool = False,
-    ) -> None:
+    def __init__(self, link: LeggedTransport, encrypted: bool = False) -> None:
+        layout, stops = link.layout, (link.pos_stop, link.vel_stop)
         super().__init__(layout.command)
         self.buffer[: len(layout.head)] = layout.head
-        self["level"][...] = level_flag
+        self["level"][...] = link.level_flag
         if encrypted:
             self["band"][...] = _BAND_ENCRYPTED
         every = self["motors"]
-        every["mode"], every["q"], every["dq"] = servo, pos_stop, vel_stop
+        every["mode"], (every["q"], every["dq"]) = link.servo, stops
         self.clamped = 0
         self._encrypted = encrypted
-        self._stops = np.float32(pos_stop), np.float32(vel_stop)
-        self._views = [every[name][motors] for name in ("q", "dq", "tau", "kp", "kd")]
+        self._stops = np.array(stops, np.float32)
+        self._views = [every[name][link.motors] for name in ("q", "dq", "tau", "kp", "kd")]
         count = len(self._views[0])
-        self._scale = np.array(((TORQUE,), (STIFFNESS,), (DAMPING,)), np.float32)
-        self._least = np.array(((-32768.0,), (0.0,), (0.0,)), np.float32) / self._scale
-        self._most = np.array(((32767.0,), (65535.0,), (65535.0,)), np.float32) / self._scale
+        least, most, scale = np.array(_COMPRESSED, np.float32).T[..., None]
+        self._scale, self._least, self._most = scale, least / scale, most / scale
         self._asked, self._held = np.zeros((2, 3, count), np.float32)
         self._whole_numbers = np.zeros((3, count), np.int32)
         self._moves = np.zeros((2, count), np.float32)
@@ -248,3 +205,121 @@ class CommandFrame(Frame):
             view[...] = values
         self.seal(self._encrypted)
         return bytes(self.buffer)
+
+
+NAME = "unitree_legged"
+
+
+@dataclass(frozen=True)
+class LeggedTransport:
+    """Addresses, layout and modes.
+
+    Attributes:
+        generation: name of the protocol's.
+        layout: its datagrams.
+        address: of the robot.
+        port: where it takes commands.
+        local_port: where it is answered to.
+        motors: slots of the joints.
+        level_flag: of low-level datagrams.
+        servo: mode of a motor that takes commands.
+        damping: mode of one that brakes.
+        pos_stop: position that says: no position loop.
+        vel_stop: velocity that says: no velocity loop.
+        rate: of datagrams in [Hz].
+        preparation: what a person does so that the robot takes commands.
+    """
+
+    generation: str
+    layout: Layout
+    address: str
+    port: int
+    local_port: int
+    motors: slice
+    level_flag: Octet
+    servo: Annotated[Octet, Key("motor_mode")]
+    damping: Annotated[Octet, Key("damping_mode")]
+    pos_stop: Annotated[float, Within(1.0, 1e10)]
+    vel_stop: Annotated[float, Within(1.0, 1e10)]
+    rate: Rate
+    preparation: Text = "bring it into its low-level mode as its maker says"
+
+
+def link_of(
+    robot: Robot,
+    *,
+    generation: str | None = None,
+    address: str | None = None,
+    port: int | None = None,
+    local_port: int | None = None,
+) -> LeggedTransport:
+    """Return what the robot file says, with the options in place of it where they are given.
+
+    Args:
+        robot: whose `transport` is read.
+        generation: a word of its `generations`; None where it has one alone.
+        address: IPv4 address.
+        port: of the robot.
+        local_port: of this machine.
+
+    Raises:
+        PlatformError: an option is wrong, or the generation has to be said.
+        RobotError: the file lacks a fact, or it is wrong.
+    """
+    chosen, spoken = _generation(robot, generation)
+    lengths = [spoken.get(key) for key in ("command_bytes", "state_bytes")]
+    layout = next((layout for known, layout in LAYOUTS.items() if lengths == [*known]), None)
+    if layout is None:
+        known = ", ".join(f"{command} and {state}" for command, state in LAYOUTS)
+        raise RobotError(
+            f"robot {robot.name}: transport.generations.{chosen} has {lengths[0]} and "
+            f"{lengths[1]} bytes; known: {known} ({robot.path})"
+        )
+    motors = fact(robot, "motors", Annotated[list[int], slots(SLOTS)])
+    if [*motors] != [*range(motors[0], motors[0] + len(motors))]:
+        raise wrong_fact(robot, "motors", f"{len(motors)} slots in sequence, all below {SLOTS},")
+    address = fact(robot, "address", Text) if address is None else address
+    port = fact(robot, "port", Port) if port is None else port
+    local_port = spoken.get("local_port") if local_port is None else local_port
+    return facts_of(
+        LeggedTransport,
+        robot,
+        generation=chosen,
+        layout=layout,
+        address=ipv4(address, NAME),
+        port=port_number(port, NAME),
+        local_port=port_number(local_port, NAME, "local_port"),
+        motors=slice(motors[0], motors[-1] + 1),
+    )
+
+
+def _generation(robot: Robot, chosen: str | None) -> tuple[str, Mapping[str, Any]]:
+    known = robot.transport.get("generations")
+    mapping = isinstance(known, Mapping) and all(
+        isinstance(said, Mapping) for said in known.values()
+    )
+    if not known or not mapping:
+        raise wrong_fact(robot, "generations", "{NAME: {…}, …}")
+    spoken = [name for name, said in known.items() if "command_bytes" in said]
+    if chosen is None and len(known) == 1:
+        chosen = next(iter(known))
+    if chosen is None:
+        example = spoken[0] if spoken else "…"
+        raise PlatformError(
+            f"platform {NAME!r}: robot {robot.name} speaks one of {len(known)} protocols, and "
+            "nothing tells which; say the generation by the vendor's SDK that drives yours: "
+            f"platforms: {{{NAME}: {{generation: {example}}}}}, in `unicon emulate` "
+            f"--set generation={example}; known: {', '.join(known)}"
+        )
+    if not isinstance(chosen, str) or chosen not in known:
+        raise PlatformError(
+            f"platform {NAME!r}: robot {robot.name} has no generation {chosen!r}; "
+            f"{alternatives(str(chosen), known)}"
+        )
+    if chosen not in spoken:
+        raise PlatformError(
+            f"platform {NAME!r}: generation {chosen} cannot be spoken: "
+            f"{known[chosen].get('refused', 'its layout is not known')}; "
+            f"spoken are {', '.join(spoken)}"
+        )
+    return chosen, known[chosen]

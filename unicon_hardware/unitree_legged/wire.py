@@ -8,7 +8,10 @@ position, velocity, gains or torque.
 from __future__ import annotations
 
 import math
+import threading
 import time
+from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -16,22 +19,92 @@ import numpy as np
 from unicon_base.arrays import Float32
 from unicon_base.errors import Fault, PlatformError, StateError
 from unicon_core.blocks.controls.device import Controls
-from unicon_core.blocks.controls.remotes import unitree as held
+from unicon_core.blocks.controls.device import unitree as held
 from unicon_core.platforms.kit.base import IMU_STATES, Mounting
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_hardware.modes import ModeGuard
 from unicon_hardware.robot_clock import Repeats
-from unicon_hardware.udp import Udp
-from unicon_hardware.unitree_legged.codec import CELL_VOLT, LAYOUTS, TORQUE, CommandFrame, Frame
-from unicon_hardware.unitree_legged.repeater import Repeater
-from unicon_hardware.unitree_legged.transport import NAME, LeggedTransport
-from unicon_hardware.wire import Counts, newer
+from unicon_hardware.unitree_legged.codec import (
+    CELL_VOLT,
+    LAYOUTS,
+    NAME,
+    TORQUE,
+    CommandFrame,
+    Frame,
+    LeggedTransport,
+)
+from unicon_hardware.wire import Counts, Udp, Wire, newer
 
+
+class Repeater(threading.Thread):
+    """A thread that repeats what was sent last, until `close`; it computes nothing.
+
+    Args:
+        send: takes a datagram.
+        rate: of datagrams in [Hz].
+        watchdog: so long after the last `put` it sends `damping` instead, [s].
+        idle: what is sent before the first `put`; nobody has to renew it.
+        damping: see `watchdog`.
+    """
+
+    def __init__(
+        self,
+        send: Callable[[bytes], object],
+        rate: float,
+        watchdog: float,
+        idle: bytes,
+        damping: bytes,
+    ) -> None:
+        super().__init__(name="unitree_legged repeater", daemon=True)
+        self._send, self._interval, self._watchdog = send, 1.0 / rate, watchdog
+        self._frame, self._damping = idle, damping
+        self._put = 0.0
+        self._ended = threading.Event()
+        self._late = False
+
+    @property
+    def late(self) -> bool:
+        """Whether a command did not come in time: the robot is damped from then on, for good."""
+        # The tick looks too: in a process that was stopped it may go on before this thread does.
+        put = self._put
+        self._late |= put > 0.0 and time.monotonic() - put > self._watchdog
+        return self._late
+
+    def put(self, frame: bytes) -> None:
+        """Send a datagram now, and again until the next one.
+
+        Raises:
+            Fault: it cannot be sent.
+        """
+        self._frame = frame
+        self._put = time.monotonic()
+        self._send(frame)
+
+    def run(self) -> None:
+        """Send until closed."""
+        interval, due = self._interval, time.monotonic()
+        while not self._ended.wait(max(0.0, due - time.monotonic())):
+            now, put, late = time.monotonic(), self._put, self.late
+            # Half an interval of grace: a tick at this rate sends by itself.
+            if now < put + 1.5 * interval and not late:
+                due = put + 1.5 * interval
+                continue
+            with suppress(Fault):  # the tick is told the same by its own sending
+                self._send(self._damping if late else self._frame)
+            due = max(due + interval, now)
+
+    def close(self) -> None:
+        """End."""
+        self._ended.set()
+        if self.is_alive():
+            self.join()
+
+
+# A state of shape (4,) that a workflow may declare: what the feet's sensors tell, in units of
+# theirs, in the order of the robot's legs.
 FOOT_FORCE = "foot_force"
-"""A state of shape (4,) that a workflow may declare: what the feet's sensors tell, in units of
-theirs, in the order of the robot's legs."""
 
 _NM = np.float32(1.0 / TORQUE)
 # Fields of a datagram, in the order of `IMU_STATES`.
@@ -154,13 +227,13 @@ class StateReader:
             voltage[...] = bms["cells"].sum() * CELL_VOLT
 
 
+# A motor that tells as much obeys somebody else, while our commands ask for nothing, [N·m].
 HELD = 3.0
-"""A motor that tells as much obeys somebody else, while our commands ask for nothing, [N·m]."""
+# For so long it counts, [s]: of two who send as often, one may be heard last for a while.
 LATELY = 2.0
-"""For so long it counts, [s]: of two who send as often, one may be heard last for a while."""
 
 
-class LeggedWire:
+class LeggedWire(Wire):
     """A socket, what was understood last, and a thread that repeats commands.
 
     Args:
@@ -200,22 +273,13 @@ class LeggedWire:
         self._reader = StateReader(states, robot, link, self.counts, encrypted)
         self._repeats = Repeats(f"platform {NAME!r}", self._reader.measured)
         self.link = link
-        self.modes: ModeGuard | None = None
         if check_mode:
             names, called = robot.joint_names, "servo mode"
             self.modes = ModeGuard(f"platform {NAME!r}", names, link.servo, called=called)
             self.modes.reported = self._reader.modes
         self._commands = [states[name] for name in COMMAND_STATES]
         self._nothing = np.zeros(robot.num_joints, np.float32)
-        self._out = CommandFrame(
-            link.layout,
-            link.motors,
-            link.level_flag,
-            link.servo,
-            link.pos_stop,
-            link.vel_stop,
-            encrypted,
-        )
+        self._out = CommandFrame(link, encrypted)
         idle, zero = bytes(self._out.buffer), self._nothing
         limp = self._out.write(zero, zero, zero, zero, np.nan_to_num(robot.joint_damping))
         self._watchdog, self._damped = watchdog, False

@@ -24,17 +24,17 @@ from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_hardware.facts import Baud, Word, fact
-from unicon_hardware.wire import Counts
+from unicon_hardware.wire import Counts, Wire, known
 from unicon_hardware.wired_robot import WiredRobot, opened
 
+# Mode in which a joint gives no torque; the robot file says that of positions.
 POWERLESS = 0
-"""Mode in which a joint gives no torque; the robot file says that of positions."""
+# For so long the module may tell the very same numbers, [s]: then its thread hears nothing more.
+# Twelve measured currents have noise; unverified on a real hand.
 FROZEN = 2.0
-"""For so long the module may tell the very same numbers, [s]: then its thread hears nothing more.
-Twelve measured currents have noise; unverified on a real hand."""
 
 
-class XhandWire:
+class XhandWire(Wire):
     """The hand behind the module.
 
     Args:
@@ -63,10 +63,8 @@ class XhandWire:
         self._gains = [fact(robot, key, Word) for key in ("kp", "ki", "kd", "max_torque")]
         self._count = robot.num_joints
         self._lower, self._upper = robot.lower.astype(float), robot.upper.astype(float)
-        self._target, self._stiffness = states["joint_pos_target"], states["joint_stiffness"]
-        self._pos = states["joint_pos"]
-        named = ("motor_error", "motor_temperature")
-        self._hardware = {state: states[state] for state in named if state in states}
+        self._states = states
+        self._hot, self._error = known(states, "motor_temperature"), known(states, "motor_error")
         self._last: Float64 | None = None
         self._changed = time.monotonic()
         self._device: Any = module.XHandControl()
@@ -121,14 +119,14 @@ class XhandWire:
             self.counts.refuse(f"error {error.error_code}", str(error.error_message))
             return 0
         fingers = [state.finger_state[joint] for joint in range(self._count)]
-        if [int(each.id) for each in fingers] != list(range(self._count)):
-            self.counts.refuse("other joints", str([int(each.id) for each in fingers]))
+        numbers = [int(each.id) for each in fingers]
+        if numbers != [*range(self._count)]:
+            self.counts.refuse("other joints", numbers)
             return 0
         told = np.array([(each.position, each.torque) for each in fingers], np.float64)
-        if not np.isfinite(told[:, 0]).all():
-            self.counts.refuse(
-                "not a number", f"of joint {int(np.argmin(np.isfinite(told[:, 0])))}"
-            )
+        finite = np.isfinite(told[:, 0])
+        if not finite.all():
+            self.counts.refuse("not a number", f"of joint {np.argmin(finite)}")
             return 0
         now = time.monotonic()
         if self._last is None or not np.array_equal(told, self._last, equal_nan=True):
@@ -136,12 +134,11 @@ class XhandWire:
         if now - self._changed > FROZEN:
             self.counts.refuse("the same again", f"for {now - self._changed:.1f} s")
             return 0
-        self._pos[...] = told[:, 0]
-        if "motor_temperature" in self._hardware:
-            degrees = [int(each.temperature) & 0xFF for each in fingers]
-            self._hardware["motor_temperature"][...] = degrees
-        if "motor_error" in self._hardware:  # "jonit" is the maker's spelling
-            self._hardware["motor_error"][...] = [
+        self._states["joint_pos"][...] = told[:, 0]
+        if self._hot is not None:
+            self._hot[...] = [int(each.temperature) & 0xFF for each in fingers]
+        if self._error is not None:  # "jonit" is the maker's spelling
+            self._error[...] = [
                 int(each.commboard_err)
                 | int(each.jonitboard_err) << 8
                 | int(each.tipboard_err) << 16
@@ -156,10 +153,10 @@ class XhandWire:
         Raises:
             Fault: the module does not take them.
         """
-        wanted = self._target.astype(float)
+        wanted = self._states["joint_pos_target"].astype(float)
         held = np.clip(wanted, self._lower, self._upper)
         self.counts.clamped += not np.array_equal(held, wanted)
-        on = self._stiffness > 0.0
+        on = self._states["joint_stiffness"] > 0.0
         for joint in range(self._count):
             each = self._command.finger_command[joint]
             each.position = float(held[joint])
@@ -180,16 +177,13 @@ class XhandWire:
         self._device.close_device()
 
 
-NAME = "xhand"
-
-
 class Xhand(WiredRobot):
     """The hand as a platform."""
 
     facts = Facts(
-        NAME,
+        "xhand",
         writes=("joint_pos", "motor_error", "motor_temperature", "stamp_ns"),
-        protocols=(NAME,),
+        protocols=("xhand",),
     )
 
 

@@ -79,7 +79,7 @@ def _fit(arguments: argparse.Namespace, folder: Path) -> int:
         UniconError: REAL is not a record, or lacks what is needed.
     """
     from unicon_core.robots import load_robot
-    from unicon_core.robots.poses import JOINT_PHYSICS
+    from unicon_core.robots.load import JOINT_PHYSICS
     from unicon_lab.identify.recorded import fit_record
     from unicon_lab.recording import open_record
 

@@ -19,7 +19,7 @@ from unicon_core.metrics import aligned_mse
 from unicon_core.models.load import load_model
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.robots import Robot
-from unicon_core.robots.poses import JOINT_PHYSICS, joint_physics, joints_like
+from unicon_core.robots.load import JOINT_PHYSICS, joint_physics, joints_like
 from unicon_lab.identify.found import Fit, Parameter
 from unicon_lab.identify.replays import Motion, Replays
 

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from unicon_base.errors import UniconError
+from unicon_core.platforms.kit.disturbances import PLACE
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.kit.tracking_simulator import PLACE
 from unicon_core.robots import Robot, load_robot, robot_names
-from unicon_core.robots.poses import JOINT_PHYSICS
+from unicon_core.robots.load import JOINT_PHYSICS
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_lab.identify.fit import fit
 from unicon_lab.identify.found import Fit, overlay_text

@@ -12,8 +12,8 @@ import numpy as np
 
 from unicon_base.arrays import Array, Bool, Float64, Int64
 from unicon_base.errors import Fault, UniconError
+from unicon_core.platforms.kit.disturbances import PLACE, Beside
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.kit.tracking_simulator import PLACE, Beside
 from unicon_core.platforms.platform import Resettable
 from unicon_core.robots import Robot
 from unicon_core.states.standard import COMMAND_STATES

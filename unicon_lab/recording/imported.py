@@ -10,7 +10,7 @@ import numpy as np
 
 from unicon_base.arrays import Array, Int64
 from unicon_base.errors import UniconError
-from unicon_core.blocks.projected_gravity import projected_gravity
+from unicon_core.blocks.maps import projected_gravity
 from unicon_core.robots import Robot
 from unicon_core.runtime.phases import Phase
 from unicon_core.runtime.tick_ring import HEAD, PHASES

@@ -16,12 +16,11 @@ from unicon_base.resources import find_config
 from unicon_core.flow import Block
 from unicon_msgs_map import Encoder, MapStateError, MessageMap, load_map
 from unicon_ros.bridge.bindings import arrays_of, checked_prefix, names_of, robot_variables
-from unicon_ros.bridge.neighbours import CLOCK
+from unicon_ros.bridge.diagnostics import CLOCK
 from unicon_ros.bridge.qos import LATCHED
-from unicon_ros.bridge.robot_frames import RobotMessages
+from unicon_ros.bridge.robot_frames import TF_MESSAGE, RobotMessages
 from unicon_ros.bridge.ros_platform import RosPlatform
-from unicon_ros.bridge.topics_out import prepared
-from unicon_ros.bridge.transforms import TF_MESSAGE
+from unicon_ros.bridge.topics import prepared
 
 if TYPE_CHECKING:
     from unicon_core.workflow import Program

@@ -16,7 +16,7 @@ from unicon_base.errors import PlatformError, UniconError
 from unicon_core.platforms.kit.scene import DISTURBANCES
 from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.robots import Robot
-from unicon_core.robots.poses import JOINT_PHYSICS
+from unicon_core.robots.load import JOINT_PHYSICS
 from unicon_core.states import States
 from unicon_core.states.standard import HARDWARE_STATES
 from unicon_core.workflow import WorkflowDocument

@@ -25,7 +25,7 @@ from unicon_core.workflow import Program
 from unicon_lab.recording import Record, open_record
 from unicon_lab.replay.platform import TARGET, ReplayPlatform
 from unicon_lab.replay.workflow import robot_of
-from unicon_ros.controls import Controls
+from unicon_ros.bridge.services import Controls
 
 if TYPE_CHECKING:
     from unicon_ros.bridge import RosSession

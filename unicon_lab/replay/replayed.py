@@ -25,7 +25,7 @@ from unicon_core.runtime.startup_sequence import approach_tree, waiting_tree
 from unicon_core.signals import SIGNALS
 from unicon_core.states.standard import COMMAND_STATES, GAIN_SCALE, GAIN_SCALE_SPEC
 from unicon_core.workflow import Program, WorkflowDocument
-from unicon_core.workflow.program_memory import memory_of
+from unicon_core.workflow.tick_tree import memory_of
 from unicon_lab.recording import Record
 from unicon_lab.replay.platform import StandIn, recorded_facts
 from unicon_lab.replay.series import Columns

@@ -13,7 +13,7 @@ import numpy as np
 
 from unicon_base.arrays import Array
 from unicon_base.errors import UniconError
-from unicon_core.metrics.strain import LEANS
+from unicon_core.metrics.distances import LEANS
 from unicon_core.page import write_file
 from unicon_core.robots import Robot, joint_index
 from unicon_core.runtime.rollouts import Rollout

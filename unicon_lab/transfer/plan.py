@@ -11,7 +11,7 @@ from unicon_base.errors import MissingDependencyError, PlatformError, UniconErro
 from unicon_core.workflow import load_document
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.hardware import declared_facts
-from unicon_core.workflow.platform_use import read_platforms
+from unicon_core.workflow.members import read_platforms
 from unicon_core.workflow.registry import find_factory, known
 from unicon_lab.sweep.plan import Row, one_robots_seed
 

@@ -18,12 +18,12 @@ from unicon_core.flow import Block, Stage
 from unicon_core.runtime.phases import Phase
 from unicon_core.states import States
 from unicon_core.workflow import Program
-from unicon_core.workflow.skills import skills_of
+from unicon_core.workflow.flow_yaml import skills_of
 from unicon_lab.view.shown import DEAD_MAN, DRIVING, GIVEN_BACK
 from unicon_ros.bridge.bindings import told_states
-from unicon_ros.bridge.tuning import Tuning
-from unicon_ros.controls import Answer, Controls
+from unicon_ros.bridge.services import Answer, Controls
 from unicon_ros.parameter_table import RANGES
+from unicon_ros.parameters import Tuning
 from unicon_ros.peripheral import short
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from unicon_ros.peripheral import Peripheral
 if TYPE_CHECKING:
     from unicon_core.runtime import Runner
     from unicon_lab.view.driver import Driver
-    from unicon_ros.controls import Controls
+    from unicon_ros.bridge.services import Controls
 
 PROCESS = "unicon_lab.view.process"
 

@@ -13,11 +13,11 @@ from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.models.find import model_of, terrain_of
 from unicon_core.robots import Robot
 from unicon_core.runtime.phases import Phase
-from unicon_core.show.tree import branches, title
+from unicon_core.show.text import branches, title
 from unicon_core.states import Layout, StateSpec
 from unicon_core.terrain.words import Terrain
 from unicon_core.workflow import Program
-from unicon_core.workflow.skills import skills_of
+from unicon_core.workflow.flow_yaml import skills_of
 from unicon_ros.parameter_table import AT_ONCE, RANGES
 from unicon_ros.peripheral import peripheral_states
 

@@ -15,8 +15,8 @@ from unicon_lab.view.driver import Driver
 from unicon_lab.view.feed import Fed
 from unicon_lab.view.shown import DEAD_MAN, NAME, PAGE
 from unicon_ros.bridge.bindings import told_states
-from unicon_ros.bridge.tuning import Tuning
-from unicon_ros.controls import Controls
+from unicon_ros.bridge.services import Controls
+from unicon_ros.parameters import Tuning
 from unicon_ros.peripheral import Peripheral, peripheral_states, short
 
 if TYPE_CHECKING:

@@ -14,8 +14,7 @@ import numpy as np
 
 from unicon_base.arrays import Array, Bool, Float64
 from unicon_base.errors import imported
-from unicon_core.models.loaded import import_mujoco
-from unicon_core.models.rows import index_of
+from unicon_core.models.loaded import import_mujoco, index_of
 from unicon_core.robots import Robot
 from unicon_manipulation.ik.chain import Chain
 from unicon_manipulation.ik.tasks import Pose, Settings, Tasks, Weights

@@ -15,7 +15,7 @@ import numpy as np
 
 from unicon_base.arrays import Array, Float64
 from unicon_base.schema.marks import Within
-from unicon_core.models.scalar_rotations import turn_between, turned_by
+from unicon_core.models.frames import turn_between, turned_by
 from unicon_manipulation.ik.chain import Chain
 
 Pose: TypeAlias = tuple[Sequence[float], Sequence[float]]

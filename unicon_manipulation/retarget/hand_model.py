@@ -19,7 +19,7 @@ from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, body_in, dofs_above, import_mujoco
 from unicon_core.models.posed import followers
 from unicon_core.robots import Robot
-from unicon_core.robots.places import Hand
+from unicon_core.robots.robot import Hand
 
 _SITE = "retarget_"
 # How many poses of a finger are tried for its reach on a grid, of one joint at most, and on how

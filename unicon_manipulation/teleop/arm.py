@@ -11,7 +11,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from unicon_base.errors import WorkflowError
-from unicon_core.models.scalar_rotations import Quat, Vector
+from unicon_core.models.frames import Quat, Vector
 from unicon_core.states import States
 from unicon_core.states.standard import pose_of as pose_state
 from unicon_core.states.standard import target_of

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from unicon_core.models.scalar_rotations import (
+from unicon_core.models.frames import (
     Quat,
     Vector,
     conjugate,

@@ -15,7 +15,7 @@ from typing import Literal
 
 from unicon_base.arrays import Array
 from unicon_base.errors import WorkflowError, alternatives
-from unicon_core.models.scalar_rotations import (
+from unicon_core.models.frames import (
     Quat,
     Vector,
     conjugate,

@@ -27,9 +27,8 @@ from functools import lru_cache
 import numpy as np
 
 from unicon_base.generated import define
-from unicon_msgs_map.codec.bulk import castable, read_in_bulk
+from unicon_msgs_map.codec.bulk import Code, castable, read_in_bulk
 from unicon_msgs_map.codec.careful import Run
-from unicon_msgs_map.codec.scalars import Code
 from unicon_msgs_map.layout.messages import Primitive
 
 SCALAR_LIMIT = 8  # numbers of one field that are still read one by one

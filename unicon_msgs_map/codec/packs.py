@@ -15,8 +15,18 @@ from typing import Any
 
 import numpy as np
 
-from unicon_msgs_map.codec.binding import SINGLE_MAX, AnyArray, Bound, Conversion, limits
-from unicon_msgs_map.codec.strides import address, fuse, line, stack, step
+from unicon_msgs_map.codec.binding import (
+    SINGLE_MAX,
+    AnyArray,
+    Bound,
+    Conversion,
+    address,
+    fuse,
+    limits,
+    line,
+    stack,
+    step,
+)
 from unicon_msgs_map.layout.template import Slot, Template
 
 GAP_LIMIT = 64  # constant bytes that a pack into the buffer may write again, [B]

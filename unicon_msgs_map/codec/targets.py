@@ -15,11 +15,10 @@ from unicon_msgs_map.codec.binding import (
     bind_variable,
     message_order,
 )
-from unicon_msgs_map.codec.placing import constant
+from unicon_msgs_map.codec.encoder import constant
 from unicon_msgs_map.errors import MapStateError, count_of
-from unicon_msgs_map.layout.check import resolve
 from unicon_msgs_map.layout.messages import Array, Primitive, String, Struct, TypeRef
-from unicon_msgs_map.layout.template import Leaf, leaf_size, numeric_leaves
+from unicon_msgs_map.layout.template import Leaf, leaf_size, numeric_leaves, resolve
 from unicon_msgs_map.spec import FieldSpec, SubscribeSpec
 
 Listed = dict[int, tuple[str, ...]]  # element names by the number of the field that carries them

@@ -17,8 +17,7 @@ from unicon_base.located_yaml import Located
 from unicon_base.schema.marks import Checked, Matches, Text, Unit, Within, Write
 from unicon_base.schema.types import Here, Mistakes, show
 from unicon_msgs_map.errors import MapFileError
-from unicon_msgs_map.layout.units import PER_SI
-from unicon_msgs_map.spec import Numbers, Qos, Reception, RosName, TrajectorySpec
+from unicon_msgs_map.spec import PER_SI, Numbers, Qos, Reception, RosName, TrajectorySpec
 
 DIRECTIONS = ("publish", "subscribe")
 HIGHEST_RATE = 10_000.0

@@ -15,9 +15,9 @@ from unicon_base.located_yaml import Where, read_text
 from unicon_base.packages import PACKAGE, package_file
 from unicon_base.schema.read import read
 from unicon_msgs_map.errors import MapError, MapFileError
-from unicon_msgs_map.layout.check import check_published, check_received
 from unicon_msgs_map.layout.messages import DEFAULT_DISTRO, Messages, full_name
 from unicon_msgs_map.layout.paths import PathError, Reference, parse_path, parse_reference
+from unicon_msgs_map.layout.template import check_published, check_received
 from unicon_msgs_map.mapfile.document import (
     QOS_PROFILES,
     Conversion,

@@ -5,6 +5,12 @@ identity control (q_d = q) at 50 Hz, as in the UniCon paper's table of latencies
 rate is off by so much that the phase between states and commands sweeps through all its values in
 every turn: locked, it alone would decide the result. All variants live at once and take turns in
 many short rounds: a machine's speed changes within seconds.
+
+The paper's columns SDK (sync) and SDK (async) are the official unitree_sdk2_python beside platform
+`unitree`, with H1's own messages, and what receiving and sending cost in a loop of 500 Hz with a
+G1's 29 joints. The peer is our emulator endpoint. The SDK wants another CycloneDDS than we do, and
+runs in an interpreter of its own: UNICON_UNITREE_SDK names a checkout of it, UNICON_UNITREE_PYTHON
+a Python with cyclonedds 0.10.2 and NumPy.
 """
 
 from __future__ import annotations
@@ -15,24 +21,35 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 
 from unicon_base.errors import UniconError
 from unicon_core.signals import SIGNALS
 from unicon_ros import compat
-from unicon_ros.bench import sdk
 from unicon_ros.bench.domains import free_domain, loopback_environment
-from unicon_ros.bench.loops import LEASE, SETTLE, Loop
+from unicon_ros.bench.loops import (
+    LEASE,
+    SETTLE,
+    Claim,
+    Loop,
+    Rows,
+    add_ratios,
+    add_rows,
+    rounds_of,
+    take_turns,
+)
 from unicon_ros.bench.report import Bench
-from unicon_ros.bench.rounds import Claim, Rows, add_ratios, add_rows, rounds_of, take_turns
 
 PIPELINES = "unicon_ros.bench.pipelines"
+SDK_CONTROLLER = Path(__file__).parent / "pipelines" / "unitree_sdk.py"
 SWEEPS = 2  # of all phases in one turn: 0.9 % of the rate
 ROUNDS = 20
 SECONDS = 0.45
+PATIENCE = 30.0  # s to import the SDK
 
 
 @dataclass(frozen=True)
@@ -45,6 +62,8 @@ class Variant:
         controller: pipeline and its variant, or None where one process is both.
         best_effort: QoS of all topics.
         shared_memory: our controller takes Fast DDS's shared memory, as the plain ones do.
+        rate: of commands in [Hz]; None for that of the bench, which sweeps all phases.
+        rows: rows of the table; () for all.
     """
 
     name: str
@@ -52,6 +71,8 @@ class Variant:
     controller: tuple[str, str] | None
     best_effort: bool = False
     shared_memory: bool = False
+    rate: float | None = None
+    rows: tuple[str, ...] = ()
 
 
 PLAIN, TRIGGERED = "plain, two processes", "plain, triggered by state"
@@ -92,6 +113,30 @@ RATIOS: tuple[Claim, ...] = (
     (_OF_ONE_WAY, "mirror", OBSERVED, "one_way", PLAIN, None),
 )
 
+COST, END = "recv_and_send", "end_to_end"
+SYNC, ASYNC = "SDK (sync)", "SDK (async)"
+FREE, UNITREE = "unicon, unitree, free tick", "unicon, unitree, on state"
+SYNC_500, OURS_500 = "SDK (sync), G1 at 500 Hz", "unicon, unitree, G1 at 500 Hz"
+H1, G1 = ("fast_robot", "h1"), ("fast_robot", "g1_29dof")
+
+SDK_VARIANTS = (
+    Variant(SYNC, H1, ("unitree_sdk", "go:sync")),
+    Variant(ASYNC, H1, ("unitree_sdk", "go:async")),
+    Variant(FREE, H1, ("unicon", "h1:deadline")),
+    Variant(UNITREE, H1, ("unicon", "h1:state")),
+    Variant(SYNC_500, G1, ("unitree_sdk", "hg:sync"), rate=500.0, rows=(COST,)),
+    Variant(OURS_500, G1, ("unicon", "g1_29dof:deadline"), rate=500.0, rows=(COST,)),
+)
+
+SDK_RATIOS: tuple[Claim, ...] = (
+    ("unitree_recv_and_send", COST, OURS_500, COST, SYNC_500, 0.2),
+    ("unitree, recv and send at 50 Hz, of SDK (sync)", COST, FREE, COST, SYNC, None),
+    ("unitree, end to end, of SDK (sync)", END, UNITREE, END, SYNC, None),
+    ("unitree, end to end, of SDK (async)", END, UNITREE, END, ASYNC, None),
+    ("unitree, free tick, end to end, of SDK (sync)", END, FREE, END, SYNC, None),
+    ("unitree, free tick, end to end, of SDK (async)", END, FREE, END, ASYNC, None),
+)
+
 
 def run(
     rounds: int | None = None,
@@ -124,69 +169,124 @@ def run(
     rounds = rounds or ROUNDS
     # So that a turn sees commands at all phases between two states.
     swept = rate * state_rate / (state_rate + SWEEPS / seconds)
-    common = ["--rate", f"{swept}", "--state-rate", f"{state_rate}", "--joints", f"{joints}"]
-    with tempfile.TemporaryDirectory() as folder:
-        logs = Path(folder)
-        with SIGNALS.guard():  # Ctrl-C is looked for between turns
-            makers = {
-                variant.name: partial(_loop, variant, common, logs / f"{i}.npz")
-                for i, variant in enumerate(VARIANTS)
-            }
-            whole, loops = take_turns(makers, rounds, seconds)
-            results, official, lacking = rounds_of(whole, loops), [], sdk.unavailable()
-            if not lacking and whole and not SIGNALS.asked:
-                official = sdk.measure(rounds, seconds, swept, state_rate, logs)
-    figures = {"rate_hz": swept, "state_rate_hz": state_rate, "joints": joints, "seconds": seconds}
-    bench = _bench(results, figures)
-    sdk.add(bench, official)
+    common = ["--state-rate", f"{state_rate}", "--joints", f"{joints}"]
+    official: list[dict[str, Rows]] = []
+    with tempfile.TemporaryDirectory() as folder, SIGNALS.guard():  # Ctrl-C: between turns
+        results = measure(VARIANTS, rounds, seconds, swept, common, Path(folder))
+        lacking = sdk_lacks()
+        if not lacking and results and not SIGNALS.asked:
+            official = measure(SDK_VARIANTS, rounds, seconds, swept, common, Path(folder))
+    bench = Bench("latency", len(results))
+    bench.facts |= {
+        "rate_hz": swept,
+        "state_rate_hz": state_rate,
+        "joints": joints,
+        "seconds": seconds,
+        "qos": "reliable, keep last 1, unless the row says best effort; ours hear states with best "
+        "effort, as platform ros does by itself",
+        "transports": "Fast DDS defaults; our controllers UDP alone, as they do by themselves",
+        "rmw": os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp"),
+        "rows": "Recv: state made → in the controller's hands; Send: publishing the command; "
+        "state_to_command: state made → its command published; "
+        "end_to_end: state made → its command at the robot",
+    }
+    add(bench, VARIANTS, RATIOS, results)
+    if results:
+        beside_paper(bench, [variant.name for variant in VARIANTS])
+    add(bench, SDK_VARIANTS, SDK_RATIOS, official)
     if lacking:
         bench.facts["left out: SDK (sync), SDK (async)"] = lacking
-    floor = None
     if results and not SIGNALS.asked:
         floor = c_level_floor(free_domain(), state_rate)
-    if floor is not None:
-        bench.facts["one hop of DDS in C (ddsperf, 512 B)"] = floor
+        if floor is not None:
+            bench.facts["one hop of DDS in C (ddsperf, 512 B)"] = floor
     return bench
 
 
-def _loop(variant: Variant, common: list[str], log: Path) -> Loop:
-    effort = ["--best-effort"] if variant.best_effort else []
+def measure(
+    variants: Sequence[Variant],
+    rounds: int,
+    seconds: float,
+    rate: float,
+    common: list[str],
+    folder: Path,
+) -> list[dict[str, Rows]]:
+    """Let variants take their turns; call it within `SIGNALS.guard()`.
+
+    Args:
+        variants: all of them live at once.
+        rounds: how many turns each has.
+        seconds: measured time of a turn.
+        rate: of commands in [Hz], where a variant says none.
+        common: further arguments of every process.
+        folder: for logs.
+
+    Returns:
+        Of each whole round, variant to row to samples.
+
+    Raises:
+        UniconError: a loop does not start, or a process of it has ended.
+    """
+    makers = {}
+    for variant in variants:
+        given = ["--rate", f"{variant.rate or rate}", *common]
+        log = folder / f"{len(makers)}_{variant.measuring[1]}.npz"
+        makers[variant.name] = partial(_loop, variant, given, log)
+    return rounds_of(*take_turns(makers, rounds, seconds))
+
+
+def add(
+    bench: Bench,
+    variants: Sequence[Variant],
+    ratios: Iterable[Claim],
+    results: list[dict[str, Rows]],
+) -> None:
+    """Add rows and ratios to a bench; `results` as `measure` returns them."""
+    for variant in variants:
+        add_rows(bench, results, variant.name, variant.rows)
+    add_ratios(bench, results, ratios)
+
+
+def sdk_lacks() -> str:
+    """Return why the SDK cannot run here, in one line; "" where it can."""
+    if find_spec("cyclonedds") is None:
+        return "cyclonedds is not installed: pip install 'unicon_ros[hw-unitree]'"
+    checkout, python = (os.environ.get(f"UNICON_UNITREE_{name}", "") for name in ("SDK", "PYTHON"))
+    if not (Path(checkout) / "unitree_sdk2py").is_dir():
+        return f"UNICON_UNITREE_SDK is {checkout!r}; name a checkout of unitree_sdk2_python"
+    try:
+        said = subprocess.run(
+            [python, "-c", "import numpy, unitree_sdk2py.core.channel"],
+            env={**os.environ, "PYTHONPATH": checkout},
+            capture_output=True,
+            text=True,
+            timeout=PATIENCE,
+        )
+        if not said.returncode:
+            return ""
+        why = f"where the SDK fails ({(said.stderr.strip().splitlines() or ['no message'])[-1]})"
+    except (OSError, ValueError, subprocess.TimeoutExpired) as error:
+        why = f"which does not run ({error})"
+    needed = "a Python with cyclonedds 0.10.2 and NumPy"
+    return f"UNICON_UNITREE_PYTHON is {python!r}, {why}; name {needed}"
+
+
+def _loop(variant: Variant, given: list[str], log: Path) -> Loop:
+    given = [*given, *["--best-effort"] * variant.best_effort]
 
     def command(pipeline: tuple[str, str]) -> list[str]:
         module, kind = pipeline
-        return [sys.executable, "-m", f"{PIPELINES}.{module}", "--variant", kind, *common, *effort]
+        start = [sys.executable, "-m", f"{PIPELINES}.{module}"]
+        if module == "unitree_sdk":
+            path = f"PYTHONPATH={os.environ['UNICON_UNITREE_SDK']}"
+            start = ["env", path, os.environ["UNICON_UNITREE_PYTHON"], str(SDK_CONTROLLER)]
+        return [*start, "--variant", kind, *given]
 
     environment = loopback_environment()
     if variant.shared_memory:
         environment["FASTDDS_BUILTIN_TRANSPORTS"] = "DEFAULT"
-    return Loop(
-        variant.name,
-        command(variant.measuring),
-        None if variant.controller is None else command(variant.controller),
-        environment,
-        log,
-    )
-
-
-def _bench(results: list[dict[str, Rows]], figures: dict[str, float]) -> Bench:
-    bench = Bench("latency", len(results))
-    bench.facts.update(
-        **figures,
-        qos="reliable, keep last 1, unless the row says best effort; ours hear states with best "
-        "effort, as platform ros does by itself",
-        transports="Fast DDS defaults; our controllers UDP alone, as they do by themselves",
-        rmw=os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp"),
-        rows="Recv: state made → in the controller's hands; Send: publishing the command; "
-        "state_to_command: state made → its command published; "
-        "end_to_end: state made → its command at the robot",
-    )
-    if not results:
-        return bench
-    for variant in VARIANTS:
-        add_rows(bench, results, variant.name)
-    beside_paper(bench, [variant.name for variant in VARIANTS])
-    add_ratios(bench, results, RATIOS)
-    return bench
+    controller = None if variant.controller is None else command(variant.controller)
+    return Loop(variant.name, command(variant.measuring), controller, environment, log)
 
 
 def main() -> int:

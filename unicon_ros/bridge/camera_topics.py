@@ -25,10 +25,9 @@ from unicon_msgs_map.layout.messages import shared_messages
 from unicon_msgs_map.spec import Qos
 from unicon_ros import compat
 from unicon_ros.bridge.images import INFO, STAMP
-from unicon_ros.bridge.own_node import OwnNode
+from unicon_ros.bridge.own_node import PROFILES, OwnNode
 from unicon_ros.bridge.qos import LATCHED, QosEvents, qos_profile
-from unicon_ros.bridge.transforms import TF_MESSAGE, static_transforms
-from unicon_ros.transport import PROFILES
+from unicon_ros.bridge.robot_frames import TF_MESSAGE, static_transforms
 
 RELIABILITIES = ("reliable", "best_effort")
 """Of a camera's topics; the first is the default."""

@@ -28,12 +28,10 @@ from unicon_msgs_map.layout.messages import shared_messages
 from unicon_msgs_map.layout.paths import PathError, Reference, parse_path, parse_reference
 from unicon_ros import compat
 from unicon_ros.bridge.bindings import names_of
-from unicon_ros.bridge.declare import declare
 from unicon_ros.bridge.qos import LATCHED, qos_profile
-from unicon_ros.bridge.topics_in import TopicIn
-from unicon_ros.bridge.topics_out import TopicOut
-from unicon_ros.controls import Answer
-from unicon_ros.parameter_table import INTROSPECTION
+from unicon_ros.bridge.services import Answer
+from unicon_ros.bridge.topics import TopicIn, TopicOut
+from unicon_ros.parameter_table import INTROSPECTION, declare
 
 SCHEMA = "unicon.layout/1"
 TOPIC = "~/layout"

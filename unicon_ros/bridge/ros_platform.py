@@ -28,10 +28,9 @@ import numpy as np
 
 from unicon_base.errors import Fault, MissingDependencyError, PlatformError, Silence, UniconError
 from unicon_base.resources import find_config
-from unicon_core.blocks.projected_gravity import projected_gravity
-from unicon_core.platforms.kit.command import FiniteCheck
+from unicon_core.blocks.maps import projected_gravity
+from unicon_core.platforms.kit.command import FiniteCheck, Servo
 from unicon_core.platforms.kit.damping import DAMPING_TIME, Damping, LastSent, repeated
-from unicon_core.platforms.kit.servo import Servo
 from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
 from unicon_core.signals import SIGNALS
@@ -40,6 +39,7 @@ from unicon_core.states.standard import COMMAND_STATES
 from unicon_msgs_map import load_map
 from unicon_msgs_map.spec import TopicSpec
 from unicon_ros import compat
+from unicon_ros.bridge.diagnostics import other_types
 from unicon_ros.bridge.map_fit import (
     EFFORT,
     MEASURED,
@@ -49,11 +49,9 @@ from unicon_ros.bridge.map_fit import (
     message_class,
     robot_codecs,
 )
-from unicon_ros.bridge.neighbours import other_types
 from unicon_ros.bridge.own_node import OwnNode, calm_middleware_threads
 from unicon_ros.bridge.qos import LATEST
-from unicon_ros.bridge.topics_in import TopicIn
-from unicon_ros.bridge.topics_out import TopicOut
+from unicon_ros.bridge.topics import TopicIn, TopicOut
 
 TIMEOUT = 0.5
 """Silence that is a fault where the map gives no `timeout`, [s]."""

@@ -35,18 +35,14 @@ from unicon_ros.bridge.bindings import (
     robot_variables,
     told_states,
 )
-from unicon_ros.bridge.diagnostics import Diagnostics
+from unicon_ros.bridge.diagnostics import CLOCK, Diagnostics, Neighbours
 from unicon_ros.bridge.estop import STOP_SERVICES, EmergencyStop
 from unicon_ros.bridge.introspection import Introspection
-from unicon_ros.bridge.neighbours import CLOCK, Neighbours
 from unicon_ros.bridge.own_node import OwnNode, calm_middleware_threads
 from unicon_ros.bridge.robot_frames import RobotFrames
 from unicon_ros.bridge.ros_platform import RosPlatform
-from unicon_ros.bridge.services import SERVICES, add_services, skill_handlers
-from unicon_ros.bridge.slack import SlackServer
-from unicon_ros.bridge.topics_in import TopicIn
-from unicon_ros.bridge.topics_out import TopicOut
-from unicon_ros.controls import Controls
+from unicon_ros.bridge.services import SERVICES, Controls, SlackServer, add_services, skill_handlers
+from unicon_ros.bridge.topics import TopicIn, TopicOut
 
 if TYPE_CHECKING:
     from unicon_ros.bridge.trajectories import Trajectories

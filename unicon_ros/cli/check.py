@@ -1,27 +1,44 @@
-"""`unicon check WORKFLOW`: preflight; every finding with culprit, evidence and remedy.
+"""What a workflow is and whether it would run: `unicon check`, `explain`, `show` and `schema`.
 
-`unicon explain [CODE]` tells what a finding means.
+unicon check WORKFLOW     every finding with culprit, evidence and remedy
+unicon explain [CODE]     what a finding means
+unicon show WORKFLOW      graph, states and tables of a workflow, without running it
+unicon schema [KIND]      JSON Schema of documents, by which editors complete and check them
 """
 
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
+import json
+from pathlib import Path
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING, Any
 
 from unicon_base.errors import UniconError, alternatives
+from unicon_base.packages import registered
+from unicon_core.page import write_file
 from unicon_ros.cli.console import print_table
-from unicon_ros.cli.options import MAP, WORKFLOW, argument, command, flag, together
+from unicon_ros.cli.options import MAP, WORKFLOW, argument, command, exclusive, flag, together
 
 if TYPE_CHECKING:
     from unicon_core.flow import Block, Stage
     from unicon_core.workflow import Program
 
 
+KINDS = {
+    "workflow": ("unicon_core.workflow.file:Workflow",),
+    "policy": ("unicon_core.policies.file:PolicyFile",),
+    "map": ("unicon_msgs_map.mapfile.document:MapDocument",),
+    "robot": ("unicon_core.robots.file:RobotFile", "unicon_core.robots.file:Overlay"),
+} | {name: (entry.value,) for name, entry in registered("documents").items()}
+"""Kind of document to its classes."""
+
+
 def check(arguments: argparse.Namespace) -> int:
     """Run the command; exit status 0 clean, 1 findings."""
     from unicon_core.check import CheckResult, check_workflow
     from unicon_core.check.subject import Subject
-    from unicon_core.terminal import terminal_width
+    from unicon_core.text_table import terminal_width
 
     def mirror(subject: Subject, result: CheckResult) -> None:
         values = subject.document.values
@@ -54,7 +71,8 @@ def check(arguments: argparse.Namespace) -> int:
 
 def explain(arguments: argparse.Namespace) -> int:
     """Run the command."""
-    from unicon_core.check.rules import CODES, markdown
+    from unicon_core.check.result import markdown
+    from unicon_core.check.rules import CODES
 
     if arguments.markdown:
         print(markdown(), end="")
@@ -66,6 +84,73 @@ def explain(arguments: argparse.Namespace) -> int:
     else:
         known = alternatives(arguments.code, CODES, limit=len(CODES))
         raise UniconError(f"explain: no finding has the code {arguments.code!r}; {known}")
+    return 0
+
+
+def show(arguments: argparse.Namespace) -> int:
+    """Run the command."""
+    from unicon_core.flow import compile_graph
+    from unicon_core.runtime.phases import describe
+    from unicon_core.show.svg import show_page, show_svg
+    from unicon_core.show.text import parts_table, show_mermaid, show_text
+    from unicon_core.workflow import Program, load_document
+
+    # Dry: nothing is opened or published only to be shown.
+    program = Program(load_document(arguments.workflow, arguments.overrides), dry=True)
+    try:
+        facts = (program.root, program.states, program.critical)
+        if arguments.source:
+            print(compile_graph(program.root).source, end="")
+        elif arguments.mermaid:
+            print(show_mermaid(*facts))
+        elif arguments.svg or arguments.html:
+            text = show_svg(*facts) if arguments.svg else show_page(program)
+            path = arguments.svg or arguments.html
+            write_file(Path(path), text.encode())
+            print(path)
+        else:
+            print(show_text(*facts, robot=program.robot, policies=program.policies))
+            print("\nPhases")
+            for phase, what in describe(program):
+                print(f"  {phase:<10} {what}")
+            if program.gates:
+                print("\nGates")
+                gates = [(f"  {g.name}", getattr(g, "about", "")) for g in program.gates]
+                print_table(gates)
+            if program.parts is not None:
+                print("\nParts")
+                print("\n".join(f"  {line}" for line in parts_table(program.parts, program.states)))
+    finally:
+        program.close()
+    return 0
+
+
+def schema_of(kind: str) -> dict[str, Any]:
+    """Return the JSON Schema of a kind of document.
+
+    Raises:
+        UniconError: there is no such kind.
+    """
+    from unicon_base.schema.read import json_schema
+
+    if kind not in KINDS:
+        raise UniconError(f"schema: unknown kind {kind!r}; {alternatives(kind, KINDS)}")
+    return json_schema(*map(resolve_name, KINDS[kind]))
+
+
+def schema(arguments: argparse.Namespace) -> int:
+    """Run the command."""
+    kinds = [arguments.kind] if arguments.kind else list(KINDS)
+    if arguments.kind is None and arguments.out is None:
+        raise UniconError(f"schema: give one of {', '.join(KINDS)}, or --out FOLDER for all")
+    for kind in kinds:
+        text = json.dumps(schema_of(kind), indent=1, ensure_ascii=False) + "\n"
+        if arguments.out is None:
+            print(text, end="")
+            continue
+        path = Path(arguments.out) / f"{kind}.json"
+        write_file(path, text.encode(), folders=True)
+        print(path)
     return 0
 
 
@@ -93,4 +178,25 @@ add = together(
         argument("code", "CODE", "of a finding; all unless given", nargs="?"),
         flag("--markdown", "all rules as a page"),
     ),
+)
+add_show = command(
+    "show",
+    show,
+    "show graph and states",
+    "Show graph, states and tables of a workflow, without running it.",
+    *WORKFLOW,
+    exclusive(
+        flag("--source", "the compiled step as Python"),
+        flag("--mermaid", "the graph as Mermaid"),
+        argument("--svg", "FILE", "the graph as SVG, written to FILE"),
+        argument("--html", "FILE", "all of it as one page, written to FILE"),
+    ),
+)
+add_schema = command(
+    "schema",
+    schema,
+    "JSON Schema of documents, for editors",
+    "JSON Schema of documents, by which editors complete and check them.",
+    argument("kind", "KIND", f"one of {', '.join(KINDS)}", nargs="?"),
+    argument("--out", "FOLDER", "write KIND.json, or all of them, there"),
 )

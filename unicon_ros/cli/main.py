@@ -18,32 +18,31 @@ from typing import Any
 
 import unicon_core
 from unicon_base.errors import UniconError
-from unicon_base.registered import loaded
+from unicon_base.packages import loaded
 from unicon_core.non_blocking_writer import open_standard_files
 from unicon_core.signals import SIGNALS, Interrupted
-from unicon_ros.cli import (
-    assets,
-    bench,
-    check,
-    doctor,
-    known,
-    latches,
-    preflight,
-    run,
-    schema,
-    show,
-    states,
-    talk,
-)
-from unicon_ros.cli.completion import complete
+from unicon_ros.cli import assets, bench, check, doctor, known, preflight, run, states, talk
 
-OURS = (assets, bench, check, doctor, known, latches, preflight, run, schema, show, states, talk)
+OURS = {
+    "run": run.add,
+    "check": check.add,
+    "preflight": preflight.add,
+    "schema": check.add_schema,
+    "show": check.add_show,
+    "states": states.add,
+    "bench": bench.add,
+    "known": known.add,
+    "assets": assets.add,
+    "latches": doctor.add_latches,
+    "doctor": doctor.add,
+    "talk": talk.add,
+}
 ORDER = (
     *("run", "check", "preflight", "emulate", "schema", "show", "states", "bag", "replay"),
     *("analyze", "transfer", "sweep", "view", "bench", "known", "assets", "latches", "doctor"),
     *("talk", "report_run"),
 )
-"""Modules of commands as the list of commands has them; those of other packages come behind."""
+"""Commands as their list has them; those of other packages come behind."""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -67,11 +66,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.set_defaults(quiet=False, verbose=False)
     parser.add_argument("--version", action="version", version=unicon_core.__version__)
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    ours = {each.__name__.rpartition(".")[2]: each for each in OURS}
-    modules = {**loaded("commands"), **ours}
-    for name in dict.fromkeys((*ORDER, *modules)):
-        if name in modules:
-            modules[name].add(commands)
+    adders = {name: each.add for name, each in loaded("commands").items()} | OURS
+    for name in dict.fromkeys((*ORDER, *adders)):
+        if name in adders:
+            adders[name](commands)
     return parser
 
 
@@ -93,7 +91,7 @@ def _run(argv: Sequence[str] | None) -> int:
         words[:2] = [" ".join(words[:2])]
     parser = _parser()
     if "_ARGCOMPLETE" in os.environ:
-        complete(parser)
+        known.complete(parser)
     arguments = parser.parse_args(words)
     if arguments.verbose:
         logging.basicConfig(level=logging.INFO, format="unicon: %(name)s: %(message)s")

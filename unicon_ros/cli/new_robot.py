@@ -15,7 +15,7 @@ import yaml
 from unicon_base.arrays import Float64
 from unicon_base.errors import ModelError, RobotError
 from unicon_base.located_yaml import parse_yaml
-from unicon_core.check.model_facts import model_joints
+from unicon_core.check.joints import model_joints
 from unicon_core.models.find import find_model
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, drives, import_mujoco, is_simple

@@ -20,7 +20,7 @@ from unicon_ros.cli.options import MAP, WORKFLOW, argument, command, flag, optio
 from unicon_ros.cli.run import uses_ros
 
 if TYPE_CHECKING:
-    from unicon_core.preflight.result import PreflightResult
+    from unicon_core.preflight.look import PreflightResult
     from unicon_core.workflow import Program
     from unicon_core.workflow.document import WorkflowDocument
 
@@ -37,7 +37,7 @@ QUESTION = (
 def preflight(arguments: argparse.Namespace) -> int:
     """Run the command; exit status 0 all in order, 1 something fails, 3 fault."""
     # Imported here so that `unicon --help` stays fast and free of optional packages.
-    from unicon_core.preflight.result import PreflightResult
+    from unicon_core.preflight.look import PreflightResult
     from unicon_core.preflight.wiggle import LARGEST, SMALLEST
     from unicon_core.workflow import load_document
 
@@ -100,7 +100,7 @@ def _looked(arguments: argparse.Namespace, document: WorkflowDocument) -> Prefli
 def _static(program: Program, result: PreflightResult) -> None:
     """What `unicon run` would refuse, and what it would tell at its start."""
     from unicon_core.check import refuse_errors
-    from unicon_core.check.files import little_seen
+    from unicon_core.check.check import little_seen
 
     try:
         told = refuse_errors(program)

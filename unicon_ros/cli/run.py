@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from unicon_base.errors import UniconError
-from unicon_base.registered import loaded
+from unicon_base.packages import loaded
 from unicon_core.non_blocking_writer import relayed_stderr
 from unicon_core.page import refuse_unwritable
 from unicon_core.signals import SIGNALS, Guard
@@ -77,9 +77,9 @@ def _run(
     arguments: argparse.Namespace, document: WorkflowDocument, console: Console, guard: Guard
 ) -> _Ended:
     from unicon_core.check import refuse_errors
-    from unicon_core.check.files import little_seen
+    from unicon_core.check.check import little_seen
     from unicon_core.runtime import Runner, RunOptions
-    from unicon_core.runtime.options import never_ends
+    from unicon_core.runtime.phases import never_ends
     from unicon_core.workflow import Program
 
     for extension in loaded("run").values():

@@ -174,7 +174,7 @@ def _age(age: float | None) -> str:
 
 
 def _show(name: str) -> int:
-    from unicon_core.show.state_table import SPEC_HEAD, spec_cells
+    from unicon_core.show.text import SPEC_HEAD, spec_cells
     from unicon_core.states import States
     from unicon_core.states.backends.shm import Segment, ShmWatcher
 

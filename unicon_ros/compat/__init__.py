@@ -14,8 +14,10 @@ from unicon_ros.compat.loading import (
     parameters_given,
 )
 from unicon_ros.compat.made_types import bytes_class
-from unicon_ros.compat.raw import (
+from unicon_ros.compat.services import (
+    Responses,
     ReusedWaitSet,
+    Transitions,
     incompatible_policy,
     polled_group,
     raw_publish,
@@ -26,7 +28,6 @@ from unicon_ros.compat.raw import (
     wait_for_readers,
     with_events,
 )
-from unicon_ros.compat.services import Responses, Transitions
 from unicon_ros.compat.serving import Piece, Serving
 
 __all__ = [

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from unicon_base.errors import Fault, MissingDependencyError, ModelError, one_line
-from unicon_core.models.touching import contact_of, floors, may_touch, on_floor
-from unicon_core.platforms.kit.quiet import patience
+from unicon_core.models.loaded import contact_of, floors, may_touch, on_floor
 from unicon_core.platforms.kit.stepped import (
     SIMULATED,
     Facts,
@@ -31,6 +30,7 @@ from unicon_core.platforms.kit.stepped import (
     SteppedSimulator,
     WorldPose,
     import_mujoco,
+    patience,
     rotation,
     setup_of,
 )
@@ -59,7 +59,8 @@ class GenesisPlatform(SteppedSimulator):
     )
 
     def __init__(self, genesis: Any, setup: Setup) -> None:
-        count, start = setup.num_robots, setup.start
+        count = setup.num_robots
+        start = setup.start
         loaded = start.loaded
         self._begin = np.tile(start.qpos, (count, 1))
         self._broken = genesis.GenesisException
@@ -70,14 +71,17 @@ class GenesisPlatform(SteppedSimulator):
             raise ModelError(f"model {loaded.path}: Genesis says: {one_line(error)}") from error
         # Its coordinates are MuJoCo's: the same joints in the same order.
         model = loaded.model
-        self._at, self._rates = loaded.addresses, loaded.dofs
+        self._at = loaded.addresses
+        self._rates = loaded.dofs
         at, rate = (
             (0, 0)
             if loaded.base is None
             else (int(array[loaded.base]) for array in (model.jnt_qposadr, model.jnt_dofadr))
         )
-        self._place, self._turn = slice(at, at + 3), slice(at + 3, at + 7)
-        self._linear, self._angular = slice(rate, rate + 3), slice(rate + 3, rate + 6)
+        self._place = slice(at, at + 3)
+        self._turn = slice(at + 3, at + 7)
+        self._linear = slice(rate, rate + 3)
+        self._angular = slice(rate + 3, rate + 6)
         self._forces = np.zeros((count, model.nv))
         super().__init__(setup, otherwise(start))
 
@@ -90,7 +94,8 @@ class GenesisPlatform(SteppedSimulator):
 
     def base(self) -> WorldPose:
         pos, vel = self._positions(), self._velocities()
-        quat, own = pos[:, self._turn], vel[:, self._angular, None]
+        quat = pos[:, self._turn]
+        own = vel[:, self._angular, None]
         # As MuJoCo: velocity of the origin in the world, rates about the base's own axes.
         rates = (rotation(quat) @ own)[..., 0]
         return WorldPose(pos[:, self._place], quat, vel[:, self._linear], rates)
@@ -201,11 +206,13 @@ def built(genesis: Any, model: Any, timestep: float, begin: Float64) -> tuple[An
 
 def _solver(genesis: Any, model: Any) -> dict[str, Any]:
     """Return the solver's settings as the model has them."""
-    mujoco, opt = import_mujoco(), model.opt
+    mujoco = import_mujoco()
+    opt = model.opt
     elliptic = opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
     euler = opt.integrator == mujoco.mjtIntegrator.mjINT_EULER
     conjugate = opt.solver == mujoco.mjtSolver.mjSOL_CG
-    solver, cone = genesis.constraint_solver, genesis.friction_cone
+    solver = genesis.constraint_solver
+    cone = genesis.friction_cone
     dimensions = int(model.geom_condim.max(initial=1))
     return {
         "enable_mujoco_compatibility": True,
@@ -240,8 +247,10 @@ def adapted(start: Start, figures: JointModel) -> Any:
 
 def otherwise(start: Start) -> list[str]:
     """Return what of the model Genesis reads, but does otherwise than MuJoCo, one line each."""
-    mujoco, model = import_mujoco(), start.loaded.model
-    opt, notes = model.opt, []
+    mujoco = import_mujoco()
+    model = start.loaded.model
+    opt = model.opt
+    notes = []
     if opt.integrator not in (mujoco.mjtIntegrator.mjINT_EULER, *_implicit(mujoco)):
         name = mujoco.mjtIntegrator(opt.integrator).name.removeprefix("mjINT_")
         notes.append(f"integrator {name} became implicitfast")

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from unicon_base.errors import MissingDependencyError, PlatformError
-from unicon_core.models.urdf_write import physical_urdf
+from unicon_core.models.kinematic_tree import physical_urdf
 from unicon_core.platforms.kit.stepped import (
     SIMULATED,
     Facts,
@@ -57,7 +57,8 @@ class IsaacGymPlatform(SteppedSimulator):
 
     def __init__(self, modules: tuple[Any, Any, Any], device: str, setup: Setup) -> None:
         api, self._interop, self._torch = modules
-        self._device, self._on_gpu = device, device != "cpu"
+        self._device = device
+        self._on_gpu = device != "cpu"
         gym = self._gym = api.acquire_gym()
         self._sim: Any = gym.create_sim(
             int(device.partition(":")[2] or 0), -1, api.SIM_PHYSX, _params(api, setup, device)
@@ -75,8 +76,12 @@ class IsaacGymPlatform(SteppedSimulator):
         super().__init__(setup)
 
     def _build(self, api: Any, setup: Setup) -> None:
-        gym, sim, robot, start = self._gym, self._sim, setup.robot, setup.start
-        friction, count = ground_friction(start), setup.num_robots
+        gym = self._gym
+        sim = self._sim
+        robot = setup.robot
+        start = setup.start
+        friction = ground_friction(start)
+        count = setup.num_robots
         plane = api.PlaneParams()
         plane.normal = api.Vec3(0.0, 0.0, 1.0)
         plane.static_friction = plane.dynamic_friction = friction
@@ -118,7 +123,8 @@ class IsaacGymPlatform(SteppedSimulator):
 
     def _tell(self, api: Any, env: Any, actor: int, figures: JointModel, friction: float) -> None:
         """Set properties of joints and shapes of one robot."""
-        gym, into = self._gym, self._robot_from_dof
+        gym = self._gym
+        into = self._robot_from_dof
         joints = gym.get_actor_dof_properties(env, actor)
         joints["driveMode"].fill(api.DOF_MODE_EFFORT)
         for name in ("stiffness", "damping", "friction"):
@@ -133,16 +139,19 @@ class IsaacGymPlatform(SteppedSimulator):
         gym.set_actor_dof_properties(env, actor, joints)
         shapes = gym.get_actor_rigid_shape_properties(env, actor)
         for shape in shapes:  # friction of two is averaged
-            shape.friction, shape.restitution = friction, 0.0
+            shape.friction = friction
+            shape.restitution = 0.0
         gym.set_actor_rigid_shape_properties(env, actor, shapes)
 
     def place(self) -> None:
-        start, count = self.start, self.num_robots
+        start = self.start
+        count = self.num_robots
         root, dof = np.zeros((count, 13), np.float32), self._zeros(2)
         root[:, :3], root[:, 3:7] = start.position, np.roll(start.quat, -1)
         dof[:, self._robot_from_dof, 0] = start.joint_pos
         # Until the next step these are what the tensors would tell.
-        self._roots, self._dofs = root, dof
+        self._roots = root
+        self._dofs = dof
         self._push_states()
 
     def joints(self) -> tuple[Float64, Float64]:
@@ -162,7 +171,8 @@ class IsaacGymPlatform(SteppedSimulator):
         return cross(rate, rotation(quat) @ self._centre)
 
     def step(self, torque: Float64) -> None:
-        gym, sim = self._gym, self._sim
+        gym = self._gym
+        sim = self._sim
         force = self._zeros()
         force[:, self._robot_from_dof] = torque - self._damping * self.joints()[1]
         gym.set_dof_actuation_force_tensor(sim, self._tensor(force))
@@ -179,7 +189,8 @@ class IsaacGymPlatform(SteppedSimulator):
         self._push_states()
 
     def _push_states(self) -> None:
-        gym, sim = self._gym, self._sim
+        gym = self._gym
+        sim = self._sim
         gym.set_actor_root_state_tensor(sim, self._tensor(self._roots))
         gym.set_dof_state_tensor(sim, self._tensor(self._dofs))
 
@@ -193,20 +204,24 @@ class IsaacGymPlatform(SteppedSimulator):
         return self._interop.unwrap_tensor(self._kept)
 
     def close(self) -> None:
-        sim, self._sim = self._sim, None
+        sim = self._sim
+        self._sim = None
         if sim is not None:
             self._gym.destroy_sim(sim)
 
 
 def _params(api: Any, setup: Setup, device: str) -> Any:
     params = api.SimParams()
-    params.dt, params.substeps = setup.timestep, 1
+    params.dt = setup.timestep
+    params.substeps = 1
     params.up_axis = api.UP_AXIS_Z
     params.gravity = api.Vec3(*map(float, setup.start.gravity))
     params.use_gpu_pipeline = params.physx.use_gpu = device != "cpu"
     params.physx.solver_type = 1  # TGS
-    params.physx.num_position_iterations, params.physx.num_velocity_iterations = 4, 1
-    params.physx.contact_offset, params.physx.rest_offset = 0.01, 0.0
+    params.physx.num_position_iterations = 4
+    params.physx.num_velocity_iterations = 1
+    params.physx.contact_offset = 0.01
+    params.physx.rest_offset = 0.0
     return params
 
 

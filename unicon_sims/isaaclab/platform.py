@@ -17,7 +17,7 @@ import numpy as np
 
 from unicon_base.errors import MissingDependencyError, PlatformError
 from unicon_base.schema.marks import Matches
-from unicon_core.models.urdf_write import physical_urdf
+from unicon_core.models.kinematic_tree import physical_urdf
 from unicon_core.platforms.kit.stepped import (
     SIMULATED,
     Facts,
@@ -57,7 +57,8 @@ class IsaacLabPlatform(SteppedSimulator):
     represents = ("armature", "damping", "friction", "limits")
 
     def __init__(self, device: str, setup: Setup) -> None:
-        self._torch, self._device = import_module("torch"), device
+        self._torch = import_module("torch")
+        self._device = device
         self._sim: Any = None
         self._folder = TemporaryDirectory()  # the importer's USD files are made in it
         try:
@@ -68,8 +69,10 @@ class IsaacLabPlatform(SteppedSimulator):
             raise
 
     def _build(self, setup: Setup) -> None:
-        robot, start = setup.robot, setup.start
-        lab, assets = import_module("isaaclab.sim"), import_module("isaaclab.assets")
+        robot = setup.robot
+        start = setup.start
+        lab = import_module("isaaclab.sim")
+        assets = import_module("isaaclab.assets")
         scene = import_module("isaaclab.scene")
         friction = ground_friction(start)
         material = lab.RigidBodyMaterialCfg(  # of all that has none of its own
@@ -112,7 +115,8 @@ class IsaacLabPlatform(SteppedSimulator):
         self._origins = self._read(self._scene.env_origins)
 
     def _articulation(self, lab: Any, assets: Any, setup: Setup) -> Any:
-        robot, start = setup.robot, setup.start
+        robot = setup.robot
+        start = setup.start
         file = Path(self._folder.name) / f"{robot.name}.urdf"
         file.write_text(physical_urdf(start.loaded, robot), encoding="utf-8")
         drive = lab.UrdfFileCfg.JointDriveCfg
@@ -154,8 +158,10 @@ class IsaacLabPlatform(SteppedSimulator):
         )
 
     def place(self) -> None:
-        start, count = self.start, self.num_robots
-        self._pose, self._twist = np.zeros((count, 7)), np.zeros((count, 6))
+        start = self.start
+        count = self.num_robots
+        self._pose = np.zeros((count, 7))
+        self._twist = np.zeros((count, 6))
         self._pose[:, :3], self._pose[:, 3:] = start.position, start.quat
         self._pos = np.tile(start.joint_pos, (count, 1))
         self._vel = np.zeros_like(self._pos)
@@ -174,11 +180,13 @@ class IsaacLabPlatform(SteppedSimulator):
         return self._pos, self._vel
 
     def base(self) -> WorldPose:
-        pose, twist = self._pose, self._twist
+        pose = self._pose
+        twist = self._twist
         return WorldPose(pose[:, :3], pose[:, 3:], twist[:, :3], twist[:, 3:])
 
     def step(self, torque: Float64) -> None:
-        robot, data = self._robot, self._robot.data
+        robot = self._robot
+        data = self._robot.data
         robot.set_joint_effort_target(self._tensor(self._in_lab(torque)))
         self._scene.write_data_to_sim()
         self._sim.step(render=False)
@@ -210,7 +218,8 @@ class IsaacLabPlatform(SteppedSimulator):
         return np.array(tensor.cpu().numpy(), np.float64)
 
     def close(self) -> None:
-        sim, self._sim = self._sim, None
+        sim = self._sim
+        self._sim = None
         if sim is not None:
             # As environments of Isaac Lab close; `stop` renders until somebody plays again.
             if hasattr(sim, "clear_all_callbacks"):  # 2.3

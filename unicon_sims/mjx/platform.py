@@ -16,9 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from unicon_base.errors import MissingDependencyError, ModelError, one_line
-from unicon_core.models.actuators import effort_ranges
-from unicon_core.platforms.kit.quiet import patience, quiet
-from unicon_core.platforms.kit.servo import strength_of
+from unicon_core.models.load import effort_ranges
+from unicon_core.platforms.kit.command import strength_of
 from unicon_core.platforms.kit.stepped import (
     BODY_PHYSICS,
     JOINT_PHYSICS,
@@ -34,24 +33,22 @@ from unicon_core.platforms.kit.stepped import (
     SteppedSimulator,
     WorldPose,
     import_mujoco,
+    patience,
+    quiet,
     rotation,
     setup_of,
 )
 
+# Tolerance of the solver: float32 seldom gets further, however often it iterates. With MuJoCo's own
+# 1e-8 sixteen Go2 took 1.6 times as long.
 FINEST = 1e-6
-"""Tolerance of the solver: float32 seldom gets further, however often it iterates. With MuJoCo's
-own 1e-8 sixteen Go2 took 1.6 times as long."""
 
 
 class MjxPlatform(SteppedSimulator):
     """N robots in one batch of MJX, in float32; built by `make`."""
 
     facts = Facts(
-        "mjx",
-        simulated=True,
-        batch=True,
-        writes=SIMULATED,
-        physics=(*JOINT_PHYSICS, *BODY_PHYSICS),
+        "mjx", simulated=True, batch=True, writes=SIMULATED, physics=(*JOINT_PHYSICS, *BODY_PHYSICS)
     )
     represents = (
         "armature",
@@ -69,8 +66,11 @@ class MjxPlatform(SteppedSimulator):
         import jax
         from mujoco import mjx
 
-        count, robot, start = setup.num_robots, setup.robot, setup.start
-        self._count, self._size = count, robot.num_joints
+        count = setup.num_robots
+        robot = setup.robot
+        start = setup.start
+        self._count = count
+        self._size = robot.num_joints
         model = _model(setup)
         compiled, first = _put(mjx, model, start)
         places = Places.of(model, start)
@@ -141,8 +141,10 @@ class Places(NamedTuple):
     @classmethod
     def of(cls, model: Any, start: Start) -> Places:
         """Return those of a robot in a model."""
-        loaded, base = start.loaded, start.loaded.base
-        pos, vel = loaded.addresses.tolist(), loaded.dofs.tolist()
+        loaded = start.loaded
+        base = start.loaded.base
+        pos = loaded.addresses.tolist()
+        vel = loaded.dofs.tolist()
         if base is None:
             return cls(tuple(pos), tuple(vel), False, 0, 0)
         at = int(model.jnt_qposadr[base]), int(model.jnt_dofadr[base])
@@ -161,12 +163,14 @@ def compiled_tick(places: Places) -> Any:
     from mujoco import mjx
 
     jnp = jax.numpy
-    pos, vel = jnp.array(places.pos), jnp.array(places.vel)
+    pos = jnp.array(places.pos)
+    vel = jnp.array(places.vel)
 
     def where(data: Any) -> Any:
         if not places.floating:
             return jnp.zeros(13)
-        at, by = places.base_pos, places.base_vel
+        at = places.base_pos
+        by = places.base_vel
         return jnp.concatenate((data.qpos[at : at + 7], data.qvel[by : by + 6]))
 
     def one(model: Any, limits: Any, factor: Any, data: Any, command: Any, steps: Any) -> Any:
@@ -174,7 +178,8 @@ def compiled_tick(places: Places) -> Any:
 
         def step(_: Any, carried: Any) -> Any:
             data, _, _ = carried
-            error, slip = target - data.qpos[pos], velocity - data.qvel[vel]
+            error = target - data.qpos[pos]
+            slip = velocity - data.qvel[vel]
             asked = stiffness * error + (damping * slip + feed_forward)
             torque = jnp.clip(asked, *limits) * factor
             applied = jnp.zeros_like(data.qfrc_applied).at[vel].set(torque)
@@ -190,7 +195,8 @@ def compiled_tick(places: Places) -> Any:
 
 def _model(setup: Setup) -> Any:
     """Return the model with the joints' figures and without its own actuators."""
-    mujoco, loaded = import_mujoco(), setup.start.loaded
+    mujoco = import_mujoco()
+    loaded = setup.start.loaded
     model = loaded.model
     model.opt.timestep = setup.timestep
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)

@@ -18,7 +18,6 @@ import numpy as np
 
 from unicon_base.arrays import Float32
 from unicon_base.errors import MissingDependencyError, PlatformError, alternatives, one_line
-from unicon_core.platforms.kit.quiet import patience, quiet
 from unicon_core.platforms.kit.stepped import (
     SIMULATED,
     DampedSimulator,
@@ -31,13 +30,15 @@ from unicon_core.platforms.kit.stepped import (
     States,
     WorldPose,
     import_mujoco,
+    patience,
+    quiet,
     rotation,
     setup_of,
 )
 from unicon_sims.newton.world import build_world, not_told, solver_options
 
+# MuJoCo's own library, robot by robot, or MuJoCo Warp, all of them in one step.
 Solver = Literal["mujoco", "warp"]
-"""MuJoCo's own library, robot by robot, or MuJoCo Warp, all of them in one step."""
 
 _COMPILES = "newton: loading its kernels, which compile for a minute or two the first time"
 
@@ -56,11 +57,14 @@ class Engine:
 
     def __init__(self, model: Any, solver: Any, joints: list[int]) -> None:
         self.worlds = max(int(model.world_count), 1)
-        self._model, self._solver = model, solver
+        self._model = model
+        self._solver = solver
         self._q = model.joint_q_start.numpy()[joints]
         self._v = model.joint_qd_start.numpy()[joints]
         self._centre = np.array(model.body_com.numpy()[0], np.float64)  # of the base
-        self._now, self._next, self._control = model.state(), model.state(), model.control()
+        self._now = model.state()
+        self._next = model.state()
+        self._control = model.control()
         self._force = np.zeros((self.worlds, model.joint_dof_count // self.worlds), np.float32)
 
     def _rows(self, array: Any) -> Float32:
@@ -82,7 +86,8 @@ class Engine:
         """Return the values of a `WorldPose`, shape (worlds, 3) or (worlds, 4)."""
         pose = self._rows(self._now.joint_q)[:, :7].astype(np.float64)
         twist = self._rows(self._now.joint_qd)[:, :6].astype(np.float64)
-        quat, rate = pose[:, (6, 3, 4, 5)], twist[:, 3:]
+        quat = pose[:, (6, 3, 4, 5)]
+        rate = twist[:, 3:]
         quat /= np.linalg.norm(quat, axis=1, keepdims=True)
         centre = rotation(quat) @ self._centre  # from the origin, along the world's axes
         return pose[:, :3], quat, twist[:, :3] - np.cross(rate, centre), rate
@@ -207,7 +212,8 @@ def make(
     world, numbers = build_world(newton, warp, start, robot, setup.figures)
     start.loaded.notes += not_told(start)
     joints = [numbers[name] for name in robot.joint_names]
-    count, options = setup.num_robots, solver_options(start)
+    count = setup.num_robots
+    options = solver_options(start)
 
     def engine(builder: Any, **more: Any) -> Engine:
         model = builder.finalize()

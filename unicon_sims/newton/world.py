@@ -13,11 +13,8 @@ from typing import Any
 import numpy as np
 
 from unicon_base.arrays import Float64
-from unicon_core.models.kinematic_tree import Link, read_tree
-from unicon_core.models.loaded import import_mujoco
-from unicon_core.models.quaternions import rotate
-from unicon_core.models.touching import solid, still
-from unicon_core.models.urdf_write import physical_links
+from unicon_core.models.kinematic_tree import Link, physical_links, read_tree
+from unicon_core.models.loaded import import_mujoco, rotate, solid, still
 from unicon_core.platforms.kit.base import rotation
 from unicon_core.platforms.kit.joint_model import JointModel
 from unicon_core.platforms.kit.start import Start
@@ -82,8 +79,10 @@ def not_told(start: Start) -> list[str]:
 
     What `kit/joint_model.py` has a word for is not among it.
     """
-    model, field = start.loaded.model, int(import_mujoco().mjtGeom.mjGEOM_HFIELD)
-    option, fields = model.opt, int((model.geom_type == field).sum())
+    model = start.loaded.model
+    field = int(import_mujoco().mjtGeom.mjGEOM_HFIELD)
+    option = model.opt
+    fields = int((model.geom_type == field).sum())
     found = {
         f"{model.ntendon} tendons": model.ntendon,
         f"{fields} height fields": fields,
@@ -98,14 +97,19 @@ class _Builder:
     def __init__(
         self, newton: Any, warp: Any, start: Start, robot: Robot, figures: JointModel
     ) -> None:
-        self._newton, self._warp, self._start = newton, warp, start
-        self._model, self._figures, self._robot = start.loaded.model, figures, robot
+        self._newton = newton
+        self._warp = warp
+        self._start = start
+        self._model = start.loaded.model
+        self._figures = figures
+        self._robot = robot
         self._builder = newton.ModelBuilder(gravity=warp.vec3(*start.gravity))
         newton.solvers.SolverMuJoCo.register_custom_attributes(self._builder)
         self._shapes: dict[int, int] = {}  # geom -> shape
 
     def build(self) -> tuple[Any, dict[str, int]]:
-        builder, model = self._builder, self._model
+        builder = self._builder
+        model = self._model
         links = physical_links(read_tree(model, self._robot, colliding=True))
         bodies: list[int] = []
         joints: dict[str, int] = {}
@@ -122,7 +126,8 @@ class _Builder:
                 first = next(one for one in link.geoms if one.number == geom)
                 self._shape(bodies[-1], geom, self._place(geom, first.position), first.quat)
         builder.add_articulation(order, label=self._robot.name)
-        mujoco, quat = import_mujoco(), np.zeros(4)
+        mujoco = import_mujoco()
+        quat = np.zeros(4)
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
         for geom in still(model):
@@ -145,7 +150,8 @@ class _Builder:
         )
 
     def _joint(self, link: Link, bodies: list[int]) -> Any:
-        builder, body = self._builder, bodies[-1]
+        builder = self._builder
+        body = bodies[-1]
         if link.parent < 0:
             joint = builder.add_joint_free(body, label="base")
             w, x, y, z = self._start.quat
@@ -171,7 +177,9 @@ class _Builder:
 
     def _figures_of(self, link: Link) -> dict[str, Any]:
         """Return what Newton is told of a joint; it has no drive of its own."""
-        model, figures, at = self._model, self._figures, link.index
+        model = self._model
+        figures = self._figures
+        at = link.index
         dof = int(model.jnt_dofadr[link.number])
         words = ("armature", "damping", "friction", "lower", "upper")
         if at >= 0:
@@ -240,9 +248,12 @@ class _Builder:
         )
 
     def _mesh(self, geom: int) -> Any:
-        model, mesh = self._model, int(self._model.geom_dataid[geom])
-        first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
-        face, faces = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
+        model = self._model
+        mesh = int(self._model.geom_dataid[geom])
+        first = int(model.mesh_vertadr[mesh])
+        count = int(model.mesh_vertnum[mesh])
+        face = int(model.mesh_faceadr[mesh])
+        faces = int(model.mesh_facenum[mesh])
         return self._newton.Mesh(
             np.array(model.mesh_vert[first : first + count], np.float32),
             np.array(model.mesh_face[face : face + faces], np.int32).ravel(),
@@ -254,13 +265,16 @@ class _Builder:
 
         A body with two joints is two bodies in Newton, so that its parent is not its own.
         """
-        model, shapes = self._model, self._shapes
+        model = self._model
+        shapes = self._shapes
         welded = np.array(model.body_weldid)
         parents = welded[model.body_parentid[welded]]
         named = {(int(s) >> 16, int(s) & 0xFFFF) for s in model.exclude_signature}
         for a, b in combinations(shapes, 2):
-            one, other = int(model.geom_bodyid[a]), int(model.geom_bodyid[b])
-            own, others = int(welded[one]), int(welded[other])
+            one = int(model.geom_bodyid[a])
+            other = int(model.geom_bodyid[b])
+            own = int(welded[one])
+            others = int(welded[other])
             near = own in (others, parents[other]) or others == parents[one]
             near = near and own > 0 and others > 0
             if near or (one, other) in named or (other, one) in named:
@@ -268,7 +282,8 @@ class _Builder:
 
     def _pair(self) -> None:
         """Add the `<pair>` elements of the model."""
-        model, shapes = self._model, self._shapes
+        model = self._model
+        shapes = self._shapes
         for i in range(model.npair):
             ends = int(model.pair_geom1[i]), int(model.pair_geom2[i])
             if not set(ends) <= shapes.keys():

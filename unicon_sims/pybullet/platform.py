@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from unicon_base.errors import imported
-from unicon_core.models.urdf_write import physical_urdf
-from unicon_core.platforms.kit.quiet import quiet
+from unicon_core.models.kinematic_tree import physical_urdf
 from unicon_core.platforms.kit.stepped import (
     BODY_PHYSICS,
     SIMULATED,
@@ -24,6 +23,7 @@ from unicon_core.platforms.kit.stepped import (
     States,
     WorldPose,
     ground_friction,
+    quiet,
     setup_of,
 )
 
@@ -78,13 +78,17 @@ class _World:
     """One robot on a plane, which does not collide with itself."""
 
     def __init__(self, client: Any, description: str, setup: Setup) -> None:
-        self._client, self._description, self._setup = client, description, setup
+        self._client = client
+        self._description = description
+        self._setup = setup
         self._torque_control = client.TORQUE_CONTROL
         self._friction = ground_friction(setup.start)
 
     def place(self) -> None:
         """Build the world anew: what contacts and motors remember goes with the old one."""
-        client, start, figures = self._client, self._setup.start, self._setup.figures
+        client = self._client
+        start = self._setup.start
+        figures = self._setup.figures
         client.resetSimulation()
         client.setPhysicsEngineParameter(
             fixedTimeStep=self._setup.timestep, deterministicOverlappingPairs=1

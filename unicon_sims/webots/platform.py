@@ -32,8 +32,8 @@ from unicon_core.platforms.kit.stepped import (
 
 INSTALL = "install Webots, and put $WEBOTS_HOME/lib/controller/python on PYTHONPATH"
 
+# Name of a joint's position sensor, as urdf2webots has it; the motor has that of the joint.
 SENSOR = "{}_sensor"
-"""Name of a joint's position sensor, as urdf2webots has it; the motor has that of the joint."""
 
 
 class WebotsPlatform(SteppedSimulator):
@@ -53,7 +53,8 @@ class WebotsPlatform(SteppedSimulator):
     represents = ("damping", "limits")
 
     def __init__(self, supervisor: Any, setup: Setup) -> None:
-        self._supervisor, self._step_ms = supervisor, round(setup.timestep * 1e3)
+        self._supervisor = supervisor
+        self._step_ms = round(setup.timestep * 1e3)
         self._mat2quat = import_mujoco().mju_mat2Quat
         self._open = True
         self._find(setup.robot, setup.figures)
@@ -130,9 +131,12 @@ class WebotsPlatform(SteppedSimulator):
         self._node.resetPhysics()
         self._limp()
         # Sensors tell nothing before a step.
-        self._pos, self._vel = start.joint_pos[None].copy(), np.zeros((1, len(start.joint_pos)))
-        self._place, self._quat = start.position[None].copy(), start.quat[None].copy()
-        self._moves, self._rate = np.zeros((1, 3)), np.zeros((1, 3))
+        self._pos = start.joint_pos[None].copy()
+        self._vel = np.zeros((1, len(start.joint_pos)))
+        self._place = start.position[None].copy()
+        self._quat = start.quat[None].copy()
+        self._moves = np.zeros((1, 3))
+        self._rate = np.zeros((1, 3))
 
     def joints(self) -> tuple[Float64, Float64]:
         return self._pos, self._vel
@@ -151,7 +155,8 @@ class WebotsPlatform(SteppedSimulator):
         if self.start.floating:
             place = np.array([self._node.getPosition()])
             self._moves = (place - self._place) / self.timestep
-            self._place, self._quat = place, np.zeros((1, 4))
+            self._place = place
+            self._quat = np.zeros((1, 4))
             self._mat2quat(self._quat[0], np.array(self._node.getOrientation()))
             self._rate = np.array([self._node.getVelocity()[3:]])
 

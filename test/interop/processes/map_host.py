@@ -20,8 +20,7 @@ import numpy as np
 from unicon_base.resources import find_config
 from unicon_msgs_map import Decoder, Encoder, load_map
 from unicon_ros import compat
-from unicon_ros.bridge.topics_in import TopicIn
-from unicon_ros.bridge.topics_out import TopicOut
+from unicon_ros.bridge.topics import TopicIn, TopicOut
 
 RATE = 100.0  # Hz
 INTEGERS = {"stamp_ns": np.int64, "mode_machine": np.uint8, "motor_mode": np.uint8}

@@ -50,10 +50,13 @@ class World:
         spec = mujoco.MjSpec.from_string(urdf)
         spec.compiler.fusestatic = False
         option = spec.option
-        option.timestep, option.gravity = timestep, gravity
-        option.cone, option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, 10.0
+        option.timestep = timestep
+        option.gravity = gravity
+        option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+        option.impratio = 10.0
         base = spec.worldbody.first_body()
-        self.base, self.fixed = base.name, fixed
+        self.base = base.name
+        self.fixed = fixed
         if not fixed:
             base.add_freejoint()
         for joint in spec.joints:
@@ -65,7 +68,8 @@ class World:
         for geom in spec.geoms:
             geom.contype, geom.conaffinity, geom.friction[0] = 2, 1, friction
         floor = spec.worldbody.add_geom()
-        floor.type, floor.size = mujoco.mjtGeom.mjGEOM_PLANE, (0.0, 0.0, 1.0)
+        floor.type = mujoco.mjtGeom.mjGEOM_PLANE
+        floor.size = (0.0, 0.0, 1.0)
         floor.contype, floor.conaffinity, floor.friction[0] = 1, 2, friction
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
@@ -74,7 +78,8 @@ class World:
         # Not the order of the file, so that whoever goes by it is wrong.
         ids.sort(key=lambda i: self.model.joint(i).name[::-1])
         self.names = [self.model.joint(i).name for i in ids]
-        self._qpos, self._dofs = self.model.jnt_qposadr[ids], self.model.jnt_dofadr[ids]
+        self._qpos = self.model.jnt_qposadr[ids]
+        self._dofs = self.model.jnt_dofadr[ids]
         body = self.model.body(self.base)
         self.centre = np.array(body.ipos)
         self._body = body.id
@@ -90,7 +95,8 @@ class World:
         mujoco.mj_resetData(self.model, self.data)
         if self.fixed:
             body = self.model.body(self.base)
-            body.pos, body.quat = position, quat
+            body.pos = position
+            body.quat = quat
         else:
             self.data.qpos[:3], self.data.qpos[3:7] = position, quat
         self.data.qpos[self._qpos], self.data.qvel[self._dofs] = joint_pos, joint_vel

@@ -6,7 +6,7 @@ from typing import Any
 
 import controller
 
-from unicon_core.models.urdf_write import physical_urdf
+from unicon_core.models.kinematic_tree import physical_urdf
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.kit.start import start_of
 from unicon_core.robots import Robot

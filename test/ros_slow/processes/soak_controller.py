@@ -19,7 +19,7 @@ from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program, load_workflow
 from unicon_ros.bench.pipelines.log import arguments
-from unicon_ros.bench.pipelines.workflows import write_bridged
+from unicon_ros.bench.pipelines.unicon import write_bridged
 
 
 def main() -> None:

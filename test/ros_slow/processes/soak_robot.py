@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from rclpy.qos import QoSProfile
 
-from unicon_ros.bench.pipelines import fast_robot, plain_nodes
+from unicon_ros.bench.pipelines import fast_robot, plain
 
 
 def deep(best_effort: bool) -> QoSProfile:
-    return plain_nodes.qos(best_effort, depth=50)
+    return plain.qos(best_effort, depth=50)
 
 
 fast_robot.qos = deep

@@ -12,6 +12,9 @@
       cases: {passive: damp, stand: …, walk: {policy: walk}}
 
 A button that is not for the present mode is refused, and says why.
+
+Skills are a state machine of the same kind, see `unicon_core/workflow/skills.py`: modes that
+buttons, a state and callers of `Skills.ask` (a service) ask for; a refusal says why.
 """
 
 from __future__ import annotations
@@ -23,19 +26,19 @@ from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 
-from unicon_base.arrays import Bool, Float32, Int32
+from unicon_base.arrays import Array, Bool, Float32, Int32
 from unicon_base.errors import WorkflowError, alternatives
 from unicon_base.schema.marks import Like, NotEmpty, Write
 from unicon_core.blocks.controls.device import declares_controls
 from unicon_core.blocks.joint_command import ticks_of
-from unicon_core.buttons import BUTTONS, Button
+from unicon_core.bounds import BUTTONS, Button
 from unicon_core.flow.block import Reads, Writes
 from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext
 from unicon_core.workflow.file import Entry
 
+# A stick that is no further away is let go.
 CENTRED = 0.2
-"""A stick that is no further away is let go."""
 
 
 @dataclass(frozen=True)
@@ -70,8 +73,8 @@ class ModeEntry:
     enter: Callable[[], str] | None = None
 
 
+# Sticks, buttons and projected gravity.
 Seen: TypeAlias = tuple[Float32, Int32, Float32]
-"""Sticks, buttons and projected gravity."""
 
 
 def modes(
@@ -178,12 +181,15 @@ class Modes:
         context: BuildContext,
     ) -> None:
         self._sticks, self._buttons, self._gravity = seen
-        self._mode, self._names, self._ways = mode, tuple(names), tuple(ways)
+        self._mode = mode
+        self._names = tuple(names)
+        self._ways = tuple(ways)
         self.buttons_used = tuple(way.button for way in ways if way.button)
         self._period = context.period
         self._tell: Callable[[str], None] = context.tell
         self._before = np.ones_like(self._buttons)
-        self._now, self._ticks = self._names[0], 0
+        self._now = self._names[0]
+        self._ticks = 0
 
     def __call__(self) -> str:
         pressed = self._buttons > self._before
@@ -207,7 +213,8 @@ class Modes:
             self._tell(f"{way.button} is refused: {reason}")
 
     def _enter(self, mode: str) -> None:
-        self._now, self._ticks = mode, 0
+        self._now = mode
+        self._ticks = 0
         self._tell(f"{self.word}: {mode}")
 
     def _refused(self, way: ModeEntry) -> str:
@@ -226,5 +233,134 @@ class Modes:
 
     def reset(self) -> None:
         """Begin anew; what is held down counts once it is pressed again."""
-        self._now, self._ticks = self._names[0], 0
+        self._now = self._names[0]
+        self._ticks = 0
         self._before[...] = 1
+
+
+# State: number of the present skill, in the order of the workflow.
+SKILL = "skill"
+
+# Value of the asking state that asks for nothing.
+NOTHING = -1
+
+
+class Skills(Modes):
+    """The selector of the skills.
+
+    Args:
+        seen: as of `Modes`; of size 0 what no skill looks at.
+        number: state `skill`.
+        ways: how each skill is entered, in the order of the workflow.
+        following: skill to the one that comes when it is done.
+        wish: state that asks for a skill by its number whenever it changes, or None.
+        context: of the build.
+        reads: states that are read.
+
+    Attributes:
+        names: of the skills, in the order of the workflow; the first is the one to begin with.
+    """
+
+    memory = ("_wished", "_asked", "_next")
+
+    word = "skill"
+
+    def __init__(
+        self,
+        seen: Seen,
+        number: Int32,
+        ways: Sequence[ModeEntry],
+        following: Mapping[str, str],
+        wish: Array | None,
+        context: BuildContext,
+        reads: Sequence[str],
+    ) -> None:
+        self.names = tuple(way.mode for way in ways)
+        super().__init__(seen, number, self.names, ways, context)
+        self._by_name = {way.mode: way for way in ways}
+        self._following = dict(following)
+        self._wish = wish
+        self._wished = self._value()
+        self._asked = self._next = ""
+        self.reads = tuple(reads)
+        self.writes = (SKILL,)
+
+    @property
+    def now(self) -> str:
+        """The present skill."""
+        return self._now
+
+    def ask(self, name: str) -> str:
+        """Ask for a skill, which is entered in the next tick; return why it is refused, or "".
+
+        Call it in the thread of the ticks.
+
+        Raises:
+            KeyError: no such skill.
+        """
+        way = self._by_name[name]
+        reason = "" if name == self._now else self._refused(way)
+        if not reason:
+            self._asked = name
+        return reason
+
+    def end(self) -> None:
+        """Note that the present skill is done: the one that follows comes in the next tick."""
+        self._next = self._following[self._now]
+
+    def __call__(self) -> str:
+        if self._next:
+            self._enter(self._next)
+            self._next = ""
+        if self._wish is not None and (wished := self._value()) != self._wished:
+            self._wished = wished
+            self._wish_for(wished)
+        if self._asked:
+            self._go_to(self._asked, "it was asked for")
+            self._asked = ""
+        return super().__call__()
+
+    def _value(self) -> int:
+        return NOTHING if self._wish is None else int(self._wish)
+
+    def _wish_for(self, number: int) -> None:
+        if number == NOTHING:
+            return
+        if 0 <= number < len(self.names):
+            self._go_to(self.names[number], f"number {number}")
+        else:
+            last = len(self.names) - 1
+            self._tell(f"skill number {number} is refused: there are 0 to {last}")
+
+    def _go_to(self, name: str, why: str) -> None:
+        if name == self._now:
+            return
+        reason = self._refused(self._by_name[name])
+        if reason:
+            self._tell(f"skill {name} ({why}) is refused: {reason}")
+        else:
+            self._enter(name)
+
+    def reset(self) -> None:
+        """Begin anew."""
+        super().reset()
+        self._asked = self._next = ""
+        self._wished = self._value()
+
+
+class Ended:
+    """What stands behind a skill that another one follows: it says that the skill is done.
+
+    Args:
+        skills: gives the selector, which is built by the time of the first tick.
+    """
+
+    memory = ()
+
+    endless = True
+
+    def __init__(self, skills: Callable[[], Skills]) -> None:
+        self._skills = skills
+
+    def __call__(self) -> None:
+        self._skills().end()

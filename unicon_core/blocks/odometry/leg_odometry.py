@@ -23,14 +23,17 @@ from unicon_core.workflow.autowire import BuildContext
 
 # Of an equal share of the weight: what a foot bears that surely hangs, and surely stands. A leg
 # that swings asks its joints for up to a third of it.
-_LEAST, _SURE = 0.4, 0.8
+_LEAST = 0.4
+_SURE = 0.8
 # Over the lowest foot in [m]: a foot so high surely stands, and surely hangs, of an even floor.
-_NEAR, _FAR = 0.01, 0.04
+_NEAR = 0.01
+_FAR = 0.04
 # What an accelerometer reads at most in the air, [m/s²].
 _FALLS = 0.3 * GRAVITY
 # What a foot moves though it stands, at its touchdown in [m/s], and the time in [s] in which that
 # goes: rubber and ground give way, and the foot slides until it bears.
-_TOUCH, _SETTLES = 0.25, 0.05
+_TOUCH = 0.25
+_SETTLES = 0.05
 
 
 class Standing:
@@ -57,10 +60,12 @@ class Standing:
     def __init__(
         self, feet: Feet, robot: Robot, joint_noise: float, threshold: float | None
     ) -> None:
-        self._feet, self._threshold = feet, threshold
+        self._feet = feet
+        self._threshold = threshold
         self._share = feet.weight / len(feet.names)
         self._rank = np.array([robot.feet.index(name) for name in feet.names], np.intp)
-        pose, none = np.nan_to_num(robot.default_joint_pos), np.zeros(3)
+        pose = np.nan_to_num(robot.default_joint_pos)
+        none = np.zeros(3)
         feet(np.array((1.0, 0.0, 0.0, 0.0)), none, pose, np.zeros_like(pose), None)
         lengths = np.linalg.norm(feet.position, axis=1)
         self._variances = ((joint_noise * lengths) ** 2).tolist()
@@ -89,7 +94,9 @@ class Standing:
         """
         heights = self._feet.position[:, 2].tolist()
         sure = self._surely(heights, pull, sensed, torques)
-        variances, whole, height = [], 0.0, 0.0
+        variances = []
+        whole = 0.0
+        height = 0.0
         for foot, share in enumerate(sure):
             if not share > 0.0:  # nor where it is not a number
                 self._since[foot] = sure[foot] = 0.0
@@ -106,17 +113,14 @@ class Standing:
         return variances
 
     def _surely(
-        self,
-        heights: list[float],
-        pull: float,
-        sensed: Array | None,
-        torques: bool,
+        self, heights: list[float], pull: float, sensed: Array | None, torques: bool
     ) -> list[float]:
         """Return how surely each foot stands, from 0 to 1."""
         if sensed is not None and self._threshold is not None:
             return [float(f >= self._threshold) for f in sensed[self._rank].tolist()]
         if torques:
-            least, span = _LEAST * self._share, (_SURE - _LEAST) * self._share
+            least = _LEAST * self._share
+            span = (_SURE - _LEAST) * self._share
             return [min(max((f - least) / span, 0.0), 1.0) for f in self._feet.force.tolist()]
         if pull < _FALLS**2:
             return [0.0] * len(heights)
@@ -124,17 +128,21 @@ class Standing:
         return [min(max((high - at) / (_FAR - _NEAR), 0.0), 1.0) for at in heights]
 
 
-ACCELERATION_NOISE, JOINT_NOISE = 1.5, 0.4
+ACCELERATION_NOISE = 1.5
+JOINT_NOISE = 0.4
+# Between two data in [s], over which an acceleration tells nothing any more.
 LONGEST = 0.1
-"""Between two data in [s], over which an acceleration tells nothing any more."""
+# Time without a foot that stands in [s], after which the robot is taken to hang, not to jump.
 HANGS = 0.5
-"""Time without a foot that stands in [s], after which the robot is taken to hang, not to jump."""
+# Of the position, as a share of the way.
 DRIFT = 0.03
-"""Of the position, as a share of the way."""
 # Squared, in [m²/s²], [rad²/s²] and [m²/s⁴]: a base that moves at 100 m/s, turns at 100 rad/s, or
 # feels 100 g is one that a sensor makes up.
-_FASTEST, _QUICKEST, _HARDEST = 1e4, 1e4, 1e6
-_FORCE, _POS_VARIANCE = "foot_force", "base_pos_w_variance"
+_FASTEST = 1e4
+_QUICKEST = 1e4
+_HARDEST = 1e6
+_FORCE = "foot_force"
+_POS_VARIANCE = "base_pos_w_variance"
 
 
 class LegOdometry:
@@ -188,7 +196,9 @@ class LegOdometry:
         acceleration_noise: Annotated[float, positive(100.0, "m/s²")] = ACCELERATION_NOISE,
     ) -> None:
         single(base_quat)
-        platform, states, robot = context.platform, context.states, context.robot
+        platform = context.platform
+        states = context.states
+        robot = context.robot
         told = () if platform is None else platform.facts.writes
         if platform is not None and _FORCE in told and foot_force is None:
             raise WorkflowError(
@@ -201,16 +211,21 @@ class LegOdometry:
         self.reads = tuple(more)
         self.writes = ("base_pos_w", _POS_VARIANCE) if position else ()
         feet = Feet(context.model("leg_odometry"), robot)
-        self._feet, self._standing = feet, Standing(feet, robot, joint_noise, foot_force)
+        self._feet = feet
+        self._standing = Standing(feet, robot, joint_noise, foot_force)
         self._filter = VelocityFilter(acceleration_noise)
         self._imu = base_quat, base_ang_vel, base_lin_acc
-        self._effort, self._force = more.get("joint_effort"), more.get(_FORCE)
+        self._effort = more.get("joint_effort")
+        self._force = more.get(_FORCE)
         self._joints = joint_pos, joint_vel
-        self._stamp, self._period = more.get("stamp_ns"), context.period
-        self._velocity, self._variance = base_lin_vel, base_lin_vel_variance
+        self._stamp = more.get("stamp_ns")
+        self._period = context.period
+        self._velocity = base_lin_vel
+        self._variance = base_lin_vel_variance
         self._contact = foot_contact
         outs = {name: states[name] for name in self.writes}
-        self._position, self._of_position = outs.get("base_pos_w"), outs.get(_POS_VARIANCE)
+        self._position = outs.get("base_pos_w")
+        self._of_position = outs.get(_POS_VARIANCE)
         imu = robot.imu  # a filter of the IMU's place has no lever arm to mind
         self._arm = [0.0] * 3 if imu is None else np.nan_to_num(imu.position).tolist()
         self.reset()
@@ -244,7 +259,8 @@ class LegOdometry:
         self._last: int | None = None
         self._hanging = self._way = 0.0
         self._rotation = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
-        self._told, self._place = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
+        self._told = [0.0, 0.0, 0.0]
+        self._place = [0.0, 0.0, 0.0]
 
     def again(self) -> None:
         """Tick as if the present data were new, one period later than the last: to warm up."""
@@ -263,7 +279,8 @@ class LegOdometry:
         """Return the time since the last data in [s], 0 where there are no new ones."""
         if self._stamp is None:
             return self._period
-        stamp, last = int(self._stamp), self._last
+        stamp = int(self._stamp)
+        last = self._last
         self._last = stamp
         if last is None:
             return self._period
@@ -274,7 +291,8 @@ class LegOdometry:
         return 1e-9 * (stamp - last)
 
     def _update(self, dt: float) -> None:
-        feet, motion = self._feet, self._filter
+        feet = self._feet
+        motion = self._filter
         quat, rates, force = self._imu
         w, x, y, z = quat.tolist()
         wx, wy, wz = rates.tolist()
@@ -302,7 +320,9 @@ class LegOdometry:
         x, y, z = self._arm
         x, y, z = wy * z - wz * y, wz * x - wx * z, wx * y - wy * x
         a, b, c, d, e, f, g, h, i = rotation
-        sx, sy, sz = a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
+        sx = a * x + b * y + c * z
+        sy = d * x + e * y + f * z
+        sz = g * x + h * y + i * z
         if legs:
             variances = self._standing(dt, pull, self._force, self._effort is not None)
             told = [(sx - u, sy - v, sz - w) for u, v, w in feet.velocity.tolist()]
@@ -312,7 +332,9 @@ class LegOdometry:
         if self._hanging > HANGS:
             motion.rest(dt, rotation)
         u, v, w = motion.velocity
-        u, v, w = u - sx, v - sy, w - sz
+        u = u - sx
+        v = v - sy
+        w = w - sz
         if not u * u + v * v + w * w < _FASTEST:
             self.reset()
             return

@@ -19,17 +19,18 @@ from collections.abc import Sequence
 
 Vector = Sequence[float]
 
+# In [m/s²].
 GRAVITY = 9.81
-"""In [m/s²]."""
+# For which noises are given in [s]; at other rates they are scaled so that the bandwidth stays.
 PERIOD = 0.02
-"""For which noises are given in [s]; at other rates they are scaled so that the bandwidth stays."""
 # Squared distance in units of its variance, of three axes, from which a foot counts as slipping: 95
 # % of those that do not are nearer (chi square).
 _GATE = 8.0
 # Of the accelerometer's bias in [m/s²/√s]: tilt errors of an IMU come and go within seconds.
 _BIAS_WALK = 0.02
 # At the beginning, and at most, in [m/s²]: a tilt of 3° and of 12°.
-_BIAS, _LARGEST_BIAS = 0.5, 2.0
+_BIAS = 0.5
+_LARGEST_BIAS = 2.0
 # Standard deviation of a velocity that nobody has told yet in [m/s].
 _UNKNOWN = 1.0
 # Time constant in [s] with which a base that no foot carries is believed to be at rest.
@@ -57,9 +58,12 @@ class VelocityFilter:
 
     def reset(self) -> None:
         """Begin anew, at rest as far as is known."""
-        self.velocity, self.bias = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
+        self.velocity = [0.0, 0.0, 0.0]
+        self.bias = [0.0, 0.0, 0.0]
         self._last: list[float] | None = None
-        self.variance, self._both, self._of_bias = _UNKNOWN**2, 0.0, _BIAS**2
+        self.variance = _UNKNOWN**2
+        self._both = 0.0
+        self._of_bias = _BIAS**2
 
     def predict(self, dt: float, rotation: Vector, force: Vector) -> None:
         """Move on by a time.
@@ -71,9 +75,13 @@ class VelocityFilter:
         """
         a, b, c, d, e, f, g, h, i = rotation
         bias = self.bias
-        x, y, z = force[0] - bias[0], force[1] - bias[1], force[2] - bias[2]
+        x = force[0] - bias[0]
+        y = force[1] - bias[1]
+        z = force[2] - bias[2]
         now = [a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z - GRAVITY]
-        last, velocity, half = self._last, self.velocity, 0.5 * dt
+        last = self._last
+        velocity = self.velocity
+        half = 0.5 * dt
         if last is not None:
             velocity[0] += half * (now[0] + last[0])
             velocity[1] += half * (now[1] + last[1])
@@ -108,11 +116,15 @@ class VelocityFilter:
         for (one, two, three), own in zip(told, variances):
             if own == math.inf:
                 continue
-            one, two, three = one - vx, two - vy, three - vz
+            one = one - vx
+            two = two - vy
+            three = three - vz
             far = (one * one + two * two + three * three) / (_GATE * (variance + own))
             share = 1.0 / own if far <= 1.0 else 1.0 / (own * far * far)
             weight += share
-            x, y, z = x + share * one, y + share * two, z + share * three
+            x = x + share * one
+            y = y + share * two
+            z = z + share * three
         if weight > 0.0:
             self._take(PERIOD / (dt * weight), x / weight, y / weight, z / weight, rotation)
 
@@ -125,12 +137,17 @@ class VelocityFilter:
         """Correct by a difference from the velocity, of a variance of its own."""
         a, b, c, d, e, f, g, h, i = rotation
         whole = self.variance + own
-        gain, of_bias = self.variance / whole, self._both / whole
-        velocity, bias, most = self.velocity, self.bias, _LARGEST_BIAS
+        gain = self.variance / whole
+        of_bias = self._both / whole
+        velocity = self.velocity
+        bias = self.bias
+        most = _LARGEST_BIAS
         velocity[0] += gain * x
         velocity[1] += gain * y
         velocity[2] += gain * z
-        x, y, z = of_bias * x, of_bias * y, of_bias * z
+        x = of_bias * x
+        y = of_bias * y
+        z = of_bias * z
         bias[0] = min(max(bias[0] + a * x + d * y + g * z, -most), most)
         bias[1] = min(max(bias[1] + b * x + e * y + h * z, -most), most)
         bias[2] = min(max(bias[2] + c * x + f * y + i * z, -most), most)

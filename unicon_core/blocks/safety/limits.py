@@ -15,16 +15,15 @@ from unicon_base.arrays import Bool, Float32
 from unicon_base.errors import Fault, RobotError, WorkflowError
 from unicon_base.schema.marks import Within
 from unicon_core.bounds import POSITION, SHARE, MaxRate, Scale
-from unicon_core.flow.block import Amends, Bundle, Reads
-from unicon_core.flow.stage import Stage
+from unicon_core.flow.block import Amends, Bundle, Reads, Stage
 from unicon_core.robots import Robot
 from unicon_core.states.stacked import Range
 
+# A target that `rate_limit` has held back is not beyond the same limit.
 ROUNDING = np.float32(1.0001)
-"""A target that `rate_limit` has held back is not beyond the same limit."""
 
+# What a limit does with a command that is beyond it.
 Beyond = Literal["clamp", "trip"]
-"""What a limit does with a command that is beyond it."""
 
 
 def limits_of(known: Float32, scale: float | None, usual: float, beyond: Beyond) -> Float32:
@@ -95,7 +94,10 @@ class Clamp:
     clamps = True
 
     def __init__(self, target: Float32, lower: Float32, upper: Float32, robot: Robot) -> None:
-        self._target, self._lower, self._upper, self._robot = target, lower, upper, robot
+        self._target = target
+        self._lower = lower
+        self._upper = upper
+        self._robot = robot
         self.ranges = [Range(target, lower, upper)]
 
     def __call__(self) -> None:
@@ -131,6 +133,34 @@ class JointLimitStop(Trip, JointLimits):
     """The tick of `joint_limits` with `beyond: trip`."""
 
     said = "is sent to {:.3f} rad, allowed are {:.3f} to {:.3f}"
+
+
+def velocity_limits(
+    joint_vel_target: Amends, *, robot: Robot, scale: Scale = None, beyond: Beyond = "clamp"
+) -> VelocityLimits:
+    """Hold velocity targets within the robot's velocity limits; an unknown limit does not bind.
+
+    Args:
+        joint_vel_target: in [rad/s], shape (..., n).
+        scale: of the robot's limits: 1, and at most that, where it clamps; at most 10 where it
+            trips.
+        beyond: `clamp` clips the target, `trip` is a fault.
+    """
+    limit = limits_of(robot.velocity_limit, scale, 1.0, beyond)
+    made = VelocityLimitStop if beyond == "trip" else VelocityLimits
+    return made(joint_vel_target, -limit, limit, robot)
+
+
+class VelocityLimits(Clamp):
+    """The tick of `velocity_limits`."""
+
+    limits = "joint_vel_target"
+
+
+class VelocityLimitStop(Trip, VelocityLimits):
+    """The tick of `velocity_limits` with `beyond: trip`."""
+
+    said = "is sent a velocity of {0:.2f} rad/s, allowed are {2:.2f}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +203,10 @@ class EffortLimits:
     clamps = True
 
     def __init__(self, servo: Servo, limit: Float32, robot: Robot) -> None:
-        self._servo, self._lower, self._upper, self._robot = servo, -limit, limit, robot
+        self._servo = servo
+        self._lower = -limit
+        self._upper = limit
+        self._robot = robot
         target = servo.joint_pos_target
         self._torque, self._rest, self._clipped = (np.zeros_like(target) for _ in range(3))
         self._beyond = np.zeros(target.shape, np.bool_)
@@ -181,7 +214,10 @@ class EffortLimits:
 
     def __call__(self) -> None:
         servo = self._servo
-        torque, rest, clipped, beyond = self._torque, self._rest, self._clipped, self._beyond
+        torque = self._torque
+        rest = self._rest
+        clipped = self._clipped
+        beyond = self._beyond
         np.subtract(servo.joint_vel_target, servo.joint_vel, out=rest)
         rest *= servo.joint_damping  # what damping adds
         np.subtract(servo.joint_pos_target, servo.joint_pos, out=torque)
@@ -195,7 +231,10 @@ class EffortLimits:
             self._act()
 
     def _act(self) -> None:
-        servo, rest, clipped, beyond = self._servo, self._rest, self._clipped, self._beyond
+        servo = self._servo
+        rest = self._rest
+        clipped = self._clipped
+        beyond = self._beyond
         np.greater(servo.joint_stiffness, 0.0, out=self._stiff)
         np.logical_not(self._stiff, out=self._limp)
         self._stiff &= beyond
@@ -221,7 +260,7 @@ class EffortStop(EffortLimits):
         )
 
 
-def velocity_limits(robot: Robot, remedy: str, hands: float | None = None) -> Float32:
+def known_velocity_limits(robot: Robot, remedy: str, hands: float | None = None) -> Float32:
     """Return the velocity limits of a robot file in [rad/s], shape (n,).
 
     Args:
@@ -257,7 +296,7 @@ def rates_of(max_rate: MaxRate, robot: Robot, block: str) -> Float32:
         RobotError: `robot` is asked for, and its file does not say them.
     """
     if isinstance(max_rate, str):
-        return velocity_limits(robot, f"give {block} a max_rate in [rad/s]")
+        return known_velocity_limits(robot, f"give {block} a max_rate in [rad/s]")
     return np.fmin(np.float32(max_rate), robot.velocity_limit)
 
 
@@ -280,7 +319,7 @@ def rate_limit(
         RobotError: the robot file does not say them.
     """
     if isinstance(max_rate, str):
-        rate = velocity_limits(robot, "give rate_limit a max_rate in [rad/s]")
+        rate = known_velocity_limits(robot, "give rate_limit a max_rate in [rad/s]")
     else:
         rate = np.full(robot.num_joints, max_rate, np.float32)
     made = RateStop if beyond == "trip" else RateLimit
@@ -296,8 +335,12 @@ class RateLimit:
     clamps = True
 
     def __init__(self, pos: Float32, target: Float32, step: Float32, robot: Robot) -> None:
-        self._pos, self._target, self._step, self._robot = pos, target, step, robot
-        self._last, self._bound = np.zeros_like(target), np.zeros_like(target)
+        self._pos = pos
+        self._target = target
+        self._step = step
+        self._robot = robot
+        self._last = np.zeros_like(target)
+        self._bound = np.zeros_like(target)
         self._fresh = True
 
     def __call__(self) -> None:

@@ -1,36 +1,44 @@
-"""Stops for what no robot measures and nobody means, for hot motors and an empty battery.
+"""Stops where states leave bounds: measurements, commands, hardware, observations and actions.
 
-They are `range_stop`, `command_stop` and `hardware_stop`.
+They are `range_stop`, `command_stop`, `hardware_stop`, `observation_stop` and `action_stop`;
+`observation_range` learns the bounds of `observation_stop` in a good run:
+
+deferred: [{observation_range: {file: good.npz}}]        # in a good run
+safety: [finite, {observation_stop: {file: good.npz}}]   # in those that follow
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 
+from unicon_base.arrays import Array, Float32
 from unicon_base.errors import Fault, WorkflowError
-from unicon_base.schema.marks import Within, positive
+from unicon_base.schema.marks import Matches, Within, positive
 from unicon_core.blocks.joint_command import Commands
 from unicon_core.bounds import DAMPING, EFFORT, POSITION, STIFFNESS, VELOCITY
-from unicon_core.flow.stage import Stage
+from unicon_core.flow.block import Reads, Stage
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.stacked import Range, Screen
 from unicon_core.states.standard import COMMAND_STATES, HARDWARE_STATES
 from unicon_core.workflow.autowire import BuildContext
 
+# Of a base in [rad/s]: MEMS gyroscopes end at 2000 or 4000 °/s, 35 or 70 rad/s.
 ANGULAR_VELOCITY = 70.0
-"""Of a base in [rad/s]: MEMS gyroscopes end at 2000 or 4000 °/s, 35 or 70 rad/s."""
+# Of a component: those of a unit quaternion end at 1.
 QUATERNION = 1.01
-"""Of a component: those of a unit quaternion end at 1."""
+# Of a component of `projected_gravity`: that of a unit vector ends at 1, and noise as policies are
+# trained with (0.05 on each axis) adds some. In [m/s²] it would be 9.81.
 DIRECTION = 1.25
-"""Of a component of `projected_gravity`: that of a unit vector ends at 1, and noise as policies are
-trained with (0.05 on each axis) adds some. In [m/s²] it would be 9.81."""
+# Of what has no plausible bound, such as an acceleration at an impact: it has to be finite.
 UNBOUNDED = 1e6
-"""Of what has no plausible bound, such as an acceleration at an impact: it has to be finite."""
 
+# What `range_stop` looks at, as far as the platform measures it.
 MEASURED = (
     "joint_pos",
     "joint_vel",
@@ -40,7 +48,6 @@ MEASURED = (
     "base_lin_acc",
     "projected_gravity",
 )
-"""What `range_stop` looks at, as far as the platform measures it."""
 
 
 def range_stop(
@@ -59,7 +66,9 @@ def range_stop(
     Raises:
         WorkflowError: nothing is measured.
     """
-    robot, states, platform = context.robot, context.states, context.platform
+    robot = context.robot
+    states = context.states
+    platform = context.platform
     told = MEASURED if platform is None else platform.facts.writes
     names = [name for name in MEASURED if name in told and name in states]
     if not names:
@@ -138,7 +147,9 @@ class RangeStop:
             Range(states[name], *(np.broadcast_to(each, states[name].shape) for each in pair))
             for name, pair in bounds.items()
         ]
-        self._states, self._joints, self._said = states, robot.joint_names, said
+        self._states = states
+        self._joints = robot.joint_names
+        self._said = said
         self._screen = Screen(states, self.ranges)
 
     def __call__(self) -> None:
@@ -169,12 +180,12 @@ class RangeStop:
             )
 
 
+# In [°C]: magnets and windings of class F end there.
 HOTTEST = 150.0
-"""In [°C]: magnets and windings of class F end there."""
+# In [°C]: a sensor that tells less is broken.
 COLDEST = -40.0
-"""In [°C]: a sensor that tells less is broken."""
+# In [V]: legged robots have 20 to 60.
 HIGHEST_VOLTAGE = 1000.0
-"""In [V]: legged robots have 20 to 60."""
 
 
 def hardware_stop(
@@ -204,9 +215,139 @@ def hardware_stop(
     }
     if voltage is not None:
         bounds["battery_voltage"] = (voltage, HIGHEST_VOLTAGE)
-    states, platform = context.states, context.platform
+    states = context.states
+    platform = context.platform
     told = HARDWARE_STATES if platform is None else platform.facts.writes
     seen = {name: pair for name, pair in bounds.items() if name in states and name in told}
     if not seen:
         raise WorkflowError("the platform tells nothing of motors and battery; leave it out")
     return RangeStop(states, context.robot, seen, "allowed are")
+
+
+# Largest margin: beyond ten times of what was seen nothing is unusual.
+MARGIN = 10.0
+# Largest limit of an action: published policies give up to some 10.
+ACTION = 1000.0
+# What an entry that never changed may change by.
+LEAST = 1e-3
+# In bytes, of a file of bounds.
+LARGEST_FILE = 16 * 2**20
+File = Annotated[str, Matches(r".*\.npz", "a path that ends in .npz")]
+
+
+class ObservationStop(RangeStop):
+    """Stop where a policy gets to see what no good run has shown.
+
+    Before a policy has made one, an observation is all zeros.
+
+    Args:
+        observation: of the policy, shape (..., m).
+        file: .npz with `lower` and `upper`, shape (m,), as `observation_range` writes it; beside
+            the workflow.
+        margin: beyond both, as a share of what lies between them.
+
+    Raises:
+        WorkflowError: the file does not fit.
+    """
+
+    def __init__(
+        self,
+        observation: Reads,
+        *,
+        states: States,
+        robot: Robot,
+        file: File,
+        margin: Annotated[float, Within(0.0, MARGIN)] = 0.5,
+        relative_to: Path | None = None,
+    ) -> None:
+        lower, upper = _bounds_of(_path(file, relative_to), observation.shape[-1])
+        more = np.maximum(margin * (upper - lower), LEAST)
+        bounds = {_label(observation, states): (lower - more, upper + more)}
+        super().__init__(states, robot, bounds, "which no good run has shown:")
+
+    def _raise(self) -> None:
+        if self.ranges[0].view.any():
+            super()._raise()
+
+
+def action_stop(
+    action: Reads, *, states: States, robot: Robot, limit: Annotated[float, positive(ACTION)] = 50.0
+) -> RangeStop:
+    """Stop where a network's output is NaN or larger than any that moves a robot.
+
+    Args:
+        action: of the policy before scale and offset, shape (..., k).
+        limit: of each entry.
+    """
+    return RangeStop(states, robot, {_label(action, states): (-limit, limit)}, "allowed are")
+
+
+class ObservationRange:
+    """Note the lowest and highest value of each entry, and write them when the run ends.
+
+    Args:
+        observation: of the policy, shape (..., m).
+        file: .npz to write, beside the workflow; one that is there counts too, so that several
+            runs add up.
+    """
+
+    memory = ("_lower", "_upper")
+    pure = False  # it writes a file
+
+    def __init__(self, observation: Reads, *, file: File, relative_to: Path | None = None) -> None:
+        path = self._path = _path(file, relative_to)
+        size = observation.shape[-1]
+        self._seen = observation.reshape(-1, size)
+        self._lower, self._upper = (np.full(size, end, np.float32) for end in (np.inf, -np.inf))
+        if path.exists():
+            self._lower, self._upper = _bounds_of(path, size)
+
+    def __call__(self) -> None:
+        for row in self._seen:
+            if not row.any():  # no policy has made it yet
+                continue
+            np.fmin(self._lower, row, out=self._lower)
+            np.fmax(self._upper, row, out=self._upper)
+
+    def close(self) -> None:
+        """Write what was seen, all of it or nothing."""
+        if not np.isfinite(self._lower).all():
+            return  # no tick
+        part = self._path.with_name(f".{self._path.name}.{os.getpid()}")
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        with part.open("wb") as stream:
+            np.savez(stream, lower=self._lower, upper=self._upper)
+        part.replace(self._path)
+
+
+def _path(file: str, relative_to: Path | None) -> Path:
+    return Path(file) if relative_to is None else relative_to / file
+
+
+def _bounds_of(path: Path, size: int) -> tuple[Float32, Float32]:
+    """Return `lower` and `upper` of a file, shape (m,)."""
+    remedy = "write it with observation_range in a good run"
+    try:
+        if path.stat().st_size > LARGEST_FILE:
+            raise ValueError("it is too large")
+        with np.load(path, allow_pickle=False) as values:
+            if sum(entry.file_size for entry in values.zip.infolist()) > LARGEST_FILE:
+                raise ValueError("it is too large")
+            lower, upper = (np.asarray(values[key], np.float32) for key in ("lower", "upper"))
+    except Exception as error:  # what np.load raises of garbage is of many kinds
+        said = "no such file" if isinstance(error, FileNotFoundError) else str(error)
+        raise WorkflowError(f"file {path}: {said}; {remedy}") from error
+    if lower.shape != (size,) or upper.shape != (size,):
+        raise WorkflowError(
+            f"file {path}: it has bounds for {lower.size} values and the observation has {size}; "
+            f"{remedy}"
+        )
+    if not (np.isfinite(lower).all() and np.isfinite(upper).all() and (lower <= upper).all()):
+        raise WorkflowError(f"file {path}: its bounds are not finite and in order; {remedy}")
+    return lower, upper
+
+
+def _label(view: Array, states: States) -> str:
+    """Return the name of the state that a parameter got, which a workflow may have renamed."""
+    start = view.__array_interface__["data"][0]
+    return next(n for n in states if states[n].__array_interface__["data"][0] == start)

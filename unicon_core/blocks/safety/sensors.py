@@ -7,8 +7,7 @@ import numpy as np
 from unicon_base.errors import Fault
 from unicon_core.blocks.joint_command import single
 from unicon_core.bounds import Motion
-from unicon_core.flow.block import Reads
-from unicon_core.flow.stage import Stage
+from unicon_core.flow.block import Reads, Stage
 from unicon_core.robots import Robot
 
 NEVER = -(1 << 62)
@@ -53,25 +52,26 @@ class JointSensorStop:
     stage = Stage.SAFETY
     patient = True  # one frame more is no harm
 
+    # Time in which what has been added up decays, [s].
     DRAWN = 0.2
-    """Time in which what has been added up decays, [s]."""
 
+    # Of a joint whose foot hits the ground, [rad/s^2].
     ACCELERATION = 1000.0
-    """Of a joint whose foot hits the ground, [rad/s^2]."""
 
+    # Between a stamp and the moment of the measurement, [s].
     JITTER = 0.004
-    """Between a stamp and the moment of the measurement, [s]."""
 
-    FROZEN, MOTION = 0.2, 0.3
-    """In [s], and of all joints together in [rad]."""
+    # In [s], and of all joints together in [rad].
+    FROZEN = 0.2
+    MOTION = 0.3
 
+    # Between two frames, [s], or 2.5 ticks: of a longer pause nobody knows how the joints moved in
+    # it, nor when its first frame was measured: a burst that a network held back begins with an old
+    # one. Neither is judged.
     LONGEST = 0.05
-    """Between two frames, [s], or 2.5 ticks: of a longer pause nobody knows how the joints moved in
-    it, nor when its first frame was measured: a burst that a network held back begins with an old
-    one. Neither is judged."""
 
+    # So long may a network do that, [s].
     HELD_BACK = 1.0
-    """So long may a network do that, [s]."""
 
     def __init__(
         self,
@@ -86,15 +86,21 @@ class JointSensorStop:
     ) -> None:
         single(joint_pos)
         pos, vel = self._pos, self._vel = joint_pos, joint_vel
-        self._stamp, self._names = stamp_ns, robot.joint_names
+        self._stamp = stamp_ns
+        self._names = robot.joint_names
         self._drift = max(0.075 * len(pos) ** 0.5, 0.3) if drift is None else drift
-        self._step, self._at = step, NEVER
+        self._step = step
+        self._at = NEVER
         self._period2 = (1.1 * period) ** 2  # frames come a little apart
-        self._longest, self._doubtful = max(self.LONGEST, 2.5 * period), False
+        self._longest = max(self.LONGEST, 2.5 * period)
+        self._doubtful = False
         self.looked_at = (~robot.endless & ~robot.by_position).astype(np.float32)
-        self._last, self._was = np.full_like(pos, np.nan), np.zeros_like(vel)
-        self._start, self._same = np.zeros_like(pos), 0.0
-        self._low, self._high = np.zeros_like(pos), np.zeros_like(pos)
+        self._last = np.full_like(pos, np.nan)
+        self._was = np.zeros_like(vel)
+        self._start = np.zeros_like(pos)
+        self._same = 0.0
+        self._low = np.zeros_like(pos)
+        self._high = np.zeros_like(pos)
         self._moved, self._off, self._sum = (np.zeros_like(pos) for _ in range(3))
         self._excused, self._late = np.zeros_like(pos), False  # of late frames, until it comes back
 
@@ -104,12 +110,20 @@ class JointSensorStop:
         Raises:
             Fault: positions and velocities contradict each other.
         """
-        pos, vel, last, was = self._pos, self._vel, self._last, self._was
+        pos = self._pos
+        vel = self._vel
+        last = self._last
+        was = self._was
         if pos.tobytes() == last.tobytes():
             return  # no frame, or nothing moves: what comes next is judged from there
         now = int(self._stamp)
-        dt, self._at = (now - self._at) * 1e-9, now
-        low, high, moved, off, total = self._low, self._high, self._moved, self._off, self._sum
+        dt = (now - self._at) * 1e-9
+        self._at = now
+        low = self._low
+        high = self._high
+        moved = self._moved
+        off = self._off
+        total = self._sum
         np.subtract(pos, last, out=moved)
         np.minimum(vel, was, out=low)
         np.maximum(vel, was, out=high)
@@ -143,7 +157,8 @@ class JointSensorStop:
             self._look(dt, step)
 
     def _excuse(self, slack: float, dt: float) -> None:
-        off, excused = self._off, self._excused
+        off = self._off
+        excused = self._excused
         excused *= max(1.0 - dt / self.DRAWN, 0.0)
         back = np.clip(-excused, np.minimum(off, 0.0), np.maximum(off, 0.0))
         off -= back
@@ -163,7 +178,8 @@ class JointSensorStop:
             )
 
     def _look(self, dt: float, step: float) -> None:
-        off, total = self._off, self._sum
+        off = self._off
+        total = self._sum
         if not np.isfinite(total).all():  # what is NaN is `range_stop`'s
             total[...] = self._excused[...] = 0.0
             return

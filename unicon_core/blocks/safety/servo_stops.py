@@ -1,28 +1,30 @@
-"""Stops for joints that do not follow, or take too much, or do not as their live twin does.
+"""Stops for joints that do not follow, for too much power, the live twin and missed ticks.
 
-They are `tracking_stop`, `power_stop` and `twin_stop`.
+They are `tracking_stop`, `power_stop`, `twin_stop` and `overrun_stop`.
 """
 
 from __future__ import annotations
 
+import time
+from collections import deque
 from typing import Annotated
 
 import numpy as np
 
-from unicon_base.errors import Fault
+from unicon_base.errors import Fault, WorkflowError
 from unicon_base.schema.marks import Within, positive
 from unicon_core.blocks.joint_command import Commands, ticks_of
 from unicon_core.blocks.safety.limits import first_of
 from unicon_core.bounds import Motion, Timeout
-from unicon_core.flow.block import Reads
-from unicon_core.flow.stage import Stage
-from unicon_core.platforms.kit.servo import Servo
+from unicon_core.flow.block import Reads, Stage
+from unicon_core.platforms.kit.command import Servo
 from unicon_core.robots import Robot
+from unicon_core.workflow.autowire import BuildContext
 
+# In [W]: a humanoid's battery gives some 5,000 at most.
 POWER = 100_000.0
-"""In [W]: a humanoid's battery gives some 5,000 at most."""
+# In [W/(N·m)²]: small motors have some 0.5, geared legs 0.01 to 0.1.
 LOSS = 10.0
-"""In [W/(N·m)²]: small motors have some 0.5, geared legs 0.01 to 0.1."""
 
 
 class TrackingStop:
@@ -50,8 +52,12 @@ class TrackingStop:
         bound: Motion = 1.0,
         timeout: Timeout = 0.5,
     ) -> None:
-        self._pos, self._target, self._stiffness = joint_pos, joint_pos_target, joint_stiffness
-        self._robot, self._ticks, self._bound = robot, ticks_of(timeout, period), bound
+        self._pos = joint_pos
+        self._target = joint_pos_target
+        self._stiffness = joint_stiffness
+        self._robot = robot
+        self._ticks = ticks_of(timeout, period)
+        self._bound = bound
         self._apart = np.zeros_like(joint_pos)
         self._count = np.zeros(joint_pos.shape, np.int64)
         self._counting = False
@@ -116,7 +122,9 @@ class PowerStop:
     ) -> None:
         self._measured = joint_pos, joint_vel
         self._servo = Servo(tuple(command), robot.effort_limit)
-        self._ticks, self._limit, self._loss = ticks_of(timeout, period), limit, loss
+        self._ticks = ticks_of(timeout, period)
+        self._limit = limit
+        self._loss = loss
         self._work = np.zeros_like(joint_pos)
         self._count = 0
 
@@ -174,7 +182,9 @@ class TwinStop:
         period: float,
         timeout: Timeout = 0.2,
     ) -> None:
-        self._flag, self._gap, self._robot = twin_flag, twin_gap, robot
+        self._flag = twin_flag
+        self._gap = twin_gap
+        self._robot = robot
         self._ticks = ticks_of(timeout, period)
         self._count = np.zeros(twin_flag.shape, np.int64)
 
@@ -197,3 +207,77 @@ class TwinStop:
     def reset(self) -> None:
         """Count anew."""
         self._count[...] = 0
+
+
+# Largest window in [s].
+LONGEST = 60.0
+
+# A longer time between two ticks is a pause that somebody asked for: a tick that hangs for so long
+# on a robot is a fault of its own (`pacing.hang`).
+PAUSE_NS = 250_000_000
+
+
+class OverrunStop:
+    """Stop where too many ticks were missed within a time, by the machine's clock.
+
+    A simulator has no deadlines where it runs at full speed, so there it never trips.
+
+    Args:
+        count: missed ticks that are too many; no more than the window has.
+        window: in [s].
+
+    Raises:
+        WorkflowError: the window has fewer ticks.
+    """
+
+    memory = ()
+
+    stage = Stage.SAFETY
+    pure = False  # a dry run would be a tick too
+
+    def __init__(
+        self,
+        context: BuildContext,
+        *,
+        count: Annotated[int, Within(1)] = 10,
+        window: Annotated[float, positive(LONGEST, "s")] = 1.0,
+    ) -> None:
+        period = context.period
+        platform = context.platform
+        ticks = round(window / period)
+        if count > ticks:
+            raise WorkflowError(
+                f"count is {count}; give 1 to {max(ticks, 1)}, the ticks of window: {window:g} s"
+            )
+        self._period_ns = period * 1e9
+        self._window_ns = round(window * 1e9)
+        self._paced = platform is None or not platform.facts.simulated
+        self._late_ns = 1.5 * self._period_ns
+        self._pause_ns = max(PAUSE_NS, 5.0 * self._period_ns)
+        self._window = window
+        self._missed: deque[int] = deque(maxlen=count)
+        self._last = 0
+
+    def __call__(self) -> None:
+        """Look.
+
+        Raises:
+            Fault: too many ticks were missed.
+        """
+        now = time.perf_counter_ns()
+        took = now - self._last
+        self._last = now
+        if took < self._late_ns or took > self._pause_ns or not self._paced:
+            return
+        missed = self._missed
+        missed.extend([now] * (round(took / self._period_ns) - 1))
+        if len(missed) == missed.maxlen and now - missed[0] <= self._window_ns:
+            raise Fault(
+                f"{len(missed)} ticks were missed within {self._window:g} s: the machine does not "
+                "keep the rate; give it less to do, or a lower rate"
+            )
+
+    def reset(self) -> None:
+        """Count anew."""
+        self._missed.clear()
+        self._last = 0

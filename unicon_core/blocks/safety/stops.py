@@ -17,22 +17,29 @@ from unicon_base.schema.marks import NotEmpty, Unit, Within, Write, positive
 from unicon_core.blocks.controls.device import declares_controls
 from unicon_core.blocks.joint_command import Commands, end_of, ticks_of
 from unicon_core.blocks.predicates import largest
-from unicon_core.blocks.safety.limits import velocity_limits
+from unicon_core.blocks.safety.limits import known_velocity_limits
 from unicon_core.blocks.safety.ranges import RangeStop
-from unicon_core.bounds import TILT, VELOCITY, VELOCITY_FACTOR, Seconds, Speed, Timeout
-from unicon_core.buttons import BUTTONS, Button
-from unicon_core.flow.block import Reads
-from unicon_core.flow.stage import Stage
+from unicon_core.bounds import (
+    BUTTONS,
+    TILT,
+    VELOCITY,
+    VELOCITY_FACTOR,
+    Button,
+    Seconds,
+    Speed,
+    Timeout,
+)
+from unicon_core.flow.block import Reads, Stage
 from unicon_core.platforms.kit.command import FiniteCheck
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.stacked import Range, Screen
 
+# Ticks that a block looks at before it stops a robot, from which on it may look after `send`.
 PATIENT = 5
-"""Ticks that a block looks at before it stops a robot, from which on it may look after `send`."""
 
+# In [m]: what stands on a mountain.
 HEIGHT = 10_000.0
-"""In [m]: what stands on a mountain."""
 Height = Annotated[float, Unit("m"), Within(-HEIGHT, HEIGHT, above=True)]
 
 
@@ -62,12 +69,10 @@ class TiltStop:
     stage = Stage.SAFETY
 
     def __init__(
-        self,
-        projected_gravity: Reads,
-        *,
-        angle: Annotated[float, positive(TILT, "rad")] = 1.0,
+        self, projected_gravity: Reads, *, angle: Annotated[float, positive(TILT, "rad")] = 1.0
     ) -> None:
-        self._down, self._angle = projected_gravity[..., 2], angle
+        self._down = projected_gravity[..., 2]
+        self._angle = angle
         self._bound = -math.cos(angle)
         self.ranges = [Range(self._down, -np.inf, self._bound)]
         self._largest = largest(self._down)
@@ -84,12 +89,7 @@ class TiltStop:
 
 
 def height_stop(
-    base_pos_w: Reads,
-    *,
-    states: States,
-    robot: Robot,
-    lowest: Height,
-    highest: Height = HEIGHT,
+    base_pos_w: Reads, *, states: States, robot: Robot, lowest: Height, highest: Height = HEIGHT
 ) -> RangeStop:
     """Stop where the base is too low or too high; for platforms that know where it is.
 
@@ -136,9 +136,11 @@ class VelocityStop:
         if limit is not None:
             bound = np.full(robot.num_joints, limit, np.float32)
         else:
-            limits = velocity_limits(robot, "give velocity_stop a limit in [rad/s]", VELOCITY)
+            limits = known_velocity_limits(robot, "give velocity_stop a limit in [rad/s]", VELOCITY)
             bound = limits * np.float32(factor)
-        self._vel, self._bound, self._names = joint_vel, bound, robot.joint_names
+        self._vel = joint_vel
+        self._bound = bound
+        self._names = robot.joint_names
         self.ranges = [Range(joint_vel, -bound, bound)]
         self._screen = Screen(states, self.ranges)
 
@@ -146,7 +148,8 @@ class VelocityStop:
         if not self._screen():
             worst = np.argmax(np.nan_to_num(np.abs(self._vel) / self._bound, nan=np.inf))
             index = tuple(int(i) for i in np.unravel_index(worst, self._vel.shape))
-            joint, allowed = self._names[index[-1]], self._bound[index[-1]]
+            joint = self._names[index[-1]]
+            allowed = self._bound[index[-1]]
             who = f"robot {index[0]}, " if len(index) > 1 else ""
             raise Fault(
                 f"{who}joint {joint} moves at {self._vel[index]:.2f} rad/s, "
@@ -167,7 +170,8 @@ class StaleStop:
     stage = Stage.SAFETY
 
     def __init__(self, stamp_ns: Reads, *, period: float, timeout: Timeout = 0.1) -> None:
-        self._ticks, self._timeout = ticks_of(timeout, period), timeout
+        self._ticks = ticks_of(timeout, period)
+        self._timeout = timeout
         self.patient = self._ticks >= PATIENT
         self._oldest = stamp_ns.min if stamp_ns.ndim else stamp_ns.item  # `min` takes 1.3 µs
         self._last: int | None = None
@@ -176,7 +180,8 @@ class StaleStop:
     def __call__(self) -> None:
         stamp = int(self._oldest())
         if stamp != self._last:
-            self._last, self._same = stamp, 0
+            self._last = stamp
+            self._same = 0
             return
         self._same += 1
         if self._same >= self._ticks:
@@ -192,8 +197,8 @@ class StaleStop:
 
 
 Buttons = Annotated[Sequence[Button], NotEmpty, Write("a list of buttons, such as [select]")]
+# For how many ticks all buttons of an emergency stop are pressed: one frame may be garbage.
 STEADY = 2
-"""For how many ticks all buttons of an emergency stop are pressed: one frame may be garbage."""
 
 
 class ButtonStop:
@@ -219,7 +224,9 @@ class ButtonStop:
         on: Buttons = ("select",),
         lost: Seconds | None = None,
     ) -> None:
-        self._buttons, self._alive, self._lost = buttons, controls_alive, end_of(lost, period)
+        self._buttons = buttons
+        self._alive = controls_alive
+        self._lost = end_of(lost, period)
         self._places = {BUTTONS.index(name): name for name in on}
         self._silent = 0
         self.buttons_used = tuple(on)
@@ -261,13 +268,7 @@ class RemoteStop:
     endless = True
     declares = staticmethod(declares_controls)
 
-    def __init__(
-        self,
-        buttons: Reads,
-        *,
-        robot: Robot,
-        on: Buttons | None = None,
-    ) -> None:
+    def __init__(self, buttons: Reads, *, robot: Robot, on: Buttons | None = None) -> None:
         names = robot.transport.get("stop_buttons") if on is None else on
         if not names:
             raise WorkflowError(
@@ -275,7 +276,9 @@ class RemoteStop:
                 "such as [L2, B]"
             )
         self.names = tuple(names)
-        self._buttons, self._places, self._ticks = buttons, [*map(BUTTONS.index, names)], 0
+        self._buttons = buttons
+        self._places = [*map(BUTTONS.index, names)]
+        self._ticks = 0
 
     def __call__(self) -> None:
         for place in self._places:

@@ -19,8 +19,7 @@ from unicon_core.blocks.joint_command import single, ticks_of
 from unicon_core.blocks.safety.limits import first_of
 from unicon_core.blocks.safety.stops import PATIENT
 from unicon_core.bounds import Motion, Timeout
-from unicon_core.flow.block import Reads
-from unicon_core.flow.stage import Stage
+from unicon_core.flow.block import Reads, Stage
 from unicon_core.robots import Robot
 
 
@@ -52,18 +51,24 @@ class EncoderStop:
         timeout: Timeout = 0.1,
         motion: Motion = 0.1,
     ) -> None:
-        self._ticks, self._motion = max(ticks_of(timeout, period), 2), motion
+        self._ticks = max(ticks_of(timeout, period), 2)
+        self._motion = motion
         self.patient = self._ticks >= PATIENT
         pos, target = self._pos, self._target = joint_pos, joint_pos_target
-        self._stiffness, self._robot, self._looked_at = joint_stiffness, robot, ~robot.by_position
-        self._last, self._reference = np.full_like(pos, np.nan), np.zeros_like(pos)
+        self._stiffness = joint_stiffness
+        self._robot = robot
+        self._looked_at = ~robot.by_position
+        self._last = np.full_like(pos, np.nan)
+        self._reference = np.zeros_like(pos)
         self._moves = np.ones(pos.shape, np.bool_)
         self._since, self._asked_at = (np.zeros(pos.shape, np.int64) for _ in range(2))
         self._tick = self._all = self._began = 0
         self._asked = np.zeros_like(pos)
         # As bytes, 29 numbers are copied in 0.1 µs; as arrays in 0.25.
-        self._into_last, self._from_pos = _bytes(self._last), _bytes(pos)
-        self._into_reference, self._from_target = _bytes(self._reference), _bytes(target)
+        self._into_last = _bytes(self._last)
+        self._from_pos = _bytes(pos)
+        self._into_reference = _bytes(self._reference)
+        self._from_target = _bytes(target)
 
     def __call__(self) -> None:
         """Look.
@@ -157,17 +162,17 @@ class ImuStop:
 
     stage = Stage.SAFETY
 
+    # Time in which what lies between quaternion and gyroscope decays, [s].
     DRAWN = 0.5
-    """Time in which what lies between quaternion and gyroscope decays, [s]."""
 
+    # So long it is beyond the angle before it is a fault, [s]: one wrong frame is none.
     PERSISTS = 0.05
-    """So long it is beyond the angle before it is a fault, [s]: one wrong frame is none."""
 
+    # Between two frames, [s]: of a longer pause nobody knows how the base turned in it.
     LONGEST = 0.1
-    """Between two frames, [s]: of a longer pause nobody knows how the base turned in it."""
 
+    # What a gyroscope may tell of a base at rest, [rad/s]: noise and offset, with room.
     NOISE = 0.05
-    """What a gyroscope may tell of a base at rest, [rad/s]: noise and offset, with room."""
 
     def __init__(
         self,
@@ -185,10 +190,15 @@ class ImuStop:
         single(base_quat)
         ticks = self._ticks = max(ticks_of(timeout, period), 2)
         self.patient = ticks >= PATIENT
-        self._quat, self._gyro = base_quat, base_ang_vel
-        self._gravity, self._joints = projected_gravity, joint_pos
-        self._period, self._motion, self._angle = period, motion, angle
-        self._stamp, self._at = stamp_ns, -1
+        self._quat = base_quat
+        self._gyro = base_ang_vel
+        self._gravity = projected_gravity
+        self._joints = joint_pos
+        self._period = period
+        self._motion = motion
+        self._angle = angle
+        self._stamp = stamp_ns
+        self._at = -1
         self._allowed = 2.0 * math.sin(0.5 * angle)  # chord between two unit vectors
         self._every = max(ticks // 4, 1)  # what is compared without a history needs no haste
         self._wait = 0
@@ -213,11 +223,14 @@ class ImuStop:
         gravity, gyro, quat = self._gravity.tolist(), self._gyro.tolist(), self._quat.tolist()
         self._integrate(gyro, quat)
         if quat != self._last_quat:
-            self._last_quat, self._turned = quat, 0.0
+            self._last_quat = quat
+            self._turned = 0.0
         elif gyro != self._last_gyro:  # what stands still as a whole may be late, and is below
             self._turn(gyro)
         if gyro != self._last_gyro:
-            self._last_gyro, self._last_rest, self._same = gyro, [], 0
+            self._last_gyro = gyro
+            self._last_rest = []
+            self._same = 0
         else:
             rest = [*gravity, *quat]
             if self._last_rest and rest != self._last_rest:
@@ -232,13 +245,18 @@ class ImuStop:
 
     def _integrate(self, gyro: list[float], quat: list[float]) -> None:
         """Add up what lies between the turns of the quaternion and of the gyroscope."""
-        now, before, was = int(self._stamp), self._from_quat, self._from_gyro
+        now = int(self._stamp)
+        before = self._from_quat
+        was = self._from_gyro
         if now == self._at:  # the same frame, or of the IMU's topic alone
             return
-        dt, self._at = (now - self._at) * 1e-9, now
-        self._from_quat, self._from_gyro = quat, gyro
+        dt = (now - self._at) * 1e-9
+        self._at = now
+        self._from_quat = quat
+        self._from_gyro = gyro
         if not before or not 0.0 < dt <= self.LONGEST:
-            self._error, self._apart = [0.0, 0.0, 0.0], 0.0
+            self._error = [0.0, 0.0, 0.0]
+            self._apart = 0.0
             return
         w, x, y, z = quat
         pw, px, py, pz = before
@@ -248,7 +266,8 @@ class ImuStop:
             twice * (pw * y + px * z - py * w - pz * x),
             twice * (pw * z - px * y + py * x - pz * w),
         )
-        kept, half = max(1.0 - dt / self.DRAWN, 0.0), 0.5 * dt
+        kept = max(1.0 - dt / self.DRAWN, 0.0)
+        half = 0.5 * dt
         ex, ey, ez = self._error = [
             kept * e + t - half * (g + h) for e, t, g, h in zip(self._error, turned, gyro, was)
         ]
@@ -280,7 +299,9 @@ class ImuStop:
         w, x, y, z = self._quat.tolist()
         gx, gy, gz = gravity
         # The third row of the quaternion's matrix, with the sign of "down".
-        qx, qy, qz = 2 * (w * y - x * z), -2 * (w * x + y * z), 2 * (x * x + y * y) - 1
+        qx = 2 * (w * y - x * z)
+        qy = -2 * (w * x + y * z)
+        qz = 2 * (x * x + y * y) - 1
         if not abs(qx - gx) + abs(qy - gy) + abs(qz - gz) <= 3 * self._allowed:
             raise Fault(
                 "the IMU contradicts itself: gravity by base_quat is "
@@ -302,6 +323,9 @@ class ImuStop:
 
     def reset(self) -> None:
         """Look anew."""
-        self._last_gyro, self._last_rest, self._last_quat, self._from_quat = [], [], [], []
+        self._last_gyro = []
+        self._last_rest = []
+        self._last_quat = []
+        self._from_quat = []
         self._same = self._wait = 0
         self._turned = self._apart = 0.0

@@ -1,25 +1,29 @@
-"""Block `frames`: where hands and other bodies are, by forward kinematics of the joints.
+"""Blocks `frames` (poses of hands and other bodies) and `moving_target` (a target on a circle).
 
 estimate: [{frames: {of: [left_hand, right_hand]}}]     # left_hand_pose, right_hand_pose
 estimate: [{frames: {of: {palm: left_wrist_yaw_link}, frame: world}}]       # palm_pose
+commands: [{moving_target: {effector: left_hand, radius: 0.08, frequency: 0.4}}]
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from unicon_base.errors import WorkflowError, alternatives
+from unicon_base.schema.marks import Point, Within
 from unicon_core.blocks.joint_command import single
+from unicon_core.bounds import DURATION
 from unicon_core.flow.block import Reads
 from unicon_core.models.frames import Frames as BodyFrames
 from unicon_core.robots import Robot
-from unicon_core.robots.places import Place
+from unicon_core.robots.robot import Place
 from unicon_core.states import StateSpec
-from unicon_core.states.spec import check_name
-from unicon_core.states.standard import pose_of, pose_states
+from unicon_core.states.layout import check_name
+from unicon_core.states.standard import pose_of, pose_states, target_of, target_states
 from unicon_core.workflow.autowire import BuildContext
 
 Of = Sequence[str] | Mapping[str, str]
@@ -52,7 +56,9 @@ class Frames:
         frame: Literal["base", "world"] = "base",
     ) -> None:
         single(joint_pos)
-        loaded, states, robot = context.model("frames"), context.states, context.robot
+        loaded = context.model("frames")
+        states = context.states
+        robot = context.robot
         places = _places(of, robot)
         self.reads: tuple[str, ...] = ()
         if frame == "world" and loaded.base is not None:
@@ -63,7 +69,8 @@ class Frames:
                     "out beside it, and name bodies of the whole"
                 )
         self.writes = tuple(map(pose_of, places))
-        self._frames, self._joint_pos = BodyFrames(loaded, robot, places), joint_pos
+        self._frames = BodyFrames(loaded, robot, places)
+        self._joint_pos = joint_pos
         self._outs = [states[name] for name in self.writes]
         self._base = [states[name] for name in self.reads]
         self._world = np.array((0, 0, 0, 1.0, 0, 0, 0)) if frame == "world" else None
@@ -115,3 +122,101 @@ def _places(of: Of, robot: Robot) -> dict[str, Place]:
             f"or name them under end_effectors in {robot.path}"
         )
     return {word: effector_of(word, robot, "frames") for word in words}
+
+
+# Radius in [m]: an arm is no longer.
+LARGEST = 1.0
+# In [Hz]: a person shakes a hand at 5 to 8.
+QUICKEST = 10.0
+PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
+
+
+class MovingTarget:
+    """Move an end effector's target on a circle in the base frame, from its centre on.
+
+    The orientation is that of the end effector at the robot's default pose. Over `ramp` the radius
+    grows from 0, as half a cosine; velocity and stamp are told with the target.
+
+    Args:
+        stamp_ns: source time of the robot's data, shape ().
+        effector: of the robot file.
+        centre: x, y, z in [m], or `default`: where it is at the robot's default pose.
+        radius: in [m].
+        frequency: in [Hz].
+        plane: of the circle; it turns from the first axis to the second.
+        ramp: in [s].
+
+    Raises:
+        WorkflowError: no such end effector, or the states are of a batch.
+        ModelError: there is no model, or it lacks the body.
+    """
+
+    memory = ("_ticks",)
+
+    endless = True
+
+    def __init__(
+        self,
+        stamp_ns: Reads,
+        *,
+        context: BuildContext,
+        effector: str,
+        centre: Literal["default"] | Point = "default",
+        radius: Annotated[float, Within(0.0, LARGEST, "m")] = 0.08,
+        frequency: Annotated[float, Within(0.0, QUICKEST, "Hz")] = 0.4,
+        plane: Literal["xy", "xz", "yz"] = "yz",
+        ramp: Annotated[float, Within(0.0, DURATION, "s")] = 2.0,
+    ) -> None:
+        single(stamp_ns[..., None])
+        robot = context.robot
+        places = {effector: effector_of(effector, robot, "moving_target")}
+        frames = BodyFrames(context.model("moving_target"), robot, places)
+        middle = self._middle = frames.of(robot.default_joint_pos)[effector]
+        if centre != "default":
+            middle[:3] = centre
+        if not np.isfinite(middle).all():
+            raise WorkflowError(
+                f"robot {robot.name} does not say its default pose; give centre: [x, y, z], and "
+                f"the default of every joint in {robot.path}"
+            )
+        self.writes = target_of(effector)
+        self._target, self._velocity, self._said = (context.states[name] for name in self.writes)
+        self._stamp = stamp_ns
+        self._radius = radius
+        self._turn = 2.0 * math.pi * frequency
+        self._axes = PLANES[plane]
+        self._ramp = ramp
+        self._period = context.period
+        self._ticks = 0
+
+    @staticmethod
+    def declares(*, robot: Robot, effector: str = "", **_: Any) -> dict[str, StateSpec]:
+        """Return the states of the target; without an end effector none, which the build tells."""
+        if not effector:
+            return {}
+        effector_of(effector, robot, "moving_target")
+        return target_states(effector)
+
+    def __call__(self) -> None:
+        time = self._ticks * self._period
+        self._ticks += 1
+        # r(t) = R (1 - cos πt/T) / 2, and its velocity.
+        radius = self._radius
+        grows = 0.0
+        if time < self._ramp:
+            angle = math.pi * time / self._ramp
+            grows = 0.5 * math.pi / self._ramp * radius * math.sin(angle)
+            radius *= 0.5 - 0.5 * math.cos(angle)
+        target, velocity, middle, (i, j) = self._target, self._velocity, self._middle, self._axes
+        c = math.cos(self._turn * time)
+        s = math.sin(self._turn * time)
+        target[:] = middle
+        target[i], target[j] = middle[i] + radius * c, middle[j] + radius * s
+        velocity[:] = 0.0
+        velocity[i] = grows * c - radius * self._turn * s
+        velocity[j] = grows * s + radius * self._turn * c
+        self._said[...] = self._stamp
+
+    def reset(self) -> None:
+        """Begin at the centre again."""
+        self._ticks = 0

@@ -17,8 +17,8 @@ from unicon_base.arrays import Bool, Index
 from unicon_base.errors import WorkflowError
 from unicon_core.blocks.joint_command import single
 from unicon_core.flow.block import Amends, Reads
+from unicon_core.models.loaded import index_of
 from unicon_core.models.posed import Weight, bearing_joints
-from unicon_core.models.rows import index_of
 from unicon_core.robots import Robot
 from unicon_core.workflow.autowire import BuildContext
 
@@ -64,13 +64,15 @@ class Gravity:
                 "how the member is turned is not known here; leave of: out beside it, and name the "
                 "member under moves"
             )
-        robot, loaded = context.robot, context.model("gravity")
+        robot = context.robot
+        loaded = context.model("gravity")
         places = _carried(robot, tuple(moves), bearing_joints(loaded, robot))
         self.moves = tuple(moves) or tuple(robot.joint_names[place] for place in places)
         self._weight = Weight(loaded)
         self.reads = ("base_quat",) if self._weight.floats else ()
         self._quat = context.states["base_quat"] if self._weight.floats else None
-        self._joint_pos, self._effort = joint_pos, joint_effort_ff
+        self._joint_pos = joint_pos
+        self._effort = joint_effort_ff
         self._at = index_of(places.tolist())
         self._most = np.nan_to_num(robot.effort_limit, nan=np.inf)[self._at]
         self._least = -self._most
@@ -79,7 +81,8 @@ class Gravity:
         self._sum = np.zeros(len(places), np.float32)
 
     def __call__(self) -> None:
-        asked, total = self._asked, self._sum
+        asked = self._asked
+        total = self._sum
         self._weight(self._joint_pos, asked, self._quat)
         if math.isfinite(float(asked.sum())):  # else what was measured makes no sense: the last
             self.torque[:] = asked

@@ -12,26 +12,25 @@ from unicon_base.errors import UniconError
 from unicon_core.check.pose import check_collision
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import listed, on_platform
-from unicon_core.check.twin.measures import Measures
-from unicon_core.check.twin.perturb import GAIT, Change, perturbations, rivals
-from unicon_core.check.twin.ranking import (
+from unicon_core.check.twin.measures import (
     FOLLOWS,
     MENDED,
     SLIGHT,
     Compared,
+    Measures,
     Tried,
     chosen,
-    evident_changes,
     find_pressing,
     poor,
 )
+from unicon_core.check.twin.perturb import GAIT, Change, evident_changes, perturbations, rivals
 from unicon_core.check.twin.repair import repairs
 from unicon_core.check.twin.session import TwinBlindError, TwinSession
-from unicon_core.figures import figure
 from unicon_core.models.find import Modelled
 from unicon_core.platforms.platform import Platform
+from unicon_core.text_table import figure
 from unicon_core.workflow.document import WorkflowDocument
-from unicon_core.workflow.platform_use import read_platforms
+from unicon_core.workflow.members import read_platforms
 
 MARGIN = 0.1
 """A broken contract that loses less in its first run is compared with the given one."""
@@ -57,11 +56,8 @@ def check_twin(
     simulator = named = "+".join(dict.fromkeys(use.name for use in uses))
     if not isinstance(platform, Modelled):
         simulator = "mujoco"
-        result.note(
-            "twin.platform",
-            f"platform {named!r}",
-            "it simulates no model: the twin runs in MuJoCo (platform 'mujoco')",
-        )
+        evidence = "it simulates no model: the twin runs in MuJoCo (platform 'mujoco')"
+        result.note("twin.platform", f"platform {named!r}", evidence)
     policies = list(document.get("policies", {}))
     pose = {"initial_pose": f"policy:{policies[0]}"} if len(policies) == 1 else {}
     command = settings.get("command")
@@ -73,13 +69,14 @@ def check_twin(
             "the workflow commands to stand, and so does the twin, which tells less; let it walk "
             "by check: {command: [0.6, 0, 0]}",
         )
+    culprit = f"twin on platform {simulator!r}"
     try:
         session = TwinSession(on_platform(document, simulator, pose), command)
     except TwinBlindError as blind:  # nobody can mend that an arm has no base that moves
-        result.note("twin.run", f"twin on platform {simulator!r}", str(blind))
+        result.note("twin.run", culprit, str(blind))
         return
     except UniconError as error:
-        result.find_error("twin.run", f"twin on platform {simulator!r}", error)
+        result.find_error("twin.run", culprit, error)
         return
     codes = {finding.code for finding in (*result.findings, *result.notes)}
     if not {"model.collision", "model.meshes"} & codes:  # the check's model may be another
@@ -90,6 +87,9 @@ def check_twin(
     finally:
         for each in (session, *twin.others.values()):
             each.close()
+
+
+Suspect = tuple[PolicyResult, Change, Measures]
 
 
 @dataclass
@@ -107,20 +107,20 @@ class _Twin:
         session, result = self.session, self.result
         given = session.run(self.seconds)
         self.rows.append(_row("as given", given))
-        suspects: list[tuple[PolicyResult, Change, Measures]] = []
+        suspects: list[Suspect] = []
         for key, contract in session.contracts.items():
             if key in session.called:
                 self.policies.append(PolicyResult(result, key, contract))
             else:
                 result.note("twin.run", f"policy {key!r}", "the flow never calls it in the twin")
+        alone = len(self.policies) == 1
         for policy in self.policies:
             for broken in perturbations(policy.contract, session.depths(policy.contract.joints)):
-                alone = len(self.policies) == 1
                 name = broken.name if alone else f"{policy.key}: {broken.name}"
                 if broken.contract is None:
-                    self.rows.append([name, f"not tried: {broken.reason}", *[""] * 4])
+                    self.rows.append(_untried(name, broken.reason))
                     continue
-                measures = self.run(policy, broken, self.seconds)
+                measures = self.run(policy, broken)
                 self.rows.append(_row(name, measures))
                 if measures.score >= given.score - MARGIN:
                     suspects.append((policy, broken, measures))
@@ -133,12 +133,10 @@ class _Twin:
         self.tables(given)
         told = any(finding.code == "twin.suspect" for finding in result.findings)
         walks = given.tracks and any(given.command) and not poor(given) and not given.rests
-        if walks and len(self.policies) == 1 and not told:
+        if walks and alone and not told:
             self.rival(given)
 
-    def suspect(
-        self, given: Measures, suspects: list[tuple[PolicyResult, Change, Measures]]
-    ) -> None:
+    def suspect(self, given: Measures, suspects: list[Suspect]) -> None:
         """Of a contract that walks: what walks clearly better, and what as well."""
         likely = any(not broken.unlikely for _, broken, _ in suspects)
         if likely and given.follows and not given.rests:
@@ -147,9 +145,7 @@ class _Twin:
                 best = found[0]
                 self.rows.append(_row(f"mended: {best.change.name}", best.measures))
                 self.better(best.policy, best.change, self.compared(best.policy, best.change))
-        resting = [broken.name for _, broken, measures in suspects if measures.rests]
-        if given.rests and resting:
-            names = listed(resting)
+        if given.rests and (names := listed(b.name for _, b, m in suspects if m.rests)):
             suspects[0][0].note(
                 "twin.suspect",
                 "",
@@ -167,11 +163,12 @@ class _Twin:
                 continue
             suspicious = compared is not None and compared.alike and not broken.varied
             scores = compared or Compared((given,), (measures,))
+            verdict = "yours is suspect" if suspicious else "the twin does not tell which is right"
             policy.find(
                 "twin.suspect",
                 broken.culprit,
                 f"with {broken.name} it does as well as with the given contract: {scores}; "
-                + ("yours is suspect" if suspicious else "the twin does not tell which is right"),
+                + verdict,
                 error=suspicious,
             )
 
@@ -195,9 +192,7 @@ class _Twin:
         commands: list[Any] = [*self.session.walks()] or [None]
         if not self.walked:
             self.walked = tuple(self.session.run(self.seconds, command=c) for c in commands)
-        return Compared(
-            self.walked, tuple(self.run(policy, change, self.seconds, c) for c in commands)
-        )
+        return Compared(self.walked, tuple(self.run(policy, change, command=c) for c in commands))
 
     def verdict(self, given: Measures) -> None:
         """Findings of the given contract: a fall, or a command that is not followed."""
@@ -251,8 +246,7 @@ class _Twin:
         if not enough or enough[0].measures.score < 1.0 - MENDED:  # else none can be far better
             likely = sorted(self.mended(first), key=lambda each: -each.measures.score)
             finals += [
-                replace(each, measures=self.run(each.policy, each.change, self.seconds))
-                for each in likely[:10]
+                replace(each, measures=self.run(each.policy, each.change)) for each in likely[:10]
             ]
         best = chosen(finals, given, least)
         return best if best and self.compared(best[0].policy, best[0].change).clear else []
@@ -266,7 +260,7 @@ class _Twin:
             )
             for number, change in enumerate(changes):
                 if self.session.locks or not change.locked:
-                    yield Tried(policy, change, self.run(policy, change, self.seconds), number)
+                    yield Tried(policy, change, self.run(policy, change), number)
 
     def mended(self, seconds: float) -> Iterator[Tried]:
         """Yield what undoes the usual mistakes, and its runs."""
@@ -289,10 +283,10 @@ class _Twin:
         found: list[tuple[bool, float, Change, Compared]] = []
         for change in rivals(policy.contract):
             try:
-                measures = self.run(policy, change, self.seconds)
+                measures = self.run(policy, change)
             except UniconError as error:
                 reason = str(error).split(" (")[0].split(";")[0]
-                rows.append([change.name, f"not tried: {reason}", *[""] * 4])
+                rows.append(_untried(change.name, reason))
                 continue
             rows.append(_row(change.name, measures))
             clock = change.culprit == GAIT
@@ -312,54 +306,50 @@ class _Twin:
         self,
         policy: PolicyResult,
         change: Change,
-        seconds: float,
+        seconds: float | None = None,
         command: tuple[float, float, float] | None = None,
     ) -> Measures:
-        return self.session_of(policy, change).run(seconds, policy.key, change, command)
-
-    def session_of(self, policy: PolicyResult, change: Change) -> TwinSession:
-        """Return the session, or one whose policy has another period."""
-        contract = change.contract
-        if contract is None or contract.period == policy.contract.period:
-            return self.session
-        if contract.period not in self.others:
-            self.others[contract.period] = self.session.at_period_of(policy.key, contract)
-        return self.others[contract.period]
+        """Run a change, in a session of its own where the policy has another period."""
+        session, contract = self.session, change.contract
+        if contract is not None and contract.period != policy.contract.period:
+            if contract.period not in self.others:
+                self.others[contract.period] = session.at_period_of(policy.key, contract)
+            session = self.others[contract.period]
+        return session.run(seconds or self.seconds, policy.key, change, command)
 
     def tables(self, given: Measures) -> None:
         what = f"{self.seconds:g} s of the policy" if self.policies else "the whole flow"
         title = f"Twin on platform {self.session.program.platform.facts.name}, {what}"
         lines = ["score = survival · (0.7 · tracking + 0.3 · smoothness), from 0 to 1"]
         self.result.table(title, COLUMNS, self.rows, lines if self.policies else ())
-        rows = [["outcome", given.outcome() + (f": {given.fault}" if given.fault else "")]]
+        rows = {"outcome": given.outcome() + (f": {given.fault}" if given.fault else "")}
         if given.tracks and self.policies:
-            rows.append(["command", _velocity(given.command)])
-            rows.append(["velocity", _velocity(given.velocity)])
+            rows |= {"command": _velocity(given.command), "velocity": _velocity(given.velocity)}
         hits = [f"{name} {share:.0%}" for name, share in given.limit_hits.items()]
-        rows += [
-            ["torque", f"{given.torque_use:.0%} of the limit at {given.torque_joint} (rms)"],
-            ["saturated", f"{given.saturated:.2%} of all torques"],
-            ["change of targets", f"{given.target_rate:.2f} rad/s (rms)"],
-            ["at position limits", ", ".join(hits[:4]) or "never"],
-        ]
-        self.result.table("Twin, as given", ["what", "value"], rows)
+        rows |= {
+            "torque": f"{given.torque_use:.0%} of the limit at {given.torque_joint} (rms)",
+            "saturated": f"{given.saturated:.2%} of all torques",
+            "change of targets": f"{given.target_rate:.2f} rad/s (rms)",
+            "at position limits": ", ".join(hits[:4]) or "never",
+        }
+        self.result.table("Twin, as given", ["what", "value"], rows.items())
+
+
+def _untried(name: str, reason: str) -> list[str]:
+    return [name, f"not tried: {reason}", *[""] * 4]
 
 
 def _row(name: str, measures: Measures) -> list[str]:
+    error = measures.velocity_error if measures.tracks else None
+    error = error if measures.motion_error is None else measures.motion_error
     return [
         name,
         measures.outcome(),
         f"{measures.score:.2f}",
         f"{measures.tracking:.2f}" if measures.follows else "-",
-        _error(measures),
+        "-" if error is None else f"{error:.2f}",
         f"{measures.target_rate:.1f}",
     ]
-
-
-def _error(measures: Measures) -> str:
-    if measures.motion_error is not None:
-        return f"{measures.motion_error:.2f}"
-    return f"{measures.velocity_error:.2f}" if measures.tracks else "-"
 
 
 def _strays(given: Measures) -> str:

@@ -17,14 +17,19 @@ exp(−e² / 0.0625) with e, the root mean square of its joints' distance from t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from unicon_base.arrays import Array, Float64
-from unicon_core.blocks.monitor import Monitor
+from unicon_core.blocks.approach import Monitor
+from unicon_core.check.result import PolicyResult
+from unicon_core.check.twin.perturb import Change
 from unicon_core.robots import Robot
 from unicon_core.states import States
+from unicon_core.text_table import figure, span
 
 JUDGED = (
     "joint_pos", "joint_effort", "base_ang_vel", "base_lin_vel", "base_pos_w", "projected_gravity"
@@ -101,7 +106,7 @@ class Measures:
     @property
     def score(self) -> float:
         """The score in [0, 1], greater is better."""
-        if not self.tracks and self.motion_error is None:
+        if not self.follows:
             return self.survival * self.smoothness
         return self.survival * (0.7 * self.tracking + 0.3 * self.smoothness)
 
@@ -122,10 +127,8 @@ class Measures:
 
     def outcome(self) -> str:
         """Return in a few words how it ended."""
-        if self.fell:
-            return f"falls after {self.survived_s:.2f} s"
-        if self.fault:
-            return f"stops after {self.survived_s:.2f} s"
+        if not self.stands:
+            return f"{'falls' if self.fell else 'stops'} after {self.survived_s:.2f} s"
         return f"stays up for {self.survived_s:.1f} s"
 
 
@@ -188,40 +191,34 @@ class Recorder:
         """
         if not self.rows:
             return Measures(asked_s, fault)
-        robot, period = self._robot, self._period
-        columns = (np.stack(part) for part in zip(*self.rows))
-        pos, effort, target, command, velocity, motion = columns
+        robot, period, names = self._robot, self._period, self._robot.joint_names
+        pos, effort, target, command, velocity, motion = map(np.stack, zip(*self.rows))
         survived = len(self.rows) * period
-        error = velocity - command
-        from_start = error[min(round(START / period), max(len(error) - 1, 0)) :]
-        squared = (from_start**2).sum(axis=1)
-        off = None if tracks or self._motion is None else motion[len(error) - len(from_start) :]
-        kernel = squared / TRACKING_SIGMA if off is None else (off**2)[:, 0] / MOTION_SIGMA
+        begin = min(round(START / period), len(self.rows) - 1)
+        squared = ((velocity - command)[begin:] ** 2).sum(axis=1)
+        off = None if tracks or self._motion is None else motion[begin:, 0]
+        kernel = squared / TRACKING_SIGMA if off is None else off**2 / MOTION_SIGMA
         rates = np.diff(target[:, ~robot.endless], axis=0) / period
         rate = float(np.sqrt((rates**2).mean())) if rates.size else 0.0
         use = np.sqrt((effort**2).mean(axis=0)) / self._effort
-        worst = int(np.argmax(use))
-        hits = (pos <= robot.lower + AT_LIMIT) | (pos >= robot.upper - AT_LIMIT)
-        shares = hits.mean(axis=0)
-        saturated = np.abs(effort) >= 0.999 * self._effort
-        longest = int(np.argmax(saturated.mean(axis=0)))
+        hits = ((pos <= robot.lower + AT_LIMIT) | (pos >= robot.upper - AT_LIMIT)).mean(axis=0)
+        saturated = (np.abs(effort) >= 0.999 * self._effort).mean(axis=0)
+        worst, longest = int(use.argmax()), int(saturated.argmax())
         return Measures(
-            asked_s=asked_s,
+            asked_s,
+            fault,
             survived_s=survived,
             fell=self.fell,
-            fault=fault,
             velocity_error=float(np.sqrt(squared).mean()),
             velocity=_three(velocity.mean(axis=0)),
             command=_three(command.mean(axis=0)),
             target_rate=rate,
             torque_use=float(use[worst]),
-            torque_joint=robot.joint_names[worst],
+            torque_joint=names[worst],
             saturated=float(saturated.mean()),
-            saturated_joint=robot.joint_names[longest],
-            saturated_share=float(saturated.mean(axis=0)[longest]),
-            limit_hits={
-                robot.joint_names[i]: float(shares[i]) for i in np.argsort(-shares) if shares[i]
-            },
+            saturated_joint=names[longest],
+            saturated_share=float(saturated[longest]),
+            limit_hits={names[i]: float(hits[i]) for i in np.argsort(-hits) if hits[i]},
             tracking=float(np.exp(-kernel).mean()),
             smoothness=float(np.exp(-((rate / SMOOTH_RATE) ** 2))),
             survival=min(1.0, survived / asked_s) if self.fell or fault else 1.0,
@@ -232,3 +229,172 @@ class Recorder:
 
 def _three(values: Float64) -> Three:
     return float(values[0]), float(values[1]), float(values[2])
+
+
+CLEAR = 0.05
+"""Gain in score from which a change is a finding. The greatest of a right contract was 0.039
+(holosoma with half its rate; 0.06 at 0.8 m/s), the next 0.004; what breaks the reading of states
+lost 0.17 and more."""
+CLOSES = 0.25
+"""Share of what the given contract lacks to a score of 1, which a gain has to reach besides: where
+much is lacking, more is gained by chance. The greatest of a right contract was 0.21, that same
+one; mistakes that were undone had 0.29 and more."""
+SLIGHT = 0.008
+"""Gain from which it is worth a note: twice the 0.004 by which another damping raised a right
+contract."""
+CALMER = 0.75
+"""Rate of targets, as a share of the given contract's, from which a change of the gait clock that
+follows as well is a finding: steps that nobody needs. Half the right clock has rates of 1.43 to
+1.71 times, twice the right one of 0.85 or more."""
+POOR = 0.5
+"""Tracking below this makes the search for a better contract worth its time."""
+FOLLOWS = 0.3
+"""Tracking below this is a finding even where nothing mends it."""
+ALIKE = 0.02
+"""Scores within this are alike."""
+MENDED = 0.15
+"""By how much a mended contract must do better than one that fails: three times what is clear."""
+
+
+@dataclass(frozen=True)
+class Compared:
+    """The same walks under two contracts.
+
+    Attributes:
+        given: runs under the given contract, one for each command.
+        other: runs under the changed one, in the same order.
+    """
+
+    given: tuple[Measures, ...]
+    other: tuple[Measures, ...]
+
+    @cached_property
+    def _runs(self) -> Float64:
+        """Score, tracking and rate of targets, given and other, shape (2, walks, 3)."""
+        both = self.given, self.other
+        return np.array([[(m.score, m.tracking, m.target_rate) for m in each] for each in both])
+
+    @property
+    def gain(self) -> float:
+        """Mean gain in score."""
+        return float(np.diff(self._runs[..., 0], axis=0).mean())
+
+    @property
+    def error(self) -> float:
+        """Standard error of that mean, 0 of a single walk."""
+        gains = np.diff(self._runs[..., 0], axis=0)
+        return float(gains.std(ddof=1) / np.sqrt(gains.size)) if gains.size > 1 else 0.0
+
+    @property
+    def clear(self) -> bool:
+        """Whether the other contract is clearly better."""
+        lacking = 1.0 - float(self._runs[0, :, 0].mean())
+        return self.gain >= max(CLEAR, CLOSES * lacking, 2.0 * self.error)
+
+    @property
+    def slight(self) -> bool:
+        """Whether the other contract is better by little, and that in all likelihood."""
+        return len(self.given) > 1 and self.gain >= SLIGHT and self.gain > 3.0 * self.error
+
+    @property
+    def alike(self) -> bool:
+        """Whether the other contract is no worse, though it should be."""
+        return self.gain > -CLEAR
+
+    @property
+    def calmer(self) -> bool:
+        """Whether the other follows as well with targets that change much less."""
+        (_, follows, rate), (_, followed, calm) = self._runs.mean(axis=1)
+        stands = all(m.stands for m in self.other)
+        return bool(stands and calm <= CALMER * rate and followed >= follows - CLEAR)
+
+    def __str__(self) -> str:
+        """Both in numbers."""
+        before, after = self._runs.mean(axis=1)
+        walks = len(self.given)
+        more = f" ± {self.error:.2f}, mean of {walks} commands" if walks > 1 else ""
+        return (
+            f"score {after[0]:.2f} against {before[0]:.2f}{more}; tracking {after[1]:.2f} against "
+            f"{before[1]:.2f}, targets change at {after[2]:.2f} against {before[2]:.2f} rad/s"
+        )
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A change and its run.
+
+    Attributes:
+        policy: whose contract, or model, was changed.
+        change: what was changed.
+        measures: of the run.
+        number: its place among the changes, the likeliest first.
+    """
+
+    policy: PolicyResult
+    change: Change
+    measures: Measures
+    number: int
+
+
+def poor(measures: Measures) -> bool:
+    """Whether a run ends early, or does not follow its command or motion."""
+    return not measures.stands or (measures.follows and measures.tracking < POOR)
+
+
+def chosen(finals: Sequence[Tried], given: Measures, least: float) -> list[Tried]:
+    """Return the change to be told, and behind it those that do as well; none where none helps.
+
+    A change for which the model speaks comes first where it is enough, and no other is far better.
+    Of the others that score as well as the best one the likeliest is taken: exchanged sines and
+    cosines are also mended by the sign of one of them.
+
+    Args:
+        finals: changes that ran as long as the given contract.
+        given: its run.
+        least: by how much a change must do better.
+    """
+    better = [
+        tried
+        for tried in finals
+        if (run := tried.measures).stands
+        and run.score >= given.score + least
+        and not (run.follows and run.tracking < FOLLOWS)
+    ]
+    best = max((tried.measures.score for tried in better), default=0.0)
+    good = [
+        tried
+        for tried in better
+        if tried.change.evidence
+        and not poor(tried.measures)
+        and tried.measures.score >= best - MENDED
+    ] or [tried for tried in better if tried.measures.score >= best - ALIKE]
+    return sorted(good, key=lambda tried: tried.number)
+
+
+PRESSING = 0.2
+"""Share of a walk that a joint stays at a limit. Right contracts of ten published policies keep to
+0.15 (T1's hip roll, whose effort limit is 25 N·m), nine of them to 0.00."""
+_NEAR = 0.1  # [rad]; a default pose within this of a position limit is to be there
+
+
+def find_pressing(policy: PolicyResult, robot: Robot, given: Measures) -> None:
+    """Find joints that a run which stayed up kept at their limit of effort or position."""
+    if given.saturated_share >= PRESSING:
+        policy.find(
+            "twin.saturated",
+            f"effort of {given.saturated_joint}",
+            f"the joint is at its effort limit for {given.saturated_share:.0%} of the time, and "
+            f"targets change at {given.target_rate:.2f} rad/s: its motor does not follow",
+        )
+    rest = dict(zip(robot.joint_names, robot.default_joint_pos))
+    rest |= zip(policy.contract.joints, policy.contract.default_joint_pos)
+    for joint, share in given.limit_hits.items():
+        i = robot.joint_names.index(joint)
+        low, high = robot.lower[i], robot.upper[i]
+        if share >= PRESSING and low + _NEAR < float(rest[joint]) < high - _NEAR:
+            policy.find(
+                "twin.saturated",
+                f"position of {joint}",
+                f"the joint is at its position limit for {share:.0%} of the time "
+                f"({span(low, high)} rad, default {figure(rest[joint])})",
+            )

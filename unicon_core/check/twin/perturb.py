@@ -11,14 +11,18 @@ is a finding; where none does, the walk says nothing about them.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from unicon_core.check.order import mirror_pairs, other_order
+from unicon_base.arrays import Array, Float64
+from unicon_core.check.gains import counted_twice
+from unicon_core.check.joints import mirror_pairs, other_order
+from unicon_core.check.subject import listed
 from unicon_core.policies.contract import ObservationTerm, PolicyContract
-from unicon_core.robots import joint_index
+from unicon_core.robots import Robot, joint_index
 
 
 @dataclass(frozen=True)
@@ -64,14 +68,76 @@ def perturbations(contract: PolicyContract, depths: Sequence[int]) -> list[Chang
         contract: the given one.
         depths: how far down the kinematic tree each of the policy's joints stands, shape (n,).
     """
-    return [
+    joints, phase, other = contract.joints, contract.phase, other_order(depths)
+    pairs, order = mirror_pairs(joints), [joints[i] for i in other]
+    gravity = {"projected_gravity": -1.0}
+    upside_down = with_scales(contract, lambda term: term.scale * gravity.get(term.state, 1.0))
+    changes = [
         _scales(contract),
-        _left_right(contract),
-        _gravity(contract),
-        _order(contract, depths),
-        _gains(contract, depths),
-        *([_clock(contract)] if contract.phase is not None else []),
+        _unless(
+            "" if pairs else "no joint names tell left from right",
+            "left and right joints exchanged",
+            "joint order",
+            renamed(contract, exchanged(joints, pairs)),
+        ),
+        _unless(
+            _unread(contract, "projected_gravity"),
+            "gravity upside down",
+            "sign of projected_gravity",
+            upside_down,
+        ),
+        _unless(
+            "breadth-first and depth-first are the same for these joints"
+            if order == list(joints)
+            else "",
+            "joint order of the other kind of simulator",
+            "joint order",
+            renamed(contract, order),
+        ),
+        _gains(contract, other),
     ]
+    if phase is not None:
+        count = len(phase.offsets)
+        turned = clock_reordered(contract, [*range(count, 2 * count), *range(count)])
+        name, culprit = (
+            "sines and cosines of the gait clock exchanged",
+            "order of sines and cosines",
+        )
+        reason, culprit = _unread(contract, "gait_phase"), "order of sines and cosines"
+        changes.append(_unless(reason, name, culprit, turned))
+    return changes
+
+
+def _unless(reason: str, name: str, culprit: str, contract: PolicyContract) -> Change:
+    """Return a change, without its contract where there is a reason against it."""
+    return Change(name, culprit, None if reason else contract, reason)
+
+
+def _unread(contract: PolicyContract, state: str) -> str:
+    read = any(term.state.startswith(state) for term in contract.terms)
+    return "" if read else f"no term reads {state}"
+
+
+def _scales(contract: PolicyContract) -> Change:
+    name, culprit, terms = "observation scales left out", "observation scales", contract.terms
+    if not terms:
+        return Change(name, culprit, None, "the network takes states one by one")
+    scales = np.concatenate([np.abs(term.scale) for term in terms])
+    if ((scales != 0.0) & (scales != 1.0)).any():  # 0 leaves an element out
+        return Change(name, culprit, with_scales(contract, lambda term: np.sign(term.scale)))
+    doubled = with_scales(contract, lambda term: 2.0 * term.scale)
+    return Change("observation scales doubled (all are 1)", culprit, doubled, unlikely=True)
+
+
+def _gains(contract: PolicyContract, order: Array) -> Change:
+    gains = gains_of(contract)
+    for broken in (gains[:, order], gains[:, order[::-1]]):
+        if not np.allclose(broken, gains, rtol=1e-3):
+            return Change(_GAINS, "gains", with_gains(contract, broken), varied=True)
+    return Change(_GAINS, "gains", None, "all joints have the same gains")
+
+
+_GAINS = "gains in another order"
 
 
 def with_terms(contract: PolicyContract, terms: Iterable[ObservationTerm]) -> PolicyContract:
@@ -79,9 +145,26 @@ def with_terms(contract: PolicyContract, terms: Iterable[ObservationTerm]) -> Po
     return replace(contract, observation=replace(contract.observation, terms=tuple(terms)))
 
 
-def per_joint(term: ObservationTerm) -> bool:
-    """Return whether a term has one element for each joint, where it takes no elements by index."""
-    return term.state.startswith("joint_") or term.state == "action"
+def with_scales(
+    contract: PolicyContract, scale: Callable[[ObservationTerm], Array]
+) -> PolicyContract:
+    """Return the contract with other scales of its observation terms."""
+    return with_terms(contract, (replace(term, scale=scale(term)) for term in contract.terms))
+
+
+def with_action(contract: PolicyContract, **changes: Any) -> PolicyContract:
+    """Return the contract with some fields of its action changed."""
+    return replace(contract, action=replace(contract.action, **changes))
+
+
+def gains_of(contract: PolicyContract) -> Array:
+    """Return stiffness and damping of a contract, shape (2, n)."""
+    return np.stack((contract.stiffness, contract.damping))
+
+
+def with_gains(contract: PolicyContract, gains: Array) -> PolicyContract:
+    """Return the contract with other gains, shape (2, n)."""
+    return replace(contract, stiffness=gains[0], damping=gains[1])
 
 
 def exchanged(joints: Sequence[str], pairs: Sequence[tuple[str, str]]) -> list[str]:
@@ -99,8 +182,7 @@ def renamed(contract: PolicyContract, names: Sequence[str]) -> PolicyContract:
     """
     renamed = dict(zip(contract.joints, names))
     moved = tuple(renamed[name] for name in contract.action.joints)
-    action = replace(contract.action, joints=moved)
-    return replace(contract, joints=tuple(names), action=action)
+    return with_action(replace(contract, joints=tuple(names)), joints=moved)
 
 
 def permuted(contract: PolicyContract, names: Sequence[str]) -> PolicyContract:
@@ -116,64 +198,28 @@ def permuted(contract: PolicyContract, names: Sequence[str]) -> PolicyContract:
     at = joint_index(moved, action.joints)
 
     def reordered(term: ObservationTerm) -> ObservationTerm:
-        if term.index is not None or not per_joint(term):
+        per_joint = term.state.startswith("joint_") or term.state == "action"
+        if term.index is not None or not per_joint:
             return term
         order = at if term.state == "action" else index
-        scale = term.scale[order] if term.scale.size == len(order) > 1 else term.scale
-        clip = term.clip
-        if clip is not None and clip.shape[1] == len(order) > 1:
-            clip = clip[:, order]
-        return replace(term, scale=scale, clip=clip)
 
-    clip = None if action.clip is None else action.clip[:, at]
-    changed = replace(
-        action,
+        def figures(values: Array | None) -> Any:
+            each = values is not None and values.shape[-1] == len(order) > 1
+            return values[..., order] if values is not None and each else values
+
+        return replace(term, scale=figures(term.scale), clip=figures(term.clip))
+
+    changed = with_action(
+        with_terms(contract, map(reordered, contract.terms)),
         joints=tuple(moved),
         scale=action.scale[at],
         offset=action.offset[at],
-        clip=clip,
+        clip=None if action.clip is None else action.clip[:, at],
         kinds=tuple(action.kinds[i] for i in at) if action.kinds else (),
     )
-    return replace(
-        with_terms(contract, map(reordered, contract.terms)),
-        joints=tuple(names),
-        default_joint_pos=contract.default_joint_pos[index],
-        stiffness=contract.stiffness[index],
-        damping=contract.damping[index],
-        action=changed,
-    )
-
-
-def _scales(contract: PolicyContract) -> Change:
-    name, culprit, terms = "observation scales left out", "observation scales", contract.terms
-    if not terms:
-        return Change(name, culprit, None, "the network takes states one by one")
-    scales = np.concatenate([np.abs(term.scale) for term in terms])
-    if ((scales != 0.0) & (scales != 1.0)).any():  # 0 leaves an element out
-        plain = (replace(term, scale=np.sign(term.scale)) for term in terms)
-        return Change(name, culprit, with_terms(contract, plain))
-    name = "observation scales doubled (all are 1)"
-    doubled = (replace(term, scale=2.0 * term.scale) for term in terms)
-    return Change(name, culprit, with_terms(contract, doubled), unlikely=True)
-
-
-def _left_right(contract: PolicyContract) -> Change:
-    pairs = mirror_pairs(contract.joints)
-    name, culprit = "left and right joints exchanged", "joint order"
-    if not pairs:
-        return Change(name, culprit, None, "no joint names tell left from right")
-    return Change(name, culprit, renamed(contract, exchanged(contract.joints, pairs)))
-
-
-def _gravity(contract: PolicyContract) -> Change:
-    name, culprit = "gravity upside down", "sign of projected_gravity"
-    if not any(term.state == "projected_gravity" for term in contract.terms):
-        return Change(name, culprit, None, "no term reads projected_gravity")
-    flipped = (
-        replace(term, scale=-term.scale) if term.state == "projected_gravity" else term
-        for term in contract.terms
-    )
-    return Change(name, culprit, with_terms(contract, flipped))
+    pose = contract.default_joint_pos[index]
+    changed = replace(changed, joints=tuple(names), default_joint_pos=pose)
+    return with_gains(changed, gains_of(contract)[:, index])
 
 
 def clock_reordered(contract: PolicyContract, order: Sequence[int]) -> PolicyContract:
@@ -184,48 +230,20 @@ def clock_reordered(contract: PolicyContract, order: Sequence[int]) -> PolicyCon
         order: which of all sines, then all cosines stands at each place, length 2k.
     """
     count = len(order) // 2
-    halves = {"gait_phase": (0, 2 * count), "gait_phase_sin": (0, count)}
-    halves["gait_phase_cos"] = (count, count)
+    halves = {
+        "gait_phase": order,
+        "gait_phase_sin": order[:count],
+        "gait_phase_cos": order[count:],
+    }
 
     def reordered(term: ObservationTerm) -> ObservationTerm:
         if term.state not in halves:
             return term
-        start, size = halves[term.state]
-        places = range(size) if term.index is None else term.index
-        index = tuple(order[start + i] for i in places)
+        own = halves[term.state]
+        index = tuple(own if term.index is None else (own[i] for i in term.index))
         return replace(term, state="gait_phase", index=index)
 
     return with_terms(contract, map(reordered, contract.terms))
-
-
-def _clock(contract: PolicyContract) -> Change:
-    name, culprit = "sines and cosines of the gait clock exchanged", "order of sines and cosines"
-    count = len(contract.phase.offsets) if contract.phase is not None else 0
-    if not any(term.state.startswith("gait_phase") for term in contract.terms):
-        return Change(name, culprit, None, "no term reads gait_phase")
-    order = [*range(count, 2 * count), *range(count)]
-    return Change(name, culprit, clock_reordered(contract, order))
-
-
-def _order(contract: PolicyContract, depths: Sequence[int]) -> Change:
-    name, culprit = "joint order of the other kind of simulator", "joint order"
-    other = other_order(depths)
-    names = [contract.joints[i] for i in other]
-    if names == list(contract.joints):
-        why = "breadth-first and depth-first are the same for these joints"
-        return Change(name, culprit, None, why)
-    return Change(name, culprit, renamed(contract, names))
-
-
-def _gains(contract: PolicyContract, depths: Sequence[int]) -> Change:
-    name, culprit = "gains in another order", "gains"
-    gains = np.stack((contract.stiffness, contract.damping))
-    order = other_order(depths)
-    for stiffness, damping in (gains[:, order], gains[:, order[::-1]]):
-        if not np.allclose((stiffness, damping), gains, rtol=1e-3):
-            broken = replace(contract, stiffness=stiffness, damping=damping)
-            return Change(name, culprit, broken, varied=True)
-    return Change(name, culprit, None, "all joints have the same gains")
 
 
 GAIT = "phase.period"
@@ -239,12 +257,51 @@ def rivals(contract: PolicyContract) -> Iterator[Change]:
     Args:
         contract: the given one.
     """
+    phase = contract.phase
     for factor in (0.5, 2.0):
         softer = replace(contract, damping=contract.damping * np.float32(factor))
         yield Change(f"damping times {factor:g}", "damping", softer)
-        slower = replace(contract, period=contract.period * factor)
-        yield Change(f"a period of {slower.period:g} s", "period", slower)
-        if contract.phase is not None:
-            clock = replace(contract.phase, period=contract.phase.period * factor)
+        period = contract.period * factor
+        yield Change(f"a period of {period:g} s", "period", replace(contract, period=period))
+        if phase is not None:
+            clock = replace(phase, period=phase.period * factor)
             what = f"a gait clock of {clock.period:g} s"
             yield Change(what, GAIT, replace(contract, phase=clock))
+
+
+def evident_changes(
+    contract: PolicyContract, robot: Robot, passive: Float64, platform: str
+) -> Iterator[Change]:
+    """Yield the changes of the model for which the model itself speaks.
+
+    Args:
+        contract: of the policy, as given.
+        robot: the robot.
+        passive: damping of the robot's joints themselves in [N·m·s/rad], shape (n,).
+        platform: name of the simulator.
+    """
+    own = passive[joint_index(contract.joints, robot.joint_names)]
+    twice = counted_twice(contract.damping, own)
+    if twice.size:
+        i = twice[0]
+        yield Change(
+            "passive damping removed",
+            "passive damping of the model",
+            contract,
+            undamped=True,
+            evidence=f"{twice.size} of {len(own)} joints damp themselves beside the policy's "
+            f"damping, {contract.joints[i]} by {own[i]:g} and {contract.damping[i]:g} N·m·s/rad",
+            remedy=f"let the policy's damping replace it (platforms: {{{platform}: {{passive: "
+            "replace}}), or correct <joint damping> of the model",
+        )
+    unseen = tuple(name for name in robot.joint_names if name not in contract.joints)
+    if unseen:
+        yield Change(
+            "the other joints welded",
+            "joints of the model that the policy does not know",
+            contract,
+            locked=unseen,
+            evidence=f"it neither moves nor sees {listed(unseen)}, {len(unseen)} of "
+            f"{robot.num_joints} joints, which give way here",
+            remedy="take the model that it was trained on, or hold these joints as stiffly",
+        )

@@ -6,6 +6,7 @@ everything else is the graph that would be deployed.
 
 from __future__ import annotations
 
+from collections import ChainMap
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from copy import deepcopy
@@ -14,9 +15,9 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from unicon_base.arrays import Float32, Float64
+from unicon_base.arrays import Array, Float32, Float64
 from unicon_base.errors import Fault, PlatformError, UniconError
-from unicon_core.check.model_facts import joint_depths
+from unicon_core.check.joints import joint_depths
 from unicon_core.check.twin.measures import JUDGED, Measures, Recorder
 from unicon_core.check.twin.perturb import AS_GIVEN, Change
 from unicon_core.flow import Block, Stage
@@ -43,14 +44,12 @@ _SLOW = 0.5  # [m/s]; at 0.3 m/s standing still tracks with 0.70 and tells nothi
 
 def _reads_command(contract: PolicyContract) -> bool:
     """Whether a policy is to follow a velocity command."""
-    named = (*contract.inputs, *(term.state for term in contract.terms))
-    return "velocity_command" in named
+    return "velocity_command" in (*contract.inputs, *(term.state for term in contract.terms))
 
 
-def _range(program: Program, key: str) -> tuple[float, float] | None:
-    """Return for which commands the first policy that says so was trained."""
-    ranges = (contract.command_ranges for contract in program.policies.values())
-    return next((found[key] for found in ranges if key in found), None)
+def _ranges(program: Program) -> Mapping[str, tuple[float, float]]:
+    """Return for which commands policies were trained; of several the first that says so."""
+    return ChainMap(*(dict(contract.command_ranges) for contract in program.policies.values()))
 
 
 class _Counted:
@@ -143,12 +142,12 @@ class TwinSession:
             self.passive_damping = np.asarray(platform.passive_damping, np.float64)
         try:
             untold = [name for name in JUDGED if name not in platform.facts.writes]
+            if untold and not robot.floats:
+                raise TwinBlindError(
+                    f"the base of robot {robot.name} is fixed: nothing was simulated, since the "
+                    f"twin judges by {', '.join(untold)}"
+                )
             if untold:
-                if not robot.floats:
-                    raise TwinBlindError(
-                        f"the base of robot {robot.name} is fixed: nothing was simulated, since "
-                        f"the twin judges by {', '.join(untold)}"
-                    )
                 raise PlatformError(
                     f"platform {platform.facts.name!r} does not tell {', '.join(untold)}, by which "
                     "the twin judges; leave --twin out"
@@ -172,9 +171,9 @@ class TwinSession:
     def poses(self) -> dict[str, dict[str, float]]:
         """Return default poses that somebody else names: the robot file's and key frames'."""
         robot = self.program.robot
-        found = {"the robot file's default pose": robot.default_joint_pos.astype(np.float64)}
-        for key, pose in self.model.key_poses().items():
-            found[f"the pose of the model's key frame {key!r}"] = pose
+        found: dict[str, Array] = {"the robot file's default pose": robot.default_joint_pos}
+        keys = self.model.key_poses().items()
+        found |= {f"the pose of the model's key frame {key!r}": pose for key, pose in keys}
         return {name: dict(zip(robot.joint_names, map(float, p))) for name, p in found.items()}
 
     def run(
@@ -224,7 +223,7 @@ class TwinSession:
         self.called = frozenset(name for name, tick in counted.items() if tick.calls)
         ticks = len(recorder.rows)
         asked = (ticks - begun + walked if counted else max(ticks, 1)) * program.period
-        tracks = any(_reads_command(contract) for contract in self.contracts.values())
+        tracks = any(map(_reads_command, self.contracts.values()))
         return recorder.measures(asked, fault, tracks)
 
     def at_period_of(self, key: str, contract: PolicyContract) -> TwinSession:
@@ -246,8 +245,9 @@ class TwinSession:
             return []
         if not self._wanted.any():
             return [self._wanted.tolist()]
+        ranges = _ranges(self.program)
         walks = [(self._wanted * factor).tolist() for factor in (1.0, 0.85, 1.15)]
-        if any(_range(self.program, "ang_vel_z") or (_CURVE,)):
+        if "ang_vel_z" not in ranges or any(ranges["ang_vel_z"]):
             curve = np.array([0.0, 0.0, _CURVE])
             walks += [(self._wanted - curve).tolist(), (self._wanted + curve).tolist()]
         return walks
@@ -259,19 +259,15 @@ class TwinSession:
 
     def _motion_error(self) -> Float32 | None:
         """Return the state of the first policy that follows a motion."""
-        for key in self.contracts:
-            name = f"{prefix_of(key, self.program.policies)}motion_error"
-            if name in self.program.states:
-                found: Float32 = self.program.states[name]
-                return found
-        return None
+        policies, states = self.program.policies, self.program.states
+        names = (f"{prefix_of(key, policies)}motion_error" for key in self.contracts)
+        return next((states[name] for name in names if name in states), None)
 
     def _commander(self, program: Program) -> dict[Stage, list[Block]]:
         """Return the block that commands a walk, as /cmd_vel would."""
-        contracts = program.policies.values()
-        if not any(_reads_command(contract) for contract in contracts):
+        if not any(map(_reads_command, program.policies.values())):
             return {}
-        _, fastest = _range(program, "lin_vel_x") or (0.0, 0.0)
+        _, fastest = _ranges(program).get("lin_vel_x", (0.0, 0.0))
         walk = (min(0.6 * fastest, 1.0) if fastest else _WALK, 0.0, 0.0)
         self._wanted = wanted = np.array(self._command or walk, np.float64)
         always = self._command is not None
@@ -289,9 +285,7 @@ class TwinSession:
     def _exchange(self, key: str, contract: PolicyContract | None) -> dict[str, _Counted]:
         counted: dict[str, _Counted] = {}
         for used, block, policy in self._uses:
-            running = policy
-            if contract is not None and used == key:
-                running = policy.like(contract)
+            running = policy if contract is None or used != key else policy.like(contract)
             tick = counted.setdefault(used, _Counted(running))
             block.tick, block.reset, block.warm_up = tick, running.reset, None
         return counted

@@ -1,6 +1,6 @@
-"""Pipe: a child process, such as a platform's, and what parent and child say through its pipe.
+"""Both ends of the pipe between a process of ours and a child, such as a platform's.
 
-What is said in a tick goes through shared memory instead; see `ChildPlatform`.
+What is exchanged in a tick goes through shared memory instead; see `ChildPlatform`.
 """
 
 from __future__ import annotations
@@ -9,8 +9,10 @@ import json
 import os
 import pickle
 import select
+import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -21,8 +23,8 @@ from unicon_base.errors import Fault, PlatformError, UniconError
 from unicon_base.resources import same_modules
 from unicon_core.signals import signal_name
 
+# Module that runs a platform.
 PLATFORM = "unicon_core.platforms.child.process"
-"""Module that runs a platform."""
 
 
 class Pipe:
@@ -48,7 +50,8 @@ class Pipe:
         module: str = PLATFORM,
         environment: Mapping[str, str] | None = None,
     ) -> None:
-        self._what, self._rest = what, b""
+        self._what = what
+        self._rest = b""
         try:
             packed = pickle.dumps(given)
         except (AttributeError, TypeError, pickle.PicklingError) as error:
@@ -94,7 +97,8 @@ class Pipe:
         size = int.from_bytes(self._rest[:8], "little")
         if len(self._rest) < 8 + size or not size:
             return {}
-        words, self._rest = self._rest[8 : 8 + size], self._rest[8 + size :]
+        words = self._rest[8 : 8 + size]
+        self._rest = self._rest[8 + size :]
         try:
             told = pickle.loads(words)  # of our own child, through our own pipe
         except Exception:  # in which its platform may have written
@@ -155,7 +159,8 @@ class Pipe:
         Args:
             patience: how long it may take in [s].
         """
-        process, words = self.process, dict[str, Any]()
+        process = self.process
+        words = dict[str, Any]()
         assert process.stdin is not None
         assert process.stdout is not None
         with suppress(OSError):
@@ -170,3 +175,73 @@ class Pipe:
             words |= told
         process.stdout.close()
         return words
+
+
+# In [s]: the kernel ends a process that hangs so long, as its parent would if it still lived.
+ALARM = 10
+
+# Characters of an error that are told.
+LONGEST = 1000
+
+
+class Parent:
+    """What it gave first, what it wishes, and what it is told.
+
+    Ctrl-C and Ctrl-Z are the parent's, and what libraries print goes to stderr.
+
+    Args:
+        patience: how long the start may take in [s]; the kernel ends what hangs longer.
+
+    Attributes:
+        given: what it gave.
+    """
+
+    def __init__(self, patience: float) -> None:
+        for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTSTP):
+            signal.signal(number, signal.SIG_IGN)
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.alarm(round(patience) + ALARM)
+        self._told = os.dup(1)
+        self._telling = threading.Lock()
+        os.dup2(2, 1)  # what libraries print is not for the parent
+        size = int.from_bytes(_exactly(8), "little")
+        self.given: dict[str, Any] = pickle.loads(_exactly(size))  # through our own pipe
+        self._rest = b""
+
+    def tell(self, **words: Any) -> None:
+        """Tell it something; nothing where nobody is there to be told. From any thread."""
+        packed = pickle.dumps(words)
+        with self._telling, suppress(OSError):
+            os.write(self._told, len(packed).to_bytes(8, "little") + packed)
+
+    def wishes(self) -> list[list[Any]] | None:
+        """Return what it wishes since the last look, each `[what, *given]`; None: it has closed."""
+        found: list[list[Any]] = []
+        while select.select([0], [], [], 0.0)[0]:
+            read = os.read(0, 1 << 16)
+            if not read:
+                return None
+            *lines, self._rest = (self._rest + read).split(b"\n")
+            found += map(json.loads, lines)
+        return found
+
+
+def text_of(error: BaseException) -> str:
+    """Return an exception in one short line: a pipe that nobody reads holds no long one."""
+    kind = "" if isinstance(error, Fault) else type(error).__name__
+    try:
+        text = " ".join(str(error).split())
+    except Exception:  # its text cannot be had
+        text = ""
+    whole = ": ".join(filter(None, (kind, text)))
+    return whole if len(whole) <= LONGEST else f"{whole[:LONGEST]}…"
+
+
+def _exactly(count: int) -> bytes:
+    data = b""
+    while len(data) < count:
+        read = os.read(0, count - len(data))
+        if not read:
+            raise SystemExit(1)  # the parent died
+        data += read
+    return data

@@ -35,22 +35,22 @@ from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter, remov
 from unicon_core.states.groups import COMMAND, MEASURED, subset
 from unicon_core.terrain.words import Terrain
 
+# Default of `silence` in [s], of a simulator (as `pacing.hang`: a busy machine is no danger) and a
+# robot; two ticks where those are longer.
 SILENCE = {True: 1.0, False: 0.02}
-"""Default of `silence` in [s], of a simulator (as `pacing.hang`: a busy machine is no danger) and a
-robot; two ticks where those are longer."""
 
+# Default of `watchdog` in [s], of a simulator (a pause of the parent harms nobody) and a robot;
+# three ticks where those are longer.
 WATCHDOG = {True: 2.0, False: 0.1}
-"""Default of `watchdog` in [s], of a simulator (a pause of the parent harms nobody) and a robot;
-three ticks where those are longer."""
 
+# Longest time to start in [s]: drivers connect, simulators read their models.
 START = 60.0
-"""Longest time to start in [s]: drivers connect, simulators read their models."""
 
+# How long a child that still answers may take to damp and close, in [s].
 DAMPING = 5.0
-"""How long a child that still answers may take to damp and close, in [s]."""
 
+# The same for one that does not answer any more; then it is killed.
 HUNG = 0.5
-"""The same for one that does not answer any more; then it is killed."""
 
 # How often a child that is waited for is looked at, in [s]: a death is noticed within it.
 _LOOK = 0.005
@@ -134,7 +134,8 @@ class ChildPlatform:
         self._finite = FiniteCheck(
             {state: states[state] for state in self.facts.reads}, robot.joint_names
         )
-        self._due, self._told = 1, False
+        self._due = 1
+        self._told = False
         for ability in told["abilities"]:  # the protocols look for methods
             asked = getattr(self, f"_{ability}", partial(self._ask, ability))
             setattr(self, ability, asked)
@@ -274,7 +275,8 @@ class ChildPlatform:
         if self._closed:
             return
         self._closed = True
-        pipe, words = self._pipe, {}
+        pipe = self._pipe
+        words = {}
         if pipe is not None:
             words = pipe.close(HUNG if self._hung else DAMPING)
         if self._reader is not None:
@@ -297,7 +299,8 @@ def _place(factory: Callable[..., Any]) -> str:
     Raises:
         PlatformError: it has none.
     """
-    module, name = getattr(factory, "__module__", None), getattr(factory, "__qualname__", "")
+    module = getattr(factory, "__module__", None)
+    name = getattr(factory, "__qualname__", "")
     if module in (None, "__main__") or not name.replace(".", "_").isidentifier():
         raise PlatformError(
             f"platform {name or factory!r} cannot run in a child, which could not import it; put "

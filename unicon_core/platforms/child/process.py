@@ -18,18 +18,17 @@ from typing import Any
 
 from unicon_base.errors import Fault, UniconError
 from unicon_core.models.find import terrain_of
-from unicon_core.platforms.child.parent import ALARM, LONGEST, Parent, text_of
+from unicon_core.platforms.child.pipe import ALARM, LONGEST, Parent, text_of
 from unicon_core.platforms.child.platform import START
 from unicon_core.platforms.platform import Platform, info_of
 from unicon_core.states import Layout, States
 from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter
 from unicon_core.states.groups import COMMAND, MEASURED, subset
 
+# What a platform can do for its parent besides a tick: methods of its protocols. A call goes
+# through the pipe, and what the method returns or raises comes back. None is called once commands
+# are sent but those of simulators. A new ability needs its word here and nothing else.
 ABILITIES = ("reset", "push", "require", "variant", "commanders", "prepare", "arrivals")
-"""What a platform can do for its parent besides a tick: methods of its protocols.
-
-A call goes through the pipe, and what the method returns or raises comes back. None is called once
-commands are sent but those of simulators. A new ability needs its word here and nothing else."""
 
 # How often a robot's data are taken, in [s]; a command is sent at once.
 _ROBOT_LOOK = 0.001
@@ -85,7 +84,8 @@ class _Driver:
     """The platform, and the two segments between which it stands."""
 
     def __init__(self, parent: Parent) -> None:
-        self._parent, given = parent, parent.given
+        self._parent = parent
+        given = parent.given
         factory: Any = resolve_name(given["factory"])
         self._states = States(Layout.from_json(given["layout"]))
         self._commands = ShmReader(given["parent"], COMMAND, self._states)
@@ -96,7 +96,8 @@ class _Driver:
         facts = self.platform.facts
         self._watchdog = given["watchdog"]
         self._stepped = facts.simulated
-        self._stopped, self._heard = False, 0.0
+        self._stopped = False
+        self._heard = 0.0
         try:
             measured = subset(self._states.layout, facts.writes)
             self._segment = Segment.create(given["segment"], {MEASURED: measured})
@@ -117,10 +118,16 @@ class _Driver:
         Raises:
             Fault: of the platform, or the parent is silent.
         """
-        platform, commands, writer = self.platform, self._commands, self._writer
+        platform = self.platform
+        commands = self._commands
+        writer = self._writer
         slice_ = _LOOK if self._stepped else _ROBOT_LOOK
-        recv, send, publish, stepped = platform.recv, platform.send, writer.publish, self._stepped
-        self._heard, looked = 0.0, time.monotonic()
+        recv = platform.recv
+        send = platform.send
+        publish = writer.publish
+        stepped = self._stepped
+        self._heard = 0.0
+        looked = time.monotonic()
         while not self._stopped:
             signal.alarm(ALARM)
             came = commands.wait(slice_)

@@ -10,21 +10,21 @@ import numpy as np
 from unicon_base.arrays import Array, Float64
 from unicon_core.robots import Robot
 
+# What an IMU tells: orientation, angular velocity, specific force.
 IMU_STATES = ("base_quat", "base_ang_vel", "base_lin_acc")
-"""What an IMU tells: orientation, angular velocity, specific force."""
 
 
 class WorldPose(NamedTuple):
     """Where the bases of N robots are and how they move, each in a world of its own."""
 
+    # Of the base frame's origin in [m], shape (N, 3).
     position: Float64
-    """Of the base frame's origin in [m], shape (N, 3)."""
+    # Base to world, unit quaternion wxyz, shape (N, 4).
     quat: Float64
-    """Base to world, unit quaternion wxyz, shape (N, 4)."""
+    # Of the origin, along the world's axes in [m/s], shape (N, 3).
     lin_vel: Float64
-    """Of the origin, along the world's axes in [m/s], shape (N, 3)."""
+    # Along the world's axes in [rad/s], shape (N, 3).
     ang_vel: Float64
-    """Along the world's axes in [rad/s], shape (N, 3)."""
 
 
 def _products(*terms: str) -> Float64:
@@ -154,7 +154,9 @@ class BaseStates:
     def __init__(
         self, views: Mapping[str, Array], robot: Robot, step: float, gravity: Float64
     ) -> None:
-        self._views, self._step, self._gravity = views, step, gravity
+        self._views = views
+        self._step = step
+        self._gravity = gravity
         self._down = gravity / max(float(np.linalg.norm(gravity)), 1e-9)
         self._arm = np.zeros(3) if robot.imu is None else np.nan_to_num(robot.imu.position)
         at = {"base_ang_vel": 0, "base_lin_acc": 1, "projected_gravity": 2, "base_lin_vel": 3}
@@ -169,7 +171,8 @@ class BaseStates:
         )
         self._vectors = np.zeros((count, 4, 3))
         self._vectors[:, 2] = self._down
-        self._quats, self._moves = np.zeros((2, count, 4)), np.zeros((2, 2, count, 3))
+        self._quats = np.zeros((2, count, 4))
+        self._moves = np.zeros((2, 2, count, 3))
 
     def __call__(self, before: WorldPose, now: WorldPose) -> None:
         """Write what holds now; `before` is one physics step earlier, or the same at rest."""
@@ -184,7 +187,8 @@ class BaseStates:
         quats, (linear, angular) = self._quats, self._moves
         for i, pose in enumerate((before, now)):
             _, quats[i], linear[i], angular[i] = pose
-        world_from_base, vectors = rotation(quats), self._vectors
+        world_from_base = rotation(quats)
+        vectors = self._vectors
         # Of the IMU's place, then and now.
         velocity = linear + cross(angular, world_from_base @ self._arm)
         acceleration = (velocity[1] - velocity[0]) / self._step
@@ -208,13 +212,23 @@ class BaseStates:
     def _moving(self, pose: WorldPose) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Return the velocity of the IMU's place in the world in [m/s], and the rotation matrix."""
         w, x, y, z = pose.quat[0].tolist()
-        ww, xx, yy, zz = w * w, x * x, y * y, z * z
-        a, e, i = ww + xx - yy - zz, ww - xx + yy - zz, ww - xx - yy + zz
-        b, c = 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)
-        d, f = 2.0 * (x * y + w * z), 2.0 * (y * z - w * x)
-        g, h = 2.0 * (x * z - w * y), 2.0 * (y * z + w * x)
+        ww = w * w
+        xx = x * x
+        yy = y * y
+        zz = z * z
+        a = ww + xx - yy - zz
+        e = ww - xx + yy - zz
+        i = ww - xx - yy + zz
+        b = 2.0 * (x * y - w * z)
+        c = 2.0 * (x * z + w * y)
+        d = 2.0 * (x * y + w * z)
+        f = 2.0 * (y * z - w * x)
+        g = 2.0 * (x * z - w * y)
+        h = 2.0 * (y * z + w * x)
         s, t, u = self._lever
-        j, k, m = a * s + b * t + c * u, d * s + e * t + f * u, g * s + h * t + i * u
+        j = a * s + b * t + c * u
+        k = d * s + e * t + f * u
+        m = g * s + h * t + i * u
         (s, t, u), (p, q, r) = pose.lin_vel[0].tolist(), pose.ang_vel[0].tolist()
         return (s + q * m - r * k, t + r * j - p * m, u + p * k - q * j), (
             a,

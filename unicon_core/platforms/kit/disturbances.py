@@ -1,21 +1,28 @@
-"""Noise, delay and pushes around any simulator, as `scene:` asks for them."""
+"""Around a simulator: noise, delay and pushes of `scene:`, and `Beside`, which tracks a robot.
+
+beside = Beside(make, robot, period, scene)
+beside.put(measured)
+joint_pos = beside.step(commands)      # open loop, one tick later
+"""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from unicon_base.arrays import Array
+from unicon_base.arrays import Array, Float32
 from unicon_base.errors import PlatformError, alternatives
 from unicon_core.memory import load, save
 from unicon_core.platforms.kit.command import Command
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.platform import Platform, Pushable
+from unicon_core.platforms.platform import Placeable, Platform, Pushable
 from unicon_core.robots import Robot
-from unicon_core.states import States
+from unicon_core.states import States, standard_states
+from unicon_core.states.standard import BASE_STATES, COMMAND_STATES
 
 _METHODS = ("reset", "change", "save", "load")
 
@@ -39,7 +46,8 @@ def disturb(
 
 def _refuse(platform: Platform, scene: Scene) -> None:
     """Refuse what a platform cannot be disturbed with."""
-    name, writes = platform.facts.name, set(platform.facts.writes) - {"stamp_ns"}
+    name = platform.facts.name
+    writes = set(platform.facts.writes) - {"stamp_ns"}
     for state in scene.noise:
         if state not in writes:
             raise PlatformError(
@@ -62,13 +70,16 @@ class Disturbances:
     def __init__(
         self, platform: Platform, scene: Scene, states: States, robot: Robot, period: float
     ) -> None:
-        self._recv, self._send = platform.recv, platform.send
+        self._recv = platform.recv
+        self._send = platform.send
         self.own: dict[str, Callable[..., Any]] = {
             name: getattr(platform, name) for name in _METHODS if hasattr(platform, name)
         }
         self._push = platform.push if isinstance(platform, Pushable) else None
-        self._platform, self._states = platform, states
-        self._period, self._batch = period, states.num_robots
+        self._platform = platform
+        self._states = states
+        self._period = period
+        self._batch = states.num_robots
         self._views = [states[name] for name in platform.facts.reads]
         self._command = Command(states, robot.joint_names, dtype=np.float32)
         self._take(scene)
@@ -147,3 +158,69 @@ class Disturbances:
         """Begin anew, the same draws to come."""
         self.own.get("reset", bool)()
         self._begin()
+
+
+# States that say where a robot is; those of the base as far as they are measured.
+PLACE = ("joint_pos", "joint_vel", "base_quat", "base_ang_vel", "base_pos_w", "base_lin_vel")
+
+
+class Beside:
+    """See the module.
+
+    Args:
+        make: factory of the simulator.
+        robot: the robot.
+        period: of a tick in [s].
+        scene: model and joints; noise, delay, pushes and seed of it are left out.
+        options: of the factory.
+
+    Attributes:
+        states: of its own.
+        platform: the simulator.
+
+    Raises:
+        PlatformError: the simulator cannot be put anywhere.
+        UniconError: it cannot be built.
+    """
+
+    def __init__(
+        self,
+        make: Callable[..., Platform],
+        robot: Robot,
+        period: float,
+        scene: Scene,
+        options: Mapping[str, Any] | None = None,
+    ) -> None:
+        self.states = States(standard_states(robot.joint_names))
+        calm = replace(scene, seed=0, noise={}, push={}, delay=0)
+        self.platform = make(self.states, robot, period, scene=calm, **(options or {}))
+        if not isinstance(self.platform, Placeable):
+            name = self.platform.facts.name
+            self.platform.close()
+            raise PlatformError(
+                f"platform {name!r} cannot be put where a robot was measured; use mujoco"
+            )
+        self._put = self.platform.put
+        self._commands = [(name, self.states[name]) for name in COMMAND_STATES]
+        # Whether it has a base that moves.
+        self.moves = any(name in self.platform.facts.writes for name in BASE_STATES)
+
+    def put(self, measured: Mapping[str, Array]) -> None:
+        """Put it where a robot was measured, as far as `measured` says; see `Placeable`."""
+        self._put(measured)
+
+    def step(self, commands: Mapping[str, Array] | States) -> Float32:
+        """Simulate one tick under commands; return the joint positions at its end, shape (n,).
+
+        Raises:
+            Fault: a command is not finite, or the physics blew up.
+        """
+        for name, view in self._commands:
+            view[...] = commands[name]
+        self.platform.send()
+        self.platform.recv()
+        return self.states["joint_pos"]
+
+    def close(self) -> None:
+        """Let go of the simulator."""
+        self.platform.close()

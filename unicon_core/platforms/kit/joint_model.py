@@ -14,14 +14,22 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 
 from unicon_base.arrays import Float64
-from unicon_core.models.actuators import actuator_kind
-from unicon_core.models.loaded import LoadedModel, drives, import_mujoco
-from unicon_core.models.touching import around, contact_of, floors, may_touch, on_floor
+from unicon_core.models.load import actuator_kind
+from unicon_core.models.loaded import (
+    LoadedModel,
+    around,
+    contact_of,
+    drives,
+    floors,
+    import_mujoco,
+    may_touch,
+    on_floor,
+)
 from unicon_core.platforms.kit.start import Start
 from unicon_core.robots import Robot
 
+# `keep` the damping of a model's joints beside that of the command, or let that `replace` it.
 Passive: TypeAlias = Literal["keep", "replace"]
-"""`keep` the damping of a model's joints beside that of the command, or let that `replace` it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +59,8 @@ class JointModel:
             model: the one of `loaded`, or a copy of it.
             loaded: says where the joints are.
         """
-        mujoco, dofs = import_mujoco(), loaded.dofs
+        mujoco = import_mujoco()
+        dofs = loaded.dofs
         model.dof_armature[dofs], model.dof_damping[dofs] = self.armature, self.damping
         model.dof_frictionloss[dofs] = self.friction
         mujoco.mj_setConst(model, mujoco.MjData(model))  # the solver's inverse inertias follow
@@ -64,9 +73,12 @@ def joint_model(start: Start, passive: Passive) -> JointModel:
         start: has the model, and what was said.
         passive: whether the model's damping acts.
     """
-    model, physics, joints = start.loaded.model, start.physics, start.loaded.joints
+    model = start.loaded.model
+    physics = start.physics
+    joints = start.loaded.joints
     dofs = start.loaded.dofs
-    armature, friction = model.dof_armature[dofs], model.dof_frictionloss[dofs]
+    armature = model.dof_armature[dofs]
+    friction = model.dof_frictionloss[dofs]
     limited = model.jnt_limited[joints].astype(bool)
     lower, upper = model.jnt_range[joints].T
     return JointModel(
@@ -105,7 +117,8 @@ def lost(start: Start, robot: Robot, figures: JointModel, represents: Collection
             of joints, `self-collision`, `meshes` that collide, `contact friction` that turns and
             rolls, `targets` cut by position actuators, `constraints`, `terrain`.
     """
-    mujoco, loaded = import_mujoco(), start.loaded
+    mujoco = import_mujoco()
+    loaded = start.loaded
     model = loaded.model
     has = {
         "armature": _joints(robot, "armature", figures.armature, "kg·m²"),
@@ -135,7 +148,9 @@ def lost(start: Start, robot: Robot, figures: JointModel, represents: Collection
 
 def _touch_themselves(model: Any) -> bool:
     """Return whether links of the robot may touch others than their own parents and children."""
-    types, affinities, bodies = model.geom_contype, model.geom_conaffinity, model.geom_bodyid
+    types = model.geom_contype
+    affinities = model.geom_conaffinity
+    bodies = model.geom_bodyid
     met = types[:, None] & affinities
     met = (met | met.T).astype(bool)
     parents = model.body_parentid[bodies]

@@ -15,30 +15,57 @@ import numpy as np
 
 from unicon_base.arrays import Float32, Float64
 from unicon_base.errors import PlatformError, alternatives
-from unicon_base.schema.marks import Like, NotAKey, Unit, Within, Write, positive
+from unicon_base.schema.marks import Like, NotAKey, Point, Unit, Within, Write, positive
 from unicon_base.schema.read import check_made
 from unicon_base.schema.records import record_of
 from unicon_core.models.find import pick_model
-from unicon_core.platforms.kit.bodies import BODY_PHYSICS, GANTRY, ROUGHEST, Payload
 from unicon_core.robots import Robot
 from unicon_core.robots.file import Simulated
-from unicon_core.robots.places import Places
-from unicon_core.robots.poses import named_pose, robot_poses
+from unicon_core.robots.load import named_pose, robot_poses
+from unicon_core.robots.robot import Places
 from unicon_core.terrain.ground import refuse_endless_ground
 from unicon_core.terrain.words import FLAT, Terrain, read_terrain
 
+# Words of `Facts.physics` that are about bodies.
+BODY_PHYSICS = ("payload", "contact_friction")
+
+# Of a payload in [kg].
+HEAVIEST = 1000.0
+
+# Factor on friction: rubber on rubber has some 1.2, ice on steel 0.03 (about a fortieth).
+ROUGHEST = 20.0
+
+
+@dataclass(frozen=True)
+class Payload:
+    """A point with mass that is fixed to a body.
+
+    Attributes:
+        mass: of the point.
+        body: of the model; the base's unless given.
+        position: in that body's frame; its centre of mass unless given.
+    """
+
+    mass: Annotated[float, Within(0.0, HEAVIEST, "kg")]
+    body: str = ""
+    position: Point = (0.0, 0.0, 0.0)
+
+
+# Word of `Facts.physics`: a base that is held.
+GANTRY = "gantry"
+
+# What a simulator can be told and a robot cannot.
 DISTURBANCES = (
     *("seed", "noise", "delay", "push", "terrain", "joints", "payload", "contact_friction"),
 )
-"""What a simulator can be told and a robot cannot."""
 
 KEYFRAME = "keyframe:"
 
+# Word of `Facts.physics`: ground that is not flat.
 TERRAIN = "terrain"
-"""Word of `Facts.physics`: ground that is not flat."""
 
+# In ticks.
 LONGEST_DELAY = 1000
-"""In ticks."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +151,8 @@ class Scene:
 
     def begins_as(self, other: Scene) -> bool:
         """Return whether a robot begins where it does in another scene of the same model."""
-        ours, theirs = self.pose, other.pose
+        ours = self.pose
+        theirs = other.pose
         return (
             (self.initial_pose, self.initial_height) == (other.initial_pose, other.initial_height)
             and (ours is None) == (theirs is None)
@@ -163,7 +191,8 @@ class Scene:
             PlatformError: no such pose, or only a model says it.
             WorkflowError: no such joint.
         """
-        poses, pose = robot_poses(robot), self.initial_pose
+        poses = robot_poses(robot)
+        pose = self.initial_pose
         standing = np.nan_to_num(poses["default"].astype(np.float64))
         if self.pose is not None:
             return self.pose.astype(np.float64)

@@ -1,20 +1,22 @@
-"""Where a simulation begins: joint pose and height of the base, the same in every simulator."""
+"""Where a simulation begins, in every simulator: pose and height, payload, friction and gantry."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from unicon_base.arrays import Float64
-from unicon_base.errors import ModelError, alternatives
+from unicon_base.errors import ModelError, PlatformError, alternatives
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.posed import PosedModel
-from unicon_core.platforms.kit.bodies import tell_bodies
 from unicon_core.platforms.kit.scene import KEYFRAME, Scene
 from unicon_core.robots import Robot
-from unicon_core.robots.poses import JointPhysics, joint_physics
+from unicon_core.robots.load import JointPhysics, joint_physics
 
 _CLEARANCE = 0.0005  # [m] between the lowest geom and the floor
 
@@ -78,7 +80,8 @@ def start_of(robot: Robot, scene: Scene) -> Start:
             f"{{{', '.join(f'{member}: …' for member in robot.members)}}}"
         ) from error
     tell_bodies(loaded, scene.payload, scene.contact_friction)
-    base, qpos = loaded.base, initial_positions(loaded, robot, scene)
+    base = loaded.base
+    qpos = initial_positions(loaded, robot, scene)
     pose = np.array((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
     if base is not None:
         pose = qpos[int(loaded.model.jnt_qposadr[base]) :][:7]
@@ -99,10 +102,12 @@ def initial_positions(loaded: LoadedModel, robot: Robot, scene: Scene) -> Float6
         PlatformError: no such pose.
     """
     mujoco = import_mujoco()
-    model, base = loaded.model, loaded.base
+    model = loaded.model
+    base = loaded.base
     posed = PosedModel(loaded)
     data = posed.data
-    pose, height = scene.initial_pose, scene.initial_height
+    pose = scene.initial_pose
+    height = scene.initial_height
     if isinstance(pose, str) and pose.startswith(KEYFRAME):
         keyframe = pose.removeprefix(KEYFRAME)
         names = [model.key(i).name for i in range(model.nkey)]
@@ -121,3 +126,116 @@ def initial_positions(loaded: LoadedModel, robot: Robot, scene: Scene) -> Float6
         elif not scene.posed_by_model:
             data.qpos[z] += _CLEARANCE - min(posed.heights().values(), default=_CLEARANCE)
     return np.array(data.qpos)
+
+
+def tell_bodies(loaded: LoadedModel, payload: Mapping[str, Any], friction: float) -> None:
+    """Put a payload and the factor on all friction into a model.
+
+    Args:
+        loaded: the model, which is changed.
+        payload: as of `Scene.payload`, with nothing wrong in it.
+        friction: factor on sliding, turning and rolling friction of geoms and pairs. A contact has
+            the larger one of two geoms' friction, so that all contacts change by this factor.
+
+    Raises:
+        PlatformError: the model has no such body, or no base to carry it.
+    """
+    model = loaded.model
+    if friction != 1.0:
+        model.geom_friction *= friction
+        model.pair_friction *= friction
+    if payload and payload["mass"]:
+        body = _carrier(loaded, str(payload.get("body", "")))
+        _add(model, body, float(payload["mass"]), payload.get("position"))
+        mujoco = import_mujoco()
+        mujoco.mj_setConst(model, mujoco.MjData(model))  # the solver's inverse inertias follow
+
+
+def _carrier(loaded: LoadedModel, name: str) -> int:
+    """Return the id of the body that carries the payload."""
+    model = loaded.model
+    if name:
+        names = [model.body(i).name for i in range(model.nbody)]
+        if name in names[1:]:
+            return names.index(name, 1)
+        raise PlatformError(
+            f"scene.payload: model {loaded.path} has no body {name!r}; "
+            f"{alternatives(name, filter(None, names[1:]))}"
+        )
+    if loaded.base is None:
+        raise PlatformError("scene.payload: the robot has no base that moves; name a body")
+    return int(model.jnt_bodyid[loaded.base])
+
+
+def _add(model: Any, body: int, mass: float, position: Any) -> None:
+    """Add a point to a body's mass, centre and inertia: Steiner's theorem about the new centre.
+
+    I = R I₀ Rᵀ + m₀ (|d|² E - d dᵀ) + m (|e|² E - e eᵀ), where d and e are the ways from the new
+    centre to the old one and to the point.
+    """
+    mujoco = import_mujoco()
+    before = float(model.body_mass[body])
+    centre = np.array(model.body_ipos[body])
+    point = centre if position is None else np.array(position, np.float64)
+    total = before + mass
+    model.body_mass[body] = total
+    if position is None:
+        return  # where it is, it turns nothing
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, model.body_iquat[body])
+    axes = turn.reshape(3, 3)
+    middle = (before * centre + mass * point) / total
+    inertia = axes @ np.diag(model.body_inertia[body]) @ axes.T
+    inertia += before * _steiner(centre - middle) + mass * _steiner(point - middle)
+    values, vectors = np.linalg.eigh(inertia)
+    vectors[:, 0] *= np.sign(np.linalg.det(vectors))  # a rotation, no mirror
+    model.body_ipos[body], model.body_inertia[body] = middle, values
+    mujoco.mju_mat2Quat(model.body_iquat[body], np.ascontiguousarray(vectors).reshape(-1))
+    # What the compiler found to coincide with the old inertial frame does so no more.
+    model.body_sameframe[body] = model.body_simple[body] = 0
+    model.geom_sameframe[model.geom_bodyid == body] = 0
+    model.site_sameframe[model.site_bodyid == body] = 0
+
+
+def _steiner(way: Float64) -> Float64:
+    return np.asarray(way @ way * np.eye(3) - np.outer(way, way))
+
+
+# Of the critically damped springs in [Hz]: slow against a physics step, quick against a leg.
+FREQUENCY = 2.0
+# Of gyration that the turning dampers are made for, in [m].
+RADIUS = 0.3
+
+
+def hold(model: Any, base: int, qpos: Float64) -> None:
+    """Let the model's own springs hold a base where it begins.
+
+        f = k (p* - p) - 2 m w v,   t = k (q* - q) - 2 sqrt(k m) r omega,   k = m w²
+
+    with the mass m [kg] of all that hangs, and p* higher by g / w², so that the springs bear it.
+    MuJoCo's free joint has one stiffness, in [N/m] and in [N·m/rad]. A light base on limp legs
+    needs dampers that are integrated implicitly, so Euler does that from here on, even where the
+    model forbids it (`eulerdamp`).
+
+    Args:
+        model: the `MjModel`, which is changed.
+        base: number of its free joint.
+        qpos: where the robot begins, shape (nq,).
+    """
+    model.opt.disableflags &= ~int(import_mujoco().mjtDisableBit.mjDSBL_EULERDAMP)
+    w = 2.0 * math.pi * FREQUENCY
+    mass = float(model.body_subtreemass[model.jnt_bodyid[base]])
+    pose = int(model.jnt_qposadr[base])
+    twist = int(model.jnt_dofadr[base])
+    model.jnt_stiffness[base] = mass * w * w
+    model.qpos_spring[pose : pose + 7] = qpos[pose : pose + 7]
+    model.qpos_spring[pose : pose + 3] -= model.opt.gravity / (w * w)
+    model.dof_damping[twist : twist + 3] = 2.0 * mass * w
+    model.dof_damping[twist + 3 : twist + 6] = 2.0 * mass * w * RADIUS
+
+
+def let_go(model: Any, base: int) -> None:
+    """Hold it no longer."""
+    twist = int(model.jnt_dofadr[base])
+    model.jnt_stiffness[base] = 0.0
+    model.dof_damping[twist : twist + 6] = 0.0

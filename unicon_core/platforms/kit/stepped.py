@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
+import os
+import sys
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from threading import Timer
 from typing import Any, ClassVar
 
 import numpy as np
 
 from unicon_base.arrays import Float64
 from unicon_base.errors import Fault, PlatformError
-from unicon_core.models.actuators import effort_ranges
+from unicon_core.models.load import effort_ranges
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.platforms.kit.base import BaseStates, WorldPose, cross, rotation
-from unicon_core.platforms.kit.bodies import BODY_PHYSICS
-from unicon_core.platforms.kit.clock import steps_in, tick_ns
-from unicon_core.platforms.kit.command import Command
+from unicon_core.platforms.kit.command import (
+    Command,
+    JointDelay,
+    Servo,
+    delay_of,
+    steps_in,
+    strength_of,
+    tick_ns,
+)
 from unicon_core.platforms.kit.joint_model import (
     JointModel,
     Passive,
@@ -25,40 +35,36 @@ from unicon_core.platforms.kit.joint_model import (
     joint_model,
     lost,
 )
-from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.kit.servo import JointDelay, Servo, delay_of, strength_of
+from unicon_core.platforms.kit.scene import BODY_PHYSICS, Scene
 from unicon_core.platforms.kit.start import Start, start_of
 from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.robots import Robot
-from unicon_core.robots.poses import JOINT_PHYSICS
+from unicon_core.robots.load import JOINT_PHYSICS
 from unicon_core.states import States
 from unicon_core.states.standard import BASE_STATES, JOINT_STATES
 
+# Also what simulators import from here.
 __all__ = [
     "BODY_PHYSICS",
     "JOINT_PHYSICS",
     "SIMULATED",
-    "DampedSimulator",
     "Facts",
     "Float64",
     "JointModel",
     "Passive",
     "Robot",
     "Scene",
-    "Setup",
     "Start",
     "States",
-    "SteppedSimulator",
     "WorldPose",
     "cross",
     "ground_friction",
     "import_mujoco",
     "rotation",
-    "setup_of",
 ]
 
+# On earth, in the world in [m/s²], shape (3,).
 GRAVITY = np.array((0.0, 0.0, -9.81))
-"""On earth, in the world in [m/s²], shape (3,)."""
 
 _TOO_FAST = 1e5  # [rad/s]: no robot's joint turns that fast
 
@@ -136,8 +142,8 @@ class SteppedSimulator(ABC):
     """
 
     facts: Facts
+    # Words of `kit/joint_model.py` for what the engine has as the model says.
     represents: ClassVar[Collection[str]] = ()
-    """Words of `kit/joint_model.py` for what the engine has as the model says."""
 
     def __init__(self, setup: Setup, notes: Sequence[str] = ()) -> None:
         states, robot, timestep, start = setup.states, setup.robot, setup.timestep, setup.start
@@ -147,7 +153,9 @@ class SteppedSimulator(ABC):
         self.notes = [*start.loaded.notes, *lost(start, robot, figures, self.represents), *notes]
         told_of = (*self.facts.notes, *self.notes)
         self.facts = replace(self.facts, writes=tuple(told), notes=told_of)
-        self._names, self.start, self.model_path = robot.joint_names, start, start.loaded.path
+        self._names = robot.joint_names
+        self.start = start
+        self.model_path = start.loaded.path
         self.timestep = timestep
         self.decimation = steps_in(setup.period, timestep, self.model_path, self.facts.name)
         self._tick_ns = tick_ns(timestep, self.decimation)
@@ -329,3 +337,62 @@ class DampedSimulator(SteppedSimulator):
             yield
         finally:
             self.damp(self.figures.damping)
+
+
+@contextmanager
+def quiet(handle: int = 1) -> Iterator[None]:
+    """Let nothing reach standard output, of Python or of C, as long as it lasts.
+
+    Short, and while no other thread prints: what goes there is lost. Errors have an output of
+    their own, which stays.
+
+    Args:
+        handle: 2 for that of errors, where a library complains of what is not an error.
+    """
+    stream = sys.stdout if handle == 1 else sys.stderr
+    stream.flush()
+    try:
+        kept = os.dup(handle)
+    except OSError:  # there is none
+        yield
+        return
+    try:
+        with open(os.devnull, "wb") as nowhere:
+            os.dup2(nowhere.fileno(), handle)
+        try:
+            yield
+        finally:
+            stream.flush()
+            os.dup2(kept, handle)
+    finally:
+        os.close(kept)
+
+
+# Seconds for which nobody asks.
+AFTER = 2.0
+
+
+@contextmanager
+def patience(what: str) -> Iterator[None]:
+    """Say on standard error what takes long, once it does, and how long it took.
+
+    Args:
+        what: such as "mjx: compiling the physics of 64 robots, some 10 s the first time".
+    """
+    begin = time.monotonic()
+    said = []
+
+    def say() -> None:
+        said.append(True)
+        print(f"{what} …", file=sys.stderr, flush=True)
+
+    timer = Timer(AFTER, say)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+        if said:
+            took = time.monotonic() - begin
+            print(f"{what.partition(':')[0]}: ready after {took:.0f} s", file=sys.stderr)

@@ -13,11 +13,9 @@ import numpy as np
 
 from unicon_base.arrays import Array
 from unicon_core.platforms.kit.command import Command
-from unicon_core.platforms.mujoco.servo import Servo
+from unicon_core.platforms.mujoco.servo import Servo, Told
 from unicon_core.platforms.mujoco.simulated_robot import SimulatedRobot
 
-Told = tuple[Array, Array, Array]
-"""Controls, gains and biases of one robot's actuators: shapes (n,), (n,) and (n, 3)."""
 Part = tuple[int, list[Told]]
 """Physics steps, and what acts in them on each robot."""
 
@@ -50,7 +48,8 @@ class SideBySide:
     """
 
     def __init__(self, jobs: Sequence[Job], name: str) -> None:
-        self._jobs, self._inboxes = tuple(jobs), [Inbox() for _ in jobs[1:]]
+        self._jobs = tuple(jobs)
+        self._inboxes = [Inbox() for _ in jobs[1:]]
         self._threads = [
             Thread(target=_serve, args=(rank, job, inbox), name=f"{name} {rank}", daemon=True)
             for rank, (job, inbox) in enumerate(zip(jobs[1:], self._inboxes), 1)
@@ -106,37 +105,6 @@ def _end(inboxes: Sequence[Inbox]) -> None:
         inbox.put(None)
 
 
-class SharedServo(Servo):
-    """Reckons the commands of all robots at once, and writes each one before its robot's step."""
-
-    def told(self, command: Array) -> list[Told]:
-        """Return what `push` would bring into the model, of every robot of a batch at once.
-
-        Args:
-            command: rows as of `push`, shape (5, N, n).
-
-        Returns:
-            What `write` takes, for each robot.
-        """
-        if self._strength is not None:
-            command = np.concatenate((command[:2], command[2:] * self._strength))
-        stiffness, damping = command[3:] / self.gear**2
-        b0 = (command[4] * command[1] + command[2]) / self.gear
-        bias = np.stack((b0, -stiffness, -damping), axis=-1)
-        return list(zip(command[0] * self.gear, stiffness, bias))
-
-    def write(self, ctrl: Array, told: Told) -> None:
-        """Put what `told` returned into the model and one robot's controls.
-
-        Args:
-            ctrl: `MjData.ctrl` of the robot.
-            told: of the robot.
-        """
-        index = self.index
-        ctrl[index], self._gain[index], self._bias[index, :3] = told
-        self._written = b""  # it is not what was pushed any more
-
-
 class Batch:
     """Simulates a tick of every robot.
 
@@ -157,9 +125,11 @@ class Batch:
         robots: Sequence[SimulatedRobot],
         decimation: int,
         shares: Sequence[range],
-        servos: Sequence[SharedServo],
+        servos: Sequence[Servo],
     ) -> None:
-        self._take, self._rows, self._robots = command.take, command.rows, robots
+        self._take = command.take
+        self._rows = command.rows
+        self._robots = robots
         self._decimation = decimation
         self._parts: list[Part] = []
         self._told = servos[0].told
@@ -193,7 +163,7 @@ class Batch:
 
 
 def _simulate(
-    servo: SharedServo, robots: Sequence[SimulatedRobot], ranks: range, parts: list[Part]
+    servo: Servo, robots: Sequence[SimulatedRobot], ranks: range, parts: list[Part]
 ) -> None:
     for rank in ranks:
         robot = robots[rank]

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import sys
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from copy import copy
@@ -12,24 +15,20 @@ from typing import Any
 import numpy as np
 
 from unicon_base.arrays import Array, Float64
-from unicon_base.errors import PlatformError
+from unicon_base.errors import PlatformError, one_line
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.posed import PosedModel
 from unicon_core.models.terrain import Models
-from unicon_core.platforms.kit.bodies import BODY_PHYSICS, GANTRY, hold, tell_bodies
-from unicon_core.platforms.kit.clock import steps_in
-from unicon_core.platforms.kit.command import Command
+from unicon_core.platforms.kit.command import Command, delay_of, steps_in, strength_of
 from unicon_core.platforms.kit.joint_model import Passive
-from unicon_core.platforms.kit.scene import TERRAIN, Scene
-from unicon_core.platforms.kit.servo import delay_of, strength_of
-from unicon_core.platforms.kit.start import initial_positions
-from unicon_core.platforms.mujoco import placement
-from unicon_core.platforms.mujoco.batch import Batch, SharedServo, shares
+from unicon_core.platforms.kit.scene import BODY_PHYSICS, GANTRY, TERRAIN, Scene
+from unicon_core.platforms.kit.start import hold, initial_positions, tell_bodies
+from unicon_core.platforms.mujoco.batch import Batch, shares
+from unicon_core.platforms.mujoco.servo import Servo
 from unicon_core.platforms.mujoco.simulated_robot import SimulatedRobot
-from unicon_core.platforms.mujoco.viewer import Viewer
 from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.robots import Robot
-from unicon_core.robots.poses import JOINT_PHYSICS, JointPhysics, joint_physics
+from unicon_core.robots.load import JOINT_PHYSICS, JointPhysics, joint_physics
 from unicon_core.states import States
 from unicon_core.states.standard import BASE_STATES
 
@@ -98,8 +97,11 @@ class MujocoPlatform:
         passive: Passive = "keep",
         qpos: Float64 | None = None,
     ) -> None:
-        self._mujoco, self._robot, self._read = mujoco, robot, models
-        self._states, self._period = states, period
+        self._mujoco = mujoco
+        self._robot = robot
+        self._read = models
+        self._states = states
+        self._period = period
         self.terrain = scene.uneven
         loaded = self._loaded = models.on(self.terrain)
         model = self.model = loaded.model
@@ -129,8 +131,7 @@ class MujocoPlatform:
         self._models = [model, *(copy(model) for _ in ranks[1:])]
         self.robots: list[SimulatedRobot] = []
         servos = [
-            SharedServo(replace(loaded, model=own), robot, strength_of(physics))
-            for own in self._models
+            Servo(replace(loaded, model=own), robot, strength_of(physics)) for own in self._models
         ]
         for own, servo, share in zip(self._models, servos, ranks):
             for k in share:
@@ -236,16 +237,16 @@ class MujocoPlatform:
     def put(self, measured: Mapping[str, Array]) -> None:
         """Put the robot where one was measured, every one of a batch; see `Placeable`."""
         for robot in self.robots:
-            placement.put(robot, measured, self._posed)
+            robot.put(measured, self._posed)
 
     def save(self) -> list[dict[str, Any]]:
         """Return what the physics go on from, for a replay."""
-        return [placement.save(robot) for robot in self.robots]
+        return [robot.save() for robot in self.robots]
 
     def load(self, saved: list[dict[str, Any]]) -> None:
         """Go on as another platform would that was built alike."""
         for robot, kept in zip(self.robots, saved, strict=True):
-            placement.load(robot, kept)
+            robot.load(kept)
 
     def close(self) -> None:
         """Let go; a simulation has no motors to damp."""
@@ -349,3 +350,49 @@ def _tell_joints(mujoco: Any, loaded: LoadedModel, physics: JointPhysics) -> Non
         array = getattr(model, name)
         array[dofs] = np.where(np.isnan(values), array[dofs], values)
     mujoco.mj_setConst(model, mujoco.MjData(model))  # the solver's inverse inertias follow
+
+
+class Viewer:
+    """Block: shows a model, done when its window is closed.
+
+    Args:
+        model: the `MjModel`.
+        data: the `MjData`, read between physics steps only (the block runs in the tick's thread).
+        rate: largest number of pictures per second.
+
+    Raises:
+        PlatformError: there is no display.
+    """
+
+    name = "viewer"
+
+    def __init__(self, model: Any, data: Any, rate: float = 60.0) -> None:
+        on_linux = sys.platform.startswith("linux")
+        if on_linux and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+            raise PlatformError(
+                "the viewer needs a display and neither DISPLAY nor WAYLAND_DISPLAY is set; "
+                "give --view for a page in the browser, or run it under a desktop, `ssh -X` or "
+                "`xvfb-run`"
+            )
+        import mujoco.viewer
+
+        try:
+            self._handle = mujoco.viewer.launch_passive(model, data)
+        except Exception as error:  # glfw raises classes of its own
+            raise PlatformError(
+                f"the viewer cannot open a window: {one_line(error)}; "
+                "give --view for a page in the browser"
+            ) from error
+        self._interval = 1.0 / rate
+        self._due = 0.0
+
+    def __call__(self) -> bool:
+        now = time.monotonic()
+        if now >= self._due:
+            self._due = now + self._interval
+            self._handle.sync()
+        return not self._handle.is_running()
+
+    def close(self) -> None:
+        """Close the window; safe to call twice."""
+        self._handle.close()

@@ -1,18 +1,18 @@
-"""What one simulated robot measures: its joints, base and IMU, out of its `MjData`.
+"""What one simulated robot measures, out of its `MjData`, and a rehearsal that warms caches up.
 
 Base and IMU come from the model's sensors, or from its free joint.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
 from unicon_base.arrays import Array, Float64
-from unicon_core.models.loaded import LoadedModel, import_mujoco
-from unicon_core.models.rows import index_of
+from unicon_core.models.loaded import LoadedModel, import_mujoco, index_of
 
 Copy = Callable[[], None]
 
@@ -64,7 +64,8 @@ class BaseReader:
     """
 
     def __init__(self, loaded: LoadedModel, data: Any, views: Mapping[str, Array]) -> None:
-        model, joint = loaded.model, loaded.base
+        model = loaded.model
+        joint = loaded.base
         body = int(model.jnt_bodyid[joint])
         qpos = data.qpos[model.jnt_qposadr[joint] :][:7]
         qvel = data.qvel[model.jnt_dofadr[joint] :][:6]
@@ -77,7 +78,8 @@ class BaseReader:
         def sensor(kind: str) -> tuple[Float64, Float64]:
             """Return the sensor's data and the orientation of its site in the base."""
             self.source[kind] = model.sensor(imu[kind]).name or None
-            start, size = int(model.sensor_adr[imu[kind]]), int(model.sensor_dim[imu[kind]])
+            start = int(model.sensor_adr[imu[kind]])
+            size = int(model.sensor_dim[imu[kind]])
             quat = np.array(model.site_quat[model.sensor_objid[imu[kind]]], dtype=np.float64)
             return data.sensordata[start : start + size], quat
 
@@ -130,9 +132,12 @@ def _turned(out: Array, source: Float64, base_from_site: Float64) -> Copy:
     if np.allclose(np.abs(base_from_site), (1.0, 0.0, 0.0, 0.0), atol=1e-9):
         return _plain(out, source)
     mujoco = import_mujoco()
-    turn, by, result = mujoco.mju_rotVecQuat, base_from_site, np.zeros(len(source))
+    turn = mujoco.mju_rotVecQuat
+    by = base_from_site
+    result = np.zeros(len(source))
     if len(source) == 4:
-        turn, by = mujoco.mju_mulQuat, base_from_site * (1.0, -1.0, -1.0, -1.0)
+        turn = mujoco.mju_mulQuat
+        by = base_from_site * (1.0, -1.0, -1.0, -1.0)
 
     def turned() -> None:
         turn(result, source, by)
@@ -148,7 +153,8 @@ def _specific_force(
 
     A free joint's rates and their derivatives are along the body's own axes.
     """
-    world, base = np.zeros(3), np.zeros(3)
+    world = np.zeros(3)
+    base = np.zeros(3)
     if not arm.any():
 
         def at_origin() -> None:
@@ -183,7 +189,8 @@ class Reader:
     """
 
     def __init__(self, loaded: LoadedModel, data: Any, views: Mapping[str, Array]) -> None:
-        q_index, v_index = index_of(loaded.addresses.tolist()), index_of(loaded.dofs.tolist())
+        q_index = index_of(loaded.addresses.tolist())
+        v_index = index_of(loaded.dofs.tolist())
         sources = ((data.qpos, q_index), (data.qvel, v_index), (data.qfrc_actuator, v_index))
         self._copies = [
             (views[name], source[index] if isinstance(index, slice) else None, source, index)
@@ -198,3 +205,74 @@ class Reader:
             out[...] = source[index] if view is None else view
         if self._base is not None:
             self._base()
+
+
+# Of a rehearsal: before a deadline there is a millisecond for all of them, and where a step takes
+# that long it is hardly slower for cold caches.
+LONGEST_NS = 400_000
+
+# So many longer ones running, and rehearsals rest: the first before a deadline is itself cold.
+RUNNING = 4
+
+# Rehearsals that are then left out; each time twice as many.
+REST = 256
+
+
+class Rehearsal:
+    """Simulates one physics step in place, under the last command, and sets everything back.
+
+    `mj_copyData` brings back all there is: contacts, forces, warm start, sensors, counters. A
+    step blows up where the real one would; what MuJoCo says of that is not said.
+
+    Args:
+        mujoco: the module.
+        model: the `MjModel`.
+        data: the robot's `MjData`.
+        read: what `recv` does, but into arrays that nobody sees.
+        split: the step is `mj_step2` and `mj_step1`, else `mj_step`.
+    """
+
+    def __init__(self, mujoco: Any, model: Any, data: Any, read: Reader, split: bool) -> None:
+        self._mujoco = mujoco
+        self._model = model
+        self._data = data
+        self._read = read
+        self._split = split
+        self._kept = None
+        # What a plugin remembers is its own.
+        self._able = not model.nplugin
+        self._long = self._rest = 0
+        self._next_rest = REST
+
+    def __call__(self) -> None:
+        if self._rest or not self._able:
+            self._rest = max(self._rest - 1, 0)
+            return
+        mujoco = self._mujoco
+        model = self._model
+        data = self._data
+        now = time.perf_counter_ns
+        if self._kept is None:  # 0.5 ms, enough for once
+            self._kept = mujoco.MjData(model)
+            return
+        begin = now()
+        mujoco.mj_copyData(self._kept, model, data)
+        try:
+            data.warning.number[:] += 1  # MuJoCo tells the first one of each kind only
+            if self._split:
+                mujoco.mj_step2(model, data)
+                mujoco.mj_step1(model, data)
+            else:
+                mujoco.mj_step(model, data)
+        finally:
+            mujoco.mj_copyData(data, model, self._kept)
+        self._read()
+        if now() - begin <= LONGEST_NS:
+            self._long = 0
+            self._next_rest = REST
+            return
+        self._long += 1
+        if self._long == RUNNING:
+            self._long = 0
+            self._rest = self._next_rest
+            self._next_rest *= 2

@@ -17,11 +17,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from unicon_base.arrays import Float64
-from unicon_core.models.actuators import actuator_kind, effort_ranges
-from unicon_core.models.loaded import LoadedModel, drives, import_mujoco
-from unicon_core.models.rows import index_of
+from unicon_base.arrays import Array, Float64
+from unicon_core.models.load import actuator_kind, effort_ranges
+from unicon_core.models.loaded import LoadedModel, drives, import_mujoco, index_of
 from unicon_core.robots import Robot
+
+# Controls, gains and biases of one robot's actuators: shapes (n,), (n,) and (n, 3).
+Told = tuple[Array, Array, Array]
 
 
 class Servo:
@@ -39,7 +41,8 @@ class Servo:
     """
 
     def __init__(self, loaded: LoadedModel, robot: Robot, strength: Float64 | None = None) -> None:
-        mujoco, model = import_mujoco(), loaded.model
+        mujoco = import_mujoco()
+        model = loaded.model
         driven = [drives(model)[joint] for joint in loaded.joints]
         self.actuators = [first for first, *_ in driven]
         self.silenced = [i for _, *others in driven for i in others]
@@ -63,11 +66,13 @@ class Servo:
             self.effort_upper *= strength
             model.actuator_forcerange[self.actuators] *= strength[:, None]
         count = len(self.actuators)
-        self._strength, self._weakened = strength, np.zeros((5, count))
+        self._strength = strength
+        self._weakened = np.zeros((5, count))
         weak = np.ones(count) if strength is None else strength
         self._factor = np.stack([np.ones(count)] * 2 + [weak] * 3)
         self.index = index_of(self.actuators)
-        self._model, self._gain = model, model.actuator_gainprm[:, 0]
+        self._model = model
+        self._gain = model.actuator_gainprm[:, 0]
         self._bias = model.actuator_biasprm
         self._unit_gear = bool((self.gear == 1.0).all())
         self._target = np.zeros(count)
@@ -84,7 +89,8 @@ class Servo:
         """
         if self._strength is not None:
             command = np.multiply(command, self._factor, out=self._weakened)
-        index, b0 = self.index, self._b0
+        index = self.index
+        b0 = self._b0
         np.multiply(command[4], command[1], out=b0)
         b0 += command[2]
         if self._unit_gear:
@@ -103,6 +109,28 @@ class Servo:
             self._bias[index, 2] = -damping
             self._written = gains
 
+    def told(self, command: Array) -> list[Told]:
+        """Return what `push` would bring into the model, of every robot of a batch at once.
+
+        Args:
+            command: rows as of `push`, shape (5, N, n).
+
+        Returns:
+            What `write` takes, for each robot.
+        """
+        if self._strength is not None:
+            command = np.concatenate((command[:2], command[2:] * self._strength))
+        stiffness, damping = command[3:] / self.gear**2
+        b0 = (command[4] * command[1] + command[2]) / self.gear
+        bias = np.stack((b0, -stiffness, -damping), axis=-1)
+        return list(zip(command[0] * self.gear, stiffness, bias))
+
+    def write(self, ctrl: Array, told: Told) -> None:
+        """Put what `told` returned of one robot into the model and its controls (`MjData.ctrl`)."""
+        index = self.index
+        ctrl[index], self._gain[index], self._bias[index, :3] = told
+        self._written = b""  # it is not what was pushed any more
+
     def holding(self, qpos: Float64) -> Float64:
         """Return controls that hold the joints of other position actuators (hands, objects).
 
@@ -110,7 +138,8 @@ class Servo:
             qpos: positions that are held, as of `MjData.qpos`; controls are as of its `ctrl`.
         """
         model = self._model
-        ctrl, kind = np.zeros(model.nu), int(import_mujoco().mjtTrn.mjTRN_JOINT)
+        ctrl = np.zeros(model.nu)
+        kind = int(import_mujoco().mjtTrn.mjTRN_JOINT)
         for i in {*range(model.nu)} - {*self.actuators, *self.silenced}:
             if model.actuator_trntype[i] == kind and actuator_kind(model, i) == "position":
                 place = model.jnt_qposadr[model.actuator_trnid[i, 0]]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -10,15 +10,16 @@ import numpy as np
 
 from unicon_base.arrays import Array, Float64, Int64
 from unicon_base.errors import Fault
+from unicon_core import memory
 from unicon_core.models.loaded import LoadedModel
-from unicon_core.platforms.kit.clock import tick_ns
-from unicon_core.platforms.kit.command import Command
-from unicon_core.platforms.kit.servo import JointDelay
-from unicon_core.platforms.mujoco.reader import Reader, without_sensors
-from unicon_core.platforms.mujoco.rehearsal import Rehearsal
+from unicon_core.models.posed import PosedModel
+from unicon_core.platforms.kit.command import Command, JointDelay, tick_ns
+from unicon_core.platforms.mujoco.reader import Reader, Rehearsal, without_sensors
 from unicon_core.platforms.mujoco.servo import Servo
 
 _TOO_FAST = 1e10  # squared norm of all velocities: no robot's joint turns at 1e5 rad/s
+# Results of the tick that the next one reads, and `mj_step1` does not compute.
+_COMPUTED = ("sensordata", "qacc", "qfrc_actuator")
 
 
 class SimulatedRobot:
@@ -68,11 +69,15 @@ class SimulatedRobot:
         model = self.model = loaded.model
         data = self.data = mujoco.MjData(model)
         self.servo = servo
-        self._mujoco, self._base = mujoco, loaded.base
-        self._names, self._decimation, self._initial = tuple(joint_names), decimation, qpos
+        self._mujoco = mujoco
+        self._base = loaded.base
+        self._names = tuple(joint_names)
+        self._decimation = decimation
+        self._initial = qpos
         self._who = "" if rank is None else f"robot {rank}, "
         self._extra_ctrl = servo.holding(qpos)
-        self.loaded, self._views = loaded, views
+        self.loaded = loaded
+        self._views = views
         self._reader = Reader(loaded, data, views)
         self.sources = self._reader.sources
         self._stamp = views.get("stamp_ns")
@@ -80,8 +85,10 @@ class SimulatedRobot:
         self._take = command.take
         self.command = command.rows if rank is None else command.rows[:, rank]
         self.delay = None if delay is None else JointDelay(self.command, delay, decimation)
-        self._qvel, self._option = data.qvel, model.opt
-        self._unseen, self.postponed = without_sensors(model), False
+        self._qvel = data.qvel
+        self._option = model.opt
+        self._unseen = without_sensors(model)
+        self.postponed = False
         self._split = model.opt.integrator != int(mujoco.mjtIntegrator.mjINT_RK4)
         self.reset()
 
@@ -92,7 +99,8 @@ class SimulatedRobot:
 
     def reset(self) -> None:
         """Put the robot back where it began, time 0."""
-        mujoco, data = self._mujoco, self.data
+        mujoco = self._mujoco
+        data = self.data
         mujoco.mj_resetData(self.model, data)
         data.qpos[:] = self._initial
         data.ctrl[:] = self._extra_ctrl
@@ -143,8 +151,12 @@ class SimulatedRobot:
         Raises:
             Fault: the physics blew up.
         """
-        mujoco, model, data, option = self._mujoco, self.model, self.data, self._option
-        left, told = self._decimation, option.disableflags
+        mujoco = self._mujoco
+        model = self.model
+        data = self.data
+        option = self._option
+        left = self._decimation
+        told = option.disableflags
         fresh = self._split  # kinematics of the next step are there: the first one needs half
         option.disableflags = told | self._unseen
         try:
@@ -172,7 +184,9 @@ class SimulatedRobot:
 
     def _too_fast(self) -> str:
         """Return the joint that moves too fast; where it went through all, the likeliest cause."""
-        model, qvel, stiffness = self.model, self._qvel, self.command[3]
+        model = self.model
+        qvel = self._qvel
+        stiffness = self.command[3]
         if np.isfinite(qvel).any():
             dof = int(np.argmax(np.nan_to_num(np.abs(qvel), nan=np.inf)))
             joint = model.joint(int(model.dof_jntid[dof])).name or None
@@ -194,3 +208,66 @@ class SimulatedRobot:
         """Add to the base's horizontal velocity in [m/s], shape (2,)."""
         start = int(self.model.jnt_dofadr[self._base])
         self.data.qvel[start : start + 2] += velocity
+
+    def put(self, measured: Mapping[str, Array], posed: PosedModel) -> None:
+        """Put the robot where one was measured; commands on their way stay on it.
+
+        Args:
+            measured: as of `Placeable`.
+            posed: the model on flat ground.
+        """
+        data = self.data
+        loaded = self.loaded
+        model = self.model
+        if "joint_pos" in measured:
+            data.qpos[loaded.addresses] = measured["joint_pos"]
+        if "joint_vel" in measured:
+            data.qvel[loaded.dofs] = measured["joint_vel"]
+        if self._base is not None:
+            mujoco = self._mujoco
+            pose = data.qpos[model.jnt_qposadr[self._base] :][:7]
+            twist = data.qvel[model.jnt_dofadr[self._base] :][:6]
+            if "base_quat" in measured:
+                pose[3:] = measured["base_quat"]
+                mujoco.mju_normalize4(pose[3:])
+            if "base_pos_w" in measured:
+                pose[:3] = measured["base_pos_w"]
+            else:
+                posed.put(data.qpos[loaded.addresses], pose)
+                pose[2] -= min(posed.heights().values(), default=0.0)
+            if "base_ang_vel" in measured:
+                twist[3:] = measured["base_ang_vel"]
+            if "base_lin_vel" in measured:
+                in_base = np.asarray(measured["base_lin_vel"], np.float64)
+                mujoco.mju_rotVecQuat(twist[:3], in_base, pose[3:])
+        data.qacc_warmstart[:] = 0.0  # what comes follows from the measured state alone
+        self.forward()
+
+    def save(self) -> dict[str, Any]:
+        """Return what the physics go on from."""
+        mujoco = self._mujoco
+        model = self.model
+        data = self.data
+        kind = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+        state = np.zeros(mujoco.mj_stateSize(model, kind))
+        mujoco.mj_getState(model, data, state, kind)
+        return {
+            **{name: getattr(data, name).copy() for name in _COMPUTED},
+            "state": state,
+            "ticks": self.ticks,
+            "command": self.command.copy(),
+            "delay": None if self.delay is None else memory.save(self.delay),
+        }
+
+    def load(self, kept: dict[str, Any]) -> None:
+        """Go on as a robot of another platform would that was built alike."""
+        mujoco = self._mujoco
+        model = self.model
+        data = self.data
+        mujoco.mj_setState(model, data, kept["state"], int(mujoco.mjtState.mjSTATE_INTEGRATION))
+        self.ticks, self.command[...] = kept["ticks"], kept["command"]
+        if self.delay is not None:
+            memory.load(self.delay, kept["delay"])
+        mujoco.mj_step1(model, data)
+        for name in _COMPUTED:
+            getattr(data, name)[:] = kept[name]

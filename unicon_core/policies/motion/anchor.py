@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from unicon_base.errors import PolicyError, alternatives
+from unicon_core.models.frames import Quat, Vector, multiply, rotate, turned
 from unicon_core.models.kinematic_tree import BASE, frame_of, read_tree
 from unicon_core.models.load import load_model
-from unicon_core.models.scalar_rotations import Quat, Vector, multiply, rotate, turned
 from unicon_core.policies.contract import AXES
 from unicon_core.robots import Robot
 

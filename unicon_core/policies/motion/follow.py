@@ -25,7 +25,7 @@ import numpy as np
 
 from unicon_base.arrays import Float32
 from unicon_base.errors import PolicyError
-from unicon_core.models.scalar_rotations import (
+from unicon_core.models.frames import (
     Quat,
     Vector,
     conjugate,

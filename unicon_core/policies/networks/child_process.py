@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from unicon_base.errors import UniconError
-from unicon_core.platforms.child.parent import ALARM, LONGEST, Parent, text_of
+from unicon_core.platforms.child.pipe import ALARM, LONGEST, Parent, text_of
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.networks import Remembering, open_network
 from unicon_core.policies.networks.child import ANSWER, QUESTION, START

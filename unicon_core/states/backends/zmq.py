@@ -23,8 +23,7 @@ from pathlib import Path
 
 from unicon_base.errors import StateError
 from unicon_core.non_blocking_writer import NonBlockingWriter
-from unicon_core.states.backends.freshness import SILENCE, Freshness
-from unicon_core.states.backends.zmq_socket import Endpoint
+from unicon_core.states.backends.zmq_socket import SILENCE, Endpoint, Freshness
 from unicon_core.states.groups import Copies, difference, groups_from_json, groups_hash, groups_json
 from unicon_core.states.layout import Layout
 from unicon_core.states.states import States

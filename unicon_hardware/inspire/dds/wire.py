@@ -18,18 +18,16 @@ import numpy as np
 from unicon_base.arrays import Array, Float32, Float64, Index
 from unicon_base.schema.marks import Key, Within
 from unicon_core.robots import Robot
-from unicon_core.states import States
-from unicon_hardware.dds.end import DdsEnd
-from unicon_hardware.dds.maps import Arrays, DdsFacts, Frames, Message
+from unicon_hardware.dds.end import DdsEndpoint, DdsWire
+from unicon_hardware.dds.maps import Arrays, DdsFacts, Frames, Message, zeros
 from unicon_hardware.facts import fact, facts_of, one_of, slots
-from unicon_hardware.speed import Speed
-from unicon_hardware.wire import Counts
+from unicon_hardware.wire import Counts, Speed
 
+# Bit of `mode` of the FTP: `angle_set` counts.
 ANGLES = 1
-"""Bit of `mode` of the FTP: `angle_set` counts."""
 FTP, DFX = "inspire_ftp", "inspire_dfx"
+# Protocol to angles in a message.
 COUNTS = {FTP: 6, DFX: 12}
-"""Protocol to angles in a message."""
 Raw = Annotated[float, Within(-32767.0, 32767.0)]
 
 
@@ -85,9 +83,18 @@ class HandFacts(DdsFacts):
         """Smallest and largest number that may be sent."""
         return min(self.open, self.closed), max(self.open, self.closed)
 
+    @property
+    def dtype(self) -> str:
+        """Of the angles in a message, as they are sent."""
+        return f"{'f4' if self.both else 'i2'} {COUNTS[self.protocol]}"
+
+    def own(self, joints: int) -> dict[str, Array]:
+        """Return the arrays of the messages that are not states, zero."""
+        return zeros(f"told {self.dtype}, targets {self.dtype}, mode i1")
+
     def zeros(self) -> Array:
         """Return an array of the angles in a message, as they are sent."""
-        return np.zeros(COUNTS[self.protocol], np.float32 if self.both else np.int16)
+        return self.own(0)["told"]
 
     def to_wire(self, angles: Array) -> tuple[Float64, bool]:
         """Return what is sent for angles in [rad], and whether one was beyond the ends."""
@@ -189,55 +196,31 @@ class Both:
             _open.pop((domain, topic), None)
 
 
-EXTRA = "hw-inspire"
+# Over which the speed is taken, [s]: a step of 1/1000 within 10 ms would be up to 0.17 rad/s.
 OVER = 0.05
-"""Over which the speed is taken, [s]: a step of 1/1000 within 10 ms would be up to 0.17 rad/s."""
 
 
-class InspireDdsWire(DdsEnd):
+class InspireDdsWire(DdsWire):
     """The connection to one hand.
 
-    Neither interface has a number in its state: a hand that repeats itself is not told from one
-    that does not move.
-
-    Args:
-        states: what is measured goes into these, commands come from these.
-        robot: its file.
-        domain: of DDS; None for the robot file's.
-        address: of this machine's network interface, or its name; None for the default.
-        silent: nothing is sent.
-
-    Raises:
-        UniconError: it cannot be opened.
+    Neither interface has a number in its state: a hand that repeats itself is not distinguished
+    from one that does not move.
     """
 
-    label, extra = "platform 'inspire'", EXTRA
+    label, extra, table = "platform 'inspire'", "hw-inspire", HandFacts
+    _both: Both | None = None
 
-    def __init__(
-        self,
-        states: States,
-        robot: Robot,
-        domain: int | None,
-        address: str | None,
-        *,
-        silent: bool = False,
-    ) -> None:
-        facts = HandFacts.of(robot)
-        self._facts, self._told, self._targets = facts, facts.zeros(), facts.zeros()
-        self._both: Both | None = None
-        self._states = states
+    def _built(self) -> None:
+        self._told, self._targets = self._own["told"], self._own["targets"]
         self._speed = Speed(OVER)
-        arrays = {name: states[name] for name in states} | {"told": self._told}
-        super().__init__(facts.state_topic, facts.domain, domain, address)
+
+    def _open(self) -> None:
+        facts = self._facts
         self._key = self.participant.domain, facts.command_topic
-        with self.closing():
-            self.listen(facts.state, facts.state_in(arrays, self.counts))
-            self.watch(facts.command_topic)
-            if not silent:
-                if facts.both:
-                    self._both = Both.of(*self._key, len(self._told))
-                    self._targets = self._both.targets
-                self.speak(facts.command, {"targets": self._targets})
+        if facts.both and not self._silent:
+            self._both = Both.of(*self._key, len(self._told))
+            self._targets = self._arrays["targets"] = self._both.targets
+        super()._open()
 
     def _measured(self) -> None:
         angles = self._facts.to_angles(self._told[self._facts.slots])
@@ -268,3 +251,49 @@ class InspireDdsWire(DdsEnd):
             self._both.leave(*self._key)
             self._both = None
         super().close()
+
+
+# In an angle of the FTP: leave the finger as it is.
+AS_IT_IS = -1
+
+
+class InspireDdsEndpoint(DdsEndpoint):
+    """An emulated hand: its state, and commands by position.
+
+    Of a DFX both hands are sent, the other one as `told` has it. Not emulated: forces, currents,
+    status, touch sensors, and what the hand does when commands stop.
+
+    Attributes:
+        told: all that it sends, those of a DFX's other hand among them.
+        asked: all that it was commanded last.
+    """
+
+    label, extra, table = "emulated inspire", "hw-inspire", HandFacts
+    platform = "inspire"
+
+    def _built(self) -> None:
+        self.told, self.asked = self.own["told"], self._heard["targets"]
+        self.told[...] = self._facts.open
+        self._heard["mode"][...] = ANGLES
+
+    def tell(self) -> None:
+        """Send what the hand measures."""
+        facts = self._facts
+        self.told[facts.slots] = facts.to_wire(self._states["joint_pos"])[0]
+        self.put()
+
+    def _acts(self) -> bool:
+        mode = int(self._heard["mode"])
+        if not mode & ANGLES:
+            self.counts.refuse("mode", f"{mode}, which sets no angle")
+        return bool(mode & ANGLES)
+
+    def _act(self) -> None:
+        facts = self._facts
+        asked = self.asked[facts.slots]
+        kept = (asked == AS_IT_IS) & (not facts.both)
+        targets = facts.to_angles(np.clip(asked, *facts.ends))
+        np.copyto(self._states["joint_pos_target"], targets, where=~kept, casting="same_kind")
+
+
+face = InspireDdsEndpoint

@@ -15,28 +15,23 @@ from numpy.typing import NDArray
 from unicon_base.arrays import Bool
 from unicon_core.handles import FrameRing
 from unicon_hardware.peripherals.livox.protocol import HEAD, POINTS, SAMPLES, Packet
+from unicon_hardware.wire import frame_type
 from unicon_ros.bridge.images import FrameMessage, cloud_message
 
 FRAME_NS = 100_000_000
+# Most datagrams of a cloud: 2083.3 a second, and some to spare.
 PACKETS = 212
-"""Most datagrams of a cloud: 2083.3 a second, and some to spare."""
+# Bytes that are kept of each; the longest has 1380.
 ROW = 1408
-"""Bytes that are kept of each; the longest has 1380."""
+# Lasers of a Mid-360, which take turns (livox_ros_driver2: line_num).
 LINES = 4
-"""Lasers of a Mid-360, which take turns (livox_ros_driver2: line_num)."""
+# The scanner's clock was set where it moves so far between two datagrams.
 JUMP_NS = 1_000_000_000
-"""The scanner's clock was set where it moves so far between two datagrams."""
 WINDOW_NS = 5_000_000_000
 
-POINT = np.dtype(
-    {
-        "names": ["x", "y", "z", "intensity", "tag", "line", "offset_time"],
-        "formats": ["<f4", "<f4", "<f4", "<f4", "u1", "u1", "<u4"],
-        "offsets": [0, 4, 8, 12, 16, 17, 20],
-        "itemsize": 24,
-    }
-)
-"""x, y, z in [m]; reflectivity 0 to 255; the tag's bits; laser; time after the stamp in [ns]."""
+# x, y, z in [m]; reflectivity 0 to 255; the tag's bits; laser; time after the stamp in [ns].
+_POINT = "x <f4, y <f4, z <f4, intensity <f4, tag u1, line u1, offset_time <u4"
+POINT = np.dtype(frame_type(_POINT).descr, align=True)
 
 
 def livox_message(frame_id: str) -> FrameMessage:

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from unicon_base.arrays import Array, Float32, Float64
-from unicon_core.models.loaded import import_mujoco
+from unicon_core.models.loaded import floors, import_mujoco
 from unicon_core.models.posed import PosedModel, foot_bodies, foot_geoms
 from unicon_core.models.terrain import load_on
-from unicon_core.models.touching import floors
 from unicon_lab.view.page.link import move
 from unicon_lab.view.page.shapes import shapes_of
 from unicon_lab.view.page.words import COMMANDED, MEASURED

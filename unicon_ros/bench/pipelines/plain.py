@@ -11,20 +11,165 @@ from __future__ import annotations
 import argparse
 import threading
 import time
+from array import array
 from typing import Any
 
+import numpy as np
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Imu, JointState
 
-from unicon_ros.bench.pipelines.log import Log, Stop, arguments, beside
-from unicon_ros.bench.pipelines.plain_nodes import (
-    Controller,
-    PlainController,
-    PlainMirror,
-    PlainObserver,
-    PlainRobot,
+from unicon_ros.bench.pipelines.log import (
+    COMMAND,
+    IMU,
+    MIRROR,
+    STATE,
+    Log,
+    Stop,
+    arguments,
+    beside,
+    nanoseconds,
+    set_stamp,
 )
+
+
+def qos(best_effort: bool, depth: int = 1) -> QoSProfile:
+    """Return the profile of all topics: only the latest value matters."""
+    reliability = ReliabilityPolicy.BEST_EFFORT if best_effort else ReliabilityPolicy.RELIABLE
+    return QoSProfile(depth=depth, reliability=reliability)
+
+
+class PlainRobot(Node):
+    """Publishes JointState and Imu by a timer and receives commands in a callback."""
+
+    def __init__(self, joints: int, state_rate: float, best_effort: bool, log: Log) -> None:
+        super().__init__("robot")
+        self.log = log
+        profile = qos(best_effort)
+        self.state_out = self.create_publisher(JointState, STATE, profile)
+        self.imu_out = self.create_publisher(Imu, IMU, profile)
+        names = [f"joint_{i}" for i in range(joints)]
+        zeros = array("d", [0.0] * joints)
+        self.state = JointState(name=names, position=zeros, velocity=zeros, effort=zeros)
+        self.imu = Imu()
+        self.create_subscription(JointState, COMMAND, self.on_command, profile)
+        self.create_timer(1.0 / state_rate, self.on_timer)
+
+    def on_timer(self) -> None:
+        now = time.time_ns()
+        self.state.position[0] = now * 1e-9 % 1.0
+        set_stamp(self.state.header.stamp, now)
+        set_stamp(self.imu.header.stamp, now)
+        self.imu_out.publish(self.imu)
+        self.state_out.publish(self.state)
+
+    def on_command(self, command: Any) -> None:
+        now = time.time_ns()
+        self.log.add(nanoseconds(command.header.stamp), now)
+
+
+class Controller(Node):
+    """Keeps the latest state and answers it when `send` is called; `log` gets the commands."""
+
+    def __init__(self, joints: int, best_effort: bool, log: Log, depth: int = 1) -> None:
+        super().__init__("controller")
+        self.log = log
+        profile = qos(best_effort, depth)
+        self.command_out = self.create_publisher(JointState, COMMAND, profile)
+        self.command = JointState(name=[f"joint_{i}" for i in range(joints)])
+        self.state: Any = None
+        self.imu: Any = None
+        self.seen_ns = 0
+        self.create_subscription(JointState, STATE, self.on_state, profile)
+        self.create_subscription(Imu, IMU, self.on_imu, profile)
+
+    def on_imu(self, imu: Any) -> None:
+        self.imu = imu
+
+    def on_state(self, state: Any) -> None:
+        self.seen_ns = time.time_ns()
+        self.state = state
+
+    def send(self) -> None:
+        state = self.state
+        if state is None:
+            return
+        begin = time.time_ns()
+        self.command.header.stamp = state.header.stamp
+        self.command.position = state.position
+        self.command_out.publish(self.command)
+        self.log.add(nanoseconds(state.header.stamp), self.seen_ns, begin, time.time_ns())
+
+
+class PlainController(Controller):
+    """Answers by a timer, or with every n-th state.
+
+    Args:
+        every: answer every n-th state in its callback; 0: by a timer.
+        log: gets the commands.
+        heard: gets all states.
+    """
+
+    def __init__(
+        self, joints: int, rate: float, every: int, best_effort: bool, log: Log, heard: Log
+    ) -> None:
+        super().__init__(joints, best_effort, log)
+        self.heard, self.every, self.states = heard, every, 0
+        if not every:
+            self.create_timer(1.0 / rate, self.send)
+
+    def on_state(self, state: Any) -> None:
+        super().on_state(state)
+        self.heard.add(nanoseconds(state.header.stamp), self.seen_ns)
+        self.states += 1
+        if self.every and self.states % self.every == 0:
+            self.send()
+
+
+class PlainMirror(Node):
+    """Copies the driver's arrays and publishes them, by a timer.
+
+    What our mirror is beside, publisher against publisher: the same arrays and message, no control,
+    no second topic, a message that is filled anew.
+    """
+
+    def __init__(self, joints: int, state_rate: float, best_effort: bool, log: Log) -> None:
+        super().__init__("controller")
+        self.log = log
+        self.out = self.create_publisher(JointState, MIRROR, qos(best_effort))
+        self.message = JointState(name=[f"joint_{i}" for i in range(joints)])
+        self.driver = np.zeros((3, joints), np.float32)
+        self.states = np.zeros_like(self.driver)
+        self.create_timer(1.0 / state_rate, self.on_timer)
+
+    def on_timer(self) -> None:
+        now = time.time_ns()
+        self.states[:] = self.driver
+        message = self.message
+        set_stamp(message.header.stamp, now)
+        message.position, message.velocity, message.effort = self.states.tolist()
+        begin = time.time_ns()
+        self.out.publish(message)
+        self.log.add(begin, time.time_ns())
+
+
+class PlainObserver(Node):
+    """Notes in a callback when each message of the mirrored topic has come.
+
+    Its executor alone takes longer than the message's way to it.
+    """
+
+    def __init__(self, best_effort: bool, log: Log) -> None:
+        super().__init__("observer")
+        self.log = log
+        self.create_subscription(JointState, MIRROR, self.on_message, qos(best_effort))
+
+    def on_message(self, message: Any) -> None:
+        received = time.time_ns()
+        self.log.add(nanoseconds(message.header.stamp), received)
+
 
 SPIN_PERIOD = 0.002  # s between two passes of the spinning thread
 

@@ -21,17 +21,22 @@ class Wbt:
     """A world file: the robot's URDF, and `basicTimeStep` in [ms]."""
 
     def __init__(self, urdf: str, step: float, fixed: bool, strongest: float = 1000.0) -> None:
-        self.urdf, self.step, self.fixed, self.strongest = urdf, step, fixed, strongest
+        self.urdf = urdf
+        self.step = step
+        self.fixed = fixed
+        self.strongest = strongest
         self.ended = False
 
 
+# The one that Webots has loaded.
 WORLD: list[Wbt] = []
-"""The one that Webots has loaded."""
 
 
 class Device:
     def __init__(self, robot: Supervisor, name: str, joint: int) -> None:
-        self._robot, self._name, self._joint = robot, name, joint
+        self._robot = robot
+        self._name = name
+        self._joint = joint
         self._tag = len(robot.devices) + 1
 
     def getName(self) -> str:
@@ -39,7 +44,8 @@ class Device:
 
 
 class Motor(Device):
-    ROTATIONAL, LINEAR = 0, 1
+    ROTATIONAL = 0
+    LINEAR = 1
 
     def getType(self) -> int:
         return Motor.ROTATIONAL
@@ -53,7 +59,8 @@ class Motor(Device):
 
 
 class PositionSensor(Device):
-    value, period = np.nan, 0
+    value = np.nan
+    period = 0
 
     def enable(self, p: int) -> None:
         exact(p, int, "p")
@@ -69,7 +76,9 @@ class Field:
     """A field by name of whoever has it."""
 
     def __init__(self, robot: Supervisor, owner: str, name: str, joint: int = -1) -> None:
-        self._robot, self._where, self._joint = robot, f"{owner}.{name}", joint
+        self._robot = robot
+        self._where = f"{owner}.{name}"
+        self._joint = joint
         if self._where not in FIELDS:
             raise Refused(f"no field {self._where}")
 
@@ -155,7 +164,9 @@ FIELDS = {
 
 class Node:
     def __init__(self, robot: Supervisor, kind: str, joint: int = -1) -> None:
-        self._robot, self._kind, self._joint = robot, kind, joint
+        self._robot = robot
+        self._kind = kind
+        self._joint = joint
 
     def getField(self, name: str) -> Field:
         exact(name, str, "name")

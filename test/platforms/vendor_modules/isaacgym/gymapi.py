@@ -65,13 +65,14 @@ __all__ = [
     "acquire_gym",
 ]
 
+# Simulations that are there.
 LIVE: list[Sim] = []
-"""Simulations that are there."""
 
 
 class Asset:
     def __init__(self, path: Path, options: AssetOptions) -> None:
-        self.text, self.options = path.read_text(encoding="utf-8"), options
+        self.text = path.read_text(encoding="utf-8")
+        self.options = options
         self.names = World(
             self.text, timestep=0.001, gravity=(0, 0, 0), friction=1.0, fixed=True
         ).names
@@ -170,7 +171,9 @@ class Gym:
             raise Refused(f"actors of group {group} collide with others")
         if not filter & 1:
             raise Refused("links collide with each other")
-        env.asset, env.pose, env.group = asset, pose, group
+        env.asset = asset
+        env.pose = pose
+        env.group = group
         env.dofs = np.zeros(len(asset.names), DOF)
         return 0
 
@@ -211,7 +214,8 @@ class Gym:
             raise Refused("there is no floor")
         for env in arg0.envs:
             env.world = _world(arg0, env)
-            p, r = env.pose.p, env.pose.r
+            p = env.pose.p
+            r = env.pose.r
             env.world.put((p.x, p.y, p.z), (r.w, r.x, r.y, r.z), np.zeros(len(env.dofs)))
         count = sum(len(env.dofs) for env in arg0.envs)
         arg0.root = np.full((len(arg0.envs), 13), np.nan, np.float32)
@@ -254,7 +258,8 @@ class Gym:
         _live(arg0)
         told = _float32(arg1, arg0.dof.shape).reshape(len(arg0.envs), -1, 2)
         for rows, env in zip(told, arg0.envs):
-            place, moves = env.world.pose(), env.world.moves(at_centre=True)
+            place = env.world.pose()
+            moves = env.world.moves(at_centre=True)
             env.world.put(*place, rows[:, 0], rows[:, 1])
             if not env.world.fixed:
                 env.world.move(*moves, at_centre=True)
@@ -326,7 +331,8 @@ def _float32(tensor: Descriptor, shape: tuple[int, ...]) -> Any:
 
 def _world(sim: Sim, env: Env) -> World:
     """Return the robot of an actor, as its properties have it."""
-    params, asset = sim.params, env.asset
+    params = sim.params
+    asset = env.asset
     assert asset is not None
     assert sim.plane is not None
     gravity = params.gravity

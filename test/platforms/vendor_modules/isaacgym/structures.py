@@ -26,7 +26,8 @@ class UpAxis(IntEnum):
     UP_AXIS_Z = 1
 
 
-SIM_PHYSX, UP_AXIS_Z = SimType.SIM_PHYSX, UpAxis.UP_AXIS_Z
+SIM_PHYSX = SimType.SIM_PHYSX
+UP_AXIS_Z = UpAxis.UP_AXIS_Z
 DOF_MODE_EFFORT = DofDriveMode.DOF_MODE_EFFORT
 
 

@@ -259,7 +259,9 @@ class Articulation:
     def __init__(
         self, cfg: ArticulationCfg, origins: Any, material: RigidBodyMaterialCfg | None
     ) -> None:
-        self._cfg, self._origins, self._material = cfg, origins, material
+        self._cfg = cfg
+        self._origins = origins
+        self._material = material
         self._worlds: list[World] = []
         self._target: Any = None
         self._written: Any = None
@@ -331,7 +333,8 @@ class Articulation:
         count = len(self.joint_names)
         told = zip(self._rows(position, count), self._rows(velocity, count), self._worlds)
         for pos, vel, world in told:
-            place, moves = world.pose(), world.moves(at_centre=False)
+            place = world.pose()
+            moves = world.moves(at_centre=False)
             world.put(*place, pos, vel)
             if not world.fixed:
                 world.move(*moves, at_centre=False)
