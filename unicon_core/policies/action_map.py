@@ -11,7 +11,7 @@ from unicon_base.arrays import Float32
 from unicon_base.errors import PolicyError, RobotError, alternatives
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.controller import ControllerContract
-from unicon_core.policies.filters import Filter, make_filter
+from unicon_core.policies.phase import Filter, make_filter
 from unicon_core.robots import Robot, joint_index
 
 

@@ -19,9 +19,9 @@ import numpy as np
 
 from unicon_base.errors import Fault, PolicyError
 from unicon_core.policies.contract import PolicyContract
+from unicon_core.policies.controller import PackedStates, PrefixedStates
 from unicon_core.policies.networks.child import ChildNetwork, Question
 from unicon_core.policies.policy import Policy
-from unicon_core.policies.prefixed import PackedStates, PrefixedStates
 from unicon_core.robots import Robot
 
 AGE = "action_age"

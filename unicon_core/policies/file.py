@@ -118,13 +118,13 @@ def _note_action(
         here.value(text, "action", "feedback")
     for pattern in action.kind if isinstance(action.kind, Mapping) else ():
         if not any(fnmatchcase(name, pattern) for name in moved):
-            text = f"names {pattern!r}, which is no joint that is moved"
+            text = f"names {pattern!r}, which is none of the joints that are moved"
             here.value(f"{text}; {alternatives(pattern, moved)}", "action", "kind")
             return
     kinds = kinds_of(action.kind, moved)
     if len(kinds) != len(moved):
-        text = f"has {len(kinds)} words for {len(moved)} joints; give one, one for each joint, or"
-        here.value(f"{text} a mapping {{'*_wheel_joint': velocity}}", "action", "kind")
+        text = f"has {len(kinds)} words for {len(moved)} joints; give one word, one for each"
+        here.value(f"{text}, or a mapping {{'*_wheel_joint': velocity}}", "action", "kind")
         return
     for column, array in enumerate((action.scale, action.offset)):
         below = [] if array is None or array.size == 1 else [0]

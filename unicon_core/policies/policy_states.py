@@ -12,11 +12,11 @@ from typing import Any
 
 from unicon_base.arrays import Array
 from unicon_core.policies.contract import PolicyContract
+from unicon_core.policies.controller import PackedStates, PrefixedStates
 from unicon_core.policies.motion.follow import MotionTracker
-from unicon_core.policies.networks.chain import chained_outputs
+from unicon_core.policies.networks.onnx import chained_outputs
 from unicon_core.policies.observation import Observation
 from unicon_core.policies.phase import COMMAND, SLEWED, CommandSlew, GaitPhase
-from unicon_core.policies.prefixed import PackedStates, PrefixedStates
 from unicon_core.states import States, StateSpec, standard_states
 
 

@@ -34,11 +34,10 @@ from unicon_core.models.frames import (
     turned,
     yaw_of,
 )
+from unicon_core.policies.bind import PolicyStep
 from unicon_core.policies.contract import PolicyContract
-from unicon_core.policies.motion.anchor import Chain, chain_in_model, chain_of_axes
-from unicon_core.policies.motion.clip import Clip, read_clip
-from unicon_core.policies.policy_step import PolicyStep
-from unicon_core.policies.prefixed import PackedStates
+from unicon_core.policies.controller import PackedStates
+from unicon_core.policies.motion.clip import Chain, Clip, chain_in_model, chain_of_axes, read_clip
 from unicon_core.robots import Robot, joint_index
 
 _REFERENCE = ("motion_joint_pos", "motion_joint_vel")

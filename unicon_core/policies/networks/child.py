@@ -15,7 +15,7 @@ from unicon_base.arrays import Array
 from unicon_base.errors import Fault, PolicyError
 from unicon_core.platforms.child.pipe import Pipe
 from unicon_core.policies.contract import PolicyContract
-from unicon_core.policies.networks.network import Arrays, Tensor
+from unicon_core.policies.networks.onnx_file import Arrays, Tensor
 from unicon_core.signals import SIGNALS
 from unicon_core.states import Layout, States, StateSpec
 from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter, remove_dead
