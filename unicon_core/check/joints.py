@@ -15,7 +15,7 @@ from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import Subject, listed
 from unicon_core.models.kinematic_tree import read_tree
 from unicon_core.models.loaded import LoadedModel, drives, position_gains
-from unicon_core.policies.policy import DrivenPolicy
+from unicon_core.policies.driven import DrivenPolicy
 from unicon_core.robots import Robot, joint_index
 from unicon_core.text_table import figure
 

@@ -16,7 +16,7 @@ from unicon_core.policies import Policy, PolicyContract, load_policy, policy_sta
 from unicon_core.policies.action_map import lacking_joints
 from unicon_core.policies.contract import ChildSpec
 from unicon_core.policies.controller import ControllerContract, controller_contract, prefix_of
-from unicon_core.policies.policy import DrivenPolicy
+from unicon_core.policies.driven import DrivenPolicy
 from unicon_core.robots import Robot
 from unicon_core.states import States, StateSpec
 from unicon_core.workflow.autowire import BuildContext

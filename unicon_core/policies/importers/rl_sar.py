@@ -20,7 +20,7 @@ from unicon_core.policies.facts import Facts
 from unicon_core.policies.importers.source import Source, clip_before_scale, plural
 
 # A term's name -> the state, the key of its scale and its number of elements; 0: all joints.
-_TERMS: dict[str, tuple[str, str, int]] = {
+_rl_TERMS: dict[str, tuple[str, str, int]] = {
     "lin_vel": ("base_lin_vel", "lin_vel_scale", 3),
     "ang_vel": ("base_ang_vel", "ang_vel_scale", 3),
     "gravity_vec": ("projected_gravity", "", 3),
@@ -31,7 +31,7 @@ _TERMS: dict[str, tuple[str, str, int]] = {
     "whole_body_tracking/motion_command": ("motion_command", "", 0),
     "whole_body_tracking/motion_anchor_ori_b": ("motion_anchor_ori_b", "", 6),
 }
-_GAINS = {"stiffness": "rl_kp", "damping": "rl_kd", "default_joint_pos": "default_dof_pos"}
+_rl_GAINS = {"stiffness": "rl_kp", "damping": "rl_kd", "default_joint_pos": "default_dof_pos"}
 
 
 def refuse_base(source: Source) -> Facts:
@@ -59,10 +59,10 @@ def rl_sar_facts(source: Source) -> Facts:
     _find_base(source)
     count = source.whole("num_of_dofs")
     wheels = source.places("wheel_indices", count) if source.document.get("wheel_indices") else []
-    _joints(source, count)
-    _action(source, count, wheels)
-    _observation(source, count, wheels)
-    _motion(source, count)
+    _rl_joints(source, count)
+    _rl_action(source, count, wheels)
+    _rl_observation(source, count, wheels)
+    _rl_motion(source, count)
     source.network("model_name", source.need("model_name"))
     return facts
 
@@ -88,7 +88,7 @@ def _find_base(source: Source) -> None:
     source.document = {**base.value[robot], **said}  # config.yaml wins
 
 
-def _joints(source: Source, count: int) -> None:
+def _rl_joints(source: Source, count: int) -> None:
     facts = source.facts
     source.say_period("dt", "decimation")
     mapping = source.places("joint_mapping", count)
@@ -103,11 +103,11 @@ def _joints(source: Source, count: int) -> None:
     for name in ("period", "joints") if len(source.files) == 1 else ():
         if name not in facts.values:
             facts.asks[name] = "it stands in base.yaml, which is neither above nor beside it"
-    for fact, key in _GAINS.items():
+    for fact, key in _rl_GAINS.items():
         source.copy(fact, key, count)
 
 
-def _action(source: Source, count: int, wheels: list[int]) -> None:
+def _rl_action(source: Source, count: int, wheels: list[int]) -> None:
     source.copy("action.scale", "action_scale", count)
     if wheels:
         kinds = ["velocity" if i in wheels else "position" for i in range(count)]
@@ -118,7 +118,7 @@ def _action(source: Source, count: int, wheels: list[int]) -> None:
     source.say("action.feedback", "clipped", sides[0])
 
 
-def _observation(source: Source, count: int, wheels: list[int]) -> None:
+def _rl_observation(source: Source, count: int, wheels: list[int]) -> None:
     facts, document, key = source.facts, source.document, "observations_history"
     names = source.need("observations")
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
@@ -131,12 +131,12 @@ def _observation(source: Source, count: int, wheels: list[int]) -> None:
     bound = None if document.get("clip_obs") is None else source.number("clip_obs")
     terms, width = [], 0
     for i, name in enumerate(names):
-        terms.append({**_term(source, name, bound, count, wheels), "history": len(ages)})
+        terms.append({**_rl_term(source, name, bound, count, wheels), "history": len(ages)})
         facts.lines[("observation", "terms", i)] = source.line("observations") or 1
         many = 2 if name.endswith("motion_command") else 1
-        width += many * ((_TERMS[name][2] if name in _TERMS else 0) or count)
+        width += many * ((_rl_TERMS[name][2] if name in _rl_TERMS else 0) or count)
     laid_out = document.get("num_observations")
-    if laid_out is not None and laid_out != width and {*names} <= {*_TERMS}:
+    if laid_out is not None and laid_out != width and {*names} <= {*_rl_TERMS}:
         raise source.wrong(
             "num_observations",
             f"num_observations is {laid_out!r}, and the terms {', '.join(names)} have {width} "
@@ -154,16 +154,16 @@ def _observation(source: Source, count: int, wheels: list[int]) -> None:
     }
 
 
-def _term(
+def _rl_term(
     source: Source, name: str, bound: float | None, count: int, wheels: list[int]
 ) -> dict[str, Any]:
-    if name not in _TERMS:
-        known = alternatives(name, _TERMS)
+    if name not in _rl_TERMS:
+        known = alternatives(name, _rl_TERMS)
         source.facts.notes.append(
             f"{source.path.name}: no state is known for term {name!r}; {known}"
         )
         return {"name": name}
-    state, key, _ = _TERMS[name]
+    state, key, _ = _rl_TERMS[name]
     term: dict[str, Any] = {"name": name, "state": state}
     scale = source.numbers(key, 3 if state == "velocity_command" else 1) if key else [1.0]
     if state == "joint_pos":
@@ -176,7 +176,7 @@ def _term(
     return term
 
 
-def _motion(source: Source, count: int) -> None:
+def _rl_motion(source: Source, count: int) -> None:
     """Note the motion of whole-body tracking: rows in the robot's order, compared at the torso."""
     file, names = map(source.document.get, ("motion_file", "joint_names"))
     period = source.facts.values.get("period")
