@@ -10,7 +10,7 @@ from unicon_core.policies.contract import (
     Recurrent,
 )
 from unicon_core.policies.load import ImportReport, import_policy, load_policy, policy_names
-from unicon_core.policies.observation import Observation, TermSlice, term_slices
+from unicon_core.policies.observation import Observation
 from unicon_core.policies.phase import GaitPhase
 from unicon_core.policies.policy import Policy
 from unicon_core.policies.policy_states import policy_states
@@ -24,6 +24,7 @@ from unicon_core.policies.table import (
     policies_table,
     policy_table,
 )
+from unicon_core.policies.terms import TermSlice, term_slices
 
 __all__ = [
     "ActionSpec",

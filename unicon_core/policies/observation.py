@@ -7,148 +7,17 @@ one copy into a ring and one `take` that lays out the window. Nothing else is lo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from unicon_base.arrays import Float32, Index
-from unicon_base.errors import PolicyError, RobotError, alternatives
-from unicon_core.policies.contract import ObservationSpec, ObservationTerm, PolicyContract
+from unicon_core.policies.contract import ObservationSpec, PolicyContract
 from unicon_core.policies.controller import PackedStates
 from unicon_core.policies.phase import make_filter
-from unicon_core.robots import joint_index
-
-
-@dataclass(frozen=True)
-class TermSlice:
-    """A term as it stands in one frame: its elements and the names and unit of its state.
-
-    Attributes:
-        term: of the contract.
-        elements: elements of the state in its own order, shape (d,).
-        start: first place in the frame.
-        names: names of the elements, such as joints; may be empty.
-        unit: unit of the state.
-        subtract: shape (d,), unit of the state.
-        scale: shape (d,).
-        low, high: bounds before scaling, shape (d,); infinite where there is no clip.
-    """
-
-    term: ObservationTerm
-    elements: Index
-    start: int
-    names: tuple[str, ...]
-    unit: str
-    subtract: Float32
-    scale: Float32
-    low: Float32
-    high: Float32
-
-    @property
-    def stop(self) -> int:
-        """One past the last place in the frame."""
-        return self.start + self.elements.size
-
-
-def term_slices(
-    contract: PolicyContract,
-    states: PackedStates,
-    robot_joints: Sequence[str],
-    spec: ObservationSpec | None = None,
-) -> tuple[TermSlice, ...]:
-    """Resolve the terms of an observation against states: which elements, and every number.
-
-    Args:
-        contract: the policy.
-        states: the states; a state whose element names are the robot's joints is taken in policy
-            order.
-        robot_joints: the robot's joint order.
-        spec: another observation than the contract's own.
-
-    Raises:
-        PolicyError: no such state, a joint the robot has not, or an index or number of values that
-            does not fit.
-    """
-    spec = contract.observation if spec is None else spec
-    slices: list[TermSlice] = []
-    start = 0
-    for term in spec.terms:
-        label = f"policy {contract.name}: term {term.name!r}"
-        if term.state not in states:
-            known = alternatives(term.state, list(states))
-            raise PolicyError(f"{label}: no state {term.state!r}; {known}")
-        state = states.spec(term.state)
-        view = states[term.state]
-        if view.dtype != np.float32:
-            raise PolicyError(
-                f"{label}: state {term.state!r} is {view.dtype}; a network takes float32 states"
-            )
-        names: tuple[str, ...] = tuple(state.names)
-        elements = np.arange(state.size, dtype=np.intp)
-        if names == tuple(robot_joints) and term.state != "action":
-            try:
-                elements = joint_index(contract.joints, names)
-            except RobotError as error:
-                raise PolicyError(f"{label}: the robot has {error}") from error
-            names = contract.joints
-        default = contract.default_joint_pos if names == contract.joints else None
-        if term.index is not None:
-            if max(term.index) >= elements.size:
-                raise PolicyError(
-                    f"{label}: index {max(term.index)} of state {term.state!r}, which has "
-                    f"{elements.size} elements{_order_of(term.state, names)}; the last is "
-                    f"{elements.size - 1}"
-                )
-            index = list(term.index)
-            elements = elements[index]
-            names = tuple(names[i] for i in index) if names else ()
-            default = None if default is None else default[index]
-        size = elements.size
-        subtract = _subtract(label, term, size, default)
-        low, high = (-np.inf, np.inf) if term.clip is None else term.clip
-        slices.append(
-            TermSlice(
-                term,
-                elements,
-                start,
-                names,
-                str(state.unit),
-                subtract,
-                _spread(label, "scale", term.scale, size),
-                _spread(label, "clip", low, size),
-                _spread(label, "clip", high, size),
-            )
-        )
-        start += size
-    return tuple(slices)
-
-
-def _order_of(state: str, names: Sequence[str]) -> str:
-    """What stands where in a gait clock, whose order sources do not agree upon."""
-    return f" ({', '.join(names)})" if state.startswith("gait_phase") else ""
-
-
-def _subtract(label: str, term: ObservationTerm, size: int, default: Float32 | None) -> Float32:
-    if not isinstance(term.subtract, str):
-        return _spread(label, "subtract", 0.0 if term.subtract is None else term.subtract, size)
-    if default is None:
-        raise PolicyError(
-            f"{label}: subtract {term.subtract} needs a joint state, and {term.state!r} has no "
-            "joint names; give numbers, or take joint_pos"
-        )
-    return np.array(default, dtype=np.float32)
-
-
-def _spread(label: str, what: str, values: Any, size: int) -> Float32:
-    array = np.atleast_1d(np.asarray(values, dtype=np.float32))
-    if array.size not in (1, size):
-        raise PolicyError(
-            f"{label}: {what} has {array.size} values for {size} elements; give 1 or {size}"
-        )
-    return np.array(np.broadcast_to(array, (size,)))
+from unicon_core.policies.terms import TermSlice, term_slices
 
 
 class Observation:
@@ -202,10 +71,14 @@ class Observation:
         self._buffer = states.buffer_of(np.float32)[first:last]
         self._index = index - first
         # Every operand has the flat shape of the frame: broadcasting costs 1.1 µs against 0.2 µs.
-        subtract = _joined((part.subtract for part in self.slices), rows)
-        scale = _joined((part.scale for part in self.slices), rows)
-        low = _joined((part.low for part in self.slices), rows)
-        high = _joined((part.high for part in self.slices), rows)
+        subtract, scale, low, high = (
+            (
+                np.tile(np.concatenate(parts), rows)
+                for parts in zip(*((p.subtract, p.scale, p.low, p.high) for p in self.slices))
+            )
+            if self.slices
+            else [np.zeros(0, np.float32)] * 4
+        )
         self._subtract = subtract if subtract.any() else None
         self._scale = scale if (scale != 1.0).any() else None
         clipped = np.flatnonzero(np.isfinite(low) | np.isfinite(high))
@@ -265,7 +138,7 @@ class Observation:
     def reset(self) -> None:
         """Forget the history: the next call fills it with its own frame, or leaves zeros."""
         self._fresh = True
-        for _, each in self._filters:
+        for each in self._smoothing:
             each.reset()
 
     def bind(self, out: Float32) -> Callable[[], None]:
@@ -321,7 +194,7 @@ class Observation:
         return write, both if self._filters else advance
 
     def _filters_on(self) -> None:
-        for _, each in self._filters:
+        for each in self._smoothing:
             each.advance()
 
     def _assembler(self) -> Callable[[Float32], None]:
@@ -342,30 +215,18 @@ class Observation:
 
             return usual
 
-        elif clip is not None and clip[1].size == index.size:
-            _, low, high = clip
-            maximum, minimum = np.maximum, np.minimum
-
-            def clipped(out: Float32) -> None:
-                take(index, None, out, "clip")
-                if minus is not None:
-                    subtract(out, minus, out)
-                maximum(out, low, out=out)  # both pass NaN on
-                minimum(out, high, out=out)
-                if scale is not None:
-                    multiply(out, scale, out)
-
-            return clipped
+        span, low, high = clip or (slice(0), np.zeros(0, np.float32), np.zeros(0, np.float32))
+        whole = low.size == index.size
+        maximum, minimum = np.maximum, np.minimum
 
         def general(out: Float32) -> None:
             take(index, None, out, "clip")
             if minus is not None:
                 subtract(out, minus, out)
             if clip is not None:
-                span, low, high = clip
-                part = out[span]
-                np.maximum(part, low, out=part)  # both pass NaN on
-                np.minimum(part, high, out=part)
+                part = out if whole else out[span]
+                maximum(part, low, out=part)  # both pass NaN on
+                minimum(part, high, out=part)
             if scale is not None:
                 multiply(out, scale, out)
 
@@ -404,8 +265,3 @@ class Observation:
 
 def nothing() -> None:
     """There is nothing to write, or without a history nothing to go on to."""
-
-
-def _joined(parts: Iterable[Float32], rows: int) -> Float32:
-    listed = list(parts)
-    return np.tile(np.concatenate(listed), rows) if listed else np.zeros(0, np.float32)

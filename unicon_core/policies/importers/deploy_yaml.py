@@ -17,11 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base.errors import alternatives
-from unicon_base.located_yaml import Where
+from unicon_base.errors import PolicyError, alternatives
+from unicon_base.located_yaml import Where, read_yaml
 from unicon_core.policies.facts import GAINS, Facts, dig, term_state
 from unicon_core.policies.hints import Pair
-from unicon_core.policies.importers.source import Source, clip_before_scale
+from unicon_core.policies.importers.source import Source, clip_before_scale, plural
 
 _FLAGS = ("scale_first", "use_gym_history")
 _KEYS = ("params", "scale", "clip", "history_length")
@@ -162,3 +162,180 @@ def _term(
 
 def _is_term(value: Any) -> bool:
     return isinstance(value, Mapping) and any(key in value for key in _KEYS)
+
+
+# A term's name -> the state, the key of its scale and its number of elements; 0: all joints.
+_rl_TERMS: dict[str, tuple[str, str, int]] = {
+    "lin_vel": ("base_lin_vel", "lin_vel_scale", 3),
+    "ang_vel": ("base_ang_vel", "ang_vel_scale", 3),
+    "gravity_vec": ("projected_gravity", "", 3),
+    "commands": ("velocity_command", "commands_scale", 3),
+    "dof_pos": ("joint_pos", "dof_pos_scale", 0),
+    "dof_vel": ("joint_vel", "dof_vel_scale", 0),
+    "actions": ("action", "", 0),
+    "whole_body_tracking/motion_command": ("motion_command", "", 0),
+    "whole_body_tracking/motion_anchor_ori_b": ("motion_anchor_ori_b", "", 6),
+}
+_rl_GAINS = {"stiffness": "rl_kp", "damping": "rl_kd", "default_joint_pos": "default_dof_pos"}
+
+
+def refuse_base(source: Source) -> Facts:
+    """Refuse a `base.yaml` that was named in place of a `config.yaml`.
+
+    Raises:
+        PolicyError: always; with the policies below it.
+    """
+    folder = source.path.parent
+    policies = sorted(str(path.relative_to(folder)) for path in folder.glob("**/config.yaml"))
+    raise PolicyError(
+        f"{source.path}: an rl_sar base.yaml has no policy; name the config.yaml of one: "
+        f"{', '.join(policies) or 'none is below it'}"
+    )
+
+
+def rl_sar_facts(source: Source) -> Facts:
+    """Return what a `config.yaml` says, and the `base.yaml` above or beside it.
+
+    Raises:
+        PolicyError: one is against the format.
+    """
+    facts = source.facts
+    facts.source = "rl_sar config.yaml"
+    _find_base(source)
+    count = source.whole("num_of_dofs")
+    wheels = source.places("wheel_indices", count) if source.document.get("wheel_indices") else []
+    _rl_joints(source, count)
+    _rl_action(source, count, wheels)
+    _rl_observation(source, count, wheels)
+    _rl_motion(source, count)
+    source.network("model_name", source.need("model_name"))
+    return facts
+
+
+def _find_base(source: Source) -> None:
+    """Find the robot's base.yaml: as many folders up as the place has parts, or beside."""
+    path, ((place, said),) = source.path, source.located.value.items()
+    robot, depth = str(place).split("/")[0], str(place).count("/")
+    source.files, source.document = [(source.located, (place,))], said
+    above = path.parents[min(depth, len(path.parents) - 1)]
+    found = [file for f in (above, path.parent) if (file := f / "base.yaml").is_file()]
+    if not found:
+        return
+    base = read_yaml(found[0], PolicyError, foreign=True)
+    keys = list(base.value) if isinstance(base.value, Mapping) else []
+    if keys != [robot] or not isinstance(base.value[robot], Mapping):
+        other = repr(keys[0]) if len(keys) == 1 else "no robot"
+        raise base.error(
+            (), f"base.yaml is of {other}, and {path.name} is of {place!r}; put that of "
+            f"{robot!r} there"
+        )  # fmt: skip
+    source.files.append((base, (robot,)))
+    source.document = {**base.value[robot], **said}  # config.yaml wins
+
+
+def _rl_joints(source: Source, count: int) -> None:
+    facts = source.facts
+    source.say_period("dt", "decimation")
+    mapping = source.places("joint_mapping", count)
+    if len(mapping) != count:
+        text = f"has {len(mapping)} numbers for num_of_dofs {count}; name each joint once"
+        raise source.wrong("joint_mapping", f"joint_mapping {text}")
+    names = source.document.get("joint_names")
+    if names is not None:
+        if not isinstance(names, list) or len(names) != count:
+            raise source.wrong("joint_names", f"joint_names is {names!r}; give {count} names")
+        source.say("joints", [names[i] for i in mapping], "joint_mapping")
+    for name in ("period", "joints") if len(source.files) == 1 else ():
+        if name not in facts.values:
+            facts.asks[name] = "it stands in base.yaml, which is neither above nor beside it"
+    for fact, key in _rl_GAINS.items():
+        source.copy(fact, key, count)
+
+
+def _rl_action(source: Source, count: int, wheels: list[int]) -> None:
+    source.copy("action.scale", "action_scale", count)
+    if wheels:
+        kinds = ["velocity" if i in wheels else "position" for i in range(count)]
+        source.say("action.kind", kinds, "wheel_indices")
+    sides = ("clip_actions_lower", "clip_actions_upper")
+    if all(map(source.document.get, sides)):  # its program clips only then
+        source.say("action.clip", [source.numbers(side, count) for side in sides], sides[0])
+    source.say("action.feedback", "clipped", sides[0])
+
+
+def _rl_observation(source: Source, count: int, wheels: list[int]) -> None:
+    facts, document, key = source.facts, source.document, "observations_history"
+    names = source.need("observations")
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise source.wrong("observations", f"observations is {names!r}; give names of terms")
+    ages = source.places(key) if document.get(key) else [0]
+    rising = list(range(len(ages)))
+    if ages not in (rising, rising[::-1]):
+        text = f"{key} is {ages}; only whole histories can be run: {rising} or {rising[::-1]}"
+        raise source.wrong(key, text)
+    bound = None if document.get("clip_obs") is None else source.number("clip_obs")
+    terms, width = [], 0
+    for i, name in enumerate(names):
+        terms.append({**_rl_term(source, name, bound, count, wheels), "history": len(ages)})
+        facts.lines[("observation", "terms", i)] = source.line("observations") or 1
+        many = 2 if name.endswith("motion_command") else 1
+        width += many * ((_rl_TERMS[name][2] if name in _rl_TERMS else 0) or count)
+    laid_out = document.get("num_observations")
+    if laid_out is not None and laid_out != width and {*names} <= {*_rl_TERMS}:
+        raise source.wrong(
+            "num_observations",
+            f"num_observations is {laid_out!r}, and the terms {', '.join(names)} have {width} "
+            "values; correct one of them",
+        )
+    priority = "observations_history_priority"
+    time = document.get(priority, "time")
+    if time not in ("time", "term"):
+        raise source.wrong(priority, f"{priority} is {time!r}; known: time, term")
+    facts.values["observation"] = {
+        "layout": "frame_major" if time == "time" else "term_major",
+        "newest": "first" if ages == rising and len(ages) > 1 else "last",
+        "start": "zeros",
+        "terms": terms,
+    }
+
+
+def _rl_term(
+    source: Source, name: str, bound: float | None, count: int, wheels: list[int]
+) -> dict[str, Any]:
+    if name not in _rl_TERMS:
+        known = alternatives(name, _rl_TERMS)
+        source.facts.notes.append(
+            f"{source.path.name}: no state is known for term {name!r}; {known}"
+        )
+        return {"name": name}
+    state, key, _ = _rl_TERMS[name]
+    term: dict[str, Any] = {"name": name, "state": state}
+    scale = source.numbers(key, 3 if state == "velocity_command" else 1) if key else [1.0]
+    if state == "joint_pos":
+        term["subtract"] = "default_joint_pos"
+        if wheels:
+            scale = [0.0 if i in wheels else scale[0] for i in range(count)]
+    term["scale"] = plural(scale)
+    if bound is not None:
+        term["clip"] = clip_before_scale([-bound, bound], scale)
+    return term
+
+
+def _rl_motion(source: Source, count: int) -> None:
+    """Note the motion of whole-body tracking: rows in the robot's order, compared at the torso."""
+    file, names = map(source.document.get, ("motion_file", "joint_names"))
+    period = source.facts.values.get("period")
+    if file is None or not isinstance(names, list) or not period:
+        return
+    waist = source.places("waist_joint_indices", count)
+    if len(waist) != 3:
+        text = f"waist_joint_indices is {waist}; give the numbers of yaw, roll and pitch"
+        raise source.wrong("waist_joint_indices", text)
+    motion = {
+        "anchor_body": "torso_link",
+        "file": file,
+        "fps": 1.0 / period,
+        "joints": names,
+        "chain": {names[i]: axis for i, axis in zip(waist, "zxy")},
+    }
+    source.say("motion", motion, "motion_file")

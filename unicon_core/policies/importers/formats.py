@@ -10,10 +10,9 @@ from typing import Any
 from unicon_base.errors import PolicyError
 from unicon_core.policies.facts import Facts, says
 from unicon_core.policies.importers.deploy_programs import booster_facts, unitree_rl_gym_facts
-from unicon_core.policies.importers.deploy_yaml import deploy_yaml_facts
+from unicon_core.policies.importers.deploy_yaml import deploy_yaml_facts, refuse_base, rl_sar_facts
 from unicon_core.policies.importers.env_yaml import env_yaml_facts, legged_gym_facts
 from unicon_core.policies.importers.metadata import exploy_facts, holosoma_facts, mjlab_facts
-from unicon_core.policies.importers.rl_sar import refuse_base, rl_sar_facts
 from unicon_core.policies.importers.source import Source
 from unicon_core.policies.networks.onnx_file import OnnxFile, short_text
 
