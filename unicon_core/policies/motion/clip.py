@@ -215,11 +215,11 @@ def read_clip(
 
     joint_pos, base_pos = between(frames.joint_pos), between(frames.base_pos)
     base_quat = _slerp(frames.base_quat[first], frames.base_quat[first + 1], share)
+    joint_vel = np.zeros_like(joint_pos)
     if frames.joint_vel is not None:
         joint_vel = between(frames.joint_vel)
-    else:
-        still = np.zeros_like(joint_pos)
-        joint_vel = np.gradient(joint_pos, contract.period, axis=0) if count > 1 else still
+    elif count > 1:
+        joint_vel = np.gradient(joint_pos, contract.period, axis=0)
     places = {name: i for i, name in enumerate(order)}
     robot_from_file = [places.get(name, -1) for name in robot_joints]
     anchor_pos, anchor_quat = _anchors(chain, base_pos, base_quat, joint_pos, robot_from_file)
@@ -355,11 +355,9 @@ def _read_csv(path: Path, fps: float | None) -> _Frames:
 
 def _sound(path: Path, frames: _Frames) -> _Frames:
     """Refuse what no motion is; make quaternions go on without a change of sign."""
-    arrays = [frames.joint_pos, frames.base_pos, frames.base_quat]
-    arrays += [] if frames.joint_vel is None else [frames.joint_vel]
-    arrays += list(frames.bodies or ())
-    for array in arrays:
-        bad = np.argwhere(~np.isfinite(array))
+    arrays = (frames.joint_pos, frames.joint_vel, frames.base_pos, frames.base_quat)
+    for array in (*arrays, *(frames.bodies or ())):
+        bad = np.argwhere(~np.isfinite(0.0 if array is None else array))
         if bad.size:
             raise PolicyError(
                 f"{path}: frame {int(bad[0][0])} holds a number that is not finite; mend the motion"
