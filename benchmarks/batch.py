@@ -23,7 +23,7 @@ from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow
 from unicon_ros.bench.report import Bench
 
-TICKS = 200
+BATCH_TICKS = 200
 PHYSICS_TICKS = 100
 
 SIZES = (1, 4, 16, 64, 256)
@@ -31,7 +31,7 @@ PHYSICS_SIZES = (1, 4, 16, 64)
 MJX_TICKS = 20
 MJX_SIZES = (1, 16, 64)
 
-BARS = (
+BATCH_BARS = (
     ("batch64", "per robot", 0.35),
     ("batch64_physics", "with physics, per robot", 0.6),
     ("batch64_mjx", "in MJX, per robot", 0.6),
@@ -56,7 +56,7 @@ _PHYSICS: dict[str, Any] = {
 }
 
 
-def run(rounds: int | None = None) -> Bench:
+def run_batch(rounds: int | None = None) -> Bench:
     """Run the comparison.
 
     Args:
@@ -64,7 +64,7 @@ def run(rounds: int | None = None) -> Bench:
     """
     bench = Bench("batch", rounds or 5)
     kinds: list[tuple[str, tuple[int, ...], int, dict[str, Any]]] = [
-        ("per robot", SIZES, TICKS, {}),
+        ("per robot", SIZES, BATCH_TICKS, {}),
         ("with physics, per robot", PHYSICS_SIZES, PHYSICS_TICKS, _PHYSICS),
     ]
     if find_spec("mujoco.mjx") and find_spec("jax"):
@@ -89,7 +89,7 @@ def run(rounds: int | None = None) -> Bench:
         for runner, _, _ in runners.values():
             runner.close()
     times.add_to(
-        bench, *((name, f"{kind}, N = 64", f"{kind}, N = 1", bar) for name, kind, bar in BARS)
+        bench, *((name, f"{kind}, N = 64", f"{kind}, N = 1", bar) for name, kind, bar in BATCH_BARS)
     )
     bench.facts["threads"] = len(shares(64))
     return bench

@@ -30,7 +30,7 @@ HISTORY = 6
 USUAL, OURS = "policy tick, usual", "policy tick, unicon"
 
 
-def run(rounds: int | None = None) -> Bench:
+def run_policy(rounds: int | None = None) -> Bench:
     """Run the comparison.
 
     Args:

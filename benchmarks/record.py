@@ -23,13 +23,13 @@ from unicon_ros.bench.domains import stay_on_loopback
 from unicon_ros.bench.report import Bench
 
 RATE = 500.0  # Hz
-SECONDS = 10.0  # of each run
+RECORD_SECONDS = 10.0  # of each run
 SETTLED = 1.0
 """Of its beginning in [s] that are not counted: the posture's, and cold memory."""
-WITH, WITHOUT = "recorded", "not recorded"
+RECORD_WITH, RECORD_WITHOUT = "recorded", "not recorded"
 
 
-def run(rounds: int | None = None, seconds: float = SECONDS) -> Bench:
+def run_record(rounds: int | None = None, seconds: float = RECORD_SECONDS) -> Bench:
     """Run the comparison.
 
     Args:
@@ -46,10 +46,10 @@ def run(rounds: int | None = None, seconds: float = SECONDS) -> Bench:
     written: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder:
         for number in range(bench.rounds):
-            turns = [WITHOUT, WITH] if number % 2 else [WITH, WITHOUT]
+            turns = [RECORD_WITHOUT, RECORD_WITH] if number % 2 else [RECORD_WITH, RECORD_WITHOUT]
             for name in turns:
-                file = Path(folder) / f"{number}.mcap" if name == WITH else None
-                samples, counts = _run(file, seconds)
+                file = Path(folder) / f"{number}.mcap" if name == RECORD_WITH else None
+                samples, counts = _run_record(file, seconds)
                 for part, values in samples.items():
                     times.add(f"{part}, {name}", values)
                 written |= counts
@@ -61,13 +61,13 @@ def run(rounds: int | None = None, seconds: float = SECONDS) -> Bench:
         "written": f"{written['bytes'] / seconds * 1e-6:.2f} MB/s, {written['messages']} messages",
         "dropped": written["dropped"],
     }
-    ratio = {p: times.ratio(f"{p}, {WITH}", f"{p}, {WITHOUT}", percent=99) for p in (TICK, WHOLE)}
+    ratio = {p: times.ratio(f"{p}, {RECORD_WITH}", f"{p}, {RECORD_WITHOUT}", percent=99) for p in (TICK, WHOLE)}
     bench.facts["whole tick, p99, recorded / not"] = f"{ratio[WHOLE]:.2f}"
     bench.ratio("record_p99", ratio[TICK], 1.2)
     return bench
 
 
-def _run(file: Path | None, seconds: float) -> tuple[dict[str, Float64], dict[str, Any]]:
+def _run_record(file: Path | None, seconds: float) -> tuple[dict[str, Float64], dict[str, Any]]:
     """Return the times of a run's ticks in [µs], and what was recorded."""
     from unicon_ros.bridge import RosSession
 

@@ -39,7 +39,7 @@ flow: {{policy: walk}}
 """
 
 
-def run(rounds: int | None = None) -> Bench:
+def run_safety(rounds: int | None = None) -> Bench:
     """Run the comparison.
 
     Args:

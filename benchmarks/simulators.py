@@ -28,7 +28,7 @@ BAR = 1.05
 """Of `tick` to `engine` of PyBullet; of the others nothing is promised."""
 
 
-def run(rounds: int | None = None) -> Bench:
+def run_simulators(rounds: int | None = None) -> Bench:
     """Run the comparison.
 
     Args:

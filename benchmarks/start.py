@@ -41,7 +41,7 @@ print(process_age_s() - (time.monotonic() - done))
 """
 
 
-def run(rounds: int | None = None) -> Bench:
+def run_start(rounds: int | None = None) -> Bench:
     """Run the comparison.
 
     Args:

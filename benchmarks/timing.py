@@ -21,13 +21,13 @@ from unicon_core.runtime import Pacing, WallClock, prepare_process
 from unicon_ros.bench.loops import interval
 from unicon_ros.bench.report import Bench
 
-RATE = 500.0  # Hz
+TIMING_RATE = 500.0  # Hz
 ROUNDS = 15
-SECONDS = 1.5  # of each loop in each round: 750 ticks, whose p99 is the eighth latest
+TIMING_SECONDS = 1.5  # of each loop in each round: 750 ticks, whose p99 is the eighth latest
 REAL_TIME = Pacing(priority=50)
 
 
-def run(rounds: int | None = None) -> Bench:
+def run_timing(rounds: int | None = None) -> Bench:
     """Run the comparison.
 
     Args:
@@ -43,7 +43,7 @@ def run(rounds: int | None = None) -> Bench:
     errors, shares = Samples(), Samples()
     for number in range(bench.rounds):
         for name in list(loops)[:: -1 if number % 2 else 1]:
-            measured = loops[name](round(RATE * SECONDS))
+            measured = loops[name](round(TIMING_RATE * TIMING_SECONDS))
             errors.add(name, measured.late)
             shares.add(name, measured.share)
     for name in loops:
@@ -60,7 +60,7 @@ def run(rounds: int | None = None) -> Bench:
 def _sleeping(ticks: int) -> Paced:
     if sys.platform == "linux":  # 29 is PR_SET_TIMERSLACK; 0 restores the process's own, 50 µs
         ctypes.CDLL(None).prctl(29, ctypes.c_ulong(0), 0, 0, 0)
-    return paced(ticks, RATE, sleep_until)
+    return paced(ticks, TIMING_RATE, sleep_until)
 
 
 def _permitted(pacing: Pacing) -> bool:
@@ -72,6 +72,6 @@ def _permitted(pacing: Pacing) -> bool:
 def _pacing(ticks: int, pacing: Pacing) -> Paced:
     restore = prepare_process(pacing, print)
     try:
-        return paced(ticks, RATE, WallClock(round(pacing.spin_us * 1e3)).until)
+        return paced(ticks, TIMING_RATE, WallClock(round(pacing.spin_us * 1e3)).until)
     finally:
         restore()

@@ -32,7 +32,7 @@ OURS = {COPY: ("view",), EARS: ("viewer", "viewer e-stop", "viewer is heard")}
 CLIENTS = ("reads", "reads", "stalled")
 
 
-def run(rounds: int | None = None, seconds: float = SECONDS, sink: str = "page") -> Bench:
+def run_view(rounds: int | None = None, seconds: float = SECONDS, sink: str = "page") -> Bench:
     """Run the comparison.
 
     Args:
