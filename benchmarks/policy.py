@@ -14,8 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.networks import CLIP, random_policy
-from benchmarks.samples import Paced, Samples, Step, paced, sleep_until
+from benchmarks.samples import CLIP, Paced, Samples, Step, paced, random_policy, sleep_until
 from unicon_base.arrays import Float32
 from unicon_core.policies import Observation, Policy, PolicyContract, policy_states
 from unicon_core.robots import Robot, load_robot

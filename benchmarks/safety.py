@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.networks import random_policy
-from benchmarks.samples import Samples, timed, unsaid
+from benchmarks.samples import Samples, random_policy, timed, unsaid
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions, WallClock, WarmUp, prepare_process
 from unicon_core.workflow import load_workflow

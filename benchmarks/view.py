@@ -15,7 +15,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from benchmarks.record import RATE, SETTLED, walk
+from benchmarks.runs import RATE, SETTLED, walk
 from benchmarks.samples import TICK, Samples, tick_times, unsaid
 from unicon_base.arrays import Float64
 from unicon_base.resources import same_modules

@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
 
-from benchmarks.record import run
+from benchmarks.runs import run
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 

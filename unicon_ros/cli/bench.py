@@ -14,13 +14,13 @@ from unicon_core.page import write_file
 from unicon_ros.cli.options import argument, command, flag, option, several
 
 BENCHES = {
-    "batch": "benchmarks.batch",
+    "batch": "benchmarks.programs",
     "bridge": "benchmarks.bridge",
     "faults": "faults.bench_faults",
     "latency": "unicon_ros.bench.latency",
     "policy": "benchmarks.policy",
     "reach": "benchmarks.reach",
-    "record": "benchmarks.record",
+    "record": "benchmarks.runs",
     "retarget": "benchmarks.retarget",
     "safety": "benchmarks.safety",
     "simulators": "benchmarks.simulators",
@@ -29,7 +29,7 @@ BENCHES = {
     "stores": "benchmarks.stores",
     "sweep": "benchmarks.sweep",
     "tick": "benchmarks.tick",
-    "timing": "benchmarks.timing",
+    "timing": "benchmarks.loops",
     "view": "benchmarks.view",
 }
 """Bench to its module; all but `latency` are in a checkout only."""

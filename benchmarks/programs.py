@@ -15,8 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.networks import random_policy
-from benchmarks.samples import Samples, timed
+from benchmarks.samples import Samples, random_policy, timed
 from unicon_core.platforms.mujoco.batch import shares
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
