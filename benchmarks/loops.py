@@ -1,4 +1,6 @@
-"""`unicon bench timing`: how late a 500 Hz loop wakes, ours beside a plain `time.sleep` loop.
+"""Loops at real rate: how late they wake, and what a policy costs in them.
+
+`unicon bench timing`: how late a 500 Hz loop wakes, ours beside a plain `time.sleep` loop.
 
 Both loops have absolute deadlines, so that only the waiting differs. Rounds are interleaved, the
 loops of a round in an order that changes. A ratio of p99 is the median over the rounds of what one
@@ -6,18 +8,31 @@ round gives, told with its 95 % interval: single rounds of one run gave 0.02 to 
 cores, as others took the machine or did not, which is what a p99 is made of. Where others keep the
 machine busy, both loops wake when the scheduler lets them: a third case has real-time priority,
 where that is permitted; it is shown beside and is in no ratio.
+
+`unicon bench policy`: the policy tick in a real 50 Hz loop, ours beside the usual way.
+
+The usual way is that of most deployment scripts: scaled terms, `np.concatenate`, `np.clip`,
+`session.run`, `time.sleep`. Network 45 → 512 → 256 → 128 → 12, one thread on both sides. Rounds are
+interleaved.
 """
 
 from __future__ import annotations
 
 import ctypes
 import sys
+import tempfile
+from collections import deque
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 
-from benchmarks.samples import Paced, Samples, paced, sleep_until
-from unicon_core.runtime import Pacing, WallClock, prepare_process
+from benchmarks.samples import CLIP, Paced, Samples, Step, paced, random_policy, sleep_until
+from unicon_base.arrays import Float32
+from unicon_core.policies import Observation, Policy, PolicyContract, policy_states
+from unicon_core.robots import Robot, load_robot
+from unicon_core.runtime import Pacing, WallClock, WarmUp, prepare_process
+from unicon_core.states import States, standard_states
 from unicon_ros.bench.loops import interval
 from unicon_ros.bench.report import Bench
 
@@ -75,3 +90,153 @@ def _pacing(ticks: int, pacing: Pacing) -> Paced:
         return paced(ticks, TIMING_RATE, WallClock(round(pacing.spin_us * 1e3)).until)
     finally:
         restore()
+
+
+RATE = 50.0  # Hz
+SECONDS = 3.0  # of each loop in each round
+WARM_CALLS = 2000  # of each observation in each round, 20 in a sample
+HISTORY = 6
+USUAL, OURS = "policy tick, usual", "policy tick, unicon"
+
+
+def run_policy(rounds: int | None = None) -> Bench:
+    """Run the comparison.
+
+    Args:
+        rounds: interleaved rounds, 5 unless told.
+    """
+    bench = Bench("policy", rounds or 5)
+    robot = load_robot("go2")
+    with tempfile.TemporaryDirectory() as folder:
+        contract = random_policy(Path(folder) / "one", robot)
+        longer = random_policy(Path(folder) / "history", robot, history=HISTORY)
+        _observations(bench, robot, contract, longer)
+        _ticks(bench, robot, contract)
+        _memory(bench, robot, contract, Path(folder) / "recurrent")
+    return bench
+
+
+def _states(contract: PolicyContract, robot: Robot) -> States:
+    states = States(
+        {**standard_states(robot.joint_names), **policy_states(contract, robot.joint_names)}
+    )
+    random = np.random.default_rng(0)
+    for name in ("joint_pos", "joint_vel", "base_ang_vel", "velocity_command"):
+        states[name][...] = random.normal(size=states[name].shape)
+    return states
+
+
+def _concatenation(states: States, contract: PolicyContract) -> Callable[[], Float32]:
+    """Return the usual observation: one expression for each term, `np.concatenate`, `np.clip`."""
+    default = contract.default_joint_pos.copy()
+    ang_vel, gravity = states["base_ang_vel"], states["projected_gravity"]
+    command, action = states["velocity_command"], states["action"]
+    pos, vel = states["joint_pos"], states["joint_vel"]
+    policy_from_robot = np.arange(len(default))
+
+    def assemble() -> Float32:
+        observation = np.concatenate(
+            [
+                ang_vel * 0.25,
+                gravity,
+                command * 2.0,
+                (pos[policy_from_robot] - default) * 1.0,
+                vel[policy_from_robot] * 0.05,
+                action,
+            ]
+        )
+        clipped: Float32 = np.clip(observation, -CLIP, CLIP)
+        return clipped
+
+    return assemble
+
+
+def _observations(
+    bench: Bench, robot: Robot, contract: PolicyContract, longer: PolicyContract
+) -> None:
+    states, states6 = _states(contract, robot), _states(longer, robot)
+    one = Observation(contract, states, robot.joint_names)
+    six = Observation(longer, states6, robot.joint_names)
+    fused, fused6 = (o.bind(np.zeros((1, o.size), np.float32)) for o in (one, six))
+    plain, frame = _concatenation(states, contract), _concatenation(states6, longer)
+    frames: deque[Float32] = deque([frame()] * HISTORY, maxlen=HISTORY)
+
+    def plain6() -> Float32:
+        frames.append(frame())
+        return np.concatenate(frames)
+
+    calls: dict[str, Step] = {
+        "observation: fused": fused,
+        "observation: concatenate": plain,
+        "observation, history 6: fused": fused6,
+        "observation, history 6: concatenate": plain6,
+    }
+    times = Samples()
+    for _ in range(bench.rounds):
+        for name, call in calls.items():  # each by itself, so that it is warm
+            times.take({name: call}, WARM_CALLS // 20, 20)
+    cases = {"observation": "observation", "observation_history6": "observation, history 6"}
+    times.add_to(
+        bench,
+        *((key, f"{case}: fused", f"{case}: concatenate", 0.35) for key, case in cases.items()),
+    )
+
+
+def _ticks(bench: Bench, robot: Robot, contract: PolicyContract) -> None:
+    loops = {USUAL: _usual_loop(robot, contract), OURS: _unicon_loop(robot, contract)}
+    times = Samples()
+    for _ in range(bench.rounds):
+        for name, loop in loops.items():
+            times.add(name, loop(round(RATE * SECONDS)).took)
+    times.add_to(bench, ("policy_tick_p50", OURS, USUAL, 0.1))
+    bench.ratio("policy_tick_p99", times.ratio(OURS, USUAL, percent=99), 0.2)
+
+
+def _memory(bench: Bench, robot: Robot, contract: PolicyContract, folder: Path) -> None:
+    """A recurrent policy beside the same network without its memory, in turns and warm."""
+    recurrent = random_policy(folder, robot, recurrent=True)
+    calls: dict[str, Step] = {
+        "policy call": Policy(contract, _states(contract, robot), robot),
+        "policy call, recurrent": Policy(recurrent, _states(recurrent, robot), robot),
+    }
+    times = Samples()
+    for _ in range(bench.rounds):
+        times.take(calls, WARM_CALLS // 20, 20)
+    times.add_to(bench, ("policy_recurrent", "policy call, recurrent", "policy call", 1.3))
+
+
+def _usual_loop(robot: Robot, contract: PolicyContract) -> Callable[[int], Paced]:
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    session = onnxruntime.InferenceSession(
+        str(contract.model), options, providers=["CPUExecutionProvider"]
+    )
+    states = _states(contract, robot)
+    assemble = _concatenation(states, contract)
+    target, action = states["joint_pos_target"], states["action"]
+    default, scale = contract.default_joint_pos, np.float32(0.25)
+
+    def tick() -> None:
+        observation = assemble().astype(np.float32)[None]
+        action[...] = session.run(None, {"obs": observation})[0][0]
+        target[...] = default + scale * action
+
+    return lambda ticks: paced(ticks, RATE, sleep_until, tick)
+
+
+def _unicon_loop(robot: Robot, contract: PolicyContract) -> Callable[[int], Paced]:
+    policy = Policy(contract, _states(contract, robot), robot)
+
+    def loop(ticks: int) -> Paced:
+        pacing = Pacing()
+        clock = WallClock(round(pacing.spin_us * 1e3))
+        wait = WarmUp(policy.warm_up, clock, round(pacing.dry_run_us * 1e3)).until
+        restore = prepare_process(pacing, print)
+        try:
+            return paced(ticks, RATE, wait, policy)
+        finally:
+            restore()
+
+    return loop

@@ -1,4 +1,7 @@
-"""Samples of what a benchmark compares, in interleaved rounds: steps in turns, and paced loops."""
+"""Samples of what a benchmark compares, in interleaved rounds, and random networks to run.
+
+Steps take turns, loops are paced; networks and contracts have a given size and random weights.
+"""
 
 from __future__ import annotations
 

@@ -120,8 +120,8 @@ def joint_rows(contract: PolicyContract, robot: Robot | None = None) -> list[lis
     rows = [[*head[:2], "robot", *head[2:]] if robot is not None else head]
     for i, name in enumerate(contract.joints):
         row = [str(i), name] + ([] if robot is None else [str(place.get(name, "missing"))])
-        for values in (contract.stiffness, contract.damping, contract.default_joint_pos):
-            row.append(figure(values[i]))
+        gains = (contract.stiffness, contract.damping, contract.default_joint_pos)
+        row += [figure(values[i]) for values in gains]
         if name in action.joints:
             j = action.joints.index(name)
             clip = "-" if action.clip is None else span(*action.clip[:, j], "…")
@@ -134,10 +134,10 @@ def joint_rows(contract: PolicyContract, robot: Robot | None = None) -> list[lis
         else:
             row += held
         rows.append(row)
-    for name in place:
-        if name not in contract.joints:
-            rows.append(["-", name, str(place[name]), *["robot's"] * 3, *held])
-    return rows
+    own = ["robot's"] * 3
+    return rows + [
+        ["-", name, str(place[name]), *own, *held] for name in place if name not in contract.joints
+    ]
 
 
 def observation_table(
