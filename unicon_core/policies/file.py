@@ -92,7 +92,9 @@ def note_joints(found: dict[str, Any], here: Here) -> None:
     joints, action = found.get("joints"), found.get("action")
     if joints is None:
         return
-    lists = [((key,), found.get(key), joints) for key in ("default_joint_pos", *GAINS)]
+    lists: list[tuple[Where, Any, Sequence[str]]] = [
+        ((key,), found.get(key), joints) for key in ("default_joint_pos", *GAINS)
+    ]
     moved = action.joints or joints if action is not None else ()
     unknown = next((name for name in moved if name not in joints), None)
     if action is not None and unknown is None:

@@ -124,7 +124,7 @@ def joint_rows(contract: PolicyContract, robot: Robot | None = None) -> list[lis
         row += [figure(values[i]) for values in gains]
         if name in action.joints:
             j = action.joints.index(name)
-            clip = "-" if action.clip is None else span(*action.clip[:, j], "…")
+            clip = "-" if action.clip is None else span(action.clip[0, j], action.clip[1, j], "…")
             row += [
                 figure(action.scale[j]),
                 figure(action.offset[j]),

@@ -21,7 +21,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
@@ -227,7 +227,7 @@ def measure(
     Raises:
         UniconError: a loop does not start, or a process of it has ended.
     """
-    makers = {}
+    makers: dict[str, Callable[[], Loop]] = {}
     for variant in variants:
         given = ["--rate", f"{variant.rate or rate}", *common]
         log = folder / f"{len(makers)}_{variant.measuring[1]}.npz"

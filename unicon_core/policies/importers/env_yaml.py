@@ -80,7 +80,7 @@ def env_yaml_facts(source: Source) -> Facts:
         _robot(facts, source.document, joints)
     _action(source, name, action, joints)
     shared = dig(source.document, *where, "history_length")
-    said = []
+    said: list[dict[str, Any]] = []
     for key, value in terms.items():
         facts.lines[("observation", "terms", len(said))] = source.located.lines[(*where, key)]
         length = value.get("history_length") if shared is None else shared
