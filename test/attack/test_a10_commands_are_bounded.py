@@ -16,7 +16,7 @@ from unicon_base.resources import find_config
 from unicon_core.check import check_workflow
 from unicon_core.flow import Block, Stage
 from unicon_core.flow.block import Amends, Reads, Tick, Writes
-from unicon_core.policies.prefixed import PrefixedStates
+from unicon_core.policies.controller import PrefixedStates
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import Layout, States, standard_states

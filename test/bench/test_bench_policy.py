@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.networks import random_policy
+from benchmarks.samples import random_policy
 from unicon_core.policies import Policy, policy_states
 from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states

@@ -6,12 +6,12 @@ import json
 
 import pytest
 
-from benchmarks.simulators import TICKS, run
+from benchmarks.programs import TICKS, run_simulators
 
 
 def test_a_tick_is_its_engine_and_little_beyond() -> None:
     pytest.importorskip("pybullet", reason="pip install 'unicon_ros[sim-pybullet]'")
-    result = json.loads(run(rounds=1).to_json())
+    result = json.loads(run_simulators(rounds=1).to_json())
     cases = result["cases"]
     engine, beyond, tick = (cases[f"pybullet: {of}"] for of in ("engine", "beyond", "tick"))
     assert engine["samples"] == TICKS

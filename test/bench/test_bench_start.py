@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("mujoco")
 pytest.importorskip("onnxruntime")
 
-from benchmarks import start
+from benchmarks import programs as start
 from unicon_ros.cli.bench import BENCHES
 
 
@@ -31,7 +31,7 @@ def test_without_ros_the_rest_is_measured(monkeypatch: pytest.MonkeyPatch) -> No
 
     monkeypatch.setattr(start.compat, "import_rclpy", missing)
     monkeypatch.setattr(start, "_seconds", lambda case, *_: 0.2 if case == start.BASE else 0.3)
-    result = start.run(rounds=2)
+    result = start.run_start(rounds=2)
     assert list(result.ratios) == ["start"]
     assert result.ratios["start"]["value"] == pytest.approx(1.5)
     assert {case["samples"] for case in result.cases.values()} == {2}
@@ -40,7 +40,7 @@ def test_without_ros_the_rest_is_measured(monkeypatch: pytest.MonkeyPatch) -> No
 def test_a_start_that_takes_too_long_misses_its_bar(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(start.compat, "import_rclpy", lambda what: None)
     monkeypatch.setattr(start, "_seconds", lambda case, *_: {start.ROS: 0.7}.get(case, 0.2))
-    result = start.run(rounds=1)
+    result = start.run_start(rounds=1)
     assert result.ratios["start"]["holds"]
     assert not result.ratios["start_ros"]["holds"]
 

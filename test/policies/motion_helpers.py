@@ -6,10 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import onnx
 from numpy.typing import NDArray
-from onnx import TensorProto, helper, numpy_helper
-from policy_helpers import robot
+from policy_helpers import robot, write_graph
 
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.robots import Robot
@@ -106,33 +104,21 @@ def write_csv(path: Path, moved: dict[str, NDArray[np.float64]]) -> Path:
 def write_tracker(path: Path, inputs: int, moved: dict[str, Any] | None, dtype: int = 1) -> None:
     """Write a network of random weights; with a motion it tells that at `time_step`, clamped."""
     weight = np.random.default_rng(3).normal(size=(inputs, 4)).astype(np.float32) * 0.05
-    nodes = [helper.make_node("MatMul", ["obs", "w"], ["actions"])]
-    weights = [numpy_helper.from_array(weight, "w")]
-    sizes, outputs = {"actions": 4}, []
-    feeds = [helper.make_tensor_value_info("obs", TensorProto.FLOAT, [1, inputs])]
+    nodes, constants = ["actions = MatMul(obs, w)"], {"w": weight}
+    shapes, feeds = {"obs": [1, inputs], "actions": [1, 4]}, ["obs"]
     if moved is not None:
         quat = moved["body_quat_w"][:, 2][:, [1, 2, 3, 0]]  # of the torso, as holosoma has it
         tables = {
             "joint_pos": moved["joint_pos"], "joint_vel": moved["joint_vel"],
             "ref_quat_xyzw": quat, "ref_pos_xyz": moved["body_pos_w"][:, 2],
         }  # fmt: skip
-        feeds.append(helper.make_tensor_value_info("time_step", dtype, [1, 1]))
-        last = np.array([len(quat) - 1], np.int64)
-        nodes += [
-            helper.make_node("Cast", ["time_step"], ["whole"], to=TensorProto.INT64),
-            helper.make_node("Reshape", ["whole", "one"], ["flat"]),
-            helper.make_node("Min", ["flat", "last"], ["step"]),
-        ]
-        weights += [
-            numpy_helper.from_array(last, "last"),
-            numpy_helper.from_array(np.array([1], np.int64), "one"),
-        ]
+        feeds.append("time_step")
+        shapes["time_step"] = [1, 1]
+        flat = "flat = Reshape(time_step, one)"
+        nodes += [flat, "whole = CastLike(flat, last)", "step = Min(whole, last)"]
+        constants |= {"last": np.array([len(quat) - 1]), "one": np.array([1])}
         for name, table in tables.items():
-            nodes.append(helper.make_node("Gather", [f"{name}_all", "step"], [name]))
-            weights.append(numpy_helper.from_array(table.astype(np.float32), f"{name}_all"))
-            sizes[name] = table.shape[1]
-    for name, size in sizes.items():
-        outputs.append(helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, size]))
-    graph = helper.make_graph(nodes, "tracker", feeds, outputs, weights)
-    made = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
-    onnx.save(made, path)
+            nodes.append(f"{name} = Gather({name}_all, step)")
+            constants[f"{name}_all"] = table
+            shapes[name] = [1, table.shape[1]]
+    write_graph(path, "\n".join(nodes), feeds, shapes, constants, types={"time_step": dtype})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -69,20 +70,50 @@ def write_linear(
     """Write a network `actions = obs · weight`; return the weight, shape (inputs, outputs)."""
     if weight is None:
         weight = np.random.default_rng(1).normal(size=(inputs, outputs)).astype(np.float32) * 0.1
-    graph = helper.make_graph(
-        [helper.make_node("MatMul", [names[0], "w"], [names[1]])],
-        "linear",
-        [helper.make_tensor_value_info(names[0], TensorProto.FLOAT, [batch, inputs])],
-        [helper.make_tensor_value_info(names[1], TensorProto.FLOAT, [batch, outputs])],
-        [numpy_helper.from_array(weight, "w")],
-    )
-    save(path, graph, metadata)
+    obs, actions = names
+    shapes = {obs: [batch, inputs], actions: [batch, outputs]}
+    write_graph(path, f"{actions} = MatMul({obs}, w)", [obs], shapes, {"w": weight}, metadata)
     return weight
+
+
+def write_graph(
+    path: Path,
+    nodes: str,
+    inputs: Sequence[str],
+    shapes: Mapping[str, Sequence[int | str]],
+    constants: Mapping[str, Any],
+    metadata: Sequence[tuple[str, str]] = (),
+    types: Mapping[str, int] | None = None,
+) -> None:
+    """Write a network; `save` takes its metadata.
+
+    Args:
+        path: the file.
+        nodes: one a line: `output = Operator(input, input)`.
+        inputs: their names.
+        shapes: of inputs and outputs.
+        constants: floats or, as lists of them and arrays, whole numbers.
+        types: of tensors that are not float32.
+    """
+    calls = [re.split(r" = |\(", line.strip().rstrip(")")) for line in nodes.strip().splitlines()]
+    made = [helper.make_node(kind, given.split(", "), [out]) for out, kind, given in calls]
+    tensors = {
+        name: helper.make_tensor_value_info(name, (types or {}).get(name, TensorProto.FLOAT), shape)
+        for name, shape in shapes.items()
+    }
+    arrays = {name: np.asarray(value) for name, value in constants.items()}
+    weights = [
+        numpy_helper.from_array(a.astype(np.float32) if a.dtype.kind == "f" else a, name)
+        for name, a in arrays.items()
+    ]
+    outputs = [tensor for name, tensor in tensors.items() if name not in inputs]
+    graph = helper.make_graph(made, "toy", [tensors[name] for name in inputs], outputs, weights)
+    save(path, graph, metadata)
 
 
 def save(path: Path, graph: Any, metadata: Sequence[tuple[str, str]] = ()) -> None:
     """Write a graph with metadata pairs as they are, repeated keys included."""
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)])
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)])
     model.ir_version = 8
     for key, value in metadata:
         entry = model.metadata_props.add()

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from onnx import TensorProto, helper, numpy_helper
-from policy_helpers import robot, save, toy_values, write_linear, write_toy
+from policy_helpers import robot, toy_values, write_graph, write_linear, write_toy
 from slow_network import workflow, write_slow
 
 from unicon_base.errors import PolicyError, UniconError
@@ -30,23 +29,17 @@ def write_encoder(path: Path) -> None:
     random = np.random.default_rng(3)
     weights = {"w": random.normal(size=(15, 5)), "u": random.normal(size=(5, 5))}
 
-    def value(name: str, width: int) -> Any:
-        return helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, width])
-
-    graph = helper.make_graph(
-        [
-            helper.make_node("MatMul", ["history", "w"], ["a"]),
-            helper.make_node("MatMul", ["h_in", "u"], ["b"]),
-            helper.make_node("Add", ["a", "b"], ["c"]),
-            helper.make_node("Tanh", ["c"], ["latent"]),
-            helper.make_node("Identity", ["latent"], ["h_out"]),
-        ],
-        "encoder",
-        [value("history", 15), value("h_in", 5)],
-        [value("latent", 5), value("h_out", 5)],
-        [numpy_helper.from_array(w.astype(np.float32), name) for name, w in weights.items()],
+    write_graph(
+        path,
+        """a = MatMul(history, w)
+        b = MatMul(h_in, u)
+        c = Add(a, b)
+        latent = Tanh(c)
+        h_out = Identity(latent)""",
+        ["history", "h_in"],
+        {"history": [1, 15], "h_in": [1, 5], "latent": [1, 5], "h_out": [1, 5]},
+        weights,
     )
-    save(path, graph)
 
 
 def chained(**changes: Any) -> dict[str, Any]:
@@ -168,13 +161,9 @@ def test_several_robots_get_what_each_would_alone(tmp_path: Path, batch: int | s
 
 
 def test_a_tensor_without_a_batch_axis_is_refused(folder: Path) -> None:
-    weight = numpy_helper.from_array(np.ones((15, 5), np.float32), "w")
-    flat = [
-        helper.make_tensor_value_info(name, TensorProto.FLOAT, [size])
-        for name, size in (("history", 15), ("latent", 5))
-    ]
-    node = helper.make_node("MatMul", ["history", "w"], ["latent"])
-    save(folder / "encoder.onnx", helper.make_graph([node], "flat", flat[:1], flat[1:], [weight]))
+    shapes = {"history": [15], "latent": [5]}
+    encoder, weight = folder / "encoder.onnx", {"w": np.ones((15, 5))}
+    write_graph(encoder, "latent = MatMul(history, w)", ["history"], shapes, weight)
     write_toy(folder, chained(recurrent=None))
     with pytest.raises(PolicyError, match="is not \\(batch × width\\) of float32"):
         policy_of(folder)

@@ -304,7 +304,7 @@ def started(folder: Path, where: Path, *more: str) -> tuple[subprocess.Popen[str
     end = time.monotonic() + 20.0
     while time.monotonic() < end:
         for pid in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split():
-            if b"child_process" in Path(f"/proc/{pid}/cmdline").read_bytes():
+            if b"policies.networks.child" in Path(f"/proc/{pid}/cmdline").read_bytes():
                 time.sleep(3.0)  # the ticks begin, on a busy machine too
                 return process, int(pid)
         time.sleep(0.02)

@@ -19,7 +19,7 @@ from unicon_core.policies import (
     policy_names,
     write_policy_yaml,
 )
-from unicon_core.policies.build import build_contract
+from unicon_core.policies.file import build_contract
 from unicon_core.policies.policy_yaml import contract_values, policy_yaml_facts
 
 GOOD = """\
@@ -122,7 +122,7 @@ ANGLE = "a number from -12.5664 to 12.5664 [rad] (are these degrees?)"
         (
             "stiffness: [10, 20, 30, 40]",
             "stiffness: [10, 20, 30]",
-            ":8: stiffness has 3 values for 4 joints; give one for each joint in policy order",
+            ":8: stiffness has 3 values for 4 joints; give one for each in policy order",
         ),
         (
             "stiffness: [10, 20, 30, 40]",

@@ -194,18 +194,18 @@ def test_joint_pos_is_absolute_and_joint_pos_rel_relative(tmp_path: Path) -> Non
         (
             "default_joint_pos: [0.2, 0.0, 0.3, 0.1]",
             "default_joint_pos: [0.2]",
-            ":5: default_joint_pos has 1 values for 4 joints of joint_ids_map; give 4",
+            ":5: default_joint_pos has 1 values; give 4",
         ),
         (
             "  JointPositionAction:",
             "  JointVelocityAction:",
             ":9: actions are JointVelocityAction; only one JointPositionAction (joint position "
-            "targets) can be run",
+            "targets) runs",
         ),
         (
             "scale: [0.25, 0.5, 0.25, 0.5]",
             "scale: [0.25, 0.5]",
-            ":13: scale has 2 values for 4 joints; give one for each",
+            ":13: scale has 2 values; give 4",
         ),
         (
             DEPLOY[DEPLOY.index("  base_ang_vel:") :],

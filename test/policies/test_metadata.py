@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from onnx import TensorProto, helper
-from policy_helpers import JOINTS, robot, save, write_linear, write_toy
+from policy_helpers import JOINTS, robot, write_graph, write_linear, write_toy
 
 from unicon_base.errors import PolicyError
 from unicon_base.schema.types import show
@@ -33,6 +32,9 @@ NEW = {
     "observation_terms_history_length": "5.000,5.000,5.000,5.000,5.000,0.000",
     "observation_terms_flatten_history_dim": "1.000,1.000,1.000,1.000,1.000,1.000",
 }
+
+HEAD = "actions = Slice(obs, zero, four, one)"
+SLICE: dict[str, Any] = {"zero": [0], "four": [4], "one": [1]}
 
 
 def write(tmp_path: Path, metadata: dict[str, str], inputs: int = 21, **options: Any) -> Path:
@@ -102,29 +104,15 @@ def test_beyondmimic_names_its_motion_inputs_and_its_anchor(tmp_path: Path) -> N
         "anchor_body_name": "torso_link",
         "body_names": "pelvis,torso_link",
     }
-    f = TensorProto.FLOAT
-    graph = helper.make_graph(
-        [
-            helper.make_node("Slice", ["obs", "zero", "four", "one"], ["actions"]),
-            helper.make_node("Add", ["time_step", "time_step"], ["joint_pos"]),
-        ],
-        "motion",
-        [
-            helper.make_tensor_value_info("obs", f, [1, 29]),
-            helper.make_tensor_value_info("time_step", f, [1, 1]),
-        ],
-        [
-            helper.make_tensor_value_info("actions", f, [1, 4]),
-            helper.make_tensor_value_info("joint_pos", f, [1, 1]),
-        ],
-        [
-            helper.make_tensor("zero", TensorProto.INT64, [1], [0]),
-            helper.make_tensor("four", TensorProto.INT64, [1], [4]),
-            helper.make_tensor("one", TensorProto.INT64, [1], [1]),
-        ],
-    )
     path = tmp_path / "dance.onnx"
-    save(path, graph, list(metadata.items()))
+    write_graph(
+        path,
+        f"{HEAD}\njoint_pos = Add(time_step, time_step)",
+        ["obs", "time_step"],
+        {"obs": [1, 29], "time_step": [1, 1], "actions": [1, 4], "joint_pos": [1, 1]},
+        SLICE,
+        list(metadata.items()),
+    )
     with pytest.raises(PolicyError, match=r"does not say period .*; observation\.scale"):
         load_policy(path)
     contract = load_policy(path, given={"period": 0.02, "observation.scale": 1.0})
@@ -138,35 +126,25 @@ def test_beyondmimic_names_its_motion_inputs_and_its_anchor(tmp_path: Path) -> N
 
 def test_a_motion_policy_reads_the_reference_of_the_step_before(tmp_path: Path) -> None:
     pytest.importorskip("onnxruntime")
-    f = TensorProto.FLOAT
-    shapes = {"actions": [1, 4], "joint_pos": [1, 4], "joint_vel": [1, 4], "body_pos_w": [1, 2, 3]}
-    graph = helper.make_graph(
-        [
-            helper.make_node("Slice", ["obs", "zero", "four", "one"], ["actions"]),
-            helper.make_node("Add", ["time_step", "tens"], ["joint_pos"]),
-            helper.make_node("Mul", ["time_step", "tens"], ["joint_vel"]),
-            helper.make_node("Add", ["time_step", "body"], ["body_pos_w"]),
-        ],
-        "motion",
-        [
-            helper.make_tensor_value_info("obs", f, [1, 12]),
-            helper.make_tensor_value_info("time_step", f, [1, 1]),
-        ],
-        [helper.make_tensor_value_info(name, f, shape) for name, shape in shapes.items()],
-        [
-            helper.make_tensor("zero", TensorProto.INT64, [1], [0]),
-            helper.make_tensor("four", TensorProto.INT64, [1], [4]),
-            helper.make_tensor("one", TensorProto.INT64, [1], [1]),
-            helper.make_tensor("tens", f, [1, 4], [10.0, 20.0, 30.0, 40.0]),
-            helper.make_tensor("body", f, [1, 2, 3], [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]),
-        ],
-    )
     path = tmp_path / "dance.onnx"
     metadata = {
         **OLD, "command_names": "motion", "observation_names": "command,actions",
         "anchor_body_name": "torso_link", "body_names": "pelvis,torso_link",
     }  # fmt: skip
-    save(path, graph, list(metadata.items()))
+    write_graph(
+        path,
+        f"""{HEAD}
+        joint_pos = Add(time_step, tens)
+        joint_vel = Mul(time_step, tens)
+        body_pos_w = Add(time_step, body)""",
+        ["obs", "time_step"],
+        {
+            "obs": [1, 12], "time_step": [1, 1], "actions": [1, 4], "joint_pos": [1, 4],
+            "joint_vel": [1, 4], "body_pos_w": [1, 2, 3],
+        },
+        SLICE | {"tens": [[10.0, 20.0, 30.0, 40.0]], "body": [[[0.0, 1.0, 2.0], [3.0, 4.0, 5.0]]]},
+        list(metadata.items()),
+    )  # fmt: skip
     contract = load_policy(path, given={"period": 0.02, "observation.scale": 1.0})
     states = States({**standard_states(JOINTS), **policy_states(contract, robot().joint_names)})
     policy = Policy(contract, states, robot())
@@ -438,34 +416,24 @@ def test_holosoma_gains_of_another_length_are_refused(tmp_path: Path) -> None:
     with pytest.raises(PolicyError) as caught:
         load_policy(path)
     assert str(caught.value) == (
-        f"{path}: metadata kd has 1 values for 4 dof_names; export the policy again"
+        f"{path}: metadata kd is [1.0]; give one for each of 4 dof_names, export the policy again"
     )
 
 
 def tracking(tmp_path: Path, inputs: int = 29, urdf: str = '<link name="torso_link">') -> Path:
     """A network of holosoma's whole-body tracking: the reference counts its steps."""
-    f = TensorProto.FLOAT
-    sizes = {"actions": 4, "joint_pos": 4, "joint_vel": 4, "ref_pos_xyz": 3, "ref_quat_xyzw": 4}
-    nodes = [helper.make_node("Slice", ["obs", "zero", "four", "one"], ["actions"])]
-    nodes += [helper.make_node("Add", ["time_step", f"c_{n}"], [n]) for n in list(sizes)[1:]]
-    graph = helper.make_graph(
-        nodes,
-        "tracking",
-        [
-            helper.make_tensor_value_info("obs", f, [1, inputs]),
-            helper.make_tensor_value_info("time_step", f, [1, 1]),
-        ],
-        [helper.make_tensor_value_info(name, f, [1, size]) for name, size in sizes.items()],
-        [
-            helper.make_tensor("zero", TensorProto.INT64, [1], [0]),
-            helper.make_tensor("four", TensorProto.INT64, [1], [4]),
-            helper.make_tensor("one", TensorProto.INT64, [1], [1]),
-            *(helper.make_tensor(f"c_{n}", f, [1, k], range(k)) for n, k in sizes.items()),
-        ],
-    )
+    sizes = {"joint_pos": 4, "joint_vel": 4, "ref_pos_xyz": 3, "ref_quat_xyzw": 4}
     path = tmp_path / "dance.onnx"
     metadata = {**HOLOSOMA, "command_ranges": "null", "robot_urdf": json.dumps(urdf)}
-    save(path, graph, list(metadata.items()))
+    shapes = {"obs": [1, inputs], "time_step": [1, 1], "actions": [1, 4]}
+    write_graph(
+        path,
+        "\n".join([HEAD, *(f"{name} = Add(time_step, c_{name})" for name in sizes)]),
+        ["obs", "time_step"],
+        shapes | {name: [1, size] for name, size in sizes.items()},
+        SLICE | {f"c_{name}": np.arange(1.0 * size) for name, size in sizes.items()},
+        list(metadata.items()),
+    )
     return path
 
 
@@ -496,7 +464,7 @@ def test_holosoma_tracking_has_the_layout_of_its_one_program(tmp_path: Path) -> 
     assert contract.motion is not None
     assert contract.motion.anchor_body == "torso_link"
     assert load_policy(path, given={**given, "motion.end": 2.0}).motion.end == 2.0  # type: ignore[union-attr]
-    with pytest.raises(PolicyError, match="obs has 40 elements, and the layout wbt of its program"):
+    with pytest.raises(PolicyError, match="obs has 40 elements, and its program's layout wbt"):
         load_policy(tracking(tmp_path, 40), given=given)
     with pytest.raises(PolicyError, match=r"motion \(the body that is compared; robot_urdf has no"):
         load_policy(tracking(tmp_path, urdf="<link>"), given=given)
@@ -504,38 +472,17 @@ def test_holosoma_tracking_has_the_layout_of_its_one_program(tmp_path: Path) -> 
 
 def exploy(tmp_path: Path, *, extra: str | None = None, names: list[str] | None = None) -> Path:
     """Targets in the order b_knee … a_hip; memory counts the calls."""
-    f = TensorProto.FLOAT
     moved = list(reversed(JOINTS)) if names is None else names
     n = len(moved)
-    tensors = {
-        "obj.robot1.joints.pos": 4,
-        "obj.robot1.joints.vel": 4,
-        "obj.robot1.trunk.w_Q_b": 4,
-        "cmd.se2_velocity.vel": 3,
-        "memory.count.in": 1,
-    }
-    if extra:
-        tensors[extra] = 3
-    nodes = [
-        helper.make_node("Slice", ["obj.robot1.joints.pos", "zero", "n", "axes"], ["head"]),
-        helper.make_node("Add", ["head", "memory.count.in"], ["output.joint_targets.jt.pos"]),
-        helper.make_node("Add", ["memory.count.in", "unit"], ["memory.count.out"]),
-    ]
-    graph = helper.make_graph(
-        nodes,
-        "exploy",
-        [helper.make_tensor_value_info(k, f, [1, size]) for k, size in tensors.items()],
-        [
-            helper.make_tensor_value_info("output.joint_targets.jt.pos", f, [1, n]),
-            helper.make_tensor_value_info("memory.count.out", f, [1, 1]),
-        ],
-        [
-            helper.make_tensor("zero", TensorProto.INT64, [2], [0, 0]),
-            helper.make_tensor("n", TensorProto.INT64, [2], [1, n]),
-            helper.make_tensor("axes", TensorProto.INT64, [2], [0, 1]),
-            helper.make_tensor("unit", f, [1, 1], [1.0]),
-        ],
-    )
+    inputs = {
+        "obj.robot1.joints.pos": 4, "obj.robot1.joints.vel": 4, "obj.robot1.trunk.w_Q_b": 4,
+        "cmd.se2_velocity.vel": 3, "memory.count.in": 1, **({extra: 3} if extra else {}),
+    }  # fmt: skip
+    sizes = {**inputs, "output.joint_targets.jt.pos": n, "memory.count.out": 1}
+    nodes = """head = Slice(obj.robot1.joints.pos, zero, n, axes)
+        output.joint_targets.jt.pos = Add(head, memory.count.in)
+        memory.count.out = Add(memory.count.in, unit)"""
+    constants = {"zero": [0, 0], "n": [1, n], "axes": [0, 1], "unit": [[1.0]]}
     ranges = {"lin_vel_x": [-1.5, 1.5], "lin_vel_y": [-0.75, 0.75], "ang_vel_z": [-2.5, 2.5]}
     gains = {"names": moved, "stiffness": [1.0, 2.0, 3.0, 4.0][:n], "damping": [0.1] * n}
     metadata = {
@@ -546,7 +493,9 @@ def exploy(tmp_path: Path, *, extra: str | None = None, names: list[str] | None 
         "cmd.se2_velocity.vel": {"ranges": ranges},
     }
     path = tmp_path / "exploy.onnx"
-    save(path, graph, [(k, json.dumps(v)) for k, v in metadata.items()])
+    shapes = {name: [1, size] for name, size in sizes.items()}
+    written = [(k, json.dumps(v)) for k, v in metadata.items()]
+    write_graph(path, nodes, list(inputs), shapes, constants, written)
     return path
 
 

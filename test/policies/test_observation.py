@@ -14,8 +14,8 @@ from reference_observation import ConcatenateObservation
 
 from unicon_base.errors import PolicyError
 from unicon_core.policies import Observation, PolicyContract, policy_states
-from unicon_core.policies.build import build_contract
 from unicon_core.policies.facts import Facts
+from unicon_core.policies.file import build_contract
 from unicon_core.states import States, StateSpec, standard_states
 
 SIZES = {

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 import onnx
 import pytest
-from onnx import TensorProto, helper
-from policy_helpers import JOINTS, robot, save, toy_values, write_linear, write_toy
+from policy_helpers import JOINTS, robot, toy_values, write_graph, write_linear, write_toy
 
 from unicon_base.errors import Fault, MissingDependencyError, PolicyError
 from unicon_core.policies import Policy, PolicyContract, load_policy, policy_states
@@ -381,31 +380,17 @@ def test_the_public_binding_is_used_where_the_private_one_is_gone(
 
 def write_counter(path: Path, rows: int | str = 1) -> None:
     """Action = hidden, hidden' = hidden + 1 + obs[0] · 0: what is remembered can be read off."""
-    f = TensorProto.FLOAT
-    graph = helper.make_graph(
-        [
-            helper.make_node("Identity", ["h_in"], ["actions"]),
-            helper.make_node("ReduceSum", ["obs", "axis"], ["sum"], keepdims=1),
-            helper.make_node("Mul", ["sum", "nought"], ["zero"]),
-            helper.make_node("Add", ["zero", "unit"], ["step"]),
-            helper.make_node("Add", ["h_in", "step"], ["h_out"]),
-        ],
-        "counter",
-        [
-            helper.make_tensor_value_info("obs", f, [rows, 15]),
-            helper.make_tensor_value_info("h_in", f, [rows, 4]),
-        ],
-        [
-            helper.make_tensor_value_info("actions", f, [rows, 4]),
-            helper.make_tensor_value_info("h_out", f, [rows, 4]),
-        ],
-        [
-            helper.make_tensor("axis", TensorProto.INT64, [1], [1]),
-            helper.make_tensor("nought", f, [1], [0.0]),
-            helper.make_tensor("unit", f, [1, 1], [1.0]),
-        ],
+    write_graph(
+        path,
+        """actions = Identity(h_in)
+        sum = ReduceSum(obs, axis)
+        zero = Mul(sum, nought)
+        step = Add(zero, unit)
+        h_out = Add(h_in, step)""",
+        ["obs", "h_in"],
+        {"obs": [rows, 15], "h_in": [rows, 4], "actions": [rows, 4], "h_out": [rows, 4]},
+        {"axis": [1], "nought": [0.0], "unit": [[1.0]]},
     )
-    save(path, graph)
 
 
 COUNTS = toy_values(

@@ -184,7 +184,7 @@ def test_base_yaml_is_needed_and_is_no_policy(tmp_path: Path) -> None:
             "joint_mapping.3 is -1; write a whole number from 0 to 3",
         ),
         ({"joint_names": ["a"]}, "joint_names is ['a']; give 4 names"),
-        ({"rl_kd": [0.5]}, "rl_kd has 1 values for num_of_dofs 4; give 4"),
+        ({"rl_kd": [0.5]}, "rl_kd has 1 values; give 4"),
         ({"rl_kp": [float("nan"), 0.0, 20.0, 0.0]}, "rl_kp.0 is nan; write a number"),
         ({"rl_kp": [20.0] * 4}, "is 20 at a_knee, which is given velocities"),
         ({"wheel_indices": [4]}, "wheel_indices.0 is 4; write a whole number from 0 to 3"),
@@ -199,7 +199,7 @@ def test_base_yaml_is_needed_and_is_no_policy(tmp_path: Path) -> None:
         ({"model_name": "../../policy.onnx"}, "model_name names policy.onnx"),
         ({"clip_obs": "yes"}, "clip_obs is 'yes'; write a number"),
         ({"clip_obs": float("nan")}, "clip_obs is nan; write a number"),
-        ({"commands_scale": [1.0]}, "commands_scale has 1 values for vx, vy and wz; give 3"),
+        ({"commands_scale": [1.0]}, "commands_scale has 1 values; give 3"),
         ({"ang_vel_scale": None}, "the rl_sar config.yaml has no 'ang_vel_scale'; add it"),
     ],
 )

@@ -15,7 +15,7 @@ from unicon_ros.cli.schema import KINDS, schema_of
 
 from unicon_base.errors import PolicyError, UniconError
 from unicon_base.located_yaml import read_yaml
-from unicon_core.policies.build import build_contract
+from unicon_core.policies.file import build_contract
 from unicon_core.policies.policy_yaml import policy_yaml_facts
 from unicon_core.robots import load_robot
 from unicon_core.workflow import load_document

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from pages import looked_at, read_page
 
-from benchmarks.networks import random_policy
+from benchmarks.samples import random_policy
 from unicon_base.errors import MissingDependencyError, UniconError
 from unicon_core.robots import load_robot
 from unicon_lab.analysis.run import read_run

@@ -15,8 +15,12 @@ from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel
 from unicon_core.platforms.platform import Facts
 from unicon_core.policies import PolicyContract
-from unicon_core.policies.controller import controller_contract
-from unicon_core.policies.prefixed import PackedStates, PrefixedStates, prefix_of
+from unicon_core.policies.controller import (
+    PackedStates,
+    PrefixedStates,
+    controller_contract,
+    prefix_of,
+)
 from unicon_core.robots import Robot
 from unicon_core.workflow import Hook, Program
 from unicon_core.workflow.document import WorkflowDocument

@@ -11,7 +11,7 @@ from unicon_base.arrays import Float32
 from unicon_base.errors import PolicyError, RobotError, alternatives
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.controller import ControllerContract
-from unicon_core.policies.filters import Filter, make_filter
+from unicon_core.policies.phase import Filter, make_filter
 from unicon_core.robots import Robot, joint_index
 
 
@@ -100,8 +100,13 @@ class ActionMap:
         if action.filter is not None:
             self.filter = make_filter(action.filter, (rows, m), contract.period)
         self._spec, self._rows = action, rows
-        if not self.positions_only:
-            self._closed_loops(contract, robot)
+        closed = dict(zip(robot.joint_names, robot.by_position))
+        for name, kind in zip(action.joints, action.kinds):
+            if kind != "position" and closed[name]:
+                raise PolicyError(
+                    f"policy {contract.name} gives joint {name!r} a {kind}, and robot {robot.name} "
+                    "takes positions alone; choose a policy that gives positions"
+                )
         # Of velocities and torques as of positions: figures of all joints, 0 where they are none.
         self._rates = []
         for kind in ("velocity", "torque"):
@@ -115,15 +120,6 @@ class ActionMap:
         if action.clip is not None:
             sides = action.clip if self._feed_clipped else action.clip[:, index]
             self._clip = np.tile(sides, rows)
-
-    def _closed_loops(self, contract: PolicyContract, robot: Robot) -> None:
-        closed = dict(zip(robot.joint_names, robot.by_position))
-        for name, kind in zip(contract.action.joints, contract.action.kinds):
-            if kind != "position" and closed[name]:
-                raise PolicyError(
-                    f"policy {contract.name} gives joint {name!r} a {kind}, and robot {robot.name} "
-                    "takes positions alone; choose a policy that gives positions"
-                )
 
     def bind_all(
         self,
@@ -186,6 +182,7 @@ class ActionMap:
         take, index = source.take, self._index
         scale, offset, clip = self._scale, self._offset, self._clip
         multiply, add = np.multiply, np.add
+        maximum, minimum = np.maximum, np.minimum
 
         def plain() -> None:
             take(index, None, out, "clip")
@@ -195,20 +192,16 @@ class ActionMap:
         if clip is None:
             return plain
         low, high = clip
-        if self._feed_clipped:
+        fed = source if self._feed_clipped else out
 
-            def clip_action() -> None:
-                np.maximum(source, low, out=source)
-                np.minimum(source, high, out=source)
-                plain()
-
-            return clip_action
-
-        def clip_target() -> None:
-            take(index, None, out, "clip")
-            np.maximum(out, low, out=out)
-            np.minimum(out, high, out=out)
+        def clipped() -> None:
+            if fed is out:
+                take(index, None, out, "clip")
+            maximum(fed, low, out=fed)
+            minimum(fed, high, out=fed)
+            if fed is source:
+                take(index, None, out, "clip")
             multiply(out, scale, out)
             add(out, offset, out)
 
-        return clip_target
+        return clipped

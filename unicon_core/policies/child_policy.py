@@ -7,7 +7,7 @@ It runs in every tick of the workflow. At its own period it hands its observatio
 network is still at work on one; `delay` ticks later it takes the action, and holds it until the
 next. At real rate no tick waits: an action that is late is taken when it is there, and its age
 grows. Where ticks are not paced the answer is waited for, so that each action comes after exactly
-`delay` ticks and two runs are the same to the bit.
+`delay` ticks and two runs are bit-exact.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ import numpy as np
 
 from unicon_base.errors import Fault, PolicyError
 from unicon_core.policies.contract import PolicyContract
+from unicon_core.policies.controller import PackedStates, PrefixedStates
 from unicon_core.policies.networks.child import ChildNetwork, Question
 from unicon_core.policies.policy import Policy
-from unicon_core.policies.prefixed import PackedStates, PrefixedStates
 from unicon_core.robots import Robot
 
 AGE = "action_age"
@@ -89,7 +89,7 @@ class ChildPolicy(Policy):
             super().__init__(contract, states, robot, network=self.network, **options)
             if self._motion:
                 raise PolicyError(
-                    f"policy {contract.name}: its network tells the motion that it follows, "
+                    f"policy {contract.name}: its network gives the motion that it follows, "
                     "which would come late from a child; leave out child, or give motion.file"
                 )
         except BaseException:

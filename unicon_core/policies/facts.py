@@ -7,39 +7,34 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from unicon_base.errors import PolicyError
 from unicon_base.located_yaml import Where
-from unicon_base.resources import file_beside
+from unicon_base.resources import file_beside, find_resource
+from unicon_core.policies.contract import MotionSpec
 
 # Name of a term on the training side -> where its values come from. A plain `joint_pos` is relative
 # as a term of BeyondMimic, mjlab and holosoma, and absolute as a function of Isaac Lab and Unitree.
-_STATES: dict[str, tuple[str, ...]] = {
-    "base_ang_vel": ("base_ang_vel", "ang_vel", "gyro"),
-    "base_lin_vel": ("base_lin_vel", "lin_vel", "linvel"),
-    "projected_gravity": ("projected_gravity", "gravity"),
-    "velocity_command": (
-        "velocity_commands",
-        "velocity_command",
-        "command",
-        "commands",
-        "generated_commands",
-    ),
-    "joint_pos": ("joint_pos", "joint_pos_rel", "dof_pos"),
-    "joint_vel": ("joint_vel", "joint_vel_rel", "dof_vel"),
-    "action": ("actions", "last_action", "action"),
-    "gait_phase": ("gait_phase",),
-    "gait_phase_sin": ("sin_phase",),
-    "gait_phase_cos": ("cos_phase",),
-    "motion_command": ("motion_command",),
-    "motion_anchor_ori_b": ("motion_anchor_ori_b", "motion_ref_ori_b"),
-    "motion_anchor_pos_b": ("motion_anchor_pos_b", "motion_ref_pos_b"),
+_STATES = {
+    "base_ang_vel": "base_ang_vel ang_vel gyro",
+    "base_lin_vel": "base_lin_vel lin_vel linvel",
+    "projected_gravity": "projected_gravity gravity",
+    "velocity_command": "velocity_commands velocity_command command commands generated_commands",
+    "joint_pos": "joint_pos joint_pos_rel dof_pos",
+    "joint_vel": "joint_vel joint_vel_rel dof_vel",
+    "action": "actions last_action action",
+    "gait_phase": "gait_phase",
+    "gait_phase_sin": "sin_phase",
+    "gait_phase_cos": "cos_phase",
+    "motion_command": "motion_command",
+    "motion_anchor_ori_b": "motion_anchor_ori_b motion_ref_ori_b",
+    "motion_anchor_pos_b": "motion_anchor_pos_b motion_ref_pos_b",
 }
 _TERMS: dict[str, dict[str, Any]] = {
-    **{name: {"state": state} for state, names in _STATES.items() for name in names},
+    **{name: {"state": state} for state, names in _STATES.items() for name in names.split()},
     "command_lin_vel": {"state": "velocity_command", "index": [0, 1]},
     "command_ang_vel": {"state": "velocity_command", "index": [2]},
 }
@@ -59,6 +54,7 @@ _NEEDED = {
 GAINS = ("stiffness", "damping")
 _BY_JOINTS = ("default_joint_pos", *GAINS, "action.scale")
 _ASKED = {
+    **_NEEDED,
     "observation.scale": "scale of each term, or under 'given' one factor for all",
     "observation.layout": "term_major or frame_major",
     "observation.newest": "last or first",
@@ -80,7 +76,7 @@ class Facts:
         keys: the source's own word for a value, by the same path.
         asks: facts that the source leaves out beyond those always needed: dotted name -> what
             there is to choose from, or "".
-        notes: what to tell the user, such as rounding.
+        notes: what to say to the user, such as rounding.
         tolerance: relative and absolute rounding of the source's numbers.
         network: the network's file where the importer found it or the workflow names it; None
             where the source names it, which then lies in the source's folder.
@@ -129,6 +125,15 @@ class Facts:
         """
         return self.path.parent / os.path.expanduser(named)
 
+    def _own(self, name: Any, key: str, *where: str) -> Path:
+        """Return a file that the source names, in its folder."""
+        if not isinstance(name, str):
+            raise self.error(where, f"{key} is {shown(name)}; name a file")
+        try:
+            return file_beside(self.path, name, key, error=PolicyError)
+        except PolicyError as error:
+            raise self.error(where, str(error)) from error
+
     def model(self) -> Path:
         """Return the network's file, which need not exist.
 
@@ -138,16 +143,40 @@ class Facts:
         if self.network is not None:
             return self.network
         for key in ("onnx", "torchscript"):
-            name = self.values.get(key)
-            if name is None:
-                continue
-            if not isinstance(name, str):
-                raise self.error((key,), f"{key} is {shown(name)}; name a file")
-            try:
-                return file_beside(self.path, name, key, error=PolicyError)
-            except PolicyError as error:
-                raise self.error((key,), str(error)) from error
+            if (name := self.values.get(key)) is not None:
+                return self._own(name, key, key)
         raise self.error((), "no network is named; add 'onnx: policy.onnx'")
+
+    def given_clip(self, named: Any) -> None:
+        """Take the motion file that a workflow names, which may lie anywhere.
+
+        Args:
+            named: a path beside the policy's source, absolute, or `assets:PATH`.
+
+        Raises:
+            PolicyError: there is none in the assets.
+        """
+        if isinstance(named, str):
+            in_assets = named.startswith("assets:")
+            find = find_resource(named, "motion", error=PolicyError) if in_assets else None
+            self.clip = find or self.beside(named)
+
+    def with_clip(self, motion: MotionSpec) -> MotionSpec:
+        """Return a motion with the place of its file, if it names one.
+
+        Raises:
+            PolicyError: the file is not there, or of no known format.
+        """
+        if motion.file is None:
+            return motion
+        named, where = str(motion.file), ("motion", "file")
+        path = self.clip or self._own(named, "motion.file", *where)
+        text = f"motion.file {named!r} is not a .npz or .csv file; convert it"
+        if path.suffix in (".npz", ".csv"):
+            if os.path.isfile(path):
+                return replace(motion, file=path)
+            text = f"motion.file: no such file {path}; put it there or correct the path"
+        raise self.error(where, text)
 
     def error(self, where: Where, message: str) -> PolicyError:
         """Return the error with `file:line` of a value, or of its parent if it has no line."""
@@ -173,10 +202,8 @@ def term_state(name: str, *, absolute: bool = False) -> dict[str, Any]:
 
 def dotted(where: Where) -> str:
     """Return a path of keys as `observation.terms[3].scale`."""
-    text = ""
-    for key in where:
-        text += f"[{key}]" if isinstance(key, int) else f".{key}" if text else str(key)
-    return text
+    text = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in where)
+    return text.removeprefix(".")
 
 
 def missing_facts(facts: Facts) -> dict[str, str]:
@@ -188,17 +215,16 @@ def missing_facts(facts: Facts) -> dict[str, str]:
             missing[name] = f"{_NEEDED[name]}; {TO_GIVE} stands for {', '.join(left)}"
     if facts.by_pattern and "joints" in missing:  # by which the source says these
         missing = {name: what for name, what in missing.items() if name not in _BY_JOINTS}
-    terms, inputs = value_of(values, place), values.get("inputs")
+    terms = value_of(values, place)
     if terms == []:
         missing[place] = _NEEDED[place]
-    if isinstance(inputs, Mapping) and "observation" not in inputs:
+    if isinstance(inputs := values.get("inputs"), Mapping) and "observation" not in inputs:
         missing.pop(place, None)
     for term in terms if isinstance(terms, list) else []:
-        if isinstance(term, Mapping) and "name" in term and term.get("state") is None:
+        if dig(term, "name") is not None and term.get("state") is None:
             missing[f"observation.terms.{term['name']}.state"] = "the state that it is taken from"
     for name, detail in facts.asks.items():
-        meaning = _ASKED.get(name) or _NEEDED.get(name, "")
-        missing[name] = "; ".join(filter(None, (meaning, detail)))
+        missing[name] = "; ".join(filter(None, (_ASKED.get(name, ""), detail)))
     return missing
 
 
@@ -212,8 +238,10 @@ def open_joints(facts: Facts, name: str) -> list[str]:
 
 def is_open(value: Any) -> bool:
     """Return whether a value, or one of a list, is still to be given."""
-    listed = value if isinstance(value, list) else [value]
-    return any(isinstance(each, str) and each == TO_GIVE for each in listed)
+    return any(
+        isinstance(one, str) and one == TO_GIVE
+        for one in (value if isinstance(value, list) else [value])
+    )
 
 
 def dig(tree: Any, *keys: str | int) -> Any:
@@ -226,25 +254,26 @@ def dig(tree: Any, *keys: str | int) -> Any:
     return tree
 
 
-def says(given: Mapping[str, Any], fact: str) -> bool:
-    """Return whether facts hold a fact, or a part of it.
+def says(values: Any, fact: str) -> bool:
+    """Return whether facts hold a fact, and leave nothing of it open.
 
     Args:
-        given: the facts.
-        fact: dotted; `observation.terms` means the whole list, `observation.terms.*.scale` a scale
-            of every term, or `observation.scale`.
+        values: the facts; `observation.terms` may be a mapping by name.
+        fact: dotted; `observation.terms` means the whole list, `observation.terms.NAME.scale` a
+            term's, `observation.terms.*.scale` and `observation.scale` those of every term.
     """
-    if fact.startswith("observation.terms"):
-        terms = dig(given, "observation", "terms")
-        word = fact.rpartition(".*.")[2] if ".*." in fact else "name"
-        if word == "scale" and dig(given, "observation", "scale") is not None:
-            return True
-        listed = list(terms.values()) if isinstance(terms, Mapping) and word != "name" else terms
-        return bool(listed) and all(
-            isinstance(term, Mapping) and word in term
-            for term in (listed if isinstance(listed, (list, tuple)) else [None])
-        )
-    return value_of(given, fact) is not None
+    term, _, key = fact.removeprefix("observation.terms.").rpartition(".")
+    value, terms = value_of(values, fact), value_of(values, "observation.terms")
+    if fact == "observation.terms":
+        return isinstance(terms, (list, tuple)) and bool(terms)
+    if value is not None or (term != "observation" and not fact.startswith("observation.terms.")):
+        return value is not None and not is_open(value)
+    if key == "scale" and value_of(values, "observation.scale") is not None:
+        return True
+    named = list(terms.items()) if isinstance(terms, Mapping) else []
+    named += [(dig(t, "name"), t) for t in terms] if isinstance(terms, (list, tuple)) else []
+    chosen = [t for name, t in named if term in ("*", "observation") or name == term]
+    return bool(chosen) and all(dig(t, key) is not None for t in chosen)
 
 
 def value_of(values: Any, name: str) -> Any:

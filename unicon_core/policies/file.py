@@ -1,31 +1,49 @@
-"""What a `policy.yaml` says, as classes; what a contract has in the same shape has one class.
+"""What a `policy.yaml` says, as classes, and the checked contract that is built of any source.
 
-Rules say what lies between its facts: what fits no joint, no network or no period. Each takes
-`found`, the facts that are right by themselves, and notes what is wrong `here`.
+Classes that a contract has in the same shape are those of `contract.py`. Rules say what lies
+between facts: what fits no joint, no network or no period. Each takes `found`, the facts that are
+right by themselves, and notes what is wrong `here`. Every mistake is named at once.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from fnmatch import fnmatchcase
 from typing import Annotated, Any, Literal, cast
 
-from unicon_base.arrays import Float32
-from unicon_base.errors import alternatives
-from unicon_base.located_yaml import Where
-from unicon_base.schema.marks import Matches, Names, NotEmpty, Within, Write
-from unicon_base.schema.types import Here
-from unicon_core.bounds import ACTION_SCALE, EFFORT, POSITION, VELOCITY
-from unicon_core.policies.contract import ActionKind, FilterSpec, PolicyFacts
-from unicon_core.policies.hints import Clip, Feeds, Sha256, each
+import numpy as np
 
-_BOUNDS: dict[ActionKind, tuple[dict[str, float], str]] = {
-    "position": ({"scale": ACTION_SCALE, "offset": POSITION}, "rad"),
-    "velocity": ({"scale": VELOCITY, "offset": VELOCITY}, "rad/s"),
-    "torque": ({"scale": EFFORT, "offset": EFFORT}, "N·m"),
+from unicon_base.arrays import Float32
+from unicon_base.errors import PolicyError, alternatives
+from unicon_base.located_yaml import Where
+from unicon_base.resources import file_beside
+from unicon_base.schema.marks import Matches, Names, NotEmpty, Within, Write
+from unicon_base.schema.read import refuse
+from unicon_base.schema.records import record_of
+from unicon_base.schema.types import Here, Mistakes
+from unicon_core.bounds import ACTION_SCALE, EFFORT, POSITION, VELOCITY
+from unicon_core.policies.contract import (
+    ActionKind,
+    ActionSpec,
+    FilterSpec,
+    NetworkPart,
+    PolicyContract,
+    PolicyFacts,
+)
+from unicon_core.policies.facts import GAINS, Facts, dig, is_open, missing_facts
+from unicon_core.policies.hints import Clip, Feeds, Sha256, each
+from unicon_core.robots import joint_index
+
+# Largest scale and offset of an action, and their unit.
+_BOUNDS: dict[ActionKind, tuple[float, float, str]] = {
+    "position": (ACTION_SCALE, POSITION, "rad"),
+    "velocity": (VELOCITY, VELOCITY, "rad/s"),
+    "torque": (EFFORT, EFFORT, "N·m"),
 }
+# Kinds of joints that a single gain is not of.
+_WITHOUT = {"stiffness": ("velocity", "torque"), "damping": ("torque",)}
 
 
 def kinds_of(said: Any, moved: Sequence[str]) -> list[ActionKind]:
@@ -54,60 +72,14 @@ def note_networks(found: dict[str, Any], here: Here) -> None:
     if feeds and not networks:
         here.note("feeds goes with 'networks'; name them, or leave it out", "feeds")
     if networks and not feeds:
-        here.note(
-            "feeds needs {INPUT: [observation, NAME.output]} where there are networks", "networks"
-        )
+        text = "feeds needs {INPUT: [observation, NAME.output]} where there are networks"
+        here.note(text, "networks")
 
 
-def note_joints(found: dict[str, Any], here: Here) -> None:
-    """Note lists that are longer or shorter than that of the joints, and what one cannot have."""
-    joints, action = found.get("joints"), found.get("action")
-    if joints is None:
-        return
-    for key in ("default_joint_pos", "stiffness", "damping"):
-        _note_count(found.get(key), joints, here, key)
-    if action is None:
-        return
-    moved = action.joints or joints
-    for name in moved:
-        if name not in joints:
-            known = alternatives(name, joints)
-            here.value(f"names {name!r}, which is not in joints; {known}", "action", "joints")
-            return
-    for key in ("scale", "offset", "clip"):
-        _note_count(getattr(action, key), moved, here, "action", key)
-    if action.feedback == "filtered" and action.filter is None:
-        text = "is 'filtered'; there is no action.filter; add it, or give raw"
-        here.value(text, "action", "feedback")
-    for pattern in action.kind if isinstance(action.kind, Mapping) else ():
-        if not any(fnmatchcase(name, pattern) for name in moved):
-            here.value(
-                f"names {pattern!r}, which is none of the joints that are moved; "
-                f"{alternatives(pattern, moved)}",
-                "action", "kind",
-            )  # fmt: skip
-            return
-    kinds = kinds_of(action.kind, moved)
-    if len(kinds) != len(moved):
-        here.value(
-            f"has {len(kinds)} words for {len(moved)} joints; give one word, one for each joint, "
-            "or a mapping {'*_wheel_joint': velocity}",
-            "action", "kind",
-        )  # fmt: skip
-        return
-    _note_sizes(action, kinds, here)
-    for name, kind in zip(moved, kinds):
-        if kind == "velocity":
-            _note_gains(joints.index(name), name, found, here)
-
-
-def _note_count(array: Any, joints: Sequence[str], here: Here, *where: str) -> None:
-    size = 1 if array is None else array.shape[-1]
-    if size not in (1, len(joints)):
-        here.value(
-            f"has {size} values for {len(joints)} joints; give one for each joint in policy order",
-            *where,
-        )
+def _spread(array: Any, count: int) -> Float32:
+    """Return one number for each of `count`; NaN where there are others or none."""
+    fits = array is not None and array.shape[-1] in (1, count)
+    return np.array(np.broadcast_to(array if fits else np.float32(np.nan), count))
 
 
 def is_single(value: Any) -> bool:
@@ -115,42 +87,66 @@ def is_single(value: Any) -> bool:
     return not hasattr(value, "__len__")
 
 
-def _at(array: Any, place: int) -> float:
-    """The number of a joint, NaN where there is none."""
-    listed = [] if array is None else array.tolist()
-    place = 0 if len(listed) == 1 else place
-    return float(listed[place]) if place < len(listed) else math.nan
+def note_joints(found: dict[str, Any], here: Here) -> None:
+    """Note lists that are longer or shorter than that of the joints, and what one cannot have."""
+    joints, action = found.get("joints"), found.get("action")
+    if joints is None:
+        return
+    lists: list[tuple[Where, Any, Sequence[str]]] = [
+        ((key,), found.get(key), joints) for key in ("default_joint_pos", *GAINS)
+    ]
+    moved = action.joints or joints if action is not None else ()
+    unknown = next((name for name in moved if name not in joints), None)
+    if action is not None and unknown is None:
+        keys = ("scale", "offset", "clip")
+        lists += [(("action", key), getattr(action, key), moved) for key in keys]
+    for where, array, of in lists:
+        size = 1 if array is None else array.shape[-1]
+        if size not in (1, len(of)):
+            text = f"has {size} values for {len(of)} joints; give one for each in policy order"
+            here.value(text, *where)
+    if unknown is not None:
+        known = alternatives(unknown, joints)
+        here.value(f"names {unknown!r}, which is not in joints; {known}", "action", "joints")
+    elif action is not None:
+        _note_action(action, moved, joints, found, here)
 
 
-def _note_sizes(action: Any, kinds: Sequence[ActionKind], here: Here) -> None:
-    for key in ("scale", "offset"):
-        array = getattr(action, key)
-        for i, kind in enumerate(kinds):
-            bounds, unit = _BOUNDS[kind]
-            number = _at(array, i)
-            if abs(number) > bounds[key]:
-                below = [i] if array.size > 1 else []
-                text = f"is {number:g}; a {kind} has at most {bounds[key]:g} {unit}"
-                here.value(text, "action", key, *below)
+def _note_action(
+    action: ActionFile, moved: Sequence[str], joints: Sequence[str], found: Any, here: Here
+) -> None:
+    if action.feedback == "filtered" and action.filter is None:
+        text = "is 'filtered'; there is no action.filter; add it, or give raw"
+        here.value(text, "action", "feedback")
+    for pattern in action.kind if isinstance(action.kind, Mapping) else ():
+        if not any(fnmatchcase(name, pattern) for name in moved):
+            text = f"names {pattern!r}, which is none of the joints that are moved"
+            here.value(f"{text}; {alternatives(pattern, moved)}", "action", "kind")
+            return
+    kinds = kinds_of(action.kind, moved)
+    if len(kinds) != len(moved):
+        text = f"has {len(kinds)} words for {len(moved)} joints; give one word, one for each"
+        here.value(f"{text}, or a mapping {{'*_wheel_joint': velocity}}", "action", "kind")
+        return
+    for column, array in enumerate((action.scale, action.offset)):
+        below = [] if array is None or array.size == 1 else [0]
+        for i, (kind, number) in enumerate(zip(kinds, _spread(array, len(kinds)))):
+            highest, unit = _BOUNDS[kind][column], _BOUNDS[kind][2]
+            if abs(number) > highest:
+                text = f"is {number:g}; a {kind} has at most {highest:g} {unit}"
+                here.value(text, "action", ("scale", "offset")[column], *(i for _ in below))
                 if not below:
                     break
-
-
-def _note_gains(place: int, name: str, found: dict[str, Any], here: Here) -> None:
-    """Note gains of a joint that is given velocities; a single stiffness is that of the others."""
-    stiffness, damping = (_at(found.get(key), place) for key in ("stiffness", "damping"))
-    if stiffness > 0.0 and not is_single(here.document["stiffness"]):
-        here.value(
-            f"is {stiffness:g} at {name}, which is given velocities: it would be held where it "
-            "stands; give 0 there",
-            "stiffness",
-        )
-    if damping == 0.0:
-        here.value(
-            f"is 0 at {name}, which is given velocities: nothing would turn it; give the damping "
-            "that it was trained with",
-            "damping",
-        )
+    stiffness, damping = (_spread(found.get(key), len(joints)) for key in GAINS)
+    for name in (name for name, kind in zip(moved, kinds) if kind == "velocity"):
+        place = joints.index(name)
+        given = f"at {name}, which is given velocities"
+        if stiffness[place] > 0.0 and not is_single(here.document["stiffness"]):
+            text = f"is {stiffness[place]:g} {given}: it would be held where it stands; give 0"
+            here.value(text, "stiffness")
+        if damping[place] == 0.0:
+            text = f"is 0 {given}: nothing would turn it; give the damping of its training"
+            here.value(text, "damping")
 
 
 def note_filters(found: dict[str, Any], here: Here) -> None:
@@ -162,11 +158,8 @@ def note_filters(found: dict[str, Any], here: Here) -> None:
     for where, place in places:
         cutoff = getattr(getattr(place, "filter", None), "low_pass", None)
         if cutoff is not None and cutoff > highest > 0.0:
-            here.value(
-                f"is {cutoff:g}; give the cut-off frequency in [Hz], above 0 and at most "
-                f"{highest:g}, half the policy's rate",
-                *where, "filter", "low_pass",
-            )  # fmt: skip
+            text = f"is {cutoff:g}; give the cut-off frequency in [Hz], above 0 and at most"
+            here.value(f"{text} {highest:g}, half the policy's rate", *where, "filter", "low_pass")
 
 
 def note_unread_command(found: dict[str, Any], here: Here) -> None:
@@ -262,7 +255,111 @@ class PolicyFile(PolicyFacts):
     @staticmethod
     def between(found: dict[str, Any], here: Here) -> None:
         """Note what fits no joint, no network or no period."""
-        note_networks(found, here)
-        note_joints(found, here)
-        note_filters(found, here)
-        note_unread_command(found, here)
+        for note in (note_networks, note_joints, note_filters, note_unread_command):
+            note(found, here)
+
+
+class IncompletePolicyError(PolicyError):
+    """A policy lacks facts.
+
+    Args:
+        message: which, and how to give them.
+        facts: what it says.
+    """
+
+    def __init__(self, message: str, facts: Facts) -> None:
+        super().__init__(message)
+        self.facts = facts
+
+
+class _Mistakes(Mistakes):
+    """The mistakes of facts, but for facts that are missing, which `missing_facts` asks for."""
+
+    def missing(self, where: Where, key: str, wanted: str) -> None:
+        if not where or key in ("scale", "state"):
+            self.found.append((where, ""))
+        else:
+            super().missing(where, key, wanted)
+
+
+def read_facts(facts: Facts, missing: Mapping[str, str]) -> PolicyFile:
+    """Return what facts say, which is of no use where some are missing.
+
+    Args:
+        facts: of a source.
+        missing: those that are asked for elsewhere: a place that is still open is no mistake then.
+
+    Raises:
+        PolicyError: facts are wrong: file, line and remedy of each mistake.
+    """
+    mistakes = _Mistakes(facts.values)
+    said: PolicyFile = record_of(PolicyFile).read(facts.values, (), mistakes)
+    mistakes.found = [
+        (where, text)
+        for where, text in mistakes.found
+        if text and not (missing and is_open(dig(facts.values, *where)))
+    ]
+    refuse(mistakes, facts.error, f"policy {facts.path}")
+    return said
+
+
+def build_contract(facts: Facts) -> PolicyContract:
+    """Check facts and build the contract.
+
+    Raises:
+        PolicyError: facts are wrong or missing; all are named, missing ones with how to give them.
+    """
+    missing = missing_facts(facts)
+    said = read_facts(facts, missing)
+    if missing:
+        names = "; ".join(f"{name} ({what})" if what else name for name, what in missing.items())
+        remedy = "give it under 'given' in the workflow, with the keys of policy.yaml"
+        if facts.source == "policy.yaml":
+            remedy = f"add it to {facts.path.name}"
+        raise IncompletePolicyError(
+            f"{facts.path}: the {facts.source} does not say {names}; {remedy}{facts.offer}", facts
+        )
+    count = len(said.joints)
+    default = _spread(said.default_joint_pos, count)
+    action = _action(said.action, said.joints, default)
+    shared = {each.name: getattr(said, each.name) for each in fields(PolicyFacts)}
+    shared |= {"default_joint_pos": default, "action": action}
+    for key, kinds in _WITHOUT.items():
+        shared[key] = gains = _spread(getattr(said, key), count)
+        for name, kind in zip(action.joints, action.kinds):
+            if kind in kinds and is_single(facts.values[key]):
+                gains[said.joints.index(name)] = 0.0
+    shared["motion"] = said.motion and facts.with_clip(said.motion)
+    return PolicyContract(
+        **shared,
+        name=said.name or facts.path.parent.name or facts.path.stem,
+        path=facts.path,
+        model=facts.model(),
+        networks=tuple(
+            NetworkPart(
+                name,
+                file_beside(facts.path, part.onnx, "onnx", error=PolicyError),
+                part.feeds,
+                part.sha256,
+            )
+            for name, part in said.networks.items()
+        ),
+        source=facts.source,
+        notes=tuple(facts.notes),
+    )
+
+
+def _action(said: ActionFile, joints: tuple[str, ...], default: Float32) -> ActionSpec:
+    moved = said.joints or joints
+    count, kinds = len(moved), kinds_of(said.kind, moved)
+    positions = np.array([kind == "position" for kind in kinds])
+    pose = np.where(positions, default[joint_index(moved, joints)], np.float32(0.0))
+    return ActionSpec(
+        moved,
+        _spread(said.scale, count),
+        pose if said.offset is None else _spread(said.offset, count),
+        None if said.clip is None else np.array(np.broadcast_to(said.clip, (2, count))),
+        said.feedback,
+        () if {*kinds} == {"position"} else tuple(kinds),
+        said.filter and FilterSpec(**asdict(said.filter)),
+    )

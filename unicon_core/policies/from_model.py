@@ -9,14 +9,13 @@ Nothing is taken without these words; what could be is offered where a fact is m
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from unicon_base.arrays import Float64
 from unicon_base.errors import PolicyError, UniconError, alternatives
 from unicon_base.schema.marks import Key, Made
 from unicon_base.schema.read import read_value
@@ -109,8 +108,14 @@ class FromModel:
         self.notes: list[str] = []
         self._asked: dict[str, Any] = {}
         for key, value in given.items():
-            if isinstance(value, Mapping) and "from" in value:
-                self._asked[str(key)] = self._checked(str(key), value)
+            if not isinstance(value, Mapping) or "from" not in value:
+                continue
+            if key not in _OPTIONS:
+                text = f"is {dict(value)}; a model says only {', '.join(_OPTIONS)}: give the value"
+                raise self._wrong(key, text)
+            self._asked[key] = read_value(
+                _OPTIONS[key], value, lambda _, text: PolicyError(f"{source}: given {text}"), key
+            )
         made_for = given.get("robot")
         other = isinstance(made_for, str) and (robot is None or made_for != robot.name)
         if self._asked and other:
@@ -118,16 +123,6 @@ class FromModel:
 
     def _wrong(self, key: str, rest: str) -> PolicyError:
         return PolicyError(f"{self._source}: given {key} {rest}")
-
-    def _checked(self, key: str, value: Mapping[str, Any]) -> Any:
-        if key not in _OPTIONS:
-            raise self._wrong(
-                key, f"is {dict(value)}; a model says only {', '.join(_OPTIONS)}: give the value"
-            )
-        place = f"{self._source}: given"
-        return read_value(
-            _OPTIONS[key], value, lambda where, text: PolicyError(f"{place} {text}"), key
-        )
 
     def asks(self, key: str) -> bool:
         """Return whether a fact is to be taken from the model."""
@@ -149,13 +144,10 @@ class FromModel:
         names = self._known.ordered(order)
         for pattern in asked.only:
             if not any(fnmatchcase(name, pattern) for name in names):
-                raise self._wrong(
-                    "joints",
-                    f"has only: {pattern!r}, which is none of the model's joints; "
-                    f"{alternatives(pattern, names)}",
-                )
+                text = f"has only: {pattern!r}, which is none of the model's joints"
+                raise self._wrong("joints", f"{text}; {alternatives(pattern, names)}")
         names = [name for name in names if any(fnmatchcase(name, p) for p in asked.only)]
-        self._take("joints", names, f"{order.replace('_', ' ')} order of {self._known.name}")
+        self._take("joints", names, f"{order.replace('_', ' ')} order", names)
 
     def others(self, joints: Any) -> None:
         """Fill in pose and gains in policy order.
@@ -166,76 +158,61 @@ class FromModel:
         Raises:
             PolicyError: as for `joints`; or the joints are not known yet.
         """
-        for key in self._asked:
+        takes = {"default_joint_pos": self._pose, "damping": self._damping}
+        for key, asked in self._asked.items():
             if key == "joints":
                 continue
             names = self.given.get("joints") or joints
             if not isinstance(names, (list, tuple)):
                 raise self._wrong(key, "is from the model, and the joints are not said; give them")
-            lacking = [str(name) for name in names if name not in self._known.ids]
-            if lacking:
-                raise self._wrong(
-                    key,
-                    f"is from the model, and {self._known.name} has no joint {lacking[0]!r}; "
-                    f"{alternatives(lacking[0], self._known.ids)}",
-                )
-            values, where = getattr(self, f"_{key}")(self._asked[key], names)
-            self._take(key, [float(value) for value in values], f"{where} of {self._known.name}")
+            known = self._known
+            for name in names:
+                if name not in known.ids:
+                    text = f"is from the model, and {known.name} has no joint {name!r}"
+                    raise self._wrong(key, f"{text}; {alternatives(name, known.ids)}")
+            values, where = takes.get(key, self._stiffness)(asked, names)
+            self._take(key, values, where, list(map(figure, values)))
 
-    def _take(self, key: str, value: list[Any], where: str) -> None:
+    def _take(self, key: str, value: list[Any], where: str, shown: Sequence[str]) -> None:
         self.given[key] = value
-        shown = value if key == "joints" else list(map(figure, value))
-        self.notes.append(f"{key} is taken from the {where}: {', '.join(shown)}")
+        text = f"{key} is taken from the {where} of {self._known.name}: {', '.join(shown)}"
+        self.notes.append(text)
 
-    def _default_joint_pos(
-        self, asked: _Pose, joints: Sequence[str]
-    ) -> tuple[Iterable[float], str]:
-        frames, name = self._known.frames, asked.keyframe
+    def _pose(self, asked: Any, joints: Sequence[str]) -> tuple[list[float], str]:
+        frames, name, key = self._known.frames, asked.keyframe, "default_joint_pos"
         if not frames:
-            raise self._wrong(
-                "default_joint_pos", f"is from the model, and {self._known.name} has no key frame"
-            )
+            raise self._wrong(key, f"is from the model, and {self._known.name} has no key frame")
         if name is None and len(frames) > 1:
-            raise self._wrong(
-                "default_joint_pos",
-                f"is from the model, which has the key frames {', '.join(frames)}; say which: "
-                f"{{from: model, keyframe: {next(iter(frames))}}}",
-            )
+            text = f"is from the model, which has the key frames {', '.join(frames)}; say which: "
+            raise self._wrong(key, f"{text}{{from: model, keyframe: {next(iter(frames))}}}")
         name = next(iter(frames)) if name is None else name
         if name not in frames:
-            raise self._wrong(
-                "default_joint_pos",
-                f"has no keyframe {name!r}; {alternatives(name, frames)}",
-            )
-        return (self._known.pose(frames[name], joint) for joint in joints), f"key frame {name}"
+            raise self._wrong(key, f"has no keyframe {name!r}; {alternatives(name, frames)}")
+        return [self._known.pose(frames[name], joint) for joint in joints], f"key frame {name}"
 
-    def _stiffness(self, _: _Asked, joints: Sequence[str]) -> tuple[Any, str]:
-        return self._gains("stiffness", 0, joints), "position actuators"
+    def _stiffness(
+        self, asked: Any, joints: Sequence[str], place: int = 0
+    ) -> tuple[list[float], str]:
+        gains = [self._known.gains(joint) for joint in joints]
+        if None in gains:
+            text = f"and {self._known.name} has no position actuator for"
+            joint = joints[gains.index(None)]
+            text = f"is from the model, {text} {joint}; give the numbers"
+            raise self._wrong(GAINS[place], text)
+        return [float(gain[place]) for gain in gains if gain is not None], "position actuators"
 
-    def _damping(self, asked: _Damping, joints: Sequence[str]) -> tuple[Any, str]:
-        known = self._known
+    def _damping(self, asked: Any, joints: Sequence[str]) -> tuple[list[float], str]:
+        passive = [self._known.passive(joint) for joint in joints]
         if asked.of == "joints":
-            return [known.passive(joint) for joint in joints], "joint damping"
-        gains = self._gains("damping", 1, joints)
-        if not any(gains) and any(known.passive(joint) for joint in joints):
+            return passive, "joint damping"
+        gains, where = self._stiffness(asked, joints, 1)
+        if not any(gains) and any(passive):
             raise self._wrong(
                 "damping",
-                f"is from the model, whose actuators have none; its joints have "
-                f"{known.passive(joints[0]):g} N·m·s/rad: write {{from: model, of: joints}} for "
-                "those",
+                f"is from the model, whose actuators have none; its joints have {passive[0]:g} "
+                "N·m·s/rad: write {from: model, of: joints} for those",
             )
-        return gains, "position actuators"
-
-    def _gains(self, key: str, place: int, joints: Sequence[str]) -> list[float]:
-        gains = [self._known.gains(joint) for joint in joints]
-        for joint, gain in zip(joints, gains):
-            if gain is None:
-                raise self._wrong(
-                    key,
-                    f"is from the model, and {self._known.name} has no position actuator for "
-                    f"{joint}; give the numbers",
-                )
-        return [gain[place] for gain in gains if gain is not None]
+        return gains, where
 
     def offer(self, facts: Facts) -> str:
         """Return what the model could say of missing facts, "" where it is nothing.
@@ -256,36 +233,26 @@ class FromModel:
             known = self._known
         except UniconError:
             return ""
-        joints = list(known.ids)
-        offered = {}
-        if "joints" in wanted:
-            offered["joints"] = "{from: model}"
-        if "default_joint_pos" in wanted and known.frames:
-            offered["default_joint_pos"] = f"{{from: model, keyframe: {' | '.join(known.frames)}}}"
-        gains = [gain for joint in joints if (gain := known.gains(joint)) is not None]
-        if len(gains) == len(joints):
-            passive = "" if any(damping for _, damping in gains) else ", of: joints"
-            offered |= {
-                key: f"{{from: model{more}}}"
-                for key, more in (("stiffness", ""), ("damping", passive))
-                if key in wanted
-            }
-        if not offered:
+        offered = {"joints": ""}
+        if known.frames:
+            offered["default_joint_pos"] = f", keyframe: {' | '.join(known.frames)}"
+        gains = [known.gains(joint) for joint in known.ids]
+        if None not in gains:
+            passive = not any(gain and gain[1] for gain in gains)
+            offered |= {"stiffness": "", "damping": ", of: joints" if passive else ""}
+        words = [f"{key}: {{from: model{offered[key]}}}" for key in wanted if key in offered]
+        if not words:
             return ""
-        words = ", ".join(f"{key}: {value}" for key, value in offered.items())
-        return f"; model {known.name} can say some of it: given: {{{words}}}"
+        return f"; model {known.name} can say some of it: given: {{{', '.join(words)}}}"
 
     @cached_property
     def _known(self) -> _Known:
-        robot = self._robot
-        key = next(iter(self._asked), "joints")
+        robot, key = self._robot, next(iter(self._asked), "joints")
         if robot is None:
-            raise self._wrong(
-                key, "is from the model of a robot, and none is named; name it (robot: go2)"
-            )
+            text = "is from the model of a robot, and none is named; name it (robot: go2)"
+            raise self._wrong(key, text)
         try:
-            path = pick_model(robot) if self._find is None else self._find()
-            return _Known(path, robot)
+            return _Known(pick_model(robot) if self._find is None else self._find(), robot)
         except PolicyError:
             raise
         except UniconError as error:
@@ -297,40 +264,37 @@ class _Known:
 
     def __init__(self, path: Path, robot: Robot) -> None:
         anything = replace(robot, weldable=frozenset(robot.joint_names))
-        self._loaded = loaded = load_model(path, anything, quiet=True)
+        loaded = load_model(path, anything, quiet=True)
         self._model = model = loaded.model
         self.name = path.name
-        found = zip(robot.joint_names, loaded.joints)
-        ids = {name: joint for name, joint in found if name not in loaded.welded}
-        self.ids: dict[str, int] = dict(sorted(ids.items(), key=lambda item: item[1]))
+        found = [pair for pair in zip(loaded.joints, robot.joint_names)
+                 if pair[1] not in loaded.welded]  # fmt: skip
+        self.ids: dict[str, int] = {name: joint for joint, name in sorted(found)}
         self.frames = {model.key(i).name: i for i in range(model.nkey) if model.key(i).name}
         self._driven = drives(model)
 
     def ordered(self, order: str) -> list[str]:
         """Return the joints in an order; siblings stand as in the file."""
         if order == "breadth_first":
-            return sorted(self.ids, key=lambda name: (self._depth(name), self.ids[name]))
+            return sorted(self.ids, key=self._depth)
         if order == "actuators":
             return sorted(self.ids, key=lambda name: self._driven[self.ids[name]][0])
         return list(self.ids)
 
     def _depth(self, name: str) -> int:
         """The number of bodies with joints above a joint's."""
-        body = int(self._model.jnt_bodyid[self.ids[name]])
-        depth = 0
+        body, depth = int(self._model.jnt_bodyid[self.ids[name]]), 0
         while body:
             depth += int(self._model.body_jntnum[body] > 0)
             body = int(self._model.body_parentid[body])
         return depth
 
     def pose(self, frame: int, joint: str) -> float:
-        return round(
-            float(self._model.key_qpos[frame][self._model.jnt_qposadr[self.ids[joint]]]), 9
-        )
+        place = self._model.jnt_qposadr[self.ids[joint]]
+        return round(float(self._model.key_qpos[frame][place]), 9)
 
     def gains(self, joint: str) -> tuple[float, float] | None:
         return position_gains(self._model, self._driven[self.ids[joint]][0])
 
     def passive(self, joint: str) -> float:
-        damping: Float64 = self._model.dof_damping
-        return float(damping[self._model.jnt_dofadr[self.ids[joint]]])
+        return float(self._model.dof_damping[self._model.jnt_dofadr[self.ids[joint]]])

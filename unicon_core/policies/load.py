@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from unicon_base.errors import PolicyError, alternatives
-from unicon_base.located_yaml import Where, read_yaml
+from unicon_base.located_yaml import Located, Where, read_yaml
 from unicon_base.packages import path_of, registered
 from unicon_base.resources import (
     config_roots,
@@ -20,9 +21,9 @@ from unicon_base.resources import (
     lying_here,
     sha256_of,
 )
-from unicon_core.policies.build import build_contract
 from unicon_core.policies.contract import TORCHSCRIPT, PolicyContract
-from unicon_core.policies.facts import Facts, missing_facts
+from unicon_core.policies.facts import Facts, dig, missing_facts
+from unicon_core.policies.file import build_contract
 from unicon_core.policies.from_model import FromModel
 from unicon_core.policies.given import check_agreement, merge_given, nested
 from unicon_core.policies.importers.env_yaml import env_yaml_facts, suggest_joints
@@ -32,8 +33,7 @@ from unicon_core.policies.importers.formats import (
     metadata_reader,
     settled,
 )
-from unicon_core.policies.importers.source_reader import Source
-from unicon_core.policies.motion.spec import given_clip
+from unicon_core.policies.importers.source import Source
 from unicon_core.policies.networks.onnx_file import OnnxFile, read_onnx
 from unicon_core.policies.policy_yaml import (
     policy_yaml_facts,
@@ -150,91 +150,71 @@ def refuse_to_replace(path: Path, force: bool) -> None:
 
 
 def _config_policy(name: str) -> Path | None:
-    for root in config_roots():
-        folder = root / "policies" / name
-        if os.path.isdir(folder) and _main_file(folder) is not None:
-            return folder
-    return None
+    folders = (root / "policies" / name for root in config_roots())
+    return next((f for f in folders if os.path.isdir(f) and _main_file(f) is not None), None)
 
 
 def _locate(reference: str | Path) -> Path:
     text = str(reference)
+    here = os.path.expanduser(text)
     if text.startswith("assets:"):
         path = find_resource(text, "policy", error=PolicyError)
-    elif os.path.exists(os.path.expanduser(text)) and ("/" in text or isinstance(reference, Path)):
-        path = Path(os.path.expanduser(text)).resolve()
+    elif os.path.exists(here) and ("/" in text or isinstance(reference, Path)):
+        path = Path(here).resolve()
     elif "/" not in text and (named := _config_policy(text)) is not None:
         path = named
-    elif text in registered("policies"):
-        path = _registered(text)
+    elif text in (known := registered("policies")):
+        # A module attribute, imported now: a path, or a function that returns one.
+        found = path_of(known[text], f"policy {text!r}", PolicyError)
+        if found is None:
+            raise PolicyError(f"policy {text!r} (entry point {known[text].value}) returned no path")
+        path = found
     elif "/" in text or Path(text).suffix in (".yaml", ".onnx", *TORCHSCRIPT):
         path = find_resource(text, "policy", error=PolicyError)
     else:
-        known = alternatives(text, policy_names())
         raise PolicyError(
-            f"unknown policy {text!r}; {lying_here(text)}{known}; {looked_in('policies')}; "
-            "or give a path to a folder or file"
+            f"unknown policy {text!r}; {lying_here(text)}{alternatives(text, policy_names())}; "
+            f"{looked_in('policies')}; or give a path to a folder or file"
         )
-    if not os.path.isdir(path):
-        if not os.path.isfile(path):
-            raise PolicyError(f"policy {text!r} is neither a file nor a folder; correct the path")
+    if os.path.isfile(path):
         return path
-    main = _main_file(path)
-    if main is None:
-        several = _configurations(path)
-        if several:
-            raise PolicyError(
-                f"{path}: {len(several)} policies are in this folder; name the file of one: "
-                f"{', '.join(each.name for each in several)}"
-            )
-        raise PolicyError(
-            f"{path}: no policy in this folder; put policy.yaml, deploy.yaml, env.yaml or exactly "
-            "one .onnx there"
-        )
-    return main
-
-
-def _registered(name: str) -> Path:
-    """Return the folder or file of a policy that a package registers, group `unicon.policies`.
-
-    The entry point's value is a module attribute: a path (text or `Path`), or a function without
-    parameters that returns one. It is imported when the policy is asked for.
-    """
-    entry = registered("policies")[name]
-    path = path_of(entry, f"policy {name!r}", PolicyError)
-    if path is None:
-        raise PolicyError(f"policy {name!r} (entry point {entry.value}) returned no path")
-    return path
+    if not os.path.isdir(path):
+        raise PolicyError(f"policy {text!r} is neither a file nor a folder; correct the path")
+    if (main := _main_file(path)) is not None:
+        return main
+    if several := _configurations(path):
+        text = f"{len(several)} policies are in this folder; name the file of one: "
+        raise PolicyError(f"{path}: {text}{', '.join(each.name for each in several)}")
+    text = "no policy in this folder; put policy.yaml, deploy.yaml, env.yaml or exactly one .onnx"
+    raise PolicyError(f"{path}: {text} there")
 
 
 def _main_file(folder: Path) -> Path | None:
-    if found := _first(folder, "policy.yaml", "deploy.yaml", "params/deploy.yaml"):
+    def first(*names: str) -> Path | None:
+        return next((folder / name for name in names if os.path.isfile(folder / name)), None)
+
+    if found := first("policy.yaml", "deploy.yaml", "params/deploy.yaml"):
         return found
     models = sorted(folder.glob("*.onnx"))
     if len(models) == 1 and metadata_reader(read_onnx(models[0])):
         return models[0]
-    if found := _first(folder, "env.yaml", "params/env.yaml"):
+    if found := first("env.yaml", "params/env.yaml"):
         return found
-    configurations = _configurations(folder)
-    if configurations:
-        return configurations[0] if len(configurations) == 1 else None
-    models = models or sorted(p for p in folder.glob("*") if p.suffix in TORCHSCRIPT)
+    models = (
+        _configurations(folder)
+        or models
+        or sorted(p for p in folder.glob("*") if p.suffix in TORCHSCRIPT)
+    )
     return models[0] if len(models) == 1 else None
-
-
-def _first(folder: Path, *names: str) -> Path | None:
-    return next((folder / name for name in names if os.path.isfile(folder / name)), None)
 
 
 def _configurations(folder: Path) -> list[Path]:
     """The files of a folder that are configurations of others' deployments, by what they hold."""
     found = []
     for path in sorted(folder.glob("*.yaml")):
-        try:
-            if configuration_reader(read_yaml(path, PolicyError, foreign=True).value):
+        with suppress(PolicyError):  # of a file that was not named
+            if configuration_reader(_yaml(path).value):
                 found.append(path)
-        except PolicyError:  # whatever it is, nobody named it
-            continue
     # rl_sar's base.yaml is a part of the others, not a policy.
     return [path for path in found if path.name != "base.yaml"] or found
 
@@ -247,20 +227,25 @@ def _read(
 ) -> Facts:
     path = _locate(reference)
     said = FromModel(path, nested(path, given), robot, model)
-    isaac = said.asks("joints") and _is_isaac(path)
+    # Isaac's simulators count joints breadth first.
+    isaac = said.asks("joints") and path.suffix in (".yaml", ".yml")
+    isaac = isaac and configuration_reader(_yaml(path).value) is env_yaml_facts
     said.joints("breadth_first" if isaac else "depth_first")
     facts = _facts_of(path, robot, said.given)
     said.others(facts.values.get("joints"))
-    given = said.given
+    given, values = said.given, facts.values
     if "provider" in given:  # of the machine that runs it, so the workflow may say another
-        facts.values.pop("provider", None)
+        values.pop("provider", None)
     merge_given(facts, given)
     for key in ("onnx", "torchscript"):
         if isinstance(given.get(key), str):  # of the workflow, which may name any file
             facts.network = facts.beside(given[key])
-    given_clip(facts, given)
-    facts.values.setdefault("name", _name_of(path))
-    if "onnx" in facts.values and "torchscript" not in facts.values:
+    facts.given_clip(dig(given, "motion", "file"))
+    values.setdefault("name", _name_of(path))
+    if "torchscript" in values:  # its tensors have no names: one goes in, one comes out
+        values.setdefault("inputs", {"observation": "observation"})
+        values.setdefault("outputs", {"action": "action"})
+    elif "onnx" in values:
         onnx = read_onnx(facts.model())
         if lost := onnx.lost_weights():
             raise facts.error(("onnx",), f"the weights of {onnx.path.name} {lost}")
@@ -268,24 +253,17 @@ def _read(
         suggest_joints(facts, [tensor.width for tensor in onnx.outputs])
         if facts.path != onnx.path and metadata_reader(onnx):
             whole = facts.source == "policy.yaml"
-            once, notes = settled(onnx, facts.values, facts.path.name, whole=whole)
+            once, notes = settled(onnx, values, facts.path.name, whole=whole)
             facts.notes += notes
             if (reader := metadata_reader(once)) is not None:
                 check_agreement(facts, reader(once), given)
-    elif "torchscript" in facts.values:  # its tensors have no names: one goes in, one comes out
-        facts.values.setdefault("inputs", {"observation": "observation"})
-        facts.values.setdefault("outputs", {"action": "action"})
     facts.notes += said.notes
     facts.offer = said.offer(facts)
     return facts
 
 
-def _is_isaac(path: Path) -> bool:
-    """Whether a source comes from Isaac's simulators, which count joints breadth first."""
-    if path.suffix not in (".yaml", ".yml"):
-        return False
-    values = read_yaml(path, PolicyError, foreign=True).value
-    return configuration_reader(values) is env_yaml_facts
+def _yaml(path: Path) -> Located:
+    return read_yaml(path, PolicyError, foreign=True)
 
 
 def _facts_of(path: Path, robot: Robot | None, given: Mapping[str, Any]) -> Facts:
@@ -305,7 +283,7 @@ def _facts_of(path: Path, robot: Robot | None, given: Mapping[str, Any]) -> Fact
         return Facts(path, "ONNX file (no metadata)", {"onnx": path.name})
     if path.suffix in TORCHSCRIPT:
         return Facts(path, "TorchScript file", {"torchscript": path.name})
-    located = read_yaml(path, PolicyError, foreign=True)
+    located = _yaml(path)
     made_for = given.get("robot")
     if isinstance(made_for, str) and counts_motors(located.value):
         robot = load_robot(made_for)  # whichever robot runs the policy
@@ -347,46 +325,38 @@ def _name_tensors(facts: Facts, onnx: OnnxFile) -> None:
         values.setdefault("inputs", {"observation": "observation"})
     pairs = values.get("recurrent")
     listed = pairs if isinstance(pairs, (list, tuple)) else []
-    recurrent = [pair for pair in listed if isinstance(pair, Mapping)]
-    fed_back = {str(pair.get("input")) for pair in recurrent}
-    kept = {str(pair.get("output")) for pair in recurrent}
-    for key, canonical, tensors, skip in (
-        ("inputs", "observation", onnx.inputs, fed_back),
-        ("outputs", "action", onnx.outputs, kept),
+    for key, canonical, tensors in (
+        ("inputs", "observation", onnx.inputs),
+        ("outputs", "action", onnx.outputs),
     ):
         if values.get(key):
             continue
-        free = [tensor for tensor in tensors if tensor.name not in skip]
+        fed_back = [dig(pair, key.removesuffix("s")) for pair in listed]
+        free = [tensor for tensor in tensors if tensor.name not in fed_back]
         if len(free) == 1:
             values[key] = {canonical: free[0].name}
         else:
-            choice = ", ".join(str(tensor) for tensor in free) or "none"
-            facts.asks[key] = f"it has {choice}"
+            facts.asks[key] = f"it has {', '.join(map(str, free)) or 'none'}"
 
 
 def _contract(facts: Facts) -> PolicyContract:
     """Build the contract, whose network is there and the one that it was written for."""
     contract = build_contract(facts)
-    if not os.path.isfile(contract.model):
-        where = ("torchscript",) if contract.is_torchscript else ("onnx",)
-        raise facts.error(
-            where, f"no such file {contract.model}; put the network there or correct the path"
-        )
-    _check_digest(facts, ("sha256",), contract.model, contract.sha256)
-    for part in contract.networks:
-        place = ("networks", part.name)
-        if not os.path.isfile(part.model):
-            raise facts.error(place, f"no such file {part.model}; put the network there")
-        if lost := read_onnx(part.model).lost_weights():
-            raise facts.error(place, f"its weights {lost}")
-        _check_digest(facts, place, part.model, part.sha256)
+    key = "torchscript" if contract.is_torchscript else "onnx"
+    models: list[tuple[Where, Where, Path, str | None]] = [
+        ((key,), ("sha256",), contract.model, contract.sha256),
+        *((p := ("networks", part.name), p, part.model, part.sha256) for part in contract.networks),
+    ]
+    for where, place, model, wanted in models:
+        if not os.path.isfile(model):
+            text = f"no such file {model}; put the network there or correct the path"
+            raise facts.error(where, text)
+        if len(where) > 1 and (lost := read_onnx(model).lost_weights()):
+            raise facts.error(where, f"its weights {lost}")
+        if wanted is not None and (digest := sha256_of(model)) != wanted:
+            raise facts.error(
+                place,
+                f"{model.name} has sha256 {digest[:12]}… and not {wanted[:12]}…; it is not the "
+                "network that this contract was written for: import it again",
+            )
     return contract
-
-
-def _check_digest(facts: Facts, where: Where, model: Path, wanted: str | None) -> None:
-    if wanted is not None and (digest := sha256_of(model)) != wanted:
-        raise facts.error(
-            where,
-            f"{model.name} has sha256 {digest[:12]}… and not {wanted[:12]}…; it is not the network "
-            "that this contract was written for: import it again",
-        )

@@ -7,7 +7,7 @@ one copy into a ring and one `take` that lays out the window. Nothing else is lo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -15,8 +15,8 @@ import numpy as np
 
 from unicon_base.arrays import Float32, Index
 from unicon_core.policies.contract import ObservationSpec, PolicyContract
-from unicon_core.policies.filters import make_filter
-from unicon_core.policies.prefixed import PackedStates
+from unicon_core.policies.controller import PackedStates
+from unicon_core.policies.phase import make_filter
 from unicon_core.policies.terms import TermSlice, term_slices
 
 
@@ -71,10 +71,14 @@ class Observation:
         self._buffer = states.buffer_of(np.float32)[first:last]
         self._index = index - first
         # Every operand has the flat shape of the frame: broadcasting costs 1.1 µs against 0.2 µs.
-        subtract = _joined((part.subtract for part in self.slices), rows)
-        scale = _joined((part.scale for part in self.slices), rows)
-        low = _joined((part.low for part in self.slices), rows)
-        high = _joined((part.high for part in self.slices), rows)
+        subtract, scale, low, high = (
+            (
+                np.tile(np.concatenate(parts), rows)
+                for parts in zip(*((p.subtract, p.scale, p.low, p.high) for p in self.slices))
+            )
+            if self.slices
+            else [np.zeros(0, np.float32)] * 4
+        )
         self._subtract = subtract if subtract.any() else None
         self._scale = scale if (scale != 1.0).any() else None
         clipped = np.flatnonzero(np.isfinite(low) | np.isfinite(high))
@@ -134,7 +138,7 @@ class Observation:
     def reset(self) -> None:
         """Forget the history: the next call fills it with its own frame, or leaves zeros."""
         self._fresh = True
-        for _, each in self._filters:
+        for each in self._smoothing:
             each.reset()
 
     def bind(self, out: Float32) -> Callable[[], None]:
@@ -190,7 +194,7 @@ class Observation:
         return write, both if self._filters else advance
 
     def _filters_on(self) -> None:
-        for _, each in self._filters:
+        for each in self._smoothing:
             each.advance()
 
     def _assembler(self) -> Callable[[Float32], None]:
@@ -211,30 +215,18 @@ class Observation:
 
             return usual
 
-        elif clip is not None and clip[1].size == index.size:
-            _, low, high = clip
-            maximum, minimum = np.maximum, np.minimum
-
-            def clipped(out: Float32) -> None:
-                take(index, None, out, "clip")
-                if minus is not None:
-                    subtract(out, minus, out)
-                maximum(out, low, out=out)  # both pass NaN on
-                minimum(out, high, out=out)
-                if scale is not None:
-                    multiply(out, scale, out)
-
-            return clipped
+        span, low, high = clip or (slice(0), np.zeros(0, np.float32), np.zeros(0, np.float32))
+        whole = low.size == index.size
+        maximum, minimum = np.maximum, np.minimum
 
         def general(out: Float32) -> None:
             take(index, None, out, "clip")
             if minus is not None:
                 subtract(out, minus, out)
             if clip is not None:
-                span, low, high = clip
-                part = out[span]
-                np.maximum(part, low, out=part)  # both pass NaN on
-                np.minimum(part, high, out=part)
+                part = out if whole else out[span]
+                maximum(part, low, out=part)  # both pass NaN on
+                minimum(part, high, out=part)
             if scale is not None:
                 multiply(out, scale, out)
 
@@ -273,8 +265,3 @@ class Observation:
 
 def nothing() -> None:
     """There is nothing to write, or without a history nothing to go on to."""
-
-
-def _joined(parts: Iterable[Float32], rows: int) -> Float32:
-    listed = list(parts)
-    return np.tile(np.concatenate(listed), rows) if listed else np.zeros(0, np.float32)

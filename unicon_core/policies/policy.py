@@ -14,11 +14,11 @@ from unicon_base.errors import Fault, PolicyError
 from unicon_core.policies.action_map import ActionMap
 from unicon_core.policies.bind import Binding
 from unicon_core.policies.contract import PolicyContract
+from unicon_core.policies.controller import PackedStates
 from unicon_core.policies.motion.follow import own_reference, tracker_of
 from unicon_core.policies.networks import Network, open_network
 from unicon_core.policies.phase import GaitPhase
 from unicon_core.policies.policy_states import fed_back, own_states, reads_writes
-from unicon_core.policies.prefixed import PackedStates
 from unicon_core.robots import Robot
 
 _TARGETS = ("joint_pos_target", "joint_stiffness", "joint_damping")

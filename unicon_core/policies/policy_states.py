@@ -12,11 +12,11 @@ from typing import Any
 
 from unicon_base.arrays import Array
 from unicon_core.policies.contract import PolicyContract
+from unicon_core.policies.controller import PackedStates, PrefixedStates
 from unicon_core.policies.motion.follow import MotionTracker
-from unicon_core.policies.networks.chain import chained_outputs
+from unicon_core.policies.networks.onnx import chained_outputs
 from unicon_core.policies.observation import Observation
 from unicon_core.policies.phase import COMMAND, SLEWED, CommandSlew, GaitPhase
-from unicon_core.policies.prefixed import PackedStates, PrefixedStates
 from unicon_core.states import States, StateSpec, standard_states
 
 
@@ -47,71 +47,16 @@ def policy_states(
     return {f"{prefix}{name}": spec for name, spec in own.items()}
 
 
-def _motion_states(contract: PolicyContract) -> dict[str, StateSpec]:
-    """States for outputs beside the action, and for the motion that is followed."""
-    states = {} if contract.motion is None else _followed(contract)
-    more = {name: out for name, out in contract.outputs.items() if name != "action"}
-    if more and not contract.is_torchscript:
-        tensors = chained_outputs(contract)
-        for name, output in more.items():
-            tensor = tensors.get(output)
-            axes = () if tensor is None else tensor.shape[1:]
-            size = prod(axis if isinstance(axis, int) else 1 for axis in axes)
-            joints = contract.joints if name.startswith("motion_joint_") else ()
-            names = joints if len(joints) == size else ()
-            states[name] = StateSpec((size,), names=names, description=f"output {output}")
-    if contract.motion is None and {"motion_joint_pos", "motion_joint_vel"} <= set(states):
-        size = states["motion_joint_pos"].size + states["motion_joint_vel"].size
-        states["motion_command"] = _reference_command(size)
-    return states
-
-
-def _followed(contract: PolicyContract) -> dict[str, StateSpec]:
-    """States of the motion and of the robot beside it; see docs/howto/motion.md."""
-    joints, xyz = contract.joints, ("x", "y", "z")
-    columns = tuple(f"{axis}{side}" for axis in xyz for side in "xy")
-    quat, upright = ("w", "x", "y", "z"), (1.0, 0.0, 0.0, 0.0)
-
-    def spec(unit: str, frame: str, names: tuple[str, ...], *more: Any) -> StateSpec:
-        return StateSpec((len(names),), "float32", unit, frame, names, *more)
-
-    return {
-        "motion_joint_pos": spec("rad", "", joints, "reference joint positions, policy order"),
-        "motion_joint_vel": spec("rad/s", "", joints, "reference joint velocities, policy order"),
-        "motion_command": _reference_command(2 * len(joints)),
-        "motion_anchor_pos": spec("m", "world", xyz, "where the reference's anchor is"),
-        "motion_anchor_quat": spec(
-            "", "anchor to world", quat, "of the reference, aligned", upright
-        ),
-        "motion_anchor_pos_b": spec("m", "anchor", xyz, "reference seen from the robot's anchor"),
-        "motion_anchor_ori_b": spec(
-            "", "anchor", columns, "reference's rotation there: two columns, row by row"
-        ),
-        "motion_error": spec("rad", "", ("joints", "anchor"), "from the reference: rms, angle"),
-        "motion_time": StateSpec((), "float32", "s", "", (), "since the motion's first frame"),
-    }
-
-
-def _reference_command(size: int) -> StateSpec:
-    text = "reference joint positions [rad], then velocities [rad/s]"
-    return StateSpec((size,), description=text)
-
-
 def _own_states(contract: PolicyContract) -> dict[str, StateSpec]:
     joints = contract.action.joints
-    states = {
-        "action": StateSpec(
-            (len(joints),), names=joints, description="the network's last output, policy order"
-        )
-    }
+    text = "the network's last output, policy order"
+    states = {"action": StateSpec((len(joints),), names=joints, description=text)}
     if contract.child is not None:
-        states["action_age"] = StateSpec(
-            (), "float32", "s", "", (), "since the observation of the action that is held"
-        )
+        text = "since the observation of the action that is held"
+        states["action_age"] = StateSpec((), "float32", "s", "", (), text)
     if contract.command is not None:
-        states[SLEWED] = replace(
-            standard_states(joints)[COMMAND], description="velocity_command as the policy sees it"
-        )
+        command = standard_states(joints)[COMMAND]
+        states[SLEWED] = replace(command, description="velocity_command as the policy sees it")
     if contract.phase is not None:
         count = range(len(contract.phase.offsets))
         sines, cosines = (tuple(f"{what}_{k}" for k in count) for what in ("sin", "cos"))
@@ -121,7 +66,50 @@ def _own_states(contract: PolicyContract) -> dict[str, StateSpec]:
             ("gait_phase", sines + cosines, "all sines, then all cosines"),
         ):
             states[name] = StateSpec((len(parts),), names=parts, description=text)
-    return {**states, **_motion_states(contract)}
+    if contract.motion is not None:
+        states |= _followed(contract)
+    more = {name: out for name, out in contract.outputs.items() if name != "action"}
+    if more and not contract.is_torchscript:
+        tensors = chained_outputs(contract)
+        for name, output in more.items():
+            axes = tensors[output].shape[1:] if output in tensors else ()
+            size = prod(axis if isinstance(axis, int) else 1 for axis in axes)
+            joints = contract.joints if name.startswith("motion_joint_") else ()
+            names = joints if len(joints) == size else ()
+            states[name] = StateSpec((size,), names=names, description=f"output {output}")
+    if contract.motion is None and {"motion_joint_pos", "motion_joint_vel"} <= {*states}:
+        size = states["motion_joint_pos"].size + states["motion_joint_vel"].size
+        states["motion_command"] = _reference_command(size)
+    return states
+
+
+def _reference_command(size: int) -> StateSpec:
+    text = "reference joint positions [rad], then velocities [rad/s]"
+    return StateSpec((size,), description=text)
+
+
+def _followed(contract: PolicyContract) -> dict[str, StateSpec]:
+    """States of the motion and of the robot beside it; see docs/howto/motion.md."""
+    joints, xyz, upright = contract.joints, ("x", "y", "z"), (1.0, 0.0, 0.0, 0.0)
+    columns = tuple(f"{axis}{side}" for axis in xyz for side in "xy")
+    rows: tuple[tuple[Any, ...], ...] = (
+        ("joint_pos", "rad", "", joints, "reference joint positions, policy order"),
+        ("joint_vel", "rad/s", "", joints, "reference joint velocities, policy order"),
+        ("anchor_pos", "m", "world", xyz, "where the reference's anchor is"),
+        ("anchor_quat", "", "anchor to world", ("w", *xyz), "of the reference, aligned", upright),
+        ("anchor_pos_b", "m", "anchor", xyz, "reference seen from the robot's anchor"),
+        ("anchor_ori_b", "", "anchor", columns,
+         "reference's rotation there: two columns, row by row"),
+        ("error", "rad", "", ("joints", "anchor"), "from the reference: rms, angle"),
+    )  # fmt: skip
+    return {
+        "motion_command": _reference_command(2 * len(joints)),
+        "motion_time": StateSpec((), "float32", "s", "", (), "since the motion's first frame"),
+        **{
+            f"motion_{name}": StateSpec((len(names),), "float32", unit, frame, names, *more)
+            for name, unit, frame, names, *more in rows
+        },
+    }
 
 
 def own_states(

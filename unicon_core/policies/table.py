@@ -9,9 +9,9 @@ from typing import Any
 from unicon_base.arrays import Float32
 from unicon_base.errors import PolicyError
 from unicon_core.policies.contract import PolicyContract
+from unicon_core.policies.controller import PackedStates
 from unicon_core.policies.load import load_policy, policy_names
 from unicon_core.policies.policy_states import policy_states
-from unicon_core.policies.prefixed import PackedStates
 from unicon_core.policies.terms import TermSlice, term_slices
 from unicon_core.robots import Robot
 from unicon_core.states import States, standard_states
@@ -19,24 +19,22 @@ from unicon_core.text_table import aligned, figure, span
 
 
 def policies_rows() -> list[dict[str, Any]]:
-    """Return what is told of each policy in `config/policies/`: `error` of a broken one."""
+    """Return what is said of each policy in `config/policies/`: `error` of a broken one."""
     rows: list[dict[str, Any]] = []
     for name in policy_names():
+        row: dict[str, Any] = {"name": name}
         try:
             contract = load_policy(name)
-        except PolicyError as error:
-            rows.append({"name": name, "error": str(error)})
-            continue
-        rows.append(
-            {
-                "name": name,
+            row |= {
                 "robot": contract.robot,
                 "rate": 1.0 / contract.period,
                 "joints": len(contract.joints),
                 "source": contract.source,
                 "terms": [term.name for term in contract.terms],
             }
-        )
+        except PolicyError as error:
+            row["error"] = str(error)
+        rows.append(row)
     return rows
 
 
@@ -44,11 +42,11 @@ def policies_table() -> str:
     """Return one line for each policy in `config/policies/`; a broken one shows its error."""
     rows = [["policy", "robot", "rate [Hz]", "joints", "source", "terms"]]
     for row in policies_rows():
-        if "error" in row:
-            rows.append([row["name"], "?", "?", "?", row["error"], ""])
-            continue
-        facts = [row["robot"] or "-", f"{row['rate']:g}", str(row["joints"]), row["source"]]
-        rows.append([row["name"], *facts, " ".join(row["terms"])])
+        facts = ["?", "?", "?", row.get("error", ""), ""]
+        if "error" not in row:
+            facts = [row["robot"] or "-", f"{row['rate']:g}", str(row["joints"]), row["source"]]
+            facts.append(" ".join(row["terms"]))
+        rows.append([row["name"], *facts])
     return "\n".join(aligned(rows)) if len(rows) > 1 else "no policies in config/policies"
 
 
@@ -118,29 +116,28 @@ def joint_rows(contract: PolicyContract, robot: Robot | None = None) -> list[lis
     unit = "" if action.kinds else " [rad]"
     head = ["#", "joint", "kp", "kd", "default [rad]", "scale", f"offset{unit}", "clip"]
     head += ["target"] if action.kinds else []
-    more = ["-"] if action.kinds else []
+    held = ["held", "-", "-", *(["-"] if action.kinds else [])]
     rows = [[*head[:2], "robot", *head[2:]] if robot is not None else head]
     for i, name in enumerate(contract.joints):
-        row = [str(i), name]
-        if robot is not None:
-            row.append(str(place.get(name, "missing")))
-        facts = (contract.stiffness, contract.damping, contract.default_joint_pos)
-        row += [figure(values[i]) for values in facts]
+        row = [str(i), name] + ([] if robot is None else [str(place.get(name, "missing"))])
+        gains = (contract.stiffness, contract.damping, contract.default_joint_pos)
+        row += [figure(values[i]) for values in gains]
         if name in action.joints:
             j = action.joints.index(name)
             clip = "-" if action.clip is None else span(action.clip[0, j], action.clip[1, j], "…")
-            row += [figure(action.scale[j]), figure(action.offset[j]), clip]
-            row += [action.kinds[j]] if action.kinds else []
+            row += [
+                figure(action.scale[j]),
+                figure(action.offset[j]),
+                clip,
+                *action.kinds[j : j + 1],
+            ]
         else:
-            row += ["held", "-", "-", *more]
+            row += held
         rows.append(row)
     own = ["robot's"] * 3
-    rows += [
-        ["-", name, str(place[name]), *own, "held", "-", "-", *more]
-        for name in place
-        if name not in contract.joints
+    return rows + [
+        ["-", name, str(place[name]), *own, *held] for name in place if name not in contract.joints
     ]
-    return rows
 
 
 def observation_table(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from unicon_base.arrays import Float32, Index
 from unicon_base.errors import PolicyError, RobotError, alternatives
 from unicon_core.policies.contract import ObservationSpec, ObservationTerm, PolicyContract
-from unicon_core.policies.prefixed import PackedStates
+from unicon_core.policies.controller import PackedStates
 from unicon_core.robots import joint_index
 
 
@@ -65,80 +65,103 @@ def term_slices(
         PolicyError: no such state, a joint the robot has not, or an index or number of values that
             does not fit.
     """
-    spec = contract.observation if spec is None else spec
     slices: list[TermSlice] = []
     start = 0
-    for term in spec.terms:
+    for term in (contract.observation if spec is None else spec).terms:
         label = f"policy {contract.name}: term {term.name!r}"
         if term.state not in states:
             known = alternatives(term.state, list(states))
             raise PolicyError(f"{label}: no state {term.state!r}; {known}")
-        state = states.spec(term.state)
-        view = states[term.state]
-        if view.dtype != np.float32:
-            raise PolicyError(
-                f"{label}: state {term.state!r} is {view.dtype}; a network takes float32 states"
-            )
-        names: tuple[str, ...] = tuple(state.names)
-        elements = np.arange(state.size, dtype=np.intp)
+        state, dtype = states.spec(term.state), states[term.state].dtype
+        if dtype != np.float32:
+            text = f"state {term.state!r} is {dtype}; a network takes float32 states"
+            raise PolicyError(f"{label}: {text}")
+        names, elements = tuple(state.names), np.arange(state.size, dtype=np.intp)
         if names == tuple(robot_joints) and term.state != "action":
             try:
                 elements = joint_index(contract.joints, names)
             except RobotError as error:
                 raise PolicyError(f"{label}: the robot has {error}") from error
             names = contract.joints
+        subtract: Any = 0.0 if term.subtract is None else term.subtract
         default = contract.default_joint_pos if names == contract.joints else None
         if term.index is not None:
             if max(term.index) >= elements.size:
+                # Sources do not agree upon what stands where in a gait clock.
+                order = f" ({', '.join(names)})" if term.state.startswith("gait_phase") else ""
                 raise PolicyError(
                     f"{label}: index {max(term.index)} of state {term.state!r}, which has "
-                    f"{elements.size} elements{_order_of(term.state, names)}; the last is "
-                    f"{elements.size - 1}"
+                    f"{elements.size} elements{order}; the last is {elements.size - 1}"
                 )
             index = list(term.index)
             elements = elements[index]
             names = tuple(names[i] for i in index) if names else ()
             default = None if default is None else default[index]
-        size = elements.size
-        subtract = _subtract(label, term, size, default)
+        if isinstance(subtract, str):
+            if default is None:
+                raise PolicyError(
+                    f"{label}: subtract {subtract} needs a joint state, and {term.state!r} has no "
+                    "joint names; give numbers, or take joint_pos"
+                )
+            subtract = default
         low, high = (-np.inf, np.inf) if term.clip is None else term.clip
-        slices.append(
-            TermSlice(
-                term,
-                elements,
-                start,
-                names,
-                str(state.unit),
-                subtract,
-                _spread(label, "scale", term.scale, size),
-                _spread(label, "clip", low, size),
-                _spread(label, "clip", high, size),
-            )
-        )
-        start += size
+        spread = []
+        for what, values in (
+            ("subtract", subtract), ("scale", term.scale), ("clip", low), ("clip", high),
+        ):  # fmt: skip
+            array, size = np.atleast_1d(np.asarray(values, np.float32)), elements.size
+            if array.size not in (1, size):
+                raise PolicyError(
+                    f"{label}: {what} has {array.size} values for {size} elements; give 1 or {size}"
+                )
+            spread.append(np.array(np.broadcast_to(array, (size,))))
+        slices.append(TermSlice(term, elements, start, names, str(state.unit), *spread))
+        start += elements.size
     return tuple(slices)
 
 
-def _order_of(state: str, names: Sequence[str]) -> str:
-    """What stands where in a gait clock, whose order sources do not agree upon."""
-    return f" ({', '.join(names)})" if state.startswith("gait_phase") else ""
+# Values of what most policies see, the last one of one phase; then what many do without, which is
+# named where nothing else would fit.
+_USUAL = (
+    {"projected_gravity": 3, "base_ang_vel": 3, "velocity_command": 3, "gait_phase": 2},
+    {"base_lin_vel": 3},
+)
 
 
-def _subtract(label: str, term: ObservationTerm, size: int, default: Float32 | None) -> Float32:
-    if not isinstance(term.subtract, str):
-        return _spread(label, "subtract", 0.0 if term.subtract is None else term.subtract, size)
-    if default is None:
-        raise PolicyError(
-            f"{label}: subtract {term.subtract} needs a joint state, and {term.state!r} has no "
-            "joint names; give numbers, or take joint_pos"
-        )
-    return np.array(default, dtype=np.float32)
+def explain_size(
+    slices: Sequence[TermSlice], takes: int, joints: Collection[str], counts: Collection[int]
+) -> str:
+    """Return what would make the observation fit; "" where nothing or more than one thing would.
 
-
-def _spread(label: str, what: str, values: Any, size: int) -> Float32:
-    array = np.atleast_1d(np.asarray(values, dtype=np.float32))
-    if array.size not in (1, size):
-        raise PolicyError(
-            f"{label}: {what} has {array.size} values for {size} elements; give 1 or {size}"
-        )
-    return np.array(np.broadcast_to(array, (size,)))
+    Args:
+        slices: the terms.
+        takes: size of the network's input.
+        joints: names of the robot's joints.
+        counts: plausible numbers of joints: the robot's, the policy's, the network's.
+    """
+    missing = takes - sum(part.elements.size * part.term.history for part in slices)
+    moved = [part for part in slices if not {*joints}.isdisjoint(part.names)]
+    found = set()
+    for count in counts:
+        for size in {part.elements.size for part in moved} - {count}:
+            alike = [part for part in moved if part.elements.size == size]
+            histories = [part.term.history for part in alike]
+            # Which of some terms cannot be told, and how many only where all have one history.
+            many = len(alike) * missing / ((count - size) * sum(histories))
+            if many == len(alike) or (many in range(1, len(alike)) and len({*histories}) == 1):
+                some = "" if many == len(alike) else f"{many:g} of "
+                has = f"{size} of {count}" if count > size else f"{size}"
+                has += " joints" if count > size else f" joints, not {count},"
+                names = ", ".join(part.term.name for part in alike)
+                found.add(f"it has {has} in {some}{names}")
+    frame, history = sum(part.elements.size for part in slices), 1
+    if len(ages := {part.term.history for part in slices}) == 1:
+        (history,) = ages
+        if takes % frame == 0:
+            found.add(f"it would fit with a history of {takes // frame}, and has {history}")
+    seen = " ".join(part.term.state for part in slices).replace("slewed", "velocity")
+    for usual in _USUAL:
+        for name, size in usual.items() if usual is _USUAL[0] or not found else ():
+            if name not in seen and missing == size * history:
+                found.add(f"it would fit with a term of {name} ({size} values)")
+    return found.pop() if len(found) == 1 else ""

@@ -266,7 +266,7 @@ def _robot(program: Program) -> Iterator[str]:
 
 def _policies(program: Program) -> Iterator[str]:
     from unicon_core.policies import joint_rows, observation_rows
-    from unicon_core.policies.prefixed import PrefixedStates, prefix_of
+    from unicon_core.policies.controller import PrefixedStates, prefix_of
 
     for name, contract in program.policies.items():
         yield f"<h2>Policy {html.escape(name)}</h2>"

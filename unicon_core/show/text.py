@@ -241,7 +241,7 @@ def show_text(
     ]
     if policies:
         from unicon_core.policies import joint_table, observation_table
-        from unicon_core.policies.prefixed import PrefixedStates, prefix_of
+        from unicon_core.policies.controller import PrefixedStates, prefix_of
 
         for name, contract in policies.items():
             parts += [f"joints of policy {name}", joint_table(contract, robot)]

@@ -15,9 +15,8 @@ from unicon_core.models.find import model_of, pick_model
 from unicon_core.policies import Policy, PolicyContract, load_policy, policy_states
 from unicon_core.policies.action_map import lacking_joints
 from unicon_core.policies.contract import ChildSpec
-from unicon_core.policies.controller import ControllerContract, controller_contract
+from unicon_core.policies.controller import ControllerContract, controller_contract, prefix_of
 from unicon_core.policies.driven import DrivenPolicy
-from unicon_core.policies.prefixed import prefix_of
 from unicon_core.robots import Robot
 from unicon_core.states import States, StateSpec
 from unicon_core.workflow.autowire import BuildContext

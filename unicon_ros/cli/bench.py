@@ -14,23 +14,23 @@ from unicon_core.page import write_file
 from unicon_ros.cli.options import argument, command, flag, option, several
 
 BENCHES = {
-    "batch": "benchmarks.batch",
+    "batch": "benchmarks.programs",
     "bridge": "benchmarks.bridge",
     "faults": "faults.bench_faults",
     "latency": "unicon_ros.bench.latency",
-    "policy": "benchmarks.policy",
+    "policy": "benchmarks.loops",
     "reach": "benchmarks.reach",
-    "record": "benchmarks.record",
+    "record": "benchmarks.runs",
     "retarget": "benchmarks.retarget",
-    "safety": "benchmarks.safety",
-    "simulators": "benchmarks.simulators",
+    "safety": "benchmarks.runs",
+    "simulators": "benchmarks.programs",
     "sloc": "benchmarks.sloc",
-    "start": "benchmarks.start",
+    "start": "benchmarks.programs",
     "stores": "benchmarks.stores",
     "sweep": "benchmarks.sweep",
     "tick": "benchmarks.tick",
-    "timing": "benchmarks.timing",
-    "view": "benchmarks.view",
+    "timing": "benchmarks.loops",
+    "view": "benchmarks.runs",
 }
 """Bench to its module; all but `latency` are in a checkout only."""
 
@@ -51,7 +51,9 @@ def bench(arguments: argparse.Namespace) -> int:
         raise UniconError(f"--rounds {arguments.rounds}: give a number >= 1")
     given = vars(arguments).items()
     options = {name: each for name, each in given if name not in SHARED and each is not None}
-    result = _module(arguments.bench).run(rounds=arguments.rounds, **options)
+    module, own = _module(arguments.bench), f"run_{arguments.bench}"
+    run = getattr(module, own) if hasattr(module, own) else module.run  # of several, or of one
+    result = run(rounds=arguments.rounds, **options)
     print(result.table())
     if arguments.json:
         write_file(Path(arguments.json), f"{result.to_json()}\n".encode())

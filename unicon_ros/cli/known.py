@@ -65,7 +65,7 @@ def _new(arguments: argparse.Namespace) -> int:
 
 def _policies(arguments: argparse.Namespace) -> int:
     from unicon_core.policies import load_policy, policies_rows, policies_table, policy_table
-    from unicon_core.policies.build import IncompletePolicyError
+    from unicon_core.policies.file import IncompletePolicyError
     from unicon_core.policies.policy_yaml import known_text
 
     if not arguments.name and (arguments.json or arguments.quiet):

@@ -25,8 +25,8 @@ from unicon_core.models.find import model_of
 from unicon_core.models.load import load_model
 from unicon_core.platforms.platform import info_of
 from unicon_core.policies import Policy, PolicyContract
+from unicon_core.policies.controller import prefix_of
 from unicon_core.policies.driven import DrivenPolicy
-from unicon_core.policies.prefixed import prefix_of
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program
 from unicon_core.workflow.document import WorkflowDocument

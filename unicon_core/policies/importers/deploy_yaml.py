@@ -15,14 +15,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from unicon_base.errors import alternatives
-from unicon_base.located_yaml import Where
+import numpy as np
+
+from unicon_base.errors import PolicyError, alternatives
+from unicon_base.located_yaml import Where, read_yaml
 from unicon_core.policies.facts import GAINS, Facts, dig, term_state
 from unicon_core.policies.hints import Pair
-from unicon_core.policies.importers.source_reader import Source, SourceReader
-from unicon_core.policies.importers.training import chosen_ids, clip_before_scale, command_ranges
+from unicon_core.policies.importers.source import Source, clip_before_scale, plural
 
 _FLAGS = ("scale_first", "use_gym_history")
+_KEYS = ("params", "scale", "clip", "history_length")
+_USUAL = ("base_ang_vel", "projected_gravity", "velocity_commands", "joint_pos_rel",
+          "joint_vel_rel", "last_action", "gait_phase")  # fmt: skip
 
 
 def deploy_yaml_facts(source: Source) -> Facts:
@@ -31,164 +35,307 @@ def deploy_yaml_facts(source: Source) -> Facts:
     Raises:
         PolicyError: it is against the format.
     """
-    facts = Facts(source.path, "deploy.yaml", tolerance=(6e-3, 1e-6))
-    reader = _Deploy(facts, source.located)
-    reader.joints(source)
-    reader.action()
-    reader.observation()
-    reader.ranges()
+    facts = source.facts
+    facts.source, facts.tolerance = "deploy.yaml", (6e-3, 1e-6)
+    count = _joints(source)
+    _action(source, count)
+    _observation(source)
+    source.say_ranges("commands.base_velocity.ranges")
     facts.notes.append("deploy.yaml: numbers are rounded to 3 significant digits by its exporter")
     return facts
 
 
-class _Deploy(SourceReader):
-    count = 0
-
-    def joints(self, source: Source) -> None:
-        order = self.places("joint_ids_map")
-        if not order:
-            raise self.wrong("joint_ids_map", "joint_ids_map is empty; give motor numbers")
-        self.count = len(order)
-        self.say("period", self.document["step_dt"], "step_dt")
-        if source.robot is not None:
-            self.say_motors("joint_ids_map", order, source.robot)
-        else:
-            self.facts.notes.append(
-                "deploy.yaml: joints are numbers of the robot's motors (joint_ids_map); "
-                "name the robot and they are known"
+def _joints(source: Source) -> int:
+    facts, order = source.facts, source.places("joint_ids_map")
+    if not order:
+        raise source.wrong("joint_ids_map", "joint_ids_map is empty; give motor numbers")
+    source.say("period", source.document["step_dt"], "step_dt")
+    if source.robot is not None:
+        source.say_motors("joint_ids_map", order, source.robot)
+    else:
+        facts.notes.append(
+            "deploy.yaml: joints are numbers of the robot's motors (joint_ids_map); "
+            "name the robot and they are known"
+        )
+    for fact in GAINS:
+        values = source.numbers(fact)
+        if max(order) < len(values):
+            source.say(fact, [values[i] for i in order], fact)
+        else:  # Unitree's own G1 file with 23 joints; its program gives value i to motor i
+            facts.asks[fact] = (
+                f"the file has {len(values)} values in motor order, but joint_ids_map names "
+                f"motor {max(order)}"
             )
-        for fact in GAINS:
-            values = self.floats(fact)
-            if max(order) >= len(values):
-                # Unitree's own G1 file with 23 joints does so, and its program gives value i to
-                # motor i whatever the map says.
-                self.facts.asks[fact] = (
-                    f"the file has {len(values)} values in motor order, but joint_ids_map names "
-                    f"motor {max(order)}"
-                )
-                continue
-            self.say(fact, [values[i] for i in order], fact)
-        of = f"{self.count} joints of joint_ids_map"
-        self.say_vector("default_joint_pos", "default_joint_pos", self.count, of)
+    source.copy("default_joint_pos", "default_joint_pos", len(order))
+    return len(order)
 
-    def action(self) -> None:
-        actions = self.need("actions")
-        if not isinstance(actions, Mapping) or list(actions) != ["JointPositionAction"]:
-            names = ", ".join(actions) if isinstance(actions, Mapping) else repr(actions)
-            raise self.wrong(
-                "actions",
-                f"actions are {names}; only one JointPositionAction (joint position targets) can "
-                "be run",
+
+def _action(source: Source, count: int) -> None:
+    actions = source.need("actions")
+    if not isinstance(actions, Mapping) or list(actions) != ["JointPositionAction"]:
+        names = ", ".join(actions) if isinstance(actions, Mapping) else repr(actions)
+        text = f"actions are {names}; only one JointPositionAction (joint position targets) runs"
+        raise source.wrong("actions", text)
+    where, action = "actions.JointPositionAction", actions["JointPositionAction"]
+    if not isinstance(action, Mapping):
+        raise source.wrong(where, f"JointPositionAction is {action!r}; give scale and offset")
+    size = count
+    if isinstance(action.get("joint_ids"), list):
+        ids, joints = source.places(f"{where}.joint_ids", count), source.facts.values.get("joints")
+        size = len(ids)
+        if joints is not None and ids != list(range(count)):
+            source.say("action.joints", [joints[i] for i in ids], f"{where}.joint_ids")
+    for key in ("scale", "offset"):
+        values = source.numbers(f"{where}.{key}")
+        source.copy(f"action.{key}", f"{where}.{key}", 0 if len(values) == 1 else size)
+    if action.get("clip") is not None:
+        # Unitree clips the target, we clip the action: bring the bounds to the other side.
+        clip = f"{where}.clip"
+        pairs = source.value(list[Pair], clip)
+        scale, offset = (source.numbers(f"{where}.{key}") for key in ("scale", "offset"))
+        if not all(scale) or len({len(pairs), len(scale), len(offset)} - {1}) > 1:
+            raise source.wrong(clip, f"clip is {action['clip']!r}; give [lowest, highest] each")
+        bounds = np.sort((np.array(pairs) - np.c_[offset]) / np.c_[scale], axis=1)
+        source.say("action.clip", bounds.T.tolist(), clip)
+    source.say("action.feedback", "raw", where)
+
+
+def _observation(source: Source) -> None:
+    where: Where = ("observations",)
+    group = source.need("observations")
+    if not isinstance(group, Mapping) or not group:
+        raise source.wrong(where, f"observations are {group!r}; give the terms")
+    entries = [key for key in group if key not in _FLAGS]
+    if entries and not any(_is_term(group[key]) for key in entries):
+        if len(entries) > 1:
+            raise source.wrong(
+                where,
+                f"observations has the groups {', '.join(entries)}; only one can be imported, "
+                "write a policy.yaml with 'inputs' for the others",
             )
-        where = "actions.JointPositionAction"
-        action = actions["JointPositionAction"]
-        if not isinstance(action, Mapping):
-            raise self.wrong(where, f"JointPositionAction is {action!r}; give scale and offset")
-        size = self.count
-        if isinstance(action.get("joint_ids"), list):
-            ids = self.places(f"{where}.joint_ids", self.count)
-            size, joints = len(ids), self.facts.values.get("joints")
-            if joints is not None and ids != list(range(self.count)):
-                self.say("action.joints", [joints[i] for i in ids], f"{where}.joint_ids")
-        scale, offset = (self.spread(f"{where}.{key}", size) for key in ("scale", "offset"))
-        self.say("action.scale", scale, f"{where}.scale")
-        self.say("action.offset", offset, f"{where}.offset")
-        if action.get("clip") is not None:
-            # Unitree clips the target, we clip the action: bring the bounds to the other side.
-            clip = f"{where}.clip"
-            pairs = self.value(list[Pair], clip)
-            if len(pairs) not in (size, 1) or not all(scale):
-                raise self.wrong(clip, f"clip is {action['clip']!r}; give [lowest, highest] each")
-            bounds = [
-                sorted((bound - zero) / factor for bound in pair)
-                for pair, zero, factor in zip(pairs * (size // len(pairs)), offset, scale)
-            ]
-            self.say("action.clip", [list(side) for side in zip(*bounds)], clip)
-        self.say("action.feedback", "raw", where)
+        where, group = (*where, entries[0]), group[entries[0]]
+        source.say("inputs.observation", entries[0], where)
+        if not isinstance(group, Mapping):
+            raise source.wrong(where, f"observations.{where[-1]} is {group!r}; no term")
+    terms: list[dict[str, Any]] = []
+    for name, value in group.items():
+        if name in _FLAGS:
+            continue
+        place = (*where, name)
+        if not _is_term(value):
+            raise source.wrong(place, f"observations.{name} is {value!r}; no term")
+        source.facts.lines[("observation", "terms", len(terms))] = source.located.lines[place]
+        terms.append(_term(source, place, value, bool(group.get("scale_first"))))
+    source.facts.values["observation"] = {
+        "layout": "frame_major" if group.get("use_gym_history") else "term_major",
+        "newest": "last",
+        "start": "first",
+        "terms": terms,
+    }
 
-    def spread(self, key: str, size: int) -> list[float]:
-        values = self.floats(key)
-        if len(values) not in (1, size):
-            word = key.rpartition(".")[2]
-            raise self.wrong(
-                key, f"{word} has {len(values)} values for {size} joints; give one for each"
-            )
-        return values * (size // len(values))
 
-    def observation(self) -> None:
-        where: Where = ("observations",)
-        group = self.need("observations")
-        if not isinstance(group, Mapping) or not group:
-            raise self.wrong(where, f"observations are {group!r}; give the terms")
-        entries = [key for key in group if key not in _FLAGS]
-        if entries and not any(_is_term(group[key]) for key in entries):
-            if len(entries) > 1:
-                raise self.wrong(
-                    where,
-                    f"observations has the groups {', '.join(entries)}; only one group can be "
-                    "imported, write a policy.yaml with 'inputs' for the others",
-                )
-            self.say("inputs.observation", entries[0], (*where, entries[0]))
-            where, group = (*where, entries[0]), group[entries[0]]
-            if not isinstance(group, Mapping):
-                raise self.wrong(where, f"observations.{where[-1]} is {group!r}; no term")
-        terms: list[dict[str, Any]] = []
-        for name, value in group.items():
-            if name in _FLAGS:
-                continue
-            if not _is_term(value):
-                raise self.wrong((*where, name), f"observations.{name} is {value!r}; no term")
-            source: Where = (*where, name)
-            self.facts.lines[("observation", "terms", len(terms))] = self.located.lines[source]
-            terms.append(self.term(source, name, value, bool(group.get("scale_first"))))
-        self.facts.values["observation"] = {
-            "layout": "frame_major" if group.get("use_gym_history") else "term_major",
-            "newest": "last",
-            "start": "first",
-            "terms": terms,
-        }
-
-    def term(
-        self, where: Where, name: str, value: Mapping[str, Any], scale_first: bool
-    ) -> dict[str, Any]:
-        term: dict[str, Any] = {"name": name, **term_state(name, absolute=True)}
-        params = value.get("params")
-        try:
-            places = chosen_ids(dig(params, "asset_cfg", "joint_ids"))
-        except ValueError as error:
-            raise self.wrong(where, f"{name}: {error}") from error
-        if places is not None:
-            term["index"] = places
-        if name == "gait_phase" and isinstance(params, Mapping) and "period" in params:
-            self.say("phase", {"period": params["period"], "offsets": [0.0]}, (*where, "params"))
-        scale = value.get("scale")
-        if scale is not None:
-            term["scale"] = self.floats((*where, "scale"))
-        if value.get("clip") is not None:
-            pair = self.value(Pair, (*where, "clip"))
-            term["clip"] = list(pair)
-            if scale_first and scale is not None:
-                if not all(term["scale"]):
-                    raise self.wrong(
-                        (*where, "scale"), f"{name}: scale 0 with scale_first and clip"
-                    )
-                term["clip"] = clip_before_scale(pair, term["scale"])
-        term["history"] = value.get("history_length") or 1
-        if not term_state(name):
-            known = alternatives(name, ("base_ang_vel", "projected_gravity", "velocity_commands",
-                                        "joint_pos_rel", "joint_vel_rel", "last_action",
-                                        "gait_phase"))  # fmt: skip
-            self.facts.notes.append(f"deploy.yaml: no state is known for term {name!r}; {known}")
-        return term
-
-    def ranges(self) -> None:
-        where = ("commands", "base_velocity", "ranges")
-        ranges = command_ranges(dig(self.document, *where))
-        if ranges:
-            self.say("command_ranges", ranges, where)
+def _term(
+    source: Source, where: Where, value: Mapping[str, Any], scale_first: bool
+) -> dict[str, Any]:
+    name, params = str(where[-1]), value.get("params")
+    term: dict[str, Any] = {"name": name, **term_state(name, absolute=True)}
+    places = source.ids(where, dig(params, "asset_cfg", "joint_ids"))
+    if places is not None:
+        term["index"] = places
+    if name == "gait_phase" and (period := dig(params, "period")) is not None:
+        source.say("phase", {"period": period, "offsets": [0.0]}, (*where, "params"))
+    if value.get("scale") is not None:
+        term["scale"] = source.numbers((*where, "scale"))
+    if value.get("clip") is not None:
+        pair = source.value(Pair, (*where, "clip"))
+        term["clip"] = list(pair)
+        if scale_first and "scale" in term:
+            if not all(term["scale"]):
+                raise source.wrong((*where, "scale"), f"{name}: scale 0 with scale_first and clip")
+            term["clip"] = clip_before_scale(pair, term["scale"])
+    term["history"] = value.get("history_length") or 1
+    if not term_state(name):
+        known = alternatives(name, _USUAL)
+        source.facts.notes.append(f"deploy.yaml: no state is known for term {name!r}; {known}")
+    return term
 
 
 def _is_term(value: Any) -> bool:
-    return isinstance(value, Mapping) and any(
-        key in value for key in ("params", "scale", "clip", "history_length")
+    return isinstance(value, Mapping) and any(key in value for key in _KEYS)
+
+
+# A term's name -> the state, the key of its scale and its number of elements; 0: all joints.
+_rl_TERMS: dict[str, tuple[str, str, int]] = {
+    "lin_vel": ("base_lin_vel", "lin_vel_scale", 3),
+    "ang_vel": ("base_ang_vel", "ang_vel_scale", 3),
+    "gravity_vec": ("projected_gravity", "", 3),
+    "commands": ("velocity_command", "commands_scale", 3),
+    "dof_pos": ("joint_pos", "dof_pos_scale", 0),
+    "dof_vel": ("joint_vel", "dof_vel_scale", 0),
+    "actions": ("action", "", 0),
+    "whole_body_tracking/motion_command": ("motion_command", "", 0),
+    "whole_body_tracking/motion_anchor_ori_b": ("motion_anchor_ori_b", "", 6),
+}
+_rl_GAINS = {"stiffness": "rl_kp", "damping": "rl_kd", "default_joint_pos": "default_dof_pos"}
+
+
+def refuse_base(source: Source) -> Facts:
+    """Refuse a `base.yaml` that was named in place of a `config.yaml`.
+
+    Raises:
+        PolicyError: always; with the policies below it.
+    """
+    folder = source.path.parent
+    policies = sorted(str(path.relative_to(folder)) for path in folder.glob("**/config.yaml"))
+    raise PolicyError(
+        f"{source.path}: an rl_sar base.yaml has no policy; name the config.yaml of one: "
+        f"{', '.join(policies) or 'none is below it'}"
     )
+
+
+def rl_sar_facts(source: Source) -> Facts:
+    """Return what a `config.yaml` says, and the `base.yaml` above or beside it.
+
+    Raises:
+        PolicyError: one is against the format.
+    """
+    facts = source.facts
+    facts.source = "rl_sar config.yaml"
+    _find_base(source)
+    count = source.whole("num_of_dofs")
+    wheels = source.places("wheel_indices", count) if source.document.get("wheel_indices") else []
+    _rl_joints(source, count)
+    _rl_action(source, count, wheels)
+    _rl_observation(source, count, wheels)
+    _rl_motion(source, count)
+    source.network("model_name", source.need("model_name"))
+    return facts
+
+
+def _find_base(source: Source) -> None:
+    """Find the robot's base.yaml: as many folders up as the place has parts, or beside."""
+    path, ((place, said),) = source.path, source.located.value.items()
+    robot, depth = str(place).split("/")[0], str(place).count("/")
+    source.files, source.document = [(source.located, (place,))], said
+    above = path.parents[min(depth, len(path.parents) - 1)]
+    found = [file for f in (above, path.parent) if (file := f / "base.yaml").is_file()]
+    if not found:
+        return
+    base = read_yaml(found[0], PolicyError, foreign=True)
+    keys = list(base.value) if isinstance(base.value, Mapping) else []
+    if keys != [robot] or not isinstance(base.value[robot], Mapping):
+        other = repr(keys[0]) if len(keys) == 1 else "no robot"
+        raise base.error(
+            (), f"base.yaml is of {other}, and {path.name} is of {place!r}; put that of "
+            f"{robot!r} there"
+        )  # fmt: skip
+    source.files.append((base, (robot,)))
+    source.document = {**base.value[robot], **said}  # config.yaml wins
+
+
+def _rl_joints(source: Source, count: int) -> None:
+    facts = source.facts
+    source.say_period("dt", "decimation")
+    mapping = source.places("joint_mapping", count)
+    if len(mapping) != count:
+        text = f"has {len(mapping)} numbers for num_of_dofs {count}; name each joint once"
+        raise source.wrong("joint_mapping", f"joint_mapping {text}")
+    names = source.document.get("joint_names")
+    if names is not None:
+        if not isinstance(names, list) or len(names) != count:
+            raise source.wrong("joint_names", f"joint_names is {names!r}; give {count} names")
+        source.say("joints", [names[i] for i in mapping], "joint_mapping")
+    for name in ("period", "joints") if len(source.files) == 1 else ():
+        if name not in facts.values:
+            facts.asks[name] = "it stands in base.yaml, which is neither above nor beside it"
+    for fact, key in _rl_GAINS.items():
+        source.copy(fact, key, count)
+
+
+def _rl_action(source: Source, count: int, wheels: list[int]) -> None:
+    source.copy("action.scale", "action_scale", count)
+    if wheels:
+        kinds = ["velocity" if i in wheels else "position" for i in range(count)]
+        source.say("action.kind", kinds, "wheel_indices")
+    sides = ("clip_actions_lower", "clip_actions_upper")
+    if all(map(source.document.get, sides)):  # its program clips only then
+        source.say("action.clip", [source.numbers(side, count) for side in sides], sides[0])
+    source.say("action.feedback", "clipped", sides[0])
+
+
+def _rl_observation(source: Source, count: int, wheels: list[int]) -> None:
+    facts, document, key = source.facts, source.document, "observations_history"
+    names = source.need("observations")
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise source.wrong("observations", f"observations is {names!r}; give names of terms")
+    ages = source.places(key) if document.get(key) else [0]
+    rising = list(range(len(ages)))
+    if ages not in (rising, rising[::-1]):
+        text = f"{key} is {ages}; only whole histories can be run: {rising} or {rising[::-1]}"
+        raise source.wrong(key, text)
+    bound = None if document.get("clip_obs") is None else source.number("clip_obs")
+    terms, width = [], 0
+    for i, name in enumerate(names):
+        terms.append({**_rl_term(source, name, bound, count, wheels), "history": len(ages)})
+        facts.lines[("observation", "terms", i)] = source.line("observations") or 1
+        many = 2 if name.endswith("motion_command") else 1
+        width += many * ((_rl_TERMS[name][2] if name in _rl_TERMS else 0) or count)
+    laid_out = document.get("num_observations")
+    if laid_out is not None and laid_out != width and {*names} <= {*_rl_TERMS}:
+        raise source.wrong(
+            "num_observations",
+            f"num_observations is {laid_out!r}, and the terms {', '.join(names)} have {width} "
+            "values; correct one of them",
+        )
+    priority = "observations_history_priority"
+    time = document.get(priority, "time")
+    if time not in ("time", "term"):
+        raise source.wrong(priority, f"{priority} is {time!r}; known: time, term")
+    facts.values["observation"] = {
+        "layout": "frame_major" if time == "time" else "term_major",
+        "newest": "first" if ages == rising and len(ages) > 1 else "last",
+        "start": "zeros",
+        "terms": terms,
+    }
+
+
+def _rl_term(
+    source: Source, name: str, bound: float | None, count: int, wheels: list[int]
+) -> dict[str, Any]:
+    if name not in _rl_TERMS:
+        known = alternatives(name, _rl_TERMS)
+        source.facts.notes.append(
+            f"{source.path.name}: no state is known for term {name!r}; {known}"
+        )
+        return {"name": name}
+    state, key, _ = _rl_TERMS[name]
+    term: dict[str, Any] = {"name": name, "state": state}
+    scale = source.numbers(key, 3 if state == "velocity_command" else 1) if key else [1.0]
+    if state == "joint_pos":
+        term["subtract"] = "default_joint_pos"
+        if wheels:
+            scale = [0.0 if i in wheels else scale[0] for i in range(count)]
+    term["scale"] = plural(scale)
+    if bound is not None:
+        term["clip"] = clip_before_scale([-bound, bound], scale)
+    return term
+
+
+def _rl_motion(source: Source, count: int) -> None:
+    """Note the motion of whole-body tracking: rows in the robot's order, compared at the torso."""
+    file, names = map(source.document.get, ("motion_file", "joint_names"))
+    period = source.facts.values.get("period")
+    if file is None or not isinstance(names, list) or not period:
+        return
+    waist = source.places("waist_joint_indices", count)
+    if len(waist) != 3:
+        text = f"waist_joint_indices is {waist}; give the numbers of yaw, roll and pitch"
+        raise source.wrong("waist_joint_indices", text)
+    motion = {
+        "anchor_body": "torso_link",
+        "file": file,
+        "fps": 1.0 / period,
+        "joints": names,
+        "chain": {names[i]: axis for i, axis in zip(waist, "zxy")},
+    }
+    source.say("motion", motion, "motion_file")

@@ -1,34 +1,66 @@
-"""Isaac Lab's `params/env.yaml` (the dumped environment) as facts, as far as it says them.
+"""Dumped environments of training, as far as they say what a policy needs, as facts.
 
-From isaac-sim/IsaacLab: period = `sim.dt` · `decimation`; pose, gains and scale stand as patterns
-over joint names, so they are known once the joints are. The articulation's order is in the robot's
-USD file only, so `joints` must be given, unless the action and each term of joints name them one
-by one with `preserve_order` (`managers/scene_entity_cfg.py`, `envs/mdp/actions/joint_actions.py`),
-as robot_lab does. A term is named by its function (`…mdp.observations:joint_pos_rel`), clipped,
-then scaled; its history is oldest first and flattened term by term.
+**Isaac Lab's `params/env.yaml`**, from isaac-sim/IsaacLab: period = `sim.dt` · `decimation`; pose,
+gains and scale stand as patterns over joint names, so they are known once the joints are. The
+articulation's order is in the robot's USD file only, so `joints` must be given, unless the action
+and each term of joints name them one by one with `preserve_order` (`managers/scene_entity_cfg.py`,
+`envs/mdp/actions/joint_actions.py`), as robot_lab does. A term is named by its function
+(`…mdp.observations:joint_pos_rel`), clipped, then scaled; its history is oldest first and flattened
+term by term. Joints are chosen as `SceneEntityCfg` does: by `joint_names`, which are patterns, in
+the articulation's order unless `preserve_order` is set, else by `joint_ids`.
+
+**legged_gym**, from leggedrobotics/legged_gym `envs/base/legged_robot.py`: period = `sim.dt` ·
+`control.decimation`; gains match by a part of the joint's name; actions are clipped to
+`normalization.clip_actions`, and the clipped action is fed back. The terms and the joint order
+stand in Python code, so they must be given; `normalization.obs_scales` has a term's scale.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
-from unicon_base.located_yaml import Located, Where
+from unicon_base.errors import alternatives
+from unicon_base.located_yaml import Where
 from unicon_core.policies.facts import GAINS, TO_GIVE, Facts, dig, open_joints, term_state
-from unicon_core.policies.importers.source_reader import Source
-from unicon_core.policies.importers.training import (
-    chosen_ids,
-    chosen_joints,
-    matching,
-    say_period,
-    say_ranges,
-    stated_order,
-    values_by_pattern,
-)
+from unicon_core.policies.importers.source import Source, matches, values_by_pattern
 
 _GROUPS = ("policy", "actor")
 _OF_JOINTS = ("joint_pos", "joint_vel")
+
+
+def legged_gym_facts(source: Source) -> Facts:
+    """Return what a legged_gym configuration says; given joints resolve its names.
+
+    Raises:
+        PolicyError: given joints are no names, or numbers are none.
+    """
+    facts, document = source.facts, source.document
+    facts.source, facts.by_pattern = "legged_gym configuration", True
+    source.say_period("sim.dt", "control.decimation")
+    facts.say("action.feedback", "clipped")
+    if source.line("control.action_scale") is not None:
+        source.say("action.scale", dig(document, "control", "action_scale"), "control.action_scale")
+    bound = dig(document, "normalization", "clip_actions")
+    if isinstance(bound, (int, float)):
+        facts.say("action.clip", [-bound, bound])
+    scales = dig(document, "normalization", "obs_scales")
+    if isinstance(scales, Mapping):
+        listed = ", ".join(f"{name} {value}" for name, value in scales.items())
+        facts.notes.append(f"{source.path.name}: scales for the terms to give: {listed}")
+    if (joints := source.joints()) is not None:
+        facts.say("joints", joints)
+        pose = values_by_pattern(document["init_state"]["default_joint_angles"], joints)
+        if pose is not None:
+            facts.say("default_joint_pos", pose)
+        for key in GAINS:
+            gains = values_by_pattern(dig(document, "control", key), joints, whole=False)
+            if gains is not None:
+                facts.say(key, gains, f"control.{key}")
+    source.say_ranges("commands.ranges")
+    facts.say("observation.start", "zeros")
+    return facts
 
 
 def env_yaml_facts(source: Source) -> Facts:
@@ -37,63 +69,83 @@ def env_yaml_facts(source: Source) -> Facts:
     Raises:
         PolicyError: actions that are not joint position targets.
     """
-    located, document = source.located, source.located.value
-    facts = Facts(source.path, "Isaac Lab env.yaml", by_pattern=True)
-    name, action = _action_term(located)
-    where, terms = _terms(located)
-    joints = source.joints or _stated_joints(facts, action, terms)
-    say_period(facts, document, "sim.dt", "decimation")
+    facts = source.facts
+    facts.source, facts.by_pattern = "Isaac Lab env.yaml", True
+    name, action = _action_term(source)
+    where, terms = _term_group(source)
+    joints = source.joints() or _stated_joints(facts, action, terms)
+    source.say_period("sim.dt", "decimation")
     if joints is not None:
         facts.values["joints"] = joints
-        _robot(facts, document, joints)
-    _action(facts, located, name, action, joints)
-    _observation(facts, located, where, terms, joints)
-    say_ranges(facts, document, "commands.base_velocity.ranges")
+        _robot(facts, source.document, joints)
+    _action(source, name, action, joints)
+    shared = dig(source.document, *where, "history_length")
+    said: list[dict[str, Any]] = []
+    for key, value in terms.items():
+        facts.lines[("observation", "terms", len(said))] = source.located.lines[(*where, key)]
+        length = value.get("history_length") if shared is None else shared
+        said.append({**_term(source, (*where, key), value, joints), "history": length or 1})
+    facts.values["observation"] = {"layout": "term_major", "newest": "last", "terms": said}
+    source.say_ranges("commands.base_velocity.ranges")
     return facts
+
+
+def _names(chosen: Any) -> list[str]:
+    """The names or patterns in `joint_names`."""
+    names = dig(chosen, "joint_names")
+    return [] if names is None else list(map(str, names if isinstance(names, list) else [names]))
+
+
+def _matching(patterns: Sequence[object], joints: Sequence[str]) -> list[str]:
+    """Return the joints whose whole name matches one of the patterns, in joint order."""
+    return [joint for joint in joints if any(matches(p, joint) for p in patterns)]
+
+
+def _stated_order(chosen: Any) -> list[str] | None:
+    """Return the joints where they are named one by one in an order that is kept, else None."""
+    names = _names(chosen)
+    said = bool(names) and all(re.fullmatch(r"[\w/-]+", name) for name in names)
+    kept = len(names) == 1 or dig(chosen, "preserve_order") is True
+    return list(dict.fromkeys(names)) if said and kept else None
 
 
 def _stated_joints(
     facts: Facts, action: Mapping[str, Any], terms: Mapping[str, Mapping[str, Any]]
 ) -> list[str] | None:
     """Return the joints in the action's order, where all that is of joints states its own order."""
-    stated = stated_order(action)
-    if stated is None:
-        return None
-    for name, term in terms.items():
+    stated = _stated_order(action)
+    for name, term in terms.items() if stated is not None else ():
         chosen = dig(term, "params", "asset_cfg")
         state = term_state(_function(term)).get("state", chosen and "joint_pos")
         if state not in _OF_JOINTS:
             continue
-        own = stated_order(chosen)
+        own = _stated_order(chosen)
         if own is None:
             facts.asks["joints"] = f"term {name!r} has them in the articulation's order"
             return None
-        stated = list(dict.fromkeys([*stated, *own]))
+        stated = list(dict.fromkeys([*(stated or ()), *own]))
     return stated
 
 
 def _robot(facts: Facts, document: Mapping[str, Any], joints: list[str]) -> None:
-    pose = values_by_pattern(
-        dig(document, "scene", "robot", "init_state", "joint_pos"), joints, default=0.0
-    )
+    said = dig(document, "scene", "robot", "init_state", "joint_pos")
+    pose = values_by_pattern(said, joints, default=0.0)
     if pose is not None:
         facts.values["default_joint_pos"] = pose
     actuators = dig(document, "scene", "robot", "actuators")
     for key in GAINS:
         found: dict[str, float] = {}
-        moved: list[str] = []
+        bare = list(joints)
         for actuator in actuators.values() if isinstance(actuators, Mapping) else ():
             patterns = dig(actuator, "joint_names_expr") or []
-            own = matching(patterns if isinstance(patterns, list) else [patterns], joints)
-            moved += own
-            for joint in own:
+            for joint in _matching(patterns if isinstance(patterns, list) else [patterns], joints):
+                bare = [other for other in bare if other != joint]
                 gain = values_by_pattern(dig(actuator, key), [joint])
                 found |= {} if gain is None else {joint: gain[0]}
         if found:
             facts.values[key] = [found.get(joint, TO_GIVE) for joint in joints]
-        bare = [joint for joint in joints if joint not in moved]
-        if found and bare:
-            facts.asks[key] = f"no actuator's joint_names_expr matches {', '.join(bare)}"
+            if bare:
+                facts.asks[key] = f"no actuator's joint_names_expr matches {', '.join(bare)}"
 
 
 def suggest_joints(facts: Facts, widths: Collection[int | str]) -> None:
@@ -114,137 +166,106 @@ def suggest_joints(facts: Facts, widths: Collection[int | str]) -> None:
             return  # said once
 
 
-def _action_term(located: Located) -> tuple[str, Mapping[str, Any]]:
-    actions = located.value.get("actions")
-    terms = {
-        name: term
-        for name, term in (actions.items() if isinstance(actions, Mapping) else ())
-        if isinstance(term, Mapping)
-    }
+def _action_term(source: Source) -> tuple[str, Mapping[str, Any]]:
+    actions = source.document.get("actions")
+    listed = actions.items() if isinstance(actions, Mapping) else ()
+    terms = {name: term for name, term in listed if isinstance(term, Mapping)}
     if len(terms) != 1:
-        raise located.error(
-            ("actions",),
+        raise source.wrong(
+            "actions",
             f"actions has {len(terms)} terms ({', '.join(map(str, terms)) or 'none'}); only one of "
             "joint position targets can be run",
         )
-    name, term = next(iter(terms.items()))
+    ((name, term),) = terms.items()
     kind = str(term.get("class_type", ""))
     if kind and not re.search(r"\bJointPositionAction", kind):
-        raise located.error(
-            ("actions", name),
-            f"action {name!r} is {kind}; only joint position targets can be run",
-        )
+        text = f"action {name!r} is {kind}; only joint position targets can be run"
+        raise source.wrong(("actions", name), text)
     return name, term
 
 
-def _action(
-    facts: Facts,
-    located: Located,
-    name: str,
-    term: Mapping[str, Any],
-    joints: list[str] | None,
-) -> None:
-    action: dict[str, Any] = {"feedback": "raw"}
-    moved = (joints and _chosen(located, ("actions", name), name, term, joints)) or joints
-    if moved and moved != joints:
-        action["joints"] = moved
-    scale = term.get("scale")
-    if isinstance(scale, (int, float)):
-        action["scale"] = scale
-    elif moved:
-        resolved = values_by_pattern(scale, moved, default=1.0)
-        if resolved is not None:
-            action["scale"] = resolved
-    if not term.get("use_default_offset", True):
-        offset = term.get("offset", 0.0)
-        resolved = values_by_pattern(offset, moved or [], default=0.0)
-        action["offset"] = offset if isinstance(offset, (int, float)) else resolved
-    facts.values["action"] = action
+def _action(source: Source, name: str, term: Mapping[str, Any], joints: list[str] | None) -> None:
+    facts, action = source.facts, {"feedback": "raw"}
+    moved = (joints and _chosen(source, ("actions", name), term, joints)) or joints
+    if moved != joints:
+        facts.say("action.joints", moved)
+    for key, default, wanted in (
+        ("scale", 1.0, True),
+        ("offset", 0.0, not term.get("use_default_offset", True)),
+    ):
+        value = term.get(key, None if key == "scale" else default)
+        if not isinstance(value, (int, float)):
+            many = moved or key == "offset"
+            value = values_by_pattern(value, moved or [], default=default) if many else None
+        if wanted and (value is not None or key == "offset"):
+            facts.say(f"action.{key}", value)
+        facts.keys[("action", key)] = f"actions.{name}.{key}"
+    facts.values["action"] = {**action, **facts.values.get("action", {})}
     if term.get("clip") is not None:
         facts.notes.append(f"env.yaml: actions.{name}.clip, bounds of its targets, is not imported")
-    for key in ("scale", "offset"):
-        facts.keys[("action", key)] = f"actions.{name}.{key}"
 
 
-def _chosen(
-    located: Located, where: Where, name: str, chosen: Any, joints: list[str]
-) -> list[str] | None:
+def _chosen(source: Source, where: Where, chosen: Any, joints: list[str]) -> list[str] | None:
     """Return the joints that an action or a term chooses; None: all, in the articulation's order.
 
     Raises:
         PolicyError: one that it names is not among the joints.
     """
-    try:
-        named = chosen_joints(chosen, joints)
-        if named is not None:
-            return named
-        ids = chosen_ids(dig(chosen, "joint_ids"))
-        if ids is not None and not all(0 <= i < len(joints) for i in ids):
-            raise ValueError(f"joint_ids is {ids}, and there are {len(joints)} joints")
-    except ValueError as error:
-        raise located.error(where, f"{name!r}: {error}") from error
+    names, what = _names(chosen), repr(where[-1])
+    for name in names:
+        if not _matching([name], joints):
+            text = f"{name!r}, which is none of the joints; {alternatives(name, joints)}"
+            raise source.wrong(where, f"{what}: joint_names has {text}")
+    if names and dig(chosen, "preserve_order") is True:
+        return list(dict.fromkeys(joint for name in names for joint in _matching([name], joints)))
+    if names:
+        return _matching(names, joints)
+    ids = source.ids(where, dig(chosen, "joint_ids"))
+    if ids is not None and not all(0 <= i < len(joints) for i in ids):
+        text = f"joint_ids is {ids}, and there are {len(joints)} joints"
+        raise source.wrong(where, f"{what}: {text}")
     return None if ids is None else [joints[i] for i in ids]
 
 
-def _terms(located: Located) -> tuple[Where, dict[str, Mapping[str, Any]]]:
+def _term_group(source: Source) -> tuple[Where, dict[str, Mapping[str, Any]]]:
     """Return where the terms stand, and each by its name."""
-    observations = located.value["observations"]
+    observations = source.document["observations"]
     name = next((g for g in _GROUPS if isinstance(dig(observations, g), Mapping)), None)
     if name is None:
-        raise located.error(("observations",), "observations has no group policy or actor")
-    group = observations[name]
+        raise source.wrong("observations", "observations has no group policy or actor")
+    where, group = ("observations", name), observations[name]
     if group.get("concatenate_terms") is False:
-        raise located.error(
-            ("observations", name),
-            f"observations.{name} is not concatenated; only one input vector can be run",
-        )
-    terms = {
-        key: value for key, value in group.items() if isinstance(value, Mapping) and "func" in value
-    }
-    return ("observations", name), terms
+        text = f"observations.{name} is not concatenated; only one input vector can be run"
+        raise source.wrong(where, text)
+    return where, {key: value for key, value in group.items() if dig(value, "func") is not None}
 
 
 def _function(term: Mapping[str, Any]) -> str:
     return str(term["func"]).rsplit(":", 1)[-1].rsplit(".", 1)[-1]
 
 
-def _observation(
-    facts: Facts,
-    located: Located,
-    where: Where,
-    said: Mapping[str, Mapping[str, Any]],
-    joints: list[str] | None,
-) -> None:
-    shared = dig(located.value, *where, "history_length")
-    terms: list[dict[str, Any]] = []
-    for key, value in said.items():
-        function = _function(value)
-        term: dict[str, Any] = {"name": key, **term_state(function, absolute=True)}
-        if not term_state(function):
-            facts.notes.append(f"env.yaml: no state is known for {key!r} (function {function})")
-        unread = _unread(located.value, value, function)
-        if unread:
-            term = {"name": key}
-            facts.asks[f"observation.terms.{key}.state"] = (
-                f"env.yaml gives it {unread}, which is not read: give its state, index, subtract, "
-                "scale and clip"
-            )
-        elif joints is not None and term.get("state", "joint_pos") in _OF_JOINTS:
-            chosen = dig(value, "params", "asset_cfg")
-            of_it = _chosen(located, (*where, key), key, chosen, joints)
-            if of_it is not None and of_it != joints:
-                term["index"] = [joints.index(joint) for joint in of_it]
-        if function == "gait_phase" and not unread:
-            period = dig(value, "params", "period")
-            facts.values["phase"] = {"period": period, "offsets": [0.0]}
-        if not unread:
-            term["scale"] = 1.0 if value.get("scale") is None else value["scale"]
-            term |= {} if value.get("clip") is None else {"clip": value["clip"]}
-        length = shared if shared is not None else value.get("history_length")
-        term["history"] = 1 if length in (None, 0) else length
-        facts.lines[("observation", "terms", len(terms))] = located.lines[(*where, key)]
-        terms.append(term)
-    facts.values["observation"] = {"layout": "term_major", "newest": "last", "terms": terms}
+def _term(
+    source: Source, where: Where, value: Mapping[str, Any], joints: list[str] | None
+) -> dict[str, Any]:
+    facts, key, function = source.facts, where[-1], _function(value)
+    state = term_state(function, absolute=True)
+    term: dict[str, Any] = {"name": key, **state}
+    if not state:
+        facts.notes.append(f"env.yaml: no state is known for {key!r} (function {function})")
+    if unread := _unread(source.document, value, function):
+        facts.asks[f"observation.terms.{key}.state"] = (
+            f"env.yaml gives it {unread}, which is not read: give its state, index, subtract, "
+            "scale and clip"
+        )
+        return {"name": key}
+    if joints is not None and term.get("state", "joint_pos") in _OF_JOINTS:
+        named = _chosen(source, where, dig(value, "params", "asset_cfg"), joints)
+        if named not in (None, joints):
+            term["index"] = [joints.index(joint) for joint in named or ()]
+    if function == "gait_phase":
+        facts.values["phase"] = {"period": dig(value, "params", "period"), "offsets": [0.0]}
+    term["scale"] = 1.0 if value.get("scale") is None else value["scale"]
+    return term if value.get("clip") is None else {**term, "clip": value["clip"]}
 
 
 def _unread(document: Mapping[str, Any], term: Mapping[str, Any], function: str) -> str:
@@ -252,8 +273,7 @@ def _unread(document: Mapping[str, Any], term: Mapping[str, Any], function: str)
 
     A function without a known state has parameters that only a given state can mind.
     """
-    modifiers = term.get("modifiers")
-    if modifiers:
+    if modifiers := term.get("modifiers"):
         listed = modifiers if isinstance(modifiers, list) else [modifiers]
         return f"modifiers ({', '.join(str(dig(each, 'func') or each) for each in listed)})"
     params = term.get("params") or {}
@@ -262,8 +282,6 @@ def _unread(document: Mapping[str, Any], term: Mapping[str, Any], function: str)
     if not isinstance(params, Mapping):
         return f"params ({params})"
     for key, value in params.items():
-        if value is None:
-            continue
         known = {
             "asset_cfg": dig(value, "name") in (None, "robot") and isinstance(value, Mapping),
             "command_name": value == "base_velocity"
@@ -271,7 +289,6 @@ def _unread(document: Mapping[str, Any], term: Mapping[str, Any], function: str)
             "action_name": isinstance(value, str) and value in document["actions"],
             "period": function == "gait_phase",
         }
-        if not known.get(key):
-            shown = dig(value, "name") or value
-            return f"params.{key} ({shown})"
+        if value is not None and not known.get(key):
+            return f"params.{key} ({dig(value, 'name') or value})"
     return ""

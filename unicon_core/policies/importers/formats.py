@@ -9,16 +9,11 @@ from typing import Any
 
 from unicon_base.errors import PolicyError
 from unicon_core.policies.facts import Facts, says
-from unicon_core.policies.importers.booster import booster_facts
-from unicon_core.policies.importers.deploy_yaml import deploy_yaml_facts
-from unicon_core.policies.importers.env_yaml import env_yaml_facts
-from unicon_core.policies.importers.exploy import exploy_facts
-from unicon_core.policies.importers.holosoma import holosoma_facts
-from unicon_core.policies.importers.legged_gym import legged_gym_facts
-from unicon_core.policies.importers.mjlab import mjlab_facts
-from unicon_core.policies.importers.rl_sar import refuse_base, rl_sar_facts
-from unicon_core.policies.importers.source_reader import Source
-from unicon_core.policies.importers.unitree_rl_gym import unitree_rl_gym_facts
+from unicon_core.policies.importers.deploy_programs import booster_facts, unitree_rl_gym_facts
+from unicon_core.policies.importers.deploy_yaml import deploy_yaml_facts, refuse_base, rl_sar_facts
+from unicon_core.policies.importers.env_yaml import env_yaml_facts, legged_gym_facts
+from unicon_core.policies.importers.metadata import exploy_facts, holosoma_facts, mjlab_facts
+from unicon_core.policies.importers.source import Source
 from unicon_core.policies.networks.onnx_file import OnnxFile, short_text
 
 # A key of the metadata that tells the format -> its reader; the first one counts.
@@ -27,14 +22,6 @@ _METADATA: dict[str, Callable[[OnnxFile], Facts]] = {
     "dof_names": holosoma_facts,
     "joint_names": mjlab_facts,
 }
-
-
-def metadata_reader(onnx: OnnxFile) -> Callable[[OnnxFile], Facts] | None:
-    """Return what reads the metadata of a file; None where they are of no known format."""
-    keys = {key for key, _ in onnx.metadata}
-    return next((reader for key, reader in _METADATA.items() if key in keys), None)
-
-
 # What a key says, as the fact that settles it where it stands twice.
 _SAYS = {
     "joint_names": "joints",
@@ -56,6 +43,24 @@ _SAYS = {
     "body_names": "motion.bodies",
 }
 _NAMES = {"joint_names": ",".join, "dof_names": json.dumps}
+# Keys of a configuration, with dots between nested ones, `*` for the only one -> its reader; the
+# first one whose keys are all there counts.
+_CONFIGURATIONS: dict[tuple[str, ...], Callable[[Source], Facts]] = {
+    ("joint_ids_map", "step_dt"): deploy_yaml_facts,
+    ("sim", "decimation", "observations"): env_yaml_facts,
+    ("control", "init_state.default_joint_angles"): legged_gym_facts,
+    ("*.observations", "*.rl_kp"): rl_sar_facts,
+    ("*.joint_names", "*.joint_mapping"): refuse_base,
+    ("kps", "kds", "default_angles"): unitree_rl_gym_facts,
+    ("common.default_qpos", "policy"): booster_facts,
+}
+_MOTORS = ("joint_ids_map", "leg_joint2motor_idx", "common.default_qpos")
+
+
+def metadata_reader(onnx: OnnxFile) -> Callable[[OnnxFile], Facts] | None:
+    """Return what reads the metadata of a file; None where they are of no known format."""
+    keys = {key for key, _ in onnx.metadata}
+    return next((reader for key, reader in _METADATA.items() if key in keys), None)
 
 
 def settled(
@@ -73,46 +78,24 @@ def settled(
         PolicyError: a key stands twice, and its fact is not said.
     """
     values: dict[str, list[str]] = {}
-    for key, value in onnx.metadata:
-        if value not in values.setdefault(key, []):
-            values[key].append(value)
+    for key, value in dict.fromkeys(onnx.metadata):
+        values.setdefault(key, []).append(value)
     twice = {key: listed for key, listed in values.items() if len(listed) > 1}
     notes = []
     for key, (first, second, *_) in twice.items():
-        fact = _SAYS.get(key)
-        if fact is None:
-            onnx.unique_metadata()  # refuses it
-        elif not whole and not says(said, fact):
-            raise PolicyError(
-                f"{onnx.path}: metadata key {key!r} stands twice, as {short_text(first)} and as "
-                f"{short_text(second)}; export the policy again with one of them, or say {fact} "
-                "under 'given' or in a policy.yaml beside it"
-            )
-        else:
-            notes.append(
-                f"{onnx.path.name}: metadata key {key!r} stands twice, as {short_text(first)} and "
-                f"as {short_text(second)}; {fact} of {where} counts"
-            )
+        fact, both = _SAYS.get(key), f"{short_text(first)} and as {short_text(second)}"
+        text = f"metadata key {key!r} stands twice, as {both}"
+        if fact is not None and (whole or says(said, fact)):
+            notes.append(f"{onnx.path.name}: {text}; {fact} of {where} counts")
+            continue
+        settle = f", or say {fact} under 'given' or in a policy.yaml beside it" if fact else ""
+        raise PolicyError(f"{onnx.path}: {text}; export the policy again with one of them{settle}")
     kept = [pair for pair in onnx.metadata if pair[0] not in twice]
     for key, written in _NAMES.items():  # by which all vectors are read
         joints = said.get("joints")
         if key in twice and isinstance(joints, (list, tuple)):
             kept.append((key, written([str(name) for name in joints])))
     return replace(onnx, metadata=tuple(kept)), notes
-
-
-# Keys of a configuration, with dots between nested ones, `*` for the only one -> its reader; the
-# first one whose keys are all there counts.
-_CONFIGURATIONS: dict[tuple[str, ...], Callable[[Source], Facts]] = {
-    ("joint_ids_map", "step_dt"): deploy_yaml_facts,
-    ("sim", "decimation", "observations"): env_yaml_facts,
-    ("control", "init_state.default_joint_angles"): legged_gym_facts,
-    ("*.observations", "*.rl_kp"): rl_sar_facts,
-    ("*.joint_names", "*.joint_mapping"): refuse_base,
-    ("kps", "kds", "default_angles"): unitree_rl_gym_facts,
-    ("common.default_qpos", "policy"): booster_facts,
-}
-_MOTORS = ("joint_ids_map", "leg_joint2motor_idx", "common.default_qpos")
 
 
 def configuration_reader(values: Any) -> Callable[[Source], Facts] | None:
@@ -128,11 +111,9 @@ def counts_motors(values: Any) -> bool:
 
 def _has(values: Any, key: str) -> bool:
     for step in key.split("."):
-        if not isinstance(values, Mapping):
-            return False
-        if step == "*" and len(values) == 1:
+        if step == "*" and isinstance(values, Mapping) and len(values) == 1:
             (step,) = values
-        if step not in values:
+        if not isinstance(values, Mapping) or step not in values:
             return False
         values = values[step]
     return True

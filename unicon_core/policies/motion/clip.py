@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import warnings
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,15 +21,134 @@ import numpy as np
 
 from unicon_base.arrays import Float32, Float64
 from unicon_base.errors import PolicyError, alternatives, one_line
-from unicon_core.policies.contract import PolicyContract
-from unicon_core.policies.motion.anchor import Chain
-from unicon_core.policies.motion.spec import MotionSpec
+from unicon_core.models.frames import Quat, Vector, multiply, rotate, turned
+from unicon_core.models.kinematic_tree import BASE, frame_of, read_tree
+from unicon_core.models.load import load_model
+from unicon_core.policies.contract import AXES, MotionSpec, PolicyContract
+from unicon_core.robots import Robot
 
 MOST_BYTES = 1 << 30
 """Most that a motion file may hold: a day of a humanoid at 50 Hz is less."""
+_LARGE = "{}: it holds more than 1 GiB; cut the motion"
 MOST_FRAMES = 1_000_000
 NEAR, TURNED = 0.03, 0.1
 """How far forward kinematics may put the anchor from where the file has it, in [m] and [rad]."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """A link on the way from base to anchor: where it stands, and what its joint does to it.
+
+    Attributes:
+        position: in the parent's frame in [m].
+        quat: link to parent at joint position 0, wxyz.
+        index: of its joint in the robot's order, -1 where it is fixed.
+        axis: unit vector in the link's frame.
+        sliding: moves along the axis and does not turn about it.
+    """
+
+    position: Vector = (0.0, 0.0, 0.0)
+    quat: Quat = (1.0, 0.0, 0.0, 0.0)
+    index: int = -1
+    axis: Vector = AXES["z"]
+    sliding: bool = False
+
+
+@dataclass(frozen=True)
+class Chain:
+    """The way from the base to the body by which motions are compared: forward kinematics.
+
+    A humanoid measures the orientation of its pelvis, and motions are compared by the torso: three
+    joints are between.
+
+    Attributes:
+        steps: from the base outwards; empty where the base itself is meant.
+        placed: whether positions are known; of axes alone they are not.
+    """
+
+    steps: tuple[Step, ...]
+    placed: bool = True
+
+    def __call__(
+        self, position: Vector, quat: Quat, joints: Sequence[float]
+    ) -> tuple[Vector, Quat]:
+        """Return where the body is in the world, [m], and its orientation, body to world, wxyz.
+
+        Args:
+            position: of the base in the world in [m].
+            quat: base to world, wxyz.
+            joints: positions in the robot's order in [rad] or [m].
+        """
+        for step in self.steps:
+            x, y, z = rotate(quat, step.position)
+            position = (position[0] + x, position[1] + y, position[2] + z)
+            quat = multiply(quat, step.quat)
+            if step.index < 0:
+                continue
+            if step.sliding:
+                way, axis = joints[step.index], step.axis
+                x, y, z = rotate(quat, (axis[0] * way, axis[1] * way, axis[2] * way))
+                position = (position[0] + x, position[1] + y, position[2] + z)
+            else:
+                quat = multiply(quat, turned(step.axis, joints[step.index]))
+        return position, quat
+
+
+def chain_of_axes(axes: Mapping[str, str], joints: Sequence[str], what: str) -> Chain:
+    """Return a chain of joints that turn about axes of the base, as a contract may say it.
+
+    Args:
+        axes: joint to `x`, `y`, `z`, `-x`, `-y` or `-z`, from the base outwards.
+        joints: of the robot.
+        what: the policy, for messages.
+
+    Raises:
+        PolicyError: a joint that the robot lacks.
+    """
+    for joint in axes:
+        if joint not in joints:
+            raise PolicyError(
+                f"{what}: motion.chain names {joint!r}; {alternatives(joint, joints)}"
+            )
+    places = {joint: i for i, joint in enumerate(joints)}
+    steps = tuple(Step(index=places[joint], axis=AXES[axis]) for joint, axis in axes.items())
+    return Chain(steps, placed=not steps)
+
+
+def chain_in_model(robot: Robot, path: Path, body: str, what: str) -> Chain:
+    """Return the chain to a body of a model.
+
+    Args:
+        robot: gives joint names and the base.
+        path: MJCF or URDF.
+        body: its name in the model.
+        what: the policy, for messages.
+
+    Raises:
+        PolicyError: the model has no such body.
+        UniconError: the model cannot be read.
+    """
+    model = load_model(path, robot, quiet=True).model
+    links = read_tree(model, robot)
+    base = (BASE, robot.base_frame)
+    own = {model.body(number).name for number in range(model.nbody)}
+    names = [link.name if link.name in (*base, *own) else "" for link in links]
+    if body not in names:
+        known = alternatives(body, [name for name in names if name])
+        raise PolicyError(f"{what}: motion.anchor_body {body!r} is not a body of {path}; {known}")
+    steps: list[Step] = []
+    if body not in base:  # a link's origin is at its joint, a body's is not
+        origin = frame_of(model, robot, model.body(body).id)
+        assert origin is not None
+        x, y, z = map(float, -origin[1])
+        steps.append(Step((x, y, z)))
+    place = names.index(body)
+    while place >= 0:
+        link = links[place]
+        position, quat, axis = (tuple(map(float, v)) for v in (link.position, link.quat, link.axis))
+        steps.insert(0, Step(position, quat, link.index, axis, link.sliding))  # type: ignore[arg-type]
+        place = link.parent
+    return Chain(tuple(steps))
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,16 +215,17 @@ def read_clip(
 
     joint_pos, base_pos = between(frames.joint_pos), between(frames.base_pos)
     base_quat = _slerp(frames.base_quat[first], frames.base_quat[first + 1], share)
+    joint_vel = np.zeros_like(joint_pos)
     if frames.joint_vel is not None:
         joint_vel = between(frames.joint_vel)
-    else:
-        still = np.zeros_like(joint_pos)
-        joint_vel = np.gradient(joint_pos, contract.period, axis=0) if count > 1 else still
-    robot_from_file = [order.index(name) if name in order else -1 for name in robot_joints]
+    elif count > 1:
+        joint_vel = np.gradient(joint_pos, contract.period, axis=0)
+    places = {name: i for i, name in enumerate(order)}
+    robot_from_file = [places.get(name, -1) for name in robot_joints]
     anchor_pos, anchor_quat = _anchors(chain, base_pos, base_quat, joint_pos, robot_from_file)
     if frames.bodies is not None:
         _agree(path, spec, frames, chain, robot_from_file)
-    policy_from_file = [order.index(name) for name in contract.joints]
+    policy_from_file = [places[name] for name in contract.joints]
     return Clip(
         np.ascontiguousarray(joint_pos[:, policy_from_file], np.float32),
         np.ascontiguousarray(joint_vel[:, policy_from_file], np.float32),
@@ -166,11 +286,9 @@ def _joint_order(
     named = {"policy": contract.joints, "robot": tuple(robot_joints)}
     order = list(named[said] if isinstance(said, str) else said)
     if len(order) != count:
-        what = f"motion.joints: {said}" if isinstance(said, str) else "motion.joints"
-        raise PolicyError(
-            f"{path}: it has {count} joints and {what} has {len(order)}; give the list of its "
-            "joints as motion.joints"
-        )
+        what = f"motion.joints{f': {said}' if isinstance(said, str) else ''} has {len(order)}"
+        text = f"it has {count} joints and {what}; give the list of its joints as motion.joints"
+        raise PolicyError(f"{path}: {text}")
     for name in contract.joints:
         if name not in order:
             known = alternatives(name, order)
@@ -182,37 +300,31 @@ def _read_npz(path: Path, fps: float | None) -> _Frames:
     try:
         with zipfile.ZipFile(path) as parts:
             if sum(part.file_size for part in parts.infolist()) > MOST_BYTES:
-                raise PolicyError(f"{path}: it holds more than 1 GiB; cut the motion")
+                raise PolicyError(_LARGE.format(path))
         with np.load(path, allow_pickle=False) as file:
-            keys = list(file.keys())
             needed = ("fps", "joint_pos", "joint_vel", "body_pos_w", "body_quat_w")
-            for key in needed if fps is None else needed[1:]:
-                if key not in keys:
+            for key in needed[fps is not None :]:
+                if key not in file:
                     raise PolicyError(
-                        f"{path}: it has no {key!r}; {alternatives(key, keys)}; write it with "
-                        "csv_to_npz.py of BeyondMimic or mjlab"
+                        f"{path}: it has no {key!r}; {alternatives(key, file.keys())}; write it "
+                        "with csv_to_npz.py of BeyondMimic or mjlab"
                     )
-            arrays = {key: np.asarray(file[key], np.float64) for key in needed if key in keys}
+            arrays = {key: np.asarray(file[key], np.float64) for key in needed if key in file}
     except PolicyError:
         raise
     except Exception as error:  # whatever its reader finds: zip, header, objects
         raise PolicyError(
             f"{path}: not a motion in .npz: {one_line(error)[:120]}; export it again"
         ) from error
-    joint_pos, joint_vel = arrays["joint_pos"], arrays["joint_vel"]
-    pos, quat = arrays["body_pos_w"], arrays["body_quat_w"]
-    count, bodies = (joint_pos.shape[0] if joint_pos.ndim else 0), (*pos.shape, 0, 0)[1]
-    shapes = {
-        "joint_pos": (joint_pos, (count, (*joint_pos.shape, 0, 0)[1])),
-        "joint_vel": (joint_vel, joint_pos.shape),
-        "body_pos_w": (pos, (count, bodies, 3)),
-        "body_quat_w": (quat, (count, bodies, 4)),
-    }
-    for key, (array, shape) in shapes.items():
-        if array.shape != shape or 0 in shape:
+    joint_pos, joint_vel, pos, quat = (arrays[key] for key in needed[1:])
+    count, joints = (*joint_pos.shape, 0, 0)[:2]
+    bodies = (*pos.shape, 0, 0)[1]
+    shapes = ((count, joints), joint_pos.shape, (count, bodies, 3), (count, bodies, 4))
+    for key, shape in zip(needed[1:], shapes):
+        if arrays[key].shape != shape or 0 in shape:
             raise PolicyError(
-                f"{path}: {key} has shape {array.shape}, not (frames, n) or (frames, bodies, …) "
-                "as the others; export it again"
+                f"{path}: {key} has shape {arrays[key].shape}, not (frames, n) or (frames, bodies, "
+                "…) as the others; export it again"
             )
     said = arrays.get("fps", np.zeros(0)).reshape(-1)
     rate = fps if fps is not None else float(said[0]) if said.size == 1 else float("nan")
@@ -221,11 +333,11 @@ def _read_npz(path: Path, fps: float | None) -> _Frames:
 
 
 def _read_csv(path: Path, fps: float | None) -> _Frames:
+    if path.stat().st_size > MOST_BYTES:
+        raise PolicyError(_LARGE.format(path))
     try:
-        if path.stat().st_size > MOST_BYTES:
-            raise PolicyError(f"{path}: it holds more than 1 GiB; cut the motion")
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # that it is empty: told below
+            warnings.simplefilter("ignore")  # that it is empty: refused below
             rows: Any = np.loadtxt(path, delimiter=",", ndmin=2, dtype=np.float64)
     except (OSError, ValueError) as error:
         raise PolicyError(
@@ -243,11 +355,9 @@ def _read_csv(path: Path, fps: float | None) -> _Frames:
 
 def _sound(path: Path, frames: _Frames) -> _Frames:
     """Refuse what no motion is; make quaternions go on without a change of sign."""
-    arrays = [frames.joint_pos, frames.base_pos, frames.base_quat]
-    arrays += [] if frames.joint_vel is None else [frames.joint_vel]
-    arrays += list(frames.bodies or ())
-    for array in arrays:
-        bad = np.argwhere(~np.isfinite(array))
+    arrays = (frames.joint_pos, frames.joint_vel, frames.base_pos, frames.base_quat)
+    for array in (*arrays, *(frames.bodies or ())):
+        bad = np.argwhere(~np.isfinite(0.0 if array is None else array))
         if bad.size:
             raise PolicyError(
                 f"{path}: frame {int(bad[0][0])} holds a number that is not finite; mend the motion"

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -34,11 +35,10 @@ from unicon_core.models.frames import (
     turned,
     yaw_of,
 )
+from unicon_core.policies.bind import PolicyStep
 from unicon_core.policies.contract import PolicyContract
-from unicon_core.policies.motion.anchor import Chain, chain_in_model, chain_of_axes
-from unicon_core.policies.motion.clip import Clip, read_clip
-from unicon_core.policies.policy_step import PolicyStep
-from unicon_core.policies.prefixed import PackedStates
+from unicon_core.policies.controller import PackedStates
+from unicon_core.policies.motion.clip import Chain, Clip, chain_in_model, chain_of_axes, read_clip
 from unicon_core.robots import Robot, joint_index
 
 _REFERENCE = ("motion_joint_pos", "motion_joint_vel")
@@ -193,37 +193,38 @@ class MotionTracker:
         self._tick, self._begun, self.done = 0, False, False
 
 
-Told = Callable[[int, int], Any]
+Published = Callable[[int, int], Any]
 
 
 def _anchor_source(
     contract: PolicyContract, states: PackedStates, clip: Clip | None, rows: int
-) -> tuple[Told | None, Told | None]:
-    """Return what tells the reference's orientation (wxyz) and position by row and tick."""
+) -> list[Published | None]:
+    """Return what gives the reference's orientation (wxyz) and position by row and tick."""
     spec = contract.motion
     assert spec is not None
+    found: list[Published | None] = []
     if clip is not None:
-        quats = clip.anchor_quat.tolist()
-        places = None if clip.anchor_pos is None else clip.anchor_pos.tolist()
-        last = len(quats) - 1
-        return (
-            lambda row, tick: quats[min(tick, last)],
-            None if places is None else lambda row, tick: places[min(tick, last)],
-        )
+        for array in (clip.anchor_quat, clip.anchor_pos):
+            frames = None if array is None else array.tolist()
+            found.append(frames and partial(_of_frame, frames, len(frames) - 1))
+        return found
+    body, count, suffix = 0, 1, "ref_quat_xyzw ref_pos_xyz"
+    order: Any = [3, 0, 1, 2]
     if spec.anchor_body in spec.bodies:
-        body = spec.bodies.index(spec.anchor_body)
-        quat = _rows_of(contract, states, "motion_body_quat_w", rows, len(spec.bodies), 4)
-        pos = _rows_of(contract, states, "motion_body_pos_w", rows, len(spec.bodies), 3)
-        return (
-            None if quat is None else lambda row, tick: quat[row, body].tolist(),
-            None if pos is None else lambda row, tick: pos[row, body].tolist(),
-        )
-    xyzw = _rows_of(contract, states, "motion_ref_quat_xyzw", rows, 1, 4)
-    xyz = _rows_of(contract, states, "motion_ref_pos_xyz", rows, 1, 3)
-    return (
-        None if xyzw is None else lambda row, tick: xyzw[row, 0, [3, 0, 1, 2]].tolist(),
-        None if xyz is None else lambda row, tick: xyz[row, 0].tolist(),
-    )
+        body, count = spec.bodies.index(spec.anchor_body), len(spec.bodies)
+        suffix, order = "body_quat_w body_pos_w", slice(None)
+    for name, size, places in zip(suffix.split(), (4, 3), (order, slice(None))):
+        view = _rows_of(contract, states, f"motion_{name}", rows, count, size)
+        found.append(None if view is None else partial(_of_row, view[:, body], places))
+    return found
+
+
+def _of_frame(frames: Any, last: int, row: int, tick: int) -> Any:
+    return frames[min(tick, last)]
+
+
+def _of_row(view: Float32, places: Any, row: int, tick: int) -> Any:
+    return view[row, places].tolist()
 
 
 def _rows_of(

@@ -1,21 +1,26 @@
-"""A network in a process of its own: what it takes goes there and what it gives comes back.
+"""The network of a policy in a process of its own: the parent's end, and the child.
 
-Both go through shared memory (`states/backends/shm/`), and nobody waits for the other but where
-`take` is told to. The child keeps nothing but the network: what is fed back comes with each call,
-so that an answer to a question that nobody asks any more is dropped without a trace.
+The child reads the contract from stdin, then one line that says to what it is bound; stdin's end
+asks it to end. It ends, too, when its parent has died, and when a call hangs.
 """
 
 from __future__ import annotations
 
 import os
+import signal
+import sys
 import time
+from contextlib import suppress
 from typing import Any
 
+import numpy as np
+
 from unicon_base.arrays import Array
-from unicon_base.errors import Fault, PolicyError
-from unicon_core.platforms.child.pipe import Pipe
+from unicon_base.errors import Fault, PolicyError, UniconError
+from unicon_core.platforms.child.pipe import ALARM, LONGEST, Parent, Pipe, text_of
 from unicon_core.policies.contract import PolicyContract
-from unicon_core.policies.networks.network import Arrays, Tensor
+from unicon_core.policies.networks import Remembering, open_network
+from unicon_core.policies.networks.onnx_file import Arrays, Tensor
 from unicon_core.signals import SIGNALS
 from unicon_core.states import Layout, States, StateSpec
 from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter, remove_dead
@@ -32,14 +37,20 @@ PATIENCE = 10.0
 # How long the child may take to end in [s]; it holds no motor and is killed then.
 _CLOSING = 1.0
 
-# How often a child that is waited for is looked at, in [s].
+# How often each looks whether the other lives, in [s].
 _LOOK = 0.005
 
-_MODULE = "unicon_core.policies.networks.child_process"
+_MODULE = "unicon_core.policies.networks.child"
 
 
 class ChildNetwork:
-    """The network of a contract in a child, as if it were here.
+    """The network of a contract in a process of its own, as if it were here.
+
+    What it takes goes there and what it gives comes back through shared memory
+    (`states/backends/shm/`); neither waits for the other, except `take` where it is asked to. The
+    child keeps nothing but the network: what is fed back comes with each call, so that an answer
+    to a question that was dropped leaves no trace. Both segments are laid out by the first arrays
+    that it is bound to.
 
     Args:
         contract: the policy; with `child`, which says how it runs there.
@@ -57,17 +68,20 @@ class ChildNetwork:
         self.what = f"policy {contract.name!r}"
         self.number = 0
         self._closed = False
-        self._channel: _Channel | None = None
+        self._names: tuple[tuple[str, ...], ...] = ()
+        self._segment: Segment | None = None
+        self._reader: ShmReader | None = None
+        self._child_segment = ""
         self.pipe = Pipe(self.what, {"contract": contract}, _MODULE)
         self.process = self.pipe.process
         try:
-            told = self.pipe.answer(START, SIGNALS.check)
+            reply = self.pipe.answer(START, SIGNALS.check)
         except BaseException:
             self.close()
             raise
-        self.inputs: tuple[Tensor, ...] = told["inputs"]
-        self.outputs: tuple[Tensor, ...] = told["outputs"]
-        self.warnings: list[str] = told["warnings"]
+        self.inputs: tuple[Tensor, ...] = reply["inputs"]
+        self.outputs: tuple[Tensor, ...] = reply["outputs"]
+        self.warnings: list[str] = reply["warnings"]
 
     def bind(self, inputs: Arrays, outputs: Arrays) -> Question:
         """Return what asks the child about these arrays, and brings its answers into them.
@@ -76,18 +90,55 @@ class ChildNetwork:
             UniconError: the network cannot be bound to them.
             PolicyError: it has been bound to arrays of other shapes.
         """
-        if self._channel is None:
-            self._channel = _Channel(self, inputs, outputs)
-        return self._channel.question(inputs, outputs)
+        names, layouts = (tuple(inputs), tuple(outputs)), _layouts(inputs, outputs)
+        if not self._names:
+            self._names, self._layouts = names, layouts
+            try:
+                self._open()
+            except BaseException:
+                self._release()
+                self._names = ()
+                raise
+        if (names, layouts) != (self._names, self._layouts):
+            raise PolicyError(
+                f"{self.what}: its network in a child is bound to other sizes already; "
+                "leave out child"
+            )
+        return Question(self, list(inputs.values()), list(outputs.values()))
+
+    def _open(self) -> None:
+        self.questions, self.answers = map(States, self._layouts)
+        name = f"policy-{os.getpid()}-{id(self) & 0xFFFF:x}"
+        self._child_segment = f"{name}-child"
+        self._segment = Segment.create(name, {QUESTION: self.questions.layout})
+        self.writer = ShmWriter(self._segment, QUESTION, self.questions)
+        layouts = (layout.to_json() for layout in self._layouts)
+        self.pipe.tell("bind", name, self._child_segment, *map(list, self._names), *layouts)
+        self.pipe.answer(START, SIGNALS.check)
+        self._reader = ShmReader(self._child_segment, ANSWER, self.answers)
+        self._segment.unlink()  # nobody else is to find them
+        self._reader.unlink()
+
+    @property
+    def reader(self) -> ShmReader:
+        """What takes answers."""
+        assert self._reader is not None
+        return self._reader
 
     def close(self) -> None:
         """End the child; kill it where it hangs. Safe to call twice."""
-        if self._closed:
-            return
-        self._closed = True
-        self.pipe.close(_CLOSING)
-        if self._channel is not None:
-            self._channel.close()
+        if not self._closed:
+            self._closed = True
+            self.pipe.close(_CLOSING)
+            self._release()
+
+    def _release(self) -> None:
+        for part in (self._reader, self._segment):
+            if part is not None:
+                part.close()
+        if self._child_segment:
+            remove_dead(self._child_segment)
+        self._reader, self._segment, self._child_segment = None, None, ""
 
 
 def _layouts(inputs: Arrays, outputs: Arrays) -> tuple[Layout, Layout]:
@@ -103,75 +154,22 @@ def _layouts(inputs: Arrays, outputs: Arrays) -> tuple[Layout, Layout]:
     return Layout(questions | {"fresh": StateSpec((), "int32")}, None), Layout(answers, None)
 
 
-class _Channel:
-    """Both segments of a network, laid out by the first arrays that it is bound to."""
-
-    def __init__(
-        self,
-        network: ChildNetwork,
-        inputs: Arrays,
-        outputs: Arrays,
-    ) -> None:
-        self.network = network
-        self._names = (tuple(inputs), tuple(outputs))
-        self._layouts = _layouts(inputs, outputs)
-        self.questions, self.answers = map(States, self._layouts)
-        name = f"policy-{os.getpid()}-{id(self) & 0xFFFF:x}"
-        self._child_segment = f"{name}-child"
-        self._segment = Segment.create(name, {QUESTION: self.questions.layout})
-        self._reader: ShmReader | None = None
-        try:
-            self.writer = ShmWriter(self._segment, QUESTION, self.questions)
-            layouts = (layout.to_json() for layout in self._layouts)
-            network.pipe.tell("bind", name, self._child_segment, *map(list, self._names), *layouts)
-            network.pipe.answer(START, SIGNALS.check)
-            self._reader = ShmReader(self._child_segment, ANSWER, self.answers)
-            self._segment.unlink()  # nobody else is to find them
-            self._reader.unlink()
-        except BaseException:
-            self.close()
-            raise
-
-    @property
-    def reader(self) -> ShmReader:
-        """What takes answers."""
-        assert self._reader is not None
-        return self._reader
-
-    def question(self, inputs: Arrays, outputs: Arrays) -> Question:
-        """Return what asks about some arrays."""
-        same = (tuple(inputs), tuple(outputs)) == self._names
-        if not same or _layouts(inputs, outputs) != self._layouts:
-            raise PolicyError(
-                f"{self.network.what}: its network in a child is bound to other sizes already; "
-                "leave out child"
-            )
-        return Question(self, list(inputs.values()), list(outputs.values()))
-
-    def close(self) -> None:
-        """Let go of both segments."""
-        if self._reader is not None:
-            self._reader.close()
-        self._segment.close()
-        remove_dead(self._child_segment)
-
-
 class Question:
     """One binding of the network; called, it waits for the answer, as other networks do.
 
     Args:
-        channel: to the child.
+        network: in the child.
         inputs: arrays that are asked about.
         outputs: arrays that take the answer.
     """
 
-    def __init__(self, channel: _Channel, inputs: list[Array], outputs: list[Array]) -> None:
-        self._channel, self._network = channel, channel.network
-        asked, told = channel.questions, channel.answers
+    def __init__(self, network: ChildNetwork, inputs: list[Array], outputs: list[Array]) -> None:
+        self._network, self._reader = network, network.reader
+        asked, answer = network.questions, network.answers
         self._asked = [(asked[f"x{i}"], array) for i, array in enumerate(inputs)]
-        self._told = [(array, told[f"y{i}"]) for i, array in enumerate(outputs)]
+        self._answers = [(array, answer[f"y{i}"]) for i, array in enumerate(outputs)]
         self._number, self._fresh = asked["number"], asked["fresh"]
-        self._answered = told["number"]
+        self._answered = answer["number"]
         self._due, self._anew, self._awaited = 0, True, False
 
     def __call__(self) -> None:
@@ -189,7 +187,7 @@ class Question:
         self._due = self._network.number
         self._number[...], self._fresh[...] = self._due, self._anew
         self._anew, self._awaited = False, True
-        self._channel.writer.publish()
+        self._network.writer.publish()
 
     def take(self, *, wait: bool) -> bool:
         """Bring the answer into the outputs; False where it is not there yet.
@@ -198,9 +196,9 @@ class Question:
             wait: for it.
 
         Raises:
-            Fault: the child has died, tells of a fault, or hangs while it is waited for.
+            Fault: the child has died, reports a fault, or hangs while it is waited for.
         """
-        reader = self._channel.reader
+        reader = self._reader
         end = time.monotonic() + PATIENCE if wait else 0.0
         while not (reader.take() and self._answered == self._due):
             self._look()
@@ -212,7 +210,7 @@ class Question:
                     f"answered for {PATIENCE:g} s: it hangs or was stopped"
                 )
             reader.wait(_LOOK)
-        for here, there in self._told:
+        for here, there in self._answers:
             here[...] = there
         self._awaited = False
         return True
@@ -220,8 +218,7 @@ class Question:
     def _look(self) -> None:
         if self._network.process.poll() is None:
             return
-        told = self._network.pipe.words()
-        raise Fault(told.get("fault") or self._network.pipe.end)
+        raise Fault(self._network.pipe.words().get("fault") or self._network.pipe.end)
 
     def forget(self) -> None:
         """Drop the answer that is awaited; the network begins anew with what is asked next."""
@@ -239,3 +236,117 @@ class Question:
             for (there, _), values in zip(self._asked, asked):
                 there[...] = values
             self._publish()
+
+
+def main() -> int:
+    """Run; 0 after an orderly end, 3 after a fault."""
+    parent = Parent(START)
+    contract: PolicyContract = parent.given["contract"]
+    try:
+        warnings = _prepare(contract)
+        network = open_network(contract)
+        parent.tell(inputs=network.inputs, outputs=network.outputs, warnings=warnings)
+        answering = _answering(parent, network)
+    except UniconError as error:
+        parent.tell(error=str(error)[:LONGEST], kind=type(error).__name__)
+        return 1
+    except Exception as error:
+        parent.tell(
+            error=f"policy {contract.name!r}: its process raised {text_of(error)}",
+            kind="PolicyError",
+        )
+        return 1
+    if answering is None:
+        return 0
+    try:
+        answering.run(parent)
+    except Exception as error:
+        parent.tell(fault=f"policy {contract.name!r}: its process raised {text_of(error)}")
+        return 3
+    return 0
+
+
+def _prepare(contract: PolicyContract) -> list[str]:
+    """Go to the core that is wished; return what was refused."""
+    assert contract.child is not None
+    with suppress(OSError):  # being woken, it takes no core from the tick that woke it
+        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+    cpu = contract.child.cpu
+    if cpu is None:
+        return []
+    try:
+        os.sched_setaffinity(0, {cpu})
+    except (OSError, AttributeError) as error:
+        last = (os.cpu_count() or 1) - 1
+        refused = f"core {cpu} refused ({error}); known: 0 to {last} (child.cpu)"
+        return [f"policy {contract.name!r}: {refused}"]
+    return []
+
+
+def _answering(parent: Parent, network: Any) -> _Answering | None:
+    """Bind the network as the parent says; None where it closes before."""
+    while True:
+        signal.alarm(round(START) + ALARM)
+        wishes = parent.wishes()
+        if wishes is None:
+            return None
+        for _, *given in wishes:
+            answering = _Answering(network, *given)
+            parent.tell(bound=True)
+            return answering
+        time.sleep(0.001)
+
+
+class _Answering:
+    """The network between both segments."""
+
+    def __init__(
+        self,
+        network: Any,
+        parent: str,
+        name: str,
+        inputs: list[str],
+        outputs: list[str],
+        questions: str,
+        answers: str,
+    ) -> None:
+        asked, told = States(Layout.from_json(questions)), States(Layout.from_json(answers))
+        self._call = network.bind(
+            {tensor: asked[f"x{i}"] for i, tensor in enumerate(inputs)},
+            {tensor: told[f"y{i}"] for i, tensor in enumerate(outputs)},
+        )
+        self._keeps = isinstance(self._call, Remembering)
+        self._call()  # the first call takes longest
+        self._number, self._fresh = asked["number"], asked["fresh"]
+        self._answered = told["number"]
+        self._reader = ShmReader(parent, QUESTION, asked)
+        self._reader.unlink()  # nothing is left of a parent that is killed from here on
+        self._segment = Segment.create(name, {ANSWER: told.layout})
+        self._writer = ShmWriter(self._segment, ANSWER, told)
+
+    def run(self, parent: Parent) -> None:
+        """Answer until the parent closes or dies."""
+        reader, call, looked = self._reader, self._call, 0.0
+        with np.errstate(all="ignore"):
+            while True:
+                signal.alarm(ALARM)  # the kernel ends a call that hangs, also without a parent
+                if reader.wait(_LOOK) and reader.take():
+                    if self._keeps and self._fresh:
+                        call.reset()
+                    call()
+                    if self._keeps:
+                        call.commit()
+                    self._answered[...] = self._number
+                    self._writer.publish()
+                now = time.monotonic()
+                if now - looked > _LOOK:
+                    looked = now
+                    if parent.wishes() is None or not reader.alive():
+                        return
+
+
+if __name__ == "__main__":
+    # No destructors: runtimes' libraries print tracebacks when Python tears them down.
+    status = main()
+    sys.stderr.flush()
+    os._exit(status)

@@ -10,7 +10,7 @@ import numpy as np
 
 from unicon_base.errors import PolicyError, imported, one_line
 from unicon_core.policies.contract import PolicyContract
-from unicon_core.policies.networks.network import Arrays, Tensor
+from unicon_core.policies.networks.onnx_file import Arrays, Tensor
 
 
 class TorchNetwork:
