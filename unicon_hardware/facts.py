@@ -34,10 +34,10 @@ Octet = Annotated[int, Within(0, 255)]
 Word = Annotated[int, Within(0, 0xFFFF)]
 Port = Annotated[int, Within(1, 65535)]
 Baud = Annotated[int, Within(1, 10_000_000)]
-# Of frames in [Hz].
 Rate = Annotated[float, Key("rate_hz"), Within(1.0, 10_000.0)]
-# Of frames that are asked for, in [Hz].
+"""Of frames in [Hz]."""
 AskingRate = Annotated[float, Key("rate_hz"), Within(1.0, 1000.0)]
+"""Of frames that are asked for, in [Hz]."""
 
 
 class _Then(Type):

@@ -17,10 +17,10 @@ from numpy.typing import ArrayLike
 
 from unicon_base.arrays import Float32
 
-# A motor may reach its mode so much later than the one before, [s]: 100 frames at 500 Hz.
 SETTLES = 0.2
-# `settles` where no public source says what a robot reports as a motor's mode.
+"""A motor may reach its mode so much later than the one before, [s]: 100 frames at 500 Hz."""
 UNDOCUMENTED = math.inf
+"""`settles` where no public source says what a robot reports as a motor's mode."""
 
 
 class ModeGuard:

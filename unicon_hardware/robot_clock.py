@@ -31,16 +31,16 @@ class RobotClock:
         believed: whether frames that get older are found, and stamps are the robot's.
     """
 
-    # Older by so much than the quickest one is a fault, [s]: a network may be 0.02 s late.
     OLD = 0.1
-    # Share by which the clocks may differ; crystals do by 0.0001.
+    """Older by so much than the quickest one is a fault, [s]: a network may be 0.02 s late."""
     DRIFT = 0.02
-    # In [s].
+    """Share by which the clocks may differ; crystals do by 0.0001."""
     SETTLES = 0.5
-    # Frames that are older by no more than that keep step, [s].
+    """In [s]."""
     STEADY = 0.03
-    # Without a frame for so long, [s], the robot, or this machine, stood still.
+    """Frames that are older by no more than that keep step, [s]."""
     PAUSE = 0.05
+    """Without a frame for so long, [s], the robot, or this machine, stood still."""
 
     def __init__(self, label: str) -> None:
         self._label = label
@@ -96,12 +96,12 @@ class Repeats:
         span: of a frame's bytes: measurements, without counts and checksums.
     """
 
-    # So long they have to come again, [s].
     LASTS = 0.2
-    # So many frames at least.
+    """So long they have to come again, [s]."""
     LEAST = 5
-    # Frames that are remembered: 10 s at 500 Hz.
+    """So many frames at least."""
     KEPT = 5000
+    """Frames that are remembered: 10 s at 500 Hz."""
 
     def __init__(self, label: str, span: slice) -> None:
         self._label, self._span = label, span

@@ -33,10 +33,10 @@ from unicon_core.states.standard import COMMAND_STATES
 from unicon_hardware.robot_clock import RobotClock
 from unicon_hardware.wire import Wire
 
-# Without a good frame for so long, in [s], a robot at 500 Hz is silent: 25 frames are missing.
 SILENCE = 0.05
-# Between two looks at a wire that has not told anything yet, [s].
+"""Without a good frame for so long, in [s], a robot at 500 Hz is silent: 25 frames are missing."""
 LOOKING = 0.002
+"""Between two looks at a wire that has not told anything yet, [s]."""
 
 
 class WiredRobot:

@@ -4,7 +4,6 @@ import re
 
 __all__ = ["BUILTIN"]
 
-# Block name to `module:factory`, a function or the tick's class; imported when a workflow asks.
 BUILTIN: dict[str, str] = {
     re.sub("(?<=[a-z])(?=[A-Z])", "_", factory).lower(): f"unicon_core.blocks.{module}:{factory}"
     for module, factories in {
@@ -36,3 +35,4 @@ BUILTIN: dict[str, str] = {
     }.items()
     for factory in factories
 }
+"""Block name to `module:factory`, a function or the tick's class; imported when a workflow asks."""

@@ -249,12 +249,12 @@ class Monitor:
         held: a gantry holds the base, so that it cannot fall; the builder says it.
     """
 
-    # Cosine of the tilt that counts as a fall: 60° from upright.
     FALL_COSINE = 0.5
-    # Share of its height at first below which a base has sunk.
+    """Cosine of the tilt that counts as a fall: 60° from upright."""
     FALL_HEIGHT = 0.5
-    # Height in [m] up to which no base is judged: an odometry may begin at a zero of its own.
+    """Share of its height at first below which a base has sunk."""
     ODOMETRY = 0.1
+    """Height in [m] up to which no base is judged: an odometry may begin at a zero of its own."""
 
     name = "report"
     reads = ("base_pos_w", "projected_gravity", *COMMAND_STATES)

@@ -32,8 +32,8 @@ from unicon_core.robots.load import joints_like, named_pose
 
 Signal = Literal["sine", "chirp", "square", "triangle", "random"]
 
-# In [Hz]: no leg's joint follows a tenth of it.
 FREQUENCY = 100.0
+"""In [Hz]: no leg's joint follows a tenth of it."""
 
 
 class Excite(Counting):

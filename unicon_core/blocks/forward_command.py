@@ -39,16 +39,16 @@ from unicon_core.states import StateSpec
 from unicon_core.states.standard import forwarded_states
 from unicon_core.workflow.autowire import BuildContext
 
-# In [rad/s], unless told: an arm that is jogged has 0.5 to 3, and a person can step back.
 MAX_RATE = 2.0
+"""In [rad/s], unless told: an arm that is jogged has 0.5 to 3, and a person can step back."""
 
-# In [rad/s] to the robot's default pose where nobody commands: an arm is home within 2 s.
 HOME_RATE = 1.0
+"""In [rad/s] to the robot's default pose where nobody commands: an arm is home within 2 s."""
 
-# In [1/s]: a joint's servo settles in 0.1 to 0.3 s, and has to be quicker.
 MOST_INTEGRAL = 20.0
-# In [rad], that the integral moves a target at most: a leg's sag is 0.05 to 0.15.
+"""In [1/s]: a joint's servo settles in 0.1 to 0.3 s, and has to be quicker."""
 FARTHEST = 0.25
+"""In [rad], that the integral moves a target at most: a leg's sag is 0.05 to 0.15."""
 
 
 @dataclass(frozen=True, eq=False)

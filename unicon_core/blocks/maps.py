@@ -133,10 +133,10 @@ class BatchGravity:
 
 
 STATE = "motor_temperature"
-# Unless said, in [°C].
 AMBIENT = 25.0
-# In [K/(N·m)²]: leg motors with gears have 0.05 to 1.
+"""Unless said, in [°C]."""
 RISE = 100.0
+"""In [K/(N·m)²]: leg motors with gears have 0.05 to 1."""
 
 
 class MotorHeat:

@@ -181,8 +181,8 @@ class Damp(Counting):
         return self._ticks is not None and self._tick >= self._ticks
 
 
-# What helps a robot that the workflow was not written for.
 OTHERS = "give gains of its joints, or run h1_stand, which names none"
+"""What helps a robot that the workflow was not written for."""
 
 
 class Sway(Counting):

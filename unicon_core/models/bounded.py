@@ -20,21 +20,21 @@ import numpy as np
 
 from unicon_base.errors import ModelError
 
-# Elements made by repetition: MuJoCo takes 1 to 3 s for so many, and 4 times that for twice.
 COPIES = 5_000
-# How many elements one point of these costs as much time as.
+"""Elements made by repetition: MuJoCo takes 1 to 3 s for so many, and 4 times that for twice."""
 HEAVY = {"composite": 15, "flexcomp": 2}
-# Of a model file and all that it includes: a chain of 5,000 links takes 5 s.
+"""How many elements one point of these costs as much time as."""
 ELEMENTS = 20_000
-# Rows, columns, pixels, user data: a texture of this width and height takes 300 MB.
+"""Of a model file and all that it includes: a chain of 5,000 links takes 5 s."""
 FIGURE = 10_000
+"""Rows, columns, pixels, user data: a texture of this width and height takes 300 MB."""
 FIGURES = frozenset(("nrow", "ncol", "width", "height", "params", "dim", "actdim", "nsample"))
-# Of one file of XML: meshes written into it are some MB.
 BYTES = 64 * 2**20
-# Of files that include or attach others.
+"""Of one file of XML: meshes written into it are some MB."""
 DEPTH = 50
-# In which all files are looked for: `meshdir`, `texturedir`, `assetdir`.
+"""Of files that include or attach others."""
 FOLDERS = 20
+"""In which all files are looked for: `meshdir`, `texturedir`, `assetdir`."""
 
 # Cut as MuJoCo's own parser does, so that nothing hides in a comment or in quotes. What has no end
 # matches too: nothing is looked at twice.
@@ -45,8 +45,8 @@ _TAG = re.compile(
 )
 _ATTRIBUTE = re.compile(r"(?<![^\s/\"'=])([^\s/\"'=]+)\s*=\s*(\"[^\"]*\"|'[^']*')")
 
-# Name, attributes, whether it closes an element, whether its element has nothing inside.
 Tag = tuple[str, dict[str, str], bool, bool]
+"""Name, attributes, whether it closes an element, whether its element has nothing inside."""
 
 
 def refuse_endless(path: Path) -> None:

@@ -28,10 +28,10 @@ NO_GL = (
     "camera: no offscreen OpenGL ({reason}); on Debian and Ubuntu: apt install libegl1 "
     "libgl1-mesa-dri, or libosmesa6 with MUJOCO_GL=osmesa"
 )
-# The frame of the world that the states' base poses are in (REP-105).
 ODOM = "odom"
-# Optical frame to MuJoCo's camera frame, wxyz.
+"""The frame of the world that the states' base poses are in (REP-105)."""
 OPTICAL = np.array((0.0, 1.0, 0.0, 0.0))
+"""Optical frame to MuJoCo's camera frame, wxyz."""
 
 
 @dataclass(frozen=True)

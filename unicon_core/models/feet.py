@@ -25,8 +25,8 @@ from unicon_core.models.loaded import (
 from unicon_core.models.posed import foot_bodies, foot_geoms
 from unicon_core.robots import Robot
 
-# In [m/s²].
 GRAVITY = 9.81
+"""In [m/s²]."""
 # Damping of the least squares, in [m²] and none: legs move a foot by 0.1 m for a radian or more,
 # and where their joints cannot tell force from moment, 10 N are as likely as 1 N·m.
 _OF_FORCE = 1e-5

@@ -99,9 +99,9 @@ class Link:
     number: int = -1
 
 
-# In every tree (REP-105): its root, or where the robot calls its base otherwise fixed to that. The
-# root is what odometry and /tf call the base, since a frame has one parent.
 BASE = "base_link"
+"""In every tree (REP-105): its root, or where the robot calls its base otherwise fixed to that. The
+root is what odometry and /tf call the base, since a frame has one parent."""
 
 
 def read_tree(model: Any, robot: Robot, *, colliding: bool = False) -> list[Link]:

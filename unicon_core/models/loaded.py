@@ -261,8 +261,8 @@ class Contact(NamedTuple):
     """What MuJoCo makes of two geoms that touch."""
 
     dimensions: int
-    # Of sliding, turning and rolling, shape (3,).
     friction: Float64
+    """Of sliding, turning and rolling, shape (3,)."""
 
 
 def solid(model: Any, geom: int) -> bool:

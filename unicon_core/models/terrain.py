@@ -21,11 +21,11 @@ from unicon_core.robots import Robot
 from unicon_core.terrain.ground import THICK, Ground, ground_of
 from unicon_core.terrain.words import Terrain
 
-# Its geoms and its field are called so, with a number behind.
 TERRAIN = "terrain"
+"""Its geoms and its field are called so, with a number behind."""
 
-# `<pair>` elements of ground and robot.
 PAIRS = 20_000
+"""`<pair>` elements of ground and robot."""
 
 _EVEN = 1e-6  # [m]; a field needs a height, even where it has none
 
@@ -204,8 +204,8 @@ def _geoms(spec: Any, plane: Any, ground: Ground, height: float) -> list[tuple[A
     return found
 
 
-# What a geom and a pair say of a contact.
 TOUCH = ("condim", "friction", "solref", "solimp", "margin", "gap")
+"""What a geom and a pair say of a contact."""
 _SINK = 0.001  # [m] by which the robot is put into the floor to see what a contact is like
 
 

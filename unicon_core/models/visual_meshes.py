@@ -121,8 +121,8 @@ def _mesh(geom: Geom, model: Any, references: dict[str, _Reference], files: Mesh
     return Geom("mesh", tuple(scale), position, quat, geom.rgba, geom.number, uri)
 
 
-# What RViz and Foxglove both read.
 FORMATS = (".stl", ".dae", ".obj")
+"""What RViz and Foxglove both read."""
 # Folders of models alone: their meshes lie beside them, in `../meshes`.
 _PARTED = ("urdf", "mjcf", "xml", "robots")
 _FILE = "file://"

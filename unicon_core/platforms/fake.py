@@ -172,8 +172,8 @@ class FakeRobot(FakePlatform):
 
     facts = replace(FakePlatform.facts, name="fake_robot", simulated=False, batch=False)
 
-    # After so long a first move takes one period, [ns].
     PAUSE = 100_000_000
+    """After so long a first move takes one period, [ns]."""
 
     def __init__(
         self, states: States, robot: Robot, period: float, scene: Scene, time_constant: float

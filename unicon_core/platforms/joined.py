@@ -208,8 +208,8 @@ def _all(calls: Sequence[Callable[[], object]]) -> Callable[[], None]:
     return call
 
 
-# How long the first part is waited for, in [s].
 START = 10.0
+"""How long the first part is waited for, in [s]."""
 
 
 class PartPlatform:

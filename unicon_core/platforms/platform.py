@@ -28,8 +28,8 @@ from unicon_core.states.standard import BASE_STATES, COMMAND_STATES, JOINT_STATE
 if TYPE_CHECKING:
     from unicon_core.platforms.kit.scene import Scene
 
-# What `recv` of a simulator writes.
 SIMULATED = (*JOINT_STATES, *BASE_STATES, "stamp_ns")
+"""What `recv` of a simulator writes."""
 
 
 @dataclass(frozen=True)

@@ -27,14 +27,14 @@ from unicon_hardware.facts import (
     wrong_fact,
 )
 
-# Lets a DM motor take commands; it answers with its state.
 ENABLE = bytes(7 * [0xFF]) + b"\xfc"
-# What a DM motor that takes commands reports; 0 is disabled, from 5 on it is an error that has
-# switched it off (jia-xie/python-damiao-driver docs, edometro/DAMIAO_Control_Arduino
-# src/DMMotor.h). Whether those that ARX builds in do the same is not public.
+"""Lets a DM motor take commands; it answers with its state."""
 ENABLED = 1
-# Kind of an EC motor's answer to a command: the highest three bits of its first byte.
+"""What a DM motor that takes commands reports; 0 is disabled, from 5 on it is an error that has
+switched it off (jia-xie/python-damiao-driver docs, edometro/DAMIAO_Control_Arduino src/DMMotor.h).
+Whether those that ARX builds in do the same is not public."""
 REPLY = 0b001
+"""Kind of an EC motor's answer to a command: the highest three bits of its first byte."""
 
 POSITION, KP, KD = 12.5, 500.0, 5.0
 

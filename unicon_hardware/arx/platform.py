@@ -36,11 +36,11 @@ from unicon_hardware.modes import UNDOCUMENTED, ModeGuard
 from unicon_hardware.wire import Answers, Counts, Wire, known
 from unicon_hardware.wired_robot import WiredRobot, opened
 
-# Frames that are looked at in a tick: a flood must not hold it up. More than a bus of 1 Mbit/s
-# carries in 20 ms (180 of 111 bits), so that answers do not pile up behind others' frames.
 MOST = 256
-# A stranger's command counts for so long, [s].
+"""Frames that are looked at in a tick: a flood must not hold it up. More than a bus of 1 Mbit/s
+carries in 20 ms (180 of 111 bits), so that answers do not pile up behind others' frames."""
 RECENT = 1.0
+"""A stranger's command counts for so long, [s]."""
 TORQUE = COMMAND_STATES.index("joint_effort_ff")
 
 
@@ -198,8 +198,8 @@ class ArxWire(Wire):
         self._bus.shutdown()
 
 
-# In [s]: 50 answers at the vendor's 500 Hz, 5 at a tick of 50 Hz.
 SILENCE = 0.1
+"""In [s]: 50 answers at the vendor's 500 Hz, 5 at a tick of 50 Hz."""
 
 
 class Arx(WiredRobot):
@@ -252,8 +252,8 @@ def make(
     return opened(Arx(states, robot, period, wire, silence=silence), connect)
 
 
-# [N·m]: torques of 12 bits have no zero.
 EMPTY = 0.1
+"""[N·m]: torques of 12 bits have no zero."""
 
 
 class ArxEndpoint(Endpoint):

@@ -24,9 +24,8 @@ from unicon_hardware.endpoint import Endpoint
 from unicon_hardware.facts import AskingRate, Port, Transport, each, fact, ipv4, named
 from unicon_hardware.wire import Udp, frame_type
 
-# Of `transport.keys`: what the remote is told, and what the robot then does.
 KEYS = ("enable", "reset", "idle", "walk", "damp", "disable", "commands")
-# State to the field of a state's frame that it is.
+"""Of `transport.keys`: what the remote is told, and what the robot then does."""
 COPIED = {
     "joint_pos": "pos",
     "joint_vel": "vel",
@@ -34,6 +33,7 @@ COPIED = {
     "motor_temperature": "temperature",
     "motor_error": "error",
 }
+"""State to the field of a state's frame that it is."""
 
 
 def command_type(joints: int, left: int, right: int) -> np.dtype[Any]:
@@ -117,16 +117,16 @@ class LoongTransport(Transport):
         )
 
 
-# Bytes of the remote's frame, and which of them is the key: tools/py_ui.py of the vendor.
 KEY_FRAME, KEY_AT = 96, 84
-# Key of the remote to the plan in which it counts and the one that follows; `damp`, `disable` and
-# `idle` count in any.
+"""Bytes of the remote's frame, and which of them is the key: tools/py_ui.py of the vendor."""
 FOLLOWS = {
     "enable": ("disable", "idle"),
     "reset": ("idle", "idle"),
     "walk": ("idle", "walk"),
     "commands": ("walk", "commands"),
 }
+"""Key of the remote to the plan in which it counts and the one that follows; `damp`, `disable` and
+`idle` count in any."""
 
 
 class AzureEndpoint(Endpoint):

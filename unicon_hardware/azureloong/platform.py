@@ -179,8 +179,8 @@ class AzureWire(Wire):
 
 
 SHARE = Annotated[float, Within(0.001, 1.0)]
-# In [s]: 20 frames at 200 Hz, a fifth of what the robot allows us.
 SILENCE = 0.1
+"""In [s]: 20 frames at 200 Hz, a fifth of what the robot allows us."""
 
 
 class AzureLoong(WiredRobot):

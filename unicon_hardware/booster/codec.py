@@ -31,8 +31,8 @@ from unicon_hardware.wire import Counts
 
 MODES = ("damping", "prepare", "walking", "custom")
 REQUESTS = ("change_mode", "get_mode")
-# Field of MotorState to state.
 MOTOR = MEASURED | {"temperature": "motor_temperature", "reserve[0]": "motor_error"}
+"""Field of MotorState to state."""
 # Place of the first length in a LowState, and bytes of a motor in it.
 _PARALLEL_AT, _MOTOR = 40, 36
 MOST_MOTORS = 64

@@ -28,8 +28,8 @@ from unicon_hardware.dds.service import Inlet
 from unicon_hardware.wire import IMU_STATES, Counts
 from unicon_hardware.wired_robot import WiredRobot
 
-# Times that the last words are sent, 2 ms apart.
 LAST = 5
+"""Times that the last words are sent, 2 ms apart."""
 
 
 class BoosterWire(DdsWire):

@@ -74,11 +74,10 @@ class Server(_End):
         self._say(self._types[self.response[0]](asked.uuid, head, body))
 
 
-# Between two requests in [s].
 AGAIN = 0.5
-# How long commands are there before the mode is changed, in [s]; as the vendor's program.
+"""Between two requests in [s]."""
 AHEAD = 0.1
-# Status of a refusal, with remedy (booster_robotics_sdk include/booster/robot/rpc/error.hpp).
+"""How long commands are there before the mode is changed, in [s]; as the vendor's program."""
 CODES = {
     100: "the robot's own controller was too slow; start the robot anew",
     400: "it does not know the mode; its firmware is another generation",
@@ -87,6 +86,7 @@ CODES = {
     501: "bring the robot into prepare mode with the remote, and look at the app",
     502: "its state machine does not go there; bring it into prepare mode with the remote",
 }
+"""Status of a refusal, with remedy (booster_robotics_sdk include/booster/robot/rpc/error.hpp)."""
 
 
 class Takeover(Procedure):
@@ -177,8 +177,8 @@ class Takeover(Procedure):
         return body
 
 
-# Mode and battery are told with every so many a frame.
 SELDOM = 50
+"""Mode and battery are told with every so many a frame."""
 BAD_REQUEST, NOT_FROM_HERE = 400, 502
 
 

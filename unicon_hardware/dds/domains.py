@@ -22,12 +22,12 @@ from typing import Any
 from unicon_base.errors import PlatformError
 from unicon_core.latches import ipv4_of
 
-# The parameter that is left out.
 FOREIGN = 0x8007
-# Where participants announce themselves (RTPS 2.5, 9.6.2.4).
+"""The parameter that is left out."""
 GROUP, BASE, PER_DOMAIN = "239.255.0.1", 7400, 250
-# Between two announcements in [s]; the lease of CycloneDDS is 10 s.
+"""Where participants announce themselves (RTPS 2.5, 9.6.2.4)."""
 AGAIN = 1.0
+"""Between two announcements in [s]; the lease of CycloneDDS is 10 s."""
 LARGEST = 65536
 _DATA, _SENTINEL = 0x15, 0x01
 _LITTLE, _INLINE_QOS, _PAYLOAD = 1, 2, 4

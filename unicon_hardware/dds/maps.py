@@ -24,10 +24,10 @@ from unicon_msgs_map.layout.paths import Reference, parse_path
 from unicon_msgs_map.layout.walker import static_size
 from unicon_msgs_map.spec import FieldSpec
 
-# Plain CDR (XCDR1), little endian: all that these robots send. XCDR2 has other sizes.
 HEADER = b"\x00\x01"
-# Bytes to a multiple of 4 that may follow a message, without being told.
+"""Plain CDR (XCDR1), little endian: all that these robots send. XCDR2 has other sizes."""
 PADDING = 3
+"""Bytes to a multiple of 4 that may follow a message, without being told."""
 
 
 class Frames:
@@ -119,7 +119,6 @@ def offset_of(message: Struct, name: str) -> int:
 Arrays: TypeAlias = Mapping[str, Array]
 Domain = Annotated[int, Within(0, LARGEST_DOMAIN)]
 
-# Field of MotorCmd, which Unitree, PND and Dobot call the same, to state.
 COMMANDS = {
     "q": "joint_pos_target",
     "dq": "joint_vel_target",
@@ -127,10 +126,11 @@ COMMANDS = {
     "kp": "joint_stiffness",
     "kd": "joint_damping",
 }
-# Field of MotorState to state.
+"""Field of MotorCmd, which Unitree, PND and Dobot call the same, to state."""
 MEASURED = {"q": "joint_pos", "dq": "joint_vel", "tau_est": "joint_effort"}
-# Field of IMUState to state.
+"""Field of MotorState to state."""
 IMU = {"quaternion": "base_quat", "gyroscope": "base_ang_vel", "accelerometer": "base_lin_acc"}
+"""Field of IMUState to state."""
 
 
 def arrays_of(states: States) -> dict[str, Array]:

@@ -26,8 +26,8 @@ from unicon_base.errors import Fault, MissingDependencyError, PlatformError
 from unicon_hardware.dds.domains import enter, leave
 from unicon_msgs_map.layout.messages import Array, Primitive, String, Struct, TypeRef
 
-# What Unitree's IDL has as octet; their .msg files call temperatures of octets signed.
 OCTETS = ("uint8", "int8", "byte")
+"""What Unitree's IDL has as octet; their .msg files call temperatures of octets signed."""
 
 
 def dds_type(message: Struct, name: str = "") -> Any:
@@ -68,13 +68,13 @@ def _member(kind: TypeRef) -> Any:
     return dds_type(kind)
 
 
-# Of cyclonedds: another one may pass bytes otherwise, or none.
 VERSION = "11.0.1"
-# The ports of higher ones lie beyond 65,535 (RTPS 2.5, 9.6.2.3), with room for participants.
+"""Of cyclonedds: another one may pass bytes otherwise, or none."""
 LARGEST_DOMAIN = 230
-# Frames that are kept for the next look: a tick at 50 Hz sees 500 Hz only in part, and who sends
-# garbage beside the robot does not hide its good frames.
+"""The ports of higher ones lie beyond 65,535 (RTPS 2.5, 9.6.2.3), with room for participants."""
 DEPTH = 8
+"""Frames that are kept for the next look: a tick at 50 Hz sees 500 Hz only in part, and who sends
+garbage beside the robot does not hide its good frames."""
 # Mask of samples in any state.
 _ANY = 0x7F
 # For header, destination and submessage in front of a message (RTPS 2.5, 9.4).

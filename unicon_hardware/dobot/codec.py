@@ -33,8 +33,8 @@ from unicon_hardware.dds.maps import (
 from unicon_hardware.facts import Octet, Rate, facts_of, joint_number, wrong_fact
 from unicon_hardware.wire import Counts, turned
 
-# Option `layout` to the type of UpperState.
 LAYOUTS = {"sdk": "dobot_atom/msg/UpperState", "ros2": "dobot_atom/msg/UpperStateImu"}
+"""Option `layout` to the type of UpperState."""
 # Motors of either half.
 LOWER, UPPER = 12, 17
 

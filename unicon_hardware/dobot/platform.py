@@ -33,8 +33,8 @@ from unicon_hardware.dobot.codec import DobotFacts
 from unicon_hardware.wire import IMU_STATES, turned
 from unicon_hardware.wired_robot import SILENCE, WiredRobot, opened
 
-# Between two requests, in [s].
 AGAIN = 0.2
+"""Between two requests, in [s]."""
 
 
 class Takeover(Procedure):

@@ -23,10 +23,9 @@ from unicon_core.states import States
 from unicon_core.states.standard import JOINT_STATES
 from unicon_core.workflow.registry import find_factory
 
-# In place of a model: joints follow their targets, the base stands still.
 JOINTS_ALONE = "fake"
+"""In place of a model: joints follow their targets, the base stands still."""
 POSTURES = ("rest", "default", "random")
-# Standard deviation of what sensors tell, in the states' units: of a good encoder and a MEMS.
 NOISE = {
     "joint_pos": 1e-4,
     "joint_vel": 1e-3,
@@ -34,16 +33,17 @@ NOISE = {
     "base_ang_vel": 2e-3,
     "base_lin_acc": 0.02,
 }
-# Longest physics step in [s].
+"""Standard deviation of what sensors tell, in the states' units: of a good encoder and a MEMS."""
 STEP = 0.002
-# Of joints without a model, in [s].
+"""Longest physics step in [s]."""
 TIME_CONSTANT = 0.03
-# Time constant with which they sink where they are limp, in [s].
+"""Of joints without a model, in [s]."""
 SINKING = 20.0
-# How far above the floor a robot hangs that would stand on it, in [m].
+"""Time constant with which they sink where they are limp, in [s]."""
 LIFT = 0.3
-# Share of a joint's range that a posture drawn at random keeps from either limit.
+"""How far above the floor a robot hangs that would stand on it, in [m]."""
 SPARE = 0.05
+"""Share of a joint's range that a posture drawn at random keeps from either limit."""
 
 
 @dataclass(frozen=True)

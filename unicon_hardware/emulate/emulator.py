@@ -34,19 +34,19 @@ from unicon_hardware.emulate.body import Body, Defects, body_of
 from unicon_hardware.emulate.command_log import CommandLog, Say, say
 from unicon_hardware.endpoint import Endpoint
 
-# After so long without a command, or its dead man's time, the next one is a first one, [s].
 SILENCE = 0.5
-# Share of a second's frames that a busy machine may miss untold.
+"""After so long without a command, or its dead man's time, the next one is a first one, [s]."""
 LATE = 0.1
-# A busy machine may be late by so much and the robot makes up for it, [s]: bodies never stop.
+"""Share of a second's frames that a busy machine may miss untold."""
 CATCH_UP = 0.05
-# Of faces in [Hz]: a tick of Python takes 0.1 ms.
+"""A busy machine may be late by so much and the robot makes up for it, [s]: bodies never stop."""
 FASTEST = 5000.0
-# Of motors in [°C].
+"""Of faces in [Hz]: a tick of Python takes 0.1 ms."""
 ROOM_TEMPERATURE = 25.0
+"""Of motors in [°C]."""
 
-# What `reaching` runs: it goes to the default pose; any robot does.
 WORKFLOW = "h1_stand"
+"""What `reaching` runs: it goes to the default pose; any robot does."""
 
 
 class Emulator:

@@ -24,12 +24,12 @@ from unicon_hardware.endpoint import Endpoint
 from unicon_ros.bridge.own_node import OwnNode
 from unicon_ros.compat.loading import message_class
 
-# Its own dead man, [s].
 WATCHDOG = 0.5
-# Of its states, [Hz].
+"""Its own dead man, [s]."""
 FASTEST = 1000.0
-# Messages that are looked at in a tick.
+"""Of its states, [Hz]."""
 MOST = 8
+"""Messages that are looked at in a tick."""
 
 
 class RosEndpoint(Endpoint):

@@ -25,14 +25,14 @@ from unicon_core.states import States
 from unicon_hardware.facts import AskingRate, Port, each, each_text, fact, facts_of, wrong_fact
 from unicon_hardware.wire import Answers, Counts, Udp, Wire, frame_type, known
 
-# After so long without an answer a step is sent again, [s].
 AGAIN = 0.05
+"""After so long without an answer a step is sent again, [s]."""
 TRIES = 20
-# [deg], and of gains and currents: nothing beyond it is meant, and its float stays finite.
 LARGEST = 1e6
+"""[deg], and of gains and currents: nothing beyond it is meant, and its float stays finite."""
 DISABLE = 0x02
-# Targets: position, and feed-forward of speed and current.
 COMMAND_TYPE = frame_type("code u1, pos >f4, vel >f4, current >f4")
+"""Targets: position, and feed-forward of speed and current."""
 
 A = TypeVar("A", bound="Addressed")
 

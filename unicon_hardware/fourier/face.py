@@ -20,7 +20,6 @@ from unicon_hardware.fourier import platform as v2
 from unicon_hardware.fourier.actuator_wire import DISABLE
 from unicon_hardware.wire import Udp
 
-# Code of version 2 to the format of what follows its count.
 ACKNOWLEDGED = {
     v2.ACKNOWLEDGED_GAINS: ">ff",
     v2.ARM_DEAD_MAN: ">IIIII",
@@ -28,8 +27,9 @@ ACKNOWLEDGED = {
     v2.PD_MODE: ">",
     v2.ENABLE: ">",
 }
-# Code of version 1 to mode of operation.
+"""Code of version 2 to the format of what follows its count."""
 MODES = {0x04: v1.POSITION_MODE, 0x05: 3, 0x06: 6, 0x07: 4}
+"""Code of version 1 to mode of operation."""
 GAINS = ("control_position_kp_imm", "control_velocity_kp_imm")
 
 

@@ -32,14 +32,14 @@ from unicon_hardware.fourier.actuator_wire import (
 from unicon_hardware.wire import frame_type
 
 ENABLE, POSITION, STATE, ERROR = 0x01, 0x0A, 0x1A, 0x1B
-# Position, speed and current.
 STATE_TYPE = frame_type("code u1, measured >f4 3")
+"""Position, speed and current."""
 ERROR_TYPE = frame_type("code u1, error >u4")
-# Control words.
 SERVO_OFF, SERVO_ON = 0x06, 0x0F
+"""Control words."""
 POSITION_MODE = 1
-# Bytes of JSON: the vendor's own buffer.
 LARGEST_ANSWER = 1024
+"""Bytes of JSON: the vendor's own buffer."""
 
 UNITS = ("reduction_ratio", "pole_pairs", "torque_constant")
 WHY = "what its actuators' gains are in N·m/rad, nor where the zero of its encoders is"
@@ -50,10 +50,10 @@ def _json(method: str, target: str, **values: object) -> bytes:
     return json.dumps({"method": method, "reqTarget": target, **values}).encode()
 
 
-# Asks an encoder for its `angle` in [deg].
 MEASURED = _json("GET", "/measured", property="")
-# Asks an actuator for its `mos_temperature` and `armature_temperature` in [°C].
+"""Asks an encoder for its `angle` in [deg]."""
 TEMPERATURE = _json("GET", "/get_ntc_temperature")
+"""Asks an actuator for its `mos_temperature` and `armature_temperature` in [°C]."""
 
 
 def control_word(word: int) -> bytes:

@@ -32,10 +32,10 @@ from unicon_hardware.fourier.fsa1_codec import (
     understood,
 )
 
-# Of each encoder, whose mean counts.
 SAMPLES = 10
-# Two samples of a joint's zero may differ by so much, in [deg] of the actuator.
+"""Of each encoder, whose mean counts."""
 APART = 3.0
+"""Two samples of a joint's zero may differ by so much, in [deg] of the actuator."""
 
 
 class Zero:
@@ -87,8 +87,8 @@ class Zero:
         self.offset[encoder] = float(np.mean(samples))
 
 
-# [°C]: beyond it nothing is a temperature.
 HOTTEST = 1e3
+"""[°C]: beyond it nothing is a temperature."""
 
 
 def steps() -> list[tuple[str, Callable[[int], bytes]]]:

@@ -44,18 +44,18 @@ STATE, TEMPERATURE = 0x21, 0x22
 ENABLE, PD_MODE, ACKNOWLEDGED_GAINS, ARM_DEAD_MAN, CLEAR_DEAD_MAN = 0x51, 0x59, 0x61, 0x64, 0x65
 
 GAINS_TYPE = frame_type("code u1, kp >f4, kd >f4")
-# Position, speed, current and torque; the main error and seven words of extended ones.
 STATE_TYPE = frame_type("code u1, measured >f4 4, errors >u4 8")
-# Of the transistors and of the windings.
+"""Position, speed, current and torque; the main error and seven words of extended ones."""
 TEMPERATURE_TYPE = frame_type("code u1, celsius >f4 2")
+"""Of the transistors and of the windings."""
 ACKNOWLEDGED = frame_type("code u1, count >u4, result >u4")
 
-# Of `errors`: the word and the bit which say that no command came in time.
 TIMED_OUT = 7, 0x01
-# Of `errors`: a word whose lowest two bits are not an error.
+"""Of `errors`: the word and the bit which say that no command came in time."""
 KIND_OF_ENCODER = 1, 0x03
-# Of targets, in [deg], [deg/s] and [A], and of gains.
+"""Of `errors`: a word whose lowest two bits are not an error."""
 LEAST = np.array(3 * [-LARGEST] + 2 * [0.0])[:, None]
+"""Of targets, in [deg], [deg/s] and [A], and of gains."""
 UNITS = ("stiffness_scale", "damping_scale", "timeout_mode")
 WHY = "what its actuators' gains are in N·m/rad, nor what they do when commands stop"
 
@@ -223,10 +223,10 @@ class FourierWire(ActuatorWire):
         self._tell_all(due + self._datagrams())
 
 
-# In [s]: ten answers at the 100 Hz at which the vendor asks.
 SILENCE = 0.1
-# In [s]: as a child process's watchdog, with a tick of 50 Hz to spare eight times.
+"""In [s]: ten answers at the 100 Hz at which the vendor asks."""
 DEAD_MAN = 0.2
+"""In [s]: as a child process's watchdog, with a tick of 50 Hz to spare eight times."""
 
 
 class Fourier(WiredRobot):

@@ -63,14 +63,14 @@ def registers_of(robot: Robot) -> HandRegisters:
 
 
 NAME, MODBUS = "inspire", "inspire"
-# In [s]: 20 answers, or states, at 100 Hz.
 SILENCE = 0.2
-# Protocol to what is told besides joints.
+"""In [s]: 20 answers, or states, at 100 Hz."""
 TOLD = {
     MODBUS: ("motor_error", "motor_status", "motor_temperature"),
     "inspire_ftp": ("motor_error", "motor_temperature"),
     "inspire_dfx": (),
 }
+"""Protocol to what is told besides joints."""
 
 
 def _facts(robot: Robot) -> Facts:

@@ -25,8 +25,8 @@ from unicon_hardware.modbus.link import (
 )
 from unicon_hardware.wire import Counts, Speed, Wire
 
-# A measured angle that is further outside the range, as a share of it, is not a measurement.
 BEYOND = 0.1
+"""A measured angle that is further outside the range, as a share of it, is not a measurement."""
 
 
 @dataclass(frozen=True)
@@ -107,18 +107,18 @@ class HandRegisters:
         return angles
 
 
-# Exchanges a second: the vendors' examples ask so often.
 RATE = 100.0
-# Every so many exchanges one of the slow blocks is read: temperatures and errors change slowly.
+"""Exchanges a second: the vendors' examples ask so often."""
 SLOW = 10
-# Velocity is the difference of two angles so far apart, [s]: a step of 1.7 mrad is 0.06 rad/s.
+"""Every so many exchanges one of the slow blocks is read: temperatures and errors change slowly."""
 OVER = 0.03
-# Between two attempts to connect anew, [s].
+"""Velocity is the difference of two angles so far apart, [s]: a step of 1.7 mrad is 0.06 rad/s."""
 AGAIN = 0.1
-# How long the last target may take to leave when it closes, [s].
+"""Between two attempts to connect anew, [s]."""
 END = 1.0
-# So often the last target is sent where it is not answered.
+"""How long the last target may take to leave when it closes, [s]."""
 TRIES = 3
+"""So often the last target is sent where it is not answered."""
 
 
 class HandWire(Wire):

@@ -23,8 +23,8 @@ from unicon_core.robots import Robot
 from unicon_hardware.facts import Baud, Port, fact, port_number
 
 READ, WRITE_ONE, WRITE = 3, 6, 16
-# Bytes of a frame over TCP; over a serial line 256.
 LARGEST = 260
+"""Bytes of a frame over TCP; over a serial line 256."""
 _HEAD = struct.Struct(">HHHB")
 
 Registers = NDArray[np.uint16]
@@ -162,8 +162,8 @@ class Rtu:
         return Frame(0, data[0], bytes(data[1:-2]))
 
 
-# What stands around function and data.
 Framing: TypeAlias = Tcp | Rtu
+"""What stands around function and data."""
 
 
 def crc16(data: bytes | bytearray) -> int:
@@ -182,8 +182,8 @@ def _entry(byte: int) -> int:
 
 _TABLE = tuple(map(_entry, range(256)))
 
-# How long an answer may take, [s]: over RTU at 115200 baud one of 6 registers takes 3 ms.
 ANSWER = 0.05
+"""How long an answer may take, [s]: over RTU at 115200 baud one of 6 registers takes 3 ms."""
 
 
 class Line:

@@ -30,8 +30,8 @@ from unicon_hardware.modbus.link import (
     refusal,
 )
 
-# Clients at once, of a hand over TCP.
 MOST = 4
+"""Clients at once, of a hand over TCP."""
 
 Answer = Callable[[Frame], bytes | None]
 

@@ -136,11 +136,11 @@ def _declares(*, prefix: str = "realsense", cloud: bool = False, **_: Any) -> di
 realsense.declares = _declares  # type: ignore[attr-defined]
 
 
-# A camera that gives nothing for so long is opened anew, in [s].
 SILENCE = 2.0
+"""A camera that gives nothing for so long is opened anew, in [s]."""
 
-# A stamp of the camera that is further from our clock is not believed, in [s].
 CLOCKS_APART = 1.0
+"""A stamp of the camera that is further from our clock is not believed, in [s]."""
 
 
 class _RealSense:

@@ -43,8 +43,8 @@ from unicon_ros.peripheral_process import SLICE, Feed, Gone, end, serve
 
 PROCESS = "unicon_hardware.peripherals.webcam"
 
-# Words of the option to the letters of V4L2.
 FORMATS = {"yuyv": "YUYV", "mjpg": "MJPG"}
+"""Words of the option to the letters of V4L2."""
 
 
 def webcam(
@@ -139,11 +139,11 @@ webcam.declares = _declares  # type: ignore[attr-defined]
 
 
 BY_ID = Path("/dev/v4l/by-id")
-# A camera that gives nothing for so long is opened anew, in [s].
 SILENCE = 2.0
+"""A camera that gives nothing for so long is opened anew, in [s]."""
 
-# Start of image, which every JPEG begins with (ITU-T T.81, B.1.1.3).
 JPEG = b"\xff\xd8"
+"""Start of image, which every JPEG begins with (ITU-T T.81, B.1.1.3)."""
 
 
 class Rgb:

@@ -43,12 +43,12 @@ from unicon_hardware.wire import Counts, newer
 from unicon_hardware.wired_robot import WiredRobot
 from unicon_msgs_map import Decoder
 
-# LowState with the battery and without.
 STATES = {True: "pnd_adam/msg/LowState", False: "pnd_adam/msg/PlainLowState"}
-# Numbers of the remote.
+"""LowState with the battery and without."""
 REMOTE = 19
-# Of an emulated battery; what a real one says is not public.
+"""Numbers of the remote."""
 VOLTAGE, STATUS = 48.0, "=normal"
+"""Of an emulated battery; what a real one says is not public."""
 
 
 @dataclass(frozen=True)

@@ -28,12 +28,12 @@ from unicon_hardware.endpoint import Milliseconds
 from unicon_hardware.unitree.facts import CHECK_MODE, RELEASE_MODE, SWITCHER, Server, UnitreeFacts
 from unicon_hardware.wire import IMU_STATES, turned
 
-# Of its own controller, until it lets go.
 MODE = "normal"
+"""Of its own controller, until it lets go."""
 TICK_MS = 2
 NOT_IMPLEMENTED = 3203
-# Of `dead_man` in [s].
 LONGEST = 10.0
+"""Of `dead_man` in [s]."""
 
 
 class Remote:

@@ -245,13 +245,12 @@ class Server(_End):
 
 SWITCHER = "motion_switcher"
 CHECK_MODE, RELEASE_MODE = 1001, 1003
-# CheckMode, the first request of all, is repeated after so long, in [s]: a service that has found
-# the writer of requests, and not the reader of responses, answers nobody.
 AGAIN = 2.0
-# Modes that are released in a row; who takes it again and again is told.
+"""CheckMode, the first request of all, is repeated after so long, in [s]: a service that has found
+the writer of requests, and not the reader of responses, answers nobody."""
 TRIES = 5
+"""Modes that are released in a row; who takes it again and again is told."""
 
-# What the vendor's services answer, with remedy (unitree_sdk2py/rpc/internal.py).
 CODES = {
     3203: "the service does not know the request; its firmware is another generation",
     3204: "the service does not take its parameter",
@@ -259,6 +258,7 @@ CODES = {
     3206: "the lease is not there; end the programs that use the robot",
     3207: "another program holds the service's lease; end it",
 }
+"""What the vendor's services answer, with remedy (unitree_sdk2py/rpc/internal.py)."""
 
 
 class Release(Procedure):

@@ -33,8 +33,8 @@ from unicon_hardware.wire import IMU_STATES, newer, turned
 from unicon_hardware.wired_robot import SILENCE, WiredRobot, opened
 from unicon_msgs_map import Decoder
 
-# States that LowState tells, those that are there.
 TOLD, FOOT_FORCE = (*JOINT_STATES, *IMU_STATES, *HARDWARE_STATES), "foot_force"
+"""States that LowState tells, those that are there."""
 
 
 class UnitreeWire(DdsWire):
@@ -176,8 +176,8 @@ class UnitreeWire(DdsWire):
 
 
 SIMULATOR = "unitree_mujoco"
-# States that it writes where a workflow declares them: 40 bytes; four forces, without a unit.
 DECLARED = ("wireless_remote", FOOT_FORCE)
+"""States that it writes where a workflow declares them: 40 bytes; four forces, without a unit."""
 
 
 def _facts(robot: Robot, states: States, peer: str) -> Facts:

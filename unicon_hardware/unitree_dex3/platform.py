@@ -30,13 +30,13 @@ from unicon_hardware.dds.maps import COMMANDS, MEASURED, DdsFacts, Message, moto
 from unicon_hardware.facts import slots
 from unicon_hardware.wired_robot import WiredRobot
 
-# Lengths of the sequences (same example: MOTOR_MAX, SENSOR_MAX).
 MOTORS, SENSORS = 7, 9
+"""Lengths of the sequences (same example: MOTOR_MAX, SENSOR_MAX)."""
 TIMEOUT = 1 << 7
-# How often and at which distance in [s] the stop is sent: at the 100 Hz of commands.
 STOPS, STOP_PERIOD = 5, 0.01
-# In [s]: ten frames at the 100 Hz at which the vendor's example commands it.
+"""How often and at which distance in [s] the stop is sent: at the 100 Hz of commands."""
 SILENCE = 0.1
+"""In [s]: ten frames at the 100 Hz at which the vendor's example commands it."""
 
 
 @dataclass(frozen=True)

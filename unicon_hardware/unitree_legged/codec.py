@@ -32,14 +32,14 @@ from unicon_hardware.facts import (
 from unicon_hardware.wire import frame_type
 from unicon_msgs_map.codec.checksum import words_crc
 
-# Motors of a datagram; a robot of 12 leaves the rest idle.
 SLOTS = 20
-# Of the wire for 1 N·m (int16), 1 N·m/rad and 1 N·m·s/rad (uint16); truncated toward zero.
+"""Motors of a datagram; a robot of 12 leaves the rest idle."""
 TORQUE, STIFFNESS, DAMPING = 256.0, 32.0, 16.0
+"""Of the wire for 1 N·m (int16), 1 N·m/rad and 1 N·m·s/rad (uint16); truncated toward zero."""
 # Smallest and largest number of the wire, and its scale: of torque, stiffness, damping.
 _COMPRESSED = ((-32768, 32767, TORQUE), (0, 65535, STIFFNESS), (0, 65535, DAMPING))
-# Of a cell's byte in [V].
 CELL_VOLT = 0.032
+"""Of a cell's byte in [V]."""
 
 _MOTOR_COMMAND = frame_type("mode u1, q <f4, dq <f4, tau <i2, kp <u2, kd <u2, reserve <u4 3")
 _MOTOR_STATE = frame_type(
@@ -81,7 +81,6 @@ class Layout:
     head: bytes = b""
 
 
-# By the lengths of command and state in bytes.
 LAYOUTS = {
     (layout.command.itemsize, layout.state.itemsize): layout
     for layout in (
@@ -89,6 +88,7 @@ LAYOUTS = {
         Layout(_command(_GO1, "bms u1 4"), _state(_GO1, "bms bms, "), b"\xfe\xef"),
     )
 }
+"""By the lengths of command and state in bytes."""
 
 _BAND_ENCRYPTED = 0xC03A
 

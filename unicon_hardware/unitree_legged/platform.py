@@ -35,11 +35,11 @@ from unicon_hardware.unitree_legged.wire import FOOT_FORCE, LeggedWire
 from unicon_hardware.wire import Udp
 from unicon_hardware.wired_robot import SILENCE, WiredRobot, opened
 
-# A tick that is later damps the robot, [s]; three ticks where those are longer. So late a tick may
-# be before the runner calls it hung (`pacing.hang`).
 WATCHDOG = 0.25
-# Of the link.
+"""A tick that is later damps the robot, [s]; three ticks where those are longer. So late a tick may
+be before the runner calls it hung (`pacing.hang`)."""
 OPTIONS = ("generation", "address", "port", "local_port")
+"""Of the link."""
 _BATTERY = ("battery_charge", "battery_voltage")
 _WRITES = (
     *JOINT_STATES,
@@ -154,10 +154,10 @@ def make(
     return opened(built, connect)
 
 
-# Damping of an emulated motor in mode 0x00 in [N·m·s/rad]; a real one's is not public.
 BRAKE = 2.0
-# Of the emulated battery, of ten places.
+"""Damping of an emulated motor in mode 0x00 in [N·m·s/rad]; a real one's is not public."""
 CELLS = 8
+"""Of the emulated battery, of ten places."""
 
 
 class LeggedEndpoint(Endpoint):

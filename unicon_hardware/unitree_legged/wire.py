@@ -102,9 +102,9 @@ class Repeater(threading.Thread):
             self.join()
 
 
-# A state of shape (4,) that a workflow may declare: what the feet's sensors tell, in units of
-# theirs, in the order of the robot's legs.
 FOOT_FORCE = "foot_force"
+"""A state of shape (4,) that a workflow may declare: what the feet's sensors tell, in units of
+theirs, in the order of the robot's legs."""
 
 _NM = np.float32(1.0 / TORQUE)
 # Fields of a datagram, in the order of `IMU_STATES`.
@@ -227,10 +227,10 @@ class StateReader:
             voltage[...] = bms["cells"].sum() * CELL_VOLT
 
 
-# A motor that tells as much obeys somebody else, while our commands ask for nothing, [N·m].
 HELD = 3.0
-# For so long it counts, [s]: of two who send as often, one may be heard last for a while.
+"""A motor that tells as much obeys somebody else, while our commands ask for nothing, [N·m]."""
 LATELY = 2.0
+"""For so long it counts, [s]: of two who send as often, one may be heard last for a while."""
 
 
 class LeggedWire(Wire):

@@ -27,11 +27,11 @@ from unicon_hardware.facts import Baud, Word, fact
 from unicon_hardware.wire import Counts, Wire, known
 from unicon_hardware.wired_robot import WiredRobot, opened
 
-# Mode in which a joint gives no torque; the robot file says that of positions.
 POWERLESS = 0
-# For so long the module may tell the very same numbers, [s]: then its thread hears nothing more.
-# Twelve measured currents have noise; unverified on a real hand.
+"""Mode in which a joint gives no torque; the robot file says that of positions."""
 FROZEN = 2.0
+"""For so long the module may tell the very same numbers, [s]: then its thread hears nothing more.
+Twelve measured currents have noise; unverified on a real hand."""
 
 
 class XhandWire(Wire):

@@ -37,8 +37,8 @@ from unicon_core.platforms.kit.stepped import (
 )
 from unicon_sims.newton.world import build_world, not_told, solver_options
 
-# MuJoCo's own library, robot by robot, or MuJoCo Warp, all of them in one step.
 Solver = Literal["mujoco", "warp"]
+"""MuJoCo's own library, robot by robot, or MuJoCo Warp, all of them in one step."""
 
 _COMPILES = "newton: loading its kernels, which compile for a minute or two the first time"
 

@@ -32,8 +32,8 @@ from unicon_core.platforms.kit.stepped import (
 
 INSTALL = "install Webots, and put $WEBOTS_HOME/lib/controller/python on PYTHONPATH"
 
-# Name of a joint's position sensor, as urdf2webots has it; the motor has that of the joint.
 SENSOR = "{}_sensor"
+"""Name of a joint's position sensor, as urdf2webots has it; the motor has that of the joint."""
 
 
 class WebotsPlatform(SteppedSimulator):

@@ -154,15 +154,14 @@ def booster(raw: Any, controls: Controls) -> None:
     _take(controls, (lx, -ly, rx, -ry), " ".join(n for n, on in named if on).split())
 
 
-# `transport.remote` of a robot file to the number of bytes, and what takes them.
 REMOTES: dict[str, tuple[int, Callable[[Any, Controls], None]]] = {
     "unitree": (40, unitree),
     "dobot": (40, dobot),
     "pnd": (76, pnd),
     "booster": (42, booster),
 }
+"""`transport.remote` of a robot file to the number of bytes, and what takes them."""
 
-# Key to element of `sticks` and value.
 STICK_KEYS = {
     "w": (1, 1.0),
     "s": (1, -1.0),
@@ -171,6 +170,7 @@ STICK_KEYS = {
     "q": (2, -1.0),
     "e": (2, 1.0),
 }
+"""Key to element of `sticks` and value."""
 BUTTON_KEYS = dict(zip("123456789", ("A", "B", "X", "Y", "start", "select", "L1", "R1", "L2")))
 ESCAPE = "\x1b"
 

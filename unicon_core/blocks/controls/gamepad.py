@@ -62,8 +62,8 @@ _GENERIC = dict(enumerate(("X", "A", "B", "Y", "L1", "R1", "L2", "R2"), 0x120)) 
     0x12A: "F1",
     0x12B: "F2",
 }
-# Kinds of pads; `auto` goes by what the device is.
 Mapped = Literal["auto", "xbox", "playstation", "nintendo", "8bitdo", "generic"]
+"""Kinds of pads; `auto` goes by what the device is."""
 
 # ABS_X, ABS_Y: element of `sticks` and sign; down is positive there.
 _LEFT = {0x00: (0, 1.0), 0x01: (1, -1.0)}
@@ -71,8 +71,8 @@ _LEFT = {0x00: (0, 1.0), 0x01: (1, -1.0)}
 _RIGHT = {0x03: (2, 1.0), 0x04: (3, -1.0)}, {0x02: (2, 1.0), 0x05: (3, -1.0)}
 # ABS_Z, ABS_RZ; where these are a stick ABS_BRAKE, ABS_GAS. Pressed from the middle on.
 _TRIGGERS = {0x02: "L2", 0x05: "R2"}, {0x0A: "L2", 0x09: "R2"}
-# ABS_HAT0X, ABS_HAT0Y.
 HATS = {0x10: ("left", "right"), 0x11: ("up", "down")}
+"""ABS_HAT0X, ABS_HAT0Y."""
 
 _VENDORS = {0x054C: "playstation", 0x057E: "nintendo", 0x2DC8: "8bitdo"}
 # 8BitDo's that have A below, as an Xbox pad; the others have it to the right.
@@ -215,12 +215,12 @@ EVENT = struct.Struct("<qqHHi")
 SYN = 0
 KEY = 1
 ABS = 3
-# SYN_DROPPED: the kernel has thrown events away.
 DROPPED = 3
-# Events that are looked at in a tick.
+"""SYN_DROPPED: the kernel has thrown events away."""
 MOST = 64
-# Between two looks for a device that is not there, in [s].
+"""Events that are looked at in a tick."""
 AGAIN = 1.0
+"""Between two looks for a device that is not there, in [s]."""
 
 
 def gamepad(*, context: BuildContext, device: str = "auto", mapping: Mapped = "auto") -> Block:

@@ -37,8 +37,8 @@ from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext
 from unicon_core.workflow.file import Entry
 
-# A stick that is no further away is let go.
 CENTRED = 0.2
+"""A stick that is no further away is let go."""
 
 
 @dataclass(frozen=True)
@@ -73,8 +73,8 @@ class ModeEntry:
     enter: Callable[[], str] | None = None
 
 
-# Sticks, buttons and projected gravity.
 Seen: TypeAlias = tuple[Float32, Int32, Float32]
+"""Sticks, buttons and projected gravity."""
 
 
 def modes(
@@ -238,11 +238,11 @@ class Modes:
         self._before[...] = 1
 
 
-# State: number of the present skill, in the order of the workflow.
 SKILL = "skill"
+"""State: number of the present skill, in the order of the workflow."""
 
-# Value of the asking state that asks for nothing.
 NOTHING = -1
+"""Value of the asking state that asks for nothing."""
 
 
 class Skills(Modes):

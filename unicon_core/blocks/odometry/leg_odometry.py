@@ -130,12 +130,12 @@ class Standing:
 
 ACCELERATION_NOISE = 1.5
 JOINT_NOISE = 0.4
-# Between two data in [s], over which an acceleration tells nothing any more.
 LONGEST = 0.1
-# Time without a foot that stands in [s], after which the robot is taken to hang, not to jump.
+"""Between two data in [s], over which an acceleration tells nothing any more."""
 HANGS = 0.5
-# Of the position, as a share of the way.
+"""Time without a foot that stands in [s], after which the robot is taken to hang, not to jump."""
 DRIFT = 0.03
+"""Of the position, as a share of the way."""
 # Squared, in [m²/s²], [rad²/s²] and [m²/s⁴]: a base that moves at 100 m/s, turns at 100 rad/s, or
 # feels 100 g is one that a sensor makes up.
 _FASTEST = 1e4

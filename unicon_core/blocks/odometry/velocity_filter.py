@@ -19,10 +19,10 @@ from collections.abc import Sequence
 
 Vector = Sequence[float]
 
-# In [m/s²].
 GRAVITY = 9.81
-# For which noises are given in [s]; at other rates they are scaled so that the bandwidth stays.
+"""In [m/s²]."""
 PERIOD = 0.02
+"""For which noises are given in [s]; at other rates they are scaled so that the bandwidth stays."""
 # Squared distance in units of its variance, of three axes, from which a foot counts as slipping: 95
 # % of those that do not are nearer (chi square).
 _GATE = 8.0

@@ -19,11 +19,11 @@ from unicon_core.flow.block import Amends, Bundle, Reads, Stage
 from unicon_core.robots import Robot
 from unicon_core.states.stacked import Range
 
-# A target that `rate_limit` has held back is not beyond the same limit.
 ROUNDING = np.float32(1.0001)
+"""A target that `rate_limit` has held back is not beyond the same limit."""
 
-# What a limit does with a command that is beyond it.
 Beyond = Literal["clamp", "trip"]
+"""What a limit does with a command that is beyond it."""
 
 
 def limits_of(known: Float32, scale: float | None, usual: float, beyond: Beyond) -> Float32:

@@ -28,17 +28,16 @@ from unicon_core.states.stacked import Range, Screen
 from unicon_core.states.standard import COMMAND_STATES, HARDWARE_STATES
 from unicon_core.workflow.autowire import BuildContext
 
-# Of a base in [rad/s]: MEMS gyroscopes end at 2000 or 4000 °/s, 35 or 70 rad/s.
 ANGULAR_VELOCITY = 70.0
-# Of a component: those of a unit quaternion end at 1.
+"""Of a base in [rad/s]: MEMS gyroscopes end at 2000 or 4000 °/s, 35 or 70 rad/s."""
 QUATERNION = 1.01
-# Of a component of `projected_gravity`: that of a unit vector ends at 1, and noise as policies are
-# trained with (0.05 on each axis) adds some. In [m/s²] it would be 9.81.
+"""Of a component: those of a unit quaternion end at 1."""
 DIRECTION = 1.25
-# Of what has no plausible bound, such as an acceleration at an impact: it has to be finite.
+"""Of a component of `projected_gravity`: that of a unit vector ends at 1, and noise as policies are
+trained with (0.05 on each axis) adds some. In [m/s²] it would be 9.81."""
 UNBOUNDED = 1e6
+"""Of what has no plausible bound, such as an acceleration at an impact: it has to be finite."""
 
-# What `range_stop` looks at, as far as the platform measures it.
 MEASURED = (
     "joint_pos",
     "joint_vel",
@@ -48,6 +47,7 @@ MEASURED = (
     "base_lin_acc",
     "projected_gravity",
 )
+"""What `range_stop` looks at, as far as the platform measures it."""
 
 
 def range_stop(
@@ -180,12 +180,12 @@ class RangeStop:
             )
 
 
-# In [°C]: magnets and windings of class F end there.
 HOTTEST = 150.0
-# In [°C]: a sensor that tells less is broken.
+"""In [°C]: magnets and windings of class F end there."""
 COLDEST = -40.0
-# In [V]: legged robots have 20 to 60.
+"""In [°C]: a sensor that tells less is broken."""
 HIGHEST_VOLTAGE = 1000.0
+"""In [V]: legged robots have 20 to 60."""
 
 
 def hardware_stop(
@@ -224,14 +224,14 @@ def hardware_stop(
     return RangeStop(states, context.robot, seen, "allowed are")
 
 
-# Largest margin: beyond ten times of what was seen nothing is unusual.
 MARGIN = 10.0
-# Largest limit of an action: published policies give up to some 10.
+"""Largest margin: beyond ten times of what was seen nothing is unusual."""
 ACTION = 1000.0
-# What an entry that never changed may change by.
+"""Largest limit of an action: published policies give up to some 10."""
 LEAST = 1e-3
-# In bytes, of a file of bounds.
+"""What an entry that never changed may change by."""
 LARGEST_FILE = 16 * 2**20
+"""In bytes, of a file of bounds."""
 File = Annotated[str, Matches(r".*\.npz", "a path that ends in .npz")]
 
 

@@ -52,26 +52,26 @@ class JointSensorStop:
     stage = Stage.SAFETY
     patient = True  # one frame more is no harm
 
-    # Time in which what has been added up decays, [s].
     DRAWN = 0.2
+    """Time in which what has been added up decays, [s]."""
 
-    # Of a joint whose foot hits the ground, [rad/s^2].
     ACCELERATION = 1000.0
+    """Of a joint whose foot hits the ground, [rad/s^2]."""
 
-    # Between a stamp and the moment of the measurement, [s].
     JITTER = 0.004
+    """Between a stamp and the moment of the measurement, [s]."""
 
     # In [s], and of all joints together in [rad].
     FROZEN = 0.2
     MOTION = 0.3
 
-    # Between two frames, [s], or 2.5 ticks: of a longer pause nobody knows how the joints moved in
-    # it, nor when its first frame was measured: a burst that a network held back begins with an old
-    # one. Neither is judged.
     LONGEST = 0.05
+    """Between two frames, [s], or 2.5 ticks: of a longer pause nobody knows how the joints moved in
+    it, nor when its first frame was measured: a burst that a network held back begins with an old
+    one. Neither is judged."""
 
-    # So long may a network do that, [s].
     HELD_BACK = 1.0
+    """So long may a network do that, [s]."""
 
     def __init__(
         self,

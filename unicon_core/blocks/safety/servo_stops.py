@@ -21,10 +21,10 @@ from unicon_core.platforms.kit.command import Servo
 from unicon_core.robots import Robot
 from unicon_core.workflow.autowire import BuildContext
 
-# In [W]: a humanoid's battery gives some 5,000 at most.
 POWER = 100_000.0
-# In [W/(N·m)²]: small motors have some 0.5, geared legs 0.01 to 0.1.
+"""In [W]: a humanoid's battery gives some 5,000 at most."""
 LOSS = 10.0
+"""In [W/(N·m)²]: small motors have some 0.5, geared legs 0.01 to 0.1."""
 
 
 class TrackingStop:
@@ -209,12 +209,12 @@ class TwinStop:
         self._count[...] = 0
 
 
-# Largest window in [s].
 LONGEST = 60.0
+"""Largest window in [s]."""
 
-# A longer time between two ticks is a pause that somebody asked for: a tick that hangs for so long
-# on a robot is a fault of its own (`pacing.hang`).
 PAUSE_NS = 250_000_000
+"""A longer time between two ticks is a pause that somebody asked for: a tick that hangs for so long
+on a robot is a fault of its own (`pacing.hang`)."""
 
 
 class OverrunStop:

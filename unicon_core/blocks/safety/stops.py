@@ -35,11 +35,11 @@ from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.stacked import Range, Screen
 
-# Ticks that a block looks at before it stops a robot, from which on it may look after `send`.
 PATIENT = 5
+"""Ticks that a block looks at before it stops a robot, from which on it may look after `send`."""
 
-# In [m]: what stands on a mountain.
 HEIGHT = 10_000.0
+"""In [m]: what stands on a mountain."""
 Height = Annotated[float, Unit("m"), Within(-HEIGHT, HEIGHT, above=True)]
 
 
@@ -197,8 +197,8 @@ class StaleStop:
 
 
 Buttons = Annotated[Sequence[Button], NotEmpty, Write("a list of buttons, such as [select]")]
-# For how many ticks all buttons of an emergency stop are pressed: one frame may be garbage.
 STEADY = 2
+"""For how many ticks all buttons of an emergency stop are pressed: one frame may be garbage."""
 
 
 class ButtonStop:

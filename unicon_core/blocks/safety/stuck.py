@@ -162,17 +162,17 @@ class ImuStop:
 
     stage = Stage.SAFETY
 
-    # Time in which what lies between quaternion and gyroscope decays, [s].
     DRAWN = 0.5
+    """Time in which what lies between quaternion and gyroscope decays, [s]."""
 
-    # So long it is beyond the angle before it is a fault, [s]: one wrong frame is none.
     PERSISTS = 0.05
+    """So long it is beyond the angle before it is a fault, [s]: one wrong frame is none."""
 
-    # Between two frames, [s]: of a longer pause nobody knows how the base turned in it.
     LONGEST = 0.1
+    """Between two frames, [s]: of a longer pause nobody knows how the base turned in it."""
 
-    # What a gyroscope may tell of a base at rest, [rad/s]: noise and offset, with room.
     NOISE = 0.05
+    """What a gyroscope may tell of a base at rest, [rad/s]: noise and offset, with room."""
 
     def __init__(
         self,

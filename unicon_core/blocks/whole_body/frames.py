@@ -124,10 +124,10 @@ def _places(of: Of, robot: Robot) -> dict[str, Place]:
     return {word: effector_of(word, robot, "frames") for word in words}
 
 
-# Radius in [m]: an arm is no longer.
 LARGEST = 1.0
-# In [Hz]: a person shakes a hand at 5 to 8.
+"""Radius in [m]: an arm is no longer."""
 QUICKEST = 10.0
+"""In [Hz]: a person shakes a hand at 5 to 8."""
 PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 
 

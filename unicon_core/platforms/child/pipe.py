@@ -23,8 +23,8 @@ from unicon_base.errors import Fault, PlatformError, UniconError
 from unicon_base.resources import same_modules
 from unicon_core.signals import signal_name
 
-# Module that runs a platform.
 PLATFORM = "unicon_core.platforms.child.process"
+"""Module that runs a platform."""
 
 
 class Pipe:
@@ -177,11 +177,11 @@ class Pipe:
         return words
 
 
-# In [s]: the kernel ends a process that hangs so long, as its parent would if it still lived.
 ALARM = 10
+"""In [s]: the kernel ends a process that hangs so long, as its parent would if it still lived."""
 
-# Characters of an error that are told.
 LONGEST = 1000
+"""Characters of an error that are told."""
 
 
 class Parent:

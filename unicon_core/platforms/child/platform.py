@@ -35,22 +35,22 @@ from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter, remov
 from unicon_core.states.groups import COMMAND, MEASURED, subset
 from unicon_core.terrain.words import Terrain
 
-# Default of `silence` in [s], of a simulator (as `pacing.hang`: a busy machine is no danger) and a
-# robot; two ticks where those are longer.
 SILENCE = {True: 1.0, False: 0.02}
+"""Default of `silence` in [s], of a simulator (as `pacing.hang`: a busy machine is no danger) and a
+robot; two ticks where those are longer."""
 
-# Default of `watchdog` in [s], of a simulator (a pause of the parent harms nobody) and a robot;
-# three ticks where those are longer.
 WATCHDOG = {True: 2.0, False: 0.1}
+"""Default of `watchdog` in [s], of a simulator (a pause of the parent harms nobody) and a robot;
+three ticks where those are longer."""
 
-# Longest time to start in [s]: drivers connect, simulators read their models.
 START = 60.0
+"""Longest time to start in [s]: drivers connect, simulators read their models."""
 
-# How long a child that still answers may take to damp and close, in [s].
 DAMPING = 5.0
+"""How long a child that still answers may take to damp and close, in [s]."""
 
-# The same for one that does not answer any more; then it is killed.
 HUNG = 0.5
+"""The same for one that does not answer any more; then it is killed."""
 
 # How often a child that is waited for is looked at, in [s]: a death is noticed within it.
 _LOOK = 0.005

@@ -25,10 +25,11 @@ from unicon_core.states import Layout, States
 from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter
 from unicon_core.states.groups import COMMAND, MEASURED, subset
 
-# What a platform can do for its parent besides a tick: methods of its protocols. A call goes
-# through the pipe, and what the method returns or raises comes back. None is called once commands
-# are sent but those of simulators. A new ability needs its word here and nothing else.
 ABILITIES = ("reset", "push", "require", "variant", "commanders", "prepare", "arrivals")
+"""What a platform can do for its parent besides a tick: methods of its protocols.
+
+A call goes through the pipe, and what the method returns or raises comes back. None is called once
+commands are sent but those of simulators. A new ability needs its word here and nothing else."""
 
 # How often a robot's data are taken, in [s]; a command is sent at once.
 _ROBOT_LOOK = 0.001

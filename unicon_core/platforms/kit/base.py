@@ -10,21 +10,21 @@ import numpy as np
 from unicon_base.arrays import Array, Float64
 from unicon_core.robots import Robot
 
-# What an IMU tells: orientation, angular velocity, specific force.
 IMU_STATES = ("base_quat", "base_ang_vel", "base_lin_acc")
+"""What an IMU tells: orientation, angular velocity, specific force."""
 
 
 class WorldPose(NamedTuple):
     """Where the bases of N robots are and how they move, each in a world of its own."""
 
-    # Of the base frame's origin in [m], shape (N, 3).
     position: Float64
-    # Base to world, unit quaternion wxyz, shape (N, 4).
+    """Of the base frame's origin in [m], shape (N, 3)."""
     quat: Float64
-    # Of the origin, along the world's axes in [m/s], shape (N, 3).
+    """Base to world, unit quaternion wxyz, shape (N, 4)."""
     lin_vel: Float64
-    # Along the world's axes in [rad/s], shape (N, 3).
+    """Of the origin, along the world's axes in [m/s], shape (N, 3)."""
     ang_vel: Float64
+    """Along the world's axes in [rad/s], shape (N, 3)."""
 
 
 def _products(*terms: str) -> Float64:

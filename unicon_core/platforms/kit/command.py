@@ -183,8 +183,8 @@ class JointDelay:
         self._tick = 0
 
 
-# Of a tick: with more nothing seems to go on.
 MOST_STEPS = 10_000
+"""Of a tick: with more nothing seems to go on."""
 
 
 def steps_in(period: float, timestep: float, model: object, platform: str) -> int:

@@ -24,22 +24,22 @@ from unicon_core.states import States
 from unicon_core.states.groups import Copies, subset
 from unicon_core.states.standard import COMMAND_STATES
 
-# Stiffness is gone after this time, [s]: a step to zero lets a standing robot drop, and what has
-# gone wrong may hold on to its last target for so long and no longer.
 BLEND = 0.3
+"""Stiffness is gone after this time, [s]: a step to zero lets a standing robot drop, and what has
+gone wrong may hold on to its last target for so long and no longer."""
 
-# How long the damping command is sent, [s]: without stiffness one message may be lost, and a run
-# that is asked to end shall be gone within a second.
 DAMPING_TIME = 0.5
+"""How long the damping command is sent, [s]: without stiffness one message may be lost, and a run
+that is asked to end shall be gone within a second."""
 
-# A measured position that is further outside its limits is not a measurement, [rad] or [m].
 ABSURD = 1.0
+"""A measured position that is further outside its limits is not a measurement, [rad] or [m]."""
 
-# Limit of joints whose limit is not known, [rad] or [m]: nothing is beyond it but nonsense.
 ENDLESS = 1e3
+"""Limit of joints whose limit is not known, [rad] or [m]: nothing is beyond it but nonsense."""
 
-# Shortest time between two repetitions, [s].
 FASTEST = 0.002
+"""Shortest time between two repetitions, [s]."""
 
 
 class LastSent:

@@ -160,8 +160,8 @@ class Disturbances:
         self._begin()
 
 
-# States that say where a robot is; those of the base as far as they are measured.
 PLACE = ("joint_pos", "joint_vel", "base_quat", "base_ang_vel", "base_pos_w", "base_lin_vel")
+"""States that say where a robot is; those of the base as far as they are measured."""
 
 
 class Beside:

@@ -28,8 +28,8 @@ from unicon_core.models.loaded import (
 from unicon_core.platforms.kit.start import Start
 from unicon_core.robots import Robot
 
-# `keep` the damping of a model's joints beside that of the command, or let that `replace` it.
 Passive: TypeAlias = Literal["keep", "replace"]
+"""`keep` the damping of a model's joints beside that of the command, or let that `replace` it."""
 
 
 @dataclass(frozen=True, eq=False)

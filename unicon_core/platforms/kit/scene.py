@@ -26,14 +26,14 @@ from unicon_core.robots.robot import Places
 from unicon_core.terrain.ground import refuse_endless_ground
 from unicon_core.terrain.words import FLAT, Terrain, read_terrain
 
-# Words of `Facts.physics` that are about bodies.
 BODY_PHYSICS = ("payload", "contact_friction")
+"""Words of `Facts.physics` that are about bodies."""
 
-# Of a payload in [kg].
 HEAVIEST = 1000.0
+"""Of a payload in [kg]."""
 
-# Factor on friction: rubber on rubber has some 1.2, ice on steel 0.03 (about a fortieth).
 ROUGHEST = 20.0
+"""Factor on friction: rubber on rubber has some 1.2, ice on steel 0.03 (about a fortieth)."""
 
 
 @dataclass(frozen=True)
@@ -51,21 +51,21 @@ class Payload:
     position: Point = (0.0, 0.0, 0.0)
 
 
-# Word of `Facts.physics`: a base that is held.
 GANTRY = "gantry"
+"""Word of `Facts.physics`: a base that is held."""
 
-# What a simulator can be told and a robot cannot.
 DISTURBANCES = (
     *("seed", "noise", "delay", "push", "terrain", "joints", "payload", "contact_friction"),
 )
+"""What a simulator can be told and a robot cannot."""
 
 KEYFRAME = "keyframe:"
 
-# Word of `Facts.physics`: ground that is not flat.
 TERRAIN = "terrain"
+"""Word of `Facts.physics`: ground that is not flat."""
 
-# In ticks.
 LONGEST_DELAY = 1000
+"""In ticks."""
 
 
 @dataclass(frozen=True)

@@ -201,10 +201,10 @@ def _steiner(way: Float64) -> Float64:
     return np.asarray(way @ way * np.eye(3) - np.outer(way, way))
 
 
-# Of the critically damped springs in [Hz]: slow against a physics step, quick against a leg.
 FREQUENCY = 2.0
-# Of gyration that the turning dampers are made for, in [m].
+"""Of the critically damped springs in [Hz]: slow against a physics step, quick against a leg."""
 RADIUS = 0.3
+"""Of gyration that the turning dampers are made for, in [m]."""
 
 
 def hold(model: Any, base: int, qpos: Float64) -> None:

@@ -63,8 +63,8 @@ __all__ = [
     "rotation",
 ]
 
-# On earth, in the world in [m/s²], shape (3,).
 GRAVITY = np.array((0.0, 0.0, -9.81))
+"""On earth, in the world in [m/s²], shape (3,)."""
 
 _TOO_FAST = 1e5  # [rad/s]: no robot's joint turns that fast
 
@@ -142,8 +142,8 @@ class SteppedSimulator(ABC):
     """
 
     facts: Facts
-    # Words of `kit/joint_model.py` for what the engine has as the model says.
     represents: ClassVar[Collection[str]] = ()
+    """Words of `kit/joint_model.py` for what the engine has as the model says."""
 
     def __init__(self, setup: Setup, notes: Sequence[str] = ()) -> None:
         states, robot, timestep, start = setup.states, setup.robot, setup.timestep, setup.start
@@ -368,8 +368,8 @@ def quiet(handle: int = 1) -> Iterator[None]:
         os.close(kept)
 
 
-# Seconds for which nobody asks.
 AFTER = 2.0
+"""Seconds for which nobody asks."""
 
 
 @contextmanager

@@ -207,15 +207,15 @@ class Reader:
             self._base()
 
 
-# Of a rehearsal: before a deadline there is a millisecond for all of them, and where a step takes
-# that long it is hardly slower for cold caches.
 LONGEST_NS = 400_000
+"""Of a rehearsal: before a deadline there is a millisecond for all of them, and where a step takes
+that long it is hardly slower for cold caches."""
 
-# So many longer ones running, and rehearsals rest: the first before a deadline is itself cold.
 RUNNING = 4
+"""So many longer ones running, and rehearsals rest: the first before a deadline is itself cold."""
 
-# Rehearsals that are then left out; each time twice as many.
 REST = 256
+"""Rehearsals that are then left out; each time twice as many."""
 
 
 class Rehearsal:

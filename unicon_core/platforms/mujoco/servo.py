@@ -22,8 +22,8 @@ from unicon_core.models.load import actuator_kind, effort_ranges
 from unicon_core.models.loaded import LoadedModel, drives, import_mujoco, index_of
 from unicon_core.robots import Robot
 
-# Controls, gains and biases of one robot's actuators: shapes (n,), (n,) and (n, 3).
 Told = tuple[Array, Array, Array]
+"""Controls, gains and biases of one robot's actuators: shapes (n,), (n,) and (n, 3)."""
 
 
 class Servo:

@@ -23,11 +23,11 @@ from unicon_hardware.dds.maps import Arrays, DdsFacts, Frames, Message, zeros
 from unicon_hardware.facts import fact, facts_of, one_of, slots
 from unicon_hardware.wire import Counts, Speed
 
-# Bit of `mode` of the FTP: `angle_set` counts.
 ANGLES = 1
+"""Bit of `mode` of the FTP: `angle_set` counts."""
 FTP, DFX = "inspire_ftp", "inspire_dfx"
-# Protocol to angles in a message.
 COUNTS = {FTP: 6, DFX: 12}
+"""Protocol to angles in a message."""
 Raw = Annotated[float, Within(-32767.0, 32767.0)]
 
 
@@ -196,8 +196,8 @@ class Both:
             _open.pop((domain, topic), None)
 
 
-# Over which the speed is taken, [s]: a step of 1/1000 within 10 ms would be up to 0.17 rad/s.
 OVER = 0.05
+"""Over which the speed is taken, [s]: a step of 1/1000 within 10 ms would be up to 0.17 rad/s."""
 
 
 class InspireDdsWire(DdsWire):
@@ -253,8 +253,8 @@ class InspireDdsWire(DdsWire):
         super().close()
 
 
-# In an angle of the FTP: leave the finger as it is.
 AS_IT_IS = -1
+"""In an angle of the FTP: leave the finger as it is."""
 
 
 class InspireDdsEndpoint(DdsEndpoint):

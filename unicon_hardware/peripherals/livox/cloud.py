@@ -19,14 +19,14 @@ from unicon_hardware.wire import frame_type
 from unicon_ros.bridge.images import FrameMessage, cloud_message
 
 FRAME_NS = 100_000_000
-# Most datagrams of a cloud: 2083.3 a second, and some to spare.
 PACKETS = 212
-# Bytes that are kept of each; the longest has 1380.
+"""Most datagrams of a cloud: 2083.3 a second, and some to spare."""
 ROW = 1408
-# Lasers of a Mid-360, which take turns (livox_ros_driver2: line_num).
+"""Bytes that are kept of each; the longest has 1380."""
 LINES = 4
-# The scanner's clock was set where it moves so far between two datagrams.
+"""Lasers of a Mid-360, which take turns (livox_ros_driver2: line_num)."""
 JUMP_NS = 1_000_000_000
+"""The scanner's clock was set where it moves so far between two datagrams."""
 WINDOW_NS = 5_000_000_000
 
 # x, y, z in [m]; reflectivity 0 to 255; the tag's bits; laser; time after the stamp in [ns].

@@ -18,29 +18,29 @@ from unicon_hardware.peripherals.livox.protocol import Packet, Refused
 from unicon_ros.bridge.images import CLOUD
 from unicon_ros.peripheral_process import SLICE, Feed, Gone, end, serve
 
-# Of the scanner.
 COMMAND_PORT, POINT_PORT, IMU_PORT = 56100, 56300, 56400
+"""Of the scanner."""
 
-# What the scanner means by 1 g, [m/s²].
 GRAVITY = 9.80665
+"""What the scanner means by 1 g, [m/s²]."""
 
-# Longest wait for an answer, and for the first points after it, in [s].
 ANSWER = 0.25
+"""Longest wait for an answer, and for the first points after it, in [s]."""
 
-# So often it is told that the scanner is heard, in [ns].
 TELL_NS = 20_000_000
+"""So often it is told that the scanner is heard, in [ns]."""
 
-# Between two looks in [s]: to wake for each datagram costs twice as much of a core.
 PAUSE = 0.002
+"""Between two looks in [s]: to wake for each datagram costs twice as much of a core."""
 
-# Asked for, in [B]; the kernel counts 2304 for a datagram, so it is 1.7 s of them.
 BUFFER = 8 << 20
+"""Asked for, in [B]; the kernel counts 2304 for a datagram, so it is 1.7 s of them."""
 ENOUGH = 1 << 20
-# SO_RCVBUFFORCE (asm-generic/socket.h), for who may pass the kernel's limit.
 FORCE = 33
+"""SO_RCVBUFFORCE (asm-generic/socket.h), for who may pass the kernel's limit."""
 
-# Datagrams that are taken in a row.
 ONCE = 256
+"""Datagrams that are taken in a row."""
 
 
 class Livox:

@@ -15,33 +15,32 @@ from typing import NamedTuple
 
 from unicon_hardware.wire import frame_type
 
-# Bytes before the samples of a datagram of points or of the IMU.
 HEAD = 36
+"""Bytes before the samples of a datagram of points or of the IMU."""
 _HEAD = struct.Struct("<BHHHHBBB12xIQ")
-# Bytes before the data of a command.
 DATA = 24
+"""Bytes before the data of a command."""
 _COMMAND = struct.Struct("<BBHIHBB6xHI")
-# Bytes of a command.
 LARGEST = 1400
+"""Bytes of a command."""
 
-# Most points of a datagram.
 POINTS = 96
-# The type of a datagram of the IMU: turning in [rad/s] and acceleration in [g], once.
+"""Most points of a datagram."""
 IMU = 0
+"""The type of a datagram of the IMU: turning in [rad/s] and acceleration in [g], once."""
 _SENSOR = struct.Struct("<6f")
 
-# Types of points: x, y, z in [mm] and in [cm]; depth in [mm], zenith and azimuth in [0.01 deg].
 SAMPLES = {
     1: frame_type("x <i4, y <i4, z <i4, reflectivity u1, tag u1"),
     2: frame_type("x <i2, y <i2, z <i2, reflectivity u1, tag u1"),
     3: frame_type("depth <u4, theta <u2, phi <u2, reflectivity u1, tag u1"),
 }
+"""Types of points: x, y, z in [mm] and in [cm]; depth in [mm], zenith and azimuth in [0.01 deg]."""
 
 REQUEST, ACK = 0, 1
 _HOST, _LIDAR = 0, 1
 CONFIGURE, INQUIRE = 0x0100, 0x0101
 
-# Of a scanner, key 0x8006.
 STATES = {
     1: "sampling",
     2: "idle",
@@ -51,6 +50,7 @@ STATES = {
     8: "upgrade",
     9: "ready",
 }
+"""Of a scanner, key 0x8006."""
 
 RETURNS = {
     0x01: "failed",

@@ -135,18 +135,18 @@ def secured(path: Path) -> ssl.SSLContext:
 
 SCRIPT = "/page.js"
 PAGES = {"/": ("page.html", "text/html"), SCRIPT: ("page.js", "text/javascript")}
-# Path of the websocket.
 POSES = "/poses"
+"""Path of the websocket."""
 
-# How often the page's clock is asked for, in [s].
 EVERY = 0.25
-# Answers of which the quickest counts.
+"""How often the page's clock is asked for, in [s]."""
 KEPT = 40
+"""Answers of which the quickest counts."""
 
-# Close code: another headset is there.
 TAKEN = 4001
-# A headset that is silent for so long gives way to another, in [s].
+"""Close code: another headset is there."""
 PATIENCE = 1.0
+"""A headset that is silent for so long gives way to another, in [s]."""
 
 HEADERS = {
     "Cache-Control": "no-store",

@@ -26,7 +26,6 @@ from unicon_ros.peripheral import Peripheral, peripheral_block, peripheral_state
 from unicon_ros.web_front import LOOPBACK
 
 _FINGER = ("metacarpal", "phalanx-proximal", "phalanx-intermediate", "phalanx-distal", "tip")
-# Of a hand, in the order of XRHandJoint (W3C, WebXR Hand Input Module, section 3.2).
 JOINTS = (
     "wrist",
     "thumb-metacarpal",
@@ -39,8 +38,8 @@ JOINTS = (
         for bone in _FINGER
     ),
 )
+"""Of a hand, in the order of XRHandJoint (W3C, WebXR Hand Input Module, section 3.2)."""
 
-# Where the poses of each stand among the 55; the number of a part is its bit in `flags`.
 PARTS: Mapping[str, slice] = {
     "head": slice(0, 1),
     "left_hand": slice(1, 26),
@@ -50,24 +49,25 @@ PARTS: Mapping[str, slice] = {
     "left_aim": slice(53, 54),
     "right_aim": slice(54, 55),
 }
+"""Where the poses of each stand among the 55; the number of a part is its bit in `flags`."""
 
-# Of a controller, as `xr-standard` has them (W3C, WebXR Gamepads Module, section 3.3); `a` and `b`
-# are X and Y on the left.
 BUTTONS = ("trigger", "squeeze", "touchpad", "thumbstick", "a", "b", "more_1", "more_2")
-# -1 to 1, right and down positive.
+"""Of a controller, as `xr-standard` has them (W3C, WebXR Gamepads Module, section 3.3); `a` and `b`
+are X and Y on the left."""
 AXES = ("touchpad_x", "touchpad_y", "thumbstick_x", "thumbstick_y")
+"""-1 to 1, right and down positive."""
 
 VERSION = 1
-# 1652 B: `time` is the page's in [ms]; a pose is position [m] and quaternion xyzw, by WebXR.
 FRAME = frame_type(
     "version <u2, flags <u2, number <u4, time <f8, poses <f4 55x7, buttons <f4 2x8, axes <f4 2x4"
 )
+"""1652 B: `time` is the page's in [ms]; a pose is position [m] and quaternion xyzw, by WebXR."""
 
-# Our time in [ns], and in the answer the page's in [ms].
 PING, ANSWER = struct.Struct("<q"), struct.Struct("<qd")
+"""Our time in [ns], and in the answer the page's in [ms]."""
 
-# No pose is further away, in [m].
 FAR = 1000.0
+"""No pose is further away, in [m]."""
 
 _PART_OF = np.repeat(np.arange(len(PARTS)), [part.stop - part.start for part in PARTS.values()])
 _OURS = [2, 0, 1]
@@ -137,8 +137,8 @@ class Frame:
 
 
 MODULE = "unicon_hardware.peripherals.webxr.process"
-# Characters of a token.
 SHORTEST = 12
+"""Characters of a token."""
 
 
 def webxr(
