@@ -79,7 +79,7 @@ class Finder:
 
 def now_at(name: str) -> str:
     """Return where a module is that was moved, with its package or by itself; "" for others."""
-    if name.startswith(("unicon_core.", "unicon_ros.")):
+    if name.startswith(("unicon_core.", "unicon_msgs_map.", "unicon_ros.")):
         above, below = name, ""
         while above:
             if above in MOVED:

@@ -11,7 +11,7 @@ from typing import Any
 import jsonschema
 import pytest
 import yaml
-from unicon_ros.cli.schema import KINDS, schema_of
+from unicon_ros.cli.check import KINDS, schema_of
 
 from unicon_base.errors import PolicyError, UniconError
 from unicon_base.located_yaml import read_yaml

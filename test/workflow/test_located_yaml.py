@@ -103,4 +103,4 @@ def test_nobody_else_reads_yaml() -> None:
         for path in root.glob("unicon_*/**/*.py")
         if reading.search(path.read_text("utf-8"))
     }
-    assert readers == {"unicon_base/located_yaml.py"}
+    assert readers == {"unicon_base/bounded_yaml.py"}

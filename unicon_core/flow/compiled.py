@@ -42,7 +42,7 @@ class Scope:
         """Return the name of an object, made from prefix, a number and what fits of the label."""
         key = (prefix, id(value))
         if key not in self._bound:
-            clean = re.sub(r"(?a:\W)", "_", label)
+            clean = re.sub(r"\W", "_", label, flags=re.ASCII)
             self._bound[key] = f"{prefix}{len(self.names)}" + (f"_{clean}" if clean else "")
             self.names[self._bound[key]] = value  # held here, so its id is not given away again
         return self._bound[key]

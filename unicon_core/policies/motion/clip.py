@@ -328,8 +328,7 @@ def _read_npz(path: Path, fps: float | None) -> _Frames:
             )
     said = arrays.get("fps", np.zeros(0)).reshape(-1)
     rate = fps if fps is not None else float(said[0]) if said.size == 1 else float("nan")
-    frames = _Frames(rate, joint_pos, joint_vel, pos[:, 0], quat[:, 0], (pos, quat))
-    return _sound(path, frames)
+    return _sound(path, _Frames(rate, joint_pos, joint_vel, pos[:, 0], quat[:, 0], (pos, quat)))
 
 
 def _read_csv(path: Path, fps: float | None) -> _Frames:
@@ -348,9 +347,8 @@ def _read_csv(path: Path, fps: float | None) -> _Frames:
             f"{path}: a row has {rows.shape[1]} numbers; give base position (3), quaternion x, y, "
             "z, w (4) and the joints"
         )
-    quat = rows[:, [6, 3, 4, 5]]
-    frames = _Frames(30.0 if fps is None else fps, rows[:, 7:], None, rows[:, :3], quat)
-    return _sound(path, frames)
+    rate, quat = 30.0 if fps is None else fps, rows[:, [6, 3, 4, 5]]
+    return _sound(path, _Frames(rate, rows[:, 7:], None, rows[:, :3], quat))
 
 
 def _sound(path: Path, frames: _Frames) -> _Frames:
