@@ -194,7 +194,7 @@ def test_joint_pos_is_absolute_and_joint_pos_rel_relative(tmp_path: Path) -> Non
         (
             "default_joint_pos: [0.2, 0.0, 0.3, 0.1]",
             "default_joint_pos: [0.2]",
-            ":5: default_joint_pos has 1 values; give 4",
+            ":5: default_joint_pos has 1 values for the 4 of joint_ids_map; give 4",
         ),
         (
             "  JointPositionAction:",

@@ -416,7 +416,7 @@ def test_holosoma_gains_of_another_length_are_refused(tmp_path: Path) -> None:
     with pytest.raises(PolicyError) as caught:
         load_policy(path)
     assert str(caught.value) == (
-        f"{path}: metadata kd is [1.0]; give one for each of 4 dof_names, export the policy again"
+        f"{path}: metadata kd has 1 values for 4 dof_names; export the policy again"
     )
 
 

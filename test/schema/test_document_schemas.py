@@ -11,7 +11,6 @@ from typing import Any
 import jsonschema
 import pytest
 import yaml
-from unicon_ros.cli.check import KINDS, schema_of
 
 from unicon_base.errors import PolicyError, UniconError
 from unicon_base.located_yaml import read_yaml
@@ -21,6 +20,7 @@ from unicon_core.robots import load_robot
 from unicon_core.workflow import load_document
 from unicon_lab.sweep.sweep_file import read_sweep
 from unicon_msgs_map import load_map
+from unicon_ros.cli.check import KINDS, schema_of
 from unicon_ros.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[2]

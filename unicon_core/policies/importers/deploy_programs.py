@@ -86,7 +86,7 @@ def booster_facts(source: Source) -> Facts:
             f"policy.num_actions is {moved}, and {pose} has {count} joints; give at most as many",
         )
     for fact, key in _BOOSTER.items():
-        source.copy(fact, f"common.{key}", count)
+        source.copy(fact, f"common.{key}", count, pose)
     named = f"{pose} has {count}; name the joints of all motors in their order"
     joints, robot = source.joints(count, named), source.robot
     if robot is not None:
@@ -103,7 +103,7 @@ def booster_facts(source: Source) -> Facts:
         facts.values["joints"] = joints
     else:
         facts.asks["joints"] = f"the {count} motors of the robot in their order: name the robot"
-    source.copy("action.scale", "policy.control.action_scale", moved)
+    source.copy("action.scale", "policy.control.action_scale", moved, "num_actions")
     clip = "policy.normalization.clip_actions"
     most = source.number(clip)
     source.say("action.clip", [-most, most], clip)
@@ -159,8 +159,8 @@ def unitree_rl_gym_facts(source: Source) -> Facts:
             facts.asks["joints"] = f"the {count} of {model}, in its order"
     for fact, (key, held) in _UNITREE.items():
         more = source.numbers(held, len(rest)) if rest else []
-        source.say(fact, source.numbers(key, count) + more, key)
-    source.copy("action.scale", "action_scale", count)
+        source.say(fact, source.numbers(key, count, "num_actions") + more, key)
+    source.copy("action.scale", "action_scale", count, "num_actions")
     source.say("action.feedback", "raw", "action_scale")
     seen = range(count) if "joints" in facts.values["action"] else range(0)
     terms = []

@@ -66,7 +66,7 @@ def _joints(source: Source) -> int:
                 f"the file has {len(values)} values in motor order, but joint_ids_map names "
                 f"motor {max(order)}"
             )
-    source.copy("default_joint_pos", "default_joint_pos", len(order))
+    source.copy("default_joint_pos", "default_joint_pos", len(order), "joint_ids_map")
     return len(order)
 
 
@@ -249,11 +249,11 @@ def _rl_joints(source: Source, count: int) -> None:
         if name not in facts.values:
             facts.asks[name] = "it stands in base.yaml, which is neither above nor beside it"
     for fact, key in _rl_GAINS.items():
-        source.copy(fact, key, count)
+        source.copy(fact, key, count, "num_of_dofs")
 
 
 def _rl_action(source: Source, count: int, wheels: list[int]) -> None:
-    source.copy("action.scale", "action_scale", count)
+    source.copy("action.scale", "action_scale", count, "num_of_dofs")
     if wheels:
         kinds = ["velocity" if i in wheels else "position" for i in range(count)]
         source.say("action.kind", kinds, "wheel_indices")

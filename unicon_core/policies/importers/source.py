@@ -110,19 +110,21 @@ class Source:
             hint, self.need(place), lambda below, text: self.wrong((*where, *below), text), name
         )
 
-    def numbers(self, place: Place, count: int = 0) -> list[float]:
+    def numbers(self, place: Place, count: int = 0, of: str = "") -> list[float]:
         """Return a number or a list of numbers as a list.
 
         Args:
             place: where they stand.
             count: how many a list must have; 0 for any.
+            of: key that says so, where one does.
 
         Raises:
             PolicyError: as of `value`; or there are more or less.
         """
         values = list(listed(self.value(ClipBound, place)))
         if count not in (0, len(values)) and isinstance(self.need(place), list):
-            text = f"{keys_of(place)[-1]} has {len(values)} values; give {count}"
+            of = f" for the {count} of {of}" if of else ""
+            text = f"{keys_of(place)[-1]} has {len(values)} values{of}; give {count}"
             raise self.wrong(place, text)
         return values
 
@@ -156,9 +158,9 @@ class Source:
             raise self.wrong(where, text)
         return joint_ids
 
-    def copy(self, fact: str, key: str, count: int) -> None:
+    def copy(self, fact: str, key: str, count: int, of: str = "") -> None:
         """Note the `numbers` under a key; a single one is that of all."""
-        values = self.numbers(key, count)
+        values = self.numbers(key, count, of)
         self.say(fact, values if isinstance(self.need(key), list) else values[0], key)
 
     def say_period(self, dt: str, decimation: str) -> None:
