@@ -112,13 +112,21 @@ def test_the_observation_is_that_of_its_program(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("where", "value", "message"),
     [
-        ("common.stiffness", [20.0], "stiffness has 1 values; give 4"),
+        (
+            "common.stiffness",
+            [20.0],
+            "stiffness has 1 values for the 4 of common.default_qpos; give 4",
+        ),
         (
             "common.damping",
             [float("nan"), 1.0, 1.0, 1.0],
             "common.damping.0 is nan; write a number",
         ),
-        ("common.default_qpos", [0.0] * 3, "stiffness has 4 values; give 3"),
+        (
+            "common.default_qpos",
+            [0.0] * 3,
+            "stiffness has 4 values for the 3 of common.default_qpos; give 3",
+        ),
         ("policy.num_actions", 5, "policy.num_actions is 5, and common.default_qpos has 4 joints"),
         ("policy.num_observations", 47, "what deploy/utils/policy.py lays out for 2 actions has"),
         ("policy.gait_frequency", 0, "policy.gait_frequency is 0; give the steps in [Hz]"),

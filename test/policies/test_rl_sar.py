@@ -184,7 +184,7 @@ def test_base_yaml_is_needed_and_is_no_policy(tmp_path: Path) -> None:
             "joint_mapping.3 is -1; write a whole number from 0 to 3",
         ),
         ({"joint_names": ["a"]}, "joint_names is ['a']; give 4 names"),
-        ({"rl_kd": [0.5]}, "rl_kd has 1 values; give 4"),
+        ({"rl_kd": [0.5]}, "rl_kd has 1 values for the 4 of num_of_dofs; give 4"),
         ({"rl_kp": [float("nan"), 0.0, 20.0, 0.0]}, "rl_kp.0 is nan; write a number"),
         ({"rl_kp": [20.0] * 4}, "is 20 at a_knee, which is given velocities"),
         ({"wheel_indices": [4]}, "wheel_indices.0 is 4; write a whole number from 0 to 3"),

@@ -143,7 +143,7 @@ def test_several_files_in_a_folder_are_named(tmp_path: Path) -> None:
     [
         ({"num_actions": None}, "the unitree_rl_gym configuration has no 'num_actions'; add it"),
         ({"num_actions": -2}, "num_actions is -2; write a whole number from 1"),
-        ({"kps": [1.0, 2.0, 3.0]}, "kps has 3 values; give 2"),
+        ({"kps": [1.0, 2.0, 3.0]}, "kps has 3 values for the 2 of num_actions; give 2"),
         ({"kps": ["a", 1.0]}, "kps.0 is 'a'; write a number"),
         ({"kds": [float("nan"), 1.0]}, "kds.0 is nan; write a number"),
         ({"kds": [-1.0, 1.0]}, "damping.0 is -1.0; write a number from 0 to 200"),

@@ -218,9 +218,9 @@ def holosoma_facts(onnx: OnnxFile) -> Facts:
     for fact, key in zip(GAINS, ("kp", "kd")):
         values = metadata.get(key, joints)
         if not isinstance(values, list) or len(values) != len(joints):
-            size = f"has {len(values)} values" if isinstance(values, list) else f"is {values!r}"
+            found = f"has {len(values)} values" if isinstance(values, list) else f"is {values!r}"
             raise PolicyError(
-                f"{onnx.path}: metadata {key} {size} for {len(joints)} dof_names; export the "
+                f"{onnx.path}: metadata {key} {found} for {len(joints)} dof_names; export the "
                 "policy again"
             )
         if key in metadata:
