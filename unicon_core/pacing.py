@@ -35,6 +35,7 @@ class Pacing:
 
     Attributes:
         trigger: `deadline`, ticks at fixed times; `state`, ticks when the platform's data arrive.
+        every: with `state`, tick with each n-th arrival; None: with the one nearest to a deadline.
         overrun: `skip` lets missed ticks go and keeps the grid; `catch_up` runs up to
             `CATCH_UP` of them at once, on simulators only.
         hang: a tick that comes or ends later than this after its deadline is a fault, in [s];
@@ -50,6 +51,7 @@ class Pacing:
     """
 
     trigger: Literal["deadline", "state"] = "deadline"
+    every: Annotated[int | None, Within(1, 10_000)] = None
     overrun: Literal["skip", "catch_up"] = "skip"
     hang: Annotated[float | None, Within(SHORTEST_HANG, LONGEST_HANG, "s")] = None
     spin_us: Annotated[float, Unit("µs"), Within(0.0)] = 100.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import time
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from unicon_base.errors import PlatformError, WorkflowError
 from unicon_core.flow import Stage
 from unicon_core.pacing import staying
 from unicon_core.runtime import Runner, RunOptions, ticker
@@ -232,6 +234,42 @@ def test_data_that_stay_away_while_the_process_is_held_up_are_a_fault(tmp_path: 
     report = Runner(workflow, RunOptions(duration=0.4)).run()
     assert "no tick ran for 0." in report.faults[0]
     assert report.ticks == 4
+
+
+def test_each_nth_of_the_data_makes_a_tick(tmp_path: Path) -> None:
+    for _ in range(5):  # a machine that is busy otherwise begins its ticks late
+        pacing = "pacing={trigger: state, every: 8}"
+        runner, stream, report = streamed(tmp_path, 2_400_000, 1.2, pacing)
+        assert not report.faults
+        per_tick = np.diff((runner.statistics.kept()[10:, 2] - stream.begin) // 2_400_000)
+        # 52.1 Hz of 416.7: a deadline of 50 Hz takes the ninth in a third of the ticks.
+        if np.mean(per_tick == 8) > 0.9:
+            return
+    pytest.fail(f"data for each tick: {per_tick}")
+
+
+def test_each_nth_at_another_rate_than_the_workflows_is_a_fault(tmp_path: Path) -> None:
+    _, _, report = streamed(tmp_path, 2_000_000, 1.2, "pacing={trigger: state, every: 5}")
+    [fault] = report.faults
+    assert re.search(
+        r"pacing\.every is 5 and data come at [45]\d\d(\.\d)? Hz, so ticks at \d+(\.\d+)? Hz, not "
+        r"at the workflow's 50 Hz; set pacing\.every: (9|10|11), or leave it out",
+        fault,
+    )
+    assert report.ticks == 0
+
+
+def test_each_nth_is_refused_where_nothing_is_counted(tmp_path: Path) -> None:
+    message = (
+        r"pacing\.every counts the platform's data; set pacing\.trigger: state, or leave it out"
+    )
+    with pytest.raises(WorkflowError, match=message):
+        loaded(tmp_path, "pacing={every: 10}")
+    program = loaded(tmp_path, "pacing={trigger: state, every: 10}")
+    platform: Any = program.platform
+    platform.wait = lambda timeout_s: True
+    with pytest.raises(PlatformError, match=r"does not count its data; leave pacing\.every out"):
+        Runner(program).run()
 
 
 @pytest.mark.slow

@@ -134,7 +134,8 @@ def on_platform(
     values["platform"] = name
     values.pop("num_robots", None)
     if isinstance(values.get("pacing"), dict):  # simulators have no data to wait for
-        values["pacing"].pop("trigger", None)
+        for key in ("trigger", "every"):
+            values["pacing"].pop(key, None)
     if scene and not values.get("scene"):
         values["scene"] = dict(scene)
     return replace(document, values=values)

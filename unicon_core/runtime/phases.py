@@ -20,7 +20,7 @@ from unicon_core.flow import Stage, Tick, Zip, as_block, compile_graph
 from unicon_core.flow.nodes import never_done
 from unicon_core.pacing import WallClock
 from unicon_core.platforms.kit.damping import BLEND, DAMPING_TIME, Damping
-from unicon_core.platforms.platform import WaitsForData
+from unicon_core.platforms.platform import CountsArrivals, WaitsForData
 from unicon_core.signals import Interrupted
 from unicon_core.workflow import Program
 
@@ -223,6 +223,8 @@ def refuse_pace(program: Program, options: RunOptions) -> None:
     wrong = ""
     if pacing.trigger == "state" and not isinstance(platform, WaitsForData):
         wrong = "cannot tell when its data arrive; set pacing.trigger: deadline"
+    elif pacing.every is not None and not isinstance(platform, CountsArrivals):
+        wrong = "does not count its data; leave pacing.every out"
     elif options.speed == "max" and not platform.facts.simulated:
         wrong = "is a robot, which takes its time; leave out speed max, or use a simulator"
     elif pacing.overrun == "catch_up" and not platform.facts.simulated:

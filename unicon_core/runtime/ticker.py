@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from unicon_base.errors import Hung
+from unicon_base.errors import Fault, Hung
 from unicon_core.flow import Node, compile_graph
 from unicon_core.pacing import CATCH_UP, WallClock, WarmUp, staying
 from unicon_core.platforms.platform import CountsArrivals
@@ -16,6 +16,9 @@ from unicon_core.runtime.arrivals import Arrivals, awaited
 from unicon_core.runtime.statistics import Detail, TickStatistics
 from unicon_core.workflow import Program
 from unicon_core.workflow.program_data import NEVER_NS
+
+OTHER_RATE = 0.2
+"""Part by which ticks with each n-th arrival may be off the workflow's rate."""
 
 ENOUGH = 4
 """Arrivals that tell when the next ones come."""
@@ -224,7 +227,7 @@ class Ticker:
         if self.pacing.cpu is None:
             wait = staying(wait)
         spin = self.pacing.arrival_spin_ns(period)
-        patience = 3e-9 * period
+        patience, every = 3e-9 * period, self.pacing.every
         # A phase before may have measured it: while that is done nothing is sent.
         arrivals = self.arrivals = self.arrivals or self._arrivals(wait, patience)
         due = last = self.first_ns - period if self.first_ns else now()
@@ -240,8 +243,13 @@ class Ticker:
                 last = now()
             came = False
             if arrivals is not None:
-                often = 1.5 * arrivals.interval_ns < period
-                due = max(due + period, now()) if often else last + round(arrivals.interval_ns)
+                often = (every or period / arrivals.interval_ns) > 1.5
+                if every or not often:
+                    due = last + round((every or 1) * arrivals.interval_ns)
+                    if every:
+                        self._refuse_rate(arrivals.interval_ns)
+                else:
+                    due = max(due + period, now())
                 expected = arrivals.nearest(due)
                 until(expected - arrivals.lead_ns())
                 if often:
@@ -270,6 +278,16 @@ class Ticker:
                     self._measure(arrivals, wait, due + period - 2 * round(arrivals.interval_ns))
             if statistics.count % status_every == 0:
                 self._tell()
+
+    def _refuse_rate(self, interval_ns: float) -> None:
+        """Raise a Fault where each n-th of the data comes at another rate than the workflow's."""
+        every, rate, data = self.pacing.every or 1, 1e9 / self.period_ns, 1e9 / interval_ns
+        if abs(every * rate / data - 1.0) > OTHER_RATE:
+            raise Fault(
+                f"pacing.every is {every} and data come at {data:.4g} Hz, so ticks at "
+                f"{data / every:.4g} Hz, not at the workflow's {rate:.4g} Hz; set pacing.every: "
+                f"{max(round(data / rate), 1)}, or leave it out"
+            )
 
     def _arrivals(self, wait: Callable[[float], bool], patience: float) -> Arrivals | None:
         """Return what tells when the data come, or None where nothing is known of them.

@@ -100,6 +100,9 @@ NONE = StartSettings(gates=False, operator=False, fade_in=0.0)
 def pacing_of(document: WorkflowDocument) -> Pacing:
     """Return how ticks are timed."""
     pacing: Pacing = read_part(document, Pacing, document.get("pacing", {}), "pacing")
+    if pacing.every is not None and pacing.trigger == "deadline":
+        text = "pacing.every counts the platform's data; set pacing.trigger: state, or leave it out"
+        raise document.error(text, "pacing", "every")
     return pacing
 
 
