@@ -33,8 +33,8 @@ from unicon_core.policies import Observation, Policy, PolicyContract, policy_sta
 from unicon_core.robots import Robot, load_robot
 from unicon_core.runtime import Pacing, WallClock, WarmUp, prepare_process
 from unicon_core.states import States, standard_states
-from unicon_ros.bench.loops import interval
 from unicon_ros.bench.report import Bench
+from unicon_ros.bench.rounds import interval
 
 TIMING_RATE = 500.0  # Hz
 ROUNDS = 15
@@ -97,6 +97,7 @@ SECONDS = 3.0  # of each loop in each round
 WARM_CALLS = 2000  # of each observation in each round, 20 in a sample
 HISTORY = 6
 USUAL, OURS = "policy tick, usual", "policy tick, unicon"
+ALONE = "network alone, in our loop"
 
 
 def run_policy(rounds: int | None = None) -> Bench:
@@ -183,13 +184,20 @@ def _observations(
 
 
 def _ticks(bench: Bench, robot: Robot, contract: PolicyContract) -> None:
-    loops = {USUAL: _usual_loop(robot, contract), OURS: _unicon_loop(robot, contract)}
+    policy = Policy(contract, _states(contract, robot), robot)
+    alone = Policy(contract, _states(contract, robot), robot).lane.infer
+    loops = {
+        USUAL: _usual_loop(robot, contract),
+        OURS: _unicon_loop(policy, policy.warm_up),
+        ALONE: _unicon_loop(alone, alone),
+    }
     times = Samples()
     for _ in range(bench.rounds):
         for name, loop in loops.items():
             times.add(name, loop(round(RATE * SECONDS)).took)
     times.add_to(bench, ("policy_tick_p50", OURS, USUAL, 0.1))
     bench.ratio("policy_tick_p99", times.ratio(OURS, USUAL, percent=99), 0.2)
+    bench.facts["policy tick, of the network alone, p50"] = f"{times.ratio(OURS, ALONE):.3g}"
 
 
 def _memory(bench: Bench, robot: Robot, contract: PolicyContract, folder: Path) -> None:
@@ -226,16 +234,14 @@ def _usual_loop(robot: Robot, contract: PolicyContract) -> Callable[[int], Paced
     return lambda ticks: paced(ticks, RATE, sleep_until, tick)
 
 
-def _unicon_loop(robot: Robot, contract: PolicyContract) -> Callable[[int], Paced]:
-    policy = Policy(contract, _states(contract, robot), robot)
-
+def _unicon_loop(tick: Step, warm_up: Step) -> Callable[[int], Paced]:
     def loop(ticks: int) -> Paced:
         pacing = Pacing()
         clock = WallClock(round(pacing.spin_us * 1e3))
-        wait = WarmUp(policy.warm_up, clock, round(pacing.dry_run_us * 1e3)).until
+        wait = WarmUp(warm_up, clock, round(pacing.dry_run_us * 1e3)).until
         restore = prepare_process(pacing, print)
         try:
-            return paced(ticks, RATE, wait, policy)
+            return paced(ticks, RATE, wait, tick)
         finally:
             restore()
 

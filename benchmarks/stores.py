@@ -38,9 +38,10 @@ from unicon_core.signals import SIGNALS
 from unicon_core.states import States, StateSpec
 from unicon_core.states.backends.shm import Segment, ShmWriter, remove_dead
 from unicon_ros.bench.domains import loopback_environment
-from unicon_ros.bench.loops import Loop, Rows, Slice, take_turns
+from unicon_ros.bench.loops import Loop, Slice
 from unicon_ros.bench.pipelines.log import Log, Stop, arguments
 from unicon_ros.bench.report import Bench
+from unicon_ros.bench.rounds import Rows, take_turns
 
 RATE = 500.0  # Hz
 SECONDS = 0.5

@@ -28,6 +28,9 @@ def test_plain_and_our_own_pipelines_close_the_loop(monkeypatch: pytest.MonkeyPa
     chosen = (
         "plain, two processes",
         "unicon, on state",
+        "plain, wait set and take, typed",
+        "plain, wait set and take, raw",
+        "unicon, each n-th state",
         "unicon, local, ROS a mirror",
         "plain, a mirror alone",
         "unicon, local, observed by us",
@@ -36,7 +39,7 @@ def test_plain_and_our_own_pipelines_close_the_loop(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(latency, "VARIANTS", variants)
     monkeypatch.setenv("UNICON_UNITREE_SDK", "")
     result = latency.run(1, seconds=0.6)
-    for name in chosen[:2]:
+    for name in chosen[:5]:
         for row in ("recv", "send", "state_to_command", "end_to_end"):
             case = result.cases[f"{name}: {row}"]
             assert case["samples"] >= 20
@@ -44,14 +47,59 @@ def test_plain_and_our_own_pipelines_close_the_loop(monkeypatch: pytest.MonkeyPa
         # A command cannot be at the robot before the controller has sent it.
         sent, arrived = (result.cases[f"{name}: {r}"]["p50"] for r in ("recv", "end_to_end"))
         assert sent < arrived
-    for name in chosen[2:]:  # 300 on a machine that is not busy
+    for name in chosen[5:]:  # 300 on a machine that is not busy
         assert result.cases[f"{name}: mirror"]["samples"] >= 20
     assert "mirror, of that of a plain node that publishes nothing else" in result.facts
-    assert set(result.ratios) == {"end_to_end", "local", "mirror", "cpu"}
+    strongest = {"strongest_typed", "strongest_raw", "strongest_cpu"}
+    assert set(result.ratios) == {"end_to_end", "local", "mirror", "cpu", *strongest}
     assert all(ratio["value"] > 0.0 for ratio in result.ratios.values())
     assert result.facts["joints"] == 20
     assert result.facts["left out: SDK (sync), SDK (async)"]
     assert not [case for case in result.cases if "SDK" in case]
+
+
+@pytest.mark.slow
+def test_the_strongest_rows_alone_have_ratios_of_their_tails(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "bench.json"
+    given = ["--strongest", "--rounds", "2", "--seconds", "0.6", "--json", str(file)]
+    assert main(["bench", "latency", *given]) == 0
+    result = json.loads(file.read_text())
+    names = {f"strongest_{name}" for name in ("raw", "cpu", "typed")}
+    assert set(result["ratios"]) == names | {f"strongest_typed_p{n}" for n in (50, 95, 99)}
+    for name in result["ratios"]:
+        low, high = map(float, result["facts"][f"{name}, 95 % interval"].split(" to "))
+        assert 0.0 < low <= high
+    lost = [case["mean"] for name, case in result["cases"].items() if ": lost" in name]
+    assert len(lost) == 4
+    assert max(lost) < 5.0
+
+
+def test_the_raw_plain_controller_answers_what_the_typed_one_does() -> None:
+    from rclpy.serialization import deserialize_message, serialize_message
+    from sensor_msgs.msg import JointState
+
+    from unicon_ros.bench.pipelines.waiting import raw_answer, typed_answer
+
+    class Publisher:
+        def __init__(self) -> None:
+            self.publish = self.publish_raw = self.add
+            self.sent: list[object] = []
+
+        def add(self, message: object) -> None:
+            self.sent.append(message)
+
+    numbers = [0.1 * i for i in range(20)]
+    names = [f"joint_{i}" for i in range(20)]
+    state = JointState(name=names, position=numbers, velocity=numbers[::-1], effort=numbers)
+    state.header.stamp.sec, state.header.stamp.nanosec = 12, 345
+    publisher = Publisher()
+    assert typed_answer(publisher, 20)(state) == 12_000_000_345
+    assert raw_answer(publisher, 20)(bytes(serialize_message(state))) == 12_000_000_345
+    typed, raw = publisher.sent
+    assert deserialize_message(raw, JointState) == typed
+    assert list(typed.position) == numbers  # type: ignore[attr-defined]
 
 
 def test_each_pipeline_is_shipped_beside_the_bench() -> None:
@@ -67,7 +115,7 @@ def test_turns_that_would_let_peers_take_each_other_for_dead_are_refused(
 ) -> None:
     assert main(["bench", "latency", "--seconds", "3"]) != 0
     told = capsys.readouterr().err
-    assert "--seconds 3: with 13 variants in turn give more than 0 and at most" in told
+    assert "--seconds 3: with 16 variants in turn give more than 0 and at most" in told
     assert "raise --rounds" in told
 
 

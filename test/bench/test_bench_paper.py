@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from unicon_ros.bench.latency import ROWS, THEIRS, beside_paper
+from unicon_ros.bench.references import ROWS, THEIRS, beside_paper
 from unicon_ros.bench.report import Bench
 
 

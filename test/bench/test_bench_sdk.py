@@ -10,8 +10,9 @@ import pytest
 
 from unicon_core.signals import SIGNALS
 from unicon_ros.bench import latency
-from unicon_ros.bench.loops import Rows, Slice, _bridged
+from unicon_ros.bench.loops import Slice, _bridged
 from unicon_ros.bench.report import Bench
+from unicon_ros.bench.rounds import Rows, add_pooled_ratios
 
 pytest.importorskip("cyclonedds", reason="needs cyclonedds: pip install 'unicon_ros[hw-unitree]'")
 
@@ -81,6 +82,29 @@ def test_rows_and_ratios_are_those_of_the_rounds_that_have_both() -> None:
         f"{latency.SYNC_500}: recv_and_send",
         f"{latency.OURS_500}: recv_and_send",
     ]
+
+
+def test_a_ratio_of_tails_is_of_all_rounds_and_has_an_interval() -> None:
+    bench, rng = Bench("made", seed=0, rounds=40), np.random.default_rng(1)
+    results: list[dict[str, Rows]] = []
+    for _ in range(40):
+        slow = rng.choice([1.0, 3.0])  # a round in which the machine is slow is so for both
+        base = slow * rng.uniform(90.0, 110.0, 50)
+        results.append({"ours": {"end_to_end": 0.5 * base}, "theirs": {"end_to_end": base}})
+    results.append({"ours": {}, "theirs": {"end_to_end": np.full(50, 1e9)}})
+    claim = ("tail", "end_to_end", "ours", "theirs", 99.0, 0.6)
+    add_pooled_ratios(bench, results, [claim, ("none", "cpu", "ours", "theirs", None, 1.0)])
+    assert set(bench.ratios) == {"tail"}
+    assert bench.ratios["tail"]["value"] == pytest.approx(0.5)
+    assert bench.facts["tail, 95 % interval"] == "0.5 to 0.5"
+    mixed = [
+        {"ours": each["ours"], "theirs": other["theirs"]}
+        for each, other in zip(results[:40], results[1:40] + results[:1])
+    ]
+    add_pooled_ratios(bench, mixed, [("mixed", *claim[1:])])
+    low, high = map(float, bench.facts["mixed, 95 % interval"].split(" to "))
+    assert low <= bench.ratios["mixed"]["value"] <= high
+    assert high - low < 0.1
 
 
 def added(bench: Bench, results: list[dict[str, Rows]]) -> None:

@@ -51,7 +51,7 @@ class Libc:
         (
             {"spin": 1},
             "pacing: unknown key 'spin'; did you mean 'spin_us'? known: arrival_spin_us, cpu, "
-            "dry_run_us, hang, lock_memory, overrun, priority, spin_us, trigger",
+            "dry_run_us, every, hang, lock_memory, overrun, priority, spin_us, trigger",
         ),
         ({"trigger": "timer"}, "pacing.trigger 'timer' is not known; known: deadline, state"),
         ({"overrun": "drop"}, "pacing.overrun 'drop' is not known; known: catch_up, skip"),

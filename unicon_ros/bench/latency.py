@@ -16,8 +16,6 @@ a Python with cyclonedds 0.10.2 and NumPy.
 from __future__ import annotations
 
 import os
-import re
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -30,25 +28,27 @@ from pathlib import Path
 from unicon_base.errors import UniconError
 from unicon_core.signals import SIGNALS
 from unicon_ros import compat
+from unicon_ros.bench.budget import measure_budget
 from unicon_ros.bench.domains import free_domain, loopback_environment
-from unicon_ros.bench.loops import (
-    LEASE,
-    SETTLE,
+from unicon_ros.bench.loops import LEASE, SETTLE, Loop
+from unicon_ros.bench.references import beside_paper, c_level_floor
+from unicon_ros.bench.report import Bench
+from unicon_ros.bench.rounds import (
     Claim,
-    Loop,
+    Pooled,
     Rows,
+    add_pooled_ratios,
     add_ratios,
     add_rows,
     rounds_of,
     take_turns,
 )
-from unicon_ros.bench.report import Bench
 
 PIPELINES = "unicon_ros.bench.pipelines"
 SDK_CONTROLLER = Path(__file__).parent / "pipelines" / "unitree_sdk.py"
 SWEEPS = 2  # of all phases in one turn: 0.9 % of the rate
 ROUNDS = 20
-SECONDS = 0.45
+SECONDS = 0.4
 PATIENCE = 30.0  # s to import the SDK
 
 
@@ -81,6 +81,8 @@ BEST_EFFORT, SHARED_MEMORY = f"{ON_STATE}, best effort", f"{ON_STATE}, shared me
 MIRROR_ALONE = "plain, a mirror alone"
 LOCAL, OBSERVED = "unicon, local, ROS a mirror", "unicon, local, observed by us"
 FAST = ("fast_robot", "")
+EACH_NTH = "unicon, each n-th state"
+TYPED, RAW = "plain, wait set and take, typed", "plain, wait set and take, raw"
 
 VARIANTS = (
     Variant(PLAIN, ("plain", "robot"), ("plain", "controller")),
@@ -90,7 +92,10 @@ VARIANTS = (
     Variant(TRIGGERED, FAST, ("plain", "triggered")),
     Variant("thread per bridge", FAST, ("plain", "threads")),
     Variant("unicon, free tick", FAST, ("unicon", "deadline")),
+    Variant(TYPED, FAST, ("waiting", "typed")),
+    Variant(RAW, FAST, ("waiting", "raw")),
     Variant(ON_STATE, FAST, ("unicon", "state")),
+    Variant(EACH_NTH, FAST, ("unicon", "state/10")),
     Variant(BEST_EFFORT, FAST, ("unicon", "state"), best_effort=True),
     Variant(SHARED_MEMORY, FAST, ("unicon", "state"), shared_memory=True),
     Variant(MIRROR_ALONE, ("plain", "observer"), ("plain", "mirror")),
@@ -114,6 +119,19 @@ RATIOS: tuple[Claim, ...] = (
 )
 
 COST, END = "recv_and_send", "end_to_end"
+
+STRONGEST = tuple(v for v in VARIANTS if v.name in (TYPED, RAW, ON_STATE, EACH_NTH))
+STRONGEST_RATIOS: tuple[Pooled, ...] = (
+    ("strongest_typed", END, ON_STATE, TYPED, None, 0.9),
+    ("strongest_typed_p50", END, ON_STATE, TYPED, 50.0, 0.9),
+    ("strongest_typed_p95", END, ON_STATE, TYPED, 95.0, 1.0),
+    ("strongest_typed_p99", END, ON_STATE, TYPED, 99.0, 1.0),
+    ("strongest_raw", END, ON_STATE, RAW, None, 1.15),
+    ("strongest_cpu", "cpu", ON_STATE, TYPED, None, 0.8),
+)
+LONGER = {"seconds": 1.8, "rounds": 60}
+"""Of the strongest rows alone: 5,400 commands each, in nine minutes."""
+
 SYNC, ASYNC = "SDK (sync)", "SDK (async)"
 FREE, UNITREE = "unicon, unitree, free tick", "unicon, unitree, on state"
 SYNC_500, OURS_500 = "SDK (sync), G1 at 500 Hz", "unicon, unitree, G1 at 500 Hz"
@@ -144,37 +162,46 @@ def run(
     rate: float = 50.0,
     state_rate: float = 500.0,
     joints: int = 20,
-    seconds: float = SECONDS,
+    seconds: float | None = None,
+    strongest: bool = False,
+    budget: bool = False,
 ) -> Bench:
     """Run the comparison; Ctrl-C ends it with the rounds that are whole.
 
     Args:
-        rounds: interleaved rounds, 20 unless told.
+        rounds: interleaved rounds, 20 if None, with `strongest` 60.
         rate: commands per second.
         state_rate: states per second.
         joints: number of joints.
-        seconds: measured time of one variant in one round in [s].
+        seconds: measured time of one variant in one round in [s]; 0.4 if None, with `strongest`
+            1.8.
+        strongest: run the strongest plain controllers and ours alone, with more commands of each.
+        budget: measure what the time of our tick goes to, and nothing else.
 
     Raises:
         MissingDependencyError: rclpy is not installed.
         UniconError: a slice is so long that the others would be taken for dead.
     """
     compat.import_rclpy("unicon bench latency")
-    longest = LEASE / len(VARIANTS) - SETTLE
+    common = ["--state-rate", f"{state_rate}", "--joints", f"{joints}"]
+    if budget:
+        return measure_budget([*common, "--rate", f"{rate}"], seconds)
+    variants = STRONGEST if strongest else VARIANTS
+    seconds = seconds or (LONGER["seconds"] if strongest else SECONDS)
+    longest = LEASE / len(variants) - SETTLE
     if not 0.0 < seconds <= longest:
         raise UniconError(
-            f"--seconds {seconds:g}: with {len(VARIANTS)} variants in turn give more than 0 and at "
+            f"--seconds {seconds:g}: with {len(variants)} variants in turn give more than 0 and at "
             f"most {longest:.2g}; for more samples raise --rounds"
         )
-    rounds = rounds or ROUNDS
+    rounds = rounds or (round(LONGER["rounds"]) if strongest else ROUNDS)
     # So that a turn sees commands at all phases between two states.
     swept = rate * state_rate / (state_rate + SWEEPS / seconds)
-    common = ["--state-rate", f"{state_rate}", "--joints", f"{joints}"]
     official: list[dict[str, Rows]] = []
     with tempfile.TemporaryDirectory() as folder, SIGNALS.guard():  # Ctrl-C: between turns
-        results = measure(VARIANTS, rounds, seconds, swept, common, Path(folder))
-        lacking = sdk_lacks()
-        if not lacking and results and not SIGNALS.asked:
+        results = measure(variants, rounds, seconds, swept, common, Path(folder))
+        lacking = "" if strongest else sdk_lacks()
+        if not (lacking or strongest) and results and not SIGNALS.asked:
             official = measure(SDK_VARIANTS, rounds, seconds, swept, common, Path(folder))
     bench = Bench("latency", len(results))
     bench.facts |= {
@@ -190,13 +217,16 @@ def run(
         "state_to_command: state made → its command published; "
         "end_to_end: state made → its command at the robot",
     }
-    add(bench, VARIANTS, RATIOS, results)
-    if results:
-        beside_paper(bench, [variant.name for variant in VARIANTS])
+    add(bench, variants, RATIOS, results)
+    # Few commands tell nothing of a tail.
+    claims = [each for each in STRONGEST_RATIOS if strongest or each[4] is None]
+    add_pooled_ratios(bench, results, claims)
+    if results and not strongest:
+        beside_paper(bench, [variant.name for variant in variants])
     add(bench, SDK_VARIANTS, SDK_RATIOS, official)
     if lacking:
         bench.facts["left out: SDK (sync), SDK (async)"] = lacking
-    if results and not SIGNALS.asked:
+    if results and not (strongest or SIGNALS.asked):
         floor = c_level_floor(free_domain(), state_rate)
         if floor is not None:
             bench.facts["one hop of DDS in C (ddsperf, 512 B)"] = floor
@@ -294,88 +324,3 @@ def main() -> int:
     from unicon_ros.cli.main import main as unicon
 
     return unicon(["bench", "latency", *sys.argv[1:]])
-
-
-ROWS = {"Recv": "recv", "Send": "send", "End-to-end": "state_to_command"}
-"""The paper's row to ours."""
-
-DEFINITIONS = (
-    "Recv: time to obtain the latest states, here from their stamp on; Send: time to transmit the "
-    "command; End-to-end: from the stamp of the states to the send of the command that depends on "
-    "them (our state_to_command); mean ± std (p50, p99) in µs"
-)
-
-THEIRS = {
-    "SDK (sync)": "Recv 1261 ± 150, Send 1011 ± 72, End-to-end 1805 ± 1559",
-    "SDK (async)": "Recv –, Send 1001 ± 65, End-to-end 1447 ± 936",
-    "ROS 2": "Recv 50 ± 88, Send 587 ± 179, End-to-end 1658 ± 882",
-    "UniCon": "Recv 63 ± 15, Send 190 ± 45, End-to-end 732 ± 749",
-}
-"""The paper's table, on its machine; no p50 and p99 are told."""
-
-
-def beside_paper(bench: Bench, variants: Iterable[str]) -> None:
-    """Add the paper's table, and the same rows of variants that were measured, as facts.
-
-    Args:
-        bench: with the cases of the variants, each `VARIANT: ROW`.
-        variants: names; those without a command have no such rows and are left out.
-    """
-    bench.facts["the paper's rows"] = DEFINITIONS
-    for name, told in THEIRS.items():
-        bench.facts[f"paper, {name}"] = told
-    for name in variants:
-        if f"{name}: {ROWS['End-to-end']}" in bench.cases:
-            rows = [f"{word} {_told(bench, f'{name}: {row}')}" for word, row in ROWS.items()]
-            bench.facts[f"here, {name}"] = ", ".join(rows)
-
-
-def _told(bench: Bench, name: str) -> str:
-    case = bench.cases.get(name)
-    if case is None:
-        return "–"
-    numbers = {key: f"{case[key]:.{0 if case[key] >= 20.0 else 1}f}" for key in case}
-    return f"{numbers['mean']} ± {numbers['std']} ({numbers['p50']}, {numbers['p99']})"
-
-
-_LOOPBACK = (
-    '<CycloneDDS><Domain id="any"><General><Interfaces><NetworkInterface name="lo"/></Interfaces>'
-    "<AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto"
-    '</ParticipantIndex><Peers><Peer address="127.0.0.1"/></Peers></Discovery></Domain>'
-    "</CycloneDDS>"
-)
-_LINE = re.compile(r"size \d+ mean .* 50% ([\d.]+)us .* 99% ([\d.]+)us")
-
-
-def c_level_floor(domain: int, rate: float = 500.0) -> str | None:
-    """Return p50 and p99 of one hop in C as text, or None where `ddsperf` is not installed.
-
-    ddsperf sends pings of 512 bytes and halves their way there and back; its last second is taken.
-
-    Args:
-        domain: DDS domain of its own.
-        rate: pings per second.
-    """
-    if shutil.which("ddsperf") is None:
-        return None
-    environment = {**os.environ, "CYCLONEDDS_URI": _LOOPBACK}
-    common = ["ddsperf", "-i", str(domain)]
-    pong = subprocess.Popen(
-        [*common, "-D", "6", "pong", "waitset"],
-        env=environment,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    try:
-        ping = subprocess.run(
-            [*common, "-D", "4", "ping", f"{rate:g}Hz", "size", "512", "waitset"],
-            env=environment,
-            capture_output=True,
-            text=True,
-            timeout=30,
-        )
-    finally:
-        pong.terminate()
-        pong.wait()
-    found = _LINE.findall(ping.stdout)
-    return f"p50 {found[-1][0]} µs, p99 {found[-1][1]} µs" if found else None

@@ -12,21 +12,17 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from unicon_base.arrays import Bool, Float64, Int64
 from unicon_base.errors import UniconError
-from unicon_core.signals import SIGNALS, Interrupted
+from unicon_core.signals import SIGNALS
 from unicon_ros.bench.pipelines.log import beside
-from unicon_ros.bench.report import Bench
-from unicon_ros.cli.console import CLEAR, is_terminal
 from unicon_ros.process_exit import die_with_parent
 
 LEASE = 9.0
@@ -259,123 +255,3 @@ def _under_way(each: Slice, log: dict[str, Any]) -> Float64:
 def cpu_ns(process: int) -> int:
     """Return the CPU time of a process in [ns], all its threads: clock_getcpuclockid(3)."""
     return time.clock_gettime_ns((~process << 3) | 2)
-
-
-SEED = 0
-
-Rows = dict[str, Float64]
-"""What one variant gave in one round: row to samples."""
-
-Claim = tuple[str, str, str, str, str, float | None]
-"""Name of a ratio, row, its variant, row of the baseline, its variant, and bar; None: a fact."""
-
-UNITS = {"cpu": " [% of a core]", "lost": " [%]", "stale": " [%]"}
-"""Units of rows that are not in µs."""
-
-
-def take_turns(
-    makers: Mapping[str, Callable[[], Loop]], rounds: int, seconds: float
-) -> tuple[int, dict[str, Loop]]:
-    """Let loops take their turns; Ctrl-C ends it with the rounds that are whole.
-
-    Call it within `SIGNALS.guard()`.
-
-    Args:
-        makers: name of each loop to what makes it.
-        rounds: how many turns each has.
-        seconds: measured time of one turn.
-
-    Returns:
-        How many rounds are whole, and the loops, which have ended.
-
-    Raises:
-        UniconError: a loop does not start, or a process of it has ended.
-    """
-    loops: dict[str, Loop] = {}
-    whole = 0
-    try:
-        for i, (name, make) in enumerate(makers.items()):
-            SIGNALS.check()
-            _say(f"start: {i + 1} of {len(makers)}, {name}")
-            held = list(loops.values())
-            loops[name] = loop = make()
-            loop.start(meanwhile=partial(breathe, held))
-            breathe(held)
-        for number in range(rounds):
-            label = f"round {number + 1} of {rounds}"
-            if not is_terminal():
-                _say(label)
-            for i, (name, loop) in enumerate(loops.items()):
-                SIGNALS.check()
-                if is_terminal():
-                    _say(f"{label}: {i + 1} of {len(makers)}, {name}")
-                loop.run(seconds)
-            whole += 1
-    except Interrupted:
-        _say(f"stopped; {whole} whole rounds are kept")
-    finally:
-        for loop in loops.values():
-            loop.end()
-        for loop in loops.values():
-            loop.close()
-        if is_terminal():
-            _say("")
-    return whole, loops
-
-
-def _say(text: str) -> None:
-    """Tell how far it is: in one line of a terminal, else a line each."""
-    begin, end = (CLEAR, "") if is_terminal() else ("", "\n")
-    print(f"{begin}{text}", end=end, file=sys.stderr, flush=True)
-
-
-def rounds_of(whole: int, loops: Mapping[str, Loop]) -> list[dict[str, Rows]]:
-    """Return what loops gave, variant to rows, of each whole round; after `take_turns`."""
-    samples = {name: loop.samples() for name, loop in loops.items()}
-    return [{name: each[i] for name, each in samples.items()} for i in range(whole)]
-
-
-def interval(ratios: ArrayLike) -> str:
-    """Return the 95 % bootstrap interval of the median over rounds."""
-    draws = np.random.default_rng(SEED).choice(ratios, (1000, np.size(ratios)))
-    low, high = np.percentile(np.median(draws, axis=1), [2.5, 97.5])
-    return f"{low:.3g} to {high:.3g}"
-
-
-def add_rows(
-    bench: Bench, results: list[dict[str, Rows]], name: str, rows: Sequence[str] = ()
-) -> None:
-    """Add the rows of a variant to a benchmark; those that are named, or all.
-
-    Args:
-        bench: is added to.
-        results: of each whole round, variant to row to samples.
-        name: of the variant.
-        rows: that are told; all if empty.
-    """
-    found = [result[name] for result in results if name in result]
-    for row in dict.fromkeys(row for each in found for row in each):
-        if not rows or row in rows:
-            parts = [each[row] for each in found if row in each]
-            bench.case(f"{name}: {row}{UNITS.get(row, '')}", np.concatenate(parts))
-
-
-def add_ratios(bench: Bench, results: list[dict[str, Rows]], claims: Iterable[Claim]) -> None:
-    """Add ratios, each the median over the rounds that have both sides, with its interval.
-
-    They are of means: latencies of an executor have several humps, between which a median jumps.
-    """
-    for name, row, ours, base_row, base, bar in claims:
-        found = [
-            np.mean(r[ours][row]) / np.mean(r[base][base_row])
-            for r in results
-            if row in r.get(ours, {}) and base_row in r.get(base, {})
-        ]
-        if not found:
-            continue
-        value, between = float(np.median(found)), interval(found)
-        if bar is None:
-            bench.facts[name] = f"{value:.3g} ({between})"
-        else:
-            bench.ratio(name, value, bar)
-            bench.facts[f"{name}, 95 % interval"] = between

@@ -99,6 +99,8 @@ _OPTIONS = {
         option("--state-rate", type=float, help="states per second"),
         option("--joints", type=int, help="number of joints"),
         option("--seconds", type=float, help="measured time of a variant in a round"),
+        flag("--budget", "what the time of our tick goes to, who takes it and when"),
+        flag("--strongest", "the strongest plain controllers and ours alone, 5,400 commands each"),
     ),
     "record": (_SECONDS,),
     "sweep": (argument("--rollouts", "N", "of each side, 2,000 unless told", type=int),),

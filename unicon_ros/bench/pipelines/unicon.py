@@ -1,8 +1,8 @@
-"""Process of our controllers: `--variant` deadline, state, local or ROBOT:TRIGGER.
+"""Process of our controllers: `--variant` deadline, state, state/N, local or ROBOT:TRIGGER.
 
-`deadline` and `state` tick freely or with the states of a robot behind topics. `local` is control
-on local state, ROS only a mirror: the whole core, on memory. `h1:state` and `h1:deadline` control a
-robot behind Unitree's DDS.
+`deadline` and `state` tick freely or with the states of a robot behind topics, `state/N` with each
+N-th of them. `local` is control on local state, ROS only a mirror: the whole core, on memory.
+`h1:state` and `h1:deadline` control a robot behind Unitree's DDS.
 """
 
 from __future__ import annotations
@@ -117,11 +117,14 @@ def write_bridged(
 
     Args:
         best_effort: QoS of commands.
-        trigger: `deadline` ticks freely, `state` ticks when a state arrives.
+        trigger: `deadline` ticks freely, `state` ticks when a state arrives, `state/N` when each
+            N-th does.
 
     Returns:
         The workflow file and the platform's map file.
     """
+    trigger, _, every = trigger.partition("/")
+    trigger += f", every: {every}" if every else ""
     workflow = _workflow("./bench_robot.yaml", "ros", "map: ./robot.yaml", rate, trigger)
     topics = f"""\
 subscribe:
