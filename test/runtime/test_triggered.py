@@ -259,6 +259,24 @@ def test_each_nth_at_another_rate_than_the_workflows_is_a_fault(tmp_path: Path) 
     assert report.ticks == 0
 
 
+def test_each_nth_goes_on_by_deadlines_where_the_data_change_their_rate(tmp_path: Path) -> None:
+    program = loaded(tmp_path, "pacing={trigger: state, every: 10}")
+    stream = Stream(program.platform, 2_000_000)
+    recv = next(block for block in blocks(program) if block.stage is Stage.RECV)
+
+    def heard() -> None:
+        if program.states["tick"] == 20:
+            stream.interval = 5_000_000
+        stream.recv()
+
+    recv.tick = heard
+    runner = Runner(program, RunOptions(duration=2.0))
+    report = runner.run()
+    assert not report.faults
+    periods = np.diff(runner.statistics.kept()[60:, 2]) * 1e-6
+    assert np.median(periods) == pytest.approx(20.0, abs=2.0)  # each tenth would be 50 ms
+
+
 def test_each_nth_is_refused_where_nothing_is_counted(tmp_path: Path) -> None:
     message = (
         r"pacing\.every counts the platform's data; set pacing\.trigger: state, or leave it out"

@@ -227,9 +227,9 @@ class Ticker:
         if self.pacing.cpu is None:
             wait = staying(wait)
         spin = self.pacing.arrival_spin_ns(period)
-        patience, every = 3e-9 * period, self.pacing.every
+        patience, every = 3e-9 * period, self.pacing.every or 0
         # A phase before may have measured it: while that is done nothing is sent.
-        arrivals = self.arrivals = self.arrivals or self._arrivals(wait, patience)
+        arrivals = self.arrivals = self.arrivals or self._first_arrivals(wait, patience)
         due = last = self.first_ns - period if self.first_ns else now()
         if arrivals is None:
             until(self.first_ns)
@@ -243,13 +243,11 @@ class Ticker:
                 last = now()
             came = False
             if arrivals is not None:
-                often = (every or period / arrivals.interval_ns) > 1.5
-                if every or not often:
-                    due = last + round((every or 1) * arrivals.interval_ns)
-                    if every:
-                        self._refuse_rate(arrivals.interval_ns)
+                often = 1.5 * arrivals.interval_ns < period
+                if self._counted(arrivals):
+                    due = last + round(every * arrivals.interval_ns)
                 else:
-                    due = max(due + period, now())
+                    due = max(due + period, now()) if often else last + round(arrivals.interval_ns)
                 expected = arrivals.nearest(due)
                 until(expected - arrivals.lead_ns())
                 if often:
@@ -279,15 +277,34 @@ class Ticker:
             if statistics.count % status_every == 0:
                 self._tell()
 
-    def _refuse_rate(self, interval_ns: float) -> None:
-        """Raise a Fault where each n-th of the data comes at another rate than the workflow's."""
-        every, rate, data = self.pacing.every or 1, 1e9 / self.period_ns, 1e9 / interval_ns
-        if abs(every * rate / data - 1.0) > OTHER_RATE:
-            raise Fault(
-                f"pacing.every is {every} and data come at {data:.4g} Hz, so ticks at "
-                f"{data / every:.4g} Hz, not at the workflow's {rate:.4g} Hz; set pacing.every: "
-                f"{max(round(data / rate), 1)}, or leave it out"
-            )
+    def _counted(self, arrivals: Arrivals) -> bool:
+        """Return whether each n-th of the data makes a tick, at the workflow's rate or near it.
+
+        Data that change their rate later, or seem to on a busy machine, fall back to deadlines.
+        """
+        every = self.pacing.every
+        often = self.period_ns / arrivals.interval_ns
+        return every is not None and abs(every / often - 1.0) <= OTHER_RATE
+
+    def _first_arrivals(self, wait: Callable[[float], bool], patience: float) -> Arrivals | None:
+        """Return what `_arrivals` does before the first command.
+
+        Raises:
+            Fault: each n-th of the data comes at another rate than the workflow's.
+        """
+        every, tries = self.pacing.every, 3  # a process that has just started may miss some
+        while True:
+            arrivals = self._arrivals(wait, patience)
+            if arrivals is None or every is None or self._counted(arrivals):
+                return arrivals
+            tries -= 1
+            if not tries:
+                rate, data = 1e9 / self.period_ns, 1e9 / arrivals.interval_ns
+                raise Fault(
+                    f"pacing.every is {every} and data come at {data:.4g} Hz, so ticks at "
+                    f"{data / every:.4g} Hz, not at the workflow's {rate:.4g} Hz; set "
+                    f"pacing.every: {max(round(data / rate), 1)}, or leave it out"
+                )
 
     def _arrivals(self, wait: Callable[[float], bool], patience: float) -> Arrivals | None:
         """Return what tells when the data come, or None where nothing is known of them.
