@@ -119,6 +119,17 @@ def test_turns_that_would_let_peers_take_each_other_for_dead_are_refused(
     assert "raise --rounds" in told
 
 
+@pytest.mark.parametrize("options", [[], ["--strongest"], ["--budget"]])
+@pytest.mark.parametrize("seconds", ["0", "-1", "nan", "1e9"])
+def test_no_time_and_too_much_are_refused(
+    options: list[str], seconds: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["bench", "latency", *options, "--seconds", seconds]) == 1
+    said = capsys.readouterr().err
+    assert f"--seconds {float(seconds):g}: with " in said
+    assert "give more than 0 and at most" in said
+
+
 def test_ctrl_c_ends_it_with_a_result_and_no_process_left(tmp_path: Path) -> None:
     file = tmp_path / "bench.json"
     arguments = [sys.executable, "-m", "unicon_ros", "bench", "latency", "--json", str(file)]

@@ -24,6 +24,9 @@ from unicon_ros.bench.report import Bench
 SECONDS = 20.0
 """Of the measurement: 1,000 ticks at 50 Hz."""
 
+LONGEST = 600.0
+"""So many ticks at 50 Hz are kept, 30,000 of 32,768, in [s]."""
+
 
 def measure_budget(common: list[str], seconds: float | None = None) -> Bench:
     """Run both processes and return the budget.
@@ -33,8 +36,13 @@ def measure_budget(common: list[str], seconds: float | None = None) -> Bench:
         seconds: how long they run in [s]; `SECONDS` if None.
 
     Raises:
-        UniconError: they do not start, or there is nothing in the log.
+        UniconError: they do not start, there is nothing in the log, or the time is none.
     """
+    seconds = SECONDS if seconds is None else seconds
+    if not 0.0 < seconds <= LONGEST:
+        raise UniconError(
+            f"--seconds {seconds:g}: with --budget give more than 0 and at most {LONGEST:g}"
+        )
     bench = Bench("latency", 1)
     robot, ours = (
         [sys.executable, "-m", f"unicon_ros.bench.pipelines.{name}", *common]
@@ -44,7 +52,7 @@ def measure_budget(common: list[str], seconds: float | None = None) -> Bench:
         loop = Loop("budget", robot, ours, loopback_environment(), Path(folder) / "robot.npz")
         try:
             loop.start()
-            loop.run(seconds or SECONDS)
+            loop.run(seconds)
         finally:
             loop.end()
             loop.close()

@@ -95,7 +95,7 @@ VARIANTS = (
     Variant(TYPED, FAST, ("waiting", "typed")),
     Variant(RAW, FAST, ("waiting", "raw")),
     Variant(ON_STATE, FAST, ("unicon", "state")),
-    Variant(EACH_NTH, FAST, ("unicon", "state/10")),
+    Variant(EACH_NTH, FAST, ("unicon", "nth")),
     Variant(BEST_EFFORT, FAST, ("unicon", "state"), best_effort=True),
     Variant(SHARED_MEMORY, FAST, ("unicon", "state"), shared_memory=True),
     Variant(MIRROR_ALONE, ("plain", "observer"), ("plain", "mirror")),
@@ -129,8 +129,8 @@ STRONGEST_RATIOS: tuple[Pooled, ...] = (
     ("strongest_raw", END, ON_STATE, RAW, None, 1.15),
     ("strongest_cpu", "cpu", ON_STATE, TYPED, None, 0.8),
 )
-LONGER = {"seconds": 1.8, "rounds": 60}
-"""Of the strongest rows alone: 5,400 commands each, in nine minutes."""
+LONGER, MORE_ROUNDS = 1.8, 60
+"""Of the strongest rows alone, in [s] and rounds: 5,400 commands each, in nine minutes."""
 
 SYNC, ASYNC = "SDK (sync)", "SDK (async)"
 FREE, UNITREE = "unicon, unitree, free tick", "unicon, unitree, on state"
@@ -180,21 +180,22 @@ def run(
 
     Raises:
         MissingDependencyError: rclpy is not installed.
-        UniconError: a slice is so long that the others would be taken for dead.
+        UniconError: a slice is no time, or so long that the others would be taken for dead.
     """
     compat.import_rclpy("unicon bench latency")
     common = ["--state-rate", f"{state_rate}", "--joints", f"{joints}"]
     if budget:
         return measure_budget([*common, "--rate", f"{rate}"], seconds)
     variants = STRONGEST if strongest else VARIANTS
-    seconds = seconds or (LONGER["seconds"] if strongest else SECONDS)
+    if seconds is None:
+        seconds = LONGER if strongest else SECONDS
     longest = LEASE / len(variants) - SETTLE
     if not 0.0 < seconds <= longest:
         raise UniconError(
             f"--seconds {seconds:g}: with {len(variants)} variants in turn give more than 0 and at "
             f"most {longest:.2g}; for more samples raise --rounds"
         )
-    rounds = rounds or (round(LONGER["rounds"]) if strongest else ROUNDS)
+    rounds = rounds or (MORE_ROUNDS if strongest else ROUNDS)
     # So that a turn sees commands at all phases between two states.
     swept = rate * state_rate / (state_rate + SWEEPS / seconds)
     official: list[dict[str, Rows]] = []
@@ -209,8 +210,8 @@ def run(
         "state_rate_hz": state_rate,
         "joints": joints,
         "seconds": seconds,
-        "qos": "reliable, keep last 1, unless the row says best effort; ours hear states with best "
-        "effort, as platform ros does by itself",
+        "qos": "reliable, keep last 1, unless the row says best effort; ours, as platform ros does "
+        "by itself, and those that wait and take hear states with best effort",
         "transports": "Fast DDS defaults; our controllers UDP alone, as they do by themselves",
         "rmw": os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp"),
         "rows": "Recv: state made → in the controller's hands; Send: publishing the command; "

@@ -1,8 +1,8 @@
-"""Process of our controllers: `--variant` deadline, state, state/N, local or ROBOT:TRIGGER.
+"""Process of our controllers: `--variant` deadline, state, nth, local or ROBOT:TRIGGER.
 
-`deadline` and `state` tick freely or with the states of a robot behind topics, `state/N` with each
-N-th of them. `local` is control on local state, ROS only a mirror: the whole core, on memory.
-`h1:state` and `h1:deadline` control a robot behind Unitree's DDS.
+`deadline` and `state` tick freely or with the states of a robot behind topics, `nth` with each n-th
+of them, at the rate of commands. `local` is control on local state, ROS only a mirror: the whole
+core, on memory. `h1:state` and `h1:deadline` control a robot behind Unitree's DDS.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def write_local(
 
 
 def write_bridged(
-    folder: Path, joints: int, rate: float, best_effort: bool, trigger: str
+    folder: Path, joints: int, rate: float, best_effort: bool, trigger: str, every: int = 0
 ) -> tuple[Path, Path]:
     """Write workflow and map of control over topics: the robot is platform `ros`.
 
@@ -117,13 +117,12 @@ def write_bridged(
 
     Args:
         best_effort: QoS of commands.
-        trigger: `deadline` ticks freely, `state` ticks when a state arrives, `state/N` when each
-            N-th does.
+        trigger: `deadline` ticks freely, `state` ticks when a state arrives.
+        every: with `state`, n of each n-th state; 0: the one nearest to a deadline.
 
     Returns:
         The workflow file and the platform's map file.
     """
-    trigger, _, every = trigger.partition("/")
     trigger += f", every: {every}" if every else ""
     workflow = _workflow("./bench_robot.yaml", "ros", "map: ./robot.yaml", rate, trigger)
     topics = f"""\
@@ -219,8 +218,11 @@ def _bridged(options: argparse.Namespace, folder: Path) -> None:
             Stage.OBSERVE: [Block("sent", note_sent, reads=("stamp_ns",))],
         }
 
+    trigger, every = options.variant, 0
+    if trigger == "nth":
+        trigger, every = "state", round(options.state_rate / options.rate)
     path, _ = write_bridged(
-        folder, options.joints, options.rate, options.best_effort, options.variant
+        folder, options.joints, options.rate, options.best_effort, trigger, every
     )
     Runner(load_workflow(path, hooks=[note])).run()
     log.save()
