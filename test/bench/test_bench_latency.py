@@ -30,7 +30,7 @@ def test_plain_and_our_own_pipelines_close_the_loop(monkeypatch: pytest.MonkeyPa
         "unicon, on state",
         "plain, wait set and take, typed",
         "plain, wait set and take, raw",
-        "unicon, each n-th state",
+        "unicon, on joint states alone",
         "unicon, local, ROS a mirror",
         "plain, a mirror alone",
         "unicon, local, observed by us",
@@ -72,7 +72,7 @@ def test_the_strongest_rows_alone_have_ratios_of_their_tails(
         low, high = map(float, result["facts"][f"{name}, 95 % interval"].split(" to "))
         assert 0.0 < low <= high
     lost = [case["mean"] for name, case in result["cases"].items() if ": lost" in name]
-    assert len(lost) == 4
+    assert len(lost) == 5
     assert max(lost) < 5.0
 
 
@@ -103,9 +103,10 @@ def test_the_raw_plain_controller_answers_what_the_typed_one_does() -> None:
 
 
 def test_each_pipeline_is_shipped_beside_the_bench() -> None:
-    from unicon_ros.bench.latency import PIPELINES, VARIANTS
+    from unicon_ros.bench.latency import PIPELINES, STRONGEST, VARIANTS
 
-    sides = {side for each in VARIANTS for side in (each.measuring, each.controller) if side}
+    every = (*VARIANTS, *STRONGEST)
+    sides = {side for each in every for side in (each.measuring, each.controller) if side}
     assert ("fast_robot", "observer") in sides
     assert not [name for name, _ in sides if find_spec(f"{PIPELINES}.{name}") is None]
 

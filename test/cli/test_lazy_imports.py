@@ -40,3 +40,12 @@ def test_help_loads_not_even_numpy() -> None:
 def test_the_list_of_workflows_loads_not_even_numpy() -> None:
     code = "from unicon_ros.cli.main import main\nmain(['workflows'])"
     assert loaded(code, (*HEAVY, "numpy", "unicon_core.runtime", "unicon_core.policies")) == []
+
+
+def test_a_named_command_loads_no_other_packages_commands() -> None:
+    code = (
+        "from unicon_ros.cli.main import main\ntry:\n    main([{}])\nexcept SystemExit:\n    pass"
+    )
+    theirs = ("unicon_lab.commands.sweep",)
+    assert loaded(code.format("'check', '--help'"), theirs) == []
+    assert loaded(code.format("'--help'"), theirs) == list(theirs)

@@ -25,7 +25,7 @@ from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program, load_document
 from unicon_lab.fault_record import FaultRecord
 from unicon_lab.recording import Record, open_record
-from unicon_lab.recording.background import CHUNK_BYTES, CHUNK_ROWS
+from unicon_lab.recording.background import BREATH_S, CHUNK_BYTES, CHUNK_ROWS
 from unicon_lab.recording.recorder import Recorder
 from unicon_lab.recording.run_recording import Recording
 from unicon_ros.cli.main import main
@@ -148,6 +148,23 @@ def test_chunks_are_small_so_that_no_tick_waits_long_for_the_thread(tmp_path: Pa
     with AnyReader([tmp_path / "run.mcap"]) as reader:
         found = [(stamp, len(raw)) for _, stamp, raw in reader.messages()]
     assert found == list(enumerate(sizes))
+
+
+def test_behind_each_chunk_a_tick_that_waits_may_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slept: list[float] = []
+    monkeypatch.setattr("unicon_lab.recording.background.time.sleep", slept.append)
+    recorder = Recorder(tmp_path / "run.mcap", warn=str)
+    write = recorder.channel("clock", "rosgraph_msgs/msg/Clock")
+    for stamp in range(5 * CHUNK_ROWS):
+        assert write(stamp, bytes(12))
+    recorder.start()
+    end = time.monotonic() + 20.0
+    while recorder.counts()["messages"] < 5 * CHUNK_ROWS:
+        assert time.monotonic() < end
+    recorder.close()
+    assert slept[:4] == [BREATH_S] * 4  # the end of the run waits for nothing
 
 
 @pytest.mark.slow

