@@ -59,7 +59,7 @@ test: $(STAMP)
 		--no-loadscope-reorder $(TEST_ARGS)
 
 # What one runs at each save: folders that take no processes, no ROS and a minute.
-FAST := analysis blocks controls flow gap identify map members models schema teleop trajectory
+FAST := analysis blocks controls flow gap map members models schema teleop trajectory
 SINCE ?= HEAD
 
 test-fast: $(STAMP)

@@ -204,6 +204,7 @@ setup(
             "emulate = unicon_hardware.emulate.command",
             "analyze = unicon_lab.commands.analyze",
             "bag = unicon_lab.commands.bag",
+            "diagnose = unicon_lab.commands.diagnose",
             "replay = unicon_lab.commands.replay",
             "report_run = unicon_lab.commands.report_run",
             "sweep = unicon_lab.commands.sweep",

@@ -73,14 +73,14 @@ def _fit(arguments: argparse.Namespace, folder: Path) -> int:
     A fit that is not better for what it has not seen gets no overlay.
 
     Returns:
-        The exit status: 1 where figures were found that are not better.
+        The exit status: 1 where parameters were found that are not better.
 
     Raises:
         UniconError: REAL is not a record, or lacks what is needed.
     """
     from unicon_core.robots import load_robot
     from unicon_core.robots.load import JOINT_PHYSICS
-    from unicon_lab.identify.recorded import fit_record
+    from unicon_lab.diagnose.diagnosis import fit_record
     from unicon_lab.recording import open_record
 
     if arguments.processes < 0:
@@ -114,10 +114,14 @@ def _fit(arguments: argparse.Namespace, folder: Path) -> int:
         unit = JOINT_PHYSICS[each.word]
         interval = f"{each.after:.4g} ± {each.deviation:.2g} {unit}".rstrip()
         print(f"{each.joint:24} {each.word:9} {each.before:.4g} -> {interval}")
+    for cause in found.causes:
+        half = (cause.high - cause.low) / 2.0
+        print(f"{cause.name:34} {cause.size:+.4g} ± {half:.2g} {cause.unit}".rstrip(), end="")
+        print(f": {cause.remedy}" if cause.remedy else ", which no overlay of joints can say")
     if not found.parameters:
-        print("no figure of a joint explains more than noise would: the simulator is as it should")
+        print("no parameter of a joint explains more than noise would")
     print(
-        f"aligned MSE   {found.before:.4g} -> {found.after:.4g} rad² ({found.windows[0]} windows)"
+        f"mean square   {found.before:.4g} -> {found.after:.4g} rad² ({found.windows[0]} windows)"
     )
     worse = bool(found.parameters) and not found.better
     print(

@@ -41,7 +41,18 @@ OURS = {
 }
 ORDER = (
     *("run", "check", "preflight", "emulate", "schema", "show", "states", "bag", "replay"),
-    *("analyze", "transfer", "sweep", "view", "bench", "known", "assets", "latches", "doctor"),
+    *(
+        "diagnose",
+        "analyze",
+        "transfer",
+        "sweep",
+        "view",
+        "bench",
+        "known",
+        "assets",
+        "latches",
+        "doctor",
+    ),
     *("talk", "report_run"),
 )
 """Commands as their list has them; those of other packages come behind."""

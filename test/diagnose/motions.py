@@ -10,7 +10,7 @@ import numpy as np
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program, load_document
-from unicon_lab.identify.replays import Motion
+from unicon_lab.diagnose.motion import Motion
 
 WORKFLOW = """\
 robot: go2
@@ -21,7 +21,9 @@ flow:
 """
 
 
-def states_of(workflow: Path, overrides: dict[str, Any]) -> tuple[dict[str, Any], float]:
+def states_of(
+    workflow: str | Path, overrides: dict[str, Any], seconds: float | None = None
+) -> tuple[dict[str, Any], float]:
     """Return all states of a run in every tick, and its period in [s]."""
     rows: dict[str, list[Any]] = {}
 
@@ -35,7 +37,7 @@ def states_of(workflow: Path, overrides: dict[str, Any]) -> tuple[dict[str, Any]
         return {Stage.OBSERVE: [Block("look", look, endless=True)]}
 
     program = Program(load_document(workflow, overrides), hooks=[hook])
-    Runner(program, RunOptions(speed="max", warn=str)).run()
+    Runner(program, RunOptions(speed="max", warn=str, duration=seconds)).run()
     return {name: np.array(row) for name, row in rows.items()}, program.period
 
 

@@ -1,0 +1,172 @@
+"""A diagnosis finds what was changed in a simulator, says how surely, and accuses nothing else."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco", reason="mujoco is not installed: pip install 'unicon_ros[sim]'")
+
+from motions import motion, states_of
+
+from unicon_base.errors import UniconError
+from unicon_core.platforms.kit.disturbances import PLACE
+from unicon_core.platforms.kit.scene import Scene
+from unicon_core.robots import load_robot
+from unicon_core.states.standard import COMMAND_STATES
+from unicon_lab.diagnose.diagnosis import Fit, Parameter, overlay_text
+from unicon_lab.diagnose.likelihood import Likelihood
+from unicon_lab.diagnose.motion import Motion
+from unicon_lab.diagnose.plant import KINDS, Place, Replays
+from unicon_lab.diagnose.search import Found, Search
+
+GO2 = load_robot("go2")
+CALF = GO2.joint_names.index("RL_calf_joint")
+EVERY = [(kind, -1) for kind in KINDS] + [
+    (kind, joint) for kind in KINDS if KINDS[kind].each for joint in range(12)
+]
+NOISE = {"joint_pos": 0.003, "joint_vel": 0.2, "base_ang_vel": 0.05, "base_quat": 0.003}
+
+
+def searched(it: Motion, places: list[Place], processes: int = 1) -> Found:
+    with Replays(GO2, Scene(), it, processes) as replays:
+        return Search(it, places, replays.plant.limbs, replays, lambda text: None).go()
+
+
+def test_a_replay_with_the_right_change_is_the_run(tmp_path: Path) -> None:
+    """Delay, too: the command of the tick before is on its way when a window begins."""
+    it = motion(
+        tmp_path,
+        {"RL_calf_joint": {"strength": 0.5, "friction": 1.0, "armature": 0.03, "delay": 0.014}},
+        seconds=2.0,
+        most=10,
+    )
+    with Replays(GO2, Scene(), it, 1) as replays:
+        own = replays.plant.own
+        change = {
+            ("strength", CALF): -0.5,
+            ("friction", CALF): 1.0 - own["friction"][CALF],
+            ("armature", CALF): 0.03 - own["armature"][CALF],
+            ("delay", CALF): 0.014,
+        }
+        right, wrong = (answers - it.answers for answers in replays([change, {}]))
+    assert np.abs(right[..., :12]).max() < 2e-3  # windows begin in float32
+    assert np.abs(wrong[..., CALF]).max() > 0.02
+
+
+def test_it_finds_a_weak_motor_and_no_other(tmp_path: Path) -> None:
+    it = motion(tmp_path, {"RL_calf_joint": {"strength": 0.5}}, seconds=3.0)
+    front = GO2.joint_names.index("FR_calf_joint")
+    found = searched(it, [("strength", CALF), ("strength", front), ("delay", -1)])
+    assert [place for place, _ in found.causes] == [("strength", CALF)]
+    assert found.change["strength", CALF] == pytest.approx(-0.5, abs=0.02)
+    assert found.after < 0.01 * found.before
+    assert found.probability["strength", CALF] > 0.99
+
+
+def test_a_right_simulator_is_accused_of_nothing(tmp_path: Path) -> None:
+    places = [("strength", CALF), ("delay", -1), ("payload", -1), ("friction", -1)]
+    assert searched(motion(tmp_path, {}, seconds=3.0), places).causes == []
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize(
+    ("scene", "place", "size", "within"),
+    [
+        ({}, None, 0.0, 0.0),
+        ({"payload": {"mass": 4.0}}, ("payload", -1), 4.0, 0.4),
+        ({"joints": {"*": {"delay": 0.008}}}, ("delay", -1), 0.008, 0.001),
+        ({"joints": {"*": {"strength": 0.8}}}, ("strength", -1), -0.2, 0.02),
+        ({"joints": {"RL_calf_joint": {"strength": 0.7}}}, ("strength", CALF), -0.3, 0.03),
+        ({"joints": {"FR_thigh_joint": {"friction": 1.2}}}, ("friction", 4), 1.0, 0.2),
+        ({"joints": {"FL_calf_joint": {"armature": 0.05}}}, ("armature", 2), 0.04, 0.01),
+        ({"contact_friction": 0.3}, ("ground friction", -1), -0.7, 0.15),
+    ],
+)
+def test_a_walk_with_noise_names_its_cause_among_all(
+    scene: dict[str, Any], place: Place | None, size: float, within: float
+) -> None:
+    """The 4 kg payload is no weak motor, and noise with delay is no more torque."""
+    overrides = {f"scene.{key}": value for key, value in scene.items()}
+    states, period = states_of("go2_walk", {"scene.noise": NOISE} | overrides, seconds=20.0)
+    it = Motion.of(states, period, np.ones(len(states["tick"]), np.bool_), most=100)
+    found = searched(it, EVERY, processes=2)
+    assert [one for one, _ in found.causes][:1] == ([place] if place else [])
+    if place:
+        assert found.change[place] == pytest.approx(size, abs=within)
+        assert found.probability[place] > 0.9
+        assert len(found.causes) == 1
+
+
+def test_intervals_cover_and_correlated_windows_do_not_count_twice() -> None:
+    """Linear answers with noise that is alike in neighbouring windows: 95 % intervals cover."""
+    rng, covered, tries = np.random.default_rng(0), 0, 200
+    for _ in range(tries):
+        slope = rng.normal(size=(60, 5, 3, 1))
+        noise = rng.normal(size=(62, 5, 3))
+        left = 0.3 * slope[..., 0] + (noise[:-2] + noise[1:-1] + noise[2:]) / np.sqrt(3.0)
+        fitted = Likelihood(left).fit(left, slope, np.ones(1))
+        half = 1.96 * float(np.sqrt(fitted.spread[0, 0]))
+        covered += abs(float(fitted.size[0]) - 0.3) < half
+    assert 0.88 * tries <= covered <= 0.99 * tries
+
+
+def states(ticks: int = 100) -> dict[str, Any]:
+    rng = np.random.default_rng(0)
+    joints = dict.fromkeys((*PLACE[:2], *COMMAND_STATES), rng.normal(size=(ticks, 12)))
+    base = {"base_quat": np.tile((1.0, 0.0, 0.0, 0.0), (ticks, 1))}
+    return joints | base | {"base_pos_w": np.zeros((ticks, 3))}
+
+
+def test_windows_leave_out_gaps_falls_and_what_is_not_a_number() -> None:
+    usable = np.ones(400, np.bool_)
+    usable[50] = False
+    given = states(400)
+    given["joint_pos"] = given["joint_pos"].copy()
+    given["joint_pos"][120, 3] = np.nan
+    given["projected_gravity"] = np.tile((0.0, 0.0, -1.0), (400, 1))
+    given["projected_gravity"][300:] = (0.0, -1.0, 0.0)
+    it = Motion.of(given, 0.02, usable)
+    assert it.length == 10
+    assert sorted(it.measured) == ["joint_pos", "joint_vel"]  # a base that stands is not measured
+    seen: set[int] = set()
+    for start in it.starts:
+        ticks = set(range(int(start), int(start) + 10))
+        assert not (ticks | {int(start) - 1, int(start) + 10}) & {50, 120, 300}
+        assert max(ticks) < 300
+        assert not ticks & seen
+        seen |= ticks
+    assert it.answers.shape == (len(it.starts), 10, 12)
+    assert np.isfinite(it.answers).all()
+
+
+def test_too_little_is_one_line() -> None:
+    every = np.ones(100, np.bool_)
+    with pytest.raises(UniconError, match=r"needs joint_stiffness, which was not recorded"):
+        Motion.of({k: v for k, v in states().items() if k != "joint_stiffness"}, 0.02, every)
+    with pytest.raises(UniconError, match=r"at least 8 windows of 0\.2 s .* the run has 0"):
+        Motion.of(states(9), 0.02, every[:9])
+    with pytest.raises(UniconError, match=r"joints move by 0\.000 rad; .* excite"):
+        Motion.of({k: 0.0 * v for k, v in states().items()}, 0.02, every)
+
+
+def test_an_overlay_is_read_as_it_was_found(tmp_path: Path) -> None:
+    parameters = (
+        Parameter("RL_calf_joint", "strength", 1.0, 0.51234, 0.02),
+        Parameter("FR_hip_joint", "delay", 0.0, 0.004, 0.001),
+    )
+    path = tmp_path / "fitted.yaml"
+    path.write_text(overlay_text(GO2, "go2", Fit(parameters, (), 1, 0.1, 1, 0.2, (30, 10)), "real"))
+    robot = load_robot(path)
+    assert robot.simulated == {
+        "RL_calf_joint": {"strength": 0.5123},
+        "FR_hip_joint": {"delay": 0.004},
+    }
+    assert "# 95 %: strength ±0.02\n" in path.read_text()
+    again = Fit((), (), 1.0, 1.0, 1.0, 1.0, (30, 10))
+    path.write_text(overlay_text(robot, "go2", again, "real.mcap"))
+    assert load_robot(path).simulated == robot.simulated  # what was found before stays

@@ -1,0 +1,81 @@
+"""`unicon diagnose RECORD`: which cause explains that a robot moves unlike its simulation."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from unicon_base.errors import UniconError
+from unicon_core.page import write_file
+from unicon_ros.cli.console import note, print_table
+from unicon_ros.cli.options import argument, command, positive
+
+if TYPE_CHECKING:
+    from unicon_lab.diagnose.causes import Cause, Diagnosis
+
+
+def _diagnose(arguments: argparse.Namespace) -> int:
+    """Run the command; exit status 0, whatever is found, 130 after Ctrl-C."""
+    from unicon_core.robots import load_robot
+    from unicon_lab.diagnose.diagnosis import diagnose
+    from unicon_lab.recording import open_record
+
+    if arguments.processes < 0:
+        raise UniconError(f"--processes is {arguments.processes}; give 1 or more")
+    path = Path(arguments.record)
+    found = diagnose(
+        open_record(path),
+        path.name,
+        robot=load_robot(arguments.robot) if arguments.robot else None,
+        window=arguments.window,
+        processes=arguments.processes,
+        tell=lambda text: note(f"unicon diagnose: {text}"),
+    )
+    if arguments.json:
+        write_file(Path(arguments.json), json.dumps(asdict(found), indent=1).encode())
+    _print(found)
+    return 0 if found.complete else 130
+
+
+def _print(found: Diagnosis) -> None:
+    if not found.causes:
+        ended = "explains more of the record than noise does" if found.complete else "is known yet"
+        print(f"nothing found: no cause {ended} ({found.windows} windows)")
+    else:
+        rows = [_row(number, cause) for number, cause in enumerate(found.causes, 1)]
+        titles = ("", "cause", "probability", "change", "95 % interval")
+        print_table([titles, *rows], underlined=True)
+    for number, cause in enumerate(found.causes, 1):
+        print(f"{number}. {cause.evidence}")
+        if cause.alike:
+            print(f"   the record does not tell it from: {', '.join(cause.alike)}")
+        if cause.remedy:
+            print(f"   remedy: {cause.remedy}")
+    for text in found.notes:
+        print(f"note: {text}")
+
+
+def _row(number: int, cause: Cause) -> tuple[str, ...]:
+    factor = not cause.unit
+
+    def figure(value: float) -> str:
+        return f"{value:+.0%}" if factor else f"{value:+.3g} {cause.unit}"
+
+    interval = f"{figure(cause.low)} to {figure(cause.high)}"
+    return str(number), cause.name, f"{cause.probability:.0%}", figure(cause.size), interval
+
+
+add = command(
+    "diagnose",
+    _diagnose,
+    "say why a robot moves unlike its simulation",
+    __doc__,
+    argument("record", "RECORD", "record (.mcap) of the robot"),
+    argument("--robot", "ROBOT", "its file (default: the record's)"),
+    argument("--window", "S", "of a replay (default: 0.2)", type=positive, default=0.2),
+    argument("--json", "FILE", "write causes and notes as JSON"),
+    argument("--processes", "N", "at once (default: one for each core)", type=int, default=0),
+)

@@ -1,0 +1,1 @@
+"""Diagnosis: which cause explains that a recorded robot moves unlike its simulation."""

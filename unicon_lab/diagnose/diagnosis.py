@@ -1,0 +1,335 @@
+"""Diagnosis of a record: causes with probability, size and remedy; and a fit of its joints.
+
+found = diagnose(open_record("real.mcap"), "real.mcap")
+for cause in found.causes:
+    print(cause.name, cause.probability, cause.size, cause.remedy)
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from unicon_base.arrays import Float64
+from unicon_base.errors import UniconError, alternatives
+from unicon_core.platforms.kit.scene import Scene
+from unicon_core.robots import Robot, load_robot, robot_names
+from unicon_core.robots.load import JOINT_PHYSICS, joints_like
+from unicon_core.signals import Interrupted
+from unicon_lab.diagnose.causes import Cause, Diagnosis, name_of
+from unicon_lab.diagnose.motion import Motion, motion_of
+from unicon_lab.diagnose.plant import KINDS, OF_BASE, Place, Replays
+from unicon_lab.diagnose.search import Found, Search
+from unicon_lab.recording import Record
+from unicon_lab.replay.workflow import recorded_workflow, robot_of
+
+MOST = {16: 100, 200: 60}
+"""Windows that are replayed, by the number of joints up to which: a G1's take three times as
+long."""
+
+HELD_OUT = 4
+"""Every fourth window is left out of `fit_record`, and tells whether the fit holds."""
+
+Tell = Callable[[str], None]
+
+
+def _quiet(text: str) -> None:
+    """Take a line of progress, and say nothing."""
+
+
+def diagnose(
+    record: Record,
+    where: str,
+    *,
+    robot: Robot | None = None,
+    window: float = 0.2,
+    processes: int = 0,
+    tell: Tell = _quiet,
+) -> Diagnosis:
+    """Return the causes in the plant that explain how a record differs from its simulation.
+
+    Args:
+        record: with the command states and what was measured.
+        where: the record's name, for messages.
+        robot: whose simulator is compared; None for the record's.
+        window: of a replay in [s].
+        processes: at once; 0 for as many as there are cores.
+        tell: takes lines of progress.
+
+    Raises:
+        UniconError: the record lacks something, or is of another robot.
+    """
+    robot, scene = _simulated(record, where, robot)
+    motion = _thinned(motion_of(record, where, window), robot)
+    if untold := _untold(record, motion):
+        return Diagnosis((), (untold,))
+    notes = [] if motion.has_base else [_NO_BASE]
+    places = _places(motion, robot, range(robot.num_joints), KINDS)
+    with Replays(robot, scene, motion, _processes(processes)) as replays:
+        search = Search(motion, places, replays.plant.limbs, replays, tell)
+        try:
+            search.go()
+        except (KeyboardInterrupt, Interrupted):
+            notes.append("interrupted: causes that come later are not known")
+        found, own = search.found, replays.plant.own
+    causes = tuple(_cause(found, place, alike, robot, own) for place, alike in found.causes)
+    return Diagnosis(causes, tuple(notes), len(motion.starts), found.complete)
+
+
+_NO_BASE = (
+    "attitude and turn rate of the base were not recorded: payload, centre of mass, inertia, gyro "
+    "and IMU mounting are not examined"
+)
+
+
+def _untold(record: Record, motion: Motion) -> str:
+    """Return why a record cannot tell anything of the plant, "" where it can.
+
+    A walk whose velocity is estimated from the legs is off by 0.1 to 0.25 m/s at the beginning of a
+    window: a healthy robot then has weak motors, surely.
+    """
+    estimated = "base_lin_vel_variance" in record.layout.slots
+    if motion.has_base and ("base_lin_vel" not in motion.measured or estimated):
+        return (
+            "the plant cannot be told from this record: the base moves and its base_lin_vel was "
+            "not measured; hang the robot up or fix its base, and record excite"
+        )
+    return ""
+
+
+def _thinned(motion: Motion, robot: Robot) -> Motion:
+    most = next(most for joints, most in MOST.items() if robot.num_joints <= joints)
+    count = len(motion.starts)
+    if count <= most:
+        return motion
+    return replace(
+        motion, starts=motion.starts[np.linspace(0, count - 1, most).round().astype(int)]
+    )
+
+
+def _processes(asked: int) -> int:
+    return asked or len(os.sched_getaffinity(0))
+
+
+def _places(
+    motion: Motion, robot: Robot, joints: Sequence[int], kinds: Sequence[str] | Any
+) -> list[Place]:
+    """Return what may differ: all joints alike, each, and the base where it was measured."""
+    kinds = [kind for kind in kinds if motion.has_base or kind not in OF_BASE]
+    whole = [(kind, -1) for kind in kinds if len(joints) == robot.num_joints]
+    return whole + [(kind, joint) for kind in kinds if KINDS[kind].each for joint in joints]
+
+
+def _cause(
+    found: Found, place: Place, alike: Sequence[Place], robot: Robot, own: dict[str, Float64]
+) -> Cause:
+    kind, joint = place
+    size, half = found.change[place], found.deviation[place]
+    before = float(own[kind][max(joint, 0)]) if kind in own else 1.0
+    explained = 1.0 - found.after / max(found.before, 1e-30)
+    words = {"size": size, "after": before + size, "joint": _where(joint, robot) or "*"}
+    return Cause(
+        kind=kind,
+        where=_where(joint, robot),
+        layer="plant",
+        probability=found.probability[place],
+        size=size,
+        low=size - half,
+        high=size + half,
+        unit=KINDS[kind].unit,
+        evidence=f"replays of {found.before**0.5:.2g} rad RMS error in the joints; all causes "
+        f"together explain {explained:.0%} of its square",
+        remedy=KINDS[kind].remedy.format(**words),
+        alike=tuple(name_of(other, _where(j, robot)) for other, j in alike),
+    )
+
+
+def _where(joint: int, robot: Robot) -> str:
+    return robot.joint_names[joint] if joint >= 0 else ""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of one joint.
+
+    Attributes:
+        joint: its name; `*` for all.
+        word: `strength`, `friction`, `armature` or `delay`.
+        before: as the robot's simulator has it.
+        after: as it was estimated.
+        deviation: half of the 95 % interval.
+    """
+
+    joint: str
+    word: str
+    before: float
+    after: float
+    deviation: float
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What was found of joints.
+
+    Attributes:
+        parameters: those that explain the motion; all others stay as they are.
+        causes: what explains it besides, which is no parameter of joints.
+        before, after: mean square error of the joints' replays in [rad²], windows of the fit.
+        held_before, held_after: the same over windows that the fit has not seen.
+        windows: of the fit, and held out.
+    """
+
+    parameters: tuple[Parameter, ...]
+    causes: tuple[Cause, ...]
+    before: float
+    after: float
+    held_before: float
+    held_after: float
+    windows: tuple[int, int]
+
+    @property
+    def better(self) -> bool:
+        """Whether it holds for what the fit has not seen."""
+        return self.held_after < self.held_before
+
+
+def fit_record(
+    record: Record,
+    where: str,
+    *,
+    robot: Robot | None = None,
+    words: Sequence[str] = tuple(JOINT_PHYSICS),
+    joints: Sequence[str] = ("*",),
+    window: float = 0.2,
+    processes: int = 0,
+    tell: Tell = _quiet,
+) -> tuple[Fit, str]:
+    """Estimate parameters of joints from a record; return the fit and the text of a robot overlay.
+
+    What is not a parameter of joints, such as a payload, is fitted beside them, so that no joint
+    answers for it.
+
+    Args:
+        record: with the command states and what was measured.
+        where: the record's name, for messages and the overlay's comment.
+        robot: whose simulator is fitted; None for the record's.
+        words: of `JOINT_PHYSICS`.
+        joints: names and patterns.
+        window: of a replay in [s].
+        processes: at once; 0 for as many as there are cores.
+        tell: takes lines of progress.
+
+    Raises:
+        UniconError: the record lacks something, or is of another robot; no such word or joint.
+    """
+    for word in words:
+        if word not in JOINT_PHYSICS:
+            known = alternatives(word, JOINT_PHYSICS)
+            raise UniconError(f"no parameter {word!r} of joints; {known}")
+    robot, scene = _simulated(record, where, robot)
+    which = sorted({i for pattern in joints for i in joints_like(pattern, robot)})
+    if not which or not words:
+        raise UniconError("nothing to estimate; name joints and parameters")
+    motion = _thinned(motion_of(record, where, window), robot)
+    if untold := _untold(record, motion):
+        raise UniconError(f"{where}: {untold}")
+    held = np.arange(len(motion.starts)) % HELD_OUT == HELD_OUT - 1
+    seen = replace(motion, starts=motion.starts[~held])
+    apart = replace(motion, starts=motion.starts[held])
+    others = [kind for kind in KINDS if not KINDS[kind].each]
+    places = _places(motion, robot, which, words) + _places(motion, robot, (), others)
+    places += [(kind, -1) for kind in others if motion.has_base or kind not in OF_BASE]
+    with Replays(robot, scene, seen, _processes(processes)) as replays:
+        found = Search(seen, list(dict.fromkeys(places)), replays.plant.limbs, replays, tell).go()
+        own = replays.plant.own
+    with Replays(robot, scene, apart, 1) as replays:
+        real = apart.answers[..., : robot.num_joints]
+        held_before, held_after = (
+            float(((real - answers[..., : robot.num_joints]) ** 2).mean())
+            for answers in replays([{}, found.change])
+        )
+    parameters, causes = [], []
+    for (kind, joint), alike in found.causes:
+        if kind not in JOINT_PHYSICS:
+            causes.append(_cause(found, (kind, joint), alike, robot, own))
+            continue
+        before = float(own[kind][max(joint, 0)])
+        after = before + found.change[kind, joint]
+        half = found.deviation[kind, joint]
+        parameters.append(Parameter(_where(joint, robot) or "*", kind, before, after, half))
+
+    result = Fit(
+        parameters=tuple(parameters),
+        causes=tuple(causes),
+        before=found.before,
+        after=found.after,
+        held_before=held_before,
+        held_after=held_after,
+        windows=(len(seen.starts), len(apart.starts)),
+    )
+    extends = robot.name if robot.name in robot_names() else str(robot.path)
+    return result, overlay_text(robot, extends, result, where)
+
+
+def overlay_text(robot: Robot, extends: str, found: Fit, where: str) -> str:
+    """Return the text of an overlay.
+
+    Args:
+        robot: that was fitted; what it says under `simulated` stays.
+        extends: name or path of the robot file that is extended.
+        found: the fit.
+        where: from which it was made, for a comment.
+    """
+    joints = {name: dict(words) for name, words in robot.simulated.items()}
+    intervals: dict[str, list[str]] = {}
+    for each in found.parameters:
+        joints.setdefault(each.joint, {})[each.word] = each.after
+        intervals.setdefault(each.joint, []).append(f"{each.word} ±{each.deviation:.2g}")
+    lines = [
+        f"# Written by unicon analyze --fit {where}",
+        "# mean square error of windows that the fit has not seen: "
+        f"{found.held_before:.4g} before, {found.held_after:.4g} rad² after",
+        "schema: unicon.robot/1",
+        f"extends: {extends}",
+        "simulated:" if joints else "simulated: {}",
+    ]
+    for name, words in joints.items():
+        said = ", ".join(f"{word}: {value:.4g}" for word, value in words.items())
+        comment = f"   # 95 %: {', '.join(intervals[name])}" if name in intervals else ""
+        lines.append(f'  "{name}": {{{said}}}{comment}')
+    return "\n".join(lines) + "\n"
+
+
+def _simulated(record: Record, where: str, robot: Robot | None) -> tuple[Robot, Scene]:
+    """Return the robot whose simulator a record is compared with, and its scene.
+
+    Raises:
+        UniconError: the record is of another robot, or of several in one.
+    """
+    recorded = recorded_workflow(record)
+    said: dict[str, Any] = recorded.value if recorded and isinstance(recorded.value, dict) else {}
+    if robot is None and isinstance(said.get("robot"), dict):
+        raise UniconError(
+            f"{record.facts.get('robot')} is made of {', '.join(map(str, said['robot']))}, and an "
+            "overlay extends one file: record a run of that robot alone"
+        )
+    try:
+        robot = robot or load_robot(robot_of(record))
+    except UniconError as error:
+        raise UniconError(f"{error}; give the robot with --robot") from error
+    specs = record.layout.specs
+    names = specs["joint_pos"].names if "joint_pos" in specs else ()
+    if tuple(names) != robot.joint_names:
+        raise UniconError(
+            f"{where} is of {record.facts.get('robot') or 'another robot'} with {len(names)} "
+            f"joints, and robot {robot.name} has others: give that robot's file with --robot"
+        )
+    scene = said.get("scene") or {}
+    path = record.facts.get("workflow_path")
+    model = scene.get("model") if isinstance(scene, dict) else None
+    return robot, Scene(model=model, folder=Path(path).parent if path else None)

@@ -1,0 +1,156 @@
+"""Motion: a recorded run cut into windows, and what was measured in each of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from unicon_base.arrays import Array, Bool, Float64, Int64
+from unicon_base.errors import UniconError
+from unicon_core.platforms.kit.disturbances import PLACE
+from unicon_core.states.standard import COMMAND_STATES
+from unicon_lab.recording import Record
+
+FEWEST = 8
+"""Windows: with less there is nothing to hold a fit against."""
+FALLEN = 0.5
+"""Lean in [rad] from which on a walking robot falls: what comes then is not its plant's doing."""
+BASE_ANSWERS = ("gravity x", "gravity y", "turn rate x", "turn rate y", "turn rate z")
+"""What a window answers of a base beside the joints: unit gravity and [rad/s], in its frame."""
+
+
+def gravity_xy(quat: Array) -> Float64:
+    """Return x and y of unit gravity in the base frame of attitudes (wxyz), shape (…, 2).
+
+    The third row of the rotation matrix, negated.
+    """
+    w, x, y, z = np.moveaxis(np.asarray(quat, np.float64), -1, 0)
+    return np.stack((2.0 * (w * y - x * z), -2.0 * (y * z + w * x)), axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A recorded run.
+
+    Attributes:
+        period: of a tick in [s].
+        measured: of `PLACE`, those that were measured, each of shape (ticks, …).
+        commands: the command states, each of shape (ticks, n).
+        starts: first tick of each window, shape (windows,).
+        length: ticks of a window; `measured` has one more behind it, of the same run.
+    """
+
+    period: float
+    measured: Mapping[str, Array]
+    commands: Mapping[str, Array]
+    starts: Int64
+    length: int
+
+    @staticmethod
+    def of(
+        states: Mapping[str, Array],
+        period: float,
+        usable: Bool,
+        window: float = 0.2,
+        most: int = 200,
+    ) -> Motion:
+        """Cut a run into windows that follow each other.
+
+        Args:
+            states: at the end of each tick, by name, shape (ticks, …): what was measured at its
+                beginning and what was sent.
+            period: of a tick in [s].
+            usable: ticks that ended and follow the one before, shape (ticks,).
+            window: in [s].
+            most: windows; of more, as many are taken, evenly.
+
+        Raises:
+            UniconError: something is missing, or there are too few windows.
+        """
+        lacking = [n for n in ("joint_pos", "joint_vel", *COMMAND_STATES) if n not in states]
+        if lacking:
+            raise UniconError(
+                f"a diagnosis needs {lacking[0]}, which was not recorded; record with "
+                "unicon run --record"
+            )
+        length = max(round(window / period), 2)
+        measured = {name: states[name] for name in PLACE if name in states}
+        for name in PLACE[2:]:  # a state without any change was not measured
+            if name in measured and np.ptp(measured[name], axis=0).max(initial=0.0) == 0.0:
+                del measured[name]
+        commands = {name: states[name] for name in COMMAND_STATES}
+        good = usable & ~_fallen(states)
+        for values in (*measured.values(), *commands.values()):
+            good &= np.isfinite(values).reshape(len(values), -1).all(axis=1)
+        moved = np.ptp(states["joint_pos"][good], axis=0).max(initial=0.0) if good.any() else 0.0
+        whole = np.convolve(good, np.ones(length + 2), "valid") > length + 1.5
+        starts, tick = list[int](), 0
+        while tick < len(whole):  # one tick more in front, for commands on their way
+            if whole[tick]:
+                starts.append(tick + 1)
+                tick += length
+            else:
+                tick += 1
+        if len(starts) < FEWEST or moved < 0.02:
+            raise UniconError(
+                f"a diagnosis needs at least {FEWEST} windows of {length * period:g} s in which "
+                f"joints move; the run has {len(starts)}, and joints move by {moved:.3f} rad; "
+                "record a longer run, or one with excite"
+            )
+        chosen = np.array(starts)
+        if len(chosen) > most:
+            chosen = chosen[np.linspace(0, len(chosen) - 1, most).round().astype(int)]
+        return Motion(period, measured, commands, chosen, length)
+
+    @property
+    def has_base(self) -> bool:
+        """Whether attitude and turn rate of a base were measured."""
+        return "base_quat" in self.measured and "base_ang_vel" in self.measured
+
+    @property
+    def answers(self) -> Float64:
+        """What was measured after each tick of each window, shape (w, l, m).
+
+        Joint positions in [rad], and `BASE_ANSWERS` where the base was measured.
+        """
+        rows = self.starts[:, None] + np.arange(1, self.length + 1)
+        parts = [np.asarray(self.measured["joint_pos"][rows], np.float64)]
+        if self.has_base:
+            parts += [
+                gravity_xy(self.measured["base_quat"][rows]),
+                np.asarray(self.measured["base_ang_vel"][rows], np.float64),
+            ]
+        return np.concatenate(parts, axis=-1)
+
+
+def _fallen(states: Mapping[str, Array]) -> Bool:
+    gravity = states.get("projected_gravity")
+    if gravity is None or np.ptp(gravity) == 0.0:
+        return np.zeros(len(states["joint_pos"]), np.bool_)
+    fallen: Bool = np.maximum.accumulate(-gravity[:, 2] < np.cos(FALLEN))
+    return fallen
+
+
+def motion_of(record: Record, where: str, window: float = 0.2) -> Motion:
+    """Return the motion of a record.
+
+    Raises:
+        UniconError: it is of many robots, or has too few ticks in which joints move.
+    """
+    layout = record.layout
+    if layout.num_robots is not None:
+        raise UniconError(f"{where} is of {layout.num_robots} robots; record one on its own")
+    period = record.period
+    if period > 1.0:
+        raise UniconError(f"{where} ticks every {period:g} s; a fit needs ticks of at most 1 s")
+    names = (*PLACE, *COMMAND_STATES, "projected_gravity")
+    states = {n: record.states(n) for n in names if n in layout.slots}
+    ticks = np.asarray(record.ticks)
+    usable = np.asarray(record.ended, np.bool_).copy()
+    usable[1:] &= np.diff(ticks) == 1
+    try:
+        return Motion.of(states, period, usable, window)
+    except UniconError as error:
+        raise UniconError(f"{where}: {error}") from error

@@ -1,0 +1,301 @@
+"""The plant: what may differ between a robot and its simulator, and replays with a difference.
+
+A difference is a `Change`: places of parameters to their change from the simulator's own value. A
+replay begins each window where the robot was measured and repeats the recorded commands.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import signal
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from unicon_base.arrays import Array, Float64, Int64
+from unicon_base.errors import Fault, PlatformError
+from unicon_core.models.loaded import LoadedModel, import_mujoco
+from unicon_core.platforms.kit.disturbances import Beside
+from unicon_core.platforms.kit.scene import Scene
+from unicon_core.robots import Robot
+from unicon_core.robots.load import joint_physics
+from unicon_lab.diagnose.motion import Motion, gravity_xy
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of parameter.
+
+    Attributes:
+        unit: of a change; "" for a factor.
+        step: by which a derivative is taken.
+        usual: standard deviation of the change, beforehand.
+        least: smallest change that matters: below it a cause is not reported.
+        low, high: bounds of the change.
+        odds: how often it is the cause, beside others; shared by its joints.
+        each: of a joint, not of the whole robot alone.
+        remedy: what to change, with `{size}`, `{after}` and `{joint}`.
+    """
+
+    unit: str
+    step: float
+    usual: float
+    least: float
+    low: float
+    high: float
+    odds: float
+    each: bool = False
+    remedy: str = ""
+
+
+_PAYLOAD = "scene: {{payload: {{mass: {size:.3g}}}}}"
+_GROUND = "scene: {{contact_friction: {after:.3g}}}"
+
+
+def _joint(word: str) -> str:
+    return f'simulated: {{{{"{{joint}}": {{{{{word}: {{after:.4g}}}}}}}}}}'
+
+
+KINDS = {
+    "delay": Kind("s", 0.004, 0.01, 0.002, 0.0, 0.1, 4.0, True, _joint("delay")),
+    "strength": Kind("", -0.05, 0.3, 0.03, -0.95, 1.5, 2.0, True, _joint("strength")),
+    "friction": Kind("N·m", 0.1, 1.0, 0.1, -20.0, 20.0, 2.0, True, _joint("friction")),
+    "viscous friction": Kind("N·m·s/rad", 0.1, 1.0, 0.05, -5.0, 20.0, 1.0, True),
+    "armature": Kind("kg·m²", 0.004, 0.02, 0.003, -0.5, 0.5, 1.0, True, _joint("armature")),
+    "encoder offset": Kind("rad", 0.01, 0.05, 0.01, -0.5, 0.5, 2.0, True),
+    "payload": Kind(
+        "kg", 0.5, 3.0, 0.3, -50.0, 100.0, 4.0, False, "scene: {{payload: {{mass: {size:.3g}}}}}"
+    ),
+    "centre of mass x": Kind("kg·m", 0.1, 0.3, 0.03, -20.0, 20.0, 1.0),
+    "centre of mass y": Kind("kg·m", 0.1, 0.3, 0.03, -20.0, 20.0, 1.0),
+    "centre of mass z": Kind("kg·m", 0.2, 0.3, 0.1, -20.0, 20.0, 0.5),
+    "inertia": Kind("", 0.2, 0.5, 0.2, -0.9, 20.0, 0.5),
+    "ground friction": Kind(
+        "", -0.3, 0.5, 0.15, -0.97, 4.0, 2.0, False, "scene: {{contact_friction: {after:.3g}}}"
+    ),
+    "stiffness": Kind("", 0.05, 0.3, 0.05, -0.95, 5.0, 1.0),
+    "damping": Kind("", 0.1, 0.5, 0.1, -0.95, 10.0, 1.0),
+    "gyro bias x": Kind("rad/s", 0.02, 0.05, 0.01, -1.0, 1.0, 0.7),
+    "gyro bias y": Kind("rad/s", 0.02, 0.05, 0.01, -1.0, 1.0, 0.7),
+    "gyro bias z": Kind("rad/s", 0.02, 0.05, 0.01, -1.0, 1.0, 0.7),
+    "attitude x": Kind("rad", 0.01, 0.03, 0.01, -0.5, 0.5, 0.7),
+    "attitude y": Kind("rad", 0.01, 0.03, 0.01, -0.5, 0.5, 0.7),
+}
+"""What may differ. Attitude is that of the IMU on its base, or of the ground under the robot: a
+window cannot tell them apart. Steps and bounds are ours, chosen for robots of 10 to 80 kg."""
+
+OF_BASE = tuple(name for name in KINDS if name[:4] in ("payl", "cent", "iner", "gyro", "atti"))
+
+Place = tuple[str, int]
+"""A kind, and the joint's number; -1 for the whole robot, or all joints by the same."""
+
+Change = Mapping[Place, float]
+
+_LOST = np.pi
+"""Error in [rad] that stands for physics that blew up."""
+
+
+class Plant:
+    """A simulator that can be changed, for replays.
+
+    Args:
+        robot: that is simulated.
+        scene: its model and what its joints are like before any change.
+        motion: that is replayed.
+    """
+
+    def __init__(self, robot: Robot, scene: Scene, motion: Motion) -> None:
+        from unicon_core.platforms.mujoco import make
+
+        self._robot, self._scene, self._motion = robot, scene, motion
+        self._beside = Beside(make, robot, motion.period, scene)
+        platform: Any = self._beside.platform
+        self._platform = platform
+        self.base = platform._loaded.base
+        model, dofs = platform.model, platform._loaded.dofs
+        physics = joint_physics(robot, scene.joints)
+        self.own = {
+            "strength": np.nan_to_num(physics.strength, nan=1.0),
+            "delay": np.nan_to_num(physics.delay),
+            "friction": np.array(model.dof_frictionloss[dofs]),
+            "armature": np.array(model.dof_armature[dofs]),
+        }
+        """What the simulator has of each joint without a change, shape (n,)."""
+        self.limbs = _limbs(platform._loaded)
+        """The limb that each joint belongs to, shape (n,)."""
+        self._offset = np.zeros(robot.num_joints)
+        self._gains = np.ones(2)
+        self._bias, self._tilt = np.zeros(3), np.zeros(3)
+
+    def replayed(self, change: Change) -> Float64:
+        """Return the answers of a motion's windows with a change; see `Motion.answers`."""
+        self._apply(change)
+        motion, base = self._motion, self._motion.has_base
+        found = np.empty_like(motion.answers)
+        states = self._beside.states
+        for window, start in enumerate(motion.starts):
+            try:
+                self._put(start)
+                self._beside.step(self._commands(start - 1))
+                self._put(start)
+                for tick in range(motion.length):
+                    row = found[window, tick]
+                    n = len(self._offset)
+                    row[:n] = self._beside.step(self._commands(start + tick)) + self._offset
+                    if base:
+                        quat = _turned(states["base_quat"], self._tilt)
+                        row[n : n + 2] = gravity_xy(quat)
+                        row[n + 2 :] = states["base_ang_vel"] + self._bias
+            except Fault:
+                found[window] = motion.answers[window] + _LOST
+                self._platform.reset()
+        return found
+
+    def close(self) -> None:
+        """Let go of the simulator."""
+        self._beside.close()
+
+    def _put(self, start: int) -> None:
+        put = {name: values[start] for name, values in self._motion.measured.items()}
+        put["joint_pos"] = put["joint_pos"] - self._offset
+        if "base_ang_vel" in put:
+            put["base_ang_vel"] = put["base_ang_vel"] - self._bias
+        if "base_quat" in put:
+            put["base_quat"] = _turned(put["base_quat"], -self._tilt)
+        self._beside.put(put)
+
+    def _commands(self, row: int) -> dict[str, Array]:
+        sent = {name: values[row] for name, values in self._motion.commands.items()}
+        sent["joint_pos_target"] = sent["joint_pos_target"] - self._offset
+        sent["joint_stiffness"] = sent["joint_stiffness"] * self._gains[0]
+        sent["joint_damping"] = sent["joint_damping"] * self._gains[1]
+        return sent
+
+    def _apply(self, change: Change) -> None:
+        names, n = self._robot.joint_names, self._robot.num_joints
+        sums = {kind: np.zeros(n) for kind in KINDS}
+        for (kind, joint), size in change.items():
+            sums[kind][slice(None) if joint < 0 else joint] += size
+        whole = {kind: float(values[0]) for kind, values in sums.items() if not KINDS[kind].each}
+        joints: dict[str, dict[str, float]] = {}
+        for word, own in self.own.items():
+            least = 0.01 if word == "strength" else 1e-5 if word == "armature" else 0.0
+            for i in np.flatnonzero(sums[word]):
+                joints.setdefault(names[i], {})[word] = max(float(own[i] + sums[word][i]), least)
+        scene = replace(
+            self._scene,
+            joints={**self._scene.joints, **_merged(self._scene.joints, joints)},
+            contact_friction=self._scene.contact_friction * (1.0 + whole["ground friction"]),
+        )
+        self._platform.change(scene)
+        model, dofs = self._platform.model, self._platform._loaded.dofs
+        model.dof_damping[dofs] = np.maximum(model.dof_damping[dofs] + sums["viscous friction"], 0)
+        self._offset = sums["encoder offset"]
+        self._gains = 1.0 + np.array([whole["stiffness"], whole["damping"]])
+        self._bias = np.array([whole[f"gyro bias {axis}"] for axis in "xyz"])
+        self._tilt = np.array([whole["attitude x"], whole["attitude y"], 0.0])
+        moment = np.array([whole[f"centre of mass {axis}"] for axis in "xyz"])
+        if self.base is not None and (whole["payload"] or whole["inertia"] or moment.any()):
+            self._weigh(model, whole["payload"], moment, 1.0 + whole["inertia"])
+
+    def _weigh(self, model: Any, payload: float, moment: Float64, inertia: float) -> None:
+        """Change the base's mass [kg], first moment [kg·m] and inertia (a factor)."""
+        body = int(model.jnt_bodyid[self.base])
+        mass = max(float(model.body_mass[body]) + payload, 0.1)
+        model.body_mass[body] = mass
+        model.body_ipos[body] += moment / mass
+        model.body_inertia[body] *= inertia
+        mujoco = import_mujoco()
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+def _limbs(loaded: LoadedModel) -> Int64:
+    model = loaded.model
+    root = 0 if loaded.base is None else int(model.jnt_bodyid[loaded.base])
+    found = []
+    for joint in loaded.joints:
+        body = int(model.jnt_bodyid[joint])
+        while int(model.body_parentid[body]) not in (root, 0):
+            body = int(model.body_parentid[body])
+        found.append(body)
+    return np.array(found)
+
+
+def _merged(
+    given: Mapping[str, Mapping[str, float]], changed: Mapping[str, Mapping[str, float]]
+) -> dict[str, Mapping[str, float]]:
+    return {name: {**given.get(name, {}), **words} for name, words in changed.items()}
+
+
+def _turned(quat: Array, angles: Float64) -> Float64:
+    """Return an attitude (wxyz) turned by small angles [rad] about its own axes."""
+    if not angles.any():
+        return np.asarray(quat, np.float64)
+    w, x, y, z = np.asarray(quat, np.float64)
+    a, b, c = angles / 2.0
+    return np.array(
+        [
+            w - x * a - y * b - z * c,
+            x + w * a + y * c - z * b,
+            y + w * b + z * a - x * c,
+            z + w * c + x * b - y * a,
+        ]
+    )
+
+
+_plant: Plant | None = None
+
+
+def _begin(robot: Robot, scene: Scene, motion: Motion) -> None:
+    global _plant
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's, which ends this one
+    _plant = Plant(robot, scene, motion)
+
+
+def _work(change: Change) -> Float64:
+    assert _plant is not None
+    return _plant.replayed(change)
+
+
+class Replays:
+    """Replays with many changes; a context, which ends its processes.
+
+    Args:
+        robot: that is simulated.
+        scene: its model and joints.
+        motion: that is replayed.
+        processes: at once; 1 stays in this one.
+
+    Raises:
+        PlatformError: the simulator cannot be built.
+    """
+
+    def __init__(self, robot: Robot, scene: Scene, motion: Motion, processes: int) -> None:
+        self.plant = Plant(robot, scene, motion)
+        if motion.has_base and self.plant.base is None:
+            raise PlatformError(
+                f"{robot.name}: the record has a base that moves and the model has none; give "
+                "the model of the free robot"
+            )
+        self._pool: ProcessPoolExecutor | None = None
+        if processes > 1:
+            # Not forked: this process may have threads, of ROS or of a network's runtime.
+            context = multiprocessing.get_context("spawn")
+            self._pool = ProcessPoolExecutor(processes, context, _begin, (robot, scene, motion))
+
+    def __call__(self, changes: Sequence[Change]) -> list[Float64]:
+        """Return what `Plant.replayed` returns for each change."""
+        if self._pool is None:
+            return [self.plant.replayed(change) for change in changes]
+        return list(self._pool.map(_work, changes))
+
+    def __enter__(self) -> Replays:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.plant.close()
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)

@@ -1,0 +1,218 @@
+"""Search: which changes of the plant explain a motion, one after the other, and how surely.
+
+All changes are fitted alone, by their derivatives; the best few are followed to where they fit
+best. The best of them, prior odds and BIC's price of a parameter counted, becomes a cause if it is
+far more probable than none, and all others are fitted beside it again.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from unicon_base.arrays import Float64, Int64
+from unicon_lab.diagnose.likelihood import Fitted, Likelihood
+from unicon_lab.diagnose.motion import Motion
+from unicon_lab.diagnose.plant import KINDS, Change, Place
+
+FOLLOWED = 6
+"""Changes that are followed to their best size, of those that fit best alone."""
+STEPS = 4
+CLEAR = 8.0
+"""Log odds against no change from which there is a cause: 1 in 3000, since some 70 are tried."""
+ALIKE = 3.0
+"""Log odds within which a record does not tell two causes apart: 20 to 1."""
+MOST = 4
+"""Causes of one record."""
+
+Run = Callable[[Sequence[Change]], list[Float64]]
+"""Replays changes; see `plant.Replays`."""
+
+
+@dataclass(eq=False)
+class Candidate:
+    """A set of changes that is followed: those found before, and one more.
+
+    Attributes:
+        place: the one that is new.
+        change: sizes of all.
+        answers: of the windows with them.
+        slope: derivative of the answers by the new one, there.
+        log: likelihood there.
+        fitted: the fit from there, in the order of `change`.
+        part: of a fitted step that is taken; less after one that did not help.
+        odds: log odds against the changes before.
+    """
+
+    place: Place
+    change: dict[Place, float]
+    answers: Float64
+    slope: Float64
+    log: float
+    fitted: Fitted | None = None
+    part: float = 1.0
+    odds: float = -math.inf
+
+
+@dataclass(eq=False)
+class Found:
+    """What a search found.
+
+    Attributes:
+        causes: each with those that a record does not tell from it, the more probable first.
+        change: sizes of all causes, fitted together.
+        deviation: half of the 95 % interval of each.
+        before, after: mean square of what is left of the joints in [rad²], without and with it.
+        probability: of each cause against all that were followed, and none.
+        complete: whether the search came to its end.
+    """
+
+    causes: list[tuple[Place, list[Place]]] = field(default_factory=list)
+    change: dict[Place, float] = field(default_factory=dict)
+    deviation: dict[Place, float] = field(default_factory=dict)
+    probability: dict[Place, float] = field(default_factory=dict)
+    before: float = 0.0
+    after: float = 0.0
+    complete: bool = False
+
+
+class Search:
+    """A search in one motion.
+
+    Args:
+        motion: what was measured.
+        places: changes that are tried.
+        limbs: of each joint, shape (n,).
+        run: replays changes.
+        tell: takes a line now and then.
+    """
+
+    def __init__(
+        self,
+        motion: Motion,
+        places: Sequence[Place],
+        limbs: Int64,
+        run: Run,
+        tell: Callable[[str], None],
+    ) -> None:
+        self._motion, self._places, self._run, self._tell = motion, places, run, tell
+        self._limbs = limbs
+        self._real = motion.answers
+        self._slopes: dict[Place, Float64] = {}
+        self.found = Found()
+
+    def go(self) -> Found:
+        """Search to the end; `found` has what there is when it is interrupted."""
+        found = self.found
+        (now,) = self._run([{}])
+        self._likelihood = Likelihood(self._real - now)
+        found.before = found.after = self._square(now)
+        at: dict[Place, float] = {}
+        self._look(now)
+        while len(found.causes) < MOST:
+            followed = self._followed(at, now)
+            if not followed or followed[0].odds < CLEAR or not self._matters(followed[0]):
+                break
+            best = followed[0]
+            alike = [each.place for each in followed[1:] if best.odds - each.odds < ALIKE]
+            found.causes.append((best.place, alike))
+            weights = np.exp([each.odds - best.odds for each in followed])
+            found.probability[best.place] = float(
+                weights[: 1 + len(alike)].sum() / (weights.sum() + math.exp(-min(best.odds, 700)))
+            )
+            at, now = best.change, best.answers
+            found.change, found.after = at, self._square(now)
+            assert best.fitted is not None
+            halves = 1.96 * np.sqrt(np.diag(best.fitted.spread))
+            found.deviation = dict(zip(at, map(float, halves)))
+            self._tell(f"{best.place[0]}: log odds {best.odds:.0f}")
+        found.complete = True
+        return found
+
+    def _look(self, now: Float64) -> None:
+        """Take the derivatives of all places; joints of several limbs at once, each its own."""
+        together: dict[tuple[str, int], list[Place]] = {}
+        for kind, joint in self._places:
+            turn = joint if joint < 0 else int((self._limbs[:joint] == self._limbs[joint]).sum())
+            together.setdefault((kind, turn), []).append((kind, joint))
+        changes = [{place: KINDS[place[0]].step for place in group} for group in together.values()]
+        for group, answers in zip(together.values(), self._run(changes)):
+            for place in group:
+                slope = (answers - now) / KINDS[place[0]].step
+                if len(group) > 1:
+                    own = np.zeros(slope.shape[-1], np.bool_)
+                    own[: len(self._limbs)] = self._limbs == self._limbs[place[1]]
+                    slope = slope * own
+                self._slopes[place] = slope
+
+    def _matters(self, one: Candidate) -> bool:
+        return abs(one.change[one.place]) >= KINDS[one.place[0]].least
+
+    def _square(self, answers: Float64) -> float:
+        joints = self._motion.measured["joint_pos"].shape[1]
+        return float(((self._real - answers)[..., :joints] ** 2).mean())
+
+    def _price(self, place: Place) -> float:
+        """Return the log odds of a cause beforehand: how often it happens, and BIC's price."""
+        kind = KINDS[place[0]]
+        share = sum(each[0] == place[0] and each[1] >= 0 for each in self._places)
+        odds = kind.odds / sum(each.odds for each in KINDS.values())
+        odds *= 0.5 / share if place[1] >= 0 else 0.5 if kind.each else 1.0
+        return math.log(odds) - 0.5 * math.log(max(self._likelihood.count, 2.0))
+
+    def _followed(self, at: dict[Place, float], now: Float64) -> list[Candidate]:
+        """Return the candidates beside what was found, the most probable first."""
+        left, log = self._real - now, self._likelihood.log(self._real - now)
+        alone: list[tuple[float, Place]] = []
+        for place, slope in self._slopes.items():
+            if place not in at:
+                usual = np.array([KINDS[place[0]].usual])
+                fitted = self._likelihood.fit(left, slope[..., None], usual)
+                alone.append((fitted.gain / math.sqrt(max(fitted.kappa, 1.0)), place))
+        alone.sort(reverse=True)
+        candidates = [
+            Candidate(place, at | {place: 0.0}, now, self._slopes[place], log)
+            for _, place in alone[:FOLLOWED]
+        ]
+        moving = candidates
+        for _ in range(STEPS):
+            moving = [one for one in moving if self._fit(one)]
+            self._step(moving)
+        for one in candidates:
+            self._fit(one)
+        best = max(candidates, key=lambda one: one.log)
+        kappa = max(best.fitted.kappa if best.fitted else 1.0, 1.0)
+        for one in candidates:
+            one.odds = (one.log - log) / kappa + self._price(one.place)
+        return sorted(candidates, key=lambda one: -one.odds)
+
+    def _fit(self, one: Candidate) -> bool:
+        """Fit from where a candidate is; return whether there is far to go."""
+        slopes = {place: self._slopes[place] for place in one.change} | {one.place: one.slope}
+        usual = np.array([KINDS[kind].usual for kind, _ in one.change])
+        every = np.stack(list(slopes.values()), axis=-1)
+        one.fitted = self._likelihood.fit(self._real - one.answers, every, usual)
+        return bool(np.any(np.abs(one.fitted.size) > 0.2 * np.sqrt(np.diag(one.fitted.spread))))
+
+    def _step(self, moving: Sequence[Candidate]) -> None:
+        """Move candidates by what was fitted, where that helps."""
+        changes: list[dict[Place, float]] = []
+        for one in moving:
+            assert one.fitted is not None
+            moved: dict[Place, float] = {}
+            for (place, size), step in zip(one.change.items(), one.part * one.fitted.size):
+                kind = KINDS[place[0]]
+                moved[place] = float(np.clip(size + step, kind.low, kind.high))
+            beside = moved | {one.place: moved[one.place] + KINDS[one.place[0]].step}
+            changes += [moved, beside]
+        answers = self._run(changes)
+        for one, there, here, stepped in zip(moving, changes[::2], answers[::2], answers[1::2]):
+            log = self._likelihood.log(self._real - here)
+            if log > one.log:
+                one.change, one.answers, one.log, one.part = there, here, log, 1.0
+                one.slope = (stepped - here) / KINDS[one.place[0]].step
+            else:
+                one.part *= 0.3

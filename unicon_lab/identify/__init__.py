@@ -1,1 +1,0 @@
-"""Identification: which strength, friction, armature and delay of joints explain a recorded run."""
