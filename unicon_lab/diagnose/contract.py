@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from unicon_base.arrays import Array
-from unicon_base.errors import Fault, UniconError, WorkflowError, alternatives
+from unicon_base.errors import Fault, UniconError, WorkflowError, alternatives, one_line
 from unicon_core.check.joints import mirror_pairs
 from unicon_core.check.twin.perturb import Change, exchanged, gains_of, permuted, with_gains
 from unicon_core.policies import PolicyContract, load_policy
@@ -39,6 +39,7 @@ LEFT = 0.1
 _SIZES = (100, 200, 500, 1000, 2000, 4000)  # ticks that are tried
 _FINAL = 12  # hypotheses that are tried over more ticks
 _MOST = 5  # causes that are returned
+_RIGHT = "for this record; correct what is not as in training"
 Tell = Callable[[str], object]
 
 
@@ -66,14 +67,14 @@ def contract_causes(
     try:
         robot, given = _given(record, contract)
     except UniconError as error:
-        return [], [f"{where}: contract hypotheses are not examined: {error}"]
+        return [], [f"{where}: contract hypotheses are not examined: {one_line(error)}"]
     for key, each in given.items():
         label = f"{where}, policy {key!r}"
         try:
             played = OpenLoop(record, each, robot, prefix_of(key, record.policies))
             found, more = _examined(played, label, tell)
         except (Fault, UniconError) as error:
-            more, found = [f"contract hypotheses are not examined: {error}"], []
+            more, found = [f"contract hypotheses are not examined: {one_line(error)}"], []
         causes += found
         notes += [f"{label}: {text}" for text in more]
     return sorted(causes, key=lambda cause: -cause.probability), notes
@@ -216,13 +217,11 @@ def _gain_causes(
     for each in changes:
         if each.culprit == "gains" and each.contract is not None and "times" not in each.name:
             ordered[each.name] = each.contract
-    path, none = played.contract.path.name, (float("nan"),) * 3
+    path, none = _file(played.contract), (float("nan"),) * 3
     for text, other in ordered.items():
         if same(other):
             said = f"joint_stiffness and joint_damping are the contract's with {text}"
-            remedy = (
-                f"write stiffness and damping in {path} in the order of joints, or the record's"
-            )
+            remedy = f"{path} needs stiffness and damping in that order {_RIGHT}"
             return [Cause("gain_order", "", "contract", 1.0, *none, "", said, remedy)]
     found = []
     for kind, is_, was in zip(("stiffness", "damping"), made, gains(contract)):
@@ -236,8 +235,8 @@ def _gain_causes(
         text = f"joint_{kind} of {robot.joint_names[off[0]]} is {is_[off[0]]:g}, in {path} it is "
         text += f"{was[off[0]]:g}" + (f"; {off.size} joints differ" if off.size > 1 else "")
         order = dict(zip(robot.joint_names, is_.tolist()))
-        values = ", ".join(f"{order[name]:g}" for name in contract.joints)
-        remedy = f"{kind}: [{values}]  # in {path} for the record's; else correct its maker"
+        values = ", ".join(f"{order[name]:.6g}" for name in contract.joints)
+        remedy = f"{path} needs {kind}: [{values}] {_RIGHT}"
         low, high = float(factor.min()), float(factor.max())
         found.append(Cause(kind, where, "contract", 1.0, size, low, high, "", text, remedy))
     return found
@@ -248,20 +247,41 @@ def _remedy(contract: PolicyContract, tried: Hypothesis) -> str:
     if tried.feeds or tried.delay:
         return f"let the policy see what it saw in training: the record has {tried.text}"
     lines = _differences(contract_values(contract), contract_values(tried.contract))
-    said = "; ".join(f"{key}: {new}  # was {old}" for key, old, new in lines)
-    return f"{said} in {contract.path.name} for the record's; else correct its maker"
+    said = ", ".join(f"{key}: {new} instead of {old}" for key, old, new in lines)
+    return f"{_file(contract)} needs {said} {_RIGHT}"
+
+
+def _file(contract: PolicyContract) -> str:
+    """Return where the user writes what the contract says."""
+    return contract.path.name if contract.source == "policy.yaml" else "'given' of the policy"
 
 
 def _differences(old: Any, new: Any, key: str = "") -> Iterator[tuple[str, str, str]]:
     """Yield dotted key, old and new text of what differs."""
-    if isinstance(old, list) and isinstance(new, list) and key.endswith("terms"):
-        terms = [{each["name"]: each for each in side} for side in (old, new)]
-        if [*terms[0]] == [*terms[1]]:
-            old, new = terms
-        else:
-            old, new = (f"[{', '.join(side)}]" for side in terms)
-    if isinstance(old, dict) and isinstance(new, dict):
-        for name in {**old, **new}:
-            yield from _differences(old.get(name), new.get(name), f"{key}.{name}".lstrip("."))
-    elif old != new:
-        yield key, str(old), str(new)
+    parts = [dict[Any, Any](), dict[Any, Any]()]
+    for part, side in zip(parts, (old, new)):
+        if isinstance(side, dict):
+            part.update(side)
+        elif isinstance(side, list):
+            named = key.endswith("terms")
+            part.update((each["name"] if named else i, each) for i, each in enumerate(side))
+    a, b = parts
+    changed = [name for name in {**a, **b} if a.get(name) != b.get(name)]
+    if old == new:
+        return
+    if [*a] != [*b] and key.endswith("terms"):
+        yield key, _text([*a]), _text([*b])
+    elif a and b and (isinstance(old, dict) or len(changed) <= 4):
+        for name in changed:
+            place = f"{key}[{name}]" if isinstance(name, int) else f"{key}.{name}".lstrip(".")
+            yield from _differences(a.get(name), b.get(name), place)
+    else:
+        yield key, _text(old), _text(new)
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, list) and all(each == value[0] for each in value[1:]):
+        return _text(value[0])
+    if isinstance(value, list):
+        return f"[{', '.join(map(_text, value))}]"
+    return "(left out)" if value is None else str(value)

@@ -42,6 +42,7 @@ _KINDS = {
     "scale": "observation_scale",
     "order": "term_order",
 }
+_DEGREES = np.float32(180.0 / np.pi)
 _SEEN = ("joint_pos", "joint_vel")
 
 
@@ -169,14 +170,13 @@ def _joints(contract: PolicyContract) -> Iterator[Hypothesis]:
     """Yield exchanged joints, and joints of the other sign."""
     joints, action, known = contract.joints, contract.action, mirror_pairs(contract.joints)
     pairs = combinations(joints, 2) if len(joints) <= _FEW else pairwise(joints)
-    orders = {("joint_order", "", "alphabetical joint order"): sorted(joints)} | {
-        ("joint_exchange", f"{a} and {b}", f"{a} and {b} exchanged"): exchanged(joints, [(a, b)])
-        for a, b in pairs
-        if (a, b) not in known and (b, a) not in known
-    }
-    for (kind, where, text), order in orders.items():
-        yield Hypothesis(kind, where, f"{text} (names only)", renamed(contract, order))
-        yield Hypothesis(kind, where, text, permuted(contract, order))
+    text = "the alphabetical joint order"
+    yield Hypothesis("joint_order", "", text, permuted(contract, sorted(joints)))
+    yield Hypothesis("joint_order", "", f"{text} (names only)", renamed(contract, sorted(joints)))
+    for a, b in pairs:
+        if (a, b) not in known and (b, a) not in known:
+            pair, text = renamed(contract, exchanged(joints, [(a, b)])), f"{a} and {b} exchanged"
+            yield Hypothesis("joint_exchange", f"{a} and {b}", f"{text} (names only)", pair)
 
     def turned(scale: Float32, names: Sequence[str], joint: str) -> Float32:
         return scale * np.where(np.array(names) == joint, -1.0, 1.0).astype(np.float32)
@@ -202,13 +202,16 @@ def _terms(contract: PolicyContract) -> Iterator[Hypothesis]:
     """Yield scales and clips left out, and further orders of the terms."""
     terms = contract.terms
     for i, term in enumerate(terms):
-        bare = {"scale": replace(term, scale=np.sign(term.scale))}
+        scale, clip, name = "observation_scale", "observation_clip", f"term {term.name!r}"
+        others = [(scale, f"no scale of {name}", replace(term, scale=np.sign(term.scale)))]
+        for text, unit in ((f"{name} in degrees", _DEGREES), (f"{name} in radians", 1 / _DEGREES)):
+            others.append((scale, text, replace(term, scale=term.scale * unit)))
         if term.clip is not None:
-            bare["clip"] = replace(term, clip=None)
-        for what, other in bare.items():
+            others.append((clip, f"no clip of {name}", replace(term, clip=None)))
+        for kind, text, other in others:
             changed = with_terms(contract, [*terms[:i], other, *terms[i + 1 :]])
-            text = f"no {what} of term {term.name!r}"
-            yield Hypothesis(f"observation_{what}", term.name, text, changed)
+            size = float(np.mean(other.scale[term.scale != 0.0] / term.scale[term.scale != 0.0]))
+            yield Hypothesis(kind, term.name, text, changed, size=size)
     for i, (a, b) in enumerate(pairwise(terms)):
         changed = with_terms(contract, [*terms[:i], b, a, *terms[i + 2 :]])
         text = f"term {b.name!r} before {a.name!r}"

@@ -80,7 +80,10 @@ class OpenLoop:
         self.record, self.robot, specs = record, robot, record.layout.specs
         self.notes: list[str] = []
         self.late = 0 if contract.child is None else contract.child.delay
+        if self.late > 1:
+            raise UniconError("its child answers some observations only; record it with delay: 1")
         self.contract = contract = replace(contract, child=None)
+        self._age = f"{prefix}action_age"
         self.network, self.model = open_network(contract), None
         with suppress(UniconError):
             self.model = load_model(pick_model(robot), robot, quiet=True)
@@ -127,8 +130,12 @@ class OpenLoop:
         finite = [np.isfinite(each.reshape(len(each), -1)).all(1)
                   for each in (target, seen, *self.fed.values())]  # fmt: skip
         good = np.logical_and.reduce([*finite, record.ended])
+        if self.late and self._age in record.layout.specs:
+            good &= record.states(self._age) < 1.5 * self.contract.period
         if not good.all():
-            self.notes.append(f"{(~good).sum()} ticks hold a NaN or a fault and are left out")
+            self.notes.append(
+                f"{(~good).sum()} ticks hold a NaN, a fault or a late action and are left out"
+            )
         moves = (np.diff(seen, axis=0, prepend=0.0 * seen[:1]) != 0.0).any(1) & good
         anew = {int(each["before"]) for each in record.memories if each.get("anew")}
         ticks, pieces = record.ticks, list[list[int]]()
@@ -156,9 +163,11 @@ class OpenLoop:
         for rows, begun in self.stretches:
             parts.append(np.arange(len(rows)) >= (blend if begun else max(blend, old)))
         counts = np.repeat(np.concatenate(parts)[:, None], len(self.joints), 1)
-        for side in (self.target.min(0), self.target.max(0)):
+        lower, upper = (side[self.joints] for side in self.robot.limits())
+        counts &= (self.target > lower) & (self.target < upper)
+        for side in (self.target.min(0), self.target.max(0)):  # of other clamps
             same = self.target == side
-            counts &= ~(same & (same.sum(0) > 2) & (same.sum(0) < len(same)))
+            counts &= ~(same & (same.sum(0) > 1) & (same.sum(0) < len(same)))
         if counts.sum() < SHORTEST * len(self.joints):
             raise UniconError(
                 f"{counts.sum() // len(self.joints)} ticks of the policy can be compared; record "
@@ -195,19 +204,18 @@ class OpenLoop:
                for name, values in {**self.fed, **tried.feeds}.items()]  # fmt: skip
         target, action = states["joint_pos_target"], states["action"]
         for rows, begun in self.stretches:
-            policy.reset()
-            before = -1 if begun else int(rows[0]) - 1
-            if before >= 0 and policy.phase is not None and self._clock is not None:
-                sin, cos = np.split(self._clock[before], 2)
+            if begun or not out:  # a gap leaves it nearly as it was
+                policy.reset()
+            if not begun and policy.phase is not None and self._clock is not None:
+                sin, cos = np.split(self._clock[max(int(rows[0]) - 1, 0)], 2)
                 policy.phase.phase[...] = np.arctan2(sin, cos)
-            for row in rows.tolist():
-                if before >= 0 and self.action is not None:
-                    action[...] = self.action[before]
+            for k, row in enumerate(rows.tolist()):
+                if k and self.action is not None:
+                    action[...] = self.action[rows[k - 1]]
                 for view, values, late in fed:
                     view[...] = values[max(row - late, 0)]
                 policy()
                 out.append(target[self.joints])
-                before = row
                 if len(out) == ticks:
                     return np.array(out, np.float64)
         return np.array(out, np.float64)

@@ -1,0 +1,8 @@
+"""What the tests of diagnoses share: the small networks of the policy tests."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+sys.path.append(str(Path(__file__).resolve().parent.parent / "policies"))
