@@ -57,6 +57,7 @@ ALONE: dict[str, Any] = {
     "safety": ["finite"],
     "commands": [],
 }
+F = np.float32
 GO2 = "FL_thigh_joint"
 
 
@@ -193,6 +194,10 @@ KINDS: dict[str, tuple[Change, str, float | None]] = {
     ),
     "equal terms": (swapped(0), "term_order of base_ang_vel and projected_gravity", None),
     "other terms": (swapped(2), "term_order of velocity_command and joint_pos_rel", None),
+    "clip": (
+        lambda c: with_action(c, clip=np.full((2, 12), 0.5, np.float32) * F([[-1.0], [1.0]])),
+        "action_clip", 0.5,
+    ),
     "filter": (lambda c: with_action(c, filter=FilterSpec(alpha=0.35)), "action_filter", 0.35),
     "stiffness": (lambda c: replace(c, stiffness=2.0 * c.stiffness), "stiffness", 2.0),
     "damping of one": (
@@ -262,8 +267,8 @@ def test_a_record_and_its_own_contract(tmp_path: Path) -> None:
     causes, _ = examined(later, with_action(contract, scale=2.0 * contract.action.scale))
     assert causes[0].name == "action_scale"
     assert causes[0].size == pytest.approx(0.5)
-    bound = np.full((2, 12), 0.5, np.float32) * [[-1.0], [1.0]]
-    causes, _ = examined(record, with_action(contract, clip=bound.astype(np.float32)))
+    bound = np.full((2, 12), 0.5, np.float32) * F([[-1.0], [1.0]])
+    causes, _ = examined(record, with_action(contract, clip=bound))
     assert causes[0].name == "action_clip"
 
 

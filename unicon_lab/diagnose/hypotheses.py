@@ -107,7 +107,8 @@ def _kind(culprit: str, name: str, contract: PolicyContract) -> tuple[str, str]:
 
 def _fitted(played: OpenLoop, target: Float64) -> Iterator[Hypothesis]:
     """Yield action scales, poses and a filter that are fitted to the recorded targets."""
-    contract, action, counts = played.contract, played.contract.action, played.counts
+    contract, action = played.contract, played.contract.action
+    counts = played.counts & (played.clamped == 0.0)
     at = action.of_kind("position")
     names = [name for name, by in zip(action.joints, at) if by]
     x, y = target - action.offset[at], played.target - action.offset[at]
@@ -157,6 +158,12 @@ def _fitted(played: OpenLoop, target: Float64) -> Iterator[Hypothesis]:
             yield Hypothesis(
                 kind, where, text, changed, {}, 0, mean, left, unit="rad", figures=fitted
             )
+    raw = np.abs(y) / np.maximum(np.abs(action.scale[at]), 1e-6)
+    bound = float(raw[counts].max(initial=0.0))
+    clip = np.outer([-bound, bound], np.ones(len(action.joints))).astype(np.float32)
+    text = f"an action.clip of {bound:.3g}"
+    held = with_action(contract, clip=clip)
+    yield Hypothesis("action_clip", "", text, held, size=bound, figures=1)
     if action.filter is None:
         ahead, step = target[1:] - played.target[:-1], np.diff(played.target, axis=0)
         alpha = float((ahead * step).sum() / max((ahead * ahead).sum(), 1e-12))
@@ -210,7 +217,7 @@ def _terms(contract: PolicyContract) -> Iterator[Hypothesis]:
             others.append((clip, f"no clip of {name}", replace(term, clip=None)))
         for kind, text, other in others:
             changed = with_terms(contract, [*terms[:i], other, *terms[i + 1 :]])
-            size = float(np.mean(other.scale[term.scale != 0.0] / term.scale[term.scale != 0.0]))
+            size = float((other.scale / np.where(term.scale == 0.0, 1.0, term.scale)).max())
             yield Hypothesis(kind, term.name, text, changed, size=size)
     for i, (a, b) in enumerate(pairwise(terms)):
         changed = with_terms(contract, [*terms[:i], b, a, *terms[i + 2 :]])

@@ -70,6 +70,8 @@ class OpenLoop:
         joints: of the robot that are given positions, in the order of the action.
         target: recorded targets of these joints in [rad], shape (rows, joints).
         counts: which of them are compared, likewise.
+        clamped: 1 where a target is at the robot's upper limit and may have been beyond it, −1 at
+            the lower one, else 0; likewise.
         action: recorded output of the network, shape (ticks, m), or None.
 
     Raises:
@@ -121,6 +123,8 @@ class OpenLoop:
         if self.action is not None:
             self.action = np.nan_to_num(self.action)
         self.target = target[self.rows][:, self.joints].astype(np.float64)
+        lower, upper = (limit[self.joints] for limit in robot.limits())
+        self.clamped = (self.target >= upper).astype(np.float64) - (self.target <= lower)
         self.counts = self._compared()
 
     def _stretches(self, target: Array) -> list[tuple[Array, bool]]:
@@ -152,7 +156,7 @@ class OpenLoop:
         return [(np.array(rows), bool(begun[rows[0]]) or rows[0] in anew) for rows in pieces]
 
     def _compared(self) -> Bool:
-        """Return which targets count: not those of a blend or clamp, nor before a known memory."""
+        """Return which targets count: not those of a blend, nor before a known memory."""
         contract, parts = self.contract, []
         said = self.record.facts.get("workflow_effective", "")
         blends = re.findall(r"\bblend(?:_in)?: *(\d+\.?\d*)", said)
@@ -163,11 +167,6 @@ class OpenLoop:
         for rows, begun in self.stretches:
             parts.append(np.arange(len(rows)) >= (blend if begun else max(blend, old)))
         counts = np.repeat(np.concatenate(parts)[:, None], len(self.joints), 1)
-        lower, upper = (side[self.joints] for side in self.robot.limits())
-        counts &= (self.target > lower) & (self.target < upper)
-        for side in (self.target.min(0), self.target.max(0)):  # of other clamps
-            same = self.target == side
-            counts &= ~(same & (same.sum(0) > 1) & (same.sum(0) < len(same)))
         if counts.sum() < SHORTEST * len(self.joints):
             raise UniconError(
                 f"{counts.sum() // len(self.joints)} ticks of the policy can be compared; record "
@@ -223,8 +222,9 @@ class OpenLoop:
     def squares(self, target: Float64) -> Float64:
         """Return the mean square difference from the record in each tick in [rad²], shape (n,)."""
         n = len(target)
-        off = np.where(self.counts[:n], (target - self.target[:n]) ** 2, 0.0)
-        found: Float64 = off.sum(1) * n / max(int(self.counts[:n].sum()), 1)
+        off = target - self.target[:n]
+        off[~self.counts[:n] | (off * self.clamped[:n] > 0.0)] = 0.0
+        found: Float64 = (off**2).sum(1) * n / max(int(self.counts[:n].sum()), 1)
         return found
 
     def residual(self, tried: Hypothesis, ticks: int) -> float:
