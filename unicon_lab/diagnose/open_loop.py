@@ -182,6 +182,7 @@ class OpenLoop:
         model = None if self.model is None else self.model.path
         return Policy(contract, states, self.robot, network=self.network, model=model)
 
+    @np.errstate(over="ignore", invalid="ignore")
     def run(self, tried: Hypothesis, ticks: int | None = None) -> Float64:
         """Return the targets that a contract gives over the recorded sensors in [rad].
 
@@ -230,7 +231,6 @@ class OpenLoop:
     def residual(self, tried: Hypothesis, ticks: int) -> float:
         """Return the RMS difference from the record in [rad]; infinite where it cannot be run."""
         try:
-            with np.errstate(over="ignore", invalid="ignore"):
-                return float(np.sqrt(self.squares(self.run(tried, ticks)).mean()))
+            return float(np.sqrt(self.squares(self.run(tried, ticks)).mean()))
         except (Fault, UniconError):
             return float("inf")
