@@ -1,0 +1,287 @@
+"""Which contract made a record: the policy runs over the recorded sensors, open loop.
+
+The recorded sensors are what the policy saw, so the contract that made the record gives the
+recorded targets again, but for rounding. Where the given one does not, it is changed in one way
+after another; the change that gives them names the cause.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+import numpy as np
+
+from unicon_base.arrays import Array
+from unicon_base.errors import Fault, UniconError, WorkflowError, alternatives, one_line
+from unicon_core.check.joints import mirror_pairs
+from unicon_core.check.twin.perturb import Change, exchanged, gains_of, permuted, with_gains
+from unicon_core.policies import PolicyContract, load_policy
+from unicon_core.policies.action_map import ActionMap, lacking_joints
+from unicon_core.policies.controller import prefix_of
+from unicon_core.policies.policy_yaml import contract_values
+from unicon_core.robots import Robot, load_robot
+from unicon_core.workflow.members import load_robot_of
+from unicon_core.workflow.policies import load_policies
+from unicon_lab.diagnose.causes import Cause, name_of
+from unicon_lab.diagnose.hypotheses import LEAST, changes_of, hypotheses
+from unicon_lab.diagnose.open_loop import Hypothesis, OpenLoop
+from unicon_lab.recording import Record
+from unicon_lab.replay.workflow import recorded_workflow, robot_of, workflow_of
+
+SAME = 1e-3
+"""RMS of targets in [rad] up to which a contract made the record: processors round otherwise."""
+EXACT = 3e-5
+"""RMS in [rad] below which two contracts explain a record equally well."""
+LEFT = 0.1
+"""Share of the residual that an explanation other than these contracts is taken to leave."""
+_SIZES = (100, 200, 500, 1000, 2000, 4000)  # ticks that are tried
+_FINAL = 12  # hypotheses that are tried over more ticks
+_MOST = 5  # causes that are returned
+_RIGHT = "for this record; correct what is not as in training"
+Tell = Callable[[str], object]
+
+
+def contract_causes(
+    record: Record,
+    where: str,
+    contract: PolicyContract | None = None,
+    tell: Tell = lambda text: None,
+) -> tuple[list[Cause], list[str]]:
+    """Say in what the contract that made a record differs from the given one.
+
+    Args:
+        record: of a run of one robot.
+        where: what messages call the record.
+        contract: the given one; None for those of the recorded workflow, as their files are now.
+        tell: takes a line of progress.
+
+    Returns:
+        The causes, the most probable first, and what could not be examined. Probabilities are
+        among contracts: what the causes of one policy lack of 1 is that no contract explains the
+        targets. Gains stand in the record, and their causes are certain by themselves. `size` is
+        NaN where a cause has none.
+    """
+    causes, notes = list[Cause](), list[str]()
+    try:
+        robot, given = _given(record, contract)
+    except UniconError as error:
+        return [], [f"{where}: contract hypotheses are not examined: {one_line(error)}"]
+    for key, each in given.items():
+        label = f"{where}, policy {key!r}"
+        try:
+            played = OpenLoop(record, each, robot, prefix_of(key, record.policies))
+            found, more = _examined(played, label, tell)
+        except (Fault, UniconError) as error:
+            more, found = [f"contract hypotheses are not examined: {one_line(error)}"], []
+        causes += found
+        notes += [f"{label}: {text}" for text in more]
+    return sorted(causes, key=lambda cause: -cause.probability), notes
+
+
+def _given(
+    record: Record, contract: PolicyContract | None
+) -> tuple[Robot, dict[str, PolicyContract]]:
+    """Return the robot, and the contract to examine by the record's name of each policy."""
+    document, keys = None, list(record.policies)
+    if recorded_workflow(record) is not None:
+        try:
+            document = workflow_of(record)
+        except WorkflowError:
+            if contract is None:
+                raise
+    robot = load_robot(robot_of(record)) if document is None else load_robot_of(document)
+    spec = record.layout.specs.get("joint_pos")
+    names = () if spec is None else spec.names
+    if tuple(names) != robot.joint_names:
+        raise UniconError(
+            f"robot {robot.name} has the joints {', '.join(robot.joint_names)}, and the record "
+            f"{', '.join(names) or 'none'}; restore the robot file that it was recorded with"
+        )
+    if contract is not None:
+        path = str(contract.path)
+        mine = [k for k, said in record.policies.items() if said.get("path") == path] or keys
+        mine = [key for key in mine if len(mine) == 1 or key == contract.name]
+        if keys and not mine:
+            raise UniconError(
+                f"nothing says which policy of the record {contract.name} is: "
+                f"{alternatives(contract.name, keys)}; name the contract like one of them"
+            )
+        found = {mine[0] if mine else contract.name: contract}
+    elif document is not None:
+        found = load_policies(document, robot)
+    else:
+        found = {key: load_policy(str(said.get("path"))) for key, said in record.policies.items()}
+    if not found:
+        raise UniconError("the record names no policy; give a workflow with one")
+    for each in found.values():
+        if lacking := lacking_joints(each, robot):
+            raise UniconError(f"policy {each.name}: {lacking}")
+    if re.search(r"\b(drives|sees_default_for):", record.facts.get("workflow_effective", "")):
+        raise UniconError(
+            "the policy moves some joints alone (drives, sees_default_for); record a run in which "
+            "it moves all of them"
+        )
+    return robot, found
+
+
+def _examined(played: OpenLoop, label: str, tell: Tell) -> tuple[list[Cause], list[str]]:
+    """Return the causes that one policy's ticks show, and notes."""
+    contract, notes, changes = played.contract, played.notes, changes_of(played)
+    own = played.run(Hypothesis("", "", "", contract))
+    squares = played.squares(own)
+    whole = float(np.sqrt(squares.mean()))
+    if len(own) * contract.period < 1.0:
+        notes.append(f"it ran for {len(own)} ticks, less than 1 s: what they say is uncertain")
+    if whole < SAME:
+        gains = _gain_causes(played, changes, contract)
+        but = ", but for its gains" if gains else ""
+        return gains, [*notes, f"the given contract made this record{but} ({whole:.1g} rad rms)"]
+
+    def enough(least: int) -> int:
+        """Return how many ticks from the beginning show what all of them show."""
+        sizes = [n for n in _SIZES if least <= n < len(own)]
+        return next((n for n in sizes if squares[:n].mean() > 0.25 * whole**2), len(own))
+
+    tried, left = list(hypotheses(played, own, changes)), list[float]()
+    for i, each in enumerate(tried):
+        if i % 20 == 0:
+            tell(f"{label}: contract {i + 1} of {len(tried)}")
+        left.append(played.residual(each, enough(0)))
+    ticks = enough(500)
+    before = float(np.sqrt(squares[:ticks].mean()))
+    for i in np.argsort(left, kind="stable")[:_FINAL].tolist():
+        left[i] = played.residual(tried[i], ticks)
+    samples = max(ticks / 10.0, 1.0)
+    score = -samples * np.log(np.hypot([*left, LEFT * before], EXACT))
+    score -= 0.5 * np.log(samples) * np.array([*(each.figures for each in tried), 0])
+    weight = np.exp(score - score.max())
+    weight /= weight.sum()
+    causes, free = list[Cause](), dict.fromkeys(range(len(tried)))
+    for i in np.argsort(-score[:-1], kind="stable").tolist():
+        if i not in free or len(causes) == _MOST or weight[i] < 0.01:
+            continue
+        group = [k for k in free if left[k] <= 3.0 * max(left[i], EXACT)]
+        free = dict.fromkeys(k for k in free if k not in group)
+        lead, alike = tried[i], [name_of(tried[k].kind, tried[k].where) for k in group]
+        mine = name_of(lead.kind, lead.where)
+        causes.append(
+            Cause(
+                lead.kind,
+                lead.where,
+                "contract",
+                float(weight[group].sum()),
+                lead.size,
+                lead.size - lead.spread,
+                lead.size + lead.spread,
+                lead.unit,
+                f"joint_pos_target: with {lead.text} the policy gives it within {left[i]:.1g} rad "
+                f"rms, as given within {before:.2g}",
+                _remedy(contract, lead),
+                tuple(dict.fromkeys(name for name in alike if name != mine)),
+            )
+        )
+    best = int(np.argmin(left))
+    if weight[-1] > 0.5:
+        notes.append(
+            f"no contract hypothesis explains the record, which is {before:.2g} rad rms from the "
+            f"given contract; with {tried[best].text} {left[best]:.2g} are left"
+        )
+    made = tried[best].contract if weight[-1] < 0.5 else contract
+    return [*causes, *_gain_causes(played, changes, made)], notes
+
+
+def _gain_causes(
+    played: OpenLoop, changes: Iterable[Change], contract: PolicyContract
+) -> list[Cause]:
+    """Return in what the recorded gains differ from those of a contract."""
+    record, robot, rows = played.record, played.robot, played.rows
+    names = ("joint_stiffness", "joint_damping")
+    if not {*names} <= {*record.layout.specs}:
+        played.notes.append("the record has no joint_stiffness and joint_damping")
+        return []
+    made = np.stack([np.median(record.states(name)[rows], axis=0) for name in names])
+
+    def gains(contract: PolicyContract) -> Array:
+        said = ActionMap(contract, robot)
+        return np.stack((said.stiffness, said.damping))
+
+    def same(contract: PolicyContract) -> bool:
+        return bool(np.isclose(made, gains(contract), LEAST, 1e-6).all())
+
+    if same(contract):
+        return []
+    sides = permuted(contract, exchanged(contract.joints, mirror_pairs(contract.joints)))
+    ordered = {"gains of left and right exchanged": with_gains(contract, gains_of(sides))}
+    for each in changes:
+        if each.culprit == "gains" and each.contract is not None and "times" not in each.name:
+            ordered[each.name] = each.contract
+    path, none = _file(played.contract), (float("nan"),) * 3
+    for text, other in ordered.items():
+        if same(other):
+            said = f"joint_stiffness and joint_damping are the contract's with {text}"
+            remedy = f"{path} needs stiffness and damping in that order {_RIGHT}"
+            return [Cause("gain_order", "", "contract", 1.0, *none, "", said, remedy)]
+    found = []
+    for kind, is_, was in zip(("stiffness", "damping"), made, gains(contract)):
+        off = np.flatnonzero(~np.isclose(is_, was, LEAST, 1e-6))
+        if not off.size:
+            continue
+        factor = is_[off] / np.where(was[off] == 0.0, np.nan, was[off])
+        size = float(np.median(factor))
+        every = off.size == is_.size and np.ptp(factor) < LEAST * size
+        where = "" if every or off.size > 3 else ", ".join(robot.joint_names[i] for i in off)
+        text = f"joint_{kind} of {robot.joint_names[off[0]]} is {is_[off[0]]:g}, in {path} it is "
+        text += f"{was[off[0]]:g}" + (f"; {off.size} joints differ" if off.size > 1 else "")
+        order = dict(zip(robot.joint_names, is_.tolist()))
+        values = ", ".join(f"{order[name]:.6g}" for name in contract.joints)
+        remedy = f"{path} needs {kind}: [{values}] {_RIGHT}"
+        low, high = float(factor.min()), float(factor.max())
+        found.append(Cause(kind, where, "contract", 1.0, size, low, high, "", text, remedy))
+    return found
+
+
+def _remedy(contract: PolicyContract, tried: Hypothesis) -> str:
+    """Return the lines of the policy's file in which two contracts differ."""
+    if tried.feeds or tried.delay:
+        return f"let the policy see what it saw in training: the record has {tried.text}"
+    lines = _differences(contract_values(contract), contract_values(tried.contract))
+    said = ", ".join(f"{key}: {new} instead of {old}" for key, old, new in lines)
+    return f"{_file(contract)} needs {said} {_RIGHT}"
+
+
+def _file(contract: PolicyContract) -> str:
+    """Return where the user writes what the contract says."""
+    return contract.path.name if contract.source == "policy.yaml" else "'given' of the policy"
+
+
+def _differences(old: Any, new: Any, key: str = "") -> Iterator[tuple[str, str, str]]:
+    """Yield dotted key, old and new text of what differs."""
+    parts = [dict[Any, Any](), dict[Any, Any]()]
+    for part, side in zip(parts, (old, new)):
+        if isinstance(side, dict):
+            part.update(side)
+        elif isinstance(side, list):
+            named = key.endswith("terms")
+            part.update((each["name"] if named else i, each) for i, each in enumerate(side))
+    a, b = parts
+    changed = [name for name in {**a, **b} if a.get(name) != b.get(name)]
+    if old == new:
+        return
+    if [*a] != [*b] and key.endswith("terms"):
+        yield key, _text([*a]), _text([*b])
+    elif a and b and (isinstance(old, dict) or len(changed) <= 4):
+        for name in changed:
+            place = f"{key}[{name}]" if isinstance(name, int) else f"{key}.{name}".lstrip(".")
+            yield from _differences(a.get(name), b.get(name), place)
+    else:
+        yield key, _text(old), _text(new)
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, list) and all(each == value[0] for each in value[1:]):
+        return _text(value[0])
+    if isinstance(value, list):
+        return f"[{', '.join(map(_text, value))}]"
+    return "(left out)" if value is None else str(value)

@@ -1,0 +1,236 @@
+"""A policy over the recorded sensors of the ticks in which it ran, open loop."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from unicon_base.arrays import Array, Bool, Float64
+from unicon_base.errors import Fault, UniconError
+from unicon_core.models.find import pick_model
+from unicon_core.models.load import load_model
+from unicon_core.platforms.kit.base import rotation
+from unicon_core.policies import Policy, PolicyContract, policy_states
+from unicon_core.policies.networks import open_network
+from unicon_core.robots import Robot, joint_index
+from unicon_core.states import States, standard_states
+from unicon_lab.recording import Record
+
+SHORTEST = 10  # ticks of the policy
+_MEMORY = 50  # ticks after which a recurrent network has forgotten how it began
+_SENSORS = ("joint_pos", "joint_vel", "base_ang_vel", "projected_gravity", "base_quat")
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One way in which the contract that made a record may differ from the given one.
+
+    Attributes:
+        kind, where: as of `Cause`.
+        text: what the maker had, as a phrase to follow "with".
+        contract: the changed contract.
+        feeds: state to what the policy saw in place of the recorded values, shape (ticks, …).
+        delay: ticks by which the policy saw its sensors late.
+        size: factor or figure, NaN where there is none.
+        spread: half of the 95 % interval of `size`.
+        unit: of both.
+        figures: how many were fitted to the record.
+    """
+
+    kind: str
+    where: str
+    text: str
+    contract: PolicyContract
+    feeds: Mapping[str, Array] = field(default_factory=dict)
+    delay: int = 0
+    size: float = float("nan")
+    spread: float = 0.0
+    unit: str = ""
+    figures: int = 0
+
+
+class OpenLoop:
+    """The ticks of a record in which one policy ran.
+
+    Args:
+        record: of one robot.
+        contract: of the policy, as given.
+        robot: of the record.
+        prefix: of the policy's own states in the record.
+
+    Attributes:
+        notes: what the record lacks.
+        model: of the robot, None where it has none.
+        stretches: rows of each stretch without a gap, and whether the policy began with it.
+        rows: of all stretches.
+        joints: of the robot that are given positions, in the order of the action.
+        target: recorded targets of these joints in [rad], shape (rows, joints).
+        counts: which of them are compared, likewise.
+        clamped: 1 where a target is at the robot's upper limit and may have been beyond it, −1 at
+            the lower one, else 0; likewise.
+        action: recorded output of the network, shape (ticks, m), or None.
+
+    Raises:
+        UniconError: the record lacks a state, or enough ticks.
+    """
+
+    def __init__(self, record: Record, contract: PolicyContract, robot: Robot, prefix: str) -> None:
+        self.record, self.robot, specs = record, robot, record.layout.specs
+        self.notes: list[str] = []
+        self.late = 0 if contract.child is None else contract.child.delay
+        if self.late > 1:
+            raise UniconError("its child answers some observations only; record it with delay: 1")
+        self.contract = contract = replace(contract, child=None)
+        self._age = f"{prefix}action_age"
+        self.network, self.model = open_network(contract), None
+        with suppress(UniconError):
+            self.model = load_model(pick_model(robot), robot, quiet=True)
+        own = policy_states(contract, robot.joint_names, specs)
+        known = {name: spec for name, spec in specs.items() if name not in own}
+        self._extra = {**standard_states(robot.joint_names), **known}
+        reads = self._policy(contract, self._states(contract)).reads
+        self.fed = {name: record.states(name) for name in reads if name in specs}
+        if "projected_gravity" in {*reads} - {*specs} and "base_quat" in specs:
+            gravity = -rotation(record.states("base_quat"))[..., 2, :]
+            self.fed["projected_gravity"] = gravity.astype(np.float32)
+        lacking = [n for n in ("joint_pos_target", *reads) if n not in self.fed and n not in specs]
+        if lacking:
+            raise UniconError(f"the record has no {', '.join(lacking)}; record it with unicon run")
+        target = record.states("joint_pos_target")
+        if target.ndim != 2:
+            raise UniconError(f"it is of {target.shape[1]} robots; record a run of one")
+        at = contract.action.of_kind("position")
+        moved = [name for name, by in zip(contract.action.joints, at) if by]
+        self.joints = joint_index(moved, robot.joint_names)
+        self.action, self._clock = (
+            record.states(prefix + name) if prefix + name in specs else None
+            for name in ("action", "gait_phase")
+        )
+        if self.action is None or self.action.shape[1] != len(contract.action.joints):
+            self.notes.append("the record has no action of the policy, which may have begun later")
+            self.action = None
+        self.stretches = self._stretches(target)
+        self.rows = np.concatenate([np.zeros(0, int), *(rows for rows, _ in self.stretches)])
+        if len(self.rows) < SHORTEST or not moved:
+            raise UniconError(
+                f"the policy ran in {len(self.rows)} ticks and gives {len(moved)} joints "
+                f"positions; record at least {SHORTEST} ticks of a policy that gives positions"
+            )
+        if self.action is not None:
+            self.action = np.nan_to_num(self.action)
+        self.target = target[self.rows][:, self.joints].astype(np.float64)
+        lower, upper = (limit[self.joints] for limit in robot.limits())
+        self.clamped = (self.target >= upper).astype(np.float64) - (self.target <= lower)
+        self.counts = self._compared()
+
+    def _stretches(self, target: Array) -> list[tuple[Array, bool]]:
+        """Return the rows in which the policy ran, in pieces, and whether it began with each."""
+        record, stride = self.record, max(1, round(self.contract.period / self.record.period))
+        seen = target if self.action is None else self.action
+        finite = [np.isfinite(each.reshape(len(each), -1)).all(1)
+                  for each in (target, seen, *self.fed.values())]  # fmt: skip
+        good = np.logical_and.reduce([*finite, record.ended])
+        if self.late and self._age in record.layout.specs:
+            good &= record.states(self._age) < 1.5 * self.contract.period
+        if not good.all():
+            self.notes.append(
+                f"{(~good).sum()} ticks hold a NaN, a fault or a late action and are left out"
+            )
+        moves = (np.diff(seen, axis=0, prepend=0.0 * seen[:1]) != 0.0).any(1) & good
+        anew = {int(each["before"]) for each in record.memories if each.get("anew")}
+        ticks, pieces = record.ticks, list[list[int]]()
+        last = -99
+        for row in np.flatnonzero(moves).tolist():
+            whole = row - last <= 5 * stride and ticks[row] - ticks[last] == row - last
+            if whole and good[last:row].all() and not anew.intersection(range(last + 1, row + 1)):
+                pieces[-1] += range(last + stride, row + 1, stride)
+            else:
+                pieces.append([row])
+            last = pieces[-1][-1]
+        follows = np.diff(ticks, prepend=-1) == 1
+        begun = follows & (np.roll(good, 1) | (np.arange(len(ticks)) == 0))
+        return [(np.array(rows), bool(begun[rows[0]]) or rows[0] in anew) for rows in pieces]
+
+    def _compared(self) -> Bool:
+        """Return which targets count: not those of a blend, nor before a known memory."""
+        contract, parts = self.contract, []
+        said = self.record.facts.get("workflow_effective", "")
+        blends = re.findall(r"\bblend(?:_in)?: *(\d+\.?\d*)", said)
+        blend = round(max(map(float, blends), default=0.0) / contract.period)
+        old = max((term.history for term in contract.terms), default=1)
+        if contract.recurrent or contract.command is not None or contract.action.filter is not None:
+            old = max(old, _MEMORY)
+        for rows, begun in self.stretches:
+            parts.append(np.arange(len(rows)) >= (blend if begun else max(blend, old)))
+        counts = np.repeat(np.concatenate(parts)[:, None], len(self.joints), 1)
+        if counts.sum() < SHORTEST * len(self.joints):
+            raise UniconError(
+                f"{counts.sum() // len(self.joints)} ticks of the policy can be compared; record "
+                "it from its beginning, and longer"
+            )
+        return counts
+
+    def _states(self, contract: PolicyContract) -> States:
+        own = policy_states(contract, self.robot.joint_names, self._extra)
+        return States({**self._extra, **own})
+
+    def _policy(self, contract: PolicyContract, states: States) -> Policy:
+        model = None if self.model is None else self.model.path
+        return Policy(contract, states, self.robot, network=self.network, model=model)
+
+    @np.errstate(over="ignore", invalid="ignore")
+    def run(self, tried: Hypothesis, ticks: int | None = None) -> Float64:
+        """Return the targets that a contract gives over the recorded sensors in [rad].
+
+        The network sees the recorded last action, where there is one.
+
+        Args:
+            tried: the contract, and what it sees otherwise.
+            ticks: how many of the first rows; None for all.
+
+        Returns:
+            Shape (rows, joints).
+
+        Raises:
+            Fault, UniconError: the contract cannot be run over this record.
+        """
+        states, out = self._states(tried.contract), list[Array]()
+        policy = self._policy(tried.contract, states)
+        fed = [(states[name], values, tried.delay * (name in _SENSORS) + self.late)
+               for name, values in {**self.fed, **tried.feeds}.items()]  # fmt: skip
+        target, action = states["joint_pos_target"], states["action"]
+        for rows, begun in self.stretches:
+            if begun or not out:  # a gap leaves it nearly as it was
+                policy.reset()
+            if not begun and policy.phase is not None and self._clock is not None:
+                sin, cos = np.split(self._clock[max(int(rows[0]) - 1, 0)], 2)
+                policy.phase.phase[...] = np.arctan2(sin, cos)
+            for k, row in enumerate(rows.tolist()):
+                if k and self.action is not None:
+                    action[...] = self.action[rows[k - 1]]
+                for view, values, late in fed:
+                    view[...] = values[max(row - late, 0)]
+                policy()
+                out.append(target[self.joints])
+                if len(out) == ticks:
+                    return np.array(out, np.float64)
+        return np.array(out, np.float64)
+
+    def squares(self, target: Float64) -> Float64:
+        """Return the mean square difference from the record in each tick in [rad²], shape (n,)."""
+        n = len(target)
+        off = target - self.target[:n]
+        off[~self.counts[:n] | (off * self.clamped[:n] > 0.0)] = 0.0
+        found: Float64 = (off**2).sum(1) * n / max(int(self.counts[:n].sum()), 1)
+        return found
+
+    def residual(self, tried: Hypothesis, ticks: int) -> float:
+        """Return the RMS difference from the record in [rad]; infinite where it cannot be run."""
+        try:
+            return float(np.sqrt(self.squares(self.run(tried, ticks)).mean()))
+        except (Fault, UniconError):
+            return float("inf")
