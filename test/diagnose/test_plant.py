@@ -24,7 +24,9 @@ from unicon_lab.diagnose.plant import KINDS, Place, Replays
 from unicon_lab.diagnose.search import Found, Search
 
 GO2 = load_robot("go2")
-CALF = GO2.joint_names.index("RL_calf_joint")
+CALF, FR_THIGH, FL_CALF = (
+    GO2.joint_names.index(f"{name}_joint") for name in ("RL_calf", "FR_thigh", "FL_calf")
+)
 EVERY = [(kind, -1) for kind in KINDS] + [
     (kind, joint) for kind in KINDS if KINDS[kind].each for joint in range(12)
 ]
@@ -82,8 +84,8 @@ def test_a_right_simulator_is_accused_of_nothing(tmp_path: Path) -> None:
         ({"joints": {"*": {"delay": 0.008}}}, ("delay", -1), 0.008, 0.001),
         ({"joints": {"*": {"strength": 0.8}}}, ("strength", -1), -0.2, 0.02),
         ({"joints": {"RL_calf_joint": {"strength": 0.7}}}, ("strength", CALF), -0.3, 0.03),
-        ({"joints": {"FR_thigh_joint": {"friction": 1.2}}}, ("friction", 4), 1.0, 0.2),
-        ({"joints": {"FL_calf_joint": {"armature": 0.05}}}, ("armature", 2), 0.04, 0.01),
+        ({"joints": {"FR_thigh_joint": {"friction": 1.2}}}, ("friction", FR_THIGH), 1.0, 0.2),
+        ({"joints": {"FL_calf_joint": {"armature": 0.05}}}, ("armature", FL_CALF), 0.04, 0.01),
         ({"contact_friction": 0.3}, ("ground friction", -1), -0.7, 0.15),
     ],
 )

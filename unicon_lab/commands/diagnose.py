@@ -1,12 +1,13 @@
-"""`unicon diagnose RECORD`: which cause explains that a robot moves unlike its simulation."""
+"""`unicon diagnose RECORD [WORKFLOW]`: why a robot moves unlike its simulation."""
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from unicon_base.errors import UniconError
 from unicon_core.page import write_file
@@ -20,24 +21,41 @@ if TYPE_CHECKING:
 def _diagnose(arguments: argparse.Namespace) -> int:
     """Run the command; exit status 0, whatever is found, 130 after Ctrl-C."""
     from unicon_core.robots import load_robot
+    from unicon_core.workflow import load_document
+    from unicon_core.workflow.members import load_robot_of
+    from unicon_core.workflow.policies import load_policies
     from unicon_lab.diagnose.diagnosis import diagnose
     from unicon_lab.recording import open_record
 
     if arguments.processes < 0:
         raise UniconError(f"--processes is {arguments.processes}; give 1 or more")
-    path = Path(arguments.record)
+    path, contracts = Path(arguments.record), None
+    record = open_record(path)
+    if arguments.workflow:
+        document = load_document(arguments.workflow)
+        contracts = [*load_policies(document, load_robot_of(document)).values()]
     found = diagnose(
-        open_record(path),
+        record,
         path.name,
+        contracts=contracts,
         robot=load_robot(arguments.robot) if arguments.robot else None,
         window=arguments.window,
         processes=arguments.processes,
         tell=lambda text: note(f"unicon diagnose: {text}"),
     )
     if arguments.json:
-        write_file(Path(arguments.json), json.dumps(asdict(found), indent=1).encode())
+        write_file(Path(arguments.json), json.dumps(_plain(asdict(found)), indent=1).encode())
     _print(found)
     return 0 if found.complete else 130
+
+
+def _plain(value: Any) -> Any:
+    """Return a value with null in place of NaN, which JSON does not have."""
+    if isinstance(value, dict):
+        return {key: _plain(each) for key, each in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(each) for each in value]
+    return None if isinstance(value, float) and math.isnan(value) else value
 
 
 def _print(found: Diagnosis) -> None:
@@ -59,13 +77,15 @@ def _print(found: Diagnosis) -> None:
 
 
 def _row(number: int, cause: Cause) -> tuple[str, ...]:
-    factor = not cause.unit
-
     def figure(value: float) -> str:
-        return f"{value:+.0%}" if factor else f"{value:+.3g} {cause.unit}"
+        if cause.layer == "plant" and not cause.unit:  # a part of what the simulator has
+            return f"{value:+.0%}"
+        return f"{value:+.3g} {cause.unit}".rstrip()
 
-    interval = f"{figure(cause.low)} to {figure(cause.high)}"
-    return str(number), cause.name, f"{cause.probability:.0%}", figure(cause.size), interval
+    change = interval = ""
+    if not math.isnan(cause.size):
+        change, interval = figure(cause.size), f"{figure(cause.low)} to {figure(cause.high)}"
+    return str(number), cause.name, f"{cause.probability:.0%}", change, interval
 
 
 add = command(
@@ -74,6 +94,9 @@ add = command(
     "say why a robot moves unlike its simulation",
     __doc__,
     argument("record", "RECORD", "record (.mcap) of the robot"),
+    argument(
+        "workflow", "WORKFLOW", "whose contract should have made it (default: its own)", nargs="?"
+    ),
     argument("--robot", "ROBOT", "its file (default: the record's)"),
     argument("--window", "S", "of a replay (default: 0.2)", type=positive, default=0.2),
     argument("--json", "FILE", "write causes and notes as JSON"),

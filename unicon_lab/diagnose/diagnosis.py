@@ -18,10 +18,12 @@ import numpy as np
 from unicon_base.arrays import Float64
 from unicon_base.errors import UniconError, alternatives
 from unicon_core.platforms.kit.scene import Scene
+from unicon_core.policies import PolicyContract
 from unicon_core.robots import Robot, load_robot, robot_names
 from unicon_core.robots.load import JOINT_PHYSICS, joints_like
 from unicon_core.signals import Interrupted
 from unicon_lab.diagnose.causes import Cause, Diagnosis, name_of
+from unicon_lab.diagnose.contract import contract_causes
 from unicon_lab.diagnose.motion import Motion, motion_of
 from unicon_lab.diagnose.plant import KINDS, OF_BASE, Place, Replays
 from unicon_lab.diagnose.search import Found, Search
@@ -46,16 +48,18 @@ def diagnose(
     record: Record,
     where: str,
     *,
+    contracts: Sequence[PolicyContract] | None = None,
     robot: Robot | None = None,
     window: float = 0.2,
     processes: int = 0,
     tell: Tell = _quiet,
 ) -> Diagnosis:
-    """Return the causes in the plant that explain how a record differs from its simulation.
+    """Return what differs from the contract, then the causes in the plant.
 
     Args:
         record: with the command states and what was measured.
         where: the record's name, for messages.
+        contracts: that are given; None for those of the recorded workflow, as their files are now.
         robot: whose simulator is compared; None for the record's.
         window: of a replay in [s].
         processes: at once; 0 for as many as there are cores.
@@ -65,10 +69,15 @@ def diagnose(
         UniconError: the record lacks something, or is of another robot.
     """
     robot, scene = _simulated(record, where, robot)
+    causes, notes = list[Cause](), list[str]()
+    for contract in [None] if contracts is None else contracts:
+        found, more = contract_causes(record, where, contract, tell)
+        causes, notes = causes + found, notes + more
     motion = _thinned(motion_of(record, where, window), robot)
     if untold := _untold(record, motion):
-        return Diagnosis((), (untold,))
-    notes = [] if motion.has_base else [_NO_BASE]
+        return Diagnosis(tuple(causes), (*notes, untold))
+    if not motion.has_base:
+        notes.append(_NO_BASE)
     places = _places(motion, robot, range(robot.num_joints), KINDS)
     with Replays(robot, scene, motion, _processes(processes)) as replays:
         search = Search(motion, places, replays.plant.limbs, replays, tell)
@@ -76,9 +85,9 @@ def diagnose(
             search.go()
         except (KeyboardInterrupt, Interrupted):
             notes.append("interrupted: causes that come later are not known")
-        found, own = search.found, replays.plant.own
-    causes = tuple(_cause(found, place, alike, robot, own) for place, alike in found.causes)
-    return Diagnosis(causes, tuple(notes), len(motion.starts), found.complete)
+        plant, own = search.found, replays.plant.own
+    causes += [_cause(plant, place, alike, robot, own) for place, alike in plant.causes]
+    return Diagnosis(tuple(causes), tuple(notes), len(motion.starts), plant.complete)
 
 
 _NO_BASE = (

@@ -1,0 +1,109 @@
+"""`unicon diagnose`: the table, the JSON, and one line for what cannot be diagnosed."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("mujoco")
+
+from unicon_lab.diagnose.causes import Cause, Diagnosis
+from unicon_ros.cli.main import main
+
+EXCITED = """\
+robot: go2
+platform: mujoco
+rate: 50
+scene: {joints: {RL_calf_joint: {strength: 0.5}}}
+flow: {excite: {signal: random, frequency: 2, duration: SECONDS, fade: 0.2, amplitude: 0.1}}
+"""
+
+
+def recorded(folder: Path, seconds: float) -> str:
+    workflow, record = folder / "excited.yaml", folder / f"real{seconds}.mcap"
+    workflow.write_text(EXCITED.replace("SECONDS", f"{seconds}"))
+    run = ["run", str(workflow), "--speed", "max", "--record", str(record), "--faults", "off"]
+    assert main(run) == 0
+    return str(record)
+
+
+def test_what_cannot_be_diagnosed_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    garbage = tmp_path / "garbage.mcap"
+    garbage.write_bytes(b"\x89MCAP0\r\n" + bytes(range(256)) * 10)
+    short = recorded(tmp_path, 0.6)
+    for arguments, message in (
+        ([str(garbage)], str(garbage)),
+        ([str(tmp_path / "nothing.mcap")], "nothing.mcap"),
+        ([short], "at least 8 windows"),
+        ([short, "no_such_walk"], "no_such_walk"),
+        ([short, "--robot", "g1_29dof"], "robot g1_29dof has others"),
+        ([short, "--processes", "-1"], "--processes is -1"),
+    ):
+        capsys.readouterr()
+        assert main(["diagnose", *arguments]) == 1
+        (line,) = [e for e in capsys.readouterr().err.splitlines() if e.startswith("unicon: err")]
+        assert message in line
+
+
+@pytest.mark.parametrize("complete", [True, False])
+def test_causes_stand_in_a_table_and_in_json(
+    complete: bool,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    causes = (
+        Cause("term_order", "a and b", "contract", 0.97, *[float("nan")] * 3, remedy="swap them"),
+        Cause("strength", "", "plant", 0.9, -0.3, -0.4, -0.2, alike=("payload",)),
+        Cause("payload", "", "plant", 0.6, 4.0, 3.5, 4.5, "kg"),
+    )
+    found = Diagnosis(causes, ("something is not known",), 50, complete)
+    monkeypatch.setattr("unicon_lab.diagnose.diagnosis.diagnose", lambda *_, **__: found)
+    record, file = recorded(tmp_path, 0.6), tmp_path / "causes.json"
+    capsys.readouterr()
+    assert main(["diagnose", record, "--json", str(file)]) == (0 if complete else 130)
+    said = " ".join(capsys.readouterr().out.split())
+    for text in (
+        "term_order of a and b 97%",
+        "-30% -40% to -20%",
+        "+4 kg +3.5 kg to +4.5 kg",
+        "does not tell it from: payload",
+        "remedy: swap them",
+        "note: something is not known",
+    ):
+        assert text in said
+    written = json.loads(file.read_text())
+    assert written["causes"][0]["size"] is None
+    assert written["causes"][2]["high"] == 4.5
+
+
+def test_nothing_found_is_an_answer(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        "unicon_lab.diagnose.diagnosis.diagnose", lambda *_, **__: Diagnosis((), (), 40)
+    )
+    record = recorded(tmp_path, 0.6)
+    capsys.readouterr()
+    assert main(["diagnose", record]) == 0
+    assert "nothing found: no cause explains more of the record than" in capsys.readouterr().out
+
+
+def test_a_walk_without_measured_velocity_says_nothing_of_the_plant(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Estimated from the legs, it would accuse the motors of a healthy robot."""
+    from unicon_lab.diagnose.diagnosis import diagnose, fit_record
+    from unicon_lab.recording import open_record
+
+    record = open_record(recorded(tmp_path, 3.0))
+    del record.layout.slots["base_lin_vel"]  # type: ignore[attr-defined]
+    found = diagnose(record, "real.mcap", processes=1)
+    assert found.causes == ()
+    assert any("cannot be told from this record" in text for text in found.notes)
+    with pytest.raises(Exception, match=r"real\.mcap: .* hang the robot up"):
+        fit_record(record, "real.mcap", processes=1)
