@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from unicon_lab.diagnose.causes import Cause, Diagnosis
+from unicon_lab.diagnose import Cause, Diagnosis
 from unicon_ros.cli.main import main
 
 EXCITED = """\

@@ -36,7 +36,7 @@ from unicon_core.states import Layout
 from unicon_core.workflow import Program, load_document
 from unicon_core.workflow.members import load_robot_of
 from unicon_core.workflow.policies import load_policies
-from unicon_lab.diagnose.causes import Cause
+from unicon_lab.diagnose import Cause
 from unicon_lab.diagnose.contract import contract_causes
 from unicon_lab.fault_record import FaultRecord
 from unicon_lab.recording import Record, open_record

@@ -15,7 +15,7 @@ from unicon_ros.cli.console import note, print_table
 from unicon_ros.cli.options import argument, command, positive
 
 if TYPE_CHECKING:
-    from unicon_lab.diagnose.causes import Cause, Diagnosis
+    from unicon_lab.diagnose import Cause, Diagnosis
 
 
 def _diagnose(arguments: argparse.Namespace) -> int:

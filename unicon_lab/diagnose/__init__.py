@@ -1,1 +1,66 @@
-"""Diagnosis: which cause explains that a recorded robot moves unlike its simulation."""
+"""Diagnosis: which cause explains that a recorded robot moves unlike its simulation.
+
+Here is what it answers with; `diagnosis.diagnose` makes it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class Cause:
+    """One cause that explains a record, or would.
+
+    Attributes:
+        kind: such as `payload`, `strength` or `joint_order`.
+        where: the joint, leg or term that it is about; "" for the whole robot.
+        layer: `contract`, what the policy is told and what its answer becomes, or `plant`.
+        probability: of this cause, or of its group.
+        size: estimated change from the simulator or the contract, in `unit`.
+        low, high: the 95 % interval of `size`.
+        unit: of the size; "" for a factor or none.
+        evidence: which signal shows it, and how much of its error this cause explains.
+        remedy: what to change, as lines of the file where there is one.
+        alike: names of causes that this record cannot tell from it.
+    """
+
+    kind: str
+    where: str
+    layer: Literal["contract", "plant"]
+    probability: float
+    size: float
+    low: float
+    high: float
+    unit: str = ""
+    evidence: str = ""
+    remedy: str = ""
+    alike: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """What it is called in tables: `strength of RL_calf_joint`, or `payload`."""
+        return name_of(self.kind, self.where)
+
+
+def name_of(kind: str, where: str) -> str:
+    """Return how a kind of cause is called at a place; `where` is "" for the whole robot."""
+    return f"{kind} of {where}" if where else kind
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What a record says.
+
+    Attributes:
+        causes: ranked, the most probable first; none where the record shows nothing.
+        notes: what could not be examined, and why.
+        windows: stretches of the record that were replayed.
+        complete: False where Ctrl-C ended it early.
+    """
+
+    causes: tuple[Cause, ...]
+    notes: tuple[str, ...] = ()
+    windows: int = 0
+    complete: bool = True

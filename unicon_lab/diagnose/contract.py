@@ -24,7 +24,7 @@ from unicon_core.policies.policy_yaml import contract_values
 from unicon_core.robots import Robot, load_robot
 from unicon_core.workflow.members import load_robot_of
 from unicon_core.workflow.policies import load_policies
-from unicon_lab.diagnose.causes import Cause, name_of
+from unicon_lab.diagnose import Cause, name_of
 from unicon_lab.diagnose.hypotheses import LEAST, changes_of, hypotheses
 from unicon_lab.diagnose.open_loop import Hypothesis, OpenLoop
 from unicon_lab.recording import Record

@@ -22,7 +22,7 @@ from unicon_core.policies import PolicyContract
 from unicon_core.robots import Robot, load_robot, robot_names
 from unicon_core.robots.load import JOINT_PHYSICS, joints_like
 from unicon_core.signals import Interrupted
-from unicon_lab.diagnose.causes import Cause, Diagnosis, name_of
+from unicon_lab.diagnose import Cause, Diagnosis, name_of
 from unicon_lab.diagnose.contract import contract_causes
 from unicon_lab.diagnose.motion import Motion, motion_of
 from unicon_lab.diagnose.plant import KINDS, OF_BASE, Place, Replays
