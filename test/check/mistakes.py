@@ -235,7 +235,8 @@ def metadata_twice(draft: Draft) -> None:
     draft.network_metadata().append(("kp", "[1.0]"))
 
 
-def _edit(draft: Draft, key: str, change: Callable[[list[Any]], list[Any]]) -> None:
+def edit(draft: Draft, key: str, change: Callable[[list[Any]], list[Any]]) -> None:
+    """Change a list in the metadata of a network."""
     pairs = draft.network_metadata() if draft.metadata is None else draft.metadata
     draft.metadata = [
         (name, json.dumps(change(json.loads(value))) if name == key else value)
@@ -247,14 +248,14 @@ def metadata_order(draft: Draft) -> None:
     """Names, gains and pose agree; the network has them in another order."""
     order = breadth_first(29)
     for key in ("dof_names", "kp", "kd"):
-        _edit(draft, key, lambda values: [values[i] for i in order])
+        edit(draft, key, lambda values: [values[i] for i in order])
     pose = draft.given["default_joint_pos"]
     draft.given["default_joint_pos"] = [pose[i] for i in order]
 
 
 def metadata_gains(draft: Draft) -> None:
     for key in ("kp", "kd"):
-        _edit(draft, key, lambda values: values[::-1])
+        edit(draft, key, lambda values: values[::-1])
 
 
 def metadata_legs_gains(draft: Draft) -> None:
@@ -264,12 +265,12 @@ def metadata_legs_gains(draft: Draft) -> None:
         return [0.15 * value if i < LEGS else value for i, value in enumerate(values)]
 
     for key in ("kp", "kd"):
-        _edit(draft, key, change)
+        edit(draft, key, change)
 
 
 def metadata_no_damping(draft: Draft) -> None:
-    _edit(draft, "kd", lambda values: [0.0 for _ in values])
+    edit(draft, "kd", lambda values: [0.0 for _ in values])
 
 
 def metadata_missing_joint(draft: Draft) -> None:
-    _edit(draft, "dof_names", lambda values: values[:-1])
+    edit(draft, "dof_names", lambda values: values[:-1])

@@ -154,15 +154,19 @@ def damping_half(draft: Draft) -> None:
     draft.given["damping"] = [0.5 * x for x in draft.given["damping"]]
 
 
-def period_doubled(draft: Draft) -> None:
+def _period_times(draft: Draft, factor: float) -> None:
     if draft.policy == "mjlab":
-        draft.deploy["step_dt"] *= 2.0
+        draft.deploy["step_dt"] *= factor
     else:
-        draft.given["period"] *= 2.0
+        draft.given["period"] *= factor
+
+
+def period_doubled(draft: Draft) -> None:
+    _period_times(draft, 2.0)
 
 
 def period_halved(draft: Draft) -> None:
-    draft.given["period"] *= 0.5
+    _period_times(draft, 0.5)
 
 
 def phase_halved(draft: Draft) -> None:

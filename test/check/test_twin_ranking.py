@@ -97,6 +97,7 @@ def test_of_what_does_as_well_the_likeliest_is_told_and_nothing_where_all_is_lit
         ([0.83, 0.82, 0.83, 0.84], [0.80, 0.80, 0.81, 0.82], False, False),
         ([0.92, 0.92, 0.91, 0.92], [0.93, 0.93, 0.92, 0.94], False, True),  # all of them a little
         ([0.69, 0.70, 0.69, 0.68], [0.75, 0.76, 0.75, 0.74], False, True),  # of much that it lacks
+        ([0.90, 0.91, 0.89, 0.90], [0.94, 0.95, 0.94, 0.95], True, True),  # nearly half of it
         ([0.80, 0.80, 0.80, 0.80], [0.81, 0.79, 0.80, 0.80], False, False),  # noise
         ([0.80, 0.80, 0.80, 0.80], [1.00, 0.82, 0.78, 0.80], False, False),  # one of them much
     ],
@@ -162,17 +163,24 @@ def test_a_policy_that_bears_another_joint_order_is_suspect(
     assert _suspect(_twin(monkeypatch, [0.6, 0.5, 0.6]), order).clean
 
 
-def _rival(monkeypatch: pytest.MonkeyPatch, scores: dict[str, Measures], given: Measures) -> Any:
+def _rival(
+    monkeypatch: pytest.MonkeyPatch,
+    scores: dict[str, Measures],
+    given: Measures,
+    period: float = 0.02,
+    mended: list[Tried] | None = None,
+) -> Any:
     result = CheckResult("w")
     nothing: Any = None
     twin = _Twin(nothing, 5.0, result, Path("w.yaml"))
-    twin.policies.append(PolicyResult(result, "walk", contract()))
+    twin.policies.append(PolicyResult(result, "walk", replace(contract(), period=period)))
 
     def walks(policy: Any, change: Change) -> Compared:
         return Compared((given,) * 3, (scores.get(change.name, run(0.3)),) * 3)
 
     monkeypatch.setattr(twin, "run", lambda _, change: scores.get(change.name, run(0.3)))
     monkeypatch.setattr(twin, "compared", walks)
+    monkeypatch.setattr(twin, "mend", lambda _: mended or [])
     twin.rival(given)
     return result
 
@@ -183,7 +191,7 @@ def test_a_clock_that_is_too_fast_shows_in_the_rate_of_targets(
     given, slow = run(0.80, rate=2.25), run(0.81, rate=1.36)
     (finding,) = _rival(monkeypatch, {"a gait clock of 1.6 s": slow}, given).findings
     assert finding.culprit == "policy 'walk', phase.period"
-    assert "follows as well, in calmer steps" in finding.evidence
+    assert "does as well, in calmer steps" in finding.evidence
     assert "targets change at 1.36 against 2.25 rad/s" in finding.evidence
 
 
@@ -194,12 +202,46 @@ def test_calmer_steps_of_another_damping_are_none_of_a_clock(
     assert _rival(monkeypatch, {"damping times 0.5": other}, given).clean
 
 
+def test_damping_that_takes_much_less_torque_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    given, lighter = run(0.81, torque_use=0.37), run(0.80, torque_use=0.20)
+    (finding,) = _rival(monkeypatch, {"damping times 0.5": lighter}, given).findings
+    assert finding.culprit == "policy 'walk', damping"
+    assert "it does as well, with less torque, as with the given contract" in finding.evidence
+    assert finding.evidence.endswith("torque 20% against 37% of the limit")
+
+
+def test_a_quicker_clock_takes_less_torque_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    given, quick = run(0.92, torque_use=0.37), run(0.91, torque_use=0.24)
+    assert _rival(monkeypatch, {"a gait clock of 0.4 s": quick}, given).clean
+
+
+@pytest.mark.parametrize(("score", "clean"), [(0.94, True), (0.945, False)])
+def test_an_unusual_period_has_to_walk_better(
+    score: float, clean: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scores = {"a period of 0.02 s": run(score), "a period of 0.005 s": run(0.945)}
+    result = _rival(monkeypatch, scores, run(0.942), period=0.01)
+    assert result.clean == clean
+    if not clean:
+        assert "does as well as with the given contract" in result.findings[0].evidence
+        assert result.findings[0].evidence.endswith("(most policies have 0.02 s)")
+
+
+def test_a_walk_that_scores_little_is_searched_for_other_mistakes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scores = {COSINES.change.name: run(0.95), "a period of 0.01 s": run(0.72)}
+    (finding,) = _rival(monkeypatch, scores, run(0.66), mended=[COSINES]).findings
+    assert finding.culprit.endswith(COSINES.change.culprit)
+    assert not _rival(monkeypatch, {}, run(0.85), mended=[COSINES]).findings
+
+
 def test_only_the_best_of_the_rivals_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     scores = {"damping times 0.5": run(0.86), "a period of 0.01 s": run(0.95)}
     result = _rival(monkeypatch, scores, run(0.78))
     assert [each.culprit for each in result.findings] == ["policy 'walk', period"]
     assert not result.notes
-    slight = _rival(monkeypatch, {"damping times 0.5": run(0.95)}, run(0.91))
+    slight = _rival(monkeypatch, {"damping times 0.5": run(0.94)}, run(0.91))
     assert slight.clean
     assert "damping times 0.5 it does slightly better" in str(slight.notes[0])
 

@@ -199,7 +199,8 @@ class Recorder:
         off = None if tracks or self._motion is None else motion[begin:, 0]
         kernel = squared / TRACKING_SIGMA if off is None else off**2 / MOTION_SIGMA
         rates = np.diff(target[:, ~robot.endless], axis=0) / period
-        rate = float(np.sqrt((rates**2).mean())) if rates.size else 0.0
+        steps = rates.any(axis=1).mean()  # between them a slower policy's targets are held
+        rate = float(np.sqrt((rates**2).mean() * steps)) if rates.size else 0.0
         use = np.sqrt((effort**2).mean(axis=0)) / self._effort
         hits = ((pos <= robot.lower + AT_LIMIT) | (pos >= robot.upper - AT_LIMIT)).mean(axis=0)
         saturated = (np.abs(effort) >= 0.999 * self._effort).mean(axis=0)
@@ -239,13 +240,22 @@ CLOSES = 0.25
 """Share of what the given contract lacks to a score of 1, which a gain has to reach besides: where
 much is lacking, more is gained by chance. The greatest of a right contract was 0.21, that same
 one; mistakes that were undone had 0.29 and more."""
+NEARLY = 0.4
+"""Share of what a good contract lacks that is clear below CLEAR, too: G1 with its damping doubled
+lacks 0.10, and gains 0.045. No right contract gained more than 0.21 of what it lacked."""
+LEAST = 0.03
+"""A smaller gain is never clear."""
 SLIGHT = 0.008
 """Gain from which it is worth a note: twice the 0.004 by which another damping raised a right
 contract."""
 CALMER = 0.75
 """Rate of targets, as a share of the given contract's, from which a change of the gait clock that
-follows as well is a finding: steps that nobody needs. Half the right clock has rates of 1.43 to
-1.71 times, twice the right one of 0.85 or more."""
+does as well is a finding: steps that nobody needs. Half the right clock has rates of 1.43 to 1.71
+times, twice the right one of 0.84 or more."""
+LIGHTER = 0.7
+"""Torque of the most loaded joint, as a share of the given contract's, from which another damping
+or period that does as well is a finding: 0.49 to 0.65 where those of a G1 were doubled, 0.82 or
+more under right contracts. It says nothing of a gait clock: half the right one takes 0.64."""
 POOR = 0.5
 """Tracking below this makes the search for a better contract worth its time."""
 FOLLOWS = 0.3
@@ -270,9 +280,10 @@ class Compared:
 
     @cached_property
     def _runs(self) -> Float64:
-        """Score, tracking and rate of targets, given and other, shape (2, walks, 3)."""
+        """Score, tracking, rate of targets and torque, given and other, shape (2, walks, 4)."""
+        names = ("score", "tracking", "target_rate", "torque_use")
         both = self.given, self.other
-        return np.array([[(m.score, m.tracking, m.target_rate) for m in each] for each in both])
+        return np.array([[[getattr(m, name) for name in names] for m in each] for each in both])
 
     @property
     def gain(self) -> float:
@@ -289,7 +300,8 @@ class Compared:
     def clear(self) -> bool:
         """Whether the other contract is clearly better."""
         lacking = 1.0 - float(self._runs[0, :, 0].mean())
-        return self.gain >= max(CLEAR, CLOSES * lacking, 2.0 * self.error)
+        least = max(LEAST, CLOSES * lacking, min(CLEAR, NEARLY * lacking))
+        return self.gain >= max(least, 2.0 * self.error)
 
     @property
     def slight(self) -> bool:
@@ -303,10 +315,18 @@ class Compared:
 
     @property
     def calmer(self) -> bool:
-        """Whether the other follows as well with targets that change much less."""
-        (_, follows, rate), (_, followed, calm) = self._runs.mean(axis=1)
+        """Whether the other does as well with targets that change much less."""
+        return self._eases(2, CALMER)
+
+    @property
+    def lighter(self) -> bool:
+        """Whether the other does as well with much less torque."""
+        return self._eases(3, LIGHTER)
+
+    def _eases(self, column: int, share: float) -> bool:
+        before, after = self._runs[..., column].mean(axis=1)
         stands = all(m.stands for m in self.other)
-        return bool(stands and calm <= CALMER * rate and followed >= follows - CLEAR)
+        return bool(stands and self.alike and after < share * before)
 
     def __str__(self) -> str:
         """Both in numbers."""
@@ -315,7 +335,8 @@ class Compared:
         more = f" ± {self.error:.2f}, mean of {walks} commands" if walks > 1 else ""
         return (
             f"score {after[0]:.2f} against {before[0]:.2f}{more}; tracking {after[1]:.2f} against "
-            f"{before[1]:.2f}, targets change at {after[2]:.2f} against {before[2]:.2f} rad/s"
+            f"{before[1]:.2f}, targets change at {after[2]:.2f} against {before[2]:.2f} rad/s, "
+            f"torque {after[3]:.0%} against {before[3]:.0%} of the limit"
         )
 
 

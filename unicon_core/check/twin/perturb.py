@@ -250,6 +250,9 @@ GAIT = "phase.period"
 """Culprit of a clock that is too fast or too slow. With one too fast a policy may follow its
 command as well, in more and quicker steps: the rate of its targets tells."""
 
+USUAL = 0.02
+"""Control period of nearly all published policies in [s]: any other one has to walk better."""
+
 
 def rivals(contract: PolicyContract) -> Iterator[Change]:
     """Yield the contract with half and twice its damping, its period and that of its gait clock.
@@ -262,7 +265,9 @@ def rivals(contract: PolicyContract) -> Iterator[Change]:
         softer = replace(contract, damping=contract.damping * np.float32(factor))
         yield Change(f"damping times {factor:g}", "damping", softer)
         period = contract.period * factor
-        yield Change(f"a period of {period:g} s", "period", replace(contract, period=period))
+        usual = f"most policies have {USUAL:g} s" if np.isclose(period, USUAL) else ""
+        timed = replace(contract, period=period)
+        yield Change(f"a period of {period:g} s", "period", timed, evidence=usual)
         if phase is not None:
             clock = replace(phase, period=phase.period * factor)
             what = f"a gait clock of {clock.period:g} s"
