@@ -27,6 +27,9 @@ ALIKE = 3.0
 """Log odds within which a record does not tell two causes apart: 20 to 1."""
 MOST = 4
 """Causes of one record."""
+BIAS = 0.01
+"""Standard deviation of what noise at the beginning of windows biases, as a part of the size: walks
+of a Go2 gave 4.04 kg for 4, -0.303 for -0.3 and 7.87 ms for 8, more than noise alone allows."""
 
 Run = Callable[[Sequence[Change]], list[Float64]]
 """Replays changes; see `plant.Replays`."""
@@ -126,7 +129,8 @@ class Search:
             at, now = best.change, best.answers
             found.change, found.after = at, self._square(now)
             assert best.fitted is not None
-            halves = 1.96 * np.sqrt(np.diag(best.fitted.spread))
+            biased = BIAS * np.array(list(at.values()))
+            halves = 1.96 * np.sqrt(np.diag(best.fitted.spread) + biased**2)
             found.deviation = dict(zip(at, map(float, halves)))
             self._tell(f"{best.place[0]}: log odds {best.odds:.0f}")
         found.complete = True
