@@ -68,7 +68,7 @@ def test_causes_stand_in_a_table_and_in_json(
     assert main(["diagnose", record, "--json", str(file)]) == (0 if complete else 130)
     said = " ".join(capsys.readouterr().out.split())
     for text in (
-        "term_order of a and b 97%",
+        "term order of a and b 97%",
         "-30% -40% to -20%",
         "+4 kg +3.5 kg to +4.5 kg",
         "does not tell it from: payload",

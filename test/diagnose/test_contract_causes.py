@@ -162,48 +162,48 @@ def backwards(contract: PolicyContract) -> PolicyContract:
 
 
 KINDS: dict[str, tuple[Change, str, float | None]] = {
-    "depth": (lambda c: permuted(c, by_depth(c)), "joint_order", None),
-    "names": (lambda c: renamed(c, by_depth(c)), "joint_order", None),
+    "depth": (lambda c: permuted(c, by_depth(c)), "joint order", None),
+    "names": (lambda c: renamed(c, by_depth(c)), "joint order", None),
     "sides": (
-        lambda c: renamed(c, exchanged(c.joints, mirror_pairs(c.joints))), "left_right", None,
+        lambda c: renamed(c, exchanged(c.joints, mirror_pairs(c.joints))), "left right", None,
     ),
     "pair": (
         lambda c: renamed(c, exchanged(c.joints, [("FR_hip_joint", "RL_calf_joint")])),
-        "joint_exchange of FR_hip_joint and RL_calf_joint", None,
+        "joint exchange of FR_hip_joint and RL_calf_joint", None,
     ),
     "gravity": (
-        scaled("projected_gravity", -1.0), "observation_sign of projected_gravity", -1.0,
+        scaled("projected_gravity", -1.0), "observation sign of projected_gravity", -1.0,
     ),
     "action": (
-        lambda c: with_action(c, scale=c.action.scale * np.float32(1.3)), "action_scale", 1.3,
+        lambda c: with_action(c, scale=c.action.scale * np.float32(1.3)), "action scale", 1.3,
     ),
     "action of one": (
         lambda c: with_action(c, scale=c.action.scale * one(c, GO2, 0.7)),
-        f"action_scale of {GO2}", 0.7,
+        f"action scale of {GO2}", 0.7,
     ),
-    "backwards": (backwards, f"joint_sign of {GO2}", -1.0),
-    "pose": (lambda c: posed(c, one(c, GO2, 0.2, 0.0)), f"default_pose of {GO2}", 0.2),
+    "backwards": (backwards, f"joint sign of {GO2}", -1.0),
+    "pose": (lambda c: posed(c, one(c, GO2, 0.2, 0.0)), f"default pose of {GO2}", 0.2),
     "offset": (
         lambda c: with_action(c, offset=c.action.offset + one(c, GO2, 0.2, 0.0)),
-        f"action_offset of {GO2}", 0.2,
+        f"action offset of {GO2}", 0.2,
     ),
-    "velocities": (scaled("joint_vel", 20.0), "observation_scale of joint_vel_rel", 20.0),
-    "gyro": (scaled("base_ang_vel", 4.0), "observation_scale of base_ang_vel", 4.0),
+    "velocities": (scaled("joint_vel", 20.0), "observation scale of joint_vel_rel", 20.0),
+    "gyro": (scaled("base_ang_vel", 4.0), "observation scale of base_ang_vel", 4.0),
     "all scales": (
-        lambda c: with_scales(c, lambda t: np.sign(t.scale)), "observation_scales", None,
+        lambda c: with_scales(c, lambda t: np.sign(t.scale)), "observation scales", None,
     ),
-    "equal terms": (swapped(0), "term_order of base_ang_vel and projected_gravity", None),
-    "other terms": (swapped(2), "term_order of velocity_command and joint_pos_rel", None),
+    "equal terms": (swapped(0), "term order of base_ang_vel and projected_gravity", None),
+    "other terms": (swapped(2), "term order of velocity_command and joint_pos_rel", None),
     "clip": (
         lambda c: with_action(c, clip=np.full((2, 12), 0.5, np.float32) * F([[-1.0], [1.0]])),
-        "action_clip", 0.5,
+        "action clip", 0.5,
     ),
-    "filter": (lambda c: with_action(c, filter=FilterSpec(alpha=0.35)), "action_filter", 0.35),
+    "filter": (lambda c: with_action(c, filter=FilterSpec(alpha=0.35)), "action filter", 0.35),
     "stiffness": (lambda c: replace(c, stiffness=2.0 * c.stiffness), "stiffness", 2.0),
     "damping of one": (
         lambda c: replace(c, damping=c.damping * one(c, GO2, 0.5)), f"damping of {GO2}", 0.5,
     ),
-    "both gains": (lambda c: with_gains(c, gains_of(c)[::-1]), "gain_order", None),
+    "both gains": (lambda c: with_gains(c, gains_of(c)[::-1]), "gain order", None),
 }  # fmt: skip
 
 
@@ -227,9 +227,9 @@ def test_the_one_difference_comes_first(kind: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "name"),
     [
-        (lambda c: clock_reordered(c, [2, 3, 0, 1]), "clock_order"),
-        (lambda c: replace(c, phase=replace(c.phase, period=2.0)), "clock_period"),
-        (lambda c: with_gains(c, gains_of(c)[:, ::-1]), "gain_order"),
+        (lambda c: clock_reordered(c, [2, 3, 0, 1]), "clock order"),
+        (lambda c: replace(c, phase=replace(c.phase, period=2.0)), "clock period"),
+        (lambda c: with_gains(c, gains_of(c)[:, ::-1]), "gain order"),
     ],
     ids=["sines and cosines", "period", "gains"],
 )
@@ -249,7 +249,7 @@ def test_a_walk_in_mujoco_that_shows_it_late(tmp_path: Path) -> None:
     record, contract = made(tmp_path / "run.mcap", change, 350, options={"platform": "mujoco"})
     told: list[str] = []
     causes, notes = contract_causes(record, "the record", tell=told.append)
-    assert causes[0].name == "observation_scale of velocity_command"
+    assert causes[0].name == "observation scale of velocity_command"
     assert causes[0].remedy.startswith("policy.yaml needs observation.terms.velocity_command.scale")
     assert notes == []
     assert told[0].startswith("the record, policy 'walk': contract 1 of ")
@@ -265,11 +265,11 @@ def test_a_record_and_its_own_contract(tmp_path: Path) -> None:
     later.ticks = record.ticks + 500  # it begins while the policy runs
     assert examined(later)[0] == []
     causes, _ = examined(later, with_action(contract, scale=2.0 * contract.action.scale))
-    assert causes[0].name == "action_scale"
+    assert causes[0].name == "action scale"
     assert causes[0].size == pytest.approx(0.5)
     bound = np.full((2, 12), 0.5, np.float32) * F([[-1.0], [1.0]])
     causes, _ = examined(record, with_action(contract, clip=bound))
-    assert causes[0].name == "action_clip"
+    assert causes[0].name == "action clip"
 
 
 def test_histories_in_another_order(tmp_path: Path) -> None:
@@ -291,7 +291,7 @@ def test_histories_in_another_order(tmp_path: Path) -> None:
 
     record, contract = made(tmp_path / "run.mcap", oldest_last)
     causes, _ = examined(record, remembering(contract))
-    assert causes[0].name == "history_order"
+    assert causes[0].name == "history order"
     assert "observation.newest: first instead of last" in causes[0].remedy
     assert examined(record, oldest_last(contract))[0] == []
 
@@ -305,7 +305,7 @@ def test_policies_at_other_ticks(options: dict[str, Any], tmp_path: Path) -> Non
     record, contract = made(tmp_path / "run.mcap", options=ALONE | options)
     assert examined(record)[0] == []
     causes, _ = examined(record, scaled("base_ang_vel", 4.0)(contract))
-    assert causes[0].name == "observation_scale of base_ang_vel"
+    assert causes[0].name == "observation scale of base_ang_vel"
     slow = replace(contract, child=ChildSpec(delay=2))
     assert "record it with delay: 1" in examined(record, slow)[1]
 
@@ -345,7 +345,7 @@ def test_holes_in_a_record(tmp_path: Path) -> None:
 def test_records_that_say_too_little(tmp_path: Path, assets: Path) -> None:
     record, contract = made(tmp_path / "run.mcap", scaled("projected_gravity", -1.0), 30)
     causes, notes = examined(record)
-    assert causes[0].name == "observation_sign of projected_gravity"
+    assert causes[0].name == "observation sign of projected_gravity"
     assert "30 ticks, less than 1 s" in notes
     for name in ("velocity_command", "joint_pos_target", "joint_pos"):
         causes, notes = examined(without(record, name))
@@ -361,7 +361,7 @@ def test_records_that_say_too_little(tmp_path: Path, assets: Path) -> None:
     gone = text.replace("go2_velocity", "/nowhere/policy.yaml")
     bare.facts = dict(record.facts, workflow_effective=gone)
     assert "is not there now" in examined(bare)[1]
-    assert examined(bare, contract)[0][0].name == "observation_sign of projected_gravity"
+    assert examined(bare, contract)[0][0].name == "observation sign of projected_gravity"
     bare.facts = dict(record.facts, workflow_effective=text + "\n# drives: [legs]\n")
     assert "moves some joints alone" in examined(bare)[1]
     document = load_document("g1_holosoma", {"platform": "fake"})
@@ -378,8 +378,8 @@ def test_the_ticks_of_each_of_two_policies(tmp_path: Path) -> None:
     change = scaled("projected_gravity", -1.0)
     record, contract = made(tmp_path / "run.mcap", change, 160, key="other", options=options)
     causes, notes = examined(record)
-    assert [cause.name for cause in causes] == ["observation_sign of projected_gravity"]
+    assert [cause.name for cause in causes] == ["observation sign of projected_gravity"]
     assert notes == "the record, policy 'walk': the given contract made this record (0 rad rms)"
     assert "nothing says which policy" in examined(record, contract)[1]
     named = replace(contract, name="other", path=Path("policy.yaml"))
-    assert examined(record, named)[0][0].name == "observation_sign of projected_gravity"
+    assert examined(record, named)[0][0].name == "observation sign of projected_gravity"

@@ -46,7 +46,8 @@ class Cause:
 
 def name_of(kind: str, where: str) -> str:
     """Return how a kind of cause is called at a place; `where` is "" for the whole robot."""
-    return f"{kind} of {where}" if where else kind
+    what = kind.replace("_", " ")
+    return f"{what} of {where}" if where else what
 
 
 @dataclass(frozen=True)
