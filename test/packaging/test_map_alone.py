@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import sys
@@ -10,7 +11,6 @@ from pathlib import Path
 import pytest
 from source_tree import ROOT, copy_source
 
-pytestmark = pytest.mark.slow
 ALONE = "import importlib.util as u; assert u.find_spec('unicon_core') is None; "
 MAP = (
     "from unicon_base.resources import find_config; from unicon_msgs_map import load_map; "
@@ -18,6 +18,7 @@ MAP = (
 )
 
 
+@pytest.mark.slow
 def test_the_map_alone_passes_its_tests(tmp_path: Path, under_colcon: bool) -> None:
     if under_colcon:
         pytest.skip("colcon tests its own installation")
@@ -38,3 +39,10 @@ def test_the_map_alone_passes_its_tests(tmp_path: Path, under_colcon: bool) -> N
     pytest_of_it = [python, "-m", "pytest", "-q", "--noconftest", "-m", "not slow", "test/map"]
     done = subprocess.run(pytest_of_it, cwd=work, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stdout[-2000:]
+
+
+def test_its_tests_import_it_and_the_base_or_skip_without_the_rest() -> None:
+    rooms = re.compile(r"^(?:from|import) unicon_(?!base|msgs_map)", re.MULTILINE)
+    for path in (ROOT / "test" / "map").glob("test_*.py"):
+        text = path.read_text(encoding="utf-8")
+        assert not rooms.search(text.partition("importorskip")[0]), path.name
