@@ -9,7 +9,10 @@ import pytest
 
 pytest.importorskip("mujoco")
 
+from unicon_base.errors import UniconError
 from unicon_lab.diagnose import Cause, Diagnosis
+from unicon_lab.diagnose.diagnosis import diagnose, fit_record
+from unicon_lab.recording import open_record
 from unicon_ros.cli.main import main
 
 EXCITED = """\
@@ -21,11 +24,12 @@ flow: {excite: {signal: random, frequency: 2, duration: SECONDS, fade: 0.2, ampl
 """
 
 
-def recorded(folder: Path, seconds: float) -> str:
+def recorded(folder: Path, seconds: float, scene: str = "") -> str:
     workflow, record = folder / "excited.yaml", folder / f"real{seconds}.mcap"
-    workflow.write_text(EXCITED.replace("SECONDS", f"{seconds}"))
+    text = EXCITED.replace("SECONDS", f"{seconds}")
+    workflow.write_text(text.replace("scene: {", f"scene: {{{scene}"))
     run = ["run", str(workflow), "--speed", "max", "--record", str(record), "--faults", "off"]
-    assert main(run) == 0
+    assert main([*run, "--force", "pose.floor"] if "gantry" in scene else run) == 0
     return str(record)
 
 
@@ -97,13 +101,25 @@ def test_a_walk_without_measured_velocity_says_nothing_of_the_plant(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Estimated from the legs, it would accuse the motors of a healthy robot."""
-    from unicon_lab.diagnose.diagnosis import diagnose, fit_record
-    from unicon_lab.recording import open_record
-
-    record = open_record(recorded(tmp_path, 3.0))
+    record = open_record(recorded(tmp_path, 3.0, "noise: {base_quat: 0.001}, "))
     del record.layout.slots["base_lin_vel"]  # type: ignore[attr-defined]
     found = diagnose(record, "real.mcap", processes=1)
     assert found.causes == ()
     assert any("cannot be told from this record" in text for text in found.notes)
-    with pytest.raises(Exception, match=r"real\.mcap: .* hang the robot up"):
+    with pytest.raises(UniconError, match=r"real\.mcap: .* of the robot hung up .* say --hung"):
         fit_record(record, "real.mcap", processes=1)
+
+
+def test_a_robot_that_hung_needs_no_velocity_of_its_base(tmp_path: Path) -> None:
+    """Its IMU swings and drifts as it likes; the weak calf is found by the joints alone."""
+    held = "gantry: true, initial_height: 1.0, noise: {base_quat: 0.01}, "
+    record = open_record(recorded(tmp_path, 4.0, held))
+    del record.layout.slots["base_lin_vel"]  # type: ignore[attr-defined]
+    fit, overlay = fit_record(
+        record, "real.mcap", hung=True, words=["strength"], joints=["R*_calf_joint"], processes=1
+    )
+    (found,) = fit.parameters
+    assert (found.joint, found.word) == ("RL_calf_joint", "strength")
+    assert found.after == pytest.approx(0.5, abs=0.03)
+    assert fit.causes == ()
+    assert "RL_calf_joint" in overlay

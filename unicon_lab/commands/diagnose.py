@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from unicon_base.errors import UniconError
 from unicon_core.page import write_file
 from unicon_ros.cli.console import note, print_table
-from unicon_ros.cli.options import argument, command, positive
+from unicon_ros.cli.options import argument, command, flag, positive
 
 if TYPE_CHECKING:
     from unicon_lab.diagnose import Cause, Diagnosis
@@ -39,6 +39,7 @@ def _diagnose(arguments: argparse.Namespace) -> int:
         path.name,
         contracts=contracts,
         robot=load_robot(arguments.robot) if arguments.robot else None,
+        hung=arguments.hung,
         window=arguments.window,
         processes=arguments.processes,
         tell=lambda text: note(f"unicon diagnose: {text}"),
@@ -98,6 +99,7 @@ add = command(
         "workflow", "WORKFLOW", "whose contract should have made it (default: its own)", nargs="?"
     ),
     argument("--robot", "ROBOT", "its file (default: the record's)"),
+    flag("--hung", "the robot hung in the air, or its base was fixed"),
     argument("--window", "S", "of a replay (default: 0.2)", type=positive, default=0.2),
     argument("--json", "FILE", "write causes and notes as JSON"),
     argument("--processes", "N", "at once (default: one for each core)", type=int, default=0),

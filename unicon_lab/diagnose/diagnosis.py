@@ -24,7 +24,7 @@ from unicon_core.robots.load import JOINT_PHYSICS, joints_like
 from unicon_core.signals import Interrupted
 from unicon_lab.diagnose import Cause, Diagnosis, name_of
 from unicon_lab.diagnose.contract import contract_causes
-from unicon_lab.diagnose.motion import Motion, motion_of
+from unicon_lab.diagnose.motion import HUNG_HEIGHT, Motion, motion_of
 from unicon_lab.diagnose.plant import KINDS, OF_BASE, Place, Replays
 from unicon_lab.diagnose.search import Found, Search
 from unicon_lab.recording import Record
@@ -50,6 +50,7 @@ def diagnose(
     *,
     contracts: Sequence[PolicyContract] | None = None,
     robot: Robot | None = None,
+    hung: bool = False,
     window: float = 0.2,
     processes: int = 0,
     tell: Tell = _quiet,
@@ -61,6 +62,7 @@ def diagnose(
         where: the record's name, for messages.
         contracts: that are given; None for those of the recorded workflow, as their files are now.
         robot: whose simulator is compared; None for the record's.
+        hung: the robot hung in the air, or its base was fixed.
         window: of a replay in [s].
         processes: at once; 0 for as many as there are cores.
         tell: takes lines of progress.
@@ -74,6 +76,8 @@ def diagnose(
         found, more = contract_causes(record, where, contract, tell)
         causes, notes = causes + found, notes + more
     motion = _thinned(motion_of(record, where, window), robot)
+    if hung:
+        motion, scene = motion.hung_up(), replace(scene, gantry=True, initial_height=HUNG_HEIGHT)
     if untold := _untold(record, motion):
         return Diagnosis(tuple(causes), (*notes, untold))
     if not motion.has_base:
@@ -106,7 +110,7 @@ def _untold(record: Record, motion: Motion) -> str:
     if motion.has_base and ("base_lin_vel" not in motion.measured or estimated):
         return (
             "the plant cannot be told from this record: the base moves and its base_lin_vel was "
-            "not measured; hang the robot up or fix its base, and record excite"
+            "not measured; record excite of the robot hung up or with a fixed base, and say --hung"
         )
     return ""
 
@@ -212,6 +216,7 @@ def fit_record(
     where: str,
     *,
     robot: Robot | None = None,
+    hung: bool = False,
     words: Sequence[str] = tuple(JOINT_PHYSICS),
     joints: Sequence[str] = ("*",),
     window: float = 0.2,
@@ -227,6 +232,7 @@ def fit_record(
         record: with the command states and what was measured.
         where: the record's name, for messages and the overlay's comment.
         robot: whose simulator is fitted; None for the record's.
+        hung: the robot hung in the air, or its base was fixed.
         words: of `JOINT_PHYSICS`.
         joints: names and patterns.
         window: of a replay in [s].
@@ -245,6 +251,8 @@ def fit_record(
     if not which or not words:
         raise UniconError("nothing to estimate; name joints and parameters")
     motion = _thinned(motion_of(record, where, window), robot)
+    if hung:
+        motion, scene = motion.hung_up(), replace(scene, gantry=True, initial_height=HUNG_HEIGHT)
     if untold := _untold(record, motion):
         raise UniconError(f"{where}: {untold}")
     held = np.arange(len(motion.starts)) % HELD_OUT == HELD_OUT - 1

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,6 +17,8 @@ FEWEST = 8
 """Windows: with less there is nothing to hold a fit against."""
 FALLEN = 0.5
 """Lean in [rad] from which on a walking robot falls: what comes then is not its plant's doing."""
+HUNG_HEIGHT = 3.0
+"""Of a base that is held in the air in [m]: no robot's legs reach the ground from there."""
 BASE_ANSWERS = ("gravity x", "gravity y", "turn rate x", "turn rate y", "turn rate z")
 """What a window answers of a base beside the joints: unit gravity and [rad/s], in its frame."""
 
@@ -40,6 +42,7 @@ class Motion:
         commands: the command states, each of shape (ticks, n).
         starts: first tick of each window, shape (windows,).
         length: ticks of a window; `measured` has one more behind it, of the same run.
+        hung: whether the base is held in the air, and what was measured of it does not count.
     """
 
     period: float
@@ -47,6 +50,7 @@ class Motion:
     commands: Mapping[str, Array]
     starts: Int64
     length: int
+    hung: bool = False
 
     @staticmethod
     def of(
@@ -107,7 +111,20 @@ class Motion:
     @property
     def has_base(self) -> bool:
         """Whether attitude and turn rate of a base were measured."""
-        return "base_quat" in self.measured and "base_ang_vel" in self.measured
+        names = "base_quat", "base_ang_vel"
+        return not self.hung and all(name in self.measured for name in names)
+
+    def hung_up(self) -> Motion:
+        """Return the same run of a robot whose base is held upright at `HUNG_HEIGHT`."""
+        still = {
+            "base_quat": (1.0, 0.0, 0.0, 0.0),
+            "base_ang_vel": (0.0, 0.0, 0.0),
+            "base_pos_w": (0.0, 0.0, HUNG_HEIGHT),
+            "base_lin_vel": (0.0, 0.0, 0.0),
+        }
+        count = len(self.measured["joint_pos"])
+        held = {name: np.tile(value, (count, 1)) for name, value in still.items()}
+        return replace(self, measured={**self.measured, **held}, hung=True)
 
     @property
     def answers(self) -> Float64:
