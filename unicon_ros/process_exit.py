@@ -57,10 +57,19 @@ def exit_with_parent(whom: str | None) -> None:
         )
 
 
-def die_with_parent() -> None:
-    """End with the thread that starts this process; for `preexec_fn`, on Linux."""
+_IMPORTED_IN = os.getpid()
+
+
+def die_with_parent(parent: int = 0) -> None:
+    """End with the thread that starts this process; for `preexec_fn`, on Linux.
+
+    Args:
+        parent: its process, where it is known; 0: the one that imported this, unless it is gone and
+            process 1 stands in. In a container our own may be process 1.
+    """
     ctypes.CDLL(None).prctl(SET_PARENT_DEATH_SIGNAL, signal.SIGKILL, 0, 0, 0)
-    if os.getppid() == 1:  # it has died before
+    now = os.getppid()
+    if now != parent if parent else now == 1 != _IMPORTED_IN:  # it has died before
         os._exit(1)
 
 

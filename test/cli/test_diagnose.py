@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -123,3 +128,40 @@ def test_a_robot_that_hung_needs_no_velocity_of_its_base(tmp_path: Path) -> None
     assert found.after == pytest.approx(0.5, abs=0.03)
     assert fit.causes == ()
     assert "RL_calf_joint" in overlay
+
+
+@pytest.mark.alone
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_a_signal_ends_it_and_its_processes(number: signal.Signals, tmp_path: Path) -> None:
+    """Ctrl-C says what is known so far; nothing stays behind after a kill."""
+    words = [sys.executable, "-m", "unicon_ros", "diagnose", recorded(tmp_path, 30.0)]
+    run = subprocess.Popen(
+        [*words, "--processes", "2"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        children = Path(f"/proc/{run.pid}/task/{run.pid}/children")
+        wait_for(lambda: len(children.read_text().split()) >= 3)  # and the resource tracker
+        time.sleep(1.0)
+        pids = children.read_text().split()
+        run.send_signal(number)
+        said, _ = run.communicate(timeout=30)  # held open by what stays behind
+    finally:
+        run.kill()
+    if number == signal.SIGINT:
+        assert run.returncode == 130
+        assert "interrupted" in said
+    wait_for(lambda: not any(running(pid) for pid in pids))
+
+
+def running(pid: str) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def wait_for(it: Callable[[], bool]) -> None:
+    end = time.monotonic() + 30.0
+    while not it():
+        assert time.monotonic() < end
+        time.sleep(0.05)

@@ -21,7 +21,7 @@ from unicon_core.platforms.kit.scene import Scene
 from unicon_core.policies import PolicyContract
 from unicon_core.robots import Robot, load_robot, robot_names
 from unicon_core.robots.load import JOINT_PHYSICS, joints_like
-from unicon_core.signals import Interrupted
+from unicon_core.signals import SIGNALS, Interrupted
 from unicon_lab.diagnose import Cause, Diagnosis, name_of
 from unicon_lab.diagnose.contract import contract_causes
 from unicon_lab.diagnose.motion import HUNG_HEIGHT, Motion, motion_of
@@ -83,11 +83,11 @@ def diagnose(
     if not motion.has_base:
         notes.append(_NO_BASE)
     places = _places(motion, robot, range(robot.num_joints), KINDS)
-    with Replays(robot, scene, motion, _processes(processes)) as replays:
+    with SIGNALS.guard(), Replays(robot, scene, motion, _processes(processes)) as replays:
         search = Search(motion, places, replays.plant.limbs, replays, tell)
         try:
             search.go()
-        except (KeyboardInterrupt, Interrupted):
+        except Interrupted:
             notes.append("interrupted: causes that come later are not known")
         plant, own = search.found, replays.plant.own
     causes += [_cause(plant, place, alike, robot, own) for place, alike in plant.causes]
@@ -261,7 +261,7 @@ def fit_record(
     others = [kind for kind in KINDS if not KINDS[kind].each]
     places = _places(motion, robot, which, words) + _places(motion, robot, (), others)
     places += [(kind, -1) for kind in others if motion.has_base or kind not in OF_BASE]
-    with Replays(robot, scene, seen, _processes(processes)) as replays:
+    with SIGNALS.guard(), Replays(robot, scene, seen, _processes(processes)) as replays:
         found = Search(seen, list(dict.fromkeys(places)), replays.plant.limbs, replays, tell).go()
         own = replays.plant.own
     with Replays(robot, scene, apart, 1) as replays:

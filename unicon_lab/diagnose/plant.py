@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import multiprocessing
 import signal
+import sys
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, wait
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -22,7 +23,9 @@ from unicon_core.platforms.kit.disturbances import Beside
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.robots import Robot
 from unicon_core.robots.load import joint_physics
+from unicon_core.signals import SIGNALS
 from unicon_lab.diagnose.motion import Motion, gravity_xy
+from unicon_ros.process_exit import die_with_parent
 
 
 @dataclass(frozen=True)
@@ -252,6 +255,8 @@ _plant: Plant | None = None
 def _begin(robot: Robot, scene: Scene, motion: Motion) -> None:
     global _plant
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's, which ends this one
+    if sys.platform == "linux" and (parent := multiprocessing.parent_process()) is not None:
+        die_with_parent(parent.pid or 0)
     _plant = Plant(robot, scene, motion)
 
 
@@ -287,10 +292,22 @@ class Replays:
             self._pool = ProcessPoolExecutor(processes, context, _begin, (robot, scene, motion))
 
     def __call__(self, changes: Sequence[Change]) -> list[Float64]:
-        """Return what `Plant.replayed` returns for each change."""
+        """Return what `Plant.replayed` returns for each change.
+
+        Raises:
+            Interrupted: a signal asked to end; call it within `SIGNALS.guard`.
+        """
+        found = []
         if self._pool is None:
-            return [self.plant.replayed(change) for change in changes]
-        return list(self._pool.map(_work, changes))
+            for change in changes:
+                SIGNALS.check()
+                found.append(self.plant.replayed(change))
+            return found
+        for future in [self._pool.submit(_work, change) for change in changes]:
+            while not wait([future], timeout=0.2).done:
+                SIGNALS.check()
+            found.append(future.result())
+        return found
 
     def __enter__(self) -> Replays:
         return self
