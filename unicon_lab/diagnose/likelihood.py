@@ -7,10 +7,12 @@ Hinkley 1974, section 9.3),
 
     log L = -W/2 · Σ_c log det C_c,    C_c = Σ_w r_wc r_wcᵀ / W,
 
-of W windows and channels c. Channels are not independent, nor are windows that follow each other:
-it is a composite likelihood, whose ratios are κ times too large with κ = tr(H⁻¹J)/p of curvature H
-and scatter J of the windows' slopes, and whose intervals come from H⁻¹JH⁻¹ (Varin, Reid and Firth
-2011). J counts the correlation of windows up to two apart (Newey and West 1987).
+of W windows and channels c. A window's ticks are described by at most four polynomials of time, so
+that W windows are enough to estimate C: with ten ticks and 13 windows, any change gains. Channels
+are not independent, nor are windows that follow each other: it is a composite likelihood, whose
+ratios are κ times too large with κ = tr(H⁻¹J)/p of curvature H and scatter J of the windows'
+slopes, and whose intervals come from H⁻¹JH⁻¹ (Varin, Reid and Firth 2011). J counts the correlation
+of windows up to two apart (Newey and West 1987).
 """
 
 from __future__ import annotations
@@ -21,6 +23,8 @@ import numpy as np
 
 from unicon_base.arrays import Float64
 
+SHAPES = 4
+"""Polynomials that describe a window, at most; fewer where there are less than six windows each."""
 SHRUNK = 0.05
 """Part of a covariance that is drawn to its diagonal: few windows tell it."""
 ROUNDS = 8
@@ -52,6 +56,10 @@ class Likelihood:
     """
 
     def __init__(self, left: Float64) -> None:
+        windows, ticks = left.shape[:2]
+        shapes = max(min(SHAPES, ticks, windows // 6), 1)
+        powers = np.vander(np.linspace(0.0, 1.0, ticks), shapes, increasing=True)
+        self._shapes = np.linalg.qr(powers)[0]
         size = np.sqrt((left**2).mean(axis=1))
         size = np.minimum(size / (np.median(size, axis=0) + 1e-12), 10.0)
         size = np.sqrt((size**2).mean(axis=1))
@@ -61,7 +69,12 @@ class Likelihood:
 
     def log(self, left: Float64) -> float:
         """Return the concentrated log-likelihood of what is left, shape (w, l, m)."""
-        return float(-0.5 * self.count * np.linalg.slogdet(self._covariance(left))[1].sum())
+        covariance = self._covariance(self._described(left))
+        return float(-0.5 * self.count * np.linalg.slogdet(covariance)[1].sum())
+
+    def _described(self, values: Float64) -> Float64:
+        """Return values of windows, shape (w, l, …), by polynomials of time, shape (w, k, …)."""
+        return np.asarray(np.einsum("lk,wl...->wk...", self._shapes, values))
 
     def _covariance(self, left: Float64) -> Float64:
         """Return the covariance over ticks of each channel, shape (m, l, l)."""
@@ -81,7 +94,8 @@ class Likelihood:
             slopes: derivatives of the answers by each change, shape (w, l, m, p).
             usual: standard deviation of each change beforehand, shape (p,).
         """
-        size = np.zeros(slopes.shape[-1])
+        gain, size = -self.log(left), np.zeros(slopes.shape[-1])
+        left, slopes = self._described(left), self._described(slopes)
         for _ in range(ROUNDS):
             inverse = np.linalg.inv(self._covariance(left - slopes @ size))
             weighted = np.einsum("clk,wkcp,w->wlcp", inverse, slopes, self._weights, optimize=True)
@@ -91,13 +105,14 @@ class Likelihood:
             if np.allclose(size, before, rtol=1e-3, atol=1e-9):
                 break
         after = left - slopes @ size
+        last = self._covariance(after)
         each = np.einsum("wlcp,wlc->wp", weighted, after)
         inverse = np.linalg.inv(curvature)
         scatter = _scatter(each)
         return Fitted(
             size=size,
             spread=inverse @ (scatter + np.diag(usual**-2.0)) @ inverse,
-            gain=self.log(after) - self.log(left),
+            gain=gain - 0.5 * self.count * float(np.linalg.slogdet(last)[1].sum()),
             kappa=float(np.trace(inverse @ scatter) / len(size)),
         )
 
