@@ -75,9 +75,7 @@ def diagnose(
     for contract in [None] if contracts is None else contracts:
         found, more = contract_causes(record, where, contract, tell)
         causes, notes = causes + found, notes + more
-    motion = _thinned(motion_of(record, where, window), robot)
-    if hung:
-        motion, scene = motion.hung_up(), replace(scene, gantry=True, initial_height=HUNG_HEIGHT)
+    motion, scene = _motion(record, where, window, hung, robot, scene)
     if untold := _untold(record, motion):
         return Diagnosis(tuple(causes), (*notes, untold))
     if not motion.has_base:
@@ -113,6 +111,16 @@ def _untold(record: Record, motion: Motion) -> str:
             "not measured; record excite of the robot hung up or with a fixed base, and say --hung"
         )
     return ""
+
+
+def _motion(
+    record: Record, where: str, window: float, hung: bool, robot: Robot, scene: Scene
+) -> tuple[Motion, Scene]:
+    """Return the motion of a record, and the scene in which it is replayed."""
+    motion = _thinned(motion_of(record, where, window), robot)
+    if not hung:
+        return motion, scene
+    return motion.hung_up(), replace(scene, gantry=True, initial_height=HUNG_HEIGHT)
 
 
 def _thinned(motion: Motion, robot: Robot) -> Motion:
@@ -250,16 +258,14 @@ def fit_record(
     which = sorted({i for pattern in joints for i in joints_like(pattern, robot)})
     if not which or not words:
         raise UniconError("nothing to estimate; name joints and parameters")
-    motion = _thinned(motion_of(record, where, window), robot)
-    if hung:
-        motion, scene = motion.hung_up(), replace(scene, gantry=True, initial_height=HUNG_HEIGHT)
+    motion, scene = _motion(record, where, window, hung, robot, scene)
     if untold := _untold(record, motion):
         raise UniconError(f"{where}: {untold}")
     held = np.arange(len(motion.starts)) % HELD_OUT == HELD_OUT - 1
     seen = replace(motion, starts=motion.starts[~held])
     apart = replace(motion, starts=motion.starts[held])
     others = [kind for kind in KINDS if not KINDS[kind].each]
-    places = _places(motion, robot, which, words) + _places(motion, robot, (), others)
+    places = _places(motion, robot, which, words)
     places += [(kind, -1) for kind in others if motion.has_base or kind not in OF_BASE]
     with SIGNALS.guard(), Replays(robot, scene, seen, _processes(processes)) as replays:
         found = Search(seen, list(dict.fromkeys(places)), replays.plant.limbs, replays, tell).go()

@@ -69,16 +69,12 @@ KINDS = {
     "viscous friction": Kind("N·m·s/rad", 0.1, 1.0, 0.05, -5.0, 20.0, 1.0, True),
     "armature": Kind("kg·m²", 0.004, 0.02, 0.003, -0.5, 0.5, 1.0, True, _joint("armature")),
     "encoder offset": Kind("rad", 0.01, 0.05, 0.01, -0.5, 0.5, 2.0, True),
-    "payload": Kind(
-        "kg", 0.5, 3.0, 0.3, -50.0, 100.0, 4.0, False, "scene: {{payload: {{mass: {size:.3g}}}}}"
-    ),
+    "payload": Kind("kg", 0.5, 3.0, 0.3, -50.0, 100.0, 4.0, False, _PAYLOAD),
     "centre of mass x": Kind("kg·m", 0.1, 0.3, 0.03, -20.0, 20.0, 1.0),
     "centre of mass y": Kind("kg·m", 0.1, 0.3, 0.03, -20.0, 20.0, 1.0),
     "centre of mass z": Kind("kg·m", 0.2, 0.3, 0.1, -20.0, 20.0, 0.5),
     "inertia": Kind("", 0.2, 0.5, 0.2, -0.9, 20.0, 0.5),
-    "ground friction": Kind(
-        "", -0.3, 0.5, 0.15, -0.97, 4.0, 2.0, False, "scene: {{contact_friction: {after:.3g}}}"
-    ),
+    "ground friction": Kind("", -0.3, 0.5, 0.15, -0.97, 4.0, 2.0, False, _GROUND),
     "stiffness": Kind("", 0.05, 0.3, 0.05, -0.95, 5.0, 1.0),
     "damping": Kind("", 0.1, 0.5, 0.1, -0.95, 10.0, 1.0),
     "gyro bias x": Kind("rad/s", 0.02, 0.05, 0.01, -1.0, 1.0, 0.7),

@@ -41,19 +41,8 @@ OURS = {
 }
 ORDER = (
     *("run", "check", "preflight", "emulate", "schema", "show", "states", "bag", "replay"),
-    *(
-        "diagnose",
-        "analyze",
-        "transfer",
-        "sweep",
-        "view",
-        "bench",
-        "known",
-        "assets",
-        "latches",
-        "doctor",
-    ),
-    *("talk", "report_run"),
+    *("diagnose", "analyze", "transfer", "sweep", "view", "bench", "known", "assets"),
+    *("latches", "doctor", "talk", "report_run"),
 )
 """Commands as their list has them; those of other packages come behind."""
 

@@ -2,8 +2,8 @@
 
 `deadline` and `state` tick freely or with the states of a robot behind topics. `joints` and `nth`
 hear no IMU, like the strongest plain controllers; `nth` ticks with each n-th state, at the rate of
-commands. `local` is control on local state, ROS only a mirror: the whole
-core, on memory. `h1:state` and `h1:deadline` control a robot behind Unitree's DDS.
+commands. `local` is control on local state, ROS only a mirror: the whole core, on memory.
+`h1:state` and `h1:deadline` control a robot behind Unitree's DDS.
 """
 
 from __future__ import annotations
