@@ -69,7 +69,8 @@ def die_with_parent(parent: int = 0) -> None:
     """
     ctypes.CDLL(None).prctl(SET_PARENT_DEATH_SIGNAL, signal.SIGKILL, 0, 0, 0)
     now = os.getppid()
-    if now != parent if parent else now == 1 != _IMPORTED_IN:  # it has died before
+    died_before = now != parent if parent else now == 1 and _IMPORTED_IN != 1
+    if died_before:
         os._exit(1)
 
 

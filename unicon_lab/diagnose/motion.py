@@ -9,6 +9,7 @@ import numpy as np
 
 from unicon_base.arrays import Array, Bool, Float64, Int64
 from unicon_base.errors import UniconError
+from unicon_core.platforms.kit.base import rotation
 from unicon_core.platforms.kit.disturbances import PLACE
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_lab.recording import Record
@@ -24,12 +25,9 @@ BASE_ANSWERS = ("gravity x", "gravity y", "turn rate x", "turn rate y", "turn ra
 
 
 def gravity_xy(quat: Array) -> Float64:
-    """Return x and y of unit gravity in the base frame of attitudes (wxyz), shape (…, 2).
-
-    The third row of the rotation matrix, negated.
-    """
-    w, x, y, z = np.moveaxis(np.asarray(quat, np.float64), -1, 0)
-    return np.stack((2.0 * (w * y - x * z), -2.0 * (y * z + w * x)), axis=-1)
+    """Return x and y of unit gravity in the base frame of attitudes (wxyz), shape (…, 2)."""
+    gravity: Float64 = -rotation(quat)[..., 2, :2]
+    return gravity
 
 
 @dataclass(frozen=True, eq=False)
