@@ -211,6 +211,18 @@ def test_a_response_is_kept_until_its_client_can_hear_it(answering: Any) -> None
     assert answering.sent == ["answer", "at once"]
 
 
+def test_a_pause_sends_kept_responses_too(answering: Any) -> None:
+    """No tick comes in a pause: a call of ~/step went unanswered."""
+    server = SlackServer(None, list[str]().append)
+    server.responses.watch(answering.node)
+    answering.service.send_response("answer", None)
+    server.spin(0.0)
+    assert answering.sent == []
+    answering.readers.append("client")
+    server.spin(0.0)
+    assert answering.sent == ["answer"]
+
+
 def test_a_response_to_a_client_that_left_is_dropped(
     answering: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

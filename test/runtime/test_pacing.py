@@ -18,6 +18,7 @@ import pytest
 
 from unicon_base.errors import UniconError
 from unicon_base.schema.read import read_value
+from unicon_core import pacing
 from unicon_core.runtime import Pacing, Runner, RunOptions, WallClock, prepare_process
 from unicon_core.runtime.ticker import Ticker
 from unicon_core.workflow import load_workflow
@@ -163,6 +164,31 @@ def test_the_clock_never_returns_before_the_deadline() -> None:
     for ahead in (-1_000_000, 0, 20_000, 300_000, 2_000_000):
         due = time.perf_counter_ns() + ahead
         assert clock.until(due) >= due
+
+
+def test_a_long_sleep_wakes_once_before_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A core that was idle for long wakes late; one that was idle for 300 µs does not."""
+    present, slept = 0, list[int]()
+
+    def sleep(seconds: float) -> None:
+        nonlocal present
+        slept.append(round(seconds * 1e9))
+        present += slept[-1]
+
+    def now() -> int:
+        nonlocal present
+        present += 100
+        return present
+
+    monkeypatch.setattr(pacing.time, "sleep", sleep)
+    monkeypatch.setattr(pacing.time, "perf_counter_ns", now)
+    clock = WallClock(100_000)
+    clock.until(2_000_000)
+    assert len(slept) == 2
+    assert slept[1] == pytest.approx(pacing.FIRST_WAKE_NS, abs=1000)
+    slept.clear()
+    clock.until(present + 500_000)
+    assert len(slept) == 1
 
 
 WORKFLOW = """\

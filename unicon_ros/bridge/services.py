@@ -350,6 +350,7 @@ class SlackServer:
     def spin(self, timeout: float) -> None:
         """Serve one callback, waiting up to `timeout` in [s]: while ticks are paused."""
         self._call_found()
+        self.responses.retry()
         try:
             if self._executor is None:
                 time.sleep(timeout)
