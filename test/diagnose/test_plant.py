@@ -20,7 +20,8 @@ from unicon_core.states.standard import COMMAND_STATES
 from unicon_lab.diagnose.diagnosis import Fit, Parameter, overlay_text
 from unicon_lab.diagnose.likelihood import Likelihood
 from unicon_lab.diagnose.motion import Motion
-from unicon_lab.diagnose.plant import KINDS, Place, Replays
+from unicon_lab.diagnose.plant import KINDS, Place
+from unicon_lab.diagnose.replays import Replays
 from unicon_lab.diagnose.search import Found, Search
 
 GO2 = load_robot("go2")

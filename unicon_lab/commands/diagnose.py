@@ -7,11 +7,11 @@ import json
 import math
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from unicon_base.errors import UniconError
-from unicon_core.page import write_file
-from unicon_ros.cli.console import note, print_table
+from unicon_core.page import plain, write_file
+from unicon_ros.cli.console import Console, print_table
 from unicon_ros.cli.options import argument, command, flag, positive
 
 if TYPE_CHECKING:
@@ -34,29 +34,32 @@ def _diagnose(arguments: argparse.Namespace) -> int:
     if arguments.workflow:
         document = load_document(arguments.workflow)
         contracts = [*load_policies(document, load_robot_of(document)).values()]
-    found = diagnose(
-        record,
-        path.name,
-        contracts=contracts,
-        robot=load_robot(arguments.robot) if arguments.robot else None,
-        hung=arguments.hung,
-        window=arguments.window,
-        processes=arguments.processes,
-        tell=lambda text: note(f"unicon diagnose: {text}"),
-    )
+    console = Console()
+
+    def tell(text: str, share: float | None = None) -> None:
+        if share is None:
+            console.say(f"diagnose: {text}")
+        elif console.due(0.2) and not arguments.quiet:
+            console.status({text: f"[{'#' * round(20 * share):20}] {share:.0%}"})
+
+    try:
+        found = diagnose(
+            record,
+            path.name,
+            contracts=contracts,
+            robot=load_robot(arguments.robot) if arguments.robot else None,
+            reference=open_record(arguments.reference) if arguments.reference else None,
+            hung=arguments.hung,
+            window=arguments.window,
+            processes=arguments.processes,
+            tell=tell,
+        )
+    finally:
+        console.close()
     if arguments.json:
-        write_file(Path(arguments.json), json.dumps(_plain(asdict(found)), indent=1).encode())
+        write_file(Path(arguments.json), json.dumps(plain(asdict(found)), indent=1).encode())
     _print(found)
     return 0 if found.complete else 130
-
-
-def _plain(value: Any) -> Any:
-    """Return a value with null in place of NaN, which JSON does not have."""
-    if isinstance(value, dict):
-        return {key: _plain(each) for key, each in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(each) for each in value]
-    return None if isinstance(value, float) and math.isnan(value) else value
 
 
 def _print(found: Diagnosis) -> None:
@@ -97,6 +100,11 @@ add = command(
     argument("record", "RECORD", "record (.mcap) of the robot"),
     argument(
         "workflow", "WORKFLOW", "whose contract should have made it (default: its own)", nargs="?"
+    ),
+    argument(
+        "--reference",
+        "RECORD",
+        "of the same robot without the trouble: what both lack is no cause",
     ),
     argument("--robot", "ROBOT", "its file (default: the record's)"),
     flag("--hung", "the robot hung in the air, or its base was fixed"),

@@ -40,14 +40,14 @@ _SIZES = (100, 200, 500, 1000, 2000, 4000)  # ticks that are tried
 _FINAL = 12  # hypotheses that are tried over more ticks
 _MOST = 5  # causes that are returned
 _RIGHT = "for this record; correct what is not as in training"
-Tell = Callable[[str], object]
+Tell = Callable[..., object]
 
 
 def contract_causes(
     record: Record,
     where: str,
     contract: PolicyContract | None = None,
-    tell: Tell = lambda text: None,
+    tell: Tell = bool,
 ) -> tuple[list[Cause], list[str]]:
     """Say in what the contract that made a record differs from the given one.
 
@@ -55,7 +55,7 @@ def contract_causes(
         record: of a run of one robot.
         where: what messages call the record.
         contract: the given one; None for those of the recorded workflow, as their files are now.
-        tell: takes a line of progress.
+        tell: takes what is examined, and the share of it that is done.
 
     Returns:
         The causes, the most probable first, and what could not be examined. Probabilities are
@@ -146,8 +146,7 @@ def _examined(played: OpenLoop, label: str, tell: Tell) -> tuple[list[Cause], li
 
     tried, left = list(hypotheses(played, own, changes)), list[float]()
     for i, each in enumerate(tried):
-        if i % 20 == 0:
-            tell(f"{label}: contract {i + 1} of {len(tried)}")
+        tell(f"{label}: contracts", i / len(tried))
         left.append(played.residual(each, enough(0)))
     ticks = enough(500)
     before = float(np.sqrt(squares[:ticks].mean()))

@@ -7,6 +7,7 @@ for cause in found.causes:
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -25,7 +26,8 @@ from unicon_core.signals import SIGNALS, Interrupted
 from unicon_lab.diagnose import Cause, Diagnosis, name_of
 from unicon_lab.diagnose.contract import contract_causes
 from unicon_lab.diagnose.motion import HUNG_HEIGHT, Motion, motion_of
-from unicon_lab.diagnose.plant import KINDS, OF_BASE, Place, Replays
+from unicon_lab.diagnose.plant import KINDS, OF_BASE, Place
+from unicon_lab.diagnose.replays import Replays
 from unicon_lab.diagnose.search import Found, Search
 from unicon_lab.recording import Record
 from unicon_lab.replay.workflow import recorded_workflow, robot_of
@@ -37,11 +39,8 @@ long."""
 HELD_OUT = 4
 """Every fourth window is left out of `fit_record`, and tells whether the fit holds."""
 
-Tell = Callable[[str], None]
-
-
-def _quiet(text: str) -> None:
-    """Take a line of progress, and say nothing."""
+Tell = Callable[..., object]
+"""Takes a line of progress; with a share from 0 to 1, how much of that is done."""
 
 
 def diagnose(
@@ -50,10 +49,11 @@ def diagnose(
     *,
     contracts: Sequence[PolicyContract] | None = None,
     robot: Robot | None = None,
+    reference: Record | None = None,
     hung: bool = False,
     window: float = 0.2,
     processes: int = 0,
-    tell: Tell = _quiet,
+    tell: Tell = lambda *_: None,
 ) -> Diagnosis:
     """Return what differs from the contract, then the causes in the plant.
 
@@ -62,13 +62,15 @@ def diagnose(
         where: the record's name, for messages.
         contracts: that are given; None for those of the recorded workflow, as their files are now.
         robot: whose simulator is compared; None for the record's.
+        reference: of the same robot without the trouble: what its simulator lacks in both is no
+            cause. None where the simulator is like the healthy robot.
         hung: the robot hung in the air, or its base was fixed.
         window: of a replay in [s].
         processes: at once; 0 for as many as there are cores.
-        tell: takes lines of progress.
+        tell: takes lines of progress, and the share that is done of what a line says.
 
     Raises:
-        UniconError: the record lacks something, or is of another robot.
+        UniconError: a record lacks something, or is of another robot.
     """
     robot, scene = _simulated(record, where, robot)
     causes, notes = list[Cause](), list[str]()
@@ -76,41 +78,66 @@ def diagnose(
         found, more = contract_causes(record, where, contract, tell)
         causes, notes = causes + found, notes + more
     motion, scene = _motion(record, where, window, hung, robot, scene)
-    if untold := _untold(record, motion):
-        return Diagnosis(tuple(causes), (*notes, untold))
-    if not motion.has_base:
-        notes.append(_NO_BASE)
+    healthy = None
+    if reference is not None:
+        _simulated(reference, "the reference", robot)
+        healthy, _ = _motion(reference, "the reference", window, hung, robot, scene)
+        if healthy.has_base != motion.has_base:
+            raise UniconError(
+                f"one of {where} and the reference has no base_quat and base_ang_vel; record both"
+            )
+    plant = plant_causes(motion, robot, scene, healthy, processes, tell)
+    return replace(plant, causes=(*causes, *plant.causes), notes=(*notes, *plant.notes))
+
+
+def plant_causes(
+    motion: Motion,
+    robot: Robot,
+    scene: Scene,
+    healthy: Motion | None = None,
+    processes: int = 0,
+    tell: Tell = lambda *_: None,
+) -> Diagnosis:
+    """Return the causes in the plant alone.
+
+    Args:
+        motion: of the robot.
+        robot: whose simulator is compared.
+        scene: in which it is simulated.
+        healthy: motion of the same robot without the trouble, or None.
+        processes, tell: as of `diagnose`.
+    """
+    notes = [] if motion.has_base else [_NO_BASE]
     places = _places(motion, robot, range(robot.num_joints), KINDS)
-    with SIGNALS.guard(), Replays(robot, scene, motion, _processes(processes)) as replays:
-        search = Search(motion, places, replays.plant.limbs, replays, tell)
+    found, own, count = Found(), dict[str, Float64](), _processes(processes)
+    base, wider = dict[Place, float](), 1.0
+    with SIGNALS.guard():
         try:
-            search.go()
+            if healthy is not None:
+                progress = _share(tell, "the reference")
+                with Replays(robot, scene, healthy, count, progress) as replays:
+                    limbs = replays.plant.limbs
+                    base = Search(healthy, places, limbs, replays, tell).level()
+                wider = math.sqrt(1.0 + len(motion.starts) / len(healthy.starts))
+            with Replays(robot, scene, motion, count, _share(tell, "the plant")) as replays:
+                replays.base, own = base, replays.plant.own
+                search = Search(motion, places, replays.plant.limbs, replays, tell, wider)
+                found = search.found
+                search.go()
         except Interrupted:
             notes.append("interrupted: causes that come later are not known")
-        plant, own = search.found, replays.plant.own
-    causes += [_cause(plant, place, alike, robot, own) for place, alike in plant.causes]
-    return Diagnosis(tuple(causes), tuple(notes), len(motion.starts), plant.complete)
+    causes = (_cause(found, place, alike, robot, own) for place, alike in found.causes)
+    return Diagnosis(tuple(causes), tuple(notes), len(motion.starts), found.complete)
+
+
+def _share(tell: Tell, what: str) -> Callable[[float], None]:
+    return lambda share: tell(what, share)
 
 
 _NO_BASE = (
     "attitude and turn rate of the base were not recorded: payload, centre of mass, inertia, gyro "
     "and IMU mounting are not examined"
 )
-
-
-def _untold(record: Record, motion: Motion) -> str:
-    """Return why a record cannot tell anything of the plant, "" where it can.
-
-    A walk whose velocity is estimated from the legs is off by 0.1 to 0.25 m/s at the beginning of a
-    window: a healthy robot then has weak motors, surely.
-    """
-    estimated = "base_lin_vel_variance" in record.layout.slots
-    if motion.has_base and ("base_lin_vel" not in motion.measured or estimated):
-        return (
-            "the plant cannot be told from this record: the base moves and its base_lin_vel was "
-            "not measured; record excite of the robot hung up or with a fixed base, and say --hung"
-        )
-    return ""
 
 
 def _motion(
@@ -229,7 +256,7 @@ def fit_record(
     joints: Sequence[str] = ("*",),
     window: float = 0.2,
     processes: int = 0,
-    tell: Tell = _quiet,
+    tell: Tell = lambda *_: None,
 ) -> tuple[Fit, str]:
     """Estimate parameters of joints from a record; return the fit and the text of a robot overlay.
 
@@ -259,8 +286,6 @@ def fit_record(
     if not which or not words:
         raise UniconError("nothing to estimate; name joints and parameters")
     motion, scene = _motion(record, where, window, hung, robot, scene)
-    if untold := _untold(record, motion):
-        raise UniconError(f"{where}: {untold}")
     held = np.arange(len(motion.starts)) % HELD_OUT == HELD_OUT - 1
     seen = replace(motion, starts=motion.starts[~held])
     apart = replace(motion, starts=motion.starts[held])

@@ -53,13 +53,17 @@ class Likelihood:
 
     Args:
         left: without any change, shape (w, l, m).
+        unknown: derivatives of the answers by what is unknown of each window, shape (w, l, m, q);
+            what they could explain is left out.
     """
 
-    def __init__(self, left: Float64) -> None:
+    def __init__(self, left: Float64, unknown: Float64 | None = None) -> None:
         windows, ticks = left.shape[:2]
         shapes = max(min(SHAPES, ticks, windows // 6), 1)
         powers = np.vander(np.linspace(0.0, 1.0, ticks), shapes, increasing=True)
         self._shapes = np.linalg.qr(powers)[0]
+        self._scale = np.median(np.abs(left), axis=(0, 1)) + 1e-9
+        self.leave_out(unknown)
         size = np.sqrt((left**2).mean(axis=1))
         size = np.minimum(size / (np.median(size, axis=0) + 1e-12), 10.0)
         size = np.sqrt((size**2).mean(axis=1))
@@ -72,9 +76,23 @@ class Likelihood:
         covariance = self._covariance(self._described(left))
         return float(-0.5 * self.count * np.linalg.slogdet(covariance)[1].sum())
 
+    def leave_out(self, unknown: Float64 | None) -> None:
+        """Leave out what unknowns of a window could explain, shape (w, l, m, q)."""
+        self._unknown: Float64 | None = None
+        if unknown is not None:
+            parts = np.einsum("lk,wlmq->wkmq", self._shapes, unknown / self._scale[:, None])
+            flat = parts.reshape(len(parts), -1, parts.shape[-1])
+            self._unknown = np.linalg.qr(flat)[0]
+
     def _described(self, values: Float64) -> Float64:
-        """Return values of windows, shape (w, l, …), by polynomials of time, shape (w, k, …)."""
-        return np.asarray(np.einsum("lk,wl...->wk...", self._shapes, values))
+        """Return values of windows, shape (w, l, m, …), by polynomials of time, (w, k, m, …)."""
+        found = np.asarray(np.einsum("lk,wl...->wk...", self._shapes, values))
+        if self._unknown is None:
+            return found
+        scale = self._scale.reshape(-1, *[1] * (found.ndim - 3))
+        flat = (found / scale).reshape(len(found), self._unknown.shape[1], -1)
+        flat = flat - self._unknown @ (self._unknown.transpose(0, 2, 1) @ flat)
+        return np.asarray(flat.reshape(found.shape) * scale)
 
     def _covariance(self, left: Float64) -> Float64:
         """Return the covariance over ticks of each channel, shape (m, l, l)."""

@@ -82,6 +82,8 @@ class Motion:
         for name in PLACE[2:]:  # a state without any change was not measured
             if name in measured and np.ptp(measured[name], axis=0).max(initial=0.0) == 0.0:
                 del measured[name]
+        if "base_lin_vel" not in measured:  # where the base is, is found with its velocity
+            measured.pop("base_pos_w", None)
         commands = {name: states[name] for name in COMMAND_STATES}
         good = usable & ~_fallen(states)
         for values in (*measured.values(), *commands.values()):
@@ -111,6 +113,11 @@ class Motion:
         """Whether attitude and turn rate of a base were measured."""
         names = "base_quat", "base_ang_vel"
         return not self.hung and all(name in self.measured for name in names)
+
+    @property
+    def sought(self) -> bool:
+        """Whether the base's velocity at the beginning of windows is to be found."""
+        return self.has_base and "base_lin_vel" not in self.measured
 
     def hung_up(self) -> Motion:
         """Return the same run of a robot whose base is held upright at `HUNG_HEIGHT`."""
@@ -161,7 +168,8 @@ def motion_of(record: Record, where: str, window: float = 0.2) -> Motion:
     if period > 1.0:
         raise UniconError(f"{where} ticks every {period:g} s; a fit needs ticks of at most 1 s")
     names = (*PLACE, *COMMAND_STATES, "projected_gravity")
-    states = {n: record.states(n) for n in names if n in layout.slots}
+    estimated = {"base_lin_vel"} if "base_lin_vel_variance" in layout.slots else set[str]()
+    states = {n: record.states(n) for n in names if n in layout.slots and n not in estimated}
     ticks = np.asarray(record.ticks)
     usable = np.asarray(record.ended, np.bool_).copy()
     usable[1:] &= np.diff(ticks) == 1

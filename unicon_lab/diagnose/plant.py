@@ -6,26 +6,22 @@ replay begins each window where the robot was measured and repeats the recorded 
 
 from __future__ import annotations
 
-import multiprocessing
-import signal
-import sys
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, wait
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from unicon_base.arrays import Array, Float64, Int64
-from unicon_base.errors import Fault, PlatformError
+from unicon_base.errors import Fault, ModelError, PlatformError
+from unicon_core.models.feet import Feet
 from unicon_core.models.loaded import LoadedModel, import_mujoco
+from unicon_core.platforms.kit.base import rotation
 from unicon_core.platforms.kit.disturbances import Beside
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.robots import Robot
 from unicon_core.robots.load import joint_physics
-from unicon_core.signals import SIGNALS
 from unicon_lab.diagnose.motion import Motion, gravity_xy
-from unicon_ros.process_exit import die_with_parent
 
 
 @dataclass(frozen=True)
@@ -125,21 +121,29 @@ class Plant:
         """What the simulator has of each joint without a change, shape (n,)."""
         self.limbs = _limbs(platform._loaded)
         """The limb that each joint belongs to, shape (n,)."""
+        self._feet = _feet(platform._loaded, robot) if motion.sought else None
         self._offset = np.zeros(robot.num_joints)
         self._gains = np.ones(2)
         self._bias, self._tilt = np.zeros(3), np.zeros(3)
 
-    def replayed(self, change: Change) -> Float64:
-        """Return the answers of a motion's windows with a change; see `Motion.answers`."""
+    def replayed(self, change: Change, begins: Float64 | None = None) -> Float64:
+        """Return the answers of a motion's windows with a change; see `Motion.answers`.
+
+        Args:
+            change: of the plant.
+            begins: the base's velocity in its frame [m/s] and its height over the lowest one [m] at
+                the beginning of each window, shape (w, 4); None where they were measured.
+        """
         self._apply(change)
         motion, base = self._motion, self._motion.has_base
         found = np.empty_like(motion.answers)
         states = self._beside.states
         for window, start in enumerate(motion.starts):
             try:
-                self._put(start)
+                begin = None if begins is None else begins[window]
+                self._put(start, begin)
                 self._beside.step(self._commands(start - 1))
-                self._put(start)
+                self._put(start, begin)
                 for tick in range(motion.length):
                     row = found[window, tick]
                     n = len(self._offset)
@@ -157,14 +161,36 @@ class Plant:
         """Let go of the simulator."""
         self._beside.close()
 
-    def _put(self, start: int) -> None:
+    def carried(self) -> Float64:
+        """Return the base's velocity by its lowest foot, as a guess of `begins`; shape (w, 4).
+
+        That foot is taken to stand still.
+        """
+        found = np.zeros((len(self._motion.starts), 4))
+        if self._feet is None:
+            return found
+        for row, start in zip(found, self._motion.starts):
+            at = {name: values[start] for name, values in self._motion.measured.items()}
+            self._feet(
+                *(at[n] for n in ("base_quat", "base_ang_vel", "joint_pos", "joint_vel")), None
+            )
+            lowest = self._feet.position[:, 2].argmin()
+            row[:3] = -self._feet.velocity[lowest] @ rotation(at["base_quat"])
+        return found
+
+    def _put(self, start: int, begin: Float64 | None) -> None:
         put = {name: values[start] for name, values in self._motion.measured.items()}
         put["joint_pos"] = put["joint_pos"] - self._offset
         if "base_ang_vel" in put:
             put["base_ang_vel"] = put["base_ang_vel"] - self._bias
         if "base_quat" in put:
             put["base_quat"] = _turned(put["base_quat"], -self._tilt)
+        if begin is not None:
+            put["base_lin_vel"] = begin[:3]
         self._beside.put(put)
+        if begin is not None:
+            base = self._platform.data.qpos[self._platform.model.jnt_qposadr[self.base] :][:3]
+            self._beside.put({"base_pos_w": base + np.array((0.0, 0.0, begin[3]))})
 
     def _commands(self, row: int) -> dict[str, Array]:
         sent = {name: values[row] for name, values in self._motion.commands.items()}
@@ -211,6 +237,13 @@ class Plant:
         mujoco.mj_setConst(model, mujoco.MjData(model))
 
 
+def _feet(loaded: LoadedModel, robot: Robot) -> Feet | None:
+    try:
+        return Feet(loaded, robot)
+    except ModelError:  # it names none
+        return None
+
+
 def _limbs(loaded: LoadedModel) -> Int64:
     model = loaded.model
     root = 0 if loaded.base is None else int(model.jnt_bodyid[loaded.base])
@@ -243,72 +276,3 @@ def _turned(quat: Array, angles: Float64) -> Float64:
             z + w * c + x * b - y * a,
         ]
     )
-
-
-_plant: Plant | None = None
-
-
-def _begin(robot: Robot, scene: Scene, motion: Motion) -> None:
-    global _plant
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's, which ends this one
-    if sys.platform == "linux" and (parent := multiprocessing.parent_process()) is not None:
-        die_with_parent(parent.pid or 0)
-    _plant = Plant(robot, scene, motion)
-
-
-def _work(change: Change) -> Float64:
-    assert _plant is not None
-    return _plant.replayed(change)
-
-
-class Replays:
-    """Replays with many changes; a context, which ends its processes.
-
-    Args:
-        robot: that is simulated.
-        scene: its model and joints.
-        motion: that is replayed.
-        processes: at once; 1 stays in this one.
-
-    Raises:
-        PlatformError: the simulator cannot be built.
-    """
-
-    def __init__(self, robot: Robot, scene: Scene, motion: Motion, processes: int) -> None:
-        self.plant = Plant(robot, scene, motion)
-        if motion.has_base and self.plant.base is None:
-            raise PlatformError(
-                f"{robot.name}: the record has a base that moves and the model has none; give "
-                "the model of the free robot"
-            )
-        self._pool: ProcessPoolExecutor | None = None
-        if processes > 1:
-            # Not forked: this process may have threads, of ROS or of a network's runtime.
-            context = multiprocessing.get_context("spawn")
-            self._pool = ProcessPoolExecutor(processes, context, _begin, (robot, scene, motion))
-
-    def __call__(self, changes: Sequence[Change]) -> list[Float64]:
-        """Return what `Plant.replayed` returns for each change.
-
-        Raises:
-            Interrupted: a signal asked to end; call it within `SIGNALS.guard`.
-        """
-        found = []
-        if self._pool is None:
-            for change in changes:
-                SIGNALS.check()
-                found.append(self.plant.replayed(change))
-            return found
-        for future in [self._pool.submit(_work, change) for change in changes]:
-            while not wait([future], timeout=0.2).done:
-                SIGNALS.check()
-            found.append(future.result())
-        return found
-
-    def __enter__(self) -> Replays:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.plant.close()
-        if self._pool is not None:
-            self._pool.shutdown(cancel_futures=True)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
@@ -27,12 +28,26 @@ ALIKE = 3.0
 """Log odds within which a record does not tell two causes apart: 20 to 1."""
 MOST = 4
 """Causes of one record."""
+HOPE = 1.5
+"""What a fit by derivatives promises is exceeded by at most so much."""
+HOPELESS = 5.0
+"""Log odds by which a candidate may lag behind what it needs, and is followed still."""
+LEVELLED = 2
+"""Steps by which a record without a cause is fitted."""
 BIAS = 0.01
 """Standard deviation of what noise at the beginning of windows biases, as a part of the size: walks
 of a Go2 gave 3.92 kg for 4, -0.296 for -0.3, 1.025 N·m for 1 and 7.96 ms for 8."""
 
-Run = Callable[[Sequence[Change]], list[Float64]]
-"""Replays changes; see `plant.Replays`."""
+
+class Run(Protocol):
+    """Replays changes; see `plant.Replays`."""
+
+    def __call__(self, changes: Sequence[Change]) -> list[Float64]: ...
+
+    def settle(self, change: Change) -> Float64 | None: ...
+
+    @property
+    def base(self) -> dict[Place, float]: ...
 
 
 @dataclass(eq=False)
@@ -91,6 +106,7 @@ class Search:
         limbs: of each joint, shape (n,).
         run: replays changes.
         tell: takes a line now and then.
+        wider: by which intervals are wider, for what they are compared with is uncertain too.
     """
 
     def __init__(
@@ -99,19 +115,40 @@ class Search:
         places: Sequence[Place],
         limbs: Int64,
         run: Run,
-        tell: Callable[[str], None],
+        tell: Callable[[str], object],
+        wider: float = 1.0,
     ) -> None:
+        self._wider = wider
         self._motion, self._places, self._run, self._tell = motion, places, run, tell
         self._limbs = limbs
         self._real = motion.answers
         self._slopes: dict[Place, Float64] = {}
         self.found = Found()
 
+    def level(self) -> dict[Place, float]:
+        """Return the change that explains this motion best, all places at once.
+
+        A record without a cause tells so what its plant has otherwise than the simulator.
+        """
+        usual = np.array([KINDS[kind].usual for kind, _ in self._places])
+        for _ in range(LEVELLED):
+            unknown = self._run.settle({})
+            (now,) = self._run([{}])
+            self._look(now)
+            left = self._real - now
+            slopes = np.stack([self._slopes[place] for place in self._places], axis=-1)
+            sizes = Likelihood(left, unknown).fit(left, slopes, usual).size
+            for place, size in zip(self._places, sizes):
+                kind, before = KINDS[place[0]], self._run.base.get(place, 0.0)
+                self._run.base[place] = float(np.clip(before + size, kind.low, kind.high))
+        return self._run.base
+
     def go(self) -> Found:
         """Search to the end; `found` has what there is when it is interrupted."""
         found = self.found
+        unknown = self._run.settle({})
         (now,) = self._run([{}])
-        self._likelihood = Likelihood(self._real - now)
+        self._likelihood = Likelihood(self._real - now, unknown)
         found.before = found.after = self._square(now)
         at: dict[Place, float] = {}
         self._look(now)
@@ -127,10 +164,14 @@ class Search:
                 weights[: 1 + len(alike)].sum() / (weights.sum() + math.exp(-min(best.odds, 700)))
             )
             at, now = best.change, best.answers
+            if unknown is not None:
+                unknown = self._run.settle(at)
+                self._likelihood.leave_out(unknown)
+                (now,) = self._run([at])
             found.change, found.after = at, self._square(now)
             assert best.fitted is not None
             biased = BIAS * np.array(list(at.values()))
-            halves = 1.96 * np.sqrt(np.diag(best.fitted.spread) + biased**2)
+            halves = 1.96 * self._wider * np.sqrt(np.diag(best.fitted.spread) + biased**2)
             found.deviation = dict(zip(at, map(float, halves)))
             self._tell(f"{best.place[0]}: log odds {best.odds:.0f}")
             idle = [place for place in at if self._idle(place)]
@@ -193,7 +234,8 @@ class Search:
         ]
         moving = candidates
         for _ in range(STEPS):
-            moving = [one for one in moving if self._fit(one)]
+            best_log = max((one.log for one in candidates), default=log)
+            moving = [one for one in moving if self._fit(one) and self._hopes(one, log, best_log)]
             self._step(moving)
         for one in candidates:
             self._fit(one)
@@ -210,6 +252,14 @@ class Search:
         every = np.stack(list(slopes.values()), axis=-1)
         one.fitted = self._likelihood.fit(self._real - one.answers, every, usual)
         return bool(np.any(np.abs(one.fitted.size) > 0.2 * np.sqrt(np.diag(one.fitted.spread))))
+
+    def _hopes(self, one: Candidate, before: float, best: float) -> bool:
+        """Return whether a candidate may still become a cause, or like the best one."""
+        assert one.fitted is not None
+        kappa = max(one.fitted.kappa, 1.0)
+        reached = one.log + HOPE * one.fitted.gain
+        cause = (reached - before) / kappa + self._price(one.place) > CLEAR - HOPELESS
+        return cause and (reached - best) / kappa > -HOPELESS
 
     def _step(self, moving: Sequence[Candidate]) -> None:
         """Move candidates by what was fitted, where that helps."""
