@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from unicon_base.arrays import Array, Float64, Int64
-from unicon_base.errors import Fault, ModelError, PlatformError
+from unicon_base.errors import Fault, ModelError
 from unicon_core.models.feet import Feet
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.platforms.kit.base import rotation

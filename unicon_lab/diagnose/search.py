@@ -40,7 +40,7 @@ of a Go2 gave 3.92 kg for 4, -0.296 for -0.3, 1.025 N·m for 1 and 7.96 ms for 8
 
 
 class Run(Protocol):
-    """Replays changes; see `plant.Replays`."""
+    """Replays changes; see `replays.Replays`."""
 
     def __call__(self, changes: Sequence[Change]) -> list[Float64]: ...
 
