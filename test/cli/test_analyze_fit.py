@@ -13,7 +13,7 @@ from unicon_base.errors import UniconError
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program, load_document
-from unicon_lab.diagnose.diagnosis import Fit, Parameter, fit_record
+from unicon_lab.diagnose.fit import Fit, Parameter, fit_record
 from unicon_lab.recording import open_record
 from unicon_ros.cli.main import main
 

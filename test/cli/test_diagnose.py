@@ -16,7 +16,8 @@ pytest.importorskip("mujoco")
 
 from unicon_base.errors import UniconError
 from unicon_lab.diagnose import Cause, Diagnosis
-from unicon_lab.diagnose.diagnosis import diagnose, fit_record
+from unicon_lab.diagnose.diagnosis import diagnose
+from unicon_lab.diagnose.fit import fit_record
 from unicon_lab.recording import open_record
 from unicon_ros.cli.main import main
 

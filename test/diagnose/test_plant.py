@@ -17,7 +17,7 @@ from unicon_core.platforms.kit.disturbances import PLACE
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.robots import load_robot
 from unicon_core.states.standard import COMMAND_STATES
-from unicon_lab.diagnose.diagnosis import Fit, Parameter, overlay_text
+from unicon_lab.diagnose.fit import Fit, Parameter, overlay_text
 from unicon_lab.diagnose.likelihood import Likelihood
 from unicon_lab.diagnose.motion import Motion
 from unicon_lab.diagnose.plant import KINDS, Place

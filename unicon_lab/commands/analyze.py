@@ -80,7 +80,7 @@ def _fit(arguments: argparse.Namespace, folder: Path) -> int:
     """
     from unicon_core.robots import load_robot
     from unicon_core.robots.load import JOINT_PHYSICS
-    from unicon_lab.diagnose.diagnosis import fit_record
+    from unicon_lab.diagnose.fit import fit_record
     from unicon_lab.recording import open_record
 
     if arguments.processes < 0:

@@ -7,15 +7,16 @@ import json
 import math
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from unicon_base.errors import UniconError
-from unicon_core.page import plain, write_file
+from unicon_core.drawing import INK, MARK, PALE, as_svg, curve, drawn, require
+from unicon_core.page import figure, findings, page, plain, refuse_unwritable, table, write_file
 from unicon_ros.cli.console import Console, print_table
 from unicon_ros.cli.options import argument, command, flag, positive
 
 if TYPE_CHECKING:
-    from unicon_lab.diagnose import Cause, Diagnosis
+    from unicon_lab.diagnose import Cause, Diagnosis, Shown
 
 
 def _diagnose(arguments: argparse.Namespace) -> int:
@@ -29,6 +30,10 @@ def _diagnose(arguments: argparse.Namespace) -> int:
 
     if arguments.processes < 0:
         raise UniconError(f"--processes is {arguments.processes}; give 1 or more")
+    for file in filter(None, (arguments.json, arguments.html)):
+        refuse_unwritable(Path(file))
+    if arguments.html:
+        require("unicon diagnose --html")
     path, contracts = Path(arguments.record), None
     record = open_record(path)
     if arguments.workflow:
@@ -58,8 +63,39 @@ def _diagnose(arguments: argparse.Namespace) -> int:
         console.close()
     if arguments.json:
         write_file(Path(arguments.json), json.dumps(plain(asdict(found)), indent=1).encode())
+    if arguments.html:
+        write_file(Path(arguments.html), _page(path.name, found).encode())
     _print(found)
     return 0 if found.complete else 130
+
+
+_HEADS = ("", "cause", "probability", "change", "95 % interval")
+
+
+def _page(name: str, found: Diagnosis) -> str:
+    """Return the page: what was found, each cause with its evidence as a drawing."""
+    rows = [_row(number, cause) for number, cause in enumerate(found.causes, 1)]
+    parts = [table(_HEADS, rows, words=True)] if rows else []
+    for number, cause in enumerate(found.causes, 1):
+        said = [f"{number}. {cause.name}", cause.evidence]
+        said += [f"The record does not tell it from {', '.join(cause.alike)}."] * bool(cause.alike)
+        parts.append(findings([*said, *[f"Remedy: {cause.remedy}"] * bool(cause.remedy)]))
+        if cause.shown is not None and (drawing := drawn(_evidence, cause.shown)):
+            parts.append(figure(cause.shown.signal, cause.name, as_svg(drawing, f"cause{number}")))
+    parts += [findings(found.notes)] if found.notes else []
+    title = found.causes[0].name if found.causes else "nothing found"
+    return page(f"{name}: {title}", f"unicon diagnose, {found.windows} windows", parts)
+
+
+def _evidence(figure: Any, shown: Shown) -> bool:
+    figure.set_size_inches(7.0, 2.6)
+    axes = figure.add_subplot()
+    curve(axes, shown.time, shown.record, INK, "record")
+    curve(axes, shown.time, shown.without, PALE, "without the cause")
+    curve(axes, shown.time, shown.with_it, MARK, "with the cause")
+    axes.set(xlabel="time [s]", ylabel=f"[{shown.unit}]")
+    axes.legend(loc="best")
+    return True
 
 
 def _print(found: Diagnosis) -> None:
@@ -68,8 +104,7 @@ def _print(found: Diagnosis) -> None:
         print(f"nothing found: no cause {ended} ({found.windows} windows)")
     else:
         rows = [_row(number, cause) for number, cause in enumerate(found.causes, 1)]
-        titles = ("", "cause", "probability", "change", "95 % interval")
-        print_table([titles, *rows], underlined=True)
+        print_table([_HEADS, *rows], underlined=True)
     for number, cause in enumerate(found.causes, 1):
         print(f"{number}. {cause.evidence}")
         if cause.alike:
@@ -110,5 +145,6 @@ add = command(
     flag("--hung", "the robot hung in the air, or its base was fixed"),
     argument("--window", "S", "of a replay (default: 0.2)", type=positive, default=0.2),
     argument("--json", "FILE", "write causes and notes as JSON"),
+    argument("--html", "FILE", "write a page with the evidence drawn"),
     argument("--processes", "N", "at once (default: one for each core)", type=int, default=0),
 )

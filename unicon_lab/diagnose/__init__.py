@@ -10,6 +10,25 @@ from typing import Literal
 
 
 @dataclass(frozen=True)
+class Shown:
+    """The signal that shows a cause most, in the window that shows it most.
+
+    Attributes:
+        signal: a joint, or one of `motion.BASE_ANSWERS`.
+        unit: of the values.
+        time: since the record's beginning in [s], shape (l,).
+        record, without, with_it: as recorded, and replayed without and with the cause, shape (l,).
+    """
+
+    signal: str
+    unit: str
+    time: list[float]
+    record: list[float]
+    without: list[float]
+    with_it: list[float]
+
+
+@dataclass(frozen=True)
 class Cause:
     """One cause that explains a record, or would.
 
@@ -24,6 +43,7 @@ class Cause:
         evidence: which signal shows it, and how much of its error this cause explains.
         remedy: what to change, as lines of the file where there is one.
         alike: names of causes that this record cannot tell from it.
+        shown: the evidence, where it is of the plant.
     """
 
     kind: str
@@ -37,6 +57,7 @@ class Cause:
     evidence: str = ""
     remedy: str = ""
     alike: tuple[str, ...] = ()
+    shown: Shown | None = None
 
     @property
     def name(self) -> str:

@@ -104,6 +104,14 @@ class Likelihood:
         np.einsum("cll->cl", shrunk)[...] += SHRUNK * diagonal + floor
         return np.asarray(shrunk)
 
+    def information(self, left: Float64, slopes: Float64) -> Float64:
+        """Return Fisher's information on changes, shape (p, p); arguments as of `fit`."""
+        inverse = np.linalg.inv(self._covariance(self._described(left)))
+        slopes = self._described(slopes)
+        return np.asarray(
+            np.einsum("clk,wkcp,wlcq,w->pq", inverse, slopes, slopes, self._weights, optimize=True)
+        )
+
     def fit(self, left: Float64, slopes: Float64, usual: Float64) -> Fitted:
         """Fit changes to what is left.
 

@@ -83,6 +83,8 @@ class Found:
         causes: each with those that a record does not tell from it, the more probable first.
         change: sizes of all causes, fitted together.
         deviation: half of the 95 % interval of each.
+        shown: window and channel of `Motion.answers` that show each cause most, and the answers
+            there without and with it, shape (2, l).
         before, after: mean square of what is left of the joints in [rad²], without and with it.
         probability: of each cause against all that were followed, and none.
         complete: whether the search came to its end.
@@ -92,6 +94,7 @@ class Found:
     change: dict[Place, float] = field(default_factory=dict)
     deviation: dict[Place, float] = field(default_factory=dict)
     probability: dict[Place, float] = field(default_factory=dict)
+    shown: dict[Place, tuple[int, int, Float64]] = field(default_factory=dict)
     before: float = 0.0
     after: float = 0.0
     complete: bool = False
@@ -158,11 +161,14 @@ class Search:
                 break
             best = followed[0]
             alike = [each.place for each in followed[1:] if best.odds - each.odds < ALIKE]
+            alike += self._like(best, [each.place for each in followed])
             found.causes.append((best.place, alike))
             weights = np.exp([each.odds - best.odds for each in followed])
             found.probability[best.place] = float(
-                weights[: 1 + len(alike)].sum() / (weights.sum() + math.exp(-min(best.odds, 700)))
+                weights[: 1 + sum(each.place in alike for each in followed)].sum()
+                / (weights.sum() + math.exp(-min(best.odds, 700)))
             )
+            found.shown[best.place] = self._shown(now, best.answers)
             at, now = best.change, best.answers
             if unknown is not None:
                 unknown = self._run.settle(at)
@@ -182,6 +188,28 @@ class Search:
                 found.after = self._square(now)
         found.complete = True
         return found
+
+    def _like(self, best: Candidate, followed: Sequence[Place]) -> list[Place]:
+        """Return what would explain a motion as well as the best, of what was not followed.
+
+        The information on one change that is left beside another is what tells them apart.
+        """
+        assert best.fitted is not None
+        places = [place for place in self._slopes if place not in best.change]
+        places = [best.place, *(place for place in places if place not in followed)]
+        slopes = np.stack([self._slopes[place] for place in places], axis=-1)
+        known = self._likelihood.information(self._real - best.answers, slopes)
+        apart = known[0, 0] - known[0] ** 2 / np.maximum(np.diag(known), 1e-30)
+        odds = 0.5 * best.change[best.place] ** 2 * apart / max(best.fitted.kappa, 1.0)
+        return [place for place, each in zip(places[1:], odds[1:]) if each < ALIKE]
+
+    def _shown(self, without: Float64, with_it: Float64) -> tuple[int, int, Float64]:
+        left, less = ((self._real - answers) ** 2 for answers in (without, with_it))
+        noise = np.median(less, axis=(0, 1)) + 1e-9
+        gain = ((left - less) / noise).mean(axis=1)
+        channel = int(np.median(gain, axis=0).argmax())
+        window = int((left - less)[..., channel].sum(axis=1).argmax())
+        return window, channel, np.stack([without, with_it])[:, window, :, channel]
 
     def _look(self, now: Float64) -> None:
         """Take the derivatives of all places; joints of several limbs at once, each its own."""
