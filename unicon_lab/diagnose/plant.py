@@ -65,6 +65,8 @@ KINDS = {
     "viscous friction": Kind("N·m·s/rad", 0.1, 1.0, 0.05, -5.0, 20.0, 1.0, True),
     "armature": Kind("kg·m²", 0.004, 0.02, 0.003, -0.5, 0.5, 1.0, True, _joint("armature")),
     "encoder offset": Kind("rad", 0.01, 0.05, 0.01, -0.5, 0.5, 2.0, True),
+    "weakening": Kind("1/min", -0.2, 0.5, 0.15, -3.0, 3.0, 0.5, True),
+    "torque limit": Kind("", -0.2, 0.3, 0.1, -0.95, 1.0, 1.0, True),
     "payload": Kind("kg", 0.5, 3.0, 0.3, -50.0, 100.0, 4.0, False, _PAYLOAD),
     "centre of mass x": Kind("kg·m", 0.1, 0.3, 0.03, -20.0, 20.0, 1.0),
     "centre of mass y": Kind("kg·m", 0.1, 0.3, 0.03, -20.0, 20.0, 1.0),
@@ -76,13 +78,14 @@ KINDS = {
     "gyro bias x": Kind("rad/s", 0.02, 0.05, 0.01, -1.0, 1.0, 0.7),
     "gyro bias y": Kind("rad/s", 0.02, 0.05, 0.01, -1.0, 1.0, 0.7),
     "gyro bias z": Kind("rad/s", 0.02, 0.05, 0.01, -1.0, 1.0, 0.7),
+    "IMU latency": Kind("s", 0.005, 0.01, 0.003, 0.0, 0.1, 1.0),
     "attitude x": Kind("rad", 0.01, 0.03, 0.01, -0.5, 0.5, 0.7),
     "attitude y": Kind("rad", 0.01, 0.03, 0.01, -0.5, 0.5, 0.7),
 }
-"""What may differ. Attitude is that of the IMU on its base, or of the ground under the robot: a
+"""What may differ. Weakening is the loss of strength from the middle of a record on. Attitude is that of the IMU on its base, or of the ground under the robot: a
 window cannot tell them apart. Steps and bounds are ours, chosen for robots of 10 to 80 kg."""
 
-OF_BASE = tuple(name for name in KINDS if name[:4] in ("payl", "cent", "iner", "gyro", "atti"))
+OF_BASE = tuple(name for name in KINDS if name[:4] in ("payl", "cent", "iner", "gyro", "atti", "IMU "))
 
 Place = tuple[str, int]
 """A kind, and the joint's number; -1 for the whole robot, or all joints by the same."""
@@ -109,8 +112,8 @@ class Plant:
         self._beside = Beside(make, robot, motion.period, scene)
         platform: Any = self._beside.platform
         self._platform = platform
-        self.base = platform._loaded.base
-        model, dofs = platform.model, platform._loaded.dofs
+        self.base = platform.robots[0].loaded.base
+        model, dofs = platform.model, platform.robots[0].loaded.dofs
         physics = joint_physics(robot, scene.joints)
         self.own = {
             "strength": np.nan_to_num(physics.strength, nan=1.0),
@@ -119,12 +122,13 @@ class Plant:
             "armature": np.array(model.dof_armature[dofs]),
         }
         """What the simulator has of each joint without a change, shape (n,)."""
-        self.limbs = _limbs(platform._loaded)
+        self.limbs = _limbs(platform.robots[0].loaded)
         """The limb that each joint belongs to, shape (n,)."""
-        self._feet = _feet(platform._loaded, robot) if motion.sought else None
+        self._feet = _feet(platform.robots[0].loaded, robot) if motion.sought else None
         self._offset = np.zeros(robot.num_joints)
         self._gains = np.ones(2)
-        self._bias, self._tilt = np.zeros(3), np.zeros(3)
+        self._weaker = np.zeros(robot.num_joints)
+        self._bias, self._tilt, self._late = np.zeros(3), np.zeros(3), 0.0
 
     def replayed(self, change: Change, begins: Float64 | None = None) -> Float64:
         """Return the answers of a motion's windows with a change; see `Motion.answers`.
@@ -149,7 +153,8 @@ class Plant:
                     n = len(self._offset)
                     row[:n] = self._beside.step(self._commands(start + tick)) + self._offset
                     if base:
-                        quat = _turned(states["base_quat"], self._tilt)
+                        late = states["base_ang_vel"] * self._late
+                        quat = _turned(states["base_quat"], self._tilt - late)
                         row[n : n + 2] = gravity_xy(quat)
                         row[n + 2 :] = states["base_ang_vel"] + self._bias
             except Fault:
@@ -184,7 +189,8 @@ class Plant:
         if "base_ang_vel" in put:
             put["base_ang_vel"] = put["base_ang_vel"] - self._bias
         if "base_quat" in put:
-            put["base_quat"] = _turned(put["base_quat"], -self._tilt)
+            late = put["base_ang_vel"] * self._late if "base_ang_vel" in put else 0.0
+            put["base_quat"] = _turned(put["base_quat"], late - self._tilt)
         if begin is not None:
             put["base_lin_vel"] = begin[:3]
         self._beside.put(put)
@@ -195,8 +201,12 @@ class Plant:
     def _commands(self, row: int) -> dict[str, Array]:
         sent = {name: values[row] for name, values in self._motion.commands.items()}
         sent["joint_pos_target"] = sent["joint_pos_target"] - self._offset
-        sent["joint_stiffness"] = sent["joint_stiffness"] * self._gains[0]
-        sent["joint_damping"] = sent["joint_damping"] * self._gains[1]
+        starts = self._motion.starts
+        minutes = (row - starts.mean()) * self._motion.period / 60.0
+        strength = np.maximum(1.0 + self._weaker * minutes, 0.0)
+        sent["joint_stiffness"] = sent["joint_stiffness"] * self._gains[0] * strength
+        sent["joint_damping"] = sent["joint_damping"] * self._gains[1] * strength
+        sent["joint_effort_ff"] = sent["joint_effort_ff"] * strength
         return sent
 
     def _apply(self, change: Change) -> None:
@@ -216,8 +226,11 @@ class Plant:
             contact_friction=self._scene.contact_friction * (1.0 + whole["ground friction"]),
         )
         self._platform.change(scene)
-        model, dofs = self._platform.model, self._platform._loaded.dofs
+        model, dofs = self._platform.model, self._platform.robots[0].loaded.dofs
         model.dof_damping[dofs] = np.maximum(model.dof_damping[dofs] + sums["viscous friction"], 0)
+        limits = 1.0 + sums["torque limit"]
+        model.actuator_forcerange[self._platform.servo.actuators] *= limits[:, None]
+        self._weaker, self._late = sums["weakening"], whole["IMU latency"]
         self._offset = sums["encoder offset"]
         self._gains = 1.0 + np.array([whole["stiffness"], whole["damping"]])
         self._bias = np.array([whole[f"gyro bias {axis}"] for axis in "xyz"])

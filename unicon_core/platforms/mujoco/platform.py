@@ -153,7 +153,7 @@ class MujocoPlatform:
                     delay,
                 )
                 self.robots.append(one)
-        self._servo = servos[0]
+        self.servo = servos[0]
         if len(self.robots) == 1:  # one call less in every tick
             self.recv = self.robots[0].read  # type: ignore[method-assign]
             self.send = self.robots[0].step  # type: ignore[method-assign]
@@ -296,7 +296,7 @@ class MujocoPlatform:
 
     def info(self) -> Mapping[str, Any]:
         """Return model, physics step, actuators, limits, IMU sources and what was changed."""
-        mujoco, model, servo, loaded = self._mujoco, self.model, self._servo, self._loaded
+        mujoco, model, servo, loaded = self._mujoco, self.model, self.servo, self._loaded
         physics = self._physics
         own, body = {*loaded.joints, loaded.base}, None
         if loaded.base is not None:
