@@ -112,7 +112,7 @@ def test_a_fit_that_is_not_better_writes_no_overlay(
     record, out = recorded(tmp_path, 0.6), tmp_path / "out"
     fit = Fit(found, (), 0.1, 0.05, 0.1, after, (9, 3))
     monkeypatch.setattr(
-        "unicon_lab.diagnose.diagnosis.fit_record", lambda *_, **__: (fit, "schema: none")
+        "unicon_lab.diagnose.fit.fit_record", lambda *_, **__: (fit, "schema: none")
     )
     capsys.readouterr()
     assert main(["analyze", record, "--fit", "--out", str(out)]) == status

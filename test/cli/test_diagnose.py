@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -103,17 +104,26 @@ def test_nothing_found_is_an_answer(
     assert "nothing found: no cause explains more of the record than" in capsys.readouterr().out
 
 
-def test_a_walk_without_measured_velocity_says_nothing_of_the_plant(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Estimated from the legs, it would accuse the motors of a healthy robot."""
-    record = open_record(recorded(tmp_path, 3.0, "noise: {base_quat: 0.001}, "))
+def test_a_base_without_measured_velocity_hides_no_weak_motor(tmp_path: Path) -> None:
+    record = open_record(recorded(tmp_path, 4.0, "noise: {base_quat: 0.001}, "))
     del record.layout.slots["base_lin_vel"]  # type: ignore[attr-defined]
-    found = diagnose(record, "real.mcap", processes=1)
-    assert found.causes == ()
-    assert any("cannot be told from this record" in text for text in found.notes)
-    with pytest.raises(UniconError, match=r"real\.mcap: .* of the robot hung up .* say --hung"):
-        fit_record(record, "real.mcap", processes=1)
+    fit, _ = fit_record(
+        record, "real.mcap", words=["strength"], joints=["R*_calf_joint"], processes=1
+    )
+    (found,) = fit.parameters
+    assert (found.joint, found.word) == ("RL_calf_joint", "strength")
+    assert found.after == pytest.approx(0.5, abs=0.05)
+
+
+def test_a_reference_is_of_the_same_robot(tmp_path: Path) -> None:
+    record = open_record(recorded(tmp_path, 3.0))
+    other = open_record(recorded(tmp_path, 3.2))
+    specs = dict(other.layout.specs)
+    joints = specs["joint_pos"]
+    specs["joint_pos"] = replace(joints, names=joints.names[::-1])
+    other.layout.specs = specs  # type: ignore[misc]
+    with pytest.raises(UniconError, match="the reference is of"):
+        diagnose(record, "real.mcap", reference=other, processes=1)
 
 
 def test_a_robot_that_hung_needs_no_velocity_of_its_base(tmp_path: Path) -> None:

@@ -247,12 +247,12 @@ def test_of_a_walker_with_a_gait_clock(
 def test_a_walk_in_mujoco_that_shows_it_late(tmp_path: Path) -> None:
     change = scaled("velocity_command", 0.5)
     record, contract = made(tmp_path / "run.mcap", change, 350, options={"platform": "mujoco"})
-    told: list[str] = []
-    causes, notes = contract_causes(record, "the record", tell=told.append)
+    told: list[tuple[str, float]] = []
+    causes, notes = contract_causes(record, "the record", tell=lambda *it: told.append(it))
     assert causes[0].name == "observation scale of velocity_command"
     assert causes[0].remedy.startswith("policy.yaml needs observation.terms.velocity_command.scale")
     assert notes == []
-    assert told[0].startswith("the record, policy 'walk': contract 1 of ")
+    assert told[0] == ("the record, policy 'walk': contracts", 0.0)
     assert examined(record, change(contract))[0] == []
 
 

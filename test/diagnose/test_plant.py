@@ -105,6 +105,72 @@ def test_a_walk_with_noise_names_its_cause_among_all(
         assert len(found.causes) == 1
 
 
+def without_velocity(states: dict[str, Any]) -> dict[str, Any]:
+    """Return what a robot measures: neither where its base is, nor how fast it moves."""
+    return {n: v for n, v in states.items() if n not in ("base_lin_vel", "base_pos_w")}
+
+
+def test_the_base_velocity_is_found_where_windows_begin() -> None:
+    states, period = states_of("go2_walk", {"scene.noise": NOISE}, seconds=4.0)
+    real = np.ones(len(states["tick"]), np.bool_)
+    it = Motion.of(without_velocity(states), period, real)
+    assert it.sought
+    with Replays(GO2, Scene(), it, 1) as replays:
+        guess = replays.plant.carried()[:, :3]
+        replays.settle({})
+        assert replays.begins is not None
+        found, truth = replays.begins[:, :3], states["base_lin_vel"][it.starts]
+    worse, better = (np.median(np.abs(each - truth)) for each in (guess, found))
+    assert better < 0.03 < worse
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize(
+    ("scene", "place", "size", "within"),
+    [
+        ({}, None, 0.0, 0.0),
+        ({"payload": {"mass": 4.0}}, ("payload", -1), 4.0, 0.5),
+        ({"joints": {"*": {"delay": 0.008}}}, ("delay", -1), 0.008, 0.001),
+        ({"joints": {"RL_calf_joint": {"strength": 0.7}}}, ("strength", CALF), -0.3, 0.03),
+    ],
+)
+def test_a_walk_without_measured_velocity_names_its_cause_too(
+    scene: dict[str, Any], place: Place | None, size: float, within: float
+) -> None:
+    overrides = {f"scene.{key}": value for key, value in scene.items()}
+    states, period = states_of("go2_walk", {"scene.noise": NOISE} | overrides, seconds=20.0)
+    real = np.ones(len(states["tick"]), np.bool_)
+    it = Motion.of(without_velocity(states), period, real, most=100)
+    found = searched(it, EVERY, processes=2)
+    assert [one for one, _ in found.causes] == ([place] if place else [])
+    if place:
+        assert found.change[place] == pytest.approx(size, abs=within)
+        assert abs(found.change[place] - size) < found.deviation[place]
+
+
+def test_what_a_healthy_robot_has_otherwise_is_no_cause(tmp_path: Path) -> None:
+    own = {"*": {"strength": 0.9, "friction": 0.4}}
+    weak = own | {"RL_calf_joint": {"strength": 0.5, "friction": 0.4}}
+    places = [("strength", -1), ("friction", -1), ("strength", CALF), ("delay", -1)]
+    healthy, again, ill = (
+        motion(tmp_path, joints, seconds=3.0, quick=quick)
+        for joints, quick in ((own, 2.0), (own, 2.6), (weak, 2.3))
+    )
+    with Replays(GO2, Scene(), healthy, 1) as replays:
+        limbs = replays.plant.limbs
+        base = Search(healthy, places, limbs, replays, print).level()
+    assert base["strength", -1] == pytest.approx(-0.1, abs=0.05)
+
+    def found(it: Motion) -> Found:
+        with Replays(GO2, Scene(), it, 1) as replays:
+            replays.base = base
+            return Search(it, places, limbs, replays, print).go()
+
+    assert found(again).causes == []
+    assert [place for place, _ in found(ill).causes] == [("strength", CALF)]
+
+
 def test_intervals_cover_and_correlated_windows_do_not_count_twice() -> None:
     """Linear answers with noise that is alike in neighbouring windows: 95 % intervals cover."""
     rng, covered, tries = np.random.default_rng(0), 0, 200

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from unicon_base.errors import UniconError
-from unicon_core.drawing import INK, MARK, PALE, as_svg, curve, drawn, require
+from unicon_core.drawing import INK, MARK, PALE, as_svg, drawn, require
 from unicon_core.page import figure, findings, page, plain, refuse_unwritable, table, write_file
 from unicon_ros.cli.console import Console, print_table
 from unicon_ros.cli.options import argument, command, flag, positive
@@ -90,9 +90,9 @@ def _page(name: str, found: Diagnosis) -> str:
 def _evidence(figure: Any, shown: Shown) -> bool:
     figure.set_size_inches(7.0, 2.6)
     axes = figure.add_subplot()
-    curve(axes, shown.time, shown.record, INK, "record")
-    curve(axes, shown.time, shown.without, PALE, "without the cause")
-    curve(axes, shown.time, shown.with_it, MARK, "with the cause")
+    axes.plot(shown.time, shown.record, color=INK, label="record")
+    axes.plot(shown.time, shown.without, color=PALE, label="without the cause")
+    axes.plot(shown.time, shown.with_it, color=MARK, label="with the cause")
     axes.set(xlabel="time [s]", ylabel=f"[{shown.unit}]")
     axes.legend(loc="best")
     return True

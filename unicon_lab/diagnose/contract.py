@@ -47,7 +47,7 @@ def contract_causes(
     record: Record,
     where: str,
     contract: PolicyContract | None = None,
-    tell: Tell = bool,
+    tell: Tell = lambda *_: None,
 ) -> tuple[list[Cause], list[str]]:
     """Say in what the contract that made a record differs from the given one.
 

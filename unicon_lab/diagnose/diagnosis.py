@@ -126,7 +126,7 @@ def plant_causes(
     return Diagnosis(tuple(causes), tuple(notes), len(motion.starts), found.complete)
 
 
-def _share(tell: Tell, what: str) -> Callable[[float], None]:
+def _share(tell: Tell, what: str) -> Callable[[float], object]:
     return lambda share: tell(what, share)
 
 

@@ -82,10 +82,13 @@ KINDS = {
     "attitude x": Kind("rad", 0.01, 0.03, 0.01, -0.5, 0.5, 0.7),
     "attitude y": Kind("rad", 0.01, 0.03, 0.01, -0.5, 0.5, 0.7),
 }
-"""What may differ. Weakening is the loss of strength from the middle of a record on. Attitude is that of the IMU on its base, or of the ground under the robot: a
-window cannot tell them apart. Steps and bounds are ours, chosen for robots of 10 to 80 kg."""
+"""What may differ. Weakening is the loss of strength from the middle of a record on. Attitude is
+that of the IMU on its base, or of the ground under the robot: a window cannot tell them apart.
+Steps and bounds are ours, chosen for robots of 10 to 80 kg."""
 
-OF_BASE = tuple(name for name in KINDS if name[:4] in ("payl", "cent", "iner", "gyro", "atti", "IMU "))
+OF_BASE = tuple(
+    name for name in KINDS if name[:4] in ("payl", "cent", "iner", "gyro", "atti", "IMU ")
+)
 
 Place = tuple[str, int]
 """A kind, and the joint's number; -1 for the whole robot, or all joints by the same."""
@@ -176,9 +179,8 @@ class Plant:
             return found
         for row, start in zip(found, self._motion.starts):
             at = {name: values[start] for name, values in self._motion.measured.items()}
-            self._feet(
-                *(at[n] for n in ("base_quat", "base_ang_vel", "joint_pos", "joint_vel")), None
-            )
+            turning, joints = (at["base_quat"], at["base_ang_vel"]), at["joint_pos"]
+            self._feet(*turning, joints, at["joint_vel"], None)
             lowest = self._feet.position[:, 2].argmin()
             row[:3] = -self._feet.velocity[lowest] @ rotation(at["base_quat"])
         return found

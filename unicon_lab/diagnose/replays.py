@@ -53,6 +53,7 @@ class Replays:
 
     Attributes:
         base: change that each replay has besides its own.
+        begins: as of `Plant.replayed`, as `settle` found them; None before.
 
     Raises:
         PlatformError: the simulator cannot be built.
@@ -70,7 +71,7 @@ class Replays:
         self.base: dict[Place, float] = {}
         self._progress = progress
         self._motion = motion
-        self._begins: Float64 | None = None
+        self.begins: Float64 | None = None
         if motion.has_base and self.plant.base is None:
             raise PlatformError(
                 f"{robot.name}: the record has a base that moves and the model has none; give "
@@ -83,7 +84,7 @@ class Replays:
             self._pool = ProcessPoolExecutor(processes, context, _begin, (robot, scene, motion))
 
     def __call__(
-        self, changes: Sequence[Change], begins: Sequence[Float64] | None = None
+        self, changes: Sequence[Change], begins: Sequence[Float64 | None] | None = None
     ) -> list[Float64]:
         """Return what `Plant.replayed` returns for each change.
 
@@ -95,7 +96,7 @@ class Replays:
             Interrupted: a signal asked to end; call it within `SIGNALS.guard`.
         """
         found = list[Float64]()
-        work = list(zip(map(self._whole, changes), begins or [self._begins] * len(changes)))
+        work = list(zip(map(self._whole, changes), begins or [self.begins] * len(changes)))
         futures = [self._pool.submit(_work, *each) for each in work] if self._pool else []
         for done, each in enumerate(work):
             SIGNALS.check()
@@ -122,11 +123,11 @@ class Replays:
             return None
         real = self._motion.answers
         guess = self.plant.carried()
-        best = guess if self._begins is None else self._begins
+        best = guess if self.begins is None else self.begins
         cost, part = np.full(len(best), np.inf), np.ones(len(best))
         trial, slopes, step = best, np.zeros((*real.shape, 4)), np.zeros_like(best)
         scale = None
-        for _ in range(_ROUNDS):
+        for _ in range(_ROUNDS if self.begins is None else 2):
             beside = [trial, *(trial + row for row in np.diag(_SHIFTS))]
             now, *moved = self([change] * 5, beside)
             left = real - now
@@ -146,7 +147,7 @@ class Replays:
             asked += (guess - trial)[better] / _LIKELY**2
             step[better] = np.linalg.solve(curvature[better], asked[..., None])[..., 0]
             trial = best + part[:, None] * step
-        self._begins = best
+        self.begins = best
         return slopes
 
     def __enter__(self) -> Replays:
