@@ -16,7 +16,7 @@ from pages import read_page
 from replaying import cut_off
 
 from unicon_lab.analysis.comparison import Comparison, compare_runs
-from unicon_lab.analysis.paired_runs import Options, bring_together
+from unicon_lab.analysis.paired_runs import bring_together
 from unicon_lab.analysis.pictures import PICTURES
 from unicon_lab.analysis.report import findings_of
 from unicon_lab.analysis.run import read_run
@@ -25,12 +25,10 @@ from unicon_ros.cli.main import main
 pytest.importorskip("matplotlib")
 
 
-def compared(
-    folder: Path, real: dict[str, Any], sim: dict[str, Any], options: Options | None = None
-) -> Comparison:
+def compared(folder: Path, real: dict[str, Any], sim: dict[str, Any], **options: Any) -> Comparison:
     """Return the comparison of two runs, through files."""
     runs = [read_run(save(folder / f"{n}.npz", r)) for n, r in (("real", real), ("sim", sim))]
-    return compare_runs(bring_together(runs[0], runs[1], options or Options()))
+    return compare_runs(bring_together(runs[0], runs[1], **options))
 
 
 def first(comparison: Comparison) -> str:
@@ -113,7 +111,7 @@ def test_joints_that_differ_alike_make_no_headline(tmp_path: Path) -> None:
         ("late", "Later than the other joints, by up to 60 ms: RL_calf."),
         ("gain", "Moves less far, down to 0.50 times as far: RL_calf."),
         ("zero", "Off by a constant, up to 0.10 rad (a wrong zero, or a weak motor): FL_hip."),
-        ("fall", "The real robot fell at 4.00 s, the simulated one did not."),
+        ("fall", "The real robot fell at 4.00 s of its run, the simulated one did not fall."),
     ],
 )
 def test_each_fault_is_told_for_what_it_is(tmp_path: Path, fault: str, said: str) -> None:
@@ -137,7 +135,7 @@ def test_each_fault_is_told_for_what_it_is(tmp_path: Path, fault: str, said: str
     if fault == "fall":
         assert int(found.together.aligned.overlap) == 200
         # A shift may hide a fall, which is one more reason to cut there.
-        whole = compared(tmp_path, real, sim, Options(whole=True, max_shift=0.0))
+        whole = compared(tmp_path, real, sim, whole=True, max_shift=0.0)
         assert float(whole.joints["gap"].max()) > 10 * float(found.joints["gap"].max())
 
 
@@ -146,7 +144,7 @@ def test_who_hardly_moves_is_not_judged(tmp_path: Path) -> None:
     real, sim = walk(seed=1), walk(seed=2)
     sim["joint_pos"] = 0.5 + 0.3 * np.exp(-np.arange(300) / 30.0)[:, None] * np.ones(12)
     real["joint_pos"] = 0.5 - 0.01 * sim["joint_pos"]
-    said = findings_of(compared(tmp_path, real, sim, Options(max_shift=0.0)))
+    said = findings_of(compared(tmp_path, real, sim, max_shift=0.0))
     assert not [text for text in said if text.startswith(("A sign", "Moves", "Later"))]
     [still] = [text for text in said if text.startswith("Hardly moves")]
     assert still.startswith(
@@ -182,8 +180,8 @@ def test_another_rate_and_another_clock_find_the_same_shift(tmp_path: Path) -> N
         "the real run (500 Hz) and the simulated one (50 Hz) were resampled to 50 Hz, linearly; "
         "before that the real one was averaged over each new period"
     )
-    assert compared(tmp_path, real, sim, Options(rate=100.0)).together.period == 0.01
-    long = compared(tmp_path, real, sim, Options(max_shift=0.2)).together
+    assert compared(tmp_path, real, sim, rate=100.0).together.period == 0.01
+    long = compared(tmp_path, real, sim, max_shift=0.2).together
     assert abs(int(long.aligned.shift)) <= 10
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from unicon_lab.analysis.comparison import Comparison, compare_runs
-from unicon_lab.analysis.paired_runs import Options, bring_together
+from unicon_lab.analysis.paired_runs import bring_together
 from unicon_lab.analysis.run import read_run
 from unicon_ros.cli.main import main
 
@@ -26,7 +26,7 @@ def recorded(path: Path, seed: int, *more: str) -> Path:
 
 
 def compared(real: Path, sim: Path) -> Comparison:
-    return compare_runs(bring_together(read_run(real), read_run(sim), Options()))
+    return compare_runs(bring_together(read_run(real), read_run(sim)))
 
 
 @pytest.mark.slow

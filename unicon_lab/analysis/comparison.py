@@ -24,7 +24,9 @@ from unicon_core.metrics import (
 )
 from unicon_core.metrics.elements import windows
 from unicon_core.page import plain
+from unicon_lab.analysis.divergence import divergence
 from unicon_lab.analysis.paired_runs import Together
+from unicon_lab.analysis.run import TRACKING
 
 LAG_S = 0.1
 """Largest lag of a joint against the others in [s]: less than a quarter of a stride."""
@@ -48,6 +50,7 @@ class Comparison:
         joints: figure to a value for each joint, in their columns' order. NaN: there is none.
         states: name to figure to value, for each state as a whole.
         swapped: joints whose movements are swapped, as cycles of their columns.
+        divergence: what differed first, as of `divergence`.
     """
 
     together: Together
@@ -56,6 +59,7 @@ class Comparison:
     joints: dict[str, Float64]
     states: dict[str, dict[str, float]]
     swapped: list[tuple[int, ...]]
+    divergence: dict[str, Any]
 
     def to_json(self) -> dict[str, Any]:
         """Return all of it as plain values, joints in the order of their rank."""
@@ -77,15 +81,10 @@ class Comparison:
             ],
             "states": self.states,
             "swapped_joints": [[names[k] for k in cycle] for cycle in self.swapped],
+            "divergence": self.divergence,
             "notes": both.notes,
         }
         return dict(plain(values))
-
-
-def tracking_error(states: dict[str, Float64]) -> Float64 | None:
-    """Return target − position in [rad], shape (n, d); None where no target is known."""
-    target = states.get("joint_pos_target")
-    return None if target is None else target - states["joint_pos"]
 
 
 def gap_spread(both: Together) -> Float64:
@@ -103,10 +102,8 @@ def gap_spread(both: Together) -> Float64:
 
 def _ranked(both: Together) -> tuple[Float64, Float64, str]:
     """Return what ranks the joints, of both runs, shape (n, d), and what it is."""
-    real, sim = tracking_error(both.real), tracking_error(both.sim)
-    if real is None or sim is None:
-        return both.real["joint_pos"], both.sim["joint_pos"], "position"
-    return real, sim, "tracking error"
+    name = TRACKING if TRACKING in both.real else "joint_pos"
+    return both.real[name], both.sim[name], name
 
 
 def compare_runs(both: Together) -> Comparison:
@@ -128,9 +125,11 @@ def compare_runs(both: Together) -> Comparison:
         "spectral_distance": spectral_distance(real["joint_pos"], sim["joint_pos"]),
     }
     real_ranked, sim_ranked, what = _ranked(both)
-    ranked_by = f"distance of the distributions of the {what} (Wasserstein-1) in rad"
+    ranked_by = (
+        f"distance of the distributions of the {what.replace('_', ' ')} (Wasserstein-1) in rad"
+    )
     gap = wasserstein(real_ranked, sim_ranked)
-    if what == "tracking error":
+    if what == TRACKING:
         for who, error in zip(SIDES, (real_ranked, sim_ranked)):
             joints[f"tracking_rms_{who}"] = np.sqrt(np.mean(error**2, axis=0))
     joints = {"gap": gap} | joints | _strain(both)
@@ -141,55 +140,53 @@ def compare_runs(both: Together) -> Comparison:
         joints,
         {name: _whole(name, both) for name in real},
         match_elements(real["joint_pos"], sim["joint_pos"]).cycles(),
+        divergence(both),
     )
 
 
 def _strain(both: Together) -> dict[str, Float64]:
     """Return what torques and temperatures tell, where both runs have them."""
-    real, sim = both.real, both.sim
     figures: dict[str, Float64] = {}
-    sides = dict(zip(SIDES, (real, sim)))
-    if "joint_effort" in real:
-        for who, side in sides.items():
-            figures[f"effort_rms_{who}"] = load(side["joint_effort"]).rms
-        figures["effort_ratio"] = compare(figures["effort_rms_real"], figures["effort_rms_sim"])
-        asked = [torque for side in (real, sim) if (torque := _asked(side)) is not None]
-        if len(asked) == 2:
-            # Asked of what was given: speeds are noisier than torques, and noise in what is given
-            # would make every gain smaller. The mean over a moment makes it smaller still.
-            width = max(1, min(round(SMOOTHED_S / both.period), len(real["joint_effort"]) // 4))
-            needed = [
-                affine(_smooth(torque, width), _smooth(side["joint_effort"][1:], width), 0).gain
-                for side, torque in zip((real, sim), asked)
-            ]
-            figures["strength"] = compare(needed[1], needed[0])
-    if "motor_temperature" in real:
-        for who, side in sides.items():
+    asks = {*_ASKED} <= both.real.keys()
+    for who, side in zip(SIDES, (both.real, both.sim)):
+        if "joint_effort" in side:
+            effort = side["joint_effort"]
+            figures[f"effort_rms_{who}"] = load(effort).rms
+            if asks:
+                # Asked of what was given: speeds are noisier than torques, and noise in what is
+                # given would make every gain smaller. The mean over a moment makes it smaller
+                # still.
+                width = max(1, min(round(SMOOTHED_S / both.period), len(effort) // 4))
+                starts = np.arange(len(effort) - width)
+                asked, given = (windows(x, starts, width) for x in (_asked(side), effort[1:]))
+                figures[f"asked_{who}"] = affine(asked, given, 0).gain
+        if "motor_temperature" in side:
             warm = warming(side["motor_temperature"], both.period)
             figures[f"temperature_rise_{who}"] = warm.rise
             figures[f"temperature_peak_{who}"] = warm.peak
+    if "effort_rms_sim" in figures:
+        figures["effort_ratio"] = compare(figures["effort_rms_real"], figures["effort_rms_sim"])
+    if "asked_sim" in figures:
+        figures["strength"] = compare(figures.pop("asked_sim"), figures.pop("asked_real"))
     return figures
 
 
-def _asked(states: dict[str, Float64]) -> Float64 | None:
+_ASKED = ("joint_pos_target", "joint_stiffness", "joint_damping", "joint_vel")
+
+
+def _asked(states: dict[str, Float64]) -> Float64:
     """Return the torque in [N·m] that is asked for when the next sample is taken, shape (n − 1, d).
 
     kp (q* − q) + kd (q̇* − q̇) + τ_ff: the command is the last one's, q and q̇ are the next one's.
     """
-    needed = ("joint_pos_target", "joint_stiffness", "joint_damping", "joint_vel")
-    if any(name not in states for name in needed):
-        return None
-    target, kp, kd = (states[name][:-1] for name in needed[:3])
-    still = np.zeros_like(target)
-    torque = kp * (target - states["joint_pos"][1:])
-    torque += kd * (states.get("joint_vel_target", still)[: len(still)] - states["joint_vel"][1:])
-    torque += states.get("joint_effort_ff", still)[: len(still)]
-    return np.asarray(torque, np.float64)
-
-
-def _smooth(values: Float64, width: int) -> Float64:
-    """Return the means of consecutive samples, shape (n + 1 − width, d)."""
-    return windows(values, np.arange(len(values) + 1 - width), width) / width
+    target, kp, kd, _ = (states[name][:-1] for name in _ASKED)
+    speed, torque = (
+        states[name][:-1] if name in states else np.zeros_like(target)
+        for name in ("joint_vel_target", "joint_effort_ff")
+    )
+    return np.asarray(
+        kp * (target - states["joint_pos"][1:]) + kd * (speed - states["joint_vel"][1:]) + torque
+    )
 
 
 def _whole(name: str, both: Together) -> dict[str, float]:

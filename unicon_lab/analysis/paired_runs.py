@@ -10,25 +10,10 @@ import numpy as np
 from unicon_base.arrays import Float64
 from unicon_base.errors import UniconError
 from unicon_core.metrics import Aligned, aligned_mse, fall_time
-from unicon_lab.analysis.run import FEWEST, JOINTS, Run
+from unicon_lab.analysis.run import BASE, FEWEST, JOINTS, Run
 
 HOLE = 10.0
 """Periods without a sample that are told of."""
-
-
-@dataclass(frozen=True)
-class Options:
-    """What the user asked for.
-
-    Attributes:
-        max_shift: largest |shift| in [s], None for all that leave half of the shorter run.
-        rate: in [Hz] at which both are compared, None for the slower one's.
-        whole: compare what comes after a fall, too.
-    """
-
-    max_shift: float | None = None
-    rate: float | None = None
-    whole: bool = False
 
 
 @dataclass(frozen=True)
@@ -41,10 +26,11 @@ class Together:
         method: how both came to it, in words.
         aligned: of the joint positions, in samples.
         real, sim: states that both have, shifted and of one length, shape (n, d).
-        real_whole, sim_whole: the same before the shift and the cut at a fall.
+        real_whole, sim_whole: the same before the shift and the cut at a fall, and `Run.broken`.
         ends: samples of each of these that the cut at a fall leaves.
         begins: time of the first common sample in the real file and in the simulated one, in [s].
         falls: when each fell in [s] of its file, NaN for not at all.
+        elements: name of a state or signal to names of its elements.
         notes: what was left out or assumed, in sentences.
     """
 
@@ -59,6 +45,7 @@ class Together:
     ends: tuple[int, int]
     begins: tuple[float, float]
     falls: tuple[float, float]
+    elements: dict[str, tuple[str, ...]]
     notes: list[str]
 
     @property
@@ -74,17 +61,33 @@ class Together:
         return np.asarray(self.begins[0] + self.period * np.arange(count), np.float64)
 
 
-def bring_together(real: Run, sim: Run, options: Options) -> Together:
+def bring_together(
+    real: Run,
+    sim: Run,
+    max_shift: float | None = None,
+    rate: float | None = None,
+    whole: bool = False,
+) -> Together:
     """Bring two runs together.
 
+    Args:
+        real: one run.
+        sim: the other.
+        max_shift: largest |shift| in [s], None for all that leave half of the shorter run.
+        rate: in [Hz] at which both are compared, None for the slower one's.
+        whole: compare what comes after a fall, too.
+
     Raises:
-        UniconError: no joint in common, too little in common in time, or options out of range.
+        UniconError: no joint in common, or too little in common in time.
     """
     notes = [*real.notes, *sim.notes]
     joints, columns = _joints(real, sim, notes)
-    period, method = common_period(real, sim, options.rate)
-    runs, sides = (real, sim), []
-    for run, column in zip(runs, columns):
+    period, method = common_period(real, sim, rate)
+    runs, sides, known = (real, sim), [], {*JOINTS, *BASE}
+    for run, other, column in zip(runs, runs[::-1], columns):
+        signals = {**run.states, **run.broken}
+        if missing := [n for n in {**other.states, **other.broken} if n not in signals]:
+            notes.append(f"{run.path.name} has no {', '.join(missing)}.")
         holes = np.diff(run.time)
         if holes.max() > HOLE * period:
             notes.append(
@@ -93,29 +96,36 @@ def bring_together(real: Run, sim: Run, options: Options) -> Together:
             )
         states = {
             name: values[:, column] if name in JOINTS else values
-            for name, values in run.states.items()
+            for name, values in signals.items()
+            if name in known or run.elements.get(name) == other.elements.get(name)
         }
         sides.append(states if method == "" else resample(run.time, states, period))
     common = [name for name in sides[0] if name in sides[1]]
-    for run, other in zip(runs, sides[::-1]):
-        if missing := [name for name in other if name not in common]:
-            notes.append(f"{run.path.name} has no {', '.join(missing)}.")
-    falls = [_fall(side, period) for side in sides]
-    whole = [{name: side[name] for name in common} for side in sides]
-    cut = whole
-    if not options.whole:
-        cut = [
-            _until(side, fall, period, run, notes) for side, fall, run in zip(whole, falls, runs)
-        ]
-    for side, run in zip(cut, runs):
-        if len(side["joint_pos"]) < FEWEST:
+    sound = [name for name in common if name in real.states and name in sim.states]
+    falls, ends = [], []
+    for side, run in zip(sides, runs):
+        end, fall = len(side["joint_pos"]), math.nan
+        if end < FEWEST:
             raise UniconError(
-                f"{run.path} has {len(side['joint_pos'])} samples at {1 / period:g} Hz; at least "
-                f"{FEWEST} tell something: give a higher --rate or a longer run"
+                f"{run.path} has {end} samples at {1 / period:g} Hz; at least {FEWEST} tell "
+                "something: give a higher --rate or a longer run"
             )
-    a, b = cut
-    limit = None if options.max_shift is None else math.floor(options.max_shift / period)
-    aligned = aligned_mse(a["joint_pos"], b["joint_pos"], limit)
+        if "projected_gravity" in run.states:
+            fall = float(fall_time(side["projected_gravity"], period))
+        if not (whole or math.isnan(fall)):
+            # Afterwards every joint differs, and nobody learns why.
+            name, upright = run.path.name, round(fall / period)
+            note = f"What came after the fall in {name} was left out (--whole keeps it)."
+            if upright < FEWEST:
+                note = f"{name} begins with a fall; what follows was compared all the same."
+            else:
+                end = upright
+            notes.append(note)
+        falls.append(fall)
+        ends.append(end)
+    a, b = sides
+    limit = None if max_shift is None else math.floor(max_shift / period)
+    aligned = aligned_mse(a["joint_pos"][: ends[0]], b["joint_pos"][: ends[1]], limit)
     shift, count = int(aligned.shift), int(aligned.overlap)
     first_a, first_b = max(0, shift), max(0, -shift)
     return Together(
@@ -123,13 +133,13 @@ def bring_together(real: Run, sim: Run, options: Options) -> Together:
         period,
         method or "both were sampled at one rate; nothing was resampled",
         aligned,
-        {name: values[first_a : first_a + count] for name, values in a.items()},
-        {name: values[first_b : first_b + count] for name, values in b.items()},
-        whole[0],
-        whole[1],
-        (len(a["joint_pos"]), len(b["joint_pos"])),
+        {name: a[name][first_a : first_a + count] for name in sound},
+        {name: b[name][first_b : first_b + count] for name in sound},
+        *({name: side[name] for name in common} for side in sides),
+        (ends[0], ends[1]),
         (real.begins + first_a * period, sim.begins + first_b * period),
         (real.begins + falls[0], sim.begins + falls[1]),
+        {**real.elements, **dict.fromkeys(JOINTS, joints)},
         notes,
     )
 
@@ -159,25 +169,6 @@ def _joints(real: Run, sim: Run, notes: list[str]) -> tuple[tuple[str, ...], lis
     return common, [[run.joints.index(name) for name in common] for run in (real, sim)]
 
 
-def _fall(states: dict[str, Float64], period: float) -> float:
-    gravity = states.get("projected_gravity")
-    return math.nan if gravity is None else float(fall_time(gravity, period))
-
-
-def _until(
-    states: dict[str, Float64], fall: float, period: float, run: Run, notes: list[str]
-) -> dict[str, Float64]:
-    """Return what was before a fall: afterwards every joint differs, and nobody learns why."""
-    if math.isnan(fall):
-        return states
-    count = round(fall / period)
-    if count < FEWEST:
-        notes.append(f"{run.path.name} begins with a fall; what follows was compared all the same.")
-        return states
-    notes.append(f"What came after the fall in {run.path.name} was left out (--whole keeps it).")
-    return {name: values[:count] for name, values in states.items()}
-
-
 LONGEST = 300_000
 """Samples that are compared: 10 minutes at 500 Hz; longer runs are thinned out evenly."""
 SAME_RATE = 1e-3
@@ -201,15 +192,15 @@ def common_period(real: Run, sim: Run, rate: float | None) -> tuple[float, str]:
     """
     periods, even = zip(*(_own_period(run.time) for run in (real, sim)))
     period = 1.0 / rate if rate else max(periods)
-    longest = max(float(run.time[-1]) for run in (real, sim))
-    too_many = longest / period > LONGEST
-    if too_many:
-        period = longest / LONGEST
+    shortest = max(float(run.time[-1]) for run in (real, sim)) / LONGEST
+    too_many = period < shortest
+    period = max(period, shortest)
     if all(even) and all(abs(own - period) <= SAME_RATE * period for own in periods):
         return period, ""
-    rates = [f"{1.0 / own:.4g} Hz" for own in periods]
-    text = f"the real run ({rates[0]}) and the simulated one ({rates[1]}) were resampled "
-    text += f"to {1.0 / period:.4g} Hz, linearly"
+    each, other, new = (f"{1.0 / own:.4g} Hz" for own in (*periods, period))
+    text = (
+        f"the real run ({each}) and the simulated one ({other}) were resampled to {new}, linearly"
+    )
     names = ("the real", "the simulated")
     if smoothed := [name for name, own in zip(names, periods) if period > SMOOTHED * own]:
         text += f"; before that {' and '.join(smoothed)} one was averaged over each new period"

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from unicon_base.arrays import Float64
-from unicon_core.drawing import INK, MARK, PALE, Pictures, curve, grid, zoomed
-from unicon_core.metrics import rmse, shift_losses
-from unicon_lab.analysis.comparison import Comparison, tracking_error
-from unicon_lab.analysis.paired_runs import Together
+from unicon_core.drawing import INK, MARK, Pictures, curve, grid, zoomed
+from unicon_core.metrics import shift_losses
+from unicon_lab.analysis.comparison import Comparison
+from unicon_lab.analysis.run import TRACKING
 
 REAL, SIM = MARK, "#e07b00"
 CLOCK = "time of the real run [s]"
@@ -23,50 +23,45 @@ MOST = 32
 """Joints in the other pictures; the rest are in the table."""
 
 
+_BARS = {
+    "gap": "gap [rad]",
+    "effort_rms": "RMS of torque [N·m]",
+    "temperature_peak": "highest temperature [°C]",
+}
+_WHO = {"": (INK, None), "_real": (REAL, "real"), "_sim": (SIM, "simulated")}
+
+
 def _ranking(figure: Any, comparison: Comparison) -> bool:
-    order = comparison.order[:MOST]
-    figure.set_size_inches(10.0, 1.0 + 0.28 * len(order))
-    axes = figure.add_subplot()
-    names = [comparison.together.joints[k] for k in order]
-    values = comparison.joints["gap"][order]
-    colours = [REAL if place == 0 else "#8fa9d3" for place in range(len(order))]
-    axes.barh(names, values, color=colours)
-    axes.invert_yaxis()
-    axes.bar_label(axes.containers[0], fmt=" %.3g", fontsize=8)
-    axes.set(xlabel="gap [rad]")
-    axes.margins(x=0.12)
+    order, figures = comparison.order[:MOST], comparison.joints
+    names, places = [comparison.together.joints[k] for k in order], np.arange(len(order))
+    shown = [key for key in _BARS if key in figures or f"{key}_real" in figures]
+    figure.set_size_inches(11.0, 3.2 * len(shown))
+    for axes, key in zip(figure.subplots(len(shown), squeeze=False)[:, 0], shown):
+        sides = [side for side in _WHO if key + side in figures]
+        for k, side in enumerate(sides):
+            at, (colour, label) = places + 0.4 * k - 0.2 * (len(sides) - 1), _WHO[side]
+            axes.bar(at, figures[key + side][order], 0.4, color=colour, label=label)
+        axes.set_xticks(places, names, rotation=35, ha="right")
+        axes.set_ylabel(_BARS[key])
+        if label:
+            axes.legend()
     return True
 
 
 def _alignment(figure: Any, comparison: Comparison) -> bool:
     both = comparison.together
-    figure.set_size_inches(11.0, 6.0)
-    above, below = figure.subplots(2)
+    figure.set_size_inches(11.0, 3.0)
+    axes = figure.add_subplot()
     real, sim = (
         side["joint_pos"][:end] for side, end in zip((both.real_whole, both.sim_whole), both.ends)
     )
     shifts, losses = shift_losses(real, sim)
     found = int(both.aligned.shift) * both.period
-    curve(above, shifts * both.period, losses, INK)
-    above.plot([found], [float(both.aligned.loss)], "o", color=REAL, label=f"found: {found:+.3f} s")
-    above.set(xlabel="shift of the simulated run [s]", ylabel="loss [rad²]")
-    above.set_title("aligned MSE of all joint positions at each shift")
-    above.legend()
-    k = comparison.order[0]
-    time = both.begins[0] - max(0.0, found) + both.period * np.arange(len(real))
-    own = time[0] + both.period * np.arange(len(sim))
-    curve(below, own, sim[:, k], PALE, "simulated, as it was recorded")
-    curve(below, own + found, sim[:, k], SIM, "simulated, shifted")
-    curve(below, time, real[:, k], REAL, "real")
-    _compared(below, both)
-    below.set(xlabel=CLOCK, ylabel="[rad]")
-    below.set_title(f"{both.joints[k]}: position before and after the shift")
-    below.legend(loc="upper right", ncols=4)
+    curve(axes, shifts * both.period, losses, INK)
+    axes.plot([found], [float(both.aligned.loss)], "o", color=REAL, label=f"found: {found:+.3f} s")
+    axes.set(xlabel="shift of the simulated run [s]", ylabel="aligned MSE [rad²]")
+    axes.legend()
     return True
-
-
-def _compared(axes: Any, both: Together) -> None:
-    axes.axvspan(both.time[0], both.time[-1], color="0.5", alpha=0.1, label="compared")
 
 
 def _curves(figure: Any, comparison: Comparison) -> bool:
@@ -87,33 +82,31 @@ def _curves(figure: Any, comparison: Comparison) -> bool:
 def _heat(figure: Any, comparison: Comparison) -> bool:
     both = comparison.together
     order = comparison.order[:MOST]
-    figure.set_size_inches(12.0, 2.6 + 0.24 * len(order))
-    above, below = figure.subplots(2, sharex=True, height_ratios=[1.0, 0.5 + 0.18 * len(order)])
-    real, sim = both.real["joint_pos"], both.sim["joint_pos"]
-    curve(above, both.time, rmse(real, sim, "frame"), INK)
-    above.set_ylabel("RMSE of all [rad]")
-    edges = np.unique(np.linspace(0, len(real), min(COLUMNS, len(real)) + 1).astype(int))
-    squares = (real - sim)[:, order] ** 2
+    figure.set_size_inches(12.0, 1.2 + 0.24 * len(order))
+    axes, squares = figure.add_subplot(), both.real["joint_pos"] - both.sim["joint_pos"]
+    squares = squares[:, order] ** 2
+    count = len(squares)
+    edges = np.unique(np.linspace(0, count, min(COLUMNS, count) + 1).astype(int))
     means = np.add.reduceat(squares, edges[:-1], axis=0) / np.diff(edges)[:, None]
-    image = below.imshow(
+    image = axes.imshow(
         np.sqrt(means).T,
         aspect="auto",
         cmap="magma",
         interpolation="nearest",
         extent=(both.time[0], both.time[-1] + both.period, len(order) - 0.5, -0.5),
     )
-    below.set_yticks(range(len(order)), [both.joints[k] for k in order])
-    below.grid(False)
-    below.set_xlabel(CLOCK)
-    figure.colorbar(image, ax=below, label="difference [rad]", pad=0.01)
+    axes.set_yticks(range(len(order)), [both.joints[k] for k in order])
+    axes.grid(False)
+    axes.set_xlabel(CLOCK)
+    figure.colorbar(image, ax=axes, label="difference [rad]", pad=0.01)
     return True
 
 
 def _tracking(figure: Any, comparison: Comparison) -> bool:
     both = comparison.together
-    real, sim = tracking_error(both.real), tracking_error(both.sim)
-    if real is None or sim is None:
+    if TRACKING not in both.real:
         return False
+    real, sim = both.real[TRACKING], both.sim[TRACKING]
     order = comparison.order[:MOST]
     every = grid(figure, len(order), 4, 1.6)
     for axes, k in zip(every, order):
@@ -127,26 +120,6 @@ def _tracking(figure: Any, comparison: Comparison) -> bool:
         axes.set_yticks([])
     every[0].legend()
     figure.supxlabel("target − position [rad]")
-    return True
-
-
-def _effort(figure: Any, comparison: Comparison) -> bool:
-    figures, both = comparison.joints, comparison.together
-    warm = "motor_temperature" in both.real
-    if "effort_rms_real" not in figures and not warm:
-        return False
-    order = comparison.order[:MOST]
-    places = np.arange(len(order))
-    pairs = [("effort_rms", "RMS of torque [N·m]")] if "effort_rms_real" in figures else []
-    pairs += [("temperature_peak", "highest temperature [°C]")] if warm else []
-    figure.set_size_inches(11.0, 3.2 * len(pairs))
-    for axes, (key, label) in zip(figure.subplots(len(pairs), squeeze=False)[:, 0], pairs):
-        axes.bar(places - 0.2, figures[f"{key}_real"][order], 0.4, color=REAL, label="real")
-        axes.bar(places + 0.2, figures[f"{key}_sim"][order], 0.4, color=SIM, label="simulated")
-        names = [both.joints[k] for k in order]
-        axes.set_xticks(places, names, rotation=35, ha="right")
-        axes.set_ylabel(label)
-        axes.legend()
     return True
 
 
@@ -173,7 +146,7 @@ def _base(figure: Any, comparison: Comparison) -> bool:
             values = part(side[name])
             time = begin + both.period * (shift + np.arange(len(values)))
             curve(axes, time, values, colour, who)
-        _compared(axes, both)
+        axes.axvspan(both.time[0], both.time[-1], color="0.5", alpha=0.1, label="compared")
         axes.set_ylabel(label)
     rows[0].legend(loc="upper left", ncols=3)
     rows[-1].set_xlabel(CLOCK)
@@ -185,13 +158,14 @@ PICTURES: Pictures = {
         _ranking,
         "Joints by gap",
         "How far the joint's tracking error (target − position) is distributed otherwise on the "
-        "robot than in the simulator; of positions where no targets were recorded.",
+        "robot than in the simulator; of positions where no targets were recorded. Torque and "
+        "temperature are those of the stretch that was compared.",
     ),
     "alignment": (
         _alignment,
         "Alignment in time",
         "The simulated run is shifted so that all joint positions together differ least. Where the "
-        "upper curve has many equal dips the movement repeats, and the smallest shift was taken.",
+        "curve has many equal dips the movement repeats, and the smallest shift was taken.",
     ),
     "joints": (
         _curves,
@@ -201,8 +175,7 @@ PICTURES: Pictures = {
     "heat": (
         _heat,
         "When and where",
-        "Difference of the positions after the shift: above of all joints in each sample, below of "
-        "each joint, in the order of the gap.",
+        "Difference of the positions after the shift, of each joint in the order of the gap.",
     ),
     "tracking": (
         _tracking,
@@ -210,7 +183,6 @@ PICTURES: Pictures = {
         "How often each joint was how far from its target. A weak motor is farther away, a joint "
         "whose zero is wrong is beside it, friction makes it broad.",
     ),
-    "effort": (_effort, "Torque and temperature", "In the stretch that was compared."),
     "base": (
         _base,
         "The base",

@@ -5,8 +5,10 @@ from __future__ import annotations
 import html
 import json
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Mapping
+from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,11 +16,14 @@ from unicon_base.arrays import Bool
 from unicon_core import __version__
 from unicon_core.drawing import drawings
 from unicon_core.page import findings, number, page, pairs, table, write_file
-from unicon_lab.analysis.comparison import LAG_S, Comparison, gap_spread
+from unicon_lab.analysis.comparison import LAG_S, SIDES, Comparison, gap_spread
+from unicon_lab.analysis.divergence import FACTOR
 from unicon_lab.analysis.pictures import PICTURES
 from unicon_lab.analysis.run import Run
 
 SCHEMA = "unicon.analysis/1"
+STEPS = 3
+"""Of the divergence, in the headline."""
 
 # Figure of a joint to heading and unit in the table; the JSON has all of them.
 _COLUMNS = {
@@ -37,18 +42,10 @@ _COLUMNS = {
     "temperature_rise_sim": "warming, simulated\nK",
 }
 
-_STATE_COLUMNS = {
-    "rmse_step_by_step": "RMSE sample by sample",
-    "rmse_shifted": "RMSE after the shift",
-    "aligned_mse_of_shift": "aligned MSE at that shift",
-    "chamfer": "chamfer distance",
-    "spectral_distance": "spectral distance",
-}
-
 
 def write_report(
     comparison: Comparison, runs: tuple[Run, Run], folder: Path, tell: Callable[[str], None]
-) -> dict[str, object]:
+) -> dict[str, Any]:
     """Write `report.html`, `analysis.json` and a PNG for each picture.
 
     Args:
@@ -63,83 +60,83 @@ def write_report(
     Raises:
         UniconError: a file cannot be written.
     """
-    said = findings_of(comparison)
-    result: dict[str, object] = {
+    both = comparison.together
+    said = [*findings_of(comparison), _headline(comparison.divergence)]
+    about = {
+        who: {
+            "file": str(run.path),
+            "samples": len(run.time),
+            "duration_s": float(run.time[-1]),
+            "clock": run.clock,
+            **run.about,
+        }
+        for who, run in zip(SIDES, runs)
+    }
+    result: dict[str, Any] = {
         "schema": SCHEMA,
         "unicon_ros": __version__,
-        "real": _about(runs[0]),
-        "sim": _about(runs[1]),
+        **about,
         "findings": said,
         **comparison.to_json(),
     }
-    text = _page(comparison, runs, said, drawings(PICTURES, comparison, folder=folder, tell=tell))
+    facts = {
+        who: ", ".join(f"{key} {value}" for key, value in run.items()) for who, run in about.items()
+    }
+    facts |= {key: str(result[key]) for key in ("method", "shift_s", "samples", "ranked_by")}
+    mses = {key: number(comparison.states["joint_pos"][key]) for key in _MSES}
+    parts = [
+        findings(said),
+        "<h2>What differed first</h2>",
+        table(HEADS, chain_rows(comparison.divergence)),
+        "<h2>What was compared</h2>",
+        pairs(facts | mses),
+        *(f"<p>{html.escape(note)}</p>" for note in both.notes),
+    ]
+    for name, shown in drawings(PICTURES, comparison, folder=folder, tell=tell):
+        parts.append(shown)
+        if name == "ranking":
+            parts += ["<h2>Every joint</h2>", _joint_table(comparison)]
+    end = f"All figures, with all digits: analysis.json. unicon_ros {__version__}"
+    parts.append(f'<p class="sub">{end}</p>')
+    title = f"{runs[0].path.name} (real) and {runs[1].path.name} (simulated)"
+    text = page(title, "How far the simulator is from the robot", parts)
     write_file(folder / "analysis.json", (json.dumps(result, indent=1) + "\n").encode())
     write_file(folder / "report.html", text.encode())
     return result
 
 
-def _about(run: Run) -> dict[str, object]:
-    return {
-        "file": str(run.path),
-        "samples": len(run.time),
-        "duration_s": float(run.time[-1]),
-        "clock": run.clock,
-        **run.about,
-    }
+_MSES = ("aligned_mse", "unfolded_mse")
+HEADS = ("signal", "rank", "first in", "from [s]", "RMS of difference", "÷ variation")
 
 
-def _page(
-    comparison: Comparison,
-    runs: tuple[Run, Run],
-    said: list[str],
-    figures: Iterable[tuple[str, str]],
-) -> str:
-    parts = [
-        findings(said),
-        "<h2>What was compared</h2>",
-        _facts(comparison, runs),
-        "".join(f"<p>{html.escape(note)}</p>" for note in comparison.together.notes),
+def chain_rows(found: Mapping[str, Any]) -> list[list[str]]:
+    """Return the cells of a divergence, a row for each signal, under `HEADS`."""
+    return [
+        [
+            each["signal"],
+            number(each["rank"]),
+            each["element"],
+            f"{each['time_s']:.3f}" if each["rank"] else "–",
+            number(each["size"]),
+            number(each["relative"]),
+        ]
+        for each in found["signals"]
     ]
-    for name, shown in figures:
-        parts.append(shown)
-        if name == "ranking":
-            parts += ["<h2>Every joint</h2>", _joint_table(comparison)]
-    parts += [
-        "<h2>Every state</h2>",
-        _state_table(comparison),
-        f'<p class="sub">All figures, with all digits: analysis.json. unicon_ros {__version__}</p>',
-    ]
-    title = f"{runs[0].path.name} (real) and {runs[1].path.name} (simulated)"
-    return page(title, "How far the simulator is from the robot", parts)
 
 
-def _facts(comparison: Comparison, runs: tuple[Run, Run]) -> str:
-    both = comparison.together
-    shift, count = int(both.aligned.shift), len(both.time)
-    later = {1: "; the real run is later", -1: "; the simulated run is later", 0: ""}
-    unfolded = comparison.states["joint_pos"]["unfolded_mse"]
-    facts = {
-        "real": _in_words(runs[0]),
-        "simulated": _in_words(runs[1]),
-        "shift": f"{shift * both.period:+.3f} s ({shift:+d} samples)"
-        + later[(shift > 0) - (shift < 0)],
-        "compared": f"{count:,} samples at {1 / both.period:.4g} Hz, {both.time[0]:.2f} to "
-        f"{both.time[-1]:.2f} s of the real run, {len(both.joints)} joints",
-        "resampling": both.method,
-        "aligned MSE": f"{float(both.aligned.loss):.4g} rad², summed over joints, at that shift",
-        "unfolded MSE": f"{unfolded:.4g} rad², mean of a joint, as UniCon's authors compute it",
-        "ranked by": comparison.ranked_by,
-    }
-    return pairs(facts)
-
-
-def _in_words(run: Run) -> str:
-    about = "".join(f", {key} {value}" for key, value in run.about.items())
-    rate = (len(run.time) - 1) / run.time[-1]
-    return (
-        f"{run.path}{about}; {run.time[-1]:.2f} s, {len(run.time):,} samples, {rate:.4g} Hz "
-        f"by {run.clock}"
-    )
+def _headline(found: Mapping[str, Any]) -> str:
+    """Return the first steps of a divergence in words."""
+    steps = []
+    for rank, step in groupby(found["signals"], lambda each: each["rank"]):
+        alike = [*step]
+        if rank in range(1, STEPS + 1):
+            names = _some([each["signal"] for each in alike])
+            steps.append(f"{names} at {alike[0]['time_s']:.3f} s")
+    if steps:
+        return f"First to differ: {'; then '.join(steps)}."
+    first, last = found["healthy_s"]
+    usual = f"what it does from {first:.2f} to {last:.2f} s"
+    return f"No signal differs by more than {FACTOR:g} times {usual}."
 
 
 def _joint_table(comparison: Comparison) -> str:
@@ -151,14 +148,6 @@ def _joint_table(comparison: Comparison) -> str:
         for k in comparison.order
     ]
     return table(heads, rows)
-
-
-def _state_table(comparison: Comparison) -> str:
-    rows = [
-        [name, *(number(figures[key]) for key in _STATE_COLUMNS)]
-        for name, figures in comparison.states.items()
-    ]
-    return table(["state", *_STATE_COLUMNS.values()], rows)
 
 
 SURE = 0.8
@@ -189,12 +178,8 @@ def findings_of(comparison: Comparison) -> list[str]:
     for cycle in comparison.swapped:
         if still[list(cycle)].any():
             continue
-        names = [both.joints[k] for k in cycle]
-        said.append(
-            f"{' and '.join(names)} look swapped: each moves as the other does in the simulator."
-            if len(names) == 2
-            else f"{', '.join(names)} look swapped in a ring."
-        )
+        names = " and ".join(both.joints[k] for k in cycle)
+        said.append(f"{names} look swapped: each moves as another does in the simulator.")
     correlation = np.where(still, 0.0, np.nan_to_num(joints["correlation"]))
 
     def tell(text: str, which: Bool) -> None:
@@ -248,17 +233,18 @@ def _ranked(comparison: Comparison) -> str:
 
 
 def _falls(falls: tuple[float, float]) -> list[str]:
-    real, sim = falls
-    if math.isnan(real) and math.isnan(sim):
+    real, sim = (
+        "did not fall" if math.isnan(at) else f"fell at {at:.2f} s of its run" for at in falls
+    )
+    if real == sim == "did not fall":
         return []
-    if math.isnan(sim):
-        return [f"The real robot fell at {real:.2f} s, the simulated one did not."]
-    if math.isnan(real):
-        return [f"The simulated robot fell at {sim:.2f} s, the real one did not."]
-    return [f"The real robot fell at {real:.2f} s, the simulated one at {sim:.2f} s of its run."]
+    return [f"The real robot {real}, the simulated one {sim}."]
 
 
 def _names(comparison: Comparison, which: Bool) -> str:
-    names = [comparison.together.joints[k] for k in comparison.order if which[k]]
+    return _some([comparison.together.joints[k] for k in comparison.order if which[k]])
+
+
+def _some(names: list[str]) -> str:
     more = f" and {len(names) - 4} more" if len(names) > 4 else ""
     return ", ".join(names[:4]) + more

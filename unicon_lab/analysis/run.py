@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TypeAlias
 
 import numpy as np
 
-from unicon_base.arrays import Array, Bool, Float64, Int64
+from unicon_base.arrays import Array, Bool, Float64
 from unicon_base.errors import UniconError
-from unicon_lab.recording import open_record
+from unicon_core.platforms.kit.base import rotation
+from unicon_lab.recording import Record, open_record
 from unicon_lab.recording.imported import KEYS, NAMES, UNICONS, Archive, read_archive, too_large
 
+TRACKING = "tracking_error"
+"""Target − position in [rad]."""
 JOINTS = (
     "joint_pos",
     "joint_vel",
@@ -26,18 +29,20 @@ JOINTS = (
     "joint_stiffness",
     "joint_damping",
     "motor_temperature",
+    TRACKING,
 )
 """The states of joints that are looked at; `joint_pos` must be there."""
 
+_XYZ = ("x", "y", "z")
 BASE = {
-    "projected_gravity": 3,
-    "base_quat": 4,
-    "base_ang_vel": 3,
-    "base_lin_vel": 3,
-    "base_lin_acc": 3,
-    "velocity_command": 3,
+    "projected_gravity": _XYZ,
+    "base_quat": ("w", *_XYZ),
+    "base_ang_vel": _XYZ,
+    "base_lin_vel": _XYZ,
+    "base_lin_acc": _XYZ,
+    "velocity_command": ("vx", "vy", "wz"),
 }
-"""The states of the base that are looked at, with their lengths. Its place in the world is none of
+"""The states of the base that are looked at, with their elements. Its place in the world is none of
 them: it is the sum of all differences before."""
 
 FEWEST = 16
@@ -57,8 +62,10 @@ class Run:
         begins: time of the first sample in [s] since the file's first one.
         time: of each sample in [s] since then, rising, shape (n,).
         joints: names of the joints; empty where the file tells none.
-        states: name to float64, shape (n, d).
+        states: name to float64, shape (n, d); signals beside the states, and `figures_of` it.
         notes: what was left out or assumed, in sentences.
+        broken: states in which something is not a number, with `LARGEST` in its place; likewise.
+        elements: of each state and signal, names; empty of joints where the file tells none.
     """
 
     path: Path
@@ -69,7 +76,14 @@ class Run:
     joints: tuple[str, ...]
     states: Mapping[str, Float64]
     notes: list[str] = field(default_factory=list)
+    broken: Mapping[str, Float64] = field(default_factory=dict)
+    elements: Elements = field(default_factory=dict)
 
+
+Elements: TypeAlias = Mapping[str, tuple[str, ...]]
+"""Name of a signal to the names of its elements, length d."""
+Signals: TypeAlias = tuple[Mapping[str, Array], Elements]
+"""Name to values, shape (n, d), and names of their elements."""
 
 Window = tuple[float, float]
 """From when to when, in [s] since the file's first sample."""
@@ -82,6 +96,8 @@ def make_run(
     joints: tuple[str, ...],
     found: Mapping[str, Array],
     window: Window,
+    notes: list[str],
+    more: Elements,
 ) -> Run:
     """Check what was read and choose the clock.
 
@@ -90,26 +106,28 @@ def make_run(
         about: what it tells of itself.
         clocks: name and time of each sample in [s], best first; the first that rises is taken.
         joints: their names, or empty.
-        found: states by name, shape (n, d).
+        found: states and other signals by name, shape (n, d).
         window: what is wanted of it.
+        notes: what is known of it already.
+        more: elements of what `found` has beside the states.
 
     Raises:
         UniconError: no joint positions, too few samples, no clock that rises, or joint positions
             that are not numbers.
     """
-    _check_shapes(path, joints, found)
+    elements: Elements = dict.fromkeys(JOINTS, joints) | BASE | dict(more)
+    _check_shapes(path, elements, found)
     count = len(found["joint_pos"])
-    usable = ((name, time, rising(time)) for name, time in clocks)
-    chosen = next(((name, time, kept) for name, time, kept in usable if kept is not None), None)
     if count < FEWEST:
         raise UniconError(f"{path} has {count} samples; at least {FEWEST} tell something")
-    if chosen is None:
+    for clock, time in clocks:
+        if (kept := rising(time)) is not None:
+            break
+    else:
         raise UniconError(
             f"{path} has no clock that goes on, only {[name for name, _ in clocks]}; in an .npz, "
             "dt=0.02 says that samples are 20 ms apart"
         )
-    clock, time, kept = chosen
-    notes = []
     if not kept.all():
         notes.append(
             f"{path.name}: {int((~kept).sum())} of {count} samples had the time of the one before "
@@ -123,64 +141,70 @@ def make_run(
             f"{path} has {kept.sum()} samples from {window[0]:g} to {window[1]:g} s; it lasts "
             f"{time[-1]:.2f} s: choose --from and --to so that at least {FEWEST} are left"
         )
-    rows: Any = kept
-    inside = np.flatnonzero(kept)
-    if inside[-1] - inside[0] + 1 == len(inside):  # a view, where an index would be a copy
-        rows = slice(inside[0], inside[-1] + 1)
-    time = time[rows]
-    states = {}
+    time = time[kept]
+    states, broken = dict[str, Float64](), dict[str, Float64]()
     for name, values in found.items():
-        array = np.asarray(values[rows], np.float64)
-        if what := _not_numbers(name, array, time, joints):
-            if name == "joint_pos":
-                raise UniconError(
-                    f"{path}: {what}; cut it there (--from, --to; --sim-from, --sim-to), or "
-                    "fill it in"
-                )
-            notes.append(f"{path.name}: {what}; it was left out.")
-        else:
-            states[name] = array
+        states[name] = array = values[kept].astype(np.float64)
+        rows, columns = np.nonzero(~(np.abs(array) < LARGEST))
+        if not rows.size:
+            continue
+        first, last, column = rows[0], rows[-1], columns[0]
+        names = elements[name]
+        what = (
+            f"{name} is {array[first, column]} in {len({*rows.tolist()})} samples from "
+            f"{time[first]:.2f} to {time[last]:.2f} s, first in "
+            f"{names[column] if names else f'element {column}'}"
+        )
+        if name == "joint_pos":
+            raise UniconError(
+                f"{path}: {what}; cut it there (--from, --to; --sim-from, --sim-to), or fill it in"
+            )
+        notes.append(f"{path.name}: {what}; it was left out.")
+        broken[name] = np.clip(np.nan_to_num(states.pop(name), nan=LARGEST), -LARGEST, LARGEST)
+    broken.pop("base_quat", None)
     quat = states.pop("base_quat", None)
     if quat is not None and "projected_gravity" not in states:
-        states["projected_gravity"] = _gravity(quat)
-    begins = float(time[0])
-    return Run(path, about, clock, begins, time - begins, joints, states, notes)
+        length = np.maximum(np.linalg.norm(quat, axis=1, keepdims=True), 1e-9)
+        states["projected_gravity"] = -rotation(quat / length)[:, 2]
+    states |= figures_of(states)
+    begins, time = float(time[0]), time - time[0]
+    return Run(path, about, clock, begins, time, joints, states, notes, broken, elements)
 
 
-def _check_shapes(path: Path, joints: tuple[str, ...], found: Mapping[str, Array]) -> None:
+def figures_of(states: Mapping[str, Float64]) -> dict[str, Float64]:
+    """Return what follows from the states that there are, over time, shape (n, d).
+
+    `tracking_error`; `velocity_error` and `turn_error`: base velocity minus command in [m/s], as a
+    length, and in [rad/s]; `power`: Σ |torque · velocity| of the joints in [W].
+    """
+    figures, command = {}, states.get("velocity_command")
+    if "joint_pos_target" in states:
+        figures[TRACKING] = states["joint_pos_target"] - states["joint_pos"]
+    if command is not None and "base_lin_vel" in states:
+        off = (states["base_lin_vel"] - command)[:, :2]
+        figures["velocity_error"] = np.linalg.norm(off, axis=1, keepdims=True)
+    if command is not None and "base_ang_vel" in states:
+        figures["turn_error"] = (states["base_ang_vel"] - command)[:, 2:]
+    if {"joint_effort", "joint_vel"} <= states.keys():
+        power = np.abs(states["joint_effort"] * states["joint_vel"])
+        figures["power"] = power.sum(axis=1, keepdims=True)
+    return figures
+
+
+def _check_shapes(path: Path, elements: Elements, found: Mapping[str, Array]) -> None:
     if "joint_pos" not in found:
         raise UniconError(
             f"{path} has no joint_pos; it has {', '.join(found) or 'nothing that is known'}"
         )
-    count, width = found["joint_pos"].shape
+    (count, width), joints = found["joint_pos"].shape, elements["joint_pos"]
     if joints and len(joints) != width:
         raise UniconError(f"{path} names {len(joints)} joints, its joint_pos has {width}")
     if len(set(joints)) < len(joints):
         raise UniconError(f"{path} names a joint twice: {', '.join(joints)}")
     for name, values in found.items():
-        length = width if name in JOINTS else BASE[name]
+        length = width if name in JOINTS else len(elements[name])
         if values.shape != (count, length):
             raise UniconError(f"{path}: {name} has shape {values.shape}, not {(count, length)}")
-
-
-def _not_numbers(name: str, values: Float64, time: Float64, joints: tuple[str, ...]) -> str:
-    """Return what is wrong with a state, "" where all are numbers."""
-    wrong = ~(np.abs(values) < LARGEST)
-    if not wrong.any():
-        return ""
-    rows = np.flatnonzero(wrong.any(axis=1))
-    element = int(np.argwhere(wrong)[0][1])
-    who = joints[element] if joints and name in JOINTS else f"element {element}"
-    return (
-        f"{name} is {values[rows[0], element]} in {len(rows)} samples from {time[rows[0]]:.2f} to "
-        f"{time[rows[-1]]:.2f} s, first in {who}"
-    )
-
-
-def _gravity(quat: Float64) -> Float64:
-    """Return the unit vector of gravity in the base frame, shape (n, 3), of wxyz base to world."""
-    w, x, y, z = (quat / np.maximum(np.linalg.norm(quat, axis=1, keepdims=True), 1e-9)).T
-    return np.stack([2 * (w * y - x * z), -2 * (w * x + y * z), 2 * (x * x + y * y) - 1], axis=1)
 
 
 @np.errstate(invalid="ignore")
@@ -195,37 +219,39 @@ def rising(time: Float64) -> Bool | None:
     return np.concatenate([[True], steps > 0.0])
 
 
-def read_run(path: Path, window: Window = (0.0, math.inf)) -> Run:
+def read_run(
+    path: Path,
+    window: Window = (0.0, math.inf),
+    more: Callable[[Record, list[str]], Signals] = lambda record, notes: ({}, {}),
+) -> Run:
     """Read a run from a record of ours or from an `.npz`.
 
+    Args:
+        path: of the file.
+        window: what is wanted of it.
+        more: tells further signals of a record, in every tick, and notes what is missing.
+
+    Of a record every state is taken where its tick ended: what was measured and what was made of it
+    go together there. A tick that a fault cut off is left out.
+
     Raises:
-        UniconError: it cannot be read, or does not hold what a comparison needs.
+        UniconError: it cannot be read, is of many robots, or lacks what a comparison needs.
     """
     if path.exists() and not (path.is_file() or path.is_dir()):  # a pipe would never end
         raise UniconError(f"{path} is neither a file nor a folder; give a recording")
     if path.suffix.lower() == ".npz":
         return read_npz(path, window)
-    return _read_record(path, window)
-
-
-def _read_record(path: Path, window: Window) -> Run:
-    """Read a recording or the record of a fault.
-
-    Every state is taken where its tick ended: what was measured and what was made of it go
-    together there. A tick that a fault cut off is left out.
-
-    Raises:
-        UniconError: it cannot be read, is of many robots, or lacks what a comparison needs.
-    """
     record = open_record(path)
     layout = record.layout
     if layout.num_robots is not None:
         raise UniconError(
             f"{path} is of {layout.num_robots} robots at once; record one of them on its own"
         )
-    whole = record.ended
-    states = {name: record.states(name)[whole] for name in (*JOINTS, *BASE) if name in layout.slots}
-    states = {name: values for name, values in states.items() if values.ndim == 2}
+    whole, notes = record.ended, list[str]()
+    found, elements = more(record, notes)
+    names = [name for name in (*JOINTS, *BASE) if name in layout.slots]
+    found = {name: record.states(name) for name in names} | dict(found)
+    found = {name: values[whole] for name, values in found.items()}
     clocks: list[tuple[str, Float64]] = []
     if "stamp_ns" in layout.slots:
         stamps = record.states("stamp_ns")[whole].reshape(-1)
@@ -237,16 +263,16 @@ def _read_record(path: Path, window: Window) -> Run:
     facts = ("robot", "workflow", "platform", "reason", "written")
     about = {name: record.facts[name] for name in facts if record.facts.get(name)}
     joints = layout.specs["joint_pos"].names if "joint_pos" in layout.specs else ()
-    return make_run(path, about, clocks, tuple(joints), states, window)
+    return make_run(path, about, clocks, tuple(joints), found, window, notes, elements)
 
 
-def _seconds(stamps: Int64) -> Float64:
+def _seconds(stamps: Array) -> Float64:
     """Return times in [s] from the first one; a clock of nanoseconds since 1970 loses no digit."""
     return np.asarray((stamps - stamps[:1]) * 1e-9, np.float64)
 
 
-NOT_SURE = ("base_lin_vel", "base_lin_acc", "velocity_command")
-"""What UniCon has in a frame or an order that each of its robots chooses."""
+NOT_SURE = ("base_lin_vel", "base_lin_acc", "velocity_command", "base_quat", "base_pos_w")
+"""What UniCon has in a frame or an order that each of its robots chooses, or is not looked at."""
 
 ABOUT = ("robot", "workflow", "platform")
 STEPS = ("dt", "period", "rec_dt")
@@ -273,11 +299,9 @@ def read_npz(path: Path, window: Window) -> Run:
 
 def _run(archive: Archive, window: Window) -> Run:
     path, arrays = archive.path, archive.arrays
-    found: dict[str, Array] = {n: arrays[n] for n in (*JOINTS, *BASE) if n in arrays}
-    for key, name in KEYS.items():
-        wanted = name in JOINTS or (name in BASE and name not in (*NOT_SURE, "base_quat"))
-        if key in arrays and wanted and name not in found:
-            found[name] = arrays[key]
+    known = {key: name for key, name in KEYS.items() if name not in NOT_SURE}
+    known |= {name: name for name in (*JOINTS, *BASE)}
+    found = {name: arrays[key] for key, name in known.items() if key in arrays}
     quat = None if {"projected_gravity", "base_quat"} & found.keys() else archive.base_quat()
     if quat is not None:
         found["base_quat"] = quat
@@ -292,7 +316,8 @@ def _run(archive: Archive, window: Window) -> Run:
     if count < rows:
         found = {name: values[:count] for name, values in found.items()}
     about = {name: str(arrays[name]) for name in ABOUT if name in arrays}
-    return make_run(path, about, _clocks(archive, count), archive.joint_names(), found, window)
+    clocks, joints = _clocks(archive, count), archive.joint_names()
+    return make_run(path, about, clocks, joints, found, window, [], {})
 
 
 @np.errstate(invalid="ignore")  # of infinite times, which `rising` refuses
@@ -305,7 +330,7 @@ def _clocks(archive: Archive, count: int) -> list[tuple[str, Float64]]:
         if stamps.dtype.kind in "iu":
             stamps = stamps.astype(np.int64)  # unsigned ones cannot go back
         if len(stamps) == count and stamps.dtype.kind in "if":
-            clocks.append(("stamp_ns", np.asarray((stamps - stamps[:1]) * 1e-9, np.float64)))
+            clocks.append(("stamp_ns", _seconds(stamps)))
     for key in STEPS:
         step = archive.number(key)
         if step is not None:

@@ -11,7 +11,7 @@ from typing import Any
 
 from unicon_base.errors import UniconError, cannot
 from unicon_core.page import write_file
-from unicon_ros.cli.console import note
+from unicon_ros.cli.console import note, print_table
 from unicon_ros.cli.options import argument, command, flag, group, positive, seconds
 
 
@@ -26,8 +26,9 @@ def _analyze(arguments: argparse.Namespace) -> int:
             return status
     from unicon_core.drawing import require
     from unicon_lab.analysis.comparison import compare_runs
-    from unicon_lab.analysis.paired_runs import Options, bring_together
-    from unicon_lab.analysis.report import write_report
+    from unicon_lab.analysis.divergence import signals_of
+    from unicon_lab.analysis.paired_runs import bring_together
+    from unicon_lab.analysis.report import HEADS, chain_rows, write_report
     from unicon_lab.analysis.run import read_run
 
     require("unicon analyze")
@@ -35,16 +36,17 @@ def _analyze(arguments: argparse.Namespace) -> int:
     runs = []
     for who in ("real", "sim"):
         path = Path(getattr(arguments, who))
-        _tell(f"reading {path}{_size(path)}")
+        _tell(f"reading {path}")
         span = getattr(arguments, f"{who}_from"), getattr(arguments, f"{who}_to")
-        runs.append(read_run(path, span))
+        runs.append(read_run(path, span, signals_of))
     real, sim = runs
     _tell(f"comparing {len(real.time):,} samples with {len(sim.time):,}")
-    options = Options(arguments.max_shift, arguments.rate, arguments.whole)
-    comparison = compare_runs(bring_together(real, sim, options))
-    result: Any = write_report(comparison, (real, sim), folder, _tell)
+    options = arguments.max_shift, arguments.rate, arguments.whole
+    comparison = compare_runs(bring_together(real, sim, *options))
+    result = write_report(comparison, (real, sim), folder, _tell)
     for text in [*result["findings"], *result["notes"]]:
         print(text)
+    print_table([HEADS, *chain_rows(result["divergence"])], underlined=True, right=(1, 3, 4, 5))
     print(f"report  {folder / 'report.html'}")
     return status
 
@@ -54,13 +56,6 @@ def _folder(text: str) -> Path:
     with cannot(f"make the folder {folder}", "give another to --out"):
         folder.mkdir(parents=True, exist_ok=True)
     return folder
-
-
-def _size(path: Path) -> str:
-    try:
-        return f" ({path.stat().st_size / 1e6:,.1f} MB)" if path.is_file() else ""
-    except OSError:
-        return ""
 
 
 def _tell(text: str) -> None:

@@ -20,7 +20,7 @@ from unicon_core.robots import Robot, joint_index
 from unicon_core.runtime.rollouts import Rollout
 from unicon_core.states import States
 from unicon_core.workflow import Program
-from unicon_lab.analysis.paired_runs import Options, bring_together
+from unicon_lab.analysis.paired_runs import bring_together
 from unicon_lab.analysis.run import FEWEST, Run
 
 MOVED = (
@@ -107,7 +107,7 @@ def apart(first: Run, other: Run) -> dict[str, Any]:
     Raises:
         UniconError: there is too little in common.
     """
-    both = bring_together(first, other, Options())
+    both = bring_together(first, other)
     one, two = both.unshifted
     return {
         "mse": float(mse(one, two)),
