@@ -1,4 +1,4 @@
-"""What differed first: the chain of two runs names the right signal, and none where none differs."""
+"""What differed first: the chain of two runs names the right signal, or none."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def test_the_signal_with_the_fault_is_first(
     else:
         real["joint_damping"][late:] += 1.0
     found = chain(tmp_path, real, sim)
-    assert list(ranks(found))[0] == signal
+    assert next(iter(ranks(found))) == signal
     one = of(found, signal)
     assert one["time_s"] == pytest.approx(FAULT, abs=0.1 if fault in ("sign", "calf") else 1e-6)
     assert one["element"] == element or not element

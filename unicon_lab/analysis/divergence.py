@@ -6,11 +6,11 @@ Signals are the states of both runs, the terms of the observation, the action, a
 the power. The first `HEALTHY_S` in which the policy acts in both runs, or of runs without one their
 beginning, is taken to be healthy: it gives the level of each element's difference, the RMS. An
 element differs where its difference exceeds `FACTOR` times that level in `HOLD` samples in a row,
-from the sample on in which it left the level: what grows slowly began earlier than it became large.
+from the sample on in which it left that level: what grows slowly began before it became large.
 Bounds of that threshold follow from the variation, the element's standard deviation in the
 simulated run:
 
-- Runs that are not equal up to rounding at first differ by `SHARE` of it at least. Where the element
+- Runs that are not equal up to rounding at first differ by `SHARE` of it at least. Where an element
   is calm at first, as in a robot that stands and then walks, the level is no measure of what
   follows: the difference must exceed the whole variation.
 - A fault from the beginning on is no level: the threshold is the variation at most, or that of
@@ -25,14 +25,13 @@ from typing import Any
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from unicon_base.arrays import Array, Float64
+from unicon_base.arrays import Array, Bool, Float64
 from unicon_base.errors import UniconError, one_line
 from unicon_core.metrics import rmse
 from unicon_core.policies.controller import prefix_of
 from unicon_core.policies.observation import Observation
 from unicon_core.policies.policy_states import own_states
 from unicon_core.states import States
-from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow.members import load_robot_of
 from unicon_core.workflow.policies import load_policies
 from unicon_lab.analysis.paired_runs import Together
@@ -81,19 +80,16 @@ def _divergence(both: Together, shift: int) -> dict[str, Any]:
     count = min(end - first for end, first in zip(both.ends, skipped))
     length = max(HOLD, min(round(HEALTHY_S / period), count // 4))
     real, sim = (
-        {name: values[first : first + count] for name, values in side.items()}
+        {name: side[name][first : first + count] for name in both.real_whole if name in side}
         for side, first in zip((both.real_whole, both.sim_whole), skipped)
     )
     acts = next((name for name in real if name.endswith("action")), "joint_pos")
-    moved = [(run[acts] != run[acts][0]).any(axis=1).argmax() for run in (real, sim)]
-    first = min(int(max(moved)), count - length)
+    moved = [int(np.argmax((run[acts] != run[acts][0]).any(axis=1))) for run in (real, sim)]
+    first = min(max(moved), count - length)
     healthy = slice(first, first + length)
     begin = both.begins[0] + (skipped[0] - max(0, int(both.aligned.shift))) * period
-    found = [
-        (*_onset(values - sim[name], sim[name], healthy), name) for name, values in real.items()
-    ]
-    made = ("action", *COMMAND_STATES)  # stands behind what is seen, as in a tick
-    found.sort(key=lambda each: (each[0], each[2].endswith(made) and " " not in each[2]))
+    found = [(*_onset(real[name] - usual, usual, healthy), name) for name, usual in sim.items()]
+    found.sort(key=lambda each: each[0])
     steps, signals = [*dict.fromkeys(onset for onset, _, _ in found)], []
     for onset, column, name in found:
         differs, size = onset < math.inf, float(rmse(real[name], sim[name]))
@@ -126,7 +122,7 @@ def _onset(off: Float64, sim: Float64, healthy: slice) -> tuple[float, int]:
     """
     first, variation = off[healthy], sim.std(axis=0)
     level = np.sqrt(np.mean(first**2, axis=0))
-    # Of white noise σ the second difference has √6 σ, and the median of its size is `NORMAL` of that.
+    # Of white noise σ the second difference has √6 σ; the median of its size is `NORMAL` of that.
     noise = np.median(np.abs(np.diff(first, 2, axis=0)), axis=0) / (NORMAL * math.sqrt(6.0))
     most = np.maximum(FACTOR * noise, variation)
     spread = np.abs(sim[healthy] - np.median(sim[healthy], axis=0))
@@ -134,12 +130,12 @@ def _onset(off: Float64, sim: Float64, healthy: slice) -> tuple[float, int]:
     low = np.maximum(np.minimum(FACTOR * level, most), rounding)
     calm = np.median(spread, axis=0) < CALM * NORMAL * variation
     share = np.where(level > rounding, np.where(calm, 1.0, SHARE), 0.0)
-    size = np.abs(off)
+    size: Float64 = np.abs(off)
     beyond = size > np.maximum(low, share * variation)
-    differs = sliding_window_view(beyond, HOLD, axis=0).all(axis=-1)
+    differs: Bool = np.all(sliding_window_view(beyond, HOLD, axis=0), axis=-1)
     onsets = np.full(off.shape[1], math.inf)
-    for k in np.flatnonzero(differs.any(axis=0)):
-        before = np.flatnonzero(size[: differs[:, k].argmax(), k] <= low[k])
+    for k in np.flatnonzero(differs.any(axis=0)).tolist():
+        before = np.flatnonzero(size[: int(np.argmax(differs[:, k])), k] <= low[k])
         onsets[k] = before[-1] + 1 if before.size else 0
     element = int(onsets.argmin())
     return float(onsets[element]), element

@@ -26,7 +26,7 @@ class Together:
         method: how both came to it, in words.
         aligned: of the joint positions, in samples.
         real, sim: states that both have, shifted and of one length, shape (n, d).
-        real_whole, sim_whole: the same before the shift and the cut at a fall, and `Run.broken`.
+        real_whole, sim_whole: all states before the shift and the cut at a fall, and `Run.broken`.
         ends: samples of each of these that the cut at a fall leaves.
         begins: time of the first common sample in the real file and in the simulated one, in [s].
         falls: when each fell in [s] of its file, NaN for not at all.
@@ -100,8 +100,7 @@ def bring_together(
             if name in known or run.elements.get(name) == other.elements.get(name)
         }
         sides.append(states if method == "" else resample(run.time, states, period))
-    common = [name for name in sides[0] if name in sides[1]]
-    sound = [name for name in common if name in real.states and name in sim.states]
+    sound = [name for name in sides[0] if name in real.states and name in sim.states]
     falls, ends = [], []
     for side, run in zip(sides, runs):
         end, fall = len(side["joint_pos"]), math.nan
@@ -135,7 +134,8 @@ def bring_together(
         aligned,
         {name: a[name][first_a : first_a + count] for name in sound},
         {name: b[name][first_b : first_b + count] for name in sound},
-        *({name: side[name] for name in common} for side in sides),
+        a,
+        b,
         (ends[0], ends[1]),
         (real.begins + first_a * period, sim.begins + first_b * period),
         (real.begins + falls[0], sim.begins + falls[1]),

@@ -23,31 +23,6 @@ MOST = 32
 """Joints in the other pictures; the rest are in the table."""
 
 
-_BARS = {
-    "gap": "gap [rad]",
-    "effort_rms": "RMS of torque [N·m]",
-    "temperature_peak": "highest temperature [°C]",
-}
-_WHO = {"": (INK, None), "_real": (REAL, "real"), "_sim": (SIM, "simulated")}
-
-
-def _ranking(figure: Any, comparison: Comparison) -> bool:
-    order, figures = comparison.order[:MOST], comparison.joints
-    names, places = [comparison.together.joints[k] for k in order], np.arange(len(order))
-    shown = [key for key in _BARS if key in figures or f"{key}_real" in figures]
-    figure.set_size_inches(11.0, 3.2 * len(shown))
-    for axes, key in zip(figure.subplots(len(shown), squeeze=False)[:, 0], shown):
-        sides = [side for side in _WHO if key + side in figures]
-        for k, side in enumerate(sides):
-            at, (colour, label) = places + 0.4 * k - 0.2 * (len(sides) - 1), _WHO[side]
-            axes.bar(at, figures[key + side][order], 0.4, color=colour, label=label)
-        axes.set_xticks(places, names, rotation=35, ha="right")
-        axes.set_ylabel(_BARS[key])
-        if label:
-            axes.legend()
-    return True
-
-
 def _alignment(figure: Any, comparison: Comparison) -> bool:
     both = comparison.together
     figure.set_size_inches(11.0, 3.0)
@@ -123,6 +98,25 @@ def _tracking(figure: Any, comparison: Comparison) -> bool:
     return True
 
 
+_BARS = {"effort_rms": "RMS of torque [N·m]", "temperature_peak": "highest temperature [°C]"}
+
+
+def _effort(figure: Any, comparison: Comparison) -> bool:
+    order, figures = comparison.order[:MOST], comparison.joints
+    names, places = [comparison.together.joints[k] for k in order], np.arange(len(order))
+    shown = [key for key in _BARS if f"{key}_real" in figures]
+    if not shown:
+        return False
+    figure.set_size_inches(11.0, 3.2 * len(shown))
+    for axes, key in zip(figure.subplots(len(shown), squeeze=False)[:, 0], shown):
+        for side, colour, at in (("real", REAL, -0.2), ("sim", SIM, 0.2)):
+            axes.bar(places + at, figures[f"{key}_{side}"][order], 0.4, color=colour, label=side)
+        axes.set_xticks(places, names, rotation=35, ha="right")
+        axes.set_ylabel(_BARS[key])
+        axes.legend()
+    return True
+
+
 # State, label, and what is drawn of it.
 _OF_BASE: tuple[tuple[str, str, Callable[[Float64], Float64]], ...] = (
     ("projected_gravity", "lean [rad]", lambda rows: np.arccos(np.clip(-rows[:, 2], -1.0, 1.0))),
@@ -154,13 +148,6 @@ def _base(figure: Any, comparison: Comparison) -> bool:
 
 
 PICTURES: Pictures = {
-    "ranking": (
-        _ranking,
-        "Joints by gap",
-        "How far the joint's tracking error (target − position) is distributed otherwise on the "
-        "robot than in the simulator; of positions where no targets were recorded. Torque and "
-        "temperature are those of the stretch that was compared.",
-    ),
     "alignment": (
         _alignment,
         "Alignment in time",
@@ -183,6 +170,7 @@ PICTURES: Pictures = {
         "How often each joint was how far from its target. A weak motor is farther away, a joint "
         "whose zero is wrong is beside it, friction makes it broad.",
     ),
+    "effort": (_effort, "Torque and temperature", "In the stretch that was compared."),
     "base": (
         _base,
         "The base",

@@ -92,10 +92,8 @@ def write_report(
         pairs(facts | mses),
         *(f"<p>{html.escape(note)}</p>" for note in both.notes),
     ]
-    for name, shown in drawings(PICTURES, comparison, folder=folder, tell=tell):
-        parts.append(shown)
-        if name == "ranking":
-            parts += ["<h2>Every joint</h2>", _joint_table(comparison)]
+    parts += ["<h2>Every joint</h2>", _joint_table(comparison)]
+    parts += [shown for _, shown in drawings(PICTURES, comparison, folder=folder, tell=tell)]
     end = f"All figures, with all digits: analysis.json. unicon_ros {__version__}"
     parts.append(f'<p class="sub">{end}</p>')
     title = f"{runs[0].path.name} (real) and {runs[1].path.name} (simulated)"

@@ -120,7 +120,7 @@ def make_run(
     count = len(found["joint_pos"])
     if count < FEWEST:
         raise UniconError(f"{path} has {count} samples; at least {FEWEST} tell something")
-    for clock, time in clocks:
+    for clock, time in clocks:  # noqa: B007  (the first good one is used below)
         if (kept := rising(time)) is not None:
             break
     else:
@@ -249,7 +249,7 @@ def read_run(
         )
     whole, notes = record.ended, list[str]()
     found, elements = more(record, notes)
-    names = [name for name in (*JOINTS, *BASE) if name in layout.slots]
+    names = [name for name in (*BASE, *JOINTS) if name in layout.slots]
     found = {name: record.states(name) for name in names} | dict(found)
     found = {name: values[whole] for name, values in found.items()}
     clocks: list[tuple[str, Float64]] = []
@@ -291,14 +291,7 @@ def read_npz(path: Path, window: Window) -> Run:
     """
     wanted = (*JOINTS, *BASE, *KEYS, *UNICONS, *NAMES, *ABOUT, *STEPS, "stamp_ns")
     archive = read_archive(path, wanted)
-    try:
-        return _run(archive, window)
-    except MemoryError:
-        raise too_large(path) from None
-
-
-def _run(archive: Archive, window: Window) -> Run:
-    path, arrays = archive.path, archive.arrays
+    arrays = archive.arrays
     known = {key: name for key, name in KEYS.items() if name not in NOT_SURE}
     known |= {name: name for name in (*JOINTS, *BASE)}
     found = {name: arrays[key] for key, name in known.items() if key in arrays}
@@ -317,7 +310,10 @@ def _run(archive: Archive, window: Window) -> Run:
         found = {name: values[:count] for name, values in found.items()}
     about = {name: str(arrays[name]) for name in ABOUT if name in arrays}
     clocks, joints = _clocks(archive, count), archive.joint_names()
-    return make_run(path, about, clocks, joints, found, window, [], {})
+    try:
+        return make_run(path, about, clocks, joints, found, window, [], {})
+    except MemoryError:
+        raise too_large(path) from None
 
 
 @np.errstate(invalid="ignore")  # of infinite times, which `rising` refuses

@@ -40,7 +40,6 @@ def _analyze(arguments: argparse.Namespace) -> int:
         span = getattr(arguments, f"{who}_from"), getattr(arguments, f"{who}_to")
         runs.append(read_run(path, span, signals_of))
     real, sim = runs
-    _tell(f"comparing {len(real.time):,} samples with {len(sim.time):,}")
     options = arguments.max_shift, arguments.rate, arguments.whole
     comparison = compare_runs(bring_together(real, sim, *options))
     result = write_report(comparison, (real, sim), folder, _tell)
