@@ -9,7 +9,7 @@ import numpy as np
 
 from unicon_base.arrays import Float64
 from unicon_core.drawing import INK, MARK, Pictures, curve, grid, zoomed
-from unicon_core.metrics import shift_losses
+from unicon_core.metrics import rmse, shift_losses
 from unicon_lab.analysis.comparison import Comparison
 from unicon_lab.analysis.run import TRACKING
 
@@ -57,23 +57,25 @@ def _curves(figure: Any, comparison: Comparison) -> bool:
 def _heat(figure: Any, comparison: Comparison) -> bool:
     both = comparison.together
     order = comparison.order[:MOST]
-    figure.set_size_inches(12.0, 1.2 + 0.24 * len(order))
-    axes, squares = figure.add_subplot(), both.real["joint_pos"] - both.sim["joint_pos"]
-    squares = squares[:, order] ** 2
-    count = len(squares)
-    edges = np.unique(np.linspace(0, count, min(COLUMNS, count) + 1).astype(int))
+    figure.set_size_inches(12.0, 2.6 + 0.24 * len(order))
+    above, below = figure.subplots(2, sharex=True, height_ratios=[1.0, 0.5 + 0.18 * len(order)])
+    real, sim = both.real["joint_pos"], both.sim["joint_pos"]
+    curve(above, both.time, rmse(real, sim, "frame"), INK)
+    above.set_ylabel("RMSE of all [rad]")
+    edges = np.unique(np.linspace(0, len(real), min(COLUMNS, len(real)) + 1).astype(int))
+    squares = (real - sim)[:, order] ** 2
     means = np.add.reduceat(squares, edges[:-1], axis=0) / np.diff(edges)[:, None]
-    image = axes.imshow(
+    image = below.imshow(
         np.sqrt(means).T,
         aspect="auto",
         cmap="magma",
         interpolation="nearest",
         extent=(both.time[0], both.time[-1] + both.period, len(order) - 0.5, -0.5),
     )
-    axes.set_yticks(range(len(order)), [both.joints[k] for k in order])
-    axes.grid(False)
-    axes.set_xlabel(CLOCK)
-    figure.colorbar(image, ax=axes, label="difference [rad]", pad=0.01)
+    below.set_yticks(range(len(order)), [both.joints[k] for k in order])
+    below.grid(False)
+    below.set_xlabel(CLOCK)
+    figure.colorbar(image, ax=below, label="difference [rad]", pad=0.01)
     return True
 
 
@@ -162,7 +164,8 @@ PICTURES: Pictures = {
     "heat": (
         _heat,
         "When and where",
-        "Difference of the positions after the shift, of each joint in the order of the gap.",
+        "Difference of the positions after the shift: above of all joints in each sample, below of "
+        "each joint, in the order of the gap.",
     ),
     "tracking": (
         _tracking,
