@@ -19,7 +19,7 @@ from unicon_base.errors import WorkflowError
 from unicon_core.flow import Block, Stage
 from unicon_core.policies import load_policy, policy_states
 from unicon_core.policies.observation import Observation
-from unicon_core.states import States, standard_states
+from unicon_core.states import States, StateSpec, standard_states
 from unicon_core.workflow import Program
 from unicon_lab.analysis import divergence as module
 from unicon_lab.analysis.divergence import divergence, signals_of
@@ -279,34 +279,38 @@ def test_terms_are_those_of_the_contract(sound: Path) -> None:
     np.testing.assert_allclose(values, 0.25 * record.states("base_ang_vel"), rtol=1e-6)
 
 
-def test_the_newest_frame_of_a_history_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("layout", ["term_major", "frame_major"])
+@pytest.mark.parametrize("newest", ["first", "last"])
+def test_the_newest_frame_of_a_history_counts(
+    monkeypatch: pytest.MonkeyPatch, layout: Any, newest: Any
+) -> None:
     given = load_policy("go2_velocity")
     terms = tuple(replace(term, history=3) for term in given.terms)
-    for layout in ("term_major", "frame_major"):
-        for newest in ("first", "last"):
-            spec = replace(given.observation, terms=terms, layout=layout, newest=newest)
-            contract = replace(given, observation=spec)
-            specs = standard_states(contract.joints) | policy_states(contract, contract.joints)
-            states = States(specs)
-            write = Observation(contract, states, contract.joints).bind(states["observation"][None])
-            rows = []
-            for value in range(5):
-                states["joint_vel"][...] = np.arange(12) + 100.0 * value
-                write()
-                rows.append(states["observation"].copy())
-            record: Any = SimpleNamespace(
-                layout=states.layout,
-                policies={"walk": {}},
-                states=lambda name, rows=rows: np.array(rows)[:, : 135 if "obs" in name else 12],
-                paths=[Path("r")],
-            )
-            monkeypatch.setattr(module, "workflow_of", lambda record: None)
-            monkeypatch.setattr(module, "load_robot_of", lambda document: None)
-            monkeypatch.setattr(module, "load_policies", lambda *_, c=contract: {"walk": c})
-            values, names = signals_of(record, [])
-            assert names["observation joint_vel_rel"] == contract.joints
-            expected = 0.05 * (np.arange(12) + 100.0 * np.arange(5)[:, None])
-            np.testing.assert_allclose(values["observation joint_vel_rel"], expected, rtol=1e-5)
+    spec = replace(given.observation, terms=terms, layout=layout, newest=newest)
+    contract = replace(given, observation=spec)
+    feet = {"foot_contact": StateSpec((4,), names=("FR", "FL", "RR", "RL"))}
+    own = policy_states(contract, contract.joints)
+    states = States(standard_states(contract.joints) | own | feet)
+    write = Observation(contract, states, contract.joints).bind(states["observation"][None])
+    rows: dict[str, list[Any]] = {name: [] for name in states}
+    for value in range(5):
+        states["joint_vel"][...] = np.arange(12) + 100.0 * value
+        states["foot_contact"][...] = value % 2
+        write()
+        for name, kept in rows.items():
+            kept.append(states[name].copy())
+    record: Any = SimpleNamespace(
+        layout=states.layout, policies={"walk": {}}, states=lambda name: np.array(rows[name])
+    )
+    monkeypatch.setattr(module, "workflow_of", lambda record: None)
+    monkeypatch.setattr(module, "load_robot_of", lambda document: None)
+    monkeypatch.setattr(module, "load_policies", lambda *_: {"walk": contract})
+    values, names = signals_of(record, [])
+    assert names["observation joint_vel_rel"] == contract.joints
+    expected = 0.05 * (np.arange(12) + 100.0 * np.arange(5)[:, None])
+    np.testing.assert_allclose(values["observation joint_vel_rel"], expected, rtol=1e-5)
+    assert names["foot_contact"] == ("FR", "FL", "RR", "RL")
+    assert values["foot_contact"][:, 0].tolist() == [0.0, 1.0, 0.0, 1.0, 0.0]
 
 
 def test_an_observation_that_cannot_be_read_is_noted(
