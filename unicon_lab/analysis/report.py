@@ -83,13 +83,13 @@ def write_report(
         who: ", ".join(f"{key} {value}" for key, value in run.items()) for who, run in about.items()
     }
     facts |= {key: str(result[key]) for key in ("method", "shift_s", "samples", "ranked_by")}
-    mses = {key: number(comparison.states["joint_pos"][key]) for key in _MSES}
+    facts |= {key: number(value) for key, value in comparison.states["joint_pos"].items()}
     parts = [
         findings(said),
         "<h2>What differed first</h2>",
         table(HEADS, chain_rows(comparison.divergence)),
         "<h2>What was compared</h2>",
-        pairs(facts | mses),
+        pairs(facts),
         *(f"<p>{html.escape(note)}</p>" for note in both.notes),
     ]
     parts += ["<h2>Every joint</h2>", _joint_table(comparison)]
@@ -103,7 +103,6 @@ def write_report(
     return result
 
 
-_MSES = ("aligned_mse", "unfolded_mse")
 HEADS = ("signal", "rank", "first in", "from [s]", "RMS of difference", "÷ variation")
 
 
