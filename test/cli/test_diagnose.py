@@ -118,10 +118,9 @@ def test_a_base_without_measured_velocity_hides_no_weak_motor(tmp_path: Path) ->
 def test_a_reference_is_of_the_same_robot(tmp_path: Path) -> None:
     record = open_record(recorded(tmp_path, 3.0))
     other = open_record(recorded(tmp_path, 3.2))
-    specs = dict(other.layout.specs)
-    joints = specs["joint_pos"]
-    specs["joint_pos"] = replace(joints, names=joints.names[::-1])
-    other.layout.specs = specs  # type: ignore[misc]
+    joints = other.layout.specs["joint_pos"]
+    turned = replace(joints, names=joints.names[::-1])
+    other.layout.specs["joint_pos"] = turned  # type: ignore[index]
     with pytest.raises(UniconError, match="the reference is of"):
         diagnose(record, "real.mcap", reference=other, processes=1)
 
