@@ -80,7 +80,7 @@ def test_causes_stand_in_a_table_and_in_json(
     said = " ".join(capsys.readouterr().out.split())
     for text in (
         "term order of a and b 97%",
-        "-30% -40% to -20%",
+        "-30.0% -40.0% to -20.0%",
         "+4 kg +3.5 kg to +4.5 kg",
         "does not tell it from: payload",
         "remedy: swap them",

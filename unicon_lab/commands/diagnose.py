@@ -118,7 +118,7 @@ def _print(found: Diagnosis) -> None:
 def _row(number: int, cause: Cause) -> tuple[str, ...]:
     def figure(value: float) -> str:
         if cause.layer == "plant" and not cause.unit:  # a part of what the simulator has
-            return f"{value:+.0%}"
+            return f"{value:+.1%}"
         return f"{value:+.3g} {cause.unit}".rstrip()
 
     change = interval = ""
