@@ -34,6 +34,11 @@ EVERY = [(kind, -1) for kind in KINDS] + [
 NOISE = {"joint_pos": 0.003, "joint_vel": 0.2, "base_ang_vel": 0.05, "base_quat": 0.003}
 
 
+@pytest.fixture(scope="module")
+def long(tmp_path_factory: pytest.TempPathFactory) -> Motion:
+    return motion(tmp_path_factory.mktemp("motion"), {}, seconds=2.0, most=8)
+
+
 def searched(it: Motion, places: list[Place], processes: int = 1) -> Found:
     with Replays(GO2, Scene(), it, processes) as replays:
         return Search(it, places, replays.plant.limbs, replays, lambda text: None).go()
@@ -58,6 +63,17 @@ def test_a_replay_with_the_right_change_is_the_run(tmp_path: Path) -> None:
         right, wrong = (answers - it.answers for answers in replays([change, {}]))
     assert np.abs(right[..., :12]).max() < 2e-3  # windows begin in float32
     assert np.abs(wrong[..., CALF]).max() > 0.02
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_change_beyond_its_bounds_ends_at_them(long: Motion, kind: str, sign: float) -> None:
+    """Derivatives are taken beside sizes that may lie at a bound."""
+    with Replays(GO2, Scene(), long, 1) as replays:
+        beyond, bound = 1e6 * sign, KINDS[kind].high if sign > 0 else KINDS[kind].low
+        one, other = replays([{(kind, -1): beyond}, {(kind, -1): bound}])
+    assert np.array_equal(one, other)
+    assert np.isfinite(one).all()
 
 
 def test_it_finds_a_weak_motor_and_no_other(tmp_path: Path) -> None:

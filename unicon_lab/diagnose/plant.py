@@ -216,6 +216,8 @@ class Plant:
         sums = {kind: np.zeros(n) for kind in KINDS}
         for (kind, joint), size in change.items():
             sums[kind][slice(None) if joint < 0 else joint] += size
+        for kind, values in sums.items():
+            np.clip(values, KINDS[kind].low, KINDS[kind].high, out=values)
         whole = {kind: float(values[0]) for kind, values in sums.items() if not KINDS[kind].each}
         joints: dict[str, dict[str, float]] = {}
         for word, own in self.own.items():
