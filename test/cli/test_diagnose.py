@@ -69,7 +69,7 @@ def test_causes_stand_in_a_table_and_in_json(
 ) -> None:
     causes = (
         Cause("term_order", "a and b", "contract", 0.97, *[float("nan")] * 3, remedy="swap them"),
-        Cause("strength", "", "plant", 0.9, -0.3, -0.4, -0.2, alike=("payload",)),
+        Cause("strength", "", "plant", 0.9, -0.3, -0.4, -0.2, alike=("payload",), next="wiggle"),
         Cause("payload", "", "plant", 0.6, 4.0, 3.5, 4.5, "kg"),
     )
     found = Diagnosis(causes, ("something is not known",), 50, complete)
@@ -82,7 +82,7 @@ def test_causes_stand_in_a_table_and_in_json(
         "term order of a and b 97%",
         "-30.0% -40.0% to -20.0%",
         "+4 kg +3.5 kg to +4.5 kg",
-        "does not tell it from: payload",
+        "does not tell it from: payload to tell them apart, record a wiggle",
         "remedy: swap them",
         "note: something is not known",
     ):

@@ -11,9 +11,19 @@ from typing import TYPE_CHECKING, Any
 
 from unicon_base.errors import UniconError
 from unicon_core.drawing import INK, MARK, PALE, as_svg, drawn, require
-from unicon_core.page import figure, findings, page, plain, refuse_unwritable, table, write_file
+from unicon_core.page import (
+    figure,
+    findings,
+    page,
+    plain,
+    refuse_existing,
+    refuse_unwritable,
+    table,
+    write_file,
+)
+from unicon_lab.diagnose import MOTIONS
 from unicon_ros.cli.console import Console, print_table
-from unicon_ros.cli.options import argument, command, flag, positive
+from unicon_ros.cli.options import argument, command, flag, option, positive, together
 
 if TYPE_CHECKING:
     from unicon_lab.diagnose import Cause, Diagnosis, Shown
@@ -65,7 +75,7 @@ def _diagnose(arguments: argparse.Namespace) -> int:
         write_file(Path(arguments.json), json.dumps(plain(asdict(found)), indent=1).encode())
     if arguments.html:
         write_file(Path(arguments.html), _page(path.name, found).encode())
-    _print(found)
+    _print(path.name, found)
     return 0 if found.complete else 130
 
 
@@ -98,7 +108,7 @@ def _evidence(figure: Any, shown: Shown) -> bool:
     return True
 
 
-def _print(found: Diagnosis) -> None:
+def _print(name: str, found: Diagnosis) -> None:
     if not found.causes:
         ended = "explains more of the record than noise does" if found.complete else "is known yet"
         print(f"nothing found: no cause {ended} ({found.windows} windows)")
@@ -109,10 +119,19 @@ def _print(found: Diagnosis) -> None:
         print(f"{number}. {cause.evidence}")
         if cause.alike:
             print(f"   the record does not tell it from: {', '.join(cause.alike)}")
+            print(f"   to tell them apart, record {_motion(cause.next, name)}")
         if cause.remedy:
             print(f"   remedy: {cause.remedy}")
     for text in found.notes:
         print(f"note: {text}")
+    if found.next:
+        print(f"next, record {_motion(found.next, name)}")
+
+
+def _motion(text: str, name: str) -> str:
+    """Return what to record, with the command that writes its workflow."""
+    wanted = f"a {text}: unicon excite {name} --kind {text} --out {text}.yaml"
+    return wanted if text in MOTIONS else text
 
 
 def _row(number: int, cause: Cause) -> tuple[str, ...]:
@@ -127,7 +146,22 @@ def _row(number: int, cause: Cause) -> tuple[str, ...]:
     return str(number), cause.name, f"{cause.probability:.0%}", change, interval
 
 
-add = command(
+def _excite(arguments: argparse.Namespace) -> int:
+    """Write the workflow, and print its first lines, which say how to run it; exit status 0."""
+    from unicon_lab.diagnose.experiment import experiment_text
+
+    out = Path(arguments.out)
+    if out.suffix != ".yaml":
+        raise UniconError(f"excite: {out} is not a .yaml file; give --out NAME.yaml")
+    refuse_existing(out, "excite: ")
+    joints = [each.strip() for each in arguments.joints.split(",") if each.strip()]
+    text = experiment_text(arguments.subject, arguments.kind, arguments.out, joints)
+    write_file(out, text.encode())
+    print(text.partition("\n\n")[0])
+    return 0
+
+
+_add_diagnose = command(
     "diagnose",
     _diagnose,
     "say why a robot moves unlike its simulation",
@@ -147,4 +181,17 @@ add = command(
     argument("--json", "FILE", "write causes and notes as JSON"),
     argument("--html", "FILE", "write a page with the evidence drawn"),
     argument("--processes", "N", "at once (default: one for each core)", type=int, default=0),
+)
+add = together(
+    _add_diagnose,
+    command(
+        "excite",
+        _excite,
+        "write a workflow whose motion tells causes apart",
+        "A workflow whose motion tells causes apart that a record does not.",
+        argument("subject", "ROBOT|RECORD", "a robot, or a record (.mcap) of one"),
+        option("--kind", choices=MOTIONS, default="wiggle"),
+        argument("--joints", "PATTERNS", "that move, separated by commas", default=""),
+        argument("--out", "FILE.yaml", "the workflow", required=True),
+    ),
 )

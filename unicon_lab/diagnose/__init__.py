@@ -8,6 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+MOTIONS = ("drop", "wiggle", "sway", "rest")
+"""Motions that `unicon excite` writes. Motors hardly act in a drop, nor the base of a robot that
+hangs: of two motions the first tells more apart."""
+
 
 @dataclass(frozen=True)
 class Shown:
@@ -44,6 +48,7 @@ class Cause:
         remedy: what to change, as lines of the file where there is one.
         alike: names of causes that this record cannot tell from it.
         shown: the evidence, where it is of the plant.
+        next: what to record to tell it from those, of `MOTIONS` or in words; "" where none are.
     """
 
     kind: str
@@ -58,6 +63,7 @@ class Cause:
     remedy: str = ""
     alike: tuple[str, ...] = ()
     shown: Shown | None = None
+    next: str = ""
 
     @property
     def name(self) -> str:
@@ -80,9 +86,11 @@ class Diagnosis:
         notes: what could not be examined, and why.
         windows: stretches of the record that were replayed.
         complete: False where Ctrl-C ended it early.
+        next: of `MOTIONS`, what to record where this record shows nothing of the plant, or "".
     """
 
     causes: tuple[Cause, ...]
     notes: tuple[str, ...] = ()
     windows: int = 0
     complete: bool = True
+    next: str = ""

@@ -40,6 +40,7 @@ _SIZES = (100, 200, 500, 1000, 2000, 4000)  # ticks that are tried
 _FINAL = 12  # hypotheses that are tried over more ticks
 _MOST = 5  # causes that are returned
 _RIGHT = "for this record; correct what is not as in training"
+_VARIED = "the policy under commands of every direction and turn"
 Tell = Callable[..., object]
 
 
@@ -165,6 +166,7 @@ def _examined(played: OpenLoop, label: str, tell: Tell) -> tuple[list[Cause], li
         free = dict.fromkeys(k for k in free if k not in group)
         lead, alike = tried[i], [name_of(tried[k].kind, tried[k].where) for k in group]
         mine = name_of(lead.kind, lead.where)
+        others = tuple(dict.fromkeys(name for name in alike if name != mine))
         causes.append(
             Cause(
                 lead.kind,
@@ -178,7 +180,8 @@ def _examined(played: OpenLoop, label: str, tell: Tell) -> tuple[list[Cause], li
                 f"joint_pos_target: with {lead.text} the policy gives it within {left[i]:.1g} rad "
                 f"rms, as given within {before:.2g}",
                 _remedy(contract, lead),
-                tuple(dict.fromkeys(name for name in alike if name != mine)),
+                others,
+                next=_VARIED if others else "",
             )
         )
     best = int(np.argmin(left))

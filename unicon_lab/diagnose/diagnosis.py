@@ -22,10 +22,10 @@ from unicon_core.platforms.kit.scene import Scene
 from unicon_core.policies import PolicyContract
 from unicon_core.robots import Robot, load_robot
 from unicon_core.signals import SIGNALS, Interrupted
-from unicon_lab.diagnose import Cause, Diagnosis, Shown, name_of
+from unicon_lab.diagnose import MOTIONS, Cause, Diagnosis, Shown, name_of
 from unicon_lab.diagnose.contract import contract_causes
 from unicon_lab.diagnose.motion import BASE_ANSWERS, HUNG_HEIGHT, Motion, motion_of
-from unicon_lab.diagnose.plant import KINDS, OF_BASE, Place
+from unicon_lab.diagnose.plant import KINDS, MOTION, OF_BASE, Place
 from unicon_lab.diagnose.replays import Replays
 from unicon_lab.diagnose.search import Found, Search
 from unicon_lab.recording import Record
@@ -123,7 +123,8 @@ def plant_causes(
         except Interrupted:
             notes.append("interrupted: causes that come later are not known")
     causes = [cause_of(found, place, alike, robot, own, motion) for place, alike in found.causes]
-    return Diagnosis(tuple(causes), tuple(notes), len(motion.starts), found.complete)
+    more = "" if causes else "sway" if motion.hung and robot.walks else "wiggle"
+    return Diagnosis(tuple(causes), tuple(notes), len(motion.starts), found.complete, more)
 
 
 def _share(tell: Tell, what: str) -> Callable[[float], object]:
@@ -200,6 +201,9 @@ def cause_of(
         remedy=KINDS[kind].remedy.format(**words),
         alike=tuple(name_of(other, where_of(j, robot)) for other, j in alike),
         shown=shown,
+        next=min((MOTION.get(each, "wiggle") for each, _ in (place, *alike)), key=MOTIONS.index)
+        if alike
+        else "",
     )
 
 

@@ -90,6 +90,13 @@ OF_BASE = tuple(
     name for name in KINDS if name[:4] in ("payl", "cent", "iner", "gyro", "atti", "IMU ")
 )
 
+MOTION = {
+    **dict.fromkeys(("friction", "viscous friction"), "drop"),
+    **dict.fromkeys(("ground friction", *OF_BASE), "sway"),
+    **{name: "rest" for name in KINDS if name[:4] in ("gyro", "atti")},
+}
+"""The motion of `MOTIONS` that shows a kind best; a wiggle shows all others."""
+
 Place = tuple[str, int]
 """A kind, and the joint's number; -1 for the whole robot, or all joints by the same."""
 
@@ -227,7 +234,8 @@ class Plant:
         scene = replace(
             self._scene,
             joints={**self._scene.joints, **_merged(self._scene.joints, joints)},
-            contact_friction=self._scene.contact_friction * (1.0 + whole["ground friction"]),
+            contact_friction=self._scene.contact_friction
+            * max(1.0 + whole["ground friction"], 0.0),
         )
         self._platform.change(scene)
         model, dofs = self._platform.model, self._platform.robots[0].loaded.dofs
