@@ -87,7 +87,7 @@ def experiment_text(subject: str, kind: str, file: str, joints: Sequence[str] = 
 
 
 def _moves(robot: Robot, most: float, patterns: Sequence[str]) -> dict[str, Any]:
-    """Return joints, amplitudes, the pose about which they move, one at their end, one that lies."""
+    """Return joints, amplitudes, and poses: about which they move, at their end, to lie in."""
     moving = sorted({i for pattern in patterns or ["*"] for i in joints_like(pattern, robot)})
     lower, upper, stand = np.array((robot.lower, robot.upper, robot.default_joint_pos), float)
     size = np.fmin(most, SHARE * (upper - lower)).round(4)
