@@ -1,4 +1,4 @@
-"""What the lab adds to a run: `--record`, `--picture`, `--view`, `--metrics`, `--faults`."""
+"""What the lab adds to a run: `--record`, `--picture`, `--view`, `--metrics`, …"""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from unicon_base.errors import UniconError
 from unicon_core.page import refuse_unwritable
 from unicon_lab.view import LOCAL, PORT, SINKS
 from unicon_ros.attachments import Asked, Attachment
-from unicon_ros.cli.options import argument, option, port, positive, whole
+from unicon_ros.cli.options import argument, flag, option, port, positive, whole
 
 if TYPE_CHECKING:
     from unicon_core.flow import Block, Stage
@@ -77,6 +77,7 @@ OPTIONS = (
         "tell figures to Prometheus at http://127.0.0.1:PORT/metrics",
         type=port,
     ),
+    flag("--diagnose", "warn of what becomes unlike the simulation: weak motors, payload, delays"),
 )
 """What `unicon run` takes besides its own."""
 
@@ -105,6 +106,8 @@ def refuse(options: argparse.Namespace) -> None:
     """
     if options.record == "":  # as of a variable that is not set
         raise UniconError("--record has no name; give FILE.mcap or FOLDER/")
+    if options.diagnose and options.speed == "max":
+        raise UniconError("--diagnose cannot follow --speed max; leave one out")
     alone = bool(options.view_token) or options.view_host != LOCAL
     for word, given, main, needed in (
         ("--record-split", options.record_split, "--record FOLDER/", options.record),
@@ -163,6 +166,10 @@ def attachments(asked: Asked) -> Iterator[Attachment]:
         from unicon_lab.view.view import Metered
 
         yield Metered(asked.options["metrics"], asked.session, asked.warn)
+    if get("diagnose"):
+        from unicon_lab.diagnose.live import Diagnosed
+
+        yield Diagnosed(asked)
     from unicon_lab.fault_record import FaultRecord
 
     yield FaultRecord(get("faults"), asked.warn, recording)  # the last one: it looks behind them

@@ -45,6 +45,11 @@ def test_what_else_is_wrong_goes_before_the_twin() -> None:
         statistics=statistics, program=program, phase=Phase.RUN, paused_s=0.0, waits_for=""
     )
     assert diagnostics.status()[:2] == (OK, "running")
+    size = "+4 kg (95 %: +3.9 kg to +4.1 kg)"  # as `unicon run --diagnose` tells it
+    diagnostics.causes = {"payload": size}
+    level, message, values = diagnostics.status()
+    assert (level, message, values["cause payload"]) == (WARN, f"payload: {size}", size)
+    diagnostics.causes = {}
     program.states["twin_flag"][3] = 1
     level, message, _ = diagnostics.status()
     assert level == WARN

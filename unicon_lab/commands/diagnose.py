@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from unicon_base.errors import UniconError
-from unicon_core.drawing import INK, MARK, PALE, as_svg, drawn, require
 from unicon_core.page import (
     figure,
     findings,
@@ -43,6 +41,8 @@ def _diagnose(arguments: argparse.Namespace) -> int:
     for file in filter(None, (arguments.json, arguments.html)):
         refuse_unwritable(Path(file))
     if arguments.html:
+        from unicon_core.drawing import require
+
         require("unicon diagnose --html")
     path, contracts = Path(arguments.record), None
     record = open_record(path)
@@ -84,6 +84,8 @@ _HEADS = ("", "cause", "probability", "change", "95 % interval")
 
 def _page(name: str, found: Diagnosis) -> str:
     """Return the page: what was found, each cause with its evidence as a drawing."""
+    from unicon_core.drawing import as_svg, drawn
+
     rows = [_row(number, cause) for number, cause in enumerate(found.causes, 1)]
     parts = [table(_HEADS, rows, words=True)] if rows else []
     for number, cause in enumerate(found.causes, 1):
@@ -98,6 +100,8 @@ def _page(name: str, found: Diagnosis) -> str:
 
 
 def _evidence(figure: Any, shown: Shown) -> bool:
+    from unicon_core.drawing import INK, MARK, PALE
+
     figure.set_size_inches(7.0, 2.6)
     axes = figure.add_subplot()
     axes.plot(shown.time, shown.record, color=INK, label="record")
@@ -135,15 +139,7 @@ def _motion(text: str, name: str) -> str:
 
 
 def _row(number: int, cause: Cause) -> tuple[str, ...]:
-    def figure(value: float) -> str:
-        if cause.layer == "plant" and not cause.unit:  # a part of what the simulator has
-            return f"{value:+.1%}"
-        return f"{value:+.3g} {cause.unit}".rstrip()
-
-    change = interval = ""
-    if not math.isnan(cause.size):
-        change, interval = figure(cause.size), f"{figure(cause.low)} to {figure(cause.high)}"
-    return str(number), cause.name, f"{cause.probability:.0%}", change, interval
+    return str(number), cause.name, f"{cause.probability:.0%}", *cause.figures()
 
 
 def _excite(arguments: argparse.Namespace) -> int:

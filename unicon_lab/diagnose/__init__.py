@@ -5,6 +5,7 @@ Here is what it answers with; `diagnosis.diagnose` makes it.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -69,6 +70,18 @@ class Cause:
     def name(self) -> str:
         """What it is called in tables: `strength of RL_calf_joint`, or `payload`."""
         return name_of(self.kind, self.where)
+
+    def figures(self) -> tuple[str, str]:
+        """Return the change and its interval as tables write them; "" where it has none."""
+
+        def figure(value: float) -> str:
+            if self.layer == "plant" and not self.unit:  # a part of what the simulator has
+                return f"{value:+.1%}"
+            return f"{value:+.3g} {self.unit}".rstrip()
+
+        if math.isnan(self.size):
+            return "", ""
+        return figure(self.size), f"{figure(self.low)} to {figure(self.high)}"
 
 
 def name_of(kind: str, where: str) -> str:

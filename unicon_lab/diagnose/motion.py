@@ -11,6 +11,7 @@ from unicon_base.arrays import Array, Bool, Float64, Int64
 from unicon_base.errors import UniconError
 from unicon_core.platforms.kit.base import rotation
 from unicon_core.platforms.kit.disturbances import PLACE
+from unicon_core.states import Layout
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_lab.recording import Record
 
@@ -155,6 +156,13 @@ def _fallen(states: Mapping[str, Array]) -> Bool:
     return fallen
 
 
+def recorded_names(layout: Layout) -> list[str]:
+    """Return the states that a motion takes, as far as a layout has them and none is estimated."""
+    names = (*PLACE, *COMMAND_STATES, "projected_gravity")
+    estimated = {"base_lin_vel"} if "base_lin_vel_variance" in layout.slots else set[str]()
+    return [name for name in names if name in layout.slots and name not in estimated]
+
+
 def motion_of(record: Record, where: str, window: float = 0.2) -> Motion:
     """Return the motion of a record.
 
@@ -167,9 +175,7 @@ def motion_of(record: Record, where: str, window: float = 0.2) -> Motion:
     period = record.period
     if period > 1.0:
         raise UniconError(f"{where} ticks every {period:g} s; a fit needs ticks of at most 1 s")
-    names = (*PLACE, *COMMAND_STATES, "projected_gravity")
-    estimated = {"base_lin_vel"} if "base_lin_vel_variance" in layout.slots else set[str]()
-    states = {n: record.states(n) for n in names if n in layout.slots and n not in estimated}
+    states = {name: record.states(name) for name in recorded_names(layout)}
     ticks = np.asarray(record.ticks)
     usable = np.asarray(record.ended, np.bool_).copy()
     usable[1:] &= np.diff(ticks) == 1

@@ -138,6 +138,9 @@ class Fed(Attachment):
 
     interval = 0.0
     """Of sending texts, in [s]."""
+    kept, module = KEPT_S, PROCESS
+    """Of ticks in the ring, in [s]; and what its process runs."""
+    driving = paused = 0
 
     def __init__(self, warn: Callable[[str], None], session: RosSession | None) -> None:
         self.warn, self.address, self._session = warn, "", session
@@ -145,6 +148,10 @@ class Fed(Attachment):
         self._peripheral: Peripheral | None = None
         self._fill: Callable[[], object] = bool
         self._due_ns = 0
+
+    def hook(self, program: Program) -> dict[Stage, list[Block]]:
+        """Return the block that copies each tick."""
+        return {Stage.OBSERVE: [Block(self.label, self._tick, endless=True)]}
 
     def _start(
         self,
@@ -178,13 +185,15 @@ class Fed(Attachment):
         shown, variables = shown_of(runner.program, runner.graph, map, frame_prefix)
         cells = runner.graph.cells(variables)
         size = HEAD.size + 8 * len(cells) + runner.program.states.buffer.nbytes
-        ticks = max(FEWEST, min(round(KEPT_S / runner.program.period), LARGEST // size))
+        ticks = max(FEWEST, min(round(self.kept / runner.program.period), LARGEST // size))
         ring = self._ring = FrameRing.create(size, ticks)
         ring.touch()
         data = {"shown": shown, "ring": str(ring.path)}
         given = {"name": name, "options": options, "data": data}
         try:
-            process = Peripheral(told, told.layout, PROCESS, given, {}, stale, period, self.warn)
+            process = Peripheral(
+                told, told.layout, self.module, given, {}, stale, period, self.warn
+            )
         except BaseException:
             ring.close()
             raise
@@ -339,17 +348,12 @@ class Metered(Fed):
     """
 
     label, interval = METRICS, 1.0
-    driving = paused = 0
 
     def __init__(
         self, port: int, session: RosSession | None = None, warn: Callable[[str], None] = print
     ) -> None:
         super().__init__(warn, session)
         self._port = port
-
-    def hook(self, program: Program) -> dict[Stage, list[Block]]:
-        """Return the block that copies each tick."""
-        return {Stage.OBSERVE: [Block(METRICS, self._tick, endless=True)]}
 
     def attach(self, runner: Runner) -> None:
         """Start the process, before the first tick.
