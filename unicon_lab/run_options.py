@@ -77,7 +77,7 @@ OPTIONS = (
         "tell figures to Prometheus at http://127.0.0.1:PORT/metrics",
         type=port,
     ),
-    flag("--diagnose", "warn of what becomes unlike the simulation: weak motors, payload, delays"),
+    flag("--diagnose", "warn of causes that make it unlike its simulation"),
 )
 """What `unicon run` takes besides its own."""
 

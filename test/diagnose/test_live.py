@@ -19,7 +19,7 @@ import pytest
 pytest.importorskip("mujoco", reason="mujoco is not installed: pip install 'unicon_ros[sim]'")
 
 from unicon_base.errors import MissingDependencyError, PlatformError, UniconError
-from unicon_core.handles import FrameRing
+from unicon_core.handles import FrameRing, clean_frames
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Report, Runner, RunOptions
@@ -29,6 +29,7 @@ from unicon_core.workflow import Program, load_document
 from unicon_lab.diagnose import Cause, live
 from unicon_lab.diagnose.live import Diagnosed, Live
 from unicon_lab.view.shown import HEAD
+from unicon_lab.view.source import LiveSource, Remote
 from unicon_ros.attachments import Asked
 from unicon_ros.cli.main import main
 
@@ -78,16 +79,14 @@ def ticks() -> Iterator[Ticks]:
 
 @pytest.fixture(autouse=True)
 def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing is waited for, and this process keeps its priority."""
+    """Nothing is waited for."""
     monkeypatch.setattr(live, "SPAN", 0.0)
-    monkeypatch.setattr(os, "setpriority", lambda *_: None)
 
 
 def device(ticks: Ticks, told: Told, scene: Scene | None = None) -> Live:
-    shown = SimpleNamespace(layout=ticks.states.layout, robot=GO2, period=PERIOD)
-    data, options = {"shown": shown, "ring": ticks.ring.path}, {"scene": scene or Scene()}
-    feed: Any = SimpleNamespace(data=data, options=options, tell=told.tell, words=told.words)
-    return Live(feed)
+    shown: Any = SimpleNamespace(layout=ticks.states.layout, robot=GO2, period=PERIOD)
+    source: Any = LiveSource(shown.layout, ticks.ring)
+    return Live(shown, source, Remote(None), {"scene": scene or Scene(), "feed": told})
 
 
 def looked(ticks: Ticks, monkeypatch: pytest.MonkeyPatch) -> Any:
@@ -155,12 +154,12 @@ def test_a_cause_is_told_once_and_again_when_it_is_another_size(ticks: Ticks) ->
     one._tell([CALF])
     one._tell([replace(CALF, size=-0.35, low=-0.38, high=-0.32)])  # intervals that overlap
     assert told == [line]
-    assert told.causes == {"strength of RL_calf_joint": "-35% (95 %: -38% to -32%)"}
+    assert told.causes == {"cause strength of RL_calf_joint": "-35% (95 %: -38% to -32%)"}
     one._tell([])
     assert told.causes == {}
     one._tell([CALF, replace(CALF, kind="friction", probability=0.8)])  # too unsure a second one
     assert told == [line]
-    assert told.causes == {"strength of RL_calf_joint": SAID}
+    assert told.causes == {"cause strength of RL_calf_joint": SAID}
     one._tell([replace(CALF, size=-0.5, low=-0.55, high=-0.45)])
     assert told[1:] == [
         "diagnose: strength of RL_calf_joint: -50% (95 %: -55% to -45%) from the simulation"
@@ -173,27 +172,28 @@ def test_a_cause_is_told_once_and_again_when_it_is_another_size(ticks: Ticks) ->
     one._pool.shutdown(wait=False, cancel_futures=True)
 
 
+@pytest.mark.parametrize("stands", [True, False])
 def test_no_verdict_for_long_is_told_once_with_its_reason(
-    ticks: Ticks, monkeypatch: pytest.MonkeyPatch
+    stands: bool, ticks: Ticks, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(live, "PATIENCE", 0.2)
-    told = Told()
-    one = device(ticks, told)  # of a run that does not tick
-    end = time.monotonic() + 0.5
-    while time.monotonic() < end:
-        one.poll()
-    assert told == [f"diagnose: no verdict within 0.2 s: {live._STILL}"]
     ticks.fill(300)
+    if stands:
+        monkeypatch.setattr(live, "MOVING", 2.0)
 
     def slow(*_: Any, **__: Any) -> Any:
-        time.sleep(0.4)
+        time.sleep(0.3)
         return SimpleNamespace(causes=())
 
+    monkeypatch.setattr(live, "PATIENCE", 0.2)
     monkeypatch.setattr(live, "plant_causes", slow)
-    end = time.monotonic() + 0.6
+    told = Told()
+    one = device(ticks, told)
+    end = time.monotonic() + 0.8
     while time.monotonic() < end:
         one.poll()
-    assert told[1:] == [f"diagnose: no verdict within 0.2 s: {live._BUSY}"]
+        time.sleep(0.01)
+    why = "the robot stands" if stands else live._BUSY
+    assert told == [f"diagnose: no verdict within 0.2 s: {why}"]
     one._pool.shutdown(wait=False, cancel_futures=True)
 
 
@@ -204,11 +204,6 @@ def test_what_cannot_be_is_refused_before_the_run(
     assert capsys.readouterr().err == (
         "unicon: error: --diagnose cannot follow --speed max; leave one out\n"
     )
-    many = SimpleNamespace(program=SimpleNamespace(states=SimpleNamespace(num_robots=4)))
-    document = SimpleNamespace(get=lambda key, other: other, path=Path("walk.yaml"))
-    asked = Asked({}, document, None, None, print)  # type: ignore[arg-type]
-    with pytest.raises(UniconError, match="--diagnose is for one robot; leave it or num_robots"):
-        Diagnosed(asked).attach(many)  # type: ignore[arg-type]
     with pytest.raises((PlatformError, UniconError), match=r"nowhere\.xml"):
         device(ticks, Told(), Scene(model="nowhere.xml"))
     monkeypatch.setitem(sys.modules, "mujoco", None)
@@ -233,13 +228,14 @@ def test_it_ends_with_a_parent_that_is_killed() -> None:
 
     def diagnosing() -> str:
         found = children.read_text().split()
-        return next((c for c in found if b"diagnose.live" in _file(c, "cmdline")), "")
+        return next((c for c in found if b"view.process" in _file(c, "cmdline")), "")
 
     child = until(diagnosing)
     until(lambda: len(os.listdir(f"/proc/{child}/task")) > 1)  # its thread waits
     run.send_signal(signal.SIGKILL)
     run.communicate()
     until(lambda: _file(child, "stat").rpartition(b")")[2].split()[:1] in ([], [b"Z"]))
+    assert clean_frames()  # what nobody could remove
 
 
 def _file(process: str, name: str) -> bytes:

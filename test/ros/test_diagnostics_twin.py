@@ -46,9 +46,9 @@ def test_what_else_is_wrong_goes_before_the_twin() -> None:
     )
     assert diagnostics.status()[:2] == (OK, "running")
     size = "+4 kg (95 %: +3.9 kg to +4.1 kg)"  # as `unicon run --diagnose` tells it
-    diagnostics.causes = {"payload": size}
+    diagnostics.causes = {"cause payload": size}
     level, message, values = diagnostics.status()
-    assert (level, message, values["cause payload"]) == (WARN, f"payload: {size}", size)
+    assert (level, message, values["cause payload"]) == (WARN, f"cause payload: {size}", size)
     diagnostics.causes = {}
     program.states["twin_flag"][3] = 1
     level, message, _ = diagnostics.status()

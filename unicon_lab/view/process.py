@@ -32,12 +32,12 @@ class Viewer:
     """The device of `serve`: a sink, and the two ends between which it stands."""
 
     def __init__(self, feed: Feed) -> None:
-        os.nice(NICE)
+        os.setpriority(os.PRIO_PGRP, 0, NICE)  # libraries may have threads already
         shown: Shown = feed.data["shown"]
         drives = feed.name == NAME
         self._shown, self._feed, self._remote = shown, feed, Remote(feed if drives else None)
         self._source = LiveSource(shown.layout, FrameRing.attach(feed.data["ring"]))
-        options = feed.options
+        options = feed.options | {"feed": feed}  # of a sink that says more than a driver
         self._sink: Sink = sink_class(options["sink"])(shown, self._source, self._remote, options)
         self._due = self._beat = time.monotonic()
 

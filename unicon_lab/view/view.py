@@ -138,8 +138,8 @@ class Fed(Attachment):
 
     interval = 0.0
     """Of sending texts, in [s]."""
-    kept, module = KEPT_S, PROCESS
-    """Of ticks in the ring, in [s]; and what its process runs."""
+    kept = KEPT_S
+    """Of ticks in the ring, in [s]."""
     driving = paused = 0
 
     def __init__(self, warn: Callable[[str], None], session: RosSession | None) -> None:
@@ -153,10 +153,14 @@ class Fed(Attachment):
         """Return the block that copies each tick."""
         return {Stage.OBSERVE: [Block(self.label, self._tick, endless=True)]}
 
+    def _watch(self, runner: Runner, options: dict[str, Any]) -> Peripheral:
+        """Start a process that only looks; see `_start`."""
+        told = States(peripheral_states(self.label, {}))
+        return self._start(runner, told, options, self, self, self.interval, self.interval)
+
     def _start(
         self,
         runner: Runner,
-        name: str,
         told: States,
         options: dict[str, Any],
         driver: _Drives,
@@ -170,7 +174,6 @@ class Fed(Attachment):
 
         Args:
             runner: of the run, before its first tick.
-            name: of the peripheral that the process is.
             told: states that it publishes.
             options: of its sink; `port` becomes the one that it has got, where browsers look for a
                 process that is started again.
@@ -189,11 +192,9 @@ class Fed(Attachment):
         ring = self._ring = FrameRing.create(size, ticks)
         ring.touch()
         data = {"shown": shown, "ring": str(ring.path)}
-        given = {"name": name, "options": options, "data": data}
+        given = {"name": self.label, "options": options, "data": data}
         try:
-            process = Peripheral(
-                told, told.layout, self.module, given, {}, stale, period, self.warn
-            )
+            process = Peripheral(told, told.layout, PROCESS, given, {}, stale, period, self.warn)
         except BaseException:
             ring.close()
             raise
@@ -210,8 +211,8 @@ class Fed(Attachment):
             self._tell(self._peripheral)
 
     def _tell(self, peripheral: Peripheral) -> bool:
-        """Send the texts; return whether any were new."""
-        raise NotImplementedError
+        """Send the texts; return whether any were new. It starts a process that died again."""
+        return peripheral()
 
     def close(self) -> None:
         """End the process; safe to call twice."""
@@ -280,7 +281,7 @@ class View(Fed):
         assert driver is not None
         if controls.runner is None:
             controls.runner = runner
-        run = (runner, NAME, self._told, self._options, driver, controls)
+        run = (runner, self._told, self._options, driver, controls)
         driver.attach(self._start(*run, DEAD_MAN, driver.interval, *self._names), runner)
         controls.others += [driver.look, self._tick]
         tell = runner.options.warn
@@ -362,17 +363,14 @@ class Metered(Fed):
             UniconError: the port cannot be had.
         """
         written = sorted(told_states(runner.program))
-        options = {"port": self._port, "written": written, "sink": SINK}
-        told = States(peripheral_states(METRICS, {}))
-        self._start(runner, METRICS, told, options, self, self, self.interval, self.interval)
+        self._watch(runner, {"port": self._port, "written": written, "sink": SINK})
 
     def _tell(self, peripheral: Peripheral) -> bool:
         texts: dict[str, Any] = {"faults": [fault[:80] for fault in self._runner.faults[:9]]}
         if self._session is not None:
             texts["counts"] = _counts(self._session)
         peripheral.wish("texts", texts)
-        peripheral()  # started again where it has died
-        return True
+        return super()._tell(peripheral)
 
 
 def _counts(session: RosSession) -> dict[str, list[tuple[str, int]]]:

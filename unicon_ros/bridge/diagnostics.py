@@ -160,7 +160,7 @@ class Diagnostics:
         outgoing, incoming: topics whose rates are told.
         neighbours: what is told of them; None while nobody looks.
         fault: why the last run ended, "" if it ended well.
-        causes: that explain how the robot moves, to their sizes, as `--diagnose` told last.
+        causes: `cause NAME` to its size, of those that explain how the robot moves.
     """
 
     def __init__(self, node: Any, estop: EmergencyStop) -> None:
@@ -229,8 +229,8 @@ class Diagnostics:
         values["phase"] = runner.phase.value
         many = overruns > 0.01 * max(ticks, 1)
         wrong = [f"{overruns} overruns in {seconds:.1f} s"] * many + self._topics(values, seconds)
-        values |= {f"cause {name}": size for name, size in self.causes.items()}
-        wrong = [f"{name}: {size}" for name, size in self.causes.items()] + wrong
+        values |= self.causes
+        wrong = [": ".join(each) for each in self.causes.items()] + wrong
         if "twin_gap" in runner.program.states:
             wrong = [*_twin(runner, values), *wrong]
         for name in TEMPERATURES:
