@@ -170,7 +170,7 @@ def _run(path: Path, values: Mapping[str, Any], transfer: Transfer) -> tuple[boo
     if values["platform"] == "mujoco":
         command += ["--speed", "max"]
     try:
-        with _emulated(values["platform"], values["robot"], transfer.robot) as robot:
+        with emulated(values["platform"], values["robot"], transfer.robot) as robot:
             done = subprocess.run(
                 [*command, *robot.sets],
                 capture_output=True,
@@ -212,7 +212,7 @@ class _Robot:
 
 
 @contextmanager
-def _emulated(platform: str, name: str, arguments: tuple[str, ...]) -> Iterator[_Robot]:
+def emulated(platform: str, name: str, arguments: tuple[str, ...]) -> Iterator[_Robot]:
     """Let a robot be there behind the protocol of a platform.
 
     Raises:

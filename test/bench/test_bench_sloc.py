@@ -64,14 +64,14 @@ def test_a_transfer_that_fails_is_told_with_its_reason(monkeypatch: pytest.Monke
 def test_a_robot_that_does_not_begin_is_told_with_its_reason() -> None:
     with (
         pytest.raises(UniconError, match=r"no robot: .*nobody"),
-        transfers._emulated("unitree", "go2", ("--face", "nobody")),
+        transfers.emulated("unitree", "go2", ("--face", "nobody")),
     ):
         pass
 
 
 def test_a_robot_stands_behind_topics() -> None:
     pytest.importorskip("rclpy")
-    with transfers._emulated("ros", "go2", ()) as robot:
+    with transfers.emulated("ros", "go2", ()) as robot:
         assert int(robot.environment["ROS_DOMAIN_ID"]) > 0
 
 

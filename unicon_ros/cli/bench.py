@@ -16,6 +16,7 @@ from unicon_ros.cli.options import argument, command, flag, option, several
 BENCHES = {
     "batch": "benchmarks.programs",
     "bridge": "benchmarks.bridge",
+    "diagnose": "benchmarks.diagnose",
     "faults": "faults.bench_faults",
     "latency": "unicon_ros.bench.latency",
     "policy": "benchmarks.loops",
@@ -88,6 +89,12 @@ def _module(name: str) -> ModuleType:
 
 # Bench to its own options, which its `run` takes.
 _OPTIONS = {
+    "diagnose": (
+        flag("--quick", "40 records"),
+        option("--only", help="records only with this in ROBOT/PLANT/KIND"),
+        argument("--rows", "FILE", "JSON lines that a run adds to, and continues"),
+        argument("--sizes", "FILE.yaml", "find the sizes of faults and write them"),
+    ),
     "faults": (
         flag("--quick", "a handful of cases only"),
         option("--only", help="cases only whose group or name has this in it"),
