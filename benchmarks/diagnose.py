@@ -18,7 +18,7 @@ import time
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, mkdtemp
 from typing import Any
 
 import numpy as np
@@ -95,7 +95,7 @@ def diagnosed(wanted: Sequence[Case], path: Path | None) -> list[Row]:
     with TemporaryDirectory(prefix="unicon_diagnose_") as folder:
         references: dict[Case, Record] = {}
         for number, case in enumerate(wanted, 1):
-            if case.name in rows:
+            if case.name in rows and rows[case.name]["amount"] == case.amount:
                 continue
             SIGNALS.check()
             row = rows[case.name] = _examined(case, Path(folder), references)
@@ -121,18 +121,18 @@ def _read(path: Path) -> dict[str, Row]:
 
 
 def _examined(case: Case, folder: Path, references: dict[Case, Record]) -> Row:
-    """Make a record and diagnose it."""
+    """Make a record and diagnose it; what cannot be is a note."""
     begin, found, notes = time.perf_counter(), tuple[Cause, ...](), ""
+    name, layer, change = "", "", float("nan")
     healthy, reference = replace(case, kind=HEALTHY, size=0, amount=0.0), None
     with TemporaryDirectory(dir=folder) as own:
-        record, name, layer, change = made(case, case.size, Path(own))
-        if case.plant != "mujoco" or LATENCY[case.seed]:
-            if healthy not in references:
-                there = folder / healthy.name.replace("/", "_")
-                there.mkdir()
-                references[healthy] = made(healthy, 0, there)[0]
-            reference = references[healthy]
         try:
+            record, name, layer, change = made(case, case.size, Path(own))
+            if case.plant != "mujoco" or LATENCY[case.seed]:
+                if healthy not in references:
+                    there = Path(mkdtemp(dir=folder))  # a record is read as it is asked for
+                    references[healthy] = made(healthy, 0, there)[0]
+                reference = references[healthy]
             said = diagnose(record, case.name, reference=reference, hung=case.hung)
             found, notes = said.causes, "; ".join(said.notes)
         except (Fault, UniconError) as error:
@@ -143,7 +143,7 @@ def _examined(case: Case, folder: Path, references: dict[Case, Record]) -> Row:
         "cause": name,
         "change": change,
         **judged(found, name, layer, change),
-        "found": [asdict(cause) for cause in found],
+        "found": [asdict(replace(cause, shown=None)) for cause in found],
         "note": notes,
         "seconds": time.perf_counter() - begin,
     }

@@ -108,6 +108,7 @@ def made(
             (contract, name), layer = mistake(contract, case, joint), "contract"
         hooks += [recording.hook, faults.hook]
         program = Program(document, hooks=hooks, contracts={"walk": contract})
+        stack.callback(program.close)
         speed: Any = "max" if program.platform.facts.simulated else "real"
         runner = Runner(program, RunOptions(duration=seconds, speed=speed, warn=str))
         faults.attach(runner)
@@ -220,10 +221,12 @@ def _late(program: Program) -> dict[Stage, list[Block]]:
     return {stage: [Block(str(stage), tick, amends=SENSORS)] for stage, tick in blocks.items()}
 
 
-LEAST, MOST, STEP = 0.05, 20.0, 1.6
+LEAST, MOST, STEP = 0.05, 20.0, 2.0
 """Of a change of the contract; and factor between two sizes that are tried."""
 MATTERS = 0.1
 """Share by which a fault changes how a robot walks."""
+WALKS = 0.8
+"""Share of the error of a robot that stands still, from which on a robot does not walk."""
 
 
 def ladder(robot: str, kind: str) -> list[float]:
@@ -246,15 +249,19 @@ def ladder(robot: str, kind: str) -> list[float]:
 
 
 def _walk(case: Case) -> Float64:
-    """Return RMS error of the velocity and RMS tilt of 10 s; infinite where the robot falls."""
+    """Return RMS error of the velocity and RMS tilt of 10 s.
+
+    Infinite where the robot falls, or hardly follows its command.
+    """
     with TemporaryDirectory(prefix="unicon_diagnose_") as folder:
         record, *_ = made(case, 1, Path(folder), 13.0)
         command, linear, angular, gravity = map(record.states, WALK)
         if not record.ended.all() or len(command) < 600:
             return np.full(2, np.inf)
         speed = np.c_[linear[:, :2], angular[:, 2]]
-        errors = (command - speed)[150:], gravity[150:, :2]
-        return np.sqrt([(error**2).sum(1).mean() for error in errors])
+        errors = (command - speed)[150:], gravity[150:, :2], command[150:]
+        velocity, tilt, still = np.sqrt([(error**2).sum(1).mean() for error in errors])
+        return np.array([velocity, tilt if velocity < WALKS * still else np.inf])
 
 
 WALK = ("velocity_command", "base_lin_vel", "base_ang_vel", "projected_gravity")
