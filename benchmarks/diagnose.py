@@ -194,7 +194,7 @@ def rates_of(rows: Iterable[Row]) -> dict[str, float]:
     fits = [row["covers"] for row in rows if row["covers"] is not None]
 
     def share(said: Iterable[bool]) -> float:
-        return float(np.mean(list(said) or [np.nan]))
+        return float(np.mean([*said] or np.nan))
 
     return {
         "first": share(row["rank"] == 1 for row in faulty),

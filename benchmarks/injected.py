@@ -166,16 +166,16 @@ def mistake(c: PolicyContract, case: Case, joint: str) -> tuple[PolicyContract, 
             state = SIGNS[k - 1]
             return scaled(-1, state), f"{case.kind} of {term(state) if k > 1 else state}"
         case "term order":
-            a, b = c.terms[k - 1 : k + 1]
-            terms = [*c.terms[: k - 1], b, a, *c.terms[k + 1 :]]
-            return with_terms(c, terms), f"{case.kind} of {a.name} and {b.name}"
+            first, then = c.terms[k - 1 : k + 1]
+            terms = (*c.terms[: k - 1], then, first, *c.terms[k + 1 :])
+            return with_terms(c, terms), f"{case.kind} of {first.name} and {then.name}"
         case "sent stiffness":
             return replace(c, stiffness=c.stiffness * np.float32(1 + s)), "stiffness"
         case "sent damping":
             return replace(c, damping=c.damping * np.float32(1 + s)), "damping"
         case "gain order":
             gains = gains_of(c)
-            turned = gains[:, ::-1]
-            alike = k % 2 or np.allclose(turned, gains)
-            return with_gains(c, gains[::-1] if alike else turned), case.kind
+            backwards = gains[:, ::-1]
+            alike = k % 2 or np.allclose(backwards, gains)
+            return with_gains(c, gains[::-1] if alike else backwards), case.kind
     return c, "delay"

@@ -80,8 +80,8 @@ def made(
         model = folder / "edited.xml"
         load_model(loaded.path, robot, quiet=True, prepare=partial(_edit, case, loaded, model))
     path = folder / f"{take}.mcap"
-    recording = Recording(path, warn=str, patient=True)
-    faults = FaultRecord("off", str, recording)
+    recording = Recording(path, warn=_quiet, patient=True)
+    faults = FaultRecord("off", _quiet, recording)
     hooks: list[Hook] = [_late] if case.kind == "late sensors" else []
     options: dict[str, Any] = {"commands": [{"velocity_command": {"schedule": _sway(take)}}]}
     with ExitStack() as stack:
@@ -110,12 +110,16 @@ def made(
         program = Program(document, hooks=hooks, contracts={"walk": contract})
         stack.callback(program.close)
         speed: Any = "max" if program.platform.facts.simulated else "real"
-        runner = Runner(program, RunOptions(duration=seconds, speed=speed, warn=str))
+        runner = Runner(program, RunOptions(duration=seconds, speed=speed, warn=_quiet))
         faults.attach(runner)
         faults.write(runner.run())
     record = open_record(path)
     record.facts = {k: v.replace(str(model), str(loaded.path)) for k, v in record.facts.items()}
     return record, name, layer, amount
+
+
+def _quiet(text: str) -> None:
+    """Take a warning, such as that a command is held to its range."""
 
 
 def _sway(take: int) -> list[list[float]]:

@@ -94,7 +94,7 @@ def test_a_group_is_right_with_two_others(
 def row(case: Case, folder: Path, references: Any) -> dict[str, Any]:
     """Stand for a diagnosis that finds all but what is wrong with a Go1."""
     found = case.robot != "go1"
-    said = {
+    said: dict[str, Any] = {
         "rank": 1 if found else None,
         "wrong": not found,
         "covers": found,
@@ -131,7 +131,7 @@ def test_a_run_continues_where_it_was_killed(
 
 def test_rates_of_nothing_are_no_numbers(tmp_path: Path) -> None:
     assert np.isnan(rates_of([])["first"])
-    with pytest.raises(UniconError, match="no record has that"):
+    with pytest.raises(UniconError, match="no record is called so"):
         run(only="nothing")
     (tmp_path / "other").write_text("words\n")
     with pytest.raises(UniconError, match="holds no rows of this bench"):
