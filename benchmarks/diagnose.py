@@ -110,7 +110,8 @@ def diagnosed(wanted: Sequence[Case], path: Path | None) -> list[Row]:
 def _read(path: Path) -> dict[str, Row]:
     """Return the rows of a file, which is left without a line that was cut off."""
     with cannot(f"read {path}", "name a file of rows, or a new one"):
-        text = path.read_text(encoding="utf-8") if path.exists() else ""
+        there = path.exists() and not path.is_char_device()  # /dev/full never ends
+        text = path.read_text(encoding="utf-8") if there else ""
     whole = text[: text.rfind("\n") + 1]
     try:
         rows = {row["case"]: row for row in map(json.loads, whole.splitlines())}
