@@ -36,7 +36,7 @@ from unicon_ros.cli.main import main
 GO2 = load_robot("go2")
 PERIOD = 0.02
 CALF = Cause("strength", "RL_calf_joint", "plant", 0.99, -0.3, -0.33, -0.27)
-SAID = "-30% (95 %: -33% to -27%)"
+SAID = "-30.0% (95 %: -33.0% to -27.0%)"
 
 
 class Ticks:

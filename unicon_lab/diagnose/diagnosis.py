@@ -24,7 +24,7 @@ from unicon_core.robots import Robot, load_robot
 from unicon_core.signals import SIGNALS, Interrupted
 from unicon_lab.diagnose import MOTIONS, Cause, Diagnosis, Shown, name_of
 from unicon_lab.diagnose.contract import contract_causes
-from unicon_lab.diagnose.motion import BASE_ANSWERS, HUNG_HEIGHT, Motion, motion_of
+from unicon_lab.diagnose.motion import BASE_ANSWERS, HUNG_HEIGHT, MOVING, Motion, motion_of
 from unicon_lab.diagnose.plant import KINDS, MOTION, OF_BASE, Place
 from unicon_lab.diagnose.replays import Replays
 from unicon_lab.diagnose.search import Found, Search
@@ -73,7 +73,12 @@ def diagnose(
     for contract in [None] if contracts is None else contracts:
         found, more = contract_causes(record, where, contract, tell)
         causes, notes = causes + found, notes + more
-    motion, scene = motion_in(record, where, window, hung, robot, scene)
+    try:
+        motion, scene = motion_in(record, where, window, hung, robot, scene)
+    except UniconError as error:
+        if not causes:
+            raise
+        return Diagnosis(tuple(causes), (*notes, f"the plant is not examined: {error}"))
     healthy = None
     if reference is not None:
         simulated(reference, "the reference", robot)
@@ -104,6 +109,7 @@ def plant_causes(
         processes, tell: as of `diagnose`.
     """
     notes = [] if motion.has_base else [_NO_BASE]
+    notes += [_STILL] if motion.still else []
     places = places_of(motion, robot, range(robot.num_joints), KINDS)
     found, own, count = Found(), dict[str, Float64](), processes_of(processes)
     base, wider = dict[Place, float](), 1.0
@@ -131,6 +137,7 @@ def _share(tell: Tell, what: str) -> Callable[[float], object]:
     return lambda share: tell(what, share)
 
 
+_STILL = f"no joint moves by {MOVING} rad: joints, gains and ground friction are not examined"
 _NO_BASE = (
     "attitude and turn rate of the base were not recorded: payload, centre of mass, inertia, gyro "
     "and IMU mounting are not examined"
@@ -165,7 +172,7 @@ def places_of(
     motion: Motion, robot: Robot, joints: Sequence[int], kinds: Sequence[str] | Any
 ) -> list[Place]:
     """Return what may differ: all joints alike, each, and the base where it was measured."""
-    kinds = [kind for kind in kinds if motion.has_base or kind not in OF_BASE]
+    kinds = [k for k in kinds if (motion.has_base if k in OF_BASE else not motion.still)]
     whole = [(kind, -1) for kind in kinds if len(joints) == robot.num_joints]
     return whole + [(kind, joint) for kind in kinds if KINDS[kind].each for joint in joints]
 

@@ -21,6 +21,7 @@ from unicon_lab.diagnose.diagnosis import (
     simulated,
     where_of,
 )
+from unicon_lab.diagnose.motion import MOVING
 from unicon_lab.diagnose.plant import KINDS, OF_BASE
 from unicon_lab.diagnose.replays import Replays
 from unicon_lab.diagnose.search import Search
@@ -115,6 +116,8 @@ def fit_record(
     if not which or not words:
         raise UniconError("nothing to estimate; name joints and parameters")
     motion, scene = motion_in(record, where, window, hung, robot, scene)
+    if motion.still:
+        raise UniconError(f"{where}: no joint moves by {MOVING} rad; record excite or a walk")
     held = np.arange(len(motion.starts)) % HELD_OUT == HELD_OUT - 1
     seen = replace(motion, starts=motion.starts[~held])
     apart = replace(motion, starts=motion.starts[held])

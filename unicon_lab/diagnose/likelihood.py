@@ -62,7 +62,7 @@ class Likelihood:
         shapes = max(min(SHAPES, ticks, windows // 6), 1)
         powers = np.vander(np.linspace(0.0, 1.0, ticks), shapes, increasing=True)
         self._shapes = np.linalg.qr(powers)[0]
-        self._scale = np.median(np.abs(left), axis=(0, 1)) + 1e-9
+        self.scale = np.median(np.abs(left), axis=(0, 1)) + 1e-9
         self.leave_out(unknown)
         size = np.sqrt((left**2).mean(axis=1))
         size = np.minimum(size / (np.median(size, axis=0) + 1e-12), 10.0)
@@ -80,7 +80,7 @@ class Likelihood:
         """Leave out what unknowns of a window could explain, shape (w, l, m, q)."""
         self._unknown: Float64 | None = None
         if unknown is not None:
-            parts = np.einsum("lk,wlmq->wkmq", self._shapes, unknown / self._scale[:, None])
+            parts = np.einsum("lk,wlmq->wkmq", self._shapes, unknown / self.scale[:, None])
             flat = parts.reshape(len(parts), -1, parts.shape[-1])
             self._unknown = np.linalg.qr(flat)[0]
 
@@ -89,7 +89,7 @@ class Likelihood:
         found = np.asarray(np.einsum("lk,wl...->wk...", self._shapes, values))
         if self._unknown is None:
             return found
-        scale = self._scale.reshape(-1, *[1] * (found.ndim - 3))
+        scale = self.scale.reshape(-1, *[1] * (found.ndim - 3))
         flat = (found / scale).reshape(len(found), self._unknown.shape[1], -1)
         flat = flat - self._unknown @ (self._unknown.transpose(0, 2, 1) @ flat)
         return np.asarray(flat.reshape(found.shape) * scale)

@@ -17,6 +17,8 @@ from unicon_lab.recording import Record
 
 FEWEST = 8
 """Windows: with less there is nothing to hold a fit against."""
+MOVING = 0.15
+"""Of the joint that moves most, in [rad]: noise of joints that stand still seems friction."""
 FALLEN = 0.5
 """Lean in [rad] from which on a walking robot falls: what comes then is not its plant's doing."""
 HUNG_HEIGHT = 3.0
@@ -108,6 +110,12 @@ class Motion:
         if len(chosen) > most:
             chosen = chosen[np.linspace(0, len(chosen) - 1, most).round().astype(int)]
         return Motion(period, measured, commands, chosen, length)
+
+    @property
+    def still(self) -> bool:
+        """Whether joints move too little to tell anything of them."""
+        rows = np.unique(self.starts[:, None] + np.arange(self.length))
+        return bool(np.ptp(self.measured["joint_pos"][rows], axis=0).max() < MOVING)
 
     @property
     def has_base(self) -> bool:

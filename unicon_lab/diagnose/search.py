@@ -36,6 +36,9 @@ REFINED = 6
 """Turns in which sizes and the unknown beginnings of windows are fitted to each other."""
 LEVELLED = 2
 """Steps by which a record without a cause is fitted."""
+BESIDE = 0.01
+"""Share of the square error that found causes explain, which the next one has to explain too: less
+may be what noise at the beginning of windows biases them by."""
 BIAS = 0.01
 """Standard deviation of what noise at the beginning of windows biases, as a part of the size: walks
 of a Go2 gave 3.92 kg for 4, -0.296 for -0.3, 1.025 N·m for 1 and 7.96 ms for 8."""
@@ -159,12 +162,16 @@ class Search:
         self._likelihood = Likelihood(self._real - now, unknown)
         found.before = found.after = self._square(now)
         at: dict[Place, float] = {}
+        whole = self._error(now)
         self._look(now)
         while len(found.causes) < MOST:
             followed = self._followed(at, now)
             if not followed or followed[0].odds < CLEAR or not self._matters(followed[0]):
                 break
             best = followed[0]
+            less = self._error(now) - self._error(best.answers)
+            if less < BESIDE * (whole - self._error(now)):
+                break
             alike = [each.place for each in followed[1:] if best.odds - each.odds < ALIKE]
             alike += self._like(best, [each.place for each in followed])
             found.causes.append((best.place, alike))
@@ -263,6 +270,10 @@ class Search:
     def _matters(self, one: Candidate) -> bool:
         return abs(one.change[one.place]) >= KINDS[one.place[0]].least
 
+    def _error(self, answers: Float64) -> float:
+        """Return the mean square of what is left, each channel by its own error at first."""
+        return float((((self._real - answers) / self._likelihood.scale) ** 2).mean())
+
     def _square(self, answers: Float64) -> float:
         joints = self._motion.measured["joint_pos"].shape[1]
         return float(((self._real - answers)[..., :joints] ** 2).mean())
@@ -289,6 +300,8 @@ class Search:
             Candidate(place, at | {place: 0.0}, now, self._slopes[place], log)
             for _, place in alone[:FOLLOWED]
         ]
+        if not candidates:
+            return []
         moving = candidates
         for _ in range(STEPS):
             best_log = max((one.log for one in candidates), default=log)
