@@ -36,14 +36,12 @@ REFINED = 6
 """Turns in which sizes and the unknown beginnings of windows are fitted to each other."""
 LEVELLED = 2
 """Steps by which a record without a cause is fitted."""
-BESIDE = 0.01
+BESIDE = 0.03
 """Share of the square error that found causes explain, which the next one has to explain too: less
 may be what noise at the beginning of windows biases them by."""
-BIAS = 0.01
-"""Standard deviation of what noise at the beginning of windows biases, as a part of the size: walks
-of a Go2 gave 3.92 kg for 4, -0.296 for -0.3, 1.025 N·m for 1 and 7.96 ms for 8."""
 BIAS_FOUND = 0.06
-"""The same where the velocities at the beginning were found: 3.57 kg, -0.297, 7.36 ms."""
+"""As of `Kind.bias` where velocities at the beginning of windows were found: walks of a Go2 gave
+3.57 kg for 4, -0.297 for -0.3 and 7.36 ms for 8."""
 
 
 class Run(Protocol):
@@ -116,7 +114,8 @@ class Search:
         limbs: of each joint, shape (n,).
         run: replays changes.
         tell: takes a line now and then.
-        wider: by which intervals are wider, for what they are compared with is uncertain too.
+        wider: by which intervals are wider, for what they are compared with is uncertain too;
+            log odds are less by its square.
     """
 
     def __init__(
@@ -181,14 +180,14 @@ class Search:
                 / (weights.sum() + math.exp(-min(best.odds, 700)))
             )
             found.shown[best.place] = self._shown(now, best.answers)
-            assert best.fitted is not None
-            at, now, fitted = best.change, best.answers, best.fitted
-            if self._unknown:
-                at, now, fitted = self._refined(at)
+            at, now, fitted = self._refined(best.change)
             found.change, found.after = at, self._square(now)
-            bias = BIAS_FOUND if self._unknown else BIAS
+            bias = np.array([KINDS[kind].bias for kind, _ in at])
+            bias = np.maximum(bias, BIAS_FOUND) if self._unknown else bias
             biased = bias * np.array(list(at.values()))
-            halves = 1.96 * self._wider * np.sqrt(np.diag(fitted.spread) + biased**2)
+            grain = np.array([KINDS[kind].grain for kind, _ in at])
+            variance = self._wider**2 * (np.diag(fitted.spread) + biased**2) + grain**2
+            halves = 1.96 * np.sqrt(variance)
             found.deviation = dict(zip(at, map(float, halves)))
             self._tell(f"{best.place[0]}: log odds {best.odds:.0f}")
             idle = [place for place in at if self._idle(place)]
@@ -310,7 +309,7 @@ class Search:
         for one in candidates:
             self._fit(one)
         best = max(candidates, key=lambda one: one.log)
-        kappa = max(best.fitted.kappa if best.fitted else 1.0, 1.0)
+        kappa = max(best.fitted.kappa if best.fitted else 1.0, 1.0) * self._wider**2
         for one in candidates:
             one.odds = (one.log - log) / kappa + self._price(one.place)
         return sorted(candidates, key=lambda one: -one.odds)
