@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -141,9 +142,15 @@ def test_a_robot_that_hung_needs_no_velocity_of_its_base(tmp_path: Path) -> None
 
 
 @pytest.mark.alone
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
-def test_a_signal_ends_it_and_its_processes(number: signal.Signals, tmp_path: Path) -> None:
-    """Ctrl-C says what is known so far; nothing stays behind after a kill."""
+@pytest.mark.parametrize(
+    ("number", "worker"),
+    [(signal.SIGINT, None), (signal.SIGKILL, None)]
+    + [(signal.SIGINT, signal.SIGSTOP), (signal.SIGCONT, signal.SIGKILL)],
+)
+def test_a_signal_ends_it_and_its_processes(
+    number: signal.Signals, worker: signal.Signals | None, tmp_path: Path
+) -> None:
+    """Ctrl-C says what is known so far, a killed process what to do; nothing stays behind."""
     words = [sys.executable, "-m", "unicon_ros", "diagnose", recorded(tmp_path, 30.0)]
     run = subprocess.Popen(
         [*words, "--processes", "2"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -153,13 +160,21 @@ def test_a_signal_ends_it_and_its_processes(number: signal.Signals, tmp_path: Pa
         wait_for(lambda: len(children.read_text().split()) >= 3)  # and the resource tracker
         time.sleep(1.0)
         pids = children.read_text().split()
+        if worker is not None:
+            works = (
+                pid for pid in pids if "spawn_main" in Path(f"/proc/{pid}/cmdline").read_text()
+            )
+            os.kill(int(next(works)), worker)
         run.send_signal(number)
-        said, _ = run.communicate(timeout=30)  # held open by what stays behind
+        said, wrong = run.communicate(timeout=30)  # held open by what stays behind
     finally:
         run.kill()
     if number == signal.SIGINT:
         assert run.returncode == 130
         assert "interrupted" in said
+    if worker == signal.SIGKILL:
+        assert (run.returncode, said) == (1, "")
+        assert "a process that replays the record was killed" in wrong
     wait_for(lambda: not any(running(pid) for pid in pids))
 
 

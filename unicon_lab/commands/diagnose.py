@@ -71,11 +71,13 @@ def _diagnose(arguments: argparse.Namespace) -> int:
         )
     finally:
         console.close()
-    if arguments.json:
-        write_file(Path(arguments.json), json.dumps(plain(asdict(found)), indent=1).encode())
-    if arguments.html:
-        write_file(Path(arguments.html), _page(path.name, found).encode())
     _print(path.name, found)
+    if arguments.json:
+        write_file(
+            Path(arguments.json), json.dumps(plain(asdict(found)), indent=1).encode(), folders=True
+        )
+    if arguments.html:
+        write_file(Path(arguments.html), _page(path.name, found).encode(), folders=True)
     return 0 if found.complete else 130
 
 

@@ -112,13 +112,16 @@ class Likelihood:
             np.einsum("clk,wkcp,wlcq,w->pq", inverse, slopes, slopes, self._weights, optimize=True)
         )
 
-    def fit(self, left: Float64, slopes: Float64, usual: Float64) -> Fitted:
+    def fit(
+        self, left: Float64, slopes: Float64, usual: Float64, before: Float64 | float = 0.0
+    ) -> Fitted:
         """Fit changes to what is left.
 
         Args:
             left: without them, shape (w, l, m).
             slopes: derivatives of the answers by each change, shape (w, l, m, p).
             usual: standard deviation of each change beforehand, shape (p,).
+            before: sizes of these changes that the answers have already.
         """
         gain, size = -self.log(left), np.zeros(slopes.shape[-1])
         left, slopes = self._described(left), self._described(slopes)
@@ -126,7 +129,7 @@ class Likelihood:
             inverse = np.linalg.inv(self._covariance(left - slopes @ size))
             weighted = np.einsum("clk,wkcp,w->wlcp", inverse, slopes, self._weights, optimize=True)
             curvature = np.einsum("wlcp,wlcq->pq", weighted, slopes) + np.diag(usual**-2.0)
-            asked = np.einsum("wlcp,wlc->p", weighted, left)
+            asked = np.einsum("wlcp,wlc->p", weighted, left) - before / usual**2
             before, size = size, np.linalg.solve(curvature, asked)
             if np.allclose(size, before, rtol=1e-3, atol=1e-9):
                 break

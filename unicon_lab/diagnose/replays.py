@@ -7,11 +7,12 @@ import signal
 import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 
 import numpy as np
 
 from unicon_base.arrays import Float64
-from unicon_base.errors import PlatformError
+from unicon_base.errors import PlatformError, UniconError
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.robots import Robot
 from unicon_core.signals import SIGNALS
@@ -78,6 +79,7 @@ class Replays:
                 "the model of the free robot"
             )
         self._pool: ProcessPoolExecutor | None = None
+        self._others = {*multiprocessing.active_children()}
         if processes > 1:
             # Not forked: this process may have threads, of ROS or of a network's runtime.
             context = multiprocessing.get_context("spawn")
@@ -94,6 +96,7 @@ class Replays:
 
         Raises:
             Interrupted: a signal asked to end; call it within `SIGNALS.guard`.
+            UniconError: a process was killed.
         """
         found = list[Float64]()
         work = list(zip(map(self._whole, changes), begins or [self.begins] * len(changes)))
@@ -103,7 +106,13 @@ class Replays:
             self._progress(done / len(work))
             while futures and not wait([futures[done]], timeout=0.2).done:
                 SIGNALS.check()
-            found.append(futures[done].result() if futures else self.plant.replayed(*each))
+            try:
+                found.append(futures[done].result() if futures else self.plant.replayed(*each))
+            except BrokenProcessPool as error:
+                raise UniconError(
+                    "a process that replays the record was killed; is there memory enough? Try "
+                    "--processes 1"
+                ) from error
         return found
 
     def _whole(self, change: Change) -> Change:
@@ -156,4 +165,6 @@ class Replays:
     def __exit__(self, *_: object) -> None:
         self.plant.close()
         if self._pool is not None:
+            for each in {*multiprocessing.active_children()} - self._others:
+                each.kill()  # one that was stopped would be waited for without end
             self._pool.shutdown(cancel_futures=True)
