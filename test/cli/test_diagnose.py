@@ -144,8 +144,12 @@ def test_a_robot_that_hung_needs_no_velocity_of_its_base(tmp_path: Path) -> None
 @pytest.mark.alone
 @pytest.mark.parametrize(
     ("number", "worker"),
-    [(signal.SIGINT, None), (signal.SIGKILL, None)]
-    + [(signal.SIGINT, signal.SIGSTOP), (signal.SIGCONT, signal.SIGKILL)],
+    [
+        (signal.SIGINT, None),
+        (signal.SIGKILL, None),
+        (signal.SIGINT, signal.SIGSTOP),
+        (signal.SIGCONT, signal.SIGKILL),
+    ],
 )
 def test_a_signal_ends_it_and_its_processes(
     number: signal.Signals, worker: signal.Signals | None, tmp_path: Path
