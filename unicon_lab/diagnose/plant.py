@@ -38,7 +38,7 @@ class Kind:
         each: of a joint, not of the whole robot alone.
         bias: standard deviation of what noise at the beginning of windows biases a size, as a part
             of it; measured with walks of a Go2 whose joint velocities had 0.2 rad/s of noise.
-        grain: standard deviation of a size since a simulator rounds it: delays to its steps.
+        stepped: the simulator rounds it to its steps.
         remedy: what to change, with `{size}`, `{after}` and `{joint}`.
     """
 
@@ -52,7 +52,7 @@ class Kind:
     each: bool = False
     remedy: str = ""
     bias: float = 0.01
-    grain: float = 0.0
+    stepped: bool = False
 
 
 _PAYLOAD = "scene: {{payload: {{mass: {size:.3g}}}}}"
@@ -64,12 +64,12 @@ def _joint(word: str) -> str:
 
 
 KINDS = {
-    "delay": Kind("s", 0.004, 0.01, 0.002, 0.0, 0.1, 4.0, True, _joint("delay"), grain=0.0006),
-    "strength": Kind("", -0.05, 0.3, 0.03, -0.95, 1.5, 2.0, True, _joint("strength")),
-    "friction": Kind("N·m", 0.1, 1.0, 0.1, -20.0, 20.0, 2.0, True, _joint("friction"), bias=0.08),
+    "delay": Kind("s", 0.004, 0.01, 0.002, 0.0, 0.1, 4.0, True, _joint("delay"), stepped=True),
+    "strength": Kind("", -0.05, 0.3, 0.03, -0.95, 1.5, 2.0, True, _joint("strength"), bias=0.02),
+    "friction": Kind("N·m", 0.1, 1.0, 0.1, -20.0, 20.0, 2.0, True, _joint("friction"), bias=0.04),
     "viscous friction": Kind("N·m·s/rad", 0.1, 1.0, 0.05, -5.0, 20.0, 1.0, True, bias=0.05),
     "armature": Kind(
-        "kg·m²", 0.004, 0.02, 0.003, -0.5, 0.5, 1.0, True, _joint("armature"), bias=0.02
+        "kg·m²", 0.004, 0.02, 0.003, -0.5, 0.5, 1.0, True, _joint("armature"), bias=0.035
     ),
     "encoder offset": Kind("rad", 0.01, 0.05, 0.01, -0.5, 0.5, 2.0, True),
     "weakening": Kind("1/min", -0.2, 0.5, 0.15, -3.0, 3.0, 0.5, True),
@@ -131,6 +131,7 @@ class Plant:
         self._platform = platform
         self.base = platform.robots[0].loaded.base
         model, dofs = platform.model, platform.robots[0].loaded.dofs
+        self.step = float(model.opt.timestep)
         physics = joint_physics(robot, scene.joints)
         self.own = {
             "strength": np.nan_to_num(physics.strength, nan=1.0),

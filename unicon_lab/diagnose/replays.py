@@ -53,6 +53,7 @@ class Replays:
         progress: takes the share of the replays of a call that is done.
 
     Attributes:
+        step: of the simulator in [s].
         base: change that each replay has besides its own.
         begins: as of `Plant.replayed`, as `settle` found them; None before.
 
@@ -70,6 +71,7 @@ class Replays:
     ) -> None:
         self.plant = Plant(robot, scene, motion)
         self.base: dict[Place, float] = {}
+        self.step = self.plant.step
         self._progress = progress
         self._motion = motion
         self.begins: Float64 | None = None

@@ -54,6 +54,7 @@ class Run(Protocol):
     def settle(self, change: Change) -> Float64 | None: ...
 
     base: dict[Place, float]
+    step: float
 
 
 @dataclass(eq=False)
@@ -199,8 +200,8 @@ class Search:
             bias = np.array([KINDS[kind].bias for kind, _ in at])
             bias = np.maximum(bias, BIAS_FOUND) if self._unknown else bias
             biased = bias * np.array(list(at.values()))
-            grain = np.array([KINDS[kind].grain for kind, _ in at])
-            variance = self._wider**2 * (np.diag(fitted.spread) + biased**2) + grain**2
+            rounded = self._run.step * np.array([0.2 * KINDS[kind].stepped for kind, _ in at])
+            variance = self._wider**2 * (np.diag(fitted.spread) + biased**2) + rounded**2
             halves = 1.96 * np.sqrt(variance)
             found.deviation = dict(zip(at, map(float, halves)))
             self._tell(f"{best.place[0]}: log odds {best.odds:.0f}")
@@ -236,7 +237,20 @@ class Search:
                 place: float(np.clip(size + step, KINDS[place[0]].low, KINDS[place[0]].high))
                 for (place, size), step in zip(at.items(), steps)
             }
+        for place in [place for place in at if KINDS[place[0]].stepped]:
+            at = self._peak(at, place)
+            (now,) = self._run([at])
         return at, now, fitted
+
+    def _peak(self, at: dict[Place, float], place: Place) -> dict[Place, float]:
+        """Return sizes with the one that a simulator rounds to its steps where a parabola peaks."""
+        step = self._run.step
+        grid = max(round(at[place] / step), 2) * step + step * np.arange(-2.0, 3.0)
+        answers = self._run([at | {place: float(size)} for size in grid])
+        logs = np.array([self._likelihood.log(self._real - each) for each in answers])
+        bent, slope, _ = np.polyfit(grid - grid[2], logs, 2)
+        peak = grid[2] - 0.5 * slope / bent if bent < 0.0 else grid[logs.argmax()]
+        return at | {place: float(np.clip(peak, grid[0], grid[-1]))}
 
     def _like(self, best: Candidate, followed: Sequence[Place]) -> list[Place]:
         """Return what would explain a motion as well as the best, of what was not followed.
