@@ -200,7 +200,7 @@ class Search:
             bias = np.array([KINDS[kind].bias for kind, _ in at])
             bias = np.maximum(bias, BIAS_FOUND) if self._unknown else bias
             biased = bias * np.array(list(at.values()))
-            rounded = self._run.step * np.array([0.2 * KINDS[kind].stepped for kind, _ in at])
+            rounded = self._run.step * np.array([0.06 * KINDS[kind].stepped for kind, _ in at])
             variance = self._wider**2 * (np.diag(fitted.spread) + biased**2) + rounded**2
             halves = 1.96 * np.sqrt(variance)
             found.deviation = dict(zip(at, map(float, halves)))
