@@ -41,7 +41,7 @@ READY = 60.0
 GONE = 5.0
 """How long it may take to end, [s]."""
 
-SIMULATED = ("mujoco", "fake", "fake_robot")
+SIMULATED = ("mujoco", "pybullet", "fake", "fake_robot")
 """Platforms that need nobody else."""
 
 NEEDED = {"mujoco": ["mujoco"], "ros": ["rclpy"], "unitree": ["cyclonedds"], "pnd": ["cyclonedds"]}
