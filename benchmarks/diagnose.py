@@ -28,7 +28,7 @@ from benchmarks.injected import HEALTHY, SETUP, SIZES, Case, cases, ladder, made
 from unicon_base.errors import Fault, UniconError, cannot
 from unicon_core.page import plain, write_file
 from unicon_core.signals import SIGNALS
-from unicon_lab.diagnose import Cause
+from unicon_lab.diagnose import Cause, Diagnosis
 from unicon_lab.diagnose.diagnosis import diagnose
 from unicon_lab.recording import Record
 from unicon_ros.bench.report import Bench
@@ -104,7 +104,7 @@ def diagnosed(wanted: Sequence[Case], path: Path) -> list[Row]:
 
 def _examined(case: Case, folder: str, references: dict[Case, Record]) -> Row:
     """Make a record and diagnose it; what cannot be is a note."""
-    begin, name, found, notes = time.perf_counter(), "", tuple[Cause, ...](), ""
+    begin, name = time.perf_counter(), ""
     healthy, reference = replace(case, kind=HEALTHY, size=0, amount=0.0), None
     with TemporaryDirectory(dir=folder) as own:
         try:
@@ -113,17 +113,16 @@ def _examined(case: Case, folder: str, references: dict[Case, Record]) -> Row:
                 reference = references.get(healthy) or made(healthy, 0, mkdtemp(dir=folder))[0]
                 references[healthy] = reference
             said = diagnose(record, case.name, reference=reference, hung=case.hung)
-            found, notes = said.causes, "; ".join(said.notes)
         except (Fault, UniconError) as error:
-            notes = str(error)
+            said = Diagnosis((), (str(error),))
     return {
         "case": case.name,
         **asdict(case),
         "cause": name,
         "change": case.change,
-        **judged(found, name, case.change),
-        "found": [asdict(replace(cause, shown=None)) for cause in found],
-        "note": notes,
+        **judged(said.causes, name, case.change),
+        "found": [asdict(replace(cause, shown=None)) for cause in said.causes],
+        "note": "; ".join(said.notes),
         "seconds": time.perf_counter() - begin,
     }
 
@@ -185,8 +184,8 @@ def find_sizes(path: Path, wanted: Sequence[Case]) -> None:
     """Find the sizes of the kinds and robots that are wanted, and write the table with them."""
     for kind, robot in dict.fromkeys((case.kind, case.robot) for case in wanted):
         if robot in SIZES.get(kind, ()):
-            SIZES[kind][robot] = ladder(robot, kind)
+            five = SIZES[kind][robot] = ladder(robot, kind)
             SIGNALS.check()
-            note(f"{kind}, {robot}: {SIZES[kind][robot]}")
+            note(f"{kind}, {robot}: {five}")
             table = {**SIZES, "setup": SETUP}.items()
             write_file(path, "".join(f"{k}: {json.dumps(v)}\n" for k, v in table).encode())

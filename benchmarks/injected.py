@@ -234,8 +234,8 @@ def _edit(case: Case, loaded: LoadedModel, path: Path, spec: Any) -> None:
     PyBullet's robots have masses and ground friction that differ by up to 10 %.
     """
     of, model, base = case.of, spec.compile(), loaded.model.jnt_bodyid[loaded.base]
-    spread = np.random.default_rng(case.seed).uniform(-0.1, 0.1, model.nbody)
-    spread = 1.0 + (case.plant == "pybullet") * spread
+    share = 0.1 if case.plant == "pybullet" else 0.0
+    spread = 1.0 + share * np.random.default_rng(case.seed).uniform(-1.0, 1.0, model.nbody)
     model.body_mass *= spread
     model.body_mass[base] += of("payload")
     moment = [of(f"centre of mass {axis}") for axis in "xyz"]
