@@ -8,15 +8,14 @@ after another; the change that gives them names the cause.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
 
 from unicon_base.arrays import Array
 from unicon_base.errors import Fault, UniconError, WorkflowError, alternatives, one_line
-from unicon_core.check.joints import mirror_pairs
-from unicon_core.check.twin.perturb import Change, exchanged, gains_of, permuted, with_gains
+from unicon_core.check.twin.perturb import AS_GIVEN, GAINS, Change
 from unicon_core.policies import PolicyContract, load_policy
 from unicon_core.policies.action_map import ActionMap, lacking_joints
 from unicon_core.policies.controller import prefix_of
@@ -25,8 +24,7 @@ from unicon_core.robots import Robot, load_robot
 from unicon_core.workflow.members import load_robot_of
 from unicon_core.workflow.policies import load_policies
 from unicon_lab.diagnose import Cause, name_of
-from unicon_lab.diagnose.hypotheses import LEAST, changes_of, hypotheses
-from unicon_lab.diagnose.open_loop import Hypothesis, OpenLoop
+from unicon_lab.diagnose.open_loop import LEAST, OpenLoop, changes_of, hypotheses
 from unicon_lab.recording import Record
 from unicon_lab.replay.workflow import recorded_workflow, robot_of, workflow_of
 
@@ -130,7 +128,7 @@ def _given(
 def _examined(played: OpenLoop, label: str, tell: Tell) -> tuple[list[Cause], list[str]]:
     """Return the causes that one policy's ticks show, and notes."""
     contract, notes, changes = played.contract, played.notes, changes_of(played)
-    own = played.run(Hypothesis("", "", "", contract))
+    own = played.run(AS_GIVEN)
     squares = played.squares(own)
     whole = float(np.sqrt(squares.mean()))
     if len(own) * contract.period < 1.0:
@@ -158,39 +156,40 @@ def _examined(played: OpenLoop, label: str, tell: Tell) -> tuple[list[Cause], li
     score -= 0.5 * np.log(samples) * np.array([*(each.figures for each in tried), 0])
     weight = np.exp(score - score.max())
     weight /= weight.sum()
-    causes, free = list[Cause](), dict.fromkeys(range(len(tried)))
+    causes, free = list[Cause](), [*range(len(tried))]
     for i in np.argsort(-score[:-1], kind="stable").tolist():
         if i not in free or len(causes) == _MOST or weight[i] < 0.01:
             continue
         group = [k for k in free if left[k] <= 3.0 * max(left[i], EXACT)]
-        free = dict.fromkeys(k for k in free if k not in group)
-        lead, alike = tried[i], [name_of(tried[k].kind, tried[k].where) for k in group]
-        mine = name_of(lead.kind, lead.where)
-        others = tuple(dict.fromkeys(name for name in alike if name != mine))
+        free = [k for k in free if k not in group]
+        lead, alike = tried[i], dict.fromkeys(name_of(*tried[k].place) for k in group)
+        kind, where = lead.place
+        alike.pop(name_of(kind, where), None)
         causes.append(
             Cause(
-                lead.kind,
-                lead.where,
+                kind,
+                where,
                 "contract",
                 float(weight[group].sum()),
                 lead.size,
                 lead.size - lead.spread,
                 lead.size + lead.spread,
                 lead.unit,
-                f"joint_pos_target: with {lead.text} the policy gives it within {left[i]:.1g} rad "
+                f"joint_pos_target: with {lead.name} the policy gives it within {left[i]:.1g} rad "
                 f"rms, as given within {before:.2g}",
                 _remedy(contract, lead),
-                others,
-                next=_VARIED if others else "",
+                tuple(alike),
+                next=_VARIED if alike else "",
             )
         )
-    best = int(np.argmin(left))
+    best, made = int(np.argmin(left)), contract
     if weight[-1] > 0.5:
         notes.append(
             f"no contract hypothesis explains the record, which is {before:.2g} rad rms from the "
-            f"given contract; with {tried[best].text} {left[best]:.2g} are left"
+            f"given contract; with {tried[best].name} {left[best]:.2g} are left"
         )
-    made = tried[best].contract if weight[-1] < 0.5 else contract
+    else:
+        made = tried[best].contract or contract
     return [*causes, *_gain_causes(played, changes, made)], notes
 
 
@@ -210,21 +209,17 @@ def _gain_causes(
         return np.stack((said.stiffness, said.damping))
 
     def same(contract: PolicyContract) -> bool:
-        return bool(np.isclose(made, gains(contract), LEAST, 1e-6).all())
+        return np.allclose(made, gains(contract), LEAST, 1e-6)
 
     if same(contract):
         return []
-    sides = permuted(contract, exchanged(contract.joints, mirror_pairs(contract.joints)))
-    ordered = {"gains of left and right exchanged": with_gains(contract, gains_of(sides))}
+    path = _file(contract)
     for each in changes:
-        if each.culprit == "gains" and each.contract is not None and "times" not in each.name:
-            ordered[each.name] = each.contract
-    path, none = _file(played.contract), (float("nan"),) * 3
-    for text, other in ordered.items():
-        if same(other):
-            said = f"joint_stiffness and joint_damping are the contract's with {text}"
+        if each.culprit == GAINS and each.contract is not None and same(each.contract):
+            said = f"joint_stiffness and joint_damping are the contract's with {each.name}"
             remedy = f"{path} needs stiffness and damping in that order {_RIGHT}"
-            return [Cause("gain_order", "", "contract", 1.0, *none, "", said, remedy)]
+            none = float("nan")
+            return [Cause("gain_order", "", "contract", 1.0, none, none, none, "", said, remedy)]
     found = []
     for kind, is_, was in zip(("stiffness", "damping"), made, gains(contract)):
         off = np.flatnonzero(~np.isclose(is_, was, LEAST, 1e-6))
@@ -244,13 +239,22 @@ def _gain_causes(
     return found
 
 
-def _remedy(contract: PolicyContract, tried: Hypothesis) -> str:
+def _remedy(contract: PolicyContract, tried: Change) -> str:
     """Return the lines of the policy's file in which two contracts differ."""
-    if tried.feeds or tried.delay:
-        return f"let the policy see what it saw in training: the record has {tried.text}"
-    lines = _differences(contract_values(contract), contract_values(tried.contract))
-    said = ", ".join(f"{key}: {new} instead of {old}" for key, old, new in lines)
-    return f"{_file(contract)} needs {said} {_RIGHT}"
+    if tried.contract is None:
+        return f"let the policy see what it saw in training: the record has {tried.name}"
+    given, other = (_lines(contract_values(each)) for each in (contract, tried.contract))
+    said = list[str]()
+    for key in {**given, **other}:
+        was, needs = given.get(key), other.get(key)
+        if was == needs:
+            continue
+        lines = [(key, was, needs)]
+        if isinstance(was, list) and isinstance(needs, list) and not key.endswith("terms"):
+            each = [(f"{key}[{i}]", *ab) for i, ab in enumerate(zip(was, needs)) if ab[0] != ab[1]]
+            lines = each if 0 < len(each) <= 4 else lines
+        said += [f"{place}: {_text(new)} instead of {_text(old)}" for place, old, new in lines]
+    return f"{_file(contract)} needs {', '.join(said)} {_RIGHT}"
 
 
 def _file(contract: PolicyContract) -> str:
@@ -258,27 +262,16 @@ def _file(contract: PolicyContract) -> str:
     return contract.path.name if contract.source == "policy.yaml" else "'given' of the policy"
 
 
-def _differences(old: Any, new: Any, key: str = "") -> Iterator[tuple[str, str, str]]:
-    """Yield dotted key, old and new text of what differs."""
-    parts = [dict[Any, Any](), dict[Any, Any]()]
-    for part, side in zip(parts, (old, new)):
-        if isinstance(side, dict):
-            part.update(side)
-        elif isinstance(side, list):
-            named = key.endswith("terms")
-            part.update((each["name"] if named else i, each) for i, each in enumerate(side))
-    a, b = parts
-    changed = [name for name in {**a, **b} if a.get(name) != b.get(name)]
-    if old == new:
-        return
-    if [*a] != [*b] and key.endswith("terms"):
-        yield key, _text([*a]), _text([*b])
-    elif a and b and (isinstance(old, dict) or len(changed) <= 4):
-        for name in changed:
-            place = f"{key}[{name}]" if isinstance(name, int) else f"{key}.{name}".lstrip(".")
-            yield from _differences(a.get(name), b.get(name), place)
-    else:
-        yield key, _text(old), _text(new)
+def _lines(values: Any, key: str = "") -> dict[str, Any]:
+    """Return dotted key to value; of terms by their name, and those names in order."""
+    lines = dict[str, Any]()
+    if key.endswith("terms"):
+        lines[key], values = [term["name"] for term in values], {t["name"]: t for t in values}
+    if not isinstance(values, dict):
+        return {key: values}
+    for name, value in values.items():
+        lines |= _lines(value, f"{key}.{name}".lstrip("."))
+    return lines
 
 
 def _text(value: Any) -> str:

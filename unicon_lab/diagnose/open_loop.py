@@ -1,20 +1,27 @@
-"""A policy over the recorded sensors of the ticks in which it ran, open loop."""
+"""A policy over the recorded sensors of the ticks in which it ran, open loop.
+
+Beside it stands what the maker of the record may have done otherwise than its contract says.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
 from unicon_base.arrays import Array, Bool, Float64
 from unicon_base.errors import Fault, UniconError
+from unicon_core.check.joints import joint_depths
+from unicon_core.check.twin.perturb import GAINS, Change, with_action
+from unicon_core.check.twin.repair import repairs
 from unicon_core.models.find import pick_model
 from unicon_core.models.load import load_model
 from unicon_core.platforms.kit.base import rotation
 from unicon_core.policies import Policy, PolicyContract, policy_states
+from unicon_core.policies.contract import FilterSpec
 from unicon_core.policies.networks import open_network
 from unicon_core.robots import Robot, joint_index
 from unicon_core.states import States, standard_states
@@ -22,35 +29,9 @@ from unicon_lab.recording import Record
 
 SHORTEST = 10  # ticks of the policy
 _MEMORY = 50  # ticks after which a recurrent network has forgotten how it began
+LEAST = 0.01
+"""Of a fitted factor beside 1, and of an angle in [rad]: what is less is rounding."""
 _SENSORS = ("joint_pos", "joint_vel", "base_ang_vel", "projected_gravity", "base_quat")
-
-
-@dataclass(frozen=True)
-class Hypothesis:
-    """One way in which the contract that made a record may differ from the given one.
-
-    Attributes:
-        kind, where: as of `Cause`.
-        text: what the maker had, as a phrase to follow "with".
-        contract: the changed contract.
-        feeds: state to what the policy saw in place of the recorded values, shape (ticks, …).
-        delay: ticks by which the policy saw its sensors late.
-        size: factor or figure, NaN where there is none.
-        spread: half of the 95 % interval of `size`.
-        unit: of both.
-        figures: how many were fitted to the record.
-    """
-
-    kind: str
-    where: str
-    text: str
-    contract: PolicyContract
-    feeds: Mapping[str, Array] = field(default_factory=dict)
-    delay: int = 0
-    size: float = float("nan")
-    spread: float = 0.0
-    unit: str = ""
-    figures: int = 0
 
 
 class OpenLoop:
@@ -183,7 +164,7 @@ class OpenLoop:
         return Policy(contract, states, self.robot, network=self.network, model=model)
 
     @np.errstate(over="ignore", invalid="ignore")
-    def run(self, tried: Hypothesis, ticks: int | None = None) -> Float64:
+    def run(self, tried: Change, ticks: int | None = None) -> Float64:
         """Return the targets that a contract gives over the recorded sensors in [rad].
 
         The network sees the recorded last action, where there is one.
@@ -198,8 +179,9 @@ class OpenLoop:
         Raises:
             Fault, UniconError: the contract cannot be run over this record.
         """
-        states, out = self._states(tried.contract), list[Array]()
-        policy = self._policy(tried.contract, states)
+        contract, out = tried.contract or self.contract, list[Array]()
+        states = self._states(contract)
+        policy = self._policy(contract, states)
         fed = [(states[name], values, tried.delay * (name in _SENSORS) + self.late)
                for name, values in {**self.fed, **tried.feeds}.items()]  # fmt: skip
         target, action = states["joint_pos_target"], states["action"]
@@ -228,9 +210,136 @@ class OpenLoop:
         found: Float64 = (off**2).sum(1) * n / max(int(self.counts[:n].sum()), 1)
         return found
 
-    def residual(self, tried: Hypothesis, ticks: int) -> float:
+    def residual(self, tried: Change, ticks: int) -> float:
         """Return the RMS difference from the record in [rad]; infinite where it cannot be run."""
         try:
             return float(np.sqrt(self.squares(self.run(tried, ticks)).mean()))
         except (Fault, UniconError):
             return float("inf")
+
+
+def changes_of(played: OpenLoop) -> list[Change]:
+    """Return the usual mistakes as changed contracts, gains among them."""
+    contract, robot, model = played.contract, played.robot, played.model
+    poses = {"the robot file's default pose": robot.default_joint_pos.astype(np.float64)}
+    depths: Sequence[int] = [0] * len(contract.joints)
+    if model is not None:
+        depths = joint_depths(model, robot, contract.joints)
+        poses |= {f"the pose of key frame {k!r}": pose for k, pose in model.key_poses().items()}
+    named = {name: dict(zip(robot.joint_names, pose.tolist())) for name, pose in poses.items()}
+    return [*repairs(contract, robot, depths, named, recorded=True)]
+
+
+def hypotheses(played: OpenLoop, target: Float64, changes: Iterable[Change]) -> Iterator[Change]:
+    """Yield ways in which the contract of the record may differ, the likeliest first.
+
+    Args:
+        played: the record.
+        target: that the given contract gives, in [rad], shape (rows, joints).
+        changes: of the given contract, of which gains move no target.
+    """
+    yield from _fitted(played, target)
+    yield from (change for change in changes if change.culprit != GAINS)
+    for late, word in ((1, "a tick"), (2, "two ticks")):
+        text = f"sensors {word} late"
+        yield Change(text, "delay", None, size=float(late), unit="ticks", delay=late)
+    yield from _frames(played)
+
+
+def _fitted(played: OpenLoop, target: Float64) -> Iterator[Change]:
+    """Yield action scales, poses and a filter that are fitted to the recorded targets."""
+    contract, action = played.contract, played.contract.action
+    counts = played.counts & (played.clamped == 0.0)
+    at = action.of_kind("position")
+    names = [name for name, by in zip(action.joints, at) if by]
+    x, y = target - action.offset[at], played.target - action.offset[at]
+    if played.action is not None and action.filter is None:  # what the network gave is known
+        low, high = (-np.inf, np.inf) if action.clip is None else action.clip
+        x = (np.clip(played.action[played.rows], low, high) * action.scale)[:, at].astype(float)
+    x, y = np.where(counts, x, 0.0), np.where(counts, y, 0.0)
+    power, count = np.maximum((x * x).sum(0), 1e-12), np.maximum(counts.sum(0), 1)
+
+    def rounded(figures: Float64) -> tuple[Float64, str, float, int]:
+        """Return figures without what is rounding; where, by how much, and how many differ."""
+        off = np.flatnonzero(abs(figures) > LEAST)
+        mean = float(figures[off].mean()) if len(off) else 0.0
+        if len(off) == len(figures) and np.ptp(figures) < LEAST:
+            return np.full_like(figures, mean), "", mean, 1
+        where = f" of {', '.join(names[i] for i in off)}" if len(off) <= 3 else ""
+        return np.where(abs(figures) > LEAST, figures, 0.0), where, mean, len(off)
+
+    def spread(left: Float64, weight: Float64) -> float:
+        return 1.96 * float(np.median(np.sqrt((left**2).sum(0) / count * 10.0 / weight)))
+
+    factor, where, mean, fitted = rounded((x * y).sum(0) / power - 1.0)
+    if fitted:
+        scale = action.scale.copy()
+        scale[at] *= (1.0 + factor).astype(np.float32)
+        yield Change(
+            f"action.scale times {1.0 + mean:.3g}",
+            ("joint sign" if where and abs(mean + 2.0) < LEAST else "action.scale") + where,
+            with_action(contract, scale=scale),
+            size=1.0 + mean,
+            spread=spread(y - (1.0 + factor) * x, power),
+            figures=fitted,
+        )
+    shift, where, mean, fitted = rounded((y - x).sum(0) / count)
+    if fitted:
+        offset, pose = action.offset.copy(), contract.default_joint_pos.copy()
+        offset[at] += shift.astype(np.float32)
+        pose[joint_index(names, contract.joints)] += shift.astype(np.float32)
+        moved, left = with_action(contract, offset=offset), spread(y - x - shift, count)
+        posed = replace(moved, default_joint_pos=pose)
+        for key, changed in {"default_joint_pos": posed, "action.offset": moved}.items():
+            yield Change(
+                f"{key} {mean:+.3g} rad",
+                key + where,
+                changed,
+                size=mean,
+                spread=left,
+                unit="rad",
+                figures=fitted,
+            )
+    raw = np.abs(y) / np.maximum(np.abs(action.scale[at]), 1e-6)
+    bound = float(raw[counts].max(initial=0.0))
+    clip = np.outer([-bound, bound], np.ones(len(action.joints))).astype(np.float32)
+    text = f"an action.clip of {bound:.3g}"
+    held = with_action(contract, clip=clip)
+    yield Change(text, "action.clip", held, size=bound, figures=1)
+    if action.clip is not None:
+        yield Change("no action.clip", "action.clip", with_action(contract, clip=None))
+    if action.filter is None:
+        ahead, step = target[1:] - played.target[:-1], np.diff(played.target, axis=0)
+        alpha = float((ahead * step).sum() / max((ahead * ahead).sum(), 1e-12))
+        for start in ("first", "zeros") if 0.01 < alpha < 0.99 else ():
+            changed = with_action(contract, filter=FilterSpec(alpha=alpha, start=start))
+            text = f"an action.filter of alpha {alpha:.3g}"
+            yield Change(text, "action.filter", changed, size=alpha, figures=1)
+
+
+def _frames(played: OpenLoop) -> Iterator[Change]:
+    """Yield vectors that the policy saw in another frame, where the record has `base_quat`."""
+    if "base_quat" not in played.record.layout.specs:
+        return
+    quat = played.record.states("base_quat")
+    turn, swapped = rotation(quat), rotation(np.roll(quat, 1, axis=-1))
+    heading = np.arctan2(turn[:, 1, 0], turn[:, 0, 0])
+    half = np.stack([np.cos(heading / 2), *np.zeros((2, len(quat))), np.sin(heading / 2)], 1)
+    yaw, down = rotation(half), np.broadcast_to([0.0, 0.0, -1.0], (len(quat), 3))
+
+    def inverse(matrix: Array) -> Array:
+        return matrix.transpose(0, 2, 1)
+
+    for state, how, matrix in (
+        ("base_ang_vel", "in the world's frame", turn),
+        ("base_ang_vel", "turned into the base's frame twice", inverse(turn)),
+        ("projected_gravity", "turned the other way", turn),
+        ("projected_gravity", "of base_quat", inverse(turn)),
+        ("projected_gravity", "of base_quat read as xyzw", inverse(swapped)),
+        ("velocity_command", "in the world's frame", yaw),
+        ("velocity_command", "turned from the world's frame", inverse(yaw)),
+    ):
+        if state in played.fed:
+            vector = down if state == "projected_gravity" else played.fed[state]
+            seen = {state: np.einsum("tij,tj->ti", matrix, vector).astype(np.float32)}
+            yield Change(f"{state} {how}", f"frame of {state}", None, feeds=seen)

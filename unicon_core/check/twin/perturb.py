@@ -11,8 +11,9 @@ is a finding; where none does, the walk says nothing about them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -24,16 +25,38 @@ from unicon_core.check.subject import listed
 from unicon_core.policies.contract import ObservationTerm, PolicyContract
 from unicon_core.robots import Robot, joint_index
 
+JOINTS, GAINS, CLOCK = "joint order", "gains", "order of sines and cosines"
+"""Culprits of many changes."""
+TERMS = "observation.terms, "
+"""How those of terms begin."""
+SIDES = "left and right joints exchanged"
+GAIT = "phase.period"
+"""Culprit of a clock that is too fast or too slow. With one too fast a policy may follow its
+command as well, in more and quicker steps: the rate of its targets tells."""
+_KINDS = {
+    CLOCK: "clock_order",
+    GAIT: "clock_period",
+    "phase.offsets": "clock_offsets",
+    "observation.newest": "history_order",
+    "observation.layout": "history_layout",
+    "default_joint_pos": "default_pose",
+    "their order": "term_order",
+    "sign": "observation_sign",
+    "scale": "observation_scale",
+    "clip": "observation_clip",
+    "order": "term_order",
+}
+
 
 @dataclass(frozen=True)
 class Change:
-    """One changed contract, broken or mended.
+    """One changed contract, broken or mended: what the twin runs, and a diagnosis supposes.
 
     Attributes:
         name: what was changed, as a phrase to follow "with".
         culprit: the part of the contract that it concerns.
-        contract: the changed contract, or None where the change changes nothing.
-        reason: why there is none.
+        contract: the changed contract, or None where it is as given.
+        reason: why there is none where the change changes nothing.
         unlikely: nobody makes this mistake; that a policy bears it is worth a note.
         unlimited: whether limits of effort are lifted.
         undamped: whether the joints of the model do without their own damping.
@@ -42,6 +65,12 @@ class Change:
         evidence: what the model shows by itself for this change; "" where only the run speaks for
             it.
         remedy: what to do, "" for comparing the culprit with the training side.
+        size: factor or figure, NaN where there is none.
+        spread: half of the 95 % interval of `size`.
+        unit: of both.
+        figures: how many were fitted to a record.
+        feeds: state to what the policy saw in place of the recorded values, shape (ticks, …).
+        delay: ticks by which the policy saw its sensors late.
     """
 
     name: str
@@ -55,6 +84,23 @@ class Change:
     varied: bool = False
     evidence: str = ""
     remedy: str = ""
+    size: float = float("nan")
+    spread: float = 0.0
+    unit: str = ""
+    figures: int = 0
+    feeds: Mapping[str, Array] = field(default_factory=dict)
+    delay: int = 0
+
+    @property
+    def place(self) -> tuple[str, str]:
+        """Kind and place of the culprit as a diagnosis names them, such as `joint_order` and ""."""
+        part = self.culprit.removeprefix(TERMS)
+        if part == JOINTS:
+            if pair := re.match(r"(\S+ and \S+) exchanged", self.name):
+                return "joint_exchange", pair[1]
+            return "left_right" if self.name.startswith("left and right") else "joint_order", ""
+        what, _, where = (part, "", "") if part in _KINDS else part.partition(" of ")
+        return _KINDS.get(what, re.sub(r"\W+", "_", what)), re.sub("^term |'", "", where)
 
 
 AS_GIVEN = Change("", "", None)
@@ -70,52 +116,49 @@ def perturbations(contract: PolicyContract, depths: Sequence[int]) -> list[Chang
     """
     joints, phase, other = contract.joints, contract.phase, other_order(depths)
     pairs, order = mirror_pairs(joints), [joints[i] for i in other]
-    gravity = {"projected_gravity": -1.0}
-    upside_down = with_scales(contract, lambda term: term.scale * gravity.get(term.state, 1.0))
+    alike = "breadth-first and depth-first are the same for these joints"
+
+    def unless(reason: str, name: str, culprit: str, broken: PolicyContract) -> Change:
+        return Change(name, culprit, None if reason else broken, reason)
+
+    def unread(state: str) -> str:
+        read = any(term.state.startswith(state) for term in contract.terms)
+        return "" if read else f"no term reads {state}"
+
+    def turned(term: ObservationTerm) -> Array:
+        return -term.scale if term.state == "projected_gravity" else term.scale
+
     changes = [
         _scales(contract),
-        _unless(
+        unless(
             "" if pairs else "no joint names tell left from right",
-            "left and right joints exchanged",
-            "joint order",
+            SIDES,
+            JOINTS,
             renamed(contract, exchanged(joints, pairs)),
         ),
-        _unless(
-            _unread(contract, "projected_gravity"),
-            "gravity upside down",
-            "sign of projected_gravity",
-            upside_down,
+        replace(
+            unless(
+                unread("projected_gravity"),
+                "gravity upside down",
+                "sign of projected_gravity",
+                with_scales(contract, turned),
+            ),
+            size=-1.0,
         ),
-        _unless(
-            "breadth-first and depth-first are the same for these joints"
-            if order == list(joints)
-            else "",
+        unless(
+            alike if order == list(joints) else "",
             "joint order of the other kind of simulator",
-            "joint order",
+            JOINTS,
             renamed(contract, order),
         ),
         _gains(contract, other),
     ]
     if phase is not None:
         count = len(phase.offsets)
-        turned = clock_reordered(contract, [*range(count, 2 * count), *range(count)])
-        name, culprit = (
-            "sines and cosines of the gait clock exchanged",
-            "order of sines and cosines",
-        )
-        reason, culprit = _unread(contract, "gait_phase"), "order of sines and cosines"
-        changes.append(_unless(reason, name, culprit, turned))
+        swapped = clock_reordered(contract, [*range(count, 2 * count), *range(count)])
+        name = "sines and cosines of the gait clock exchanged"
+        changes.append(unless(unread("gait_phase"), name, CLOCK, swapped))
     return changes
-
-
-def _unless(reason: str, name: str, culprit: str, contract: PolicyContract) -> Change:
-    """Return a change, without its contract where there is a reason against it."""
-    return Change(name, culprit, None if reason else contract, reason)
-
-
-def _unread(contract: PolicyContract, state: str) -> str:
-    read = any(term.state.startswith(state) for term in contract.terms)
-    return "" if read else f"no term reads {state}"
 
 
 def _scales(contract: PolicyContract) -> Change:
@@ -130,19 +173,23 @@ def _scales(contract: PolicyContract) -> Change:
 
 
 def _gains(contract: PolicyContract, order: Array) -> Change:
-    gains = gains_of(contract)
+    gains, name = gains_of(contract), "gains in another order"
     for broken in (gains[:, order], gains[:, order[::-1]]):
         if not np.allclose(broken, gains, rtol=1e-3):
-            return Change(_GAINS, "gains", with_gains(contract, broken), varied=True)
-    return Change(_GAINS, "gains", None, "all joints have the same gains")
-
-
-_GAINS = "gains in another order"
+            return Change(name, GAINS, with_gains(contract, broken), varied=True)
+    return Change(name, GAINS, None, "all joints have the same gains")
 
 
 def with_terms(contract: PolicyContract, terms: Iterable[ObservationTerm]) -> PolicyContract:
     """Return the contract with other observation terms."""
     return replace(contract, observation=replace(contract.observation, terms=tuple(terms)))
+
+
+def with_term(contract: PolicyContract, place: int, **changes: Any) -> PolicyContract:
+    """Return the contract with some fields of one observation term changed."""
+    terms = [*contract.terms]
+    terms[place] = replace(terms[place], **changes)
+    return with_terms(contract, terms)
 
 
 def with_scales(
@@ -245,10 +292,6 @@ def clock_reordered(contract: PolicyContract, order: Sequence[int]) -> PolicyCon
 
     return with_terms(contract, map(reordered, contract.terms))
 
-
-GAIT = "phase.period"
-"""Culprit of a clock that is too fast or too slow. With one too fast a policy may follow its
-command as well, in more and quicker steps: the rate of its targets tells."""
 
 USUAL = 0.02
 """Control period of nearly all published policies in [s]: any other one has to walk better."""

@@ -1,18 +1,27 @@
-"""Contracts as they would be without one of the usual mistakes, for telling why a policy falls.
+"""Contracts as they would be without one of the usual mistakes.
 
-Those that say otherwise what happens over time (clocks, filters, feedback, slew) stand last.
+The twin runs them for telling why a policy falls, and a diagnosis for telling which contract made
+a record. Those that say otherwise what happens over time (clocks, filters, feedback, slew) stand
+last.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, pairwise
+from typing import Any
 
 import numpy as np
 
 from unicon_core.check.joints import joint_orders, mirror_pairs, other_order, robot_values
 from unicon_core.check.twin.perturb import (
+    CLOCK,
+    GAINS,
+    GAIT,
+    JOINTS,
+    SIDES,
+    TERMS,
     Change,
     clock_reordered,
     exchanged,
@@ -23,14 +32,18 @@ from unicon_core.check.twin.perturb import (
     with_action,
     with_gains,
     with_scales,
+    with_term,
     with_terms,
 )
 from unicon_core.policies.contract import FilterSpec, ObservationTerm, PolicyContract
 from unicon_core.policies.policy_states import policy_states
-from unicon_core.robots import Robot
+from unicon_core.robots import Robot, joint_index
 from unicon_core.states import standard_states
 
 _SCALES = (0.05, 0.25, 0.5, 2.0, 4.0, 20.0)  # of legged_gym, holosoma and Unitree, and inverses
+_FEW = 16  # joints of which a record tells every pair
+_ISAAC = ("base_lin_vel", "base_ang_vel", "projected_gravity", "velocity_command")
+_NONE = float("nan")  # size
 
 
 def repairs(
@@ -38,6 +51,8 @@ def repairs(
     robot: Robot,
     depths: Sequence[int],
     poses: Mapping[str, Mapping[str, float]],
+    *,
+    recorded: bool = False,
 ) -> Iterator[Change]:
     """Yield what a policy's contract might be if it were right, the likeliest first.
 
@@ -46,55 +61,93 @@ def repairs(
         robot: gives an order and gains to try.
         depths: of the policy's joints in the kinematic tree, shape (n,).
         poses: name to joint positions in [rad]: default poses to try.
+        recorded: yield what a record of the policy tells: more than a walk does, but nothing of the
+            model.
     """
     broken = perturbations(contract, depths)  # most of them undo themselves
-    yield from (change for change in broken if change.contract is not None)
+    yield from (change for change in broken if not change.reason)
     child = contract.child
     if child is not None and child.delay > 1:  # actions as early as a child can give them
         early = replace(contract, child=replace(child, delay=1))
         yield Change("child.delay 1", "child.delay", early)
-    yield from _orders(contract, robot, depths)
-    yield from _gains(contract, robot, depths)
-    yield Change("passive damping removed", "passive damping of the model", contract, undamped=True)
+    yield from _orders(contract, robot, depths, recorded)
+    yield from _gains(contract, robot, depths, recorded)
+    if not recorded:
+        culprit = "passive damping of the model"
+        yield Change("passive damping removed", culprit, contract, undamped=True)
     yield from _actions(contract, robot, poses)
-    yield from _terms(contract)
+    yield from _terms(contract, recorded)
     yield from _clocks(contract)
     yield from filter_repairs(contract)
-    yield Change("no limits of effort", "effort limits of the robot file", contract, unlimited=True)
+    if recorded:
+        yield from _signs(contract)
+    else:
+        culprit = "effort limits of the robot file"
+        yield Change("no limits of effort", culprit, contract, unlimited=True)
 
 
-def _orders(contract: PolicyContract, robot: Robot, depths: Sequence[int]) -> Iterator[Change]:
+def _orders(
+    contract: PolicyContract, robot: Robot, depths: Sequence[int], recorded: bool
+) -> Iterator[Change]:
     joints, pairs = contract.joints, mirror_pairs(contract.joints)
     legs = {"FL": "RL", "FR": "RR", "RL": "FL", "RR": "FR"}
     orders = joint_orders(joints, robot, depths) | {
-        "left and right joints exchanged": exchanged(joints, pairs),
+        SIDES: exchanged(joints, pairs),
         "front and rear legs exchanged": [legs.get(n[:2], n[:2]) + n[2:] for n in joints],
     }
-    orders |= {f"{a} and {b} exchanged": exchanged(joints, [(a, b)]) for a, b in pairs}
-    for name, order in orders.items():
+    others = list[tuple[str, str]]()
+    if recorded:
+        orders["the alphabetical joint order"] = sorted(joints)
+        each = combinations(joints, 2) if len(joints) <= _FEW else pairwise(joints)
+        others = [(a, b) for a, b in each if not {(a, b), (b, a)} & {*pairs}]
+    names = {f"{a} and {b} exchanged": exchanged(joints, [(a, b)]) for a, b in (*pairs, *others)}
+    for k, (name, order) in enumerate((orders | names).items()):
         if sorted(order) == sorted(joints) and tuple(order) != joints:
-            yield Change(f"{name} (names only)", "joint order", renamed(contract, order))
-            yield Change(name, "joint order", permuted(contract, order))
+            yield Change(f"{name} (names only)", JOINTS, renamed(contract, order))
+            if k < len(orders) + len(pairs):
+                yield Change(name, JOINTS, permuted(contract, order))
 
 
-def _gains(contract: PolicyContract, robot: Robot, depths: Sequence[int]) -> Iterator[Change]:
-    gains = gains_of(contract)
-    known = robot_values(robot, contract.joints, "joint_stiffness", "joint_damping")
+def _signs(contract: PolicyContract) -> Iterator[Change]:
+    """Yield joints of the other sign."""
+    joints, action = contract.joints, contract.action
+    moved = joint_index(action.joints, joints)
+    for joint, signs in zip(joints, 1.0 - 2.0 * np.eye(len(joints), dtype=np.float32)):
+        seen = contract
+        for i, term in enumerate(contract.terms):
+            if term.state in ("joint_pos", "joint_vel"):
+                own = signs if term.index is None else signs[[*term.index]]
+                seen = with_term(seen, i, scale=term.scale * own)
+        both = with_action(seen, scale=action.scale * signs[moved])
+        for how, changed in (("", both), (" in the observation", seen)):
+            name = f"the other sign of {joint}{how}"
+            yield Change(name, f"joint sign of {joint}", changed, size=-1.0)
+
+
+def _gains(
+    contract: PolicyContract, robot: Robot, depths: Sequence[int], recorded: bool
+) -> Iterator[Change]:
+    gains, joints = gains_of(contract), contract.joints
+    known = robot_values(robot, joints, "joint_stiffness", "joint_damping")
     tried = {
         "gains brought back from another order": gains[:, np.argsort(other_order(depths))],
         "gains in the reversed order": gains[:, ::-1],
         "stiffness and damping exchanged": gains[::-1],
         "the robot file's gains": np.array(known, np.float32),
     }
-    stiffer, softer = np.array([[[1.0], [0.0]], [[0.0], [1.0]]], np.float32)
-    for k in (0.1, 0.25, 4.0, 10.0):
-        tried[f"stiffness times {k:g}"] = gains * (np.float32(k) * stiffer + softer)
-        tried[f"stiffness and damping times {k:g}"] = gains * np.float32(k)
-    for k in (0.25, 0.5, 2.0, 4.0):
-        tried[f"damping times {k:g}"] = gains * (stiffer + np.float32(k) * softer)
+    if recorded:
+        sides = joint_index(exchanged(joints, mirror_pairs(joints)), joints)
+        tried["gains of left and right exchanged"] = gains[:, sides]
+    else:
+        stiffer, softer = np.array([[[1.0], [0.0]], [[0.0], [1.0]]], np.float32)
+        for k in (0.1, 0.25, 4.0, 10.0):
+            tried[f"stiffness times {k:g}"] = gains * (np.float32(k) * stiffer + softer)
+            tried[f"stiffness and damping times {k:g}"] = gains * np.float32(k)
+        for k in (0.25, 0.5, 2.0, 4.0):
+            tried[f"damping times {k:g}"] = gains * (stiffer + np.float32(k) * softer)
     for name, changed in tried.items():
         if np.isfinite(changed).all():  # the robot file may not say them
-            yield Change(name, "gains", with_gains(contract, changed))
+            yield Change(name, GAINS, with_gains(contract, changed))
 
 
 def _actions(
@@ -102,8 +155,8 @@ def _actions(
 ) -> Iterator[Change]:
     action = contract.action
     for factor in (0.25, 0.5, 2.0, 4.0, -1.0):
-        scaled = with_action(contract, scale=action.scale * np.float32(factor))
-        yield Change(f"action.scale times {factor:g}", "action.scale", scaled)
+        scaled, name = action.scale * np.float32(factor), f"action.scale times {factor:g}"
+        yield Change(name, "action.scale", with_action(contract, scale=scaled), size=factor)
     swapped = {"velocity": "torque", "torque": "velocity", "position": "position"}
     kinds = tuple(swapped[kind] for kind in action.kinds)
     if kinds != action.kinds:
@@ -125,62 +178,76 @@ def _actions(
             yield Change(name, "default_joint_pos", changed)
 
 
-def _terms(contract: PolicyContract) -> Iterator[Change]:
+def _terms(contract: PolicyContract, recorded: bool) -> Iterator[Change]:
     """Yield other orders of the terms, each term changed, and other layouts of their histories."""
     terms, observation = contract.terms, contract.observation
-
-    def changed(name: str, part: str, places: Mapping[int, ObservationTerm]) -> Change:
-        new = (places.get(i, term) for i, term in enumerate(terms))
-        return Change(name, f"observation.terms, {part}", with_terms(contract, new))
-
     own = policy_states(with_terms(contract, ()), contract.joints)
     sizes = {name: spec.size for name, spec in (standard_states(contract.joints) | own).items()}
     # Elements of each term, 0 where its state is one of the workflow's own.
     widths = [len(t.index) if t.index is not None else sizes.get(t.state, 0) for t in terms]
-    alphabetical = sorted(terms, key=lambda term: term.name)
-    if tuple(alphabetical) != terms:  # holosoma sorts its terms by name
-        yield changed("terms in alphabetical order", "their order", dict(enumerate(alphabetical)))
+    # holosoma sorts its terms by name
+    orders = {"terms in alphabetical order": sorted(terms, key=lambda term: term.name)}
+    if recorded:
+        usual = [*_ISAAC, *(t.state for t in terms)]
+        orders["the terms in Isaac Lab's order"] = sorted(terms, key=lambda t: usual.index(t.state))
+    for name, order in orders.items():
+        if tuple(order) != terms:
+            yield Change(name, f"{TERMS}their order", with_terms(contract, order))
     for (i, a), (j, b) in combinations(enumerate(terms), 2):
-        if 0 < widths[i] == widths[j] and a.history == b.history:
-            both = f"{a.name!r} and {b.name!r}"
-            yield changed(f"terms {both} exchanged", f"order of {both}", {i: b, j: a})
+        alike = 0 < widths[i] == widths[j] and a.history == b.history
+        if alike or (recorded and j == i + 1):
+            both, order = f"{a.name!r} and {b.name!r}", [*terms]
+            order[i], order[j] = b, a
+            swapped = with_terms(contract, order)
+            yield Change(f"terms {both} exchanged", f"{TERMS}order of {both}", swapped)
     for i, term in enumerate(terms):
-        name = repr(term.name)
-        if term.state == "joint_pos":
-            absolute = term.subtract is None
-            how = "relative to the default pose" if absolute else "absolute"
-            moved = replace(term, subtract="default_joint_pos" if absolute else None)
-            yield changed(f"term {name} {how}", f"subtract of {name}", {i: moved})
-        elif term.subtract is not None:
-            bare = replace(term, subtract=None)
-            yield changed(f"nothing subtracted from {name}", f"subtract of {name}", {i: bare})
-        if term.state == "motion_command":
-            half = widths[i] // 2
-            places = range(widths[i]) if term.index is None else term.index
-            behind = replace(term, index=(*places[half:], *places[:half]))
-            what = f"positions and velocities of {name} exchanged"
-            yield changed(what, f"order within {name}", {i: behind})
-        if term.state != "projected_gravity":  # which perturbations turns over
-            flipped = replace(term, scale=-term.scale)
-            yield changed(f"the other sign of term {name}", f"sign of {name}", {i: flipped})
-        for factor in _SCALES:
-            scaled = replace(term, scale=term.scale * np.float32(factor))
-            what = f"the scale of term {name} times {factor:g}"
-            yield changed(what, f"scale of {name}", {i: scaled})
-    usual = {"base_ang_vel": 0.25, "joint_vel": 0.05}
+        for name, part, size, values in _of_term(term, widths[i], recorded):
+            changed = with_term(contract, i, **values)
+            yield Change(name, f"{TERMS}{part} {term.name!r}", changed, size=size)
+    common = {"base_ang_vel": 0.25, "joint_vel": 0.05}
     yield Change(
         "the usual scales (angular velocity 0.25, joint velocity 0.05)",
         "observation scales",
-        with_scales(contract, lambda t: np.full(1, usual.get(t.state, 1.0), np.float32)),
+        with_scales(contract, lambda t: np.full(1, common.get(t.state, 1.0), np.float32)),
     )
     lengths = {term.history for term in terms}
-    others = {"newest": ("first", "last"), "layout": ("frame_major", "term_major")}
-    names = {"newest": "the newest frame", "layout": "histories"}
-    for key, choices in others.items() if lengths - {1} else ():
-        if key == "newest" or len(lengths) == 1:
-            other = next(word for word in choices if word != getattr(observation, key))
+    others = {"first": "last", "last": "first", "frame_major": "term_major"}
+    for key, name in {"newest": "the newest frame", "layout": "histories"}.items():
+        if lengths - {1} and (key == "newest" or len(lengths) == 1):
+            other = others.get(getattr(observation, key), "frame_major")
             turned = replace(contract, observation=replace(observation, **{key: other}))  # type: ignore[arg-type]
-            yield Change(f"{names[key]} {other}", f"observation.{key}", turned)
+            yield Change(f"{name} {other}", f"observation.{key}", turned)
+
+
+def _of_term(
+    term: ObservationTerm, width: int, recorded: bool
+) -> Iterator[tuple[str, str, float, dict[str, Any]]]:
+    """Yield a change of one term: its name, the part, the size, and the new fields."""
+    what, bare = f"term {term.name!r}", {"subtract": None}
+    if term.state == "joint_pos":
+        if term.subtract is None:
+            posed = {"subtract": "default_joint_pos"}
+            yield f"{what} relative to the default pose", "subtract of", _NONE, posed
+        else:
+            yield f"{what} absolute", "subtract of", _NONE, bare
+    elif term.subtract is not None:
+        yield f"nothing subtracted from {term.name!r}", "subtract of", _NONE, bare
+    if term.state == "motion_command":
+        half, places = width // 2, range(width) if term.index is None else term.index
+        behind = {"index": (*places[half:], *places[:half])}
+        yield f"positions and velocities of {term.name!r} exchanged", "order within", _NONE, behind
+    scales = {f"the scale of {what} times {factor:g}": factor for factor in _SCALES}
+    if term.state != "projected_gravity":  # which perturbations turns over
+        yield f"the other sign of {what}", "sign of", -1.0, {"scale": -term.scale}
+    if recorded:
+        scales |= {f"{what} in degrees": 180.0 / np.pi, f"{what} in radians": np.pi / 180.0}
+        sizes = 1.0 / np.where(term.scale == 0.0, np.inf, np.abs(term.scale))
+        sign = {"scale": np.sign(term.scale)}
+        yield f"no scale of {what}", "scale of", float(sizes.max()), sign
+        if term.clip is not None:
+            yield f"no clip of {what}", "clip of", _NONE, {"clip": None}
+    for name, factor in scales.items():
+        yield name, "scale of", factor, {"scale": term.scale * np.float32(factor)}
 
 
 ALPHAS = (0.2, 0.5, 0.8)
@@ -196,25 +263,24 @@ def _clocks(contract: PolicyContract) -> Iterator[Change]:
     if count > 1:  # sine and cosine of one leg, then of the other
         yield Change(
             "sine and cosine of each leg side by side",
-            "order of sines and cosines",
+            CLOCK,
             clock_reordered(contract, [k + half for k in range(count) for half in (0, count)]),
         )
-    clocks = {
-        f"its offsets {how}": replace(phase, offsets=tuple(values))
-        for how, values in {
-            "in turns": 2.0 * np.pi * np.array(phase.offsets),
-            "in degrees": np.radians(phase.offsets),
-            "spread evenly": 2.0 * np.pi * np.arange(count) / count,
-            "all 0": np.zeros(count),
-            "reversed": np.array(phase.offsets[::-1]),
-        }.items()
-        if not np.allclose(np.cos(values), np.cos(phase.offsets), atol=1e-3)
-    }
+    for how, values in {
+        "in turns": 2.0 * np.pi * np.array(phase.offsets),
+        "in degrees": np.radians(phase.offsets),
+        "spread evenly": 2.0 * np.pi * np.arange(count) / count,
+        "all 0": np.zeros(count),
+        "reversed": np.array(phase.offsets[::-1]),
+    }.items():
+        if not np.allclose(np.cos(values), np.cos(phase.offsets), atol=1e-3):
+            clock = replace(phase, offsets=tuple(values))
+            name = f"the gait clock, its offsets {how}"
+            yield Change(name, "phase.offsets", replace(contract, phase=clock))
     for factor in (0.5, 2.0):
-        clocks[f"its period times {factor:g}"] = replace(phase, period=phase.period * factor)
-    for name, clock in clocks.items():
-        culprit = "phase.period" if "period" in name else "phase.offsets"
-        yield Change(f"the gait clock, {name}", culprit, replace(contract, phase=clock))
+        clock = replace(phase, period=phase.period * factor)
+        name = f"the gait clock, its period times {factor:g}"
+        yield Change(name, GAIT, replace(contract, phase=clock), size=factor)
 
 
 def filter_repairs(contract: PolicyContract) -> Iterator[Change]:
@@ -238,9 +304,8 @@ def filter_repairs(contract: PolicyContract) -> Iterator[Change]:
             yield Change(name, "action.filter", fed)
     for i, term in enumerate(contract.terms):
         for name, other in _others(term.filter):
-            terms = [*contract.terms[:i], replace(term, filter=other), *contract.terms[i + 1 :]]
             what = f"filter of term {term.name!r}"
-            yield Change(f"the {what} {name}", what, with_terms(contract, terms))
+            yield Change(f"the {what} {name}", what, with_term(contract, i, filter=other))
     if contract.command is not None:
         unslewed = replace(contract, command=None)
         yield Change("a command without slew", "command.slew", unslewed)
