@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
+from types import MappingProxyType, SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -163,18 +164,25 @@ def test_equal_gains_cannot_be_in_the_wrong_order() -> None:
 
 
 @pytest.mark.parametrize("number", range(5))
-def test_among_the_repairs_is_the_one_that_undoes_each_mistake(number: int) -> None:
+def test_among_the_repairs_is_the_one_that_undoes_each_mistake(
+    number: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known = dict(zip(LEGS, DEPTHS))
+    monkeypatch.setattr(
+        "unicon_core.check.twin.repair.joint_depths", lambda *of: [known[n] for n in of[-1]]
+    )
+    model: Any = SimpleNamespace(key_poses=dict)
     given_contract = contract(0.25)
     broken = perturbations(given_contract, DEPTHS)[number].contract
     assert broken is not None
     if number == 0:  # which scales were left out cannot be known: the usual ones are tried
-        usual = [r.contract for r in repairs(broken, load_robot("go2"), DEPTHS, {})]
+        usual = [r.contract for r in repairs(broken, load_robot("go2"), None)]
         assert any([t.scale[0] for t in c.terms] == [0.25, 1.0, 1.0] for c in usual)
         return
     same = [
         repair.culprit
-        for repair in repairs(broken, load_robot("go2"), _depths(broken), {})
-        if _equal(repair.contract, given_contract) and not repair.unlimited
+        for repair in repairs(broken, load_robot("go2"), model)
+        if _equal(repair.contract, given_contract) and not repair.without
     ]
     assert same
 
@@ -216,7 +224,7 @@ def test_an_exchanged_clock_shows_cosines_where_sines_were(
     both = [*np.sin(angles), *np.cos(angles)]
     other = dict(zip(np.round(both, 5), [*both[2:], *both[:2]]))
     assert _seen(broken) == pytest.approx([other[round(x, 5)] for x in _seen(right)], abs=1e-5)
-    names = {repair.name for repair in repairs(broken, load_robot("go2"), DEPTHS, {})}
+    names = {repair.name for repair in repairs(broken, load_robot("go2"), None)}
     assert "sines and cosines of the gait clock exchanged" in names
     assert "the gait clock, its period times 2" in names
 
@@ -247,14 +255,9 @@ def test_filters_feedback_and_slew_have_their_repairs() -> None:
 
 def test_clocks_are_exchanged_only_for_terms_as_wide() -> None:
     read = _clocked({"gait_phase": None, "gait_phase_sin": None, "base_ang_vel": None})
-    found = [repair.name for repair in repairs(read, load_robot("go2"), DEPTHS, {})]
+    found = [repair.name for repair in repairs(read, load_robot("go2"), None)]
     assert not [name for name in found if name.startswith("terms 't0' and")]
     assert not [name for name in found if name.startswith("terms 't1' and")]
-
-
-def _depths(changed: PolicyContract) -> list[int]:
-    known = dict(zip(LEGS, DEPTHS))
-    return [known[name] for name in changed.joints]
 
 
 def _equal(a: PolicyContract, b: PolicyContract) -> bool:

@@ -140,7 +140,7 @@ def test_two_runs_of_one_contract_are_equal_and_leave_no_trace(folder: Path) -> 
     contract = session.contracts["walk"]
     first = session.run(1.0)
     weak = replace(contract, stiffness=0.1 * contract.stiffness)
-    assert session.run(1.0, "walk", Change("", "", weak, unlimited=True)) != first
+    assert session.run(1.0, "walk", Change("", "", weak, without="unlimited")) != first
     assert session.run(1.0) == first
     assert session.run(1.0, "walk", Change("", "", contract)) == first
     session.close()

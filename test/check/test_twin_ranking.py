@@ -133,7 +133,7 @@ def _twin(monkeypatch: pytest.MonkeyPatch, after: list[float]) -> _Twin:
 def _suspect(twin: _Twin, name: str) -> CheckResult:
     broken = next(c for c in perturbations(_uneven(), [0, 1, 2] * 4) if c.name == name)
     assert broken.contract is not None
-    twin.suspect(run(0.83), [(twin.policies[0], broken, run(0.80))])
+    twin.suspect(run(0.83), [Tried(twin.policies[0], broken, run(0.80), 0)])
     return twin.result
 
 
@@ -260,7 +260,7 @@ def test_the_model_speaks_for_damping_that_is_counted_twice_and_for_joints_unkno
     assert not [*evident_changes(contract(), GO2, passive, "mujoco")]
     passive[4] = 2.0
     (change,) = evident_changes(contract(), GO2, passive, "mujoco")
-    assert change.undamped
+    assert change.without == "undamped"
     assert f"1 of 12 joints damp themselves beside the policy's damping, {LEGS[4]} by 2 and 2" in (
         change.evidence
     )

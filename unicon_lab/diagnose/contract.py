@@ -16,6 +16,7 @@ import numpy as np
 from unicon_base.arrays import Array
 from unicon_base.errors import Fault, UniconError, WorkflowError, alternatives, one_line
 from unicon_core.check.twin.perturb import AS_GIVEN, GAINS, Change
+from unicon_core.check.twin.repair import repairs
 from unicon_core.policies import PolicyContract, load_policy
 from unicon_core.policies.action_map import ActionMap, lacking_joints
 from unicon_core.policies.controller import prefix_of
@@ -24,7 +25,7 @@ from unicon_core.robots import Robot, load_robot
 from unicon_core.workflow.members import load_robot_of
 from unicon_core.workflow.policies import load_policies
 from unicon_lab.diagnose import Cause, name_of
-from unicon_lab.diagnose.open_loop import LEAST, OpenLoop, changes_of, hypotheses
+from unicon_lab.diagnose.open_loop import LEAST, OpenLoop, hypotheses
 from unicon_lab.recording import Record
 from unicon_lab.replay.workflow import recorded_workflow, robot_of, workflow_of
 
@@ -127,7 +128,8 @@ def _given(
 
 def _examined(played: OpenLoop, label: str, tell: Tell) -> tuple[list[Cause], list[str]]:
     """Return the causes that one policy's ticks show, and notes."""
-    contract, notes, changes = played.contract, played.notes, changes_of(played)
+    contract, notes = played.contract, played.notes
+    changes = [*repairs(contract, played.robot, played.model, recorded=True)]
     own = played.run(AS_GIVEN)
     squares = played.squares(own)
     whole = float(np.sqrt(squares.mean()))

@@ -6,7 +6,7 @@ Beside it stands what the maker of the record may have done otherwise than its c
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import replace
 
@@ -14,9 +14,7 @@ import numpy as np
 
 from unicon_base.arrays import Array, Bool, Float64
 from unicon_base.errors import Fault, UniconError
-from unicon_core.check.joints import joint_depths
-from unicon_core.check.twin.perturb import GAINS, Change, with_action
-from unicon_core.check.twin.repair import repairs
+from unicon_core.check.twin.perturb import GAINS, Change, field_changed, with_action
 from unicon_core.models.find import pick_model
 from unicon_core.models.load import load_model
 from unicon_core.platforms.kit.base import rotation
@@ -218,18 +216,6 @@ class OpenLoop:
             return float("inf")
 
 
-def changes_of(played: OpenLoop) -> list[Change]:
-    """Return the usual mistakes as changed contracts, gains among them."""
-    contract, robot, model = played.contract, played.robot, played.model
-    poses = {"the robot file's default pose": robot.default_joint_pos.astype(np.float64)}
-    depths: Sequence[int] = [0] * len(contract.joints)
-    if model is not None:
-        depths = joint_depths(model, robot, contract.joints)
-        poses |= {f"the pose of key frame {k!r}": pose for k, pose in model.key_poses().items()}
-    named = {name: dict(zip(robot.joint_names, pose.tolist())) for name, pose in poses.items()}
-    return [*repairs(contract, robot, depths, named, recorded=True)]
-
-
 def hypotheses(played: OpenLoop, target: Float64, changes: Iterable[Change]) -> Iterator[Change]:
     """Yield ways in which the contract of the record may differ, the likeliest first.
 
@@ -304,17 +290,16 @@ def _fitted(played: OpenLoop, target: Float64) -> Iterator[Change]:
     bound = float(raw[counts].max(initial=0.0))
     clip = np.outer([-bound, bound], np.ones(len(action.joints))).astype(np.float32)
     text = f"an action.clip of {bound:.3g}"
-    held = with_action(contract, clip=clip)
-    yield Change(text, "action.clip", held, size=bound, figures=1)
+    yield field_changed(contract, text, "action.clip", clip, size=bound, figures=1)
     if action.clip is not None:
-        yield Change("no action.clip", "action.clip", with_action(contract, clip=None))
+        yield field_changed(contract, "no action.clip", "action.clip", None)
     if action.filter is None:
         ahead, step = target[1:] - played.target[:-1], np.diff(played.target, axis=0)
         alpha = float((ahead * step).sum() / max((ahead * ahead).sum(), 1e-12))
         for start in ("first", "zeros") if 0.01 < alpha < 0.99 else ():
-            changed = with_action(contract, filter=FilterSpec(alpha=alpha, start=start))
             text = f"an action.filter of alpha {alpha:.3g}"
-            yield Change(text, "action.filter", changed, size=alpha, figures=1)
+            other = FilterSpec(alpha=alpha, start=start)
+            yield field_changed(contract, text, "action.filter", other, size=alpha, figures=1)
 
 
 def _frames(played: OpenLoop) -> Iterator[Change]:
@@ -323,23 +308,19 @@ def _frames(played: OpenLoop) -> Iterator[Change]:
         return
     quat = played.record.states("base_quat")
     turn, swapped = rotation(quat), rotation(np.roll(quat, 1, axis=-1))
-    heading = np.arctan2(turn[:, 1, 0], turn[:, 0, 0])
-    half = np.stack([np.cos(heading / 2), *np.zeros((2, len(quat))), np.sin(heading / 2)], 1)
-    yaw, down = rotation(half), np.broadcast_to([0.0, 0.0, -1.0], (len(quat), 3))
-
-    def inverse(matrix: Array) -> Array:
-        return matrix.transpose(0, 2, 1)
-
-    for state, how, matrix in (
-        ("base_ang_vel", "in the world's frame", turn),
-        ("base_ang_vel", "turned into the base's frame twice", inverse(turn)),
-        ("projected_gravity", "turned the other way", turn),
-        ("projected_gravity", "of base_quat", inverse(turn)),
-        ("projected_gravity", "of base_quat read as xyzw", inverse(swapped)),
-        ("velocity_command", "in the world's frame", yaw),
-        ("velocity_command", "turned from the world's frame", inverse(yaw)),
+    half, none = np.arctan2(turn[:, 1, 0], turn[:, 0, 0]) / 2, np.zeros(len(quat))
+    yaw = rotation(np.stack([np.cos(half), none, none, np.sin(half)], 1))
+    down = np.broadcast_to([0.0, 0.0, -1.0], (len(quat), 3))
+    for state, how, matrix, product in (
+        ("base_ang_vel", "in the world's frame", turn, "tij,tj->ti"),
+        ("base_ang_vel", "turned into the base's frame twice", turn, "tji,tj->ti"),
+        ("projected_gravity", "turned the other way", turn, "tij,tj->ti"),
+        ("projected_gravity", "of base_quat", turn, "tji,tj->ti"),
+        ("projected_gravity", "of base_quat read as xyzw", swapped, "tji,tj->ti"),
+        ("velocity_command", "in the world's frame", yaw, "tij,tj->ti"),
+        ("velocity_command", "turned from the world's frame", yaw, "tji,tj->ti"),
     ):
         if state in played.fed:
             vector = down if state == "projected_gravity" else played.fed[state]
-            seen = {state: np.einsum("tij,tj->ti", matrix, vector).astype(np.float32)}
+            seen = {state: np.einsum(product, matrix, vector).astype(np.float32)}
             yield Change(f"{state} {how}", f"frame of {state}", None, feeds=seen)

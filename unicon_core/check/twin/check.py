@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from unicon_base.errors import UniconError
+from unicon_core.check.joints import joint_depths
 from unicon_core.check.pose import check_collision
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import listed, on_platform
@@ -21,13 +22,13 @@ from unicon_core.check.twin.measures import (
     Tried,
     chosen,
     find_pressing,
-    poor,
 )
 from unicon_core.check.twin.perturb import GAIT, Change, evident_changes, perturbations, rivals
 from unicon_core.check.twin.repair import repairs
 from unicon_core.check.twin.session import TwinBlindError, TwinSession
 from unicon_core.models.find import Modelled
 from unicon_core.platforms.platform import Platform
+from unicon_core.policies import PolicyContract
 from unicon_core.text_table import figure
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.members import read_platforms
@@ -91,9 +92,6 @@ def check_twin(
             each.close()
 
 
-Suspect = tuple[PolicyResult, Change, Measures]
-
-
 @dataclass
 class _Twin:
     session: TwinSession
@@ -109,7 +107,7 @@ class _Twin:
         session, result = self.session, self.result
         given = session.run(self.seconds)
         self.rows.append(_row("as given", given))
-        suspects: list[Suspect] = []
+        suspects = list[Tried]()
         for key, contract in session.contracts.items():
             if key in session.called:
                 self.policies.append(PolicyResult(result, key, contract))
@@ -117,44 +115,47 @@ class _Twin:
                 result.note("twin.run", f"policy {key!r}", "the flow never calls it in the twin")
         alone = len(self.policies) == 1
         for policy in self.policies:
-            for broken in perturbations(policy.contract, session.depths(policy.contract.joints)):
+            for broken in perturbations(
+                policy.contract,
+                joint_depths(session.model, session.program.robot, policy.contract.joints),
+            ):
                 name = broken.name if alone else f"{policy.key}: {broken.name}"
-                if broken.contract is None:
-                    self.rows.append(_untried(name, broken.reason))
-                    continue
-                measures = self.run(policy, broken)
-                self.rows.append(_row(name, measures))
-                if measures.score >= given.score - MARGIN:
-                    suspects.append((policy, broken, measures))
+                measures = None if broken.reason else self.run(policy, broken)
+                self.rows.append(_row(name, measures, broken.reason))
+                if measures and measures.score >= given.score - MARGIN:
+                    suspects.append(Tried(policy, broken, measures, 0))
         self.verdict(given)
-        if not poor(given) and self.policies:
+        if not given.poor and self.policies:
             for policy in self.policies:
                 find_pressing(policy, session.program.robot, given)
-            suspects.sort(key=lambda suspect: -suspect[2].score)
+            suspects.sort(key=lambda tried: -tried.measures.score)
             self.suspect(given, suspects)
         self.tables(given)
         told = any(finding.code == "twin.suspect" for finding in result.findings)
-        walks = given.tracks and any(given.command) and not poor(given) and not given.rests
+        walks = given.tracks and any(given.command) and not given.poor and not given.rests
         if walks and alone and not told:
             self.rival(given)
 
-    def suspect(self, given: Measures, suspects: list[Suspect]) -> None:
+    def suspect(self, given: Measures, suspects: list[Tried]) -> None:
         """Of a contract that walks: what walks clearly better, and what as well."""
-        likely = any(not broken.unlikely for _, broken, _ in suspects)
+        likely = not all(each.change.unlikely for each in suspects)
         if likely and given.follows and not given.rests:
             found = self.mend(given, MARGIN, self.seconds)  # the first seconds were good
             if found:
                 best = found[0]
                 self.rows.append(_row(f"mended: {best.change.name}", best.measures))
                 self.better(best.policy, best.change, self.compared(best.policy, best.change))
-        if given.rests and (names := listed(b.name for _, b, m in suspects if m.rests)):
-            suspects[0][0].note(
+        if given.rests and (
+            names := listed(each.change.name for each in suspects if each.measures.rests)
+        ):
+            suspects[0].policy.note(
                 "twin.suspect",
                 "",
                 f"it rests, and with {names} it does, too: the network hardly responds, so the "
                 "twin cannot tell whether the contract is right",
             )
-        for policy, broken, measures in suspects:
+        for each in suspects:
+            policy, broken, measures = each.policy, each.change, each.measures
             if given.rests and measures.rests:
                 continue
             # Scales of 1 have been left out by nobody, and who only stands up does so anyhow.
@@ -194,14 +195,14 @@ class _Twin:
 
     def compared(self, policy: PolicyResult, change: Change) -> Compared:
         """Run the same commands with and without a change; without commands the one run."""
-        commands: list[Any] = [*self.session.walks()] or [None]
+        commands = self.session.walks()
         if not self.walked:
             self.walked = tuple(self.session.run(self.seconds, command=c) for c in commands)
         return Compared(self.walked, tuple(self.run(policy, change, command=c) for c in commands))
 
     def verdict(self, given: Measures) -> None:
         """Findings of the given contract: a fall, or a command that is not followed."""
-        if not poor(given) or (given.stands and not self.policies):
+        if not given.poor or (given.stands and not self.policies):
             return
         code, what = "twin.fall", given.outcome()
         if given.fault:
@@ -246,41 +247,32 @@ class _Twin:
         All are tried for the `first` seconds; those for which the model speaks and the best few of
         the others for the whole time. What is told does clearly better with other commands, too.
         """
-        finals = list(self.evident())
+        session, robot = self.session, self.session.program.robot
+        own, platform = session.passive_damping, session.program.platform.facts.name
+        finals = self.tried(lambda given: evident_changes(given, robot, own, platform))
         enough = chosen(finals, given, least)
         if not enough or enough[0].measures.score < 1.0 - MENDED:  # else none can be far better
-            likely = sorted(self.mended(first), key=lambda each: -each.measures.score)
+            likely = self.tried(lambda given: repairs(given, robot, session.model), first)
+            likely.sort(key=lambda each: -each.measures.score)
             finals += [
                 replace(each, measures=self.run(each.policy, each.change)) for each in likely[:10]
             ]
         best = chosen(finals, given, least)
         return best if best and self.compared(best[0].policy, best[0].change).clear else []
 
-    def evident(self) -> Iterator[Tried]:
-        """Yield the changes for which the model speaks, and their runs."""
-        robot, platform = self.session.program.robot, self.session.program.platform
-        for policy in self.policies:
-            changes = evident_changes(
-                policy.contract, robot, self.session.passive_damping, platform.facts.name
-            )
-            for number, change in enumerate(changes):
-                if self.session.locks or not change.locked:
-                    yield Tried(policy, change, self.run(policy, change), number)
-
-    def mended(self, seconds: float) -> Iterator[Tried]:
-        """Yield what undoes the usual mistakes, and its runs."""
+    def tried(
+        self,
+        changes: Callable[[PolicyContract], Iterable[Change]],
+        seconds: float | None = None,
+    ) -> list[Tried]:
+        """Return the changes of all policies that the simulator can make, and their runs."""
         until = time.monotonic() + _PATIENCE
-        session, poses = self.session, self.session.poses()
-        for policy in self.policies:
-            depths = session.depths(policy.contract.joints)
-            changes = repairs(policy.contract, session.program.robot, depths, poses)
-            for number, change in enumerate(changes):
-                if (
-                    time.monotonic() < until
-                    and (session.lifts or not change.unlimited)
-                    and (session.passive_damping.any() or not change.undamped)
-                ):
-                    yield Tried(policy, change, self.run(policy, change, seconds), number)
+        return [
+            Tried(policy, change, self.run(policy, change, seconds), number)
+            for policy in self.policies
+            for number, change in enumerate(changes(policy.contract))
+            if time.monotonic() < until and self.session.can(change)
+        ]
 
     def rival(self, given: Measures) -> None:
         """Compare a contract that walks with half and twice its damping and periods."""
@@ -291,16 +283,15 @@ class _Twin:
                 measures = self.run(policy, change)
             except UniconError as error:
                 reason = str(error).split(" (")[0].split(";")[0]
-                rows.append(_untried(change.name, reason))
+                rows.append(_row(change.name, None, reason))
                 continue
             rows.append(_row(change.name, measures))
             once = Compared((given,), (measures,))
-            if once.gain < 0.5 * SLIGHT and not (change.evidence or _tells(change, once)):
-                continue
-            compared = self.compared(policy, change)
-            clear = _tells(change, compared)
-            if clear or compared.slight:
-                found.append((clear, compared.gain, change, compared))
+            if once.gain >= 0.5 * SLIGHT or change.evidence or _tells(change, once):
+                compared = self.compared(policy, change)
+                clear = _tells(change, compared)
+                if clear or compared.slight:
+                    found.append((clear, compared.gain, change, compared))
         # What is wrong in one of them is made up for by another, but less.
         best = max(found, key=lambda each: each[:2], default=None)
         if given.score < GOOD and not (best and best[0]) and (mended := self.mend(given)):
@@ -316,7 +307,7 @@ class _Twin:
         policy: PolicyResult,
         change: Change,
         seconds: float | None = None,
-        command: tuple[float, float, float] | None = None,
+        command: Sequence[float] | None = None,
     ) -> Measures:
         """Run a change, in a session of its own where the policy has another period."""
         session, contract = self.session, change.contract
@@ -350,11 +341,9 @@ def _tells(change: Change, compared: Compared) -> bool:
     return compared.clear or eased or (bool(change.evidence) and compared.gain > 0.0)
 
 
-def _untried(name: str, reason: str) -> list[str]:
-    return [name, f"not tried: {reason}", *[""] * 4]
-
-
-def _row(name: str, measures: Measures) -> list[str]:
+def _row(name: str, measures: Measures | None, reason: str = "") -> list[str]:
+    if measures is None:
+        return [name, f"not tried: {reason}", *[""] * 4]
     error = measures.velocity_error if measures.tracks else None
     error = error if measures.motion_error is None else measures.motion_error
     return [
@@ -374,6 +363,6 @@ def _strays(given: Measures) -> str:
     return f"it stays up, but moves at {moves} where {_velocity(given.command)} is commanded"
 
 
-def _velocity(values: tuple[float, float, float]) -> str:
+def _velocity(values: Sequence[float]) -> str:
     vx, vy, wz = (figure(value, ".2f") for value in values)
     return f"vx {vx}, vy {vy} m/s, wz {wz} rad/s"

@@ -56,8 +56,6 @@ a tenth of the calmest walk."""
 AT_LIMIT = 0.005
 """A joint within this distance of its limit in [rad] is at the limit."""
 
-Three = tuple[float, float, float]
-
 
 @dataclass(frozen=True)
 class Measures:
@@ -88,8 +86,8 @@ class Measures:
     survived_s: float = 0.0
     fell: bool = False
     velocity_error: float = 0.0
-    velocity: Three = (0.0, 0.0, 0.0)
-    command: Three = (0.0, 0.0, 0.0)
+    velocity: Sequence[float] = (0.0, 0.0, 0.0)
+    command: Sequence[float] = (0.0, 0.0, 0.0)
     target_rate: float = 0.0
     torque_use: float = 0.0
     torque_joint: str = ""
@@ -119,6 +117,11 @@ class Measures:
     def stands(self) -> bool:
         """Whether the run ended neither with a fall nor with a fault."""
         return not self.fell and not self.fault
+
+    @property
+    def poor(self) -> bool:
+        """Whether it ended early, or did not follow its command or motion."""
+        return not self.stands or (self.follows and self.tracking < POOR)
 
     @property
     def rests(self) -> bool:
@@ -211,8 +214,8 @@ class Recorder:
             survived_s=survived,
             fell=self.fell,
             velocity_error=float(np.sqrt(squared).mean()),
-            velocity=_three(velocity.mean(axis=0)),
-            command=_three(command.mean(axis=0)),
+            velocity=velocity.mean(axis=0).tolist(),
+            command=command.mean(axis=0).tolist(),
             target_rate=rate,
             torque_use=float(use[worst]),
             torque_joint=names[worst],
@@ -226,10 +229,6 @@ class Recorder:
             tracks=tracks,
             motion_error=None if off is None else float(off.mean()),
         )
-
-
-def _three(values: Float64) -> Three:
-    return float(values[0]), float(values[1]), float(values[2])
 
 
 CLEAR = 0.05
@@ -281,19 +280,25 @@ class Compared:
     @cached_property
     def _runs(self) -> Float64:
         """Score, tracking, rate of targets and torque, given and other, shape (2, walks, 4)."""
-        names = ("score", "tracking", "target_rate", "torque_use")
         both = self.given, self.other
-        return np.array([[[getattr(m, name) for name in names] for m in each] for each in both])
+        return np.array(
+            [[(m.score, m.tracking, m.target_rate, m.torque_use) for m in each] for each in both]
+        )
+
+    @property
+    def _gains(self) -> Float64:
+        """Of each walk in score, shape (walks,)."""
+        return self._runs[1, :, 0] - self._runs[0, :, 0]
 
     @property
     def gain(self) -> float:
         """Mean gain in score."""
-        return float(np.diff(self._runs[..., 0], axis=0).mean())
+        return float(self._gains.mean())
 
     @property
     def error(self) -> float:
         """Standard error of that mean, 0 of a single walk."""
-        gains = np.diff(self._runs[..., 0], axis=0)
+        gains = self._gains
         return float(gains.std(ddof=1) / np.sqrt(gains.size)) if gains.size > 1 else 0.0
 
     @property
@@ -357,11 +362,6 @@ class Tried:
     number: int
 
 
-def poor(measures: Measures) -> bool:
-    """Whether a run ends early, or does not follow its command or motion."""
-    return not measures.stands or (measures.follows and measures.tracking < POOR)
-
-
 def chosen(finals: Sequence[Tried], given: Measures, least: float) -> list[Tried]:
     """Return the change to be told, and behind it those that do as well; none where none helps.
 
@@ -382,14 +382,12 @@ def chosen(finals: Sequence[Tried], given: Measures, least: float) -> list[Tried
         and not (run.follows and run.tracking < FOLLOWS)
     ]
     best = max((tried.measures.score for tried in better), default=0.0)
-    good = [
-        tried
-        for tried in better
-        if tried.change.evidence
-        and not poor(tried.measures)
-        and tried.measures.score >= best - MENDED
-    ] or [tried for tried in better if tried.measures.score >= best - ALIKE]
-    return sorted(good, key=lambda tried: tried.number)
+
+    def within(less: float) -> list[Tried]:
+        return [tried for tried in better if tried.measures.score >= best - less]
+
+    shown = [each for each in within(MENDED) if each.change.evidence and not each.measures.poor]
+    return sorted(shown or within(ALIKE), key=lambda tried: tried.number)
 
 
 PRESSING = 0.2
@@ -407,15 +405,15 @@ def find_pressing(policy: PolicyResult, robot: Robot, given: Measures) -> None:
             f"the joint is at its effort limit for {given.saturated_share:.0%} of the time, and "
             f"targets change at {given.target_rate:.2f} rad/s: its motor does not follow",
         )
-    rest = dict(zip(robot.joint_names, robot.default_joint_pos))
-    rest |= zip(policy.contract.joints, policy.contract.default_joint_pos)
+    joints = (*policy.contract.joints, *robot.joint_names)
+    rest = (*policy.contract.default_joint_pos, *robot.default_joint_pos)
     for joint, share in given.limit_hits.items():
         i = robot.joint_names.index(joint)
-        low, high = robot.lower[i], robot.upper[i]
-        if share >= PRESSING and low + _NEAR < float(rest[joint]) < high - _NEAR:
+        low, high, pose = robot.lower[i], robot.upper[i], rest[joints.index(joint)]
+        if share >= PRESSING and low + _NEAR < float(pose) < high - _NEAR:
             policy.find(
                 "twin.saturated",
                 f"position of {joint}",
                 f"the joint is at its position limit for {share:.0%} of the time "
-                f"({span(low, high)} rad, default {figure(rest[joint])})",
+                f"({span(low, high)} rad, default {figure(pose)})",
             )

@@ -14,7 +14,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -58,9 +58,9 @@ class Change:
         contract: the changed contract, or None where it is as given.
         reason: why there is none where the change changes nothing.
         unlikely: nobody makes this mistake; that a policy bears it is worth a note.
-        unlimited: whether limits of effort are lifted.
-        undamped: whether the joints of the model do without their own damping.
-        locked: joints of the model that stand still as if they were welded.
+        without: what the simulator does without, by the name of its method: `unlimited` lifts
+            limits of effort, `undamped` takes the joints' own damping away, `locked` welds joints.
+        locked: joints of the model that stand still.
         varied: trained policies bear it, as training varies it: only a gain tells.
         evidence: what the model shows by itself for this change; "" where only the run speaks for
             it.
@@ -78,8 +78,7 @@ class Change:
     contract: PolicyContract | None
     reason: str = ""
     unlikely: bool = False
-    unlimited: bool = False
-    undamped: bool = False
+    without: Literal["", "unlimited", "undamped", "locked"] = ""
     locked: tuple[str, ...] = ()
     varied: bool = False
     evidence: str = ""
@@ -105,6 +104,27 @@ class Change:
 
 AS_GIVEN = Change("", "", None)
 """Nothing is changed."""
+
+
+def field_changed(
+    contract: PolicyContract, name: str, path: str, value: Any, where: str = "", **more: Any
+) -> Change:
+    """Return a change of one field.
+
+    Args:
+        contract: the given one.
+        name: of the change.
+        path: of the field, dotted, which is the culprit too.
+        value: the new one.
+        where: follows the path in the culprit.
+        more: attributes of the change.
+    """
+
+    def put(part: Any, path: str) -> Any:
+        key, _, rest = path.partition(".")
+        return replace(part, **{key: put(getattr(part, key), rest) if rest else value})
+
+    return Change(name, path + where, put(contract, path), **more)
 
 
 def perturbations(contract: PolicyContract, depths: Sequence[int]) -> list[Change]:
@@ -250,11 +270,11 @@ def permuted(contract: PolicyContract, names: Sequence[str]) -> PolicyContract:
             return term
         order = at if term.state == "action" else index
 
-        def figures(values: Array | None) -> Any:
-            each = values is not None and values.shape[-1] == len(order) > 1
-            return values[..., order] if values is not None and each else values
-
-        return replace(term, scale=figures(term.scale), clip=figures(term.clip))
+        each: dict[str, Any] = {"scale": term.scale, "clip": term.clip}
+        for name, values in each.items():
+            if values is not None and values.shape[-1] == len(order) > 1:
+                each[name] = values[..., order]
+        return replace(term, **each)
 
     changed = with_action(
         with_terms(contract, map(reordered, contract.terms)),
@@ -303,18 +323,16 @@ def rivals(contract: PolicyContract) -> Iterator[Change]:
     Args:
         contract: the given one.
     """
-    phase = contract.phase
     for factor in (0.5, 2.0):
-        softer = replace(contract, damping=contract.damping * np.float32(factor))
-        yield Change(f"damping times {factor:g}", "damping", softer)
+        softer = contract.damping * np.float32(factor)
+        yield field_changed(contract, f"damping times {factor:g}", "damping", softer)
         period = contract.period * factor
         usual = f"most policies have {USUAL:g} s" if np.isclose(period, USUAL) else ""
-        timed = replace(contract, period=period)
-        yield Change(f"a period of {period:g} s", "period", timed, evidence=usual)
-        if phase is not None:
-            clock = replace(phase, period=phase.period * factor)
-            what = f"a gait clock of {clock.period:g} s"
-            yield Change(what, GAIT, replace(contract, phase=clock))
+        name = f"a period of {period:g} s"
+        yield field_changed(contract, name, "period", period, evidence=usual)
+        if contract.phase is not None:
+            period = contract.phase.period * factor
+            yield field_changed(contract, f"a gait clock of {period:g} s", GAIT, period)
 
 
 def evident_changes(
@@ -336,7 +354,7 @@ def evident_changes(
             "passive damping removed",
             "passive damping of the model",
             contract,
-            undamped=True,
+            without="undamped",
             evidence=f"{twice.size} of {len(own)} joints damp themselves beside the policy's "
             f"damping, {contract.joints[i]} by {own[i]:g} and {contract.damping[i]:g} N·m·s/rad",
             remedy=f"let the policy's damping replace it (platforms: {{{platform}: {{passive: "
@@ -348,6 +366,7 @@ def evident_changes(
             "the other joints welded",
             "joints of the model that the policy does not know",
             contract,
+            without="locked",
             locked=unseen,
             evidence=f"it neither moves nor sees {listed(unseen)}, {len(unseen)} of "
             f"{robot.num_joints} joints, which give way here",

@@ -9,12 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import combinations, pairwise
+from itertools import combinations, pairwise, product
 from typing import Any
 
 import numpy as np
 
-from unicon_core.check.joints import joint_orders, mirror_pairs, other_order, robot_values
+from unicon_base.arrays import Float64
+from unicon_core.check.joints import (
+    joint_depths,
+    joint_orders,
+    mirror_pairs,
+    other_order,
+    robot_values,
+)
 from unicon_core.check.twin.perturb import (
     CLOCK,
     GAINS,
@@ -25,6 +32,7 @@ from unicon_core.check.twin.perturb import (
     Change,
     clock_reordered,
     exchanged,
+    field_changed,
     gains_of,
     permuted,
     perturbations,
@@ -35,6 +43,7 @@ from unicon_core.check.twin.perturb import (
     with_term,
     with_terms,
 )
+from unicon_core.models.loaded import LoadedModel
 from unicon_core.policies.contract import FilterSpec, ObservationTerm, PolicyContract
 from unicon_core.policies.policy_states import policy_states
 from unicon_core.robots import Robot, joint_index
@@ -49,8 +58,7 @@ _NONE = float("nan")  # size
 def repairs(
     contract: PolicyContract,
     robot: Robot,
-    depths: Sequence[int],
-    poses: Mapping[str, Mapping[str, float]],
+    model: LoadedModel | None,
     *,
     recorded: bool = False,
 ) -> Iterator[Change]:
@@ -58,23 +66,27 @@ def repairs(
 
     Args:
         contract: the given one.
-        robot: gives an order and gains to try.
-        depths: of the policy's joints in the kinematic tree, shape (n,).
-        poses: name to joint positions in [rad]: default poses to try.
+        robot: gives an order, gains and a pose to try.
+        model: of the robot, gives orders and poses; None without.
         recorded: yield what a record of the policy tells: more than a walk does, but nothing of the
             model.
     """
+    poses = {"the robot file's default pose": robot.default_joint_pos.astype(np.float64)}
+    depths = [0] * len(contract.joints)
+    if model is not None:
+        depths = joint_depths(model, robot, contract.joints)
+        keys = model.key_poses().items()
+        poses |= {f"the pose of the model's key frame {key!r}": pose for key, pose in keys}
     broken = perturbations(contract, depths)  # most of them undo themselves
     yield from (change for change in broken if not change.reason)
     child = contract.child
     if child is not None and child.delay > 1:  # actions as early as a child can give them
-        early = replace(contract, child=replace(child, delay=1))
-        yield Change("child.delay 1", "child.delay", early)
+        yield field_changed(contract, "child.delay 1", "child.delay", 1)
     yield from _orders(contract, robot, depths, recorded)
     yield from _gains(contract, robot, depths, recorded)
     if not recorded:
         culprit = "passive damping of the model"
-        yield Change("passive damping removed", culprit, contract, undamped=True)
+        yield Change("passive damping removed", culprit, contract, without="undamped")
     yield from _actions(contract, robot, poses)
     yield from _terms(contract, recorded)
     yield from _clocks(contract)
@@ -83,7 +95,7 @@ def repairs(
         yield from _signs(contract)
     else:
         culprit = "effort limits of the robot file"
-        yield Change("no limits of effort", culprit, contract, unlimited=True)
+        yield Change("no limits of effort", culprit, contract, without="unlimited")
 
 
 def _orders(
@@ -139,24 +151,25 @@ def _gains(
         sides = joint_index(exchanged(joints, mirror_pairs(joints)), joints)
         tried["gains of left and right exchanged"] = gains[:, sides]
     else:
-        stiffer, softer = np.array([[[1.0], [0.0]], [[0.0], [1.0]]], np.float32)
-        for k in (0.1, 0.25, 4.0, 10.0):
-            tried[f"stiffness times {k:g}"] = gains * (np.float32(k) * stiffer + softer)
-            tried[f"stiffness and damping times {k:g}"] = gains * np.float32(k)
-        for k in (0.25, 0.5, 2.0, 4.0):
-            tried[f"damping times {k:g}"] = gains * (stiffer + np.float32(k) * softer)
+        for name, which in {
+            "stiffness": [[True], [False]],
+            "stiffness and damping": [[True], [True]],
+            "damping": [[False], [True]],
+        }.items():
+            for k in (0.25, 0.5, 2.0, 4.0) if name == "damping" else (0.1, 0.25, 4.0, 10.0):
+                tried[f"{name} times {k:g}"] = gains * np.where(which, k, 1.0).astype(np.float32)
     for name, changed in tried.items():
         if np.isfinite(changed).all():  # the robot file may not say them
             yield Change(name, GAINS, with_gains(contract, changed))
 
 
 def _actions(
-    contract: PolicyContract, robot: Robot, poses: Mapping[str, Mapping[str, float]]
+    contract: PolicyContract, robot: Robot, poses: Mapping[str, Float64]
 ) -> Iterator[Change]:
     action = contract.action
     for factor in (0.25, 0.5, 2.0, 4.0, -1.0):
         scaled, name = action.scale * np.float32(factor), f"action.scale times {factor:g}"
-        yield Change(name, "action.scale", with_action(contract, scale=scaled), size=factor)
+        yield field_changed(contract, name, "action.scale", scaled, size=factor)
     swapped = {"velocity": "torque", "torque": "velocity", "position": "position"}
     kinds = tuple(swapped[kind] for kind in action.kinds)
     if kinds != action.kinds:
@@ -169,7 +182,7 @@ def _actions(
         yield Change("velocities and torques exchanged", "action.kind", turned)
     for name, pose in poses.items():
         default, offset = (
-            np.array([pose[joint] for joint in joints], np.float32)
+            pose[joint_index(joints, robot.joint_names)].astype(np.float32)
             for joints in (contract.joints, action.joints)
         )
         if np.isfinite(default).all():
@@ -215,39 +228,36 @@ def _terms(contract: PolicyContract, recorded: bool) -> Iterator[Change]:
     for key, name in {"newest": "the newest frame", "layout": "histories"}.items():
         if lengths - {1} and (key == "newest" or len(lengths) == 1):
             other = others.get(getattr(observation, key), "frame_major")
-            turned = replace(contract, observation=replace(observation, **{key: other}))  # type: ignore[arg-type]
-            yield Change(f"{name} {other}", f"observation.{key}", turned)
+            yield field_changed(contract, f"{name} {other}", f"observation.{key}", other)
 
 
 def _of_term(
     term: ObservationTerm, width: int, recorded: bool
 ) -> Iterator[tuple[str, str, float, dict[str, Any]]]:
     """Yield a change of one term: its name, the part, the size, and the new fields."""
-    what, bare = f"term {term.name!r}", {"subtract": None}
-    if term.state == "joint_pos":
-        if term.subtract is None:
-            posed = {"subtract": "default_joint_pos"}
-            yield f"{what} relative to the default pose", "subtract of", _NONE, posed
-        else:
-            yield f"{what} absolute", "subtract of", _NONE, bare
-    elif term.subtract is not None:
-        yield f"nothing subtracted from {term.name!r}", "subtract of", _NONE, bare
+    what, name = f"term {term.name!r}", repr(term.name)
+    absolute = term.subtract is None
+    if absolute and term.state == "joint_pos":
+        posed = {"subtract": "default_joint_pos"}
+        yield f"{what} relative to the default pose", "subtract of", _NONE, posed
+    elif not absolute:
+        how = f"{what} absolute" if term.state == "joint_pos" else f"nothing subtracted from {name}"
+        yield how, "subtract of", _NONE, {"subtract": None}
     if term.state == "motion_command":
         half, places = width // 2, range(width) if term.index is None else term.index
         behind = {"index": (*places[half:], *places[:half])}
-        yield f"positions and velocities of {term.name!r} exchanged", "order within", _NONE, behind
-    scales = {f"the scale of {what} times {factor:g}": factor for factor in _SCALES}
+        yield f"positions and velocities of {name} exchanged", "order within", _NONE, behind
     if term.state != "projected_gravity":  # which perturbations turns over
         yield f"the other sign of {what}", "sign of", -1.0, {"scale": -term.scale}
+    scales = {f"the scale of {what} times {factor:g}": factor for factor in _SCALES}
     if recorded:
         scales |= {f"{what} in degrees": 180.0 / np.pi, f"{what} in radians": np.pi / 180.0}
-        sizes = 1.0 / np.where(term.scale == 0.0, np.inf, np.abs(term.scale))
-        sign = {"scale": np.sign(term.scale)}
-        yield f"no scale of {what}", "scale of", float(sizes.max()), sign
-        if term.clip is not None:
-            yield f"no clip of {what}", "clip of", _NONE, {"clip": None}
+        least = np.abs(term.scale).min(initial=np.inf, where=term.scale != 0.0)
+        yield f"no scale of {what}", "scale of", float(1.0 / least), {"scale": np.sign(term.scale)}
     for name, factor in scales.items():
         yield name, "scale of", factor, {"scale": term.scale * np.float32(factor)}
+    if recorded and term.clip is not None:
+        yield f"no clip of {what}", "clip of", _NONE, {"clip": None}
 
 
 ALPHAS = (0.2, 0.5, 0.8)
@@ -274,41 +284,34 @@ def _clocks(contract: PolicyContract) -> Iterator[Change]:
         "reversed": np.array(phase.offsets[::-1]),
     }.items():
         if not np.allclose(np.cos(values), np.cos(phase.offsets), atol=1e-3):
-            clock = replace(phase, offsets=tuple(values))
             name = f"the gait clock, its offsets {how}"
-            yield Change(name, "phase.offsets", replace(contract, phase=clock))
+            yield field_changed(contract, name, "phase.offsets", tuple(values))
     for factor in (0.5, 2.0):
-        clock = replace(phase, period=phase.period * factor)
         name = f"the gait clock, its period times {factor:g}"
-        yield Change(name, GAIT, replace(contract, phase=clock), size=factor)
+        yield field_changed(contract, name, GAIT, phase.period * factor, size=factor)
 
 
 def filter_repairs(contract: PolicyContract) -> Iterator[Change]:
     """Yield other filters of action and terms, other feedback, and commands without a slew."""
     action, said = contract.action, contract.action.filter
-    words = ["raw", "clipped"] if said is not None or action.clip is not None else []
-    for word in (*words, *(["filtered"] if said is not None else [])):
+    heard = 3 if said else 2 if action.clip is not None else 0
+    for word in ("raw", "clipped", "filtered")[:heard]:
         if word != action.feedback:
-            fed = with_action(contract, feedback=word)
-            yield Change(f"action.feedback {word}", "action.feedback", fed)
+            yield field_changed(contract, f"action.feedback {word}", "action.feedback", word)
     for name, other in _others(said):
-        unfed = other is None and action.feedback == "filtered"
-        feedback = "clipped" if unfed else action.feedback
+        feedback = "clipped" if not other and action.feedback == "filtered" else action.feedback
         changed = with_action(contract, filter=other, feedback=feedback)
         yield Change(f"action.filter {name}", "action.filter", changed)
-    for alpha in ALPHAS if said is None else ():
-        spec = FilterSpec(alpha=alpha, start="zeros")
-        for word in (action.feedback, "filtered"):
-            name = f"an action.filter of alpha {alpha:g}, feedback {word}"
-            fed = with_action(contract, filter=spec, feedback=word)
-            yield Change(name, "action.filter", fed)
+    for alpha, word in product(() if said else ALPHAS, (action.feedback, "filtered")):
+        name = f"an action.filter of alpha {alpha:g}, feedback {word}"
+        fed = with_action(contract, filter=FilterSpec(alpha=alpha, start="zeros"), feedback=word)
+        yield Change(name, "action.filter", fed)
     for i, term in enumerate(contract.terms):
         for name, other in _others(term.filter):
             what = f"filter of term {term.name!r}"
             yield Change(f"the {what} {name}", what, with_term(contract, i, filter=other))
     if contract.command is not None:
-        unslewed = replace(contract, command=None)
-        yield Change("a command without slew", "command.slew", unslewed)
+        yield Change("a command without slew", "command.slew", replace(contract, command=None))
 
 
 def _others(said: FilterSpec | None) -> Iterator[tuple[str, FilterSpec | None]]:
@@ -321,5 +324,4 @@ def _others(said: FilterSpec | None) -> Iterator[tuple[str, FilterSpec | None]]:
     if said.low_pass is not None:
         factors = {"a quarter": 0.25, "four times": 4.0, "1 / 2π": 0.5 / np.pi, "2π": 2.0 * np.pi}
         for name, factor in factors.items():
-            changed = replace(said, low_pass=said.low_pass * factor)
-            yield f"of {name} the cut-off", changed
+            yield f"of {name} the cut-off", replace(said, low_pass=said.low_pass * factor)

@@ -11,13 +11,11 @@ from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from copy import deepcopy
 from dataclasses import replace
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from unicon_base.arrays import Array, Float32, Float64
+from unicon_base.arrays import Float32, Float64
 from unicon_base.errors import Fault, PlatformError, UniconError
-from unicon_core.check.joints import joint_depths
 from unicon_core.check.twin.measures import JUDGED, Measures, Recorder
 from unicon_core.check.twin.perturb import AS_GIVEN, Change
 from unicon_core.flow import Block, Stage
@@ -63,38 +61,6 @@ class _Counted:
         return self.policy()
 
 
-@runtime_checkable
-class Unlimited(Protocol):
-    """A simulator that can do without its limits of effort for a while."""
-
-    def unlimited(self) -> AbstractContextManager[None]:
-        """Return the while: the limits are back when it is left."""
-        ...
-
-
-@runtime_checkable
-class Undamped(Protocol):
-    """A simulator that can do without the joints' own damping for a while."""
-
-    @property
-    def passive_damping(self) -> Float64:
-        """Damping of the robot's joints themselves in [N·m·s/rad], shape (n,)."""
-        ...
-
-    def undamped(self) -> AbstractContextManager[None]:
-        """Return the while: the damping is back when it is left."""
-        ...
-
-
-@runtime_checkable
-class Locks(Protocol):
-    """A simulator that can hold joints still for a while, as if they were welded."""
-
-    def locked(self, joints: Sequence[int]) -> AbstractContextManager[None]:
-        """Return the while: the joints, by their place in the robot, move again when it is left."""
-        ...
-
-
 class TwinSession:
     """Runs of one workflow on a simulator, one robot.
 
@@ -107,8 +73,6 @@ class TwinSession:
     Attributes:
         model: of the robot, as its file has it.
         called: keys of the policies that ran in the last run.
-        lifts: whether limits of effort can be left out.
-        locks: whether joints can be held still.
         passive_damping: of the joints themselves in [N·m·s/rad], shape (n,), 0 where it is not
             told or cannot be left out.
 
@@ -135,11 +99,8 @@ class TwinSession:
             if isinstance(block.tick, (Policy, DrivenPolicy))
         ]
         robot, platform = self.program.robot, self.program.platform
-        self.lifts = isinstance(platform, Unlimited)
-        self.locks = isinstance(platform, Locks)
-        self.passive_damping = np.zeros(robot.num_joints)
-        if isinstance(platform, Undamped):
-            self.passive_damping = np.asarray(platform.passive_damping, np.float64)
+        own = getattr(platform, "passive_damping", np.zeros(robot.num_joints))
+        self.passive_damping = np.asarray(own, np.float64)
         try:
             untold = [name for name in JUDGED if name not in platform.facts.writes]
             if untold and not robot.floats:
@@ -164,17 +125,17 @@ class TwinSession:
         """Key under `policies:` to contract, of the policies in the flow."""
         return {key: policy.contract for key, _, policy in self._uses}
 
-    def depths(self, joints: Sequence[str]) -> list[int]:
-        """Return how many joints are above each joint in the model, shape (n,)."""
-        return joint_depths(self.model, self.program.robot, joints)
+    def can(self, change: Change) -> bool:
+        """Whether the simulator can do for a while without what a change takes away.
 
-    def poses(self) -> dict[str, dict[str, float]]:
-        """Return default poses that somebody else names: the robot file's and key frames'."""
-        robot = self.program.robot
-        found: dict[str, Array] = {"the robot file's default pose": robot.default_joint_pos}
-        keys = self.model.key_poses().items()
-        found |= {f"the pose of the model's key frame {key!r}": pose for key, pose in keys}
-        return {name: dict(zip(robot.joint_names, map(float, p))) for name, p in found.items()}
+        A platform says so by methods that return the while: `unlimited()`, without its limits of
+        effort; `undamped()`, without the damping of the joints themselves, which
+        `passive_damping` gives in [N·m·s/rad], shape (n,); `locked(joints)`, with joints held, by
+        their place in the robot, as if they were welded.
+        """
+        if change.without == "undamped" and not self.passive_damping.any():
+            return False
+        return not change.without or hasattr(self.program.platform, change.without)
 
     def run(
         self,
@@ -203,12 +164,9 @@ class TwinSession:
         longest, walked = round(_LONGEST / program.period), round(seconds / program.period)
         fault, begun = "", 0
         changed: AbstractContextManager[None] = nullcontext()
-        if change.unlimited and isinstance(platform, Unlimited):
-            changed = platform.unlimited()
-        elif change.undamped and isinstance(platform, Undamped):
-            changed = platform.undamped()
-        elif change.locked and isinstance(platform, Locks):
-            changed = platform.locked([*map(program.robot.joint_names.index, change.locked)])
+        if change.without and self.can(change):
+            joints = [*map(program.robot.joint_names.index, change.locked)]
+            changed = getattr(platform, change.without)(*[joints] if joints else ())
         try:
             # A broken contract may well send numbers of any size.
             with changed, np.errstate(over="ignore", invalid="ignore"):
@@ -236,21 +194,18 @@ class TwinSession:
         values["rate"] = 1.0 / min(self.program.period, contract.period)
         return TwinSession(replace(self.document, values=values), self._command, {key: contract})
 
-    def walks(self) -> list[list[float]]:
+    def walks(self) -> list[list[float] | None]:
         """Return commands for comparing contracts: that of the session, faster, slower, in curves.
 
         They are near to it: a policy may stand still when less is commanded, whatever its contract.
+        Where nothing is commanded it is None alone.
         """
-        if self._wanted is None:
-            return []
-        if not self._wanted.any():
-            return [self._wanted.tolist()]
-        ranges = _ranges(self.program)
-        walks = [(self._wanted * factor).tolist() for factor in (1.0, 0.85, 1.15)]
-        if "ang_vel_z" not in ranges or any(ranges["ang_vel_z"]):
-            curve = np.array([0.0, 0.0, _CURVE])
-            walks += [(self._wanted - curve).tolist(), (self._wanted + curve).tolist()]
-        return walks
+        if self._wanted is None or not self._wanted.any():
+            return [None if self._wanted is None else self._wanted.tolist()]
+        walks = [self._wanted * factor for factor in (1.0, 0.85, 1.15)]
+        if any(_ranges(self.program).get("ang_vel_z", (1.0,))):
+            walks += [self._wanted + np.array((0.0, 0.0, turn)) for turn in (-_CURVE, _CURVE)]
+        return [walk.tolist() for walk in walks]
 
     def close(self) -> None:
         """Close the workflow; how a simulator ends does not matter."""
