@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from unicon_core.check.joints import mirror_pairs, other_order
 from unicon_core.check.result import CheckResult, Finding, Section
-from unicon_core.check.twin.measures import Recorder
+from unicon_core.check.twin.session import Recorder
 from unicon_core.check.twin.perturb import permuted, perturbations, renamed
 from unicon_core.check.twin.repair import filter_repairs, repairs
 from unicon_core.policies import ActionSpec, ObservationSpec, ObservationTerm, PolicyContract

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base.arrays import Array
+from unicon_base.arrays import Array, Bool
 from unicon_base.errors import Fault, UniconError, WorkflowError, alternatives, one_line
 from unicon_core.check.twin.perturb import AS_GIVEN, GAINS, Change
 from unicon_core.check.twin.repair import repairs
@@ -21,7 +21,7 @@ from unicon_core.policies import PolicyContract, load_policy
 from unicon_core.policies.action_map import ActionMap, lacking_joints
 from unicon_core.policies.controller import prefix_of
 from unicon_core.policies.policy_yaml import contract_values
-from unicon_core.robots import Robot, load_robot
+from unicon_core.robots import Robot, joint_index, load_robot
 from unicon_core.workflow.members import load_robot_of
 from unicon_core.workflow.policies import load_policies
 from unicon_lab.diagnose import Cause, name_of
@@ -206,35 +206,36 @@ def _gain_causes(
         return []
     made = np.stack([np.median(record.states(name)[rows], axis=0) for name in names])
 
-    def gains(contract: PolicyContract) -> Array:
+    def near(contract: PolicyContract) -> tuple[Array, Bool]:
+        """Return stiffness and damping of a contract, and where they are the recorded ones."""
         said = ActionMap(contract, robot)
-        return np.stack((said.stiffness, said.damping))
+        gains = np.stack((said.stiffness, said.damping))
+        return gains, np.isclose(made, gains, LEAST, 1e-6)
 
-    def same(contract: PolicyContract) -> bool:
-        return np.allclose(made, gains(contract), LEAST, 1e-6)
-
-    if same(contract):
+    given, fits = near(contract)
+    if fits.all():
         return []
     path = _file(contract)
     for each in changes:
-        if each.culprit == GAINS and each.contract is not None and same(each.contract):
+        if each.culprit == GAINS and each.contract and near(each.contract)[1].all():
             said = f"joint_stiffness and joint_damping are the contract's with {each.name}"
             remedy = f"{path} needs stiffness and damping in that order {_RIGHT}"
             none = float("nan")
             return [Cause("gain_order", "", "contract", 1.0, none, none, none, "", said, remedy)]
     found = []
-    for kind, is_, was in zip(("stiffness", "damping"), made, gains(contract)):
-        off = np.flatnonzero(~np.isclose(is_, was, LEAST, 1e-6))
+    for kind, is_, was, fit in zip(("stiffness", "damping"), made, given, fits):
+        off = np.flatnonzero(~fit)
         if not off.size:
             continue
         factor = is_[off] / np.where(was[off] == 0.0, np.nan, was[off])
         size = float(np.median(factor))
-        every = off.size == is_.size and np.ptp(factor) < LEAST * size
-        where = "" if every or off.size > 3 else ", ".join(robot.joint_names[i] for i in off)
-        text = f"joint_{kind} of {robot.joint_names[off[0]]} is {is_[off[0]]:g}, in {path} it is "
+        every = fit.size == off.size and np.ptp(factor) < LEAST * size
+        joints = [robot.joint_names[i] for i in off]
+        where = "" if every or off.size > 3 else ", ".join(joints)
+        text = f"joint_{kind} of {joints[0]} is {is_[off[0]]:g}, in {path} it is "
         text += f"{was[off[0]]:g}" + (f"; {off.size} joints differ" if off.size > 1 else "")
-        order = dict(zip(robot.joint_names, is_.tolist()))
-        values = ", ".join(f"{order[name]:.6g}" for name in contract.joints)
+        places = joint_index(contract.joints, robot.joint_names)
+        values = ", ".join(f"{value:.6g}" for value in is_[places])
         remedy = f"{path} needs {kind}: [{values}] {_RIGHT}"
         low, high = float(factor.min()), float(factor.max())
         found.append(Cause(kind, where, "contract", 1.0, size, low, high, "", text, remedy))

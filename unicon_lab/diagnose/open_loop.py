@@ -46,7 +46,8 @@ class OpenLoop:
         model: of the robot, None where it has none.
         stretches: rows of each stretch without a gap, and whether the policy began with it.
         rows: of all stretches.
-        joints: of the robot that are given positions, in the order of the action.
+        moved: names of the joints that are given positions, in the order of the action.
+        joints: their places in the robot.
         target: recorded targets of these joints in [rad], shape (rows, joints).
         counts: which of them are compared, likewise.
         clamped: 1 where a target is at the robot's upper limit and may have been beyond it, −1 at
@@ -71,7 +72,7 @@ class OpenLoop:
         own = policy_states(contract, robot.joint_names, specs)
         known = {name: spec for name, spec in specs.items() if name not in own}
         self._extra = {**standard_states(robot.joint_names), **known}
-        reads = self._policy(contract, self._states(contract)).reads
+        reads = self._built(contract)[0].reads
         self.fed = {name: record.states(name) for name in reads if name in specs}
         if "projected_gravity" in {*reads} - {*specs} and "base_quat" in specs:
             gravity = -rotation(record.states("base_quat"))[..., 2, :]
@@ -83,8 +84,8 @@ class OpenLoop:
         if target.ndim != 2:
             raise UniconError(f"it is of {target.shape[1]} robots; record a run of one")
         at = contract.action.of_kind("position")
-        moved = [name for name, by in zip(contract.action.joints, at) if by]
-        self.joints = joint_index(moved, robot.joint_names)
+        self.moved = [name for name, by in zip(contract.action.joints, at) if by]
+        self.joints = joint_index(self.moved, robot.joint_names)
         self.action, self._clock = (
             record.states(prefix + name) if prefix + name in specs else None
             for name in ("action", "gait_phase")
@@ -94,9 +95,9 @@ class OpenLoop:
             self.action = None
         self.stretches = self._stretches(target)
         self.rows = np.concatenate([np.zeros(0, int), *(rows for rows, _ in self.stretches)])
-        if len(self.rows) < SHORTEST or not moved:
+        if len(self.rows) < SHORTEST or not self.moved:
             raise UniconError(
-                f"the policy ran in {len(self.rows)} ticks and gives {len(moved)} joints "
+                f"the policy ran in {len(self.rows)} ticks and gives {len(self.moved)} joints "
                 f"positions; record at least {SHORTEST} ticks of a policy that gives positions"
             )
         if self.action is not None:
@@ -153,13 +154,12 @@ class OpenLoop:
             )
         return counts
 
-    def _states(self, contract: PolicyContract) -> States:
+    def _built(self, contract: PolicyContract) -> tuple[Policy, States]:
+        """Return a policy by a contract, and the states that it reads and writes."""
         own = policy_states(contract, self.robot.joint_names, self._extra)
-        return States({**self._extra, **own})
-
-    def _policy(self, contract: PolicyContract, states: States) -> Policy:
+        states = States({**self._extra, **own})
         model = None if self.model is None else self.model.path
-        return Policy(contract, states, self.robot, network=self.network, model=model)
+        return Policy(contract, states, self.robot, network=self.network, model=model), states
 
     @np.errstate(over="ignore", invalid="ignore")
     def run(self, tried: Change, ticks: int | None = None) -> Float64:
@@ -177,9 +177,7 @@ class OpenLoop:
         Raises:
             Fault, UniconError: the contract cannot be run over this record.
         """
-        contract, out = tried.contract or self.contract, list[Array]()
-        states = self._states(contract)
-        policy = self._policy(contract, states)
+        (policy, states), out = self._built(tried.contract or self.contract), list[Array]()
         fed = [(states[name], values, tried.delay * (name in _SENSORS) + self.late)
                for name, values in {**self.fed, **tried.feeds}.items()]  # fmt: skip
         target, action = states["joint_pos_target"], states["action"]
@@ -237,7 +235,6 @@ def _fitted(played: OpenLoop, target: Float64) -> Iterator[Change]:
     contract, action = played.contract, played.contract.action
     counts = played.counts & (played.clamped == 0.0)
     at = action.of_kind("position")
-    names = [name for name, by in zip(action.joints, at) if by]
     x, y = target - action.offset[at], played.target - action.offset[at]
     if played.action is not None and action.filter is None:  # what the network gave is known
         low, high = (-np.inf, np.inf) if action.clip is None else action.clip
@@ -251,7 +248,7 @@ def _fitted(played: OpenLoop, target: Float64) -> Iterator[Change]:
         mean = float(figures[off].mean()) if len(off) else 0.0
         if len(off) == len(figures) and np.ptp(figures) < LEAST:
             return np.full_like(figures, mean), "", mean, 1
-        where = f" of {', '.join(names[i] for i in off)}" if len(off) <= 3 else ""
+        where = f" of {', '.join(played.moved[i] for i in off)}" if len(off) <= 3 else ""
         return np.where(abs(figures) > LEAST, figures, 0.0), where, mean, len(off)
 
     def spread(left: Float64, weight: Float64) -> float:
@@ -273,7 +270,7 @@ def _fitted(played: OpenLoop, target: Float64) -> Iterator[Change]:
     if fitted:
         offset, pose = action.offset.copy(), contract.default_joint_pos.copy()
         offset[at] += shift.astype(np.float32)
-        pose[joint_index(names, contract.joints)] += shift.astype(np.float32)
+        pose[joint_index(played.moved, contract.joints)] += shift.astype(np.float32)
         moved, left = with_action(contract, offset=offset), spread(y - x - shift, count)
         posed = replace(moved, default_joint_pos=pose)
         for key, changed in {"default_joint_pos": posed, "action.offset": moved}.items():

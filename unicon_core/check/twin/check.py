@@ -145,9 +145,8 @@ class _Twin:
                 best = found[0]
                 self.rows.append(_row(f"mended: {best.change.name}", best.measures))
                 self.better(best.policy, best.change, self.compared(best.policy, best.change))
-        if given.rests and (
-            names := listed(each.change.name for each in suspects if each.measures.rests)
-        ):
+        names = listed(each.change.name for each in suspects if each.measures.rests)
+        if given.rests and names:
             suspects[0].policy.note(
                 "twin.suspect",
                 "",

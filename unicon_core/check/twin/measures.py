@@ -23,38 +23,15 @@ from functools import cached_property
 
 import numpy as np
 
-from unicon_base.arrays import Array, Float64
-from unicon_core.blocks.approach import Monitor
+from unicon_base.arrays import Float64
 from unicon_core.check.result import PolicyResult
 from unicon_core.check.twin.perturb import Change
 from unicon_core.robots import Robot
-from unicon_core.states import States
 from unicon_core.text_table import figure, span
 
-JUDGED = (
-    "joint_pos", "joint_effort", "base_ang_vel", "base_lin_vel", "base_pos_w", "projected_gravity"
-)  # fmt: skip
-"""States of a simulator by which a run is judged."""
-
-ROW = ("joint_pos", "joint_effort", "joint_pos_target", "velocity_command")
-"""States that are kept of every tick, beside the velocity of the base."""
-
-TRACKING_SIGMA = 0.25
-"""Width of the tracking kernel in [m²/s²]."""
-MOTION_SIGMA = 0.0625
-"""Width of the kernel of a motion in [rad²]: 0.25 rad from the reference in all joints is far."""
-SMOOTH_RATE = 15.0
-"""Rate of targets in [rad/s] at which smoothness has fallen to 1/e."""
-START = 1.0
-"""Time from rest that tracking leaves out in [s]."""
-FALL_COSINE, FALL_HEIGHT = Monitor.FALL_COSINE, Monitor.FALL_HEIGHT
-"""A base that tilts further, or sinks below this share of its height when the policy took over, has
-fallen."""
 AT_REST = 0.1
 """Targets that change less in [rad/s], of a base that is slower in [m/s] and [rad/s], show nothing:
 a tenth of the calmest walk."""
-AT_LIMIT = 0.005
-"""A joint within this distance of its limit in [rad] is at the limit."""
 
 
 @dataclass(frozen=True)
@@ -133,102 +110,6 @@ class Measures:
         if not self.stands:
             return f"{'falls' if self.fell else 'stops'} after {self.survived_s:.2f} s"
         return f"stays up for {self.survived_s:.1f} s"
-
-
-class Recorder:
-    """Looks at the states after each tick.
-
-    Args:
-        states: of the workflow.
-        robot: limits and names.
-        effort: torque limits in use in [N·m], shape (n,), infinite for none.
-        period: of a tick in [s].
-        motion_error: of a policy that follows a motion, joints first, in [rad], read in place.
-    """
-
-    def __init__(
-        self,
-        states: States,
-        robot: Robot,
-        effort: Float64,
-        period: float,
-        motion_error: Array | None = None,
-    ) -> None:
-        self._robot, self._period = robot, period
-        names = {*JUDGED, *ROW}
-        self._views = {name: states[name].reshape(-1, states.spec(name).size)[0] for name in names}
-        self._effort = effort
-        self._motion = None if motion_error is None else motion_error.reshape(-1, 2)[0, :1]
-        self._standing: float | None = None
-        self.fell = False
-        self.rows: list[list[Float64]] = []
-
-    def __call__(self, walking: bool) -> bool:
-        """Note the tick; True once the base has fallen.
-
-        Args:
-            walking: a policy has taken over; before, the flow may lie down as it likes, and what it
-                did is forgotten then.
-        """
-        views = self._views
-        height = float(views["base_pos_w"][2])
-        if walking and self._standing is None:
-            self.rows.clear()
-            self._standing = height
-        velocity = np.array([*views["base_lin_vel"][:2], views["base_ang_vel"][2]])
-        motion = np.zeros(1) if self._motion is None else self._motion
-        row = (*(views[name] for name in ROW), velocity, motion)
-        self.rows.append([values.astype(np.float64) for values in row])
-        tilted = float(views["projected_gravity"][2]) > -FALL_COSINE
-        sunk = self._standing is not None and height < FALL_HEIGHT * self._standing
-        self.fell = tilted or sunk
-        return self.fell
-
-    def measures(self, asked_s: float, fault: str, tracks: bool) -> Measures:
-        """Return what was seen.
-
-        Args:
-            asked_s: how long the run should have lasted in [s].
-            fault: what stopped it, or "".
-            tracks: whether following the command counts.
-        """
-        if not self.rows:
-            return Measures(asked_s, fault)
-        robot, period, names = self._robot, self._period, self._robot.joint_names
-        pos, effort, target, command, velocity, motion = map(np.stack, zip(*self.rows))
-        survived = len(self.rows) * period
-        begin = min(round(START / period), len(self.rows) - 1)
-        squared = ((velocity - command)[begin:] ** 2).sum(axis=1)
-        off = None if tracks or self._motion is None else motion[begin:, 0]
-        kernel = squared / TRACKING_SIGMA if off is None else off**2 / MOTION_SIGMA
-        rates = np.diff(target[:, ~robot.endless], axis=0) / period
-        steps = rates.any(axis=1).mean()  # between them a slower policy's targets are held
-        rate = float(np.sqrt((rates**2).mean() * steps)) if rates.size else 0.0
-        use = np.sqrt((effort**2).mean(axis=0)) / self._effort
-        hits = ((pos <= robot.lower + AT_LIMIT) | (pos >= robot.upper - AT_LIMIT)).mean(axis=0)
-        saturated = (np.abs(effort) >= 0.999 * self._effort).mean(axis=0)
-        worst, longest = int(use.argmax()), int(saturated.argmax())
-        return Measures(
-            asked_s,
-            fault,
-            survived_s=survived,
-            fell=self.fell,
-            velocity_error=float(np.sqrt(squared).mean()),
-            velocity=velocity.mean(axis=0).tolist(),
-            command=command.mean(axis=0).tolist(),
-            target_rate=rate,
-            torque_use=float(use[worst]),
-            torque_joint=names[worst],
-            saturated=float(saturated.mean()),
-            saturated_joint=names[longest],
-            saturated_share=float(saturated[longest]),
-            limit_hits={names[i]: float(hits[i]) for i in np.argsort(-hits) if hits[i]},
-            tracking=float(np.exp(-kernel).mean()),
-            smoothness=float(np.exp(-((rate / SMOOTH_RATE) ** 2))),
-            survival=min(1.0, survived / asked_s) if self.fell or fault else 1.0,
-            tracks=tracks,
-            motion_error=None if off is None else float(off.mean()),
-        )
 
 
 CLEAR = 0.05

@@ -138,8 +138,8 @@ def perturbations(contract: PolicyContract, depths: Sequence[int]) -> list[Chang
     pairs, order = mirror_pairs(joints), [joints[i] for i in other]
     alike = "breadth-first and depth-first are the same for these joints"
 
-    def unless(reason: str, name: str, culprit: str, broken: PolicyContract) -> Change:
-        return Change(name, culprit, None if reason else broken, reason)
+    def unless(reason: str, name: str, culprit: str, broken: PolicyContract, **more: Any) -> Change:
+        return Change(name, culprit, None if reason else broken, reason, **more)
 
     def unread(state: str) -> str:
         read = any(term.state.startswith(state) for term in contract.terms)
@@ -156,13 +156,11 @@ def perturbations(contract: PolicyContract, depths: Sequence[int]) -> list[Chang
             JOINTS,
             renamed(contract, exchanged(joints, pairs)),
         ),
-        replace(
-            unless(
-                unread("projected_gravity"),
-                "gravity upside down",
-                "sign of projected_gravity",
-                with_scales(contract, turned),
-            ),
+        unless(
+            unread("projected_gravity"),
+            "gravity upside down",
+            "sign of projected_gravity",
+            with_scales(contract, turned),
             size=-1.0,
         ),
         unless(
