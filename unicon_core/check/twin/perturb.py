@@ -1,6 +1,9 @@
-"""Broken contracts: what a policy's contract would be after one of the usual mistakes.
+"""Changed contracts of a policy, and what its contract would be after one of the usual mistakes.
 
-Each is a fault that users of deployment tools met: observation scales left out, left and right
+The twin and the diagnosis share the changes: the twin runs them, and the diagnosis asks a record
+which of them made it.
+
+Each of `perturbations` is a fault that users of deployment tools met: scales left out, left and right
 exchanged, gravity upside down, the joint order of another simulator, gains in another order. A
 contract that is as good when it is broken like that was probably not right before.
 
@@ -267,7 +270,6 @@ def permuted(contract: PolicyContract, names: Sequence[str]) -> PolicyContract:
         if term.index is not None or not per_joint:
             return term
         order = at if term.state == "action" else index
-
         each: dict[str, Any] = {"scale": term.scale, "clip": term.clip}
         for name, values in each.items():
             if values is not None and values.shape[-1] == len(order) > 1:

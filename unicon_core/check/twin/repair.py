@@ -234,7 +234,7 @@ def _terms(contract: PolicyContract, recorded: bool) -> Iterator[Change]:
 def _of_term(
     term: ObservationTerm, width: int, recorded: bool
 ) -> Iterator[tuple[str, str, float, dict[str, Any]]]:
-    """Yield a change of one term: its name, the part, the size, and the new fields."""
+    """Yield changes of one term, each as its name, the part, the size and the new fields."""
     what, name = f"term {term.name!r}", repr(term.name)
     absolute = term.subtract is None
     if absolute and term.state == "joint_pos":
@@ -294,8 +294,8 @@ def _clocks(contract: PolicyContract) -> Iterator[Change]:
 def filter_repairs(contract: PolicyContract) -> Iterator[Change]:
     """Yield other filters of action and terms, other feedback, and commands without a slew."""
     action, said = contract.action, contract.action.filter
-    heard = 3 if said else 2 if action.clip is not None else 0
-    for word in ("raw", "clipped", "filtered")[:heard]:
+    words = ("raw", "clipped", "filtered") if said else ("raw", "clipped")
+    for word in words if said or action.clip is not None else ():
         if word != action.feedback:
             yield field_changed(contract, f"action.feedback {word}", "action.feedback", word)
     for name, other in _others(said):
