@@ -3,9 +3,9 @@
 The twin and the diagnosis share the changes: the twin runs them, and the diagnosis asks a record
 which of them made it.
 
-Each of `perturbations` is a fault that users of deployment tools met: scales left out, left and right
-exchanged, gravity upside down, the joint order of another simulator, gains in another order. A
-contract that is as good when it is broken like that was probably not right before.
+Each perturbation is a fault that users of deployment tools met: observation scales left out, left
+and right exchanged, gravity upside down, the joint order of another simulator, gains in another
+order. A contract that is as good when it is broken like that was probably not right before.
 
 `rivals` are those under which a walk does not fall: a policy that was trained over varied robots
 bears half and twice its damping, period and gait clock. Where one of them walks clearly better it
