@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from unicon_core.check.joints import mirror_pairs, other_order
 from unicon_core.check.result import CheckResult, Finding, Section
-from unicon_core.check.twin.session import Recorder
 from unicon_core.check.twin.perturb import permuted, perturbations, renamed
 from unicon_core.check.twin.repair import filter_repairs, repairs
+from unicon_core.check.twin.session import Recorder
 from unicon_core.policies import ActionSpec, ObservationSpec, ObservationTerm, PolicyContract
 from unicon_core.policies.contract import CommandSpec, FilterSpec, PhaseSpec
 from unicon_core.policies.observation import Observation

@@ -125,7 +125,7 @@ def _twin(monkeypatch: pytest.MonkeyPatch, after: list[float]) -> _Twin:
     twin = _Twin(nothing, 5.0, result, Path("w.yaml"))
     twin.policies.append(PolicyResult(result, "walk", contract()))
     walks = Compared(tuple(run(0.83) for _ in after), tuple(map(run, after)))
-    monkeypatch.setattr(twin, "compared", lambda policy, change: walks)
+    monkeypatch.setattr(twin, "compared", lambda tried: walks)
     monkeypatch.setattr(twin, "mend", lambda *_: [])
     return twin
 
@@ -175,12 +175,13 @@ def _rival(
     twin = _Twin(nothing, 5.0, result, Path("w.yaml"))
     twin.policies.append(PolicyResult(result, "walk", replace(contract(), period=period)))
 
-    def walks(policy: Any, change: Change) -> Compared:
-        return Compared((given,) * 3, (scores.get(change.name, run(0.3)),) * 3)
+    def walks(tried: Tried) -> Compared:
+        return Compared((given,) * 3, (scores.get(tried.change.name, run(0.3)),) * 3)
 
     monkeypatch.setattr(twin, "run", lambda _, change: scores.get(change.name, run(0.3)))
     monkeypatch.setattr(twin, "compared", walks)
-    monkeypatch.setattr(twin, "mend", lambda _: mended or [])
+    told = [replace(each, policy=twin.policies[0]) for each in mended or []]
+    monkeypatch.setattr(twin, "mend", lambda _: told)
     twin.rival(given)
     return result
 

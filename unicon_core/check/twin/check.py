@@ -144,7 +144,7 @@ class _Twin:
             if found:
                 best = found[0]
                 self.rows.append(_row(f"mended: {best.change.name}", best.measures))
-                self.better(best.policy, best.change, self.compared(best.policy, best.change))
+                self.better(best, self.compared(best))
         names = listed(each.change.name for each in suspects if each.measures.rests)
         if given.rests and names:
             suspects[0].policy.note(
@@ -154,19 +154,19 @@ class _Twin:
                 "twin cannot tell whether the contract is right",
             )
         for each in suspects:
-            policy, broken, measures = each.policy, each.change, each.measures
-            if given.rests and measures.rests:
+            broken = each.change
+            if given.rests and each.measures.rests:
                 continue
             # Scales of 1 have been left out by nobody, and who only stands up does so anyhow.
             telling = given.tracks and any(given.command) and not broken.unlikely
-            compared = self.compared(policy, broken) if telling else None
+            compared = self.compared(each) if telling else None
             if compared is not None and compared.clear:
-                self.better(policy, broken, compared)
+                self.better(each, compared)
                 continue
             suspicious = compared is not None and compared.alike and not broken.varied
-            scores = compared or Compared((given,), (measures,))
+            scores = compared or Compared((given,), (each.measures,))
             verdict = "yours is suspect" if suspicious else "the twin does not tell which is right"
-            policy.find(
+            each.policy.find(
                 "twin.suspect",
                 broken.culprit,
                 f"with {broken.name} it does as well as with the given contract: {scores}; "
@@ -174,17 +174,16 @@ class _Twin:
                 error=suspicious,
             )
 
-    def better(
-        self, policy: PolicyResult, change: Change, compared: Compared, *, error: bool = True
-    ) -> None:
+    def better(self, tried: Tried, compared: Compared, *, error: bool = True) -> None:
         """Find, or note, a change under which the policy walks better."""
+        change = tried.change
         how = "does better than" if error else "does slightly better than"
         if error and not compared.clear:
             how = "does as well, with less torque, as" if compared.lighter else "does as well as"
             if change.culprit == GAIT:
                 how = "does as well, in calmer steps, as"
         because = f" ({change.evidence})" if change.evidence else ""
-        policy.find(
+        tried.policy.find(
             "twin.suspect",
             change.culprit,
             f"with {change.name} it {how} with the given contract: {compared}{because}",
@@ -192,12 +191,13 @@ class _Twin:
             error=error,
         )
 
-    def compared(self, policy: PolicyResult, change: Change) -> Compared:
+    def compared(self, tried: Tried) -> Compared:
         """Run the same commands with and without a change; without commands the one run."""
         commands = self.session.walks()
         if not self.walked:
             self.walked = tuple(self.session.run(self.seconds, command=c) for c in commands)
-        return Compared(self.walked, tuple(self.run(policy, change, command=c) for c in commands))
+        runs = (self.run(tried.policy, tried.change, command=c) for c in commands)
+        return Compared(self.walked, tuple(runs))
 
     def verdict(self, given: Measures) -> None:
         """Findings of the given contract: a fall, or a command that is not followed."""
@@ -257,7 +257,7 @@ class _Twin:
                 replace(each, measures=self.run(each.policy, each.change)) for each in likely[:10]
             ]
         best = chosen(finals, given, least)
-        return best if best and self.compared(best[0].policy, best[0].change).clear else []
+        return best if best and self.compared(best[0]).clear else []
 
     def tried(
         self,
@@ -276,7 +276,7 @@ class _Twin:
     def rival(self, given: Measures) -> None:
         """Compare a contract that walks with half and twice its damping and periods."""
         policy, rows = self.policies[0], []
-        found: list[tuple[bool, float, Change, Compared]] = []
+        found = list[tuple[bool, float, Tried, Compared]]()
         for change in rivals(policy.contract):
             try:
                 measures = self.run(policy, change)
@@ -287,19 +287,19 @@ class _Twin:
             rows.append(_row(change.name, measures))
             once = Compared((given,), (measures,))
             if once.gain >= 0.5 * SLIGHT or change.evidence or _tells(change, once):
-                compared = self.compared(policy, change)
+                tried = Tried(policy, change, measures, len(rows))
+                compared = self.compared(tried)
                 clear = _tells(change, compared)
                 if clear or compared.slight:
-                    found.append((clear, compared.gain, change, compared))
+                    found.append((clear, compared.gain, tried, compared))
         # What is wrong in one of them is made up for by another, but less.
         best = max(found, key=lambda each: each[:2], default=None)
         if given.score < GOOD and not (best and best[0]) and (mended := self.mend(given)):
-            change = mended[0].change
-            rows.append(_row(f"mended: {change.name}", mended[0].measures))
-            best = (True, 0.0, change, self.compared(policy, change))
+            rows.append(_row(f"mended: {mended[0].change.name}", mended[0].measures))
+            best = (True, 0.0, mended[0], self.compared(mended[0]))
         self.result.table("Twin, half and twice the damping and periods", COLUMNS, rows)
         if best:
-            self.better(policy, best[2], best[3], error=best[0])
+            self.better(best[2], best[3], error=best[0])
 
     def run(
         self,
