@@ -43,7 +43,7 @@ def test_what_nobody_says_leaves_the_model_as_it_is():
     plain, _ = go2()
     for name in ("dof_frictionloss", "dof_armature", "actuator_forcerange"):
         assert (getattr(told.model, name) == getattr(plain.model, name)).all()
-    assert told._servo._strength is None
+    assert told.servo._strength is None
     assert told.robots[0].delay is None
 
 

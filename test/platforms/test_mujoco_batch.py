@@ -110,7 +110,7 @@ def test_a_robot_does_in_a_batch_what_it_does_alone(build, cores, delay):
 @pytest.mark.parametrize("scene", [{}, {"joints": {"*": {"strength": 0.6}}}], ids=["", "weak"])
 def test_what_is_told_of_a_batch_is_what_would_be_pushed(build, scene):
     platform, _ = build(**scene)
-    servo = platform._servo
+    servo = platform.servo
     model = platform.model
     ctrl = platform.data.ctrl
     written = ctrl, model.actuator_gainprm, model.actuator_biasprm

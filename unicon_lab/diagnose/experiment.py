@@ -80,10 +80,11 @@ def experiment_text(subject: str, kind: str, file: str, joints: Sequence[str] = 
     text = {key: json.dumps(value) for key, value in words.items()}
     ours = ("commands", "duration", "name")
     flow = {key: value for key, value in said.items() if key not in ours}
-    text["workflow"] = yaml.safe_dump(flow | {"robot": words["robot"]}, sort_keys=False)
+    behind = "\n" + yaml.safe_dump(flow | {"robot": words["robot"]}, sort_keys=False)
     text["file"], text["record"] = map(shlex.quote, (file, file.removesuffix("yaml") + "mcap"))
     template = find_config("experiments", kind).read_text("utf-8")
-    return re.sub(r"\n *(model|platforms): null", "", Template(template).substitute(text))
+    filled = Template(template).substitute(text) + behind * kind.endswith("_of_policy")
+    return re.sub(r"\n *(model|platforms): null", "", filled)
 
 
 def _moves(robot: Robot, most: float, patterns: Sequence[str]) -> dict[str, Any]:
