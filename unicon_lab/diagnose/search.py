@@ -176,15 +176,16 @@ class Search:
         at: dict[Place, float] = {}
         whole = self._error(now)
         self._look(now)
-        while len(found.causes) < MOST:
+        for _ in range(2 * MOST):  # a cause may be dropped for another one, and come again
+            if len(found.causes) == MOST:
+                break
             followed = self._followed(at, now)
             if not followed or followed[0].odds < CLEAR or not self._matters(followed[0]):
                 break
             best = followed[0]
             less = self._error(now) - self._error(best.answers)
-            if less < (BESIDE if self._wider == 1.0 else BESIDE_REFERENCE) * (
-                whole - self._error(now)
-            ):
+            beside = BESIDE if self._wider == 1.0 else BESIDE_REFERENCE
+            if less < beside * (whole - self._error(now)):
                 break
             alike = [each.place for each in followed[1:] if best.odds - each.odds < ALIKE]
             alike += self._like(best, [each.place for each in followed])
@@ -228,7 +229,8 @@ class Search:
             now, *moved = self._run([at, *beside])
             slopes = [(each - now) / KINDS[kind].step for each, (kind, _) in zip(moved, at)]
             fitted = self._likelihood.fit(self._real - now, np.stack(slopes, axis=-1), usual)
-            share = np.clip((1.0 - fitted.size / before) / part, 0.2, 1.0)
+            last = np.where(before == 0.0, np.inf, before)
+            share = np.clip((1.0 - fitted.size / last) / part, 0.2, 1.0)
             before, part = fitted.size, 1.0 / share
             steps = part * fitted.size
             if np.all(np.abs(steps) < 0.2 * np.sqrt(np.diag(fitted.spread))):
