@@ -80,6 +80,7 @@ def test_living_dead_and_broken_segments_are_listed(folder, walk, capsys, tmp_pa
     (folder / f"unicon-{os.getuid()}-junk").write_bytes(bytes(4096))
     with running(lambda: write_counts("counts", pause=0.002)) as writer:
         until(lambda: len(list(segments())) == 4)
+        until(lambda: " 0.0 Hz" not in unicon(capsys)[1].splitlines()[1])  # it writes by now
         status, told, err = unicon(capsys, "--json", str(tmp_path / "list.json"))
     assert (status, err) == (0, "")
     head, counts, fell, second, junk, measured, command, gap, broken, left = told.splitlines()
