@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -165,15 +165,20 @@ def _thinned(motion: Motion, robot: Robot) -> Motion:
 
 
 def processes_of(asked: int) -> int:
+    """Return how many processes were asked for; 0 stands for one on each core."""
     return asked or len(os.sched_getaffinity(0))
 
 
 def places_of(
-    motion: Motion, robot: Robot, joints: Sequence[int], kinds: Sequence[str] | Any
+    motion: Motion, robot: Robot, joints: Sequence[int], kinds: Iterable[str]
 ) -> list[Place]:
-    """Return what may differ: all joints alike, each, and the base where it was measured."""
+    """Return what may differ, of some kinds: in each of some joints, and in the whole robot.
+
+    Joints alike only where these are all of them; the base where it was measured.
+    """
     kinds = [k for k in kinds if (motion.has_base if k in OF_BASE else not motion.still)]
-    whole = [(kind, -1) for kind in kinds if len(joints) == robot.num_joints]
+    every = len(joints) == robot.num_joints
+    whole = [(kind, -1) for kind in kinds if every or not KINDS[kind].each]
     return whole + [(kind, joint) for kind in kinds if KINDS[kind].each for joint in joints]
 
 
@@ -185,6 +190,16 @@ def cause_of(
     own: dict[str, Float64],
     motion: Motion,
 ) -> Cause:
+    """Return one place of what was found as a cause, with its evidence and remedy.
+
+    Args:
+        found: of the search.
+        place: of the cause.
+        alike: places that the motion does not tell from it.
+        robot: names joints.
+        own: what the simulator has of each joint; see `Plant.own`.
+        motion: that was searched.
+    """
     kind, joint = place
     size, half = found.change[place], found.deviation[place]
     before = float(own[kind][max(joint, 0)]) if kind in own else 1.0
@@ -229,6 +244,7 @@ def _shown(found: Found, place: Place, robot: Robot, motion: Motion) -> Shown:
 
 
 def where_of(joint: int, robot: Robot) -> str:
+    """Return the name of a place's joint, "" of the whole robot."""
     return robot.joint_names[joint] if joint >= 0 else ""
 
 

@@ -22,7 +22,7 @@ from unicon_lab.diagnose.diagnosis import (
     where_of,
 )
 from unicon_lab.diagnose.motion import MOVING
-from unicon_lab.diagnose.plant import KINDS, OF_BASE
+from unicon_lab.diagnose.plant import KINDS
 from unicon_lab.diagnose.replays import Replays
 from unicon_lab.diagnose.search import Search
 from unicon_lab.recording import Record
@@ -122,10 +122,9 @@ def fit_record(
     seen = replace(motion, starts=motion.starts[~held])
     apart = replace(motion, starts=motion.starts[held])
     others = [kind for kind in KINDS if not KINDS[kind].each]
-    places = places_of(motion, robot, which, words)
-    places += [(kind, -1) for kind in others if motion.has_base or kind not in OF_BASE]
+    places = places_of(motion, robot, which, dict.fromkeys([*words, *others]))
     with SIGNALS.guard(), Replays(robot, scene, seen, processes_of(processes)) as replays:
-        found = Search(seen, list(dict.fromkeys(places)), replays.plant.limbs, replays, tell).go()
+        found = Search(seen, places, replays.plant.limbs, replays, tell).go()
         own = replays.plant.own
     with Replays(robot, scene, apart, 1) as replays:
         real = apart.answers[..., : robot.num_joints]
