@@ -76,6 +76,7 @@ class MujocoPlatform:
         terrain: the ground under the robots, the same for all; None for flat.
         robots: the simulated robots, one unless the states have a batch axis.
         decimation: physics steps in a tick.
+        servo: the actuators of the robot of `model`.
     """
 
     facts = Facts(
