@@ -76,23 +76,47 @@ class Likelihood:
         covariance = self._covariance(self._described(left))
         return float(-0.5 * self.count * np.linalg.slogdet(covariance)[1].sum())
 
-    def leave_out(self, unknown: Float64 | None) -> None:
-        """Leave out what unknowns of a window could explain, shape (w, l, m, q)."""
+    def leave_out(
+        self, unknown: Float64 | None, likely: Float64 | float = 1e3, left: Float64 | None = None
+    ) -> None:
+        """Leave out what unknowns of a window could explain.
+
+        Args:
+            unknown: derivatives by them, shape (w, l, m, q), or None.
+            likely: standard deviation of each, shape (q,).
+            left: what an error of each channel is compared with, shape (w, l, m); by default what
+                was left without any change.
+        """
         self._unknown: Float64 | None = None
         if unknown is not None:
-            parts = np.einsum("lk,wlmq->wkmq", self._shapes, unknown / self.scale[:, None])
-            flat = parts.reshape(len(parts), -1, parts.shape[-1])
-            self._unknown = np.linalg.qr(flat)[0]
+            self._by = self.scale if left is None else np.median(np.abs(left), axis=(0, 1)) + 1e-6
+            count = unknown.shape[-1]
+            flat = self._flat(np.einsum("lk,wlmq->wkmq", self._shapes, unknown))
+            known = np.eye(count) / likely
+            both = np.concatenate([flat, np.tile(known, (len(flat), 1, 1))], axis=1)
+            found, self._triangle = np.linalg.qr(both)
+            self._unknown = found[:, : flat.shape[1]]
+
+    def unknowns(self, left: Float64) -> Float64:
+        """Return the unknowns that explain what is left best, shape (w, q)."""
+        assert self._unknown is not None
+        flat = self._flat(np.einsum("lk,wlm->wkm", self._shapes, left)[..., None])
+        asked = self._unknown.transpose(0, 2, 1) @ flat
+        return np.asarray(np.linalg.solve(self._triangle, asked)[..., 0])
+
+    def _flat(self, parts: Float64) -> Float64:
+        """Return parts of windows, shape (w, k, m, q), each channel by its error: (w, k·m, q)."""
+        return np.asarray((parts / self._by[:, None]).reshape(len(parts), -1, parts.shape[-1]))
 
     def _described(self, values: Float64) -> Float64:
         """Return values of windows, shape (w, l, m, …), by polynomials of time, (w, k, m, …)."""
         found = np.asarray(np.einsum("lk,wl...->wk...", self._shapes, values))
         if self._unknown is None:
             return found
-        scale = self.scale.reshape(-1, *[1] * (found.ndim - 3))
-        flat = (found / scale).reshape(len(found), self._unknown.shape[1], -1)
+        flat = self._flat(found.reshape(*found.shape[:3], -1))
         flat = flat - self._unknown @ (self._unknown.transpose(0, 2, 1) @ flat)
-        return np.asarray(flat.reshape(found.shape) * scale)
+        by = self._by.reshape(-1, *[1] * (found.ndim - 3))
+        return np.asarray(flat.reshape(found.shape) * by)
 
     def _covariance(self, left: Float64) -> Float64:
         """Return the covariance over ticks of each channel, shape (m, l, l)."""

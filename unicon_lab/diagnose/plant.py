@@ -64,30 +64,30 @@ def _joint(word: str) -> str:
 
 
 KINDS = {
-    "delay": Kind("s", 0.004, 0.01, 0.002, 0.0, 0.1, 4.0, True, _joint("delay"), stepped=True),
-    "strength": Kind("", -0.05, 0.3, 0.03, -0.95, 1.5, 2.0, True, _joint("strength"), bias=0.02),
-    "friction": Kind("N·m", 0.1, 1.0, 0.1, -20.0, 20.0, 2.0, True, _joint("friction"), bias=0.04),
-    "viscous friction": Kind("N·m·s/rad", 0.1, 1.0, 0.05, -5.0, 20.0, 1.0, True, bias=0.05),
+    "delay": Kind("s", 0.01, 0.01, 0.002, 0.0, 0.1, 4.0, True, _joint("delay"), stepped=True),
+    "strength": Kind("", -0.2, 0.3, 0.03, -0.95, 1.5, 2.0, True, _joint("strength"), bias=0.02),
+    "friction": Kind("N·m", 0.5, 1.0, 0.1, -20.0, 20.0, 2.0, True, _joint("friction"), bias=0.06),
+    "viscous friction": Kind("N·m·s/rad", 0.4, 1.0, 0.05, -5.0, 20.0, 1.0, True, bias=0.05),
     "armature": Kind(
-        "kg·m²", 0.004, 0.02, 0.003, -0.5, 0.5, 1.0, True, _joint("armature"), bias=0.035
+        "kg·m²", 0.016, 0.02, 0.003, -0.5, 0.5, 1.0, True, _joint("armature"), bias=0.035
     ),
-    "encoder offset": Kind("rad", 0.01, 0.05, 0.01, -0.5, 0.5, 2.0, True),
+    "encoder offset": Kind("rad", 0.04, 0.05, 0.01, -0.5, 0.5, 2.0, True),
     "weakening": Kind("1/min", -0.2, 0.5, 0.15, -3.0, 3.0, 0.5, True),
     "torque limit": Kind("", -0.2, 0.3, 0.1, -0.95, 1.0, 1.0, True),
-    "payload": Kind("kg", 0.5, 3.0, 0.3, -50.0, 100.0, 4.0, False, _PAYLOAD),
-    "centre of mass x": Kind("kg·m", 0.1, 0.3, 0.03, -20.0, 20.0, 1.0),
-    "centre of mass y": Kind("kg·m", 0.1, 0.3, 0.03, -20.0, 20.0, 1.0),
-    "centre of mass z": Kind("kg·m", 0.2, 0.3, 0.1, -20.0, 20.0, 0.5),
-    "inertia": Kind("", 0.2, 0.5, 0.2, -0.9, 20.0, 0.5),
-    "ground friction": Kind("", -0.3, 0.5, 0.15, -0.97, 4.0, 2.0, False, _GROUND),
-    "stiffness": Kind("", 0.05, 0.3, 0.05, -0.95, 5.0, 1.0, bias=0.03),
-    "damping": Kind("", 0.1, 0.5, 0.1, -0.95, 10.0, 1.0, bias=0.03),
-    "gyro bias x": Kind("rad/s", 0.02, 0.05, 0.01, -1.0, 1.0, 0.7),
-    "gyro bias y": Kind("rad/s", 0.02, 0.05, 0.01, -1.0, 1.0, 0.7),
-    "gyro bias z": Kind("rad/s", 0.02, 0.05, 0.01, -1.0, 1.0, 0.7),
-    "IMU latency": Kind("s", 0.005, 0.01, 0.003, 0.0, 0.1, 1.0),
-    "attitude x": Kind("rad", 0.01, 0.03, 0.01, -0.5, 0.5, 0.7),
-    "attitude y": Kind("rad", 0.01, 0.03, 0.01, -0.5, 0.5, 0.7),
+    "payload": Kind("kg", 2.0, 3.0, 0.3, -50.0, 100.0, 4.0, False, _PAYLOAD),
+    "centre of mass x": Kind("kg·m", 0.2, 0.3, 0.03, -20.0, 20.0, 1.0),
+    "centre of mass y": Kind("kg·m", 0.2, 0.3, 0.03, -20.0, 20.0, 1.0),
+    "centre of mass z": Kind("kg·m", 0.4, 0.3, 0.1, -20.0, 20.0, 0.5),
+    "inertia": Kind("", 0.5, 0.5, 0.2, -0.9, 20.0, 0.5),
+    "ground friction": Kind("", -0.3, 0.5, 0.15, -0.97, 4.0, 2.0, False, _GROUND, 0.02),
+    "stiffness": Kind("", 0.15, 0.3, 0.05, -0.95, 5.0, 1.0, bias=0.03),
+    "damping": Kind("", 0.3, 0.5, 0.1, -0.95, 10.0, 1.0, bias=0.03),
+    "gyro bias x": Kind("rad/s", 0.05, 0.05, 0.01, -1.0, 1.0, 0.7),
+    "gyro bias y": Kind("rad/s", 0.05, 0.05, 0.01, -1.0, 1.0, 0.7),
+    "gyro bias z": Kind("rad/s", 0.05, 0.05, 0.01, -1.0, 1.0, 0.7),
+    "IMU latency": Kind("s", 0.01, 0.01, 0.003, 0.0, 0.1, 1.0),
+    "attitude x": Kind("rad", 0.04, 0.03, 0.01, -0.5, 0.5, 0.7),
+    "attitude y": Kind("rad", 0.04, 0.03, 0.01, -0.5, 0.5, 0.7),
 }
 """What may differ. Weakening is the loss of strength from the middle of a record on. Attitude is
 that of the IMU on its base, or of the ground under the robot: a window cannot tell them apart.
@@ -109,6 +109,8 @@ Place = tuple[str, int]
 
 Change = Mapping[Place, float]
 
+AROUND = 3
+"""Ticks before and behind the first one of a window, over which `Plant.carried` takes a median."""
 _LOST = np.pi
 """Error in [rad] that stands for physics that blew up."""
 
@@ -166,11 +168,11 @@ class Plant:
         for window, start in enumerate(motion.starts):
             try:
                 begin = None if begins is None else begins[window]
-                self._put(start, begin)
+                put = self._put(start, begin)
                 for row in range(start - self._ahead, start):  # commands on their way
                     there = row >= 0 and self._finite[row]
                     self._beside.step(self._commands(row if there else start - 1))
-                self._put(start, begin)
+                self._beside.put(put)
                 for tick in range(motion.length):
                     row = found[window, tick]
                     n = len(self._offset)
@@ -192,20 +194,25 @@ class Plant:
     def carried(self) -> Float64:
         """Return the base's velocity by its lowest foot, as a guess of `begins`; shape (w, 4).
 
-        That foot is taken to stand still.
+        That foot is taken to stand still; of ticks around a window's first the median counts.
         """
         found = np.zeros((len(self._motion.starts), 4))
         if self._feet is None:
             return found
         for row, start in zip(found, self._motion.starts):
-            at = {name: values[start] for name, values in self._motion.measured.items()}
-            turning, joints = (at["base_quat"], at["base_ang_vel"]), at["joint_pos"]
-            self._feet(*turning, joints, at["joint_vel"], None)
-            lowest = self._feet.position[:, 2].argmin()
-            row[:3] = -self._feet.velocity[lowest] @ rotation(at["base_quat"])
+            velocities = []
+            for tick in range(max(start - AROUND, 0), start + AROUND + 1):
+                at = {name: values[tick] for name, values in self._motion.measured.items()}
+                turning, joints = (at["base_quat"], at["base_ang_vel"]), at["joint_pos"]
+                if self._feet(*turning, joints, at["joint_vel"], None):
+                    velocities.append(-self._feet.velocity[self._feet.position[:, 2].argmin()])
+            if velocities:
+                row[:3] = np.median(velocities, axis=0)
+                row[:3] = row[:3] @ rotation(self._motion.measured["base_quat"][start])
         return found
 
-    def _put(self, start: int, begin: Float64 | None) -> None:
+    def _put(self, start: int, begin: Float64 | None) -> dict[str, Array]:
+        """Put the robot where a window begins, and return what was put there."""
         put = {name: values[start] for name, values in self._motion.measured.items()}
         put["joint_pos"] = put["joint_pos"] - self._offset
         if "base_ang_vel" in put:
@@ -218,7 +225,9 @@ class Plant:
         self._beside.put(put)
         if begin is not None:
             base = self._platform.data.qpos[self._platform.model.jnt_qposadr[self.base] :][:3]
-            self._beside.put({"base_pos_w": base + np.array((0.0, 0.0, begin[3]))})
+            put["base_pos_w"] = base + np.array((0.0, 0.0, begin[3]))
+            self._beside.put(put)
+        return put
 
     def _commands(self, row: int) -> dict[str, Array]:
         sent = {name: values[row] for name, values in self._motion.commands.items()}

@@ -1,4 +1,9 @@
-"""Replays of a motion with many changes of the plant, in processes of their own."""
+"""Replays of a motion with many changes of the plant, and where its windows begin.
+
+Replays run in processes of their own. Where the velocity of the base was not measured, it is found
+for each window, with the height: at first by the joints alone, then by the likelihood, together
+with sizes of changes.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +13,7 @@ import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from typing import Protocol
 
 import numpy as np
 
@@ -16,6 +22,7 @@ from unicon_base.errors import PlatformError, UniconError
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.robots import Robot
 from unicon_core.signals import SIGNALS
+from unicon_lab.diagnose.likelihood import Likelihood
 from unicon_lab.diagnose.motion import Motion
 from unicon_lab.diagnose.plant import Change, Place, Plant
 from unicon_ros.process_exit import die_with_parent
@@ -25,6 +32,13 @@ _SHIFTS = np.array([0.05, 0.05, 0.05, 0.002])
 _LIKELY = np.array([0.5, 0.5, 0.5, 0.005])
 """Standard deviation of `begins` around the guess."""
 _ROUNDS = 5
+_SETTLED = 3
+"""Turns in which the beginnings alone are fitted by the likelihood."""
+_WORST = 3.0
+"""Most that an error counts beside its median, where a window chooses how it begins."""
+
+Begins = Float64 | None
+"""Of windows as of `Plant.replayed`, or None where they were measured."""
 
 _plant: Plant | None = None
 
@@ -37,9 +51,24 @@ def _begin(robot: Robot, scene: Scene, motion: Motion) -> None:
     _plant = Plant(robot, scene, motion)
 
 
-def _work(change: Change, begins: Float64 | None) -> Float64:
+def _work(change: Change, begins: Begins) -> Float64:
     assert _plant is not None
     return _plant.replayed(change, begins)
+
+
+class Run(Protocol):
+    """Replays changes; see `Replays`."""
+
+    def __call__(
+        self, changes: Sequence[Change], begins: Sequence[Begins] | None = None
+    ) -> list[Float64]: ...
+
+    def derived(self, change: Change, begins: Begins) -> tuple[Float64, Float64 | None]: ...
+
+    def settle(self, change: Change) -> Begins: ...
+
+    base: dict[Place, float]
+    step: float
 
 
 class Replays:
@@ -55,7 +84,6 @@ class Replays:
     Attributes:
         step: of the simulator in [s].
         base: change that each replay has besides its own.
-        begins: as of `Plant.replayed`, as `settle` found them; None before.
 
     Raises:
         PlatformError: the simulator cannot be built.
@@ -74,7 +102,6 @@ class Replays:
         self.step = self.plant.step
         self._progress = progress
         self._motion = motion
-        self.begins: Float64 | None = None
         if motion.has_base and self.plant.base is None:
             raise PlatformError(
                 f"{robot.name}: the record has a base that moves and the model has none; give "
@@ -88,20 +115,20 @@ class Replays:
             self._pool = ProcessPoolExecutor(processes, context, _begin, (robot, scene, motion))
 
     def __call__(
-        self, changes: Sequence[Change], begins: Sequence[Float64 | None] | None = None
+        self, changes: Sequence[Change], begins: Sequence[Begins] | None = None
     ) -> list[Float64]:
         """Return what `Plant.replayed` returns for each change.
 
         Args:
             changes: of the plant.
-            begins: of each, instead of those that `settle` found.
+            begins: of each, as of `Plant.replayed`; None where they were measured.
 
         Raises:
             Interrupted: a signal asked to end; call it within `SIGNALS.guard`.
             UniconError: a process was killed.
         """
         found = list[Float64]()
-        work = list(zip(map(self._whole, changes), begins or [self.begins] * len(changes)))
+        work = list(zip(map(self._whole, changes), begins or [None] * len(changes)))
         futures = [self._pool.submit(_work, *each) for each in work] if self._pool else []
         for done, each in enumerate(work):
             SIGNALS.check()
@@ -121,34 +148,42 @@ class Replays:
         return {place: self.base.get(place, 0.0) + change.get(place, 0.0)
                 for place in {**self.base, **change}}  # fmt: skip
 
-    def settle(self, change: Change) -> Float64 | None:
+    def derived(self, change: Change, begins: Begins) -> tuple[Float64, Float64 | None]:
+        """Return the answers with a change, and their derivatives by `begins`, (w, l, m, 4).
+
+        The derivatives are None where begins are.
+        """
+        if begins is None:
+            return self([change])[0], None
+        beside = [begins, *(begins + row for row in np.diag(_SHIFTS))]
+        now, *moved = self([change] * len(beside), beside)
+        return now, (np.stack(moved, axis=-1) - now[..., None]) / _SHIFTS
+
+    def settle(self, change: Change) -> Begins:
         """Find the base's velocity and height where windows begin, if they were not measured.
 
         A base whose velocity is wrong drags the feet that stand, so that the joints tell it within
-        a window: Gauss and Newton's method, for each window alone, up to `_ROUNDS` rounds.
+        a window: Gauss and Newton's method, for each window alone, `_ROUNDS` rounds.
 
         Returns:
-            Derivatives of the answers by them, shape (w, l, m, 4); None where they were measured.
+            `begins`; None where they were measured.
         """
         if not self._motion.sought:
             return None
         real = self._motion.answers
         guess = self.plant.carried()
-        best = guess if self.begins is None else self.begins
+        best = trial = guess
         cost, part = np.full(len(best), np.inf), np.ones(len(best))
-        trial, slopes, step = best, np.zeros((*real.shape, 4)), np.zeros_like(best)
-        scale = None
-        for _ in range(_ROUNDS if self.begins is None else 2):
-            beside = [trial, *(trial + row for row in np.diag(_SHIFTS))]
-            now, *moved = self([change] * 5, beside)
+        step, scale = np.zeros_like(best), None
+        for _ in range(_ROUNDS):
+            now, slopes = self.derived(change, trial)
+            assert slopes is not None
             left = real - now
             if scale is None:
                 scale = 1.5 * np.median(np.abs(left), axis=(0, 1)) + 1e-6
             size = np.minimum((left / scale) ** 2, 9.0).sum(axis=(1, 2))
             size += (((trial - guess) / _LIKELY) ** 2).sum(axis=1)
             better = size < cost
-            here = np.stack(moved, axis=-1) - now[..., None]
-            slopes[better] = here[better] / _SHIFTS
             best = np.where(better[:, None], trial, best)
             cost = np.minimum(size, cost)
             part = np.where(better, 1.0, 0.3 * part)
@@ -158,8 +193,7 @@ class Replays:
             asked += (guess - trial)[better] / _LIKELY**2
             step[better] = np.linalg.solve(curvature[better], asked[..., None])[..., 0]
             trial = best + part[:, None] * step
-        self.begins = best
-        return slopes
+        return best
 
     def __enter__(self) -> Replays:
         return self
@@ -170,3 +204,62 @@ class Replays:
             for each in {*multiprocessing.active_children()} - self._others:
                 each.kill()  # one that was stopped would be waited for without end
             self._pool.shutdown(cancel_futures=True)
+
+
+class Settled:
+    """How the windows of a motion begin, and the likelihood of what is left of them.
+
+    Args:
+        motion: that was measured.
+        run: replays changes.
+
+    Attributes:
+        begins: of windows.
+        likelihood: leaves out what other beginnings could explain.
+    """
+
+    def __init__(self, motion: Motion, run: Run) -> None:
+        self._real, self._run = motion.answers, run
+        self.begins: Begins = None
+        self.likelihood: Likelihood
+
+    def begin(self) -> Float64:
+        """Find how windows begin without a change, and return the answers."""
+        self.begins = self._run.settle({})
+        (now,) = self._run([{}], [self.begins])
+        self.likelihood = Likelihood(self._real - now)
+        now = self.derived({})
+        for _ in range(_SETTLED if self.begins is not None else 0):
+            _, self.begins = self.chosen({}, self.tries(self.begins, self._real - now))
+            now = self.derived({})
+        return now
+
+    def derived(self, change: Change) -> Float64:
+        """Return the answers with a change; leave out what beginnings could explain there."""
+        now, unknown = self._run.derived(change, self.begins)
+        self.likelihood.leave_out(unknown, 3.0 * _LIKELY, self._real - now)
+        return now
+
+    def tries(self, begins: Begins, left: Float64) -> list[Begins]:
+        """Return how windows may begin: as they do, and so that it explains what is left.
+
+        Contacts resist more than a derivative says, so a step of twice the size is one of them.
+        """
+        if begins is None:
+            return [None]
+        step = self.likelihood.unknowns(left)
+        return [begins, begins + step, begins + 2.0 * step]
+
+    def chosen(self, change: Change, tries: Sequence[Begins]) -> tuple[Float64, Begins]:
+        """Return the answers of a change, and how each window begins where it fits best."""
+        return self.best(self._run([change] * len(tries), tries), tries)
+
+    def best(self, answers: Sequence[Float64], tries: Sequence[Begins]) -> tuple[Float64, Begins]:
+        """Return answers and beginnings that fit best, for each window by itself."""
+        known = [each for each in tries if each is not None]
+        if not known:
+            return answers[0], None
+        lefts = ((self._real - each) / self.likelihood.scale for each in answers)
+        costs = [np.minimum(left**2, _WORST**2).sum(axis=(1, 2)) for left in lefts]
+        window, which = np.arange(len(self._real)), np.argmin(costs, axis=0)
+        return np.stack(answers)[which, window], np.stack(known)[which, window]

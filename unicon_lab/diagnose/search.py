@@ -10,14 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 
 from unicon_base.arrays import Float64, Int64
-from unicon_lab.diagnose.likelihood import Fitted, Likelihood
+from unicon_lab.diagnose.likelihood import Fitted
 from unicon_lab.diagnose.motion import Motion
 from unicon_lab.diagnose.plant import KINDS, Change, Place
+from unicon_lab.diagnose.replays import Begins, Run, Settled
 
 FOLLOWED = 6
 """Changes that are followed to their best size, of those that fit best alone."""
@@ -32,8 +32,8 @@ HOPE = 1.5
 """What a fit by derivatives promises is exceeded by at most so much."""
 HOPELESS = 5.0
 """Log odds by which a candidate may lag behind what it needs, and is followed still."""
-REFINED = 6
-"""Turns in which sizes and the unknown beginnings of windows are fitted to each other."""
+REFINED = 12
+"""Turns in which sizes and the unknown beginnings of windows are fitted together, at most."""
 LEVELLED = 4
 """Steps by which a record without a cause is fitted."""
 BESIDE = 0.03
@@ -41,20 +41,9 @@ BESIDE = 0.03
 may be what noise at the beginning of windows biases them by."""
 BESIDE_REFERENCE = 0.1
 """The same where a reference tells what the simulator lacks: that depends on the cause a little."""
-BIAS_FOUND = 0.06
+BIAS_FOUND = 0.04
 """As of `Kind.bias` where velocities at the beginning of windows were found: walks of a Go2 gave
-3.57 kg for 4, -0.297 for -0.3 and 7.36 ms for 8."""
-
-
-class Run(Protocol):
-    """Replays changes; see `replays.Replays`."""
-
-    def __call__(self, changes: Sequence[Change]) -> list[Float64]: ...
-
-    def settle(self, change: Change) -> Float64 | None: ...
-
-    base: dict[Place, float]
-    step: float
+3.76 kg for 4, -0.298 for -0.3 and 8.00 ms for 8."""
 
 
 @dataclass(eq=False)
@@ -67,6 +56,7 @@ class Candidate:
         answers: of the windows with them.
         slope: derivative of the answers by the new one, there.
         log: likelihood there.
+        begins: of windows there, or None where they were measured; see `Plant.replayed`.
         fitted: the fit from there, in the order of `change`.
         part: of a fitted step that is taken; less after one that did not help.
         odds: log odds against the changes before.
@@ -77,6 +67,7 @@ class Candidate:
     answers: Float64
     slope: Float64
     log: float
+    begins: Begins = None
     fitted: Fitted | None = None
     part: float = 1.0
     odds: float = -math.inf
@@ -133,6 +124,7 @@ class Search:
         self._motion, self._places, self._run, self._tell = motion, places, run, tell
         self._limbs = limbs
         self._real = motion.answers
+        self._windows = Settled(motion, run)
         self._slopes: dict[Place, Float64] = {}
         self.found = Found()
 
@@ -144,34 +136,34 @@ class Search:
         kinds = [KINDS[kind] for kind, _ in self._places]
         usual = np.array([kind.usual for kind in kinds])
         low, high = np.array([(kind.low, kind.high) for kind in kinds]).T
-        sizes = trial = step = np.zeros(len(kinds))
-        best, part, likelihood = -math.inf, 1.0, None
-        for _ in range(LEVELLED):
-            self._run.base = dict(zip(self._places, trial.tolist()))
-            unknown = self._run.settle({})
-            (now,) = self._run([{}])
-            left = self._real - now
-            likelihood = likelihood or Likelihood(left, unknown)
-            likelihood.leave_out(unknown)
-            log = likelihood.log(left) - 0.5 * float(((trial / usual) ** 2).sum())
+        sizes = trial = np.zeros(len(kinds))
+        now = here = self._windows.begin()
+        begins, left, best, part = self._windows.begins, self._real - now, -math.inf, 1.0
+        for turn in range(LEVELLED):
+            if turn:
+                self._run.base = dict(zip(self._places, trial.tolist()))
+                here, begins = self._windows.chosen(
+                    {}, self._windows.tries(self._windows.begins, left)
+                )
+            log = self._windows.likelihood.log(self._real - here)
+            log -= 0.5 * float(((trial / usual) ** 2).sum())
             if log > best:
-                best, sizes, part = log, trial, 1.0
+                best, sizes, part, self._windows.begins = log, trial, 1.0, begins
+                now = self._windows.derived({})
                 self._look(now)
                 slopes = np.stack([self._slopes[place] for place in self._places], axis=-1)
-                step = likelihood.fit(left, slopes, usual, sizes).size
+                step = self._windows.likelihood.fit(self._real - now, slopes, usual, sizes).size
             else:
                 part *= 0.3
             trial = np.clip(sizes + part * step, low, high)
+            left = self._real - now - slopes @ (trial - sizes)
         self._run.base = dict(zip(self._places, sizes.tolist()))
         return self._run.base
 
     def go(self) -> Found:
         """Search to the end; `found` has what there is when it is interrupted."""
         found = self.found
-        unknown = self._run.settle({})
-        self._unknown = unknown is not None
-        (now,) = self._run([{}])
-        self._likelihood = Likelihood(self._real - now, unknown)
+        now = self._windows.begin()
         found.before = found.after = self._square(now)
         at: dict[Place, float] = {}
         whole = self._error(now)
@@ -196,10 +188,10 @@ class Search:
                 / (weights.sum() + math.exp(-min(best.odds, 700)))
             )
             found.shown[best.place] = self._shown(now, best.answers)
-            at, now, fitted = self._refined(best.change)
+            at, now, fitted = self._refined(best)
             found.change, found.after = at, self._square(now)
             bias = np.array([KINDS[kind].bias for kind, _ in at])
-            bias = np.maximum(bias, BIAS_FOUND) if self._unknown else bias
+            bias = bias if self._windows.begins is None else np.maximum(bias, BIAS_FOUND)
             biased = bias * np.array(list(at.values()))
             rounded = self._run.step * np.array([0.06 * KINDS[kind].stepped for kind, _ in at])
             variance = self._wider**2 * (np.diag(fitted.spread) + biased**2) + rounded**2
@@ -210,46 +202,48 @@ class Search:
             if idle:  # what seemed to be a cause was another one's doing
                 found.causes = [each for each in found.causes if each[0] not in idle]
                 at = found.change = {p: size for p, size in at.items() if p not in idle}
-                (now,) = self._run([at])
+                now = self._windows.derived(at)
                 found.after = self._square(now)
         found.complete = True
         return found
 
-    def _refined(self, at: dict[Place, float]) -> tuple[dict[Place, float], Float64, Fitted]:
-        """Return sizes, answers and fit where windows begin as these sizes have it.
+    def _refined(self, one: Candidate) -> tuple[dict[Place, float], Float64, Fitted]:
+        """Return sizes, answers and fit of a candidate once sizes and beginnings suit each other.
 
-        Beginnings take a part of a change over: a fit comes nearer by a share of what is left,
-        which two steps tell (Aitken 1926).
+        Both are fitted at once; each window begins anew only where that helps.
         """
+        at, self._windows.begins = one.change, one.begins
         usual = np.array([KINDS[kind].usual for kind, _ in at])
-        before, part = np.full(len(at), np.inf), np.ones(len(at))
+        low, high = np.array([(KINDS[kind].low, KINDS[kind].high) for kind, _ in at]).T
         for _ in range(REFINED):
-            self._likelihood.leave_out(self._run.settle(at))
+            now = self._windows.derived(at)
             beside = [at | {place: size + KINDS[place[0]].step} for place, size in at.items()]
-            now, *moved = self._run([at, *beside])
-            slopes = [(each - now) / KINDS[kind].step for each, (kind, _) in zip(moved, at)]
-            fitted = self._likelihood.fit(self._real - now, np.stack(slopes, axis=-1), usual)
-            last = np.where(before == 0.0, np.inf, before)
-            share = np.clip((1.0 - fitted.size / last) / part, 0.2, 1.0)
-            before, part = fitted.size, 1.0 / share
-            steps = part * fitted.size
-            if np.all(np.abs(steps) < 0.2 * np.sqrt(np.diag(fitted.spread))):
+            moved = self._run(beside, [self._windows.begins] * len(at))
+            slopes = np.stack([(e - now) / KINDS[k].step for e, (k, _) in zip(moved, at)], axis=-1)
+            fitted = self._windows.likelihood.fit(self._real - now, slopes, usual)
+            if np.all(np.abs(fitted.size) < 0.2 * np.sqrt(np.diag(fitted.spread))):
                 break
-            at = {
-                place: float(np.clip(size + step, KINDS[place[0]].low, KINDS[place[0]].high))
-                for (place, size), step in zip(at.items(), steps)
-            }
+            sizes = np.array(list(at.values()))
+            after = np.clip(sizes + fitted.size, low, high)
+            at = dict(zip(at, after.tolist()))
+            if self._windows.begins is not None:
+                tries = self._windows.tries(
+                    self._windows.begins, self._real - now - slopes @ (after - sizes)
+                )
+                now, self._windows.begins = self._windows.chosen(at, tries)
         for place in [place for place in at if KINDS[place[0]].stepped]:
             at = self._peak(at, place)
-            (now,) = self._run([at])
+        now = self._windows.derived(at)
         return at, now, fitted
 
     def _peak(self, at: dict[Place, float], place: Place) -> dict[Place, float]:
         """Return sizes with the one that a simulator rounds to its steps where a parabola peaks."""
         step = self._run.step
         grid = max(round(at[place] / step), 2) * step + step * np.arange(-2.0, 3.0)
-        answers = self._run([at | {place: float(size)} for size in grid])
-        logs = np.array([self._likelihood.log(self._real - each) for each in answers])
+        answers = self._run(
+            [at | {place: float(size)} for size in grid], [self._windows.begins] * len(grid)
+        )
+        logs = np.array([self._windows.likelihood.log(self._real - each) for each in answers])
         bent, slope, _ = np.polyfit(grid - grid[2], logs, 2)
         peak = grid[2] - 0.5 * slope / bent if bent < 0.0 else grid[logs.argmax()]
         return at | {place: float(np.clip(peak, grid[0], grid[-1]))}
@@ -263,7 +257,7 @@ class Search:
         places = [place for place in self._slopes if place not in best.change]
         places = [best.place, *(place for place in places if place not in followed)]
         slopes = np.stack([self._slopes[place] for place in places], axis=-1)
-        known = self._likelihood.information(self._real - best.answers, slopes)
+        known = self._windows.likelihood.information(self._real - best.answers, slopes)
         apart = known[0, 0] - known[0] ** 2 / np.maximum(np.diag(known), 1e-30)
         odds = 0.5 * best.change[best.place] ** 2 * apart / max(best.fitted.kappa, 1.0)
         return [place for place, each in zip(places[1:], odds[1:]) if each < ALIKE]
@@ -283,7 +277,9 @@ class Search:
             turn = joint if joint < 0 else int((self._limbs[:joint] == self._limbs[joint]).sum())
             together.setdefault((kind, turn), []).append((kind, joint))
         changes = [{place: KINDS[place[0]].step for place in group} for group in together.values()]
-        for group, answers in zip(together.values(), self._run(changes)):
+        for group, answers in zip(
+            together.values(), self._run(changes, [self._windows.begins] * len(changes))
+        ):
             for place in group:
                 slope = (answers - now) / KINDS[place[0]].step
                 if len(group) > 1:
@@ -301,7 +297,7 @@ class Search:
 
     def _error(self, answers: Float64) -> float:
         """Return the mean square of what is left, each channel by its own error at first."""
-        return float((((self._real - answers) / self._likelihood.scale) ** 2).mean())
+        return float((((self._real - answers) / self._windows.likelihood.scale) ** 2).mean())
 
     def _square(self, answers: Float64) -> float:
         joints = self._motion.measured["joint_pos"].shape[1]
@@ -313,20 +309,20 @@ class Search:
         share = sum(each[0] == place[0] and each[1] >= 0 for each in self._places)
         odds = kind.odds / sum(each.odds for each in KINDS.values())
         odds *= 0.5 / share if place[1] >= 0 else 0.5 if kind.each else 1.0
-        return math.log(odds) - 0.5 * math.log(max(self._likelihood.count, 2.0))
+        return math.log(odds) - 0.5 * math.log(max(self._windows.likelihood.count, 2.0))
 
     def _followed(self, at: dict[Place, float], now: Float64) -> list[Candidate]:
         """Return the candidates beside what was found, the most probable first."""
-        left, log = self._real - now, self._likelihood.log(self._real - now)
+        left, log = self._real - now, self._windows.likelihood.log(self._real - now)
         alone: list[tuple[float, Place]] = []
         for place, slope in self._slopes.items():
             if place not in at:
                 usual = np.array([KINDS[place[0]].usual])
-                fitted = self._likelihood.fit(left, slope[..., None], usual)
+                fitted = self._windows.likelihood.fit(left, slope[..., None], usual)
                 alone.append((fitted.gain / math.sqrt(max(fitted.kappa, 1.0)), place))
         alone.sort(reverse=True)
         candidates = [
-            Candidate(place, at | {place: 0.0}, now, self._slopes[place], log)
+            Candidate(place, at | {place: 0.0}, now, self._slopes[place], log, self._windows.begins)
             for _, place in alone[:FOLLOWED]
         ]
         if not candidates:
@@ -349,7 +345,7 @@ class Search:
         slopes = {place: self._slopes[place] for place in one.change} | {one.place: one.slope}
         usual = np.array([KINDS[kind].usual for kind, _ in one.change])
         every = np.stack(list(slopes.values()), axis=-1)
-        one.fitted = self._likelihood.fit(self._real - one.answers, every, usual)
+        one.fitted = self._windows.likelihood.fit(self._real - one.answers, every, usual)
         return bool(np.any(np.abs(one.fitted.size) > 0.2 * np.sqrt(np.diag(one.fitted.spread))))
 
     def _hopes(self, one: Candidate, before: float, best: float) -> bool:
@@ -362,20 +358,28 @@ class Search:
 
     def _step(self, moving: Sequence[Candidate]) -> None:
         """Move candidates by what was fitted, where that helps."""
-        changes: list[dict[Place, float]] = []
+        rows = list[tuple[list[Change], list[Begins]]]()
         for one in moving:
             assert one.fitted is not None
             moved: dict[Place, float] = {}
+            left = self._real - one.answers
             for (place, size), step in zip(one.change.items(), one.part * one.fitted.size):
                 kind = KINDS[place[0]]
                 moved[place] = float(np.clip(size + step, kind.low, kind.high))
-            beside = moved | {one.place: moved[one.place] + KINDS[one.place[0]].step}
-            changes += [moved, beside]
-        answers = self._run(changes)
-        for one, there, here, stepped in zip(moving, changes[::2], answers[::2], answers[1::2]):
-            log = self._likelihood.log(self._real - here)
+                slope = one.slope if place == one.place else self._slopes[place]
+                left = left - slope * (moved[place] - size)
+            tries = self._windows.tries(one.begins, left)[::2]
+            further = moved | {one.place: moved[one.place] + KINDS[one.place[0]].step}
+            rows.append(([*[moved] * len(tries), further], [*tries, tries[-1]]))
+        every = [each for changes, _ in rows for each in changes]
+        answers = iter(self._run(every, [each for _, begins in rows for each in begins]))
+        for one, (changes, begins) in zip(moving, rows):
+            *tried, beside = (next(answers) for _ in changes)
+            here, there = self._windows.best(tried, begins[:-1])
+            log = self._windows.likelihood.log(self._real - here)
             if log > one.log:
-                one.change, one.answers, one.log, one.part = there, here, log, 1.0
-                one.slope = (stepped - here) / KINDS[one.place[0]].step
+                one.change, one.begins = dict(changes[0]), there
+                one.answers, one.log, one.part = here, log, 1.0
+                one.slope = (beside - tried[-1]) / KINDS[one.place[0]].step
             else:
                 one.part *= 0.3
