@@ -60,7 +60,8 @@ def test_a_replay_with_the_right_change_is_the_run(tmp_path: Path) -> None:
             ("armature", CALF): 0.03 - own["armature"][CALF],
             ("delay", CALF): 0.014,
         }
-        right, wrong = (answers - it.answers for answers in replays([change, {}]))
+        begins = replays.plant.carried()
+        right, wrong = (answers - it.answers for answers in replays([change, {}], [begins] * 2))
     assert np.abs(right[..., :12]).max() < 2e-3  # windows begin in float32
     assert np.abs(wrong[..., CALF]).max() > 0.02
 
@@ -71,7 +72,8 @@ def test_a_change_beyond_its_bounds_ends_at_them(long: Motion, kind: str, sign: 
     """Derivatives are taken beside sizes that may lie at a bound."""
     with Replays(GO2, Scene(), long, 1) as replays:
         beyond, bound = 1e6 * sign, KINDS[kind].high if sign > 0 else KINDS[kind].low
-        one, other = replays([{(kind, -1): beyond}, {(kind, -1): bound}])
+        changes = [{(kind, -1): beyond}, {(kind, -1): bound}]
+        one, other = replays(changes, [replays.plant.carried()] * 2)
     assert np.array_equal(one, other)
     assert np.isfinite(one).all()
 
@@ -132,10 +134,8 @@ def test_the_base_velocity_is_found_where_windows_begin() -> None:
     it = Motion.of(without_velocity(states), period, real)
     assert it.sought
     with Replays(GO2, Scene(), it, 1) as replays:
-        guess = replays.plant.carried()[:, :3]
-        begins = replays.settle({})
-        assert begins is not None
-        found, truth = begins[:, :3], states["base_lin_vel"][it.starts]
+        guess = replays.plant.carried()[:, -4:-1]
+        found, truth = replays.settle({})[:, -4:-1], states["base_lin_vel"][it.starts]
     worse, better = (np.median(np.abs(each - truth)) for each in (guess, found))
     assert better < 0.015 < worse < 0.03
 
@@ -175,13 +175,12 @@ def test_what_a_healthy_robot_has_otherwise_is_no_cause(tmp_path: Path) -> None:
     )
     with Replays(GO2, Scene(), healthy, 1) as replays:
         limbs = replays.plant.limbs
-        base = Search(healthy, places, limbs, replays, print).level()
-    assert base["strength", -1] == pytest.approx(-0.1, abs=0.05)
+        reference = Search(healthy, places, limbs, replays, print)
+        assert reference.go().change["strength", -1] == pytest.approx(-0.1, abs=0.05)
 
     def found(it: Motion) -> Found:
         with Replays(GO2, Scene(), it, 1) as replays:
-            replays.base = base
-            return Search(it, places, limbs, replays, print).go()
+            return Search(it, places, limbs, replays, print, reference).go()
 
     assert found(again).causes == []
     assert [place for place, _ in found(ill).causes] == [("strength", CALF)]

@@ -7,7 +7,6 @@ for cause in found.causes:
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -27,7 +26,7 @@ from unicon_lab.diagnose.contract import contract_causes
 from unicon_lab.diagnose.motion import BASE_ANSWERS, HUNG_HEIGHT, MOVING, Motion, motion_of
 from unicon_lab.diagnose.plant import KINDS, MOTION, OF_BASE, Place
 from unicon_lab.diagnose.replays import Replays
-from unicon_lab.diagnose.search import Found, Search
+from unicon_lab.diagnose.search import MOST_REFERENCE, Found, Search
 from unicon_lab.recording import Record
 from unicon_lab.replay.workflow import recorded_workflow, robot_of
 
@@ -112,18 +111,18 @@ def plant_causes(
     notes += [_STILL] if motion.still else []
     places = places_of(motion, robot, range(robot.num_joints), KINDS)
     found, own, count = Found(), dict[str, Float64](), processes_of(processes)
-    base, wider = dict[Place, float](), 1.0
+    before = None
     with SIGNALS.guard():
         try:
             if healthy is not None:
                 progress = _share(tell, "the reference")
                 with Replays(robot, scene, healthy, count, progress) as replays:
                     limbs = replays.plant.limbs
-                    base = Search(healthy, places, limbs, replays, tell).level()
-                wider = math.sqrt(1.0 + len(motion.starts) / len(healthy.starts))
+                    before = Search(healthy, places, limbs, replays, tell, most=MOST_REFERENCE)
+                    before.go()
             with Replays(robot, scene, motion, count, _share(tell, "the plant")) as replays:
-                replays.base, own = base, replays.plant.own
-                search = Search(motion, places, replays.plant.limbs, replays, tell, wider)
+                own = replays.plant.own
+                search = Search(motion, places, replays.plant.limbs, replays, tell, before)
                 found = search.found
                 search.go()
         except Interrupted:

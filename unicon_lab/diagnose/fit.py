@@ -130,7 +130,8 @@ def fit_record(
         real = apart.answers[..., : robot.num_joints]
         held_before, held_after = (
             float(((real - answers[..., : robot.num_joints]) ** 2).mean())
-            for answers in replays([{}, found.change])
+            for change in ({}, found.change)
+            for answers in replays([change], [replays.settle(change)])
         )
     parameters, causes = [], []
     for (kind, joint), alike in found.causes:

@@ -53,17 +53,15 @@ class Likelihood:
 
     Args:
         left: without any change, shape (w, l, m).
-        unknown: derivatives of the answers by what is unknown of each window, shape (w, l, m, q);
-            what they could explain is left out.
     """
 
-    def __init__(self, left: Float64, unknown: Float64 | None = None) -> None:
+    def __init__(self, left: Float64) -> None:
         windows, ticks = left.shape[:2]
         shapes = max(min(SHAPES, ticks, windows // 6), 1)
         powers = np.vander(np.linspace(0.0, 1.0, ticks), shapes, increasing=True)
         self._shapes = np.linalg.qr(powers)[0]
         self.scale = np.median(np.abs(left), axis=(0, 1)) + 1e-9
-        self.leave_out(unknown)
+        self._by: Float64 | None = None
         size = np.sqrt((left**2).mean(axis=1))
         size = np.minimum(size / (np.median(size, axis=0) + 1e-12), 10.0)
         size = np.sqrt((size**2).mean(axis=1))
@@ -76,45 +74,41 @@ class Likelihood:
         covariance = self._covariance(self._described(left))
         return float(-0.5 * self.count * np.linalg.slogdet(covariance)[1].sum())
 
-    def leave_out(
-        self, unknown: Float64 | None, likely: Float64 | float = 1e3, left: Float64 | None = None
-    ) -> None:
-        """Leave out what unknowns of a window could explain.
+    def leave_out(self, unknown: Float64, likely: Float64, left: Float64) -> None:
+        """Weigh answers by what unknowns of a window, Gaussian as well, make uncertain.
+
+        Answers are multiplied by the root of (I + U P Uᵀ)⁻¹.
 
         Args:
-            unknown: derivatives by them, shape (w, l, m, q), or None.
-            likely: standard deviation of each, shape (q,).
-            left: what an error of each channel is compared with, shape (w, l, m); by default what
-                was left without any change.
+            unknown: derivatives U by them, shape (w, l, m, q).
+            likely: standard deviation of each, the root of P, shape (q,).
+            left: what an error of each channel is compared with, shape (w, l, m).
         """
-        self._unknown: Float64 | None = None
-        if unknown is not None:
-            self._by = self.scale if left is None else np.median(np.abs(left), axis=(0, 1)) + 1e-6
-            count = unknown.shape[-1]
-            flat = self._flat(np.einsum("lk,wlmq->wkmq", self._shapes, unknown))
-            known = np.eye(count) / likely
-            both = np.concatenate([flat, np.tile(known, (len(flat), 1, 1))], axis=1)
-            found, self._triangle = np.linalg.qr(both)
-            self._unknown = found[:, : flat.shape[1]]
+        self._by = np.median(np.abs(left), axis=(0, 1)) + 1e-6
+        flat = self._flat(np.einsum("lk,wlmq->wkmq", self._shapes, unknown)) * likely
+        self._basis, size, turned = np.linalg.svd(flat, full_matrices=False)
+        self._part = 1.0 - 1.0 / np.sqrt(1.0 + size**2)
+        gain = likely[:, None] * turned.transpose(0, 2, 1) * (size / (1.0 + size**2))[:, None]
+        self._gain = gain @ self._basis.transpose(0, 2, 1)
 
     def unknowns(self, left: Float64) -> Float64:
-        """Return the unknowns that explain what is left best, shape (w, q)."""
-        assert self._unknown is not None
+        """Return the unknowns that explain best what is left without them, shape (w, q)."""
         flat = self._flat(np.einsum("lk,wlm->wkm", self._shapes, left)[..., None])
-        asked = self._unknown.transpose(0, 2, 1) @ flat
-        return np.asarray(np.linalg.solve(self._triangle, asked)[..., 0])
+        return np.asarray((self._gain @ flat)[..., 0])
 
     def _flat(self, parts: Float64) -> Float64:
         """Return parts of windows, shape (w, k, m, q), each channel by its error: (w, k·m, q)."""
+        assert self._by is not None
         return np.asarray((parts / self._by[:, None]).reshape(len(parts), -1, parts.shape[-1]))
 
     def _described(self, values: Float64) -> Float64:
         """Return values of windows, shape (w, l, m, …), by polynomials of time, (w, k, m, …)."""
         found = np.asarray(np.einsum("lk,wl...->wk...", self._shapes, values))
-        if self._unknown is None:
+        if self._by is None:
             return found
         flat = self._flat(found.reshape(*found.shape[:3], -1))
-        flat = flat - self._unknown @ (self._unknown.transpose(0, 2, 1) @ flat)
+        across = self._basis.transpose(0, 2, 1) @ flat
+        flat = flat - self._basis @ (self._part[..., None] * across)
         by = self._by.reshape(-1, *[1] * (found.ndim - 3))
         return np.asarray(flat.reshape(found.shape) * by)
 

@@ -128,6 +128,20 @@ class Motion:
         """Whether the base's velocity at the beginning of windows is to be found."""
         return self.has_base and "base_lin_vel" not in self.measured
 
+    @property
+    def velocity_noise(self) -> Float64:
+        """Standard deviation of the noise of each joint's velocity in [rad/s], shape (n,).
+
+        From what three ticks in a row say that does not change evenly, or that positions do not.
+        """
+        pos, vel = (
+            np.asarray(self.measured[f"joint_{word}"], np.float64) for word in ("pos", "vel")
+        )
+        bent = (vel[2:] - 2.0 * vel[1:-1] + vel[:-2]) / np.sqrt(6.0)
+        apart = vel[1:-1] - (pos[2:] - pos[:-2]) / (2.0 * self.period)
+        found = [1.48 * np.nanmedian(np.abs(each), axis=0) for each in (bent, apart)]
+        return np.asarray(np.minimum(*found) + 1e-3)
+
     def hung_up(self) -> Motion:
         """Return the same run of a robot whose base is held upright at `HUNG_HEIGHT`."""
         still = {

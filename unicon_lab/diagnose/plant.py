@@ -66,7 +66,7 @@ def _joint(word: str) -> str:
 KINDS = {
     "delay": Kind("s", 0.01, 0.01, 0.002, 0.0, 0.1, 4.0, True, _joint("delay"), stepped=True),
     "strength": Kind("", -0.2, 0.3, 0.03, -0.95, 1.5, 2.0, True, _joint("strength"), bias=0.02),
-    "friction": Kind("N·m", 0.5, 1.0, 0.1, -20.0, 20.0, 2.0, True, _joint("friction"), bias=0.06),
+    "friction": Kind("N·m", 0.5, 1.0, 0.1, -20.0, 20.0, 2.0, True, _joint("friction"), bias=0.04),
     "viscous friction": Kind("N·m·s/rad", 0.4, 1.0, 0.05, -5.0, 20.0, 1.0, True, bias=0.05),
     "armature": Kind(
         "kg·m²", 0.016, 0.02, 0.003, -0.5, 0.5, 1.0, True, _joint("armature"), bias=0.035
@@ -153,13 +153,14 @@ class Plant:
         self._weaker = np.zeros(robot.num_joints)
         self._bias, self._tilt, self._late = np.zeros(3), np.zeros(3), 0.0
 
-    def replayed(self, change: Change, begins: Float64 | None = None) -> Float64:
+    def replayed(self, change: Change, begins: Float64) -> Float64:
         """Return the answers of a motion's windows with a change; see `Motion.answers`.
 
         Args:
             change: of the plant.
-            begins: the base's velocity in its frame [m/s] and its height over the lowest one [m] at
-                the beginning of each window, shape (w, 4); None where they were measured.
+            begins: of each window, what was not measured: errors of the joints' velocities [rad/s];
+                where the base's was not, behind them its velocity in its frame [m/s] and its height
+                over the lowest one [m]; shape (w, n) or (w, n + 4).
         """
         self._apply(change)
         motion, base = self._motion, self._motion.has_base
@@ -167,8 +168,7 @@ class Plant:
         states = self._beside.states
         for window, start in enumerate(motion.starts):
             try:
-                begin = None if begins is None else begins[window]
-                put = self._put(start, begin)
+                put = self._put(start, begins[window])
                 for row in range(start - self._ahead, start):  # commands on their way
                     there = row >= 0 and self._finite[row]
                     self._beside.step(self._commands(row if there else start - 1))
@@ -192,11 +192,11 @@ class Plant:
         self._beside.close()
 
     def carried(self) -> Float64:
-        """Return the base's velocity by its lowest foot, as a guess of `begins`; shape (w, 4).
+        """Return a guess of `begins`: the base's velocity is that by its lowest foot.
 
         That foot is taken to stand still; of ticks around a window's first the median counts.
         """
-        found = np.zeros((len(self._motion.starts), 4))
+        found = np.zeros((len(self._motion.starts), len(self._offset) + 4 * self._motion.sought))
         if self._feet is None:
             return found
         for row, start in zip(found, self._motion.starts):
@@ -207,11 +207,11 @@ class Plant:
                 if self._feet(*turning, joints, at["joint_vel"], None):
                     velocities.append(-self._feet.velocity[self._feet.position[:, 2].argmin()])
             if velocities:
-                row[:3] = np.median(velocities, axis=0)
-                row[:3] = row[:3] @ rotation(self._motion.measured["base_quat"][start])
+                velocity = np.median(velocities, axis=0)
+                row[-4:-1] = velocity @ rotation(self._motion.measured["base_quat"][start])
         return found
 
-    def _put(self, start: int, begin: Float64 | None) -> dict[str, Array]:
+    def _put(self, start: int, begin: Float64) -> dict[str, Array]:
         """Put the robot where a window begins, and return what was put there."""
         put = {name: values[start] for name, values in self._motion.measured.items()}
         put["joint_pos"] = put["joint_pos"] - self._offset
@@ -220,12 +220,13 @@ class Plant:
         if "base_quat" in put:
             late = put["base_ang_vel"] * self._late if "base_ang_vel" in put else 0.0
             put["base_quat"] = _turned(put["base_quat"], late - self._tilt)
-        if begin is not None:
-            put["base_lin_vel"] = begin[:3]
+        put["joint_vel"] = put["joint_vel"] - begin[: len(self._offset)]
+        if self._motion.sought:
+            put["base_lin_vel"] = begin[-4:-1]
         self._beside.put(put)
-        if begin is not None:
+        if self._motion.sought:
             base = self._platform.data.qpos[self._platform.model.jnt_qposadr[self.base] :][:3]
-            put["base_pos_w"] = base + np.array((0.0, 0.0, begin[3]))
+            put["base_pos_w"] = base + np.array((0.0, 0.0, begin[-1]))
             self._beside.put(put)
         return put
 

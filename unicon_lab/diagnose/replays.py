@@ -28,17 +28,17 @@ from unicon_lab.diagnose.plant import Change, Place, Plant
 from unicon_ros.process_exit import die_with_parent
 
 _SHIFTS = np.array([0.05, 0.05, 0.05, 0.002])
-"""By which derivatives by `begins` are taken, in [m/s] and [m]."""
+"""By which derivatives by the base's velocity and height are taken, in [m/s] and [m]."""
+_SHIFT = 0.2
+"""The same of a joint's velocity, in [rad/s]."""
 _LIKELY = np.array([0.5, 0.5, 0.5, 0.005])
-"""Standard deviation of `begins` around the guess."""
+"""Standard deviation of velocity and height around the guess."""
 _ROUNDS = 5
 _SETTLED = 3
 """Turns in which the beginnings alone are fitted by the likelihood."""
 _WORST = 3.0
 """Most that an error counts beside its median, where a window chooses how it begins."""
 
-Begins = Float64 | None
-"""Of windows as of `Plant.replayed`, or None where they were measured."""
 
 _plant: Plant | None = None
 
@@ -51,7 +51,7 @@ def _begin(robot: Robot, scene: Scene, motion: Motion) -> None:
     _plant = Plant(robot, scene, motion)
 
 
-def _work(change: Change, begins: Begins) -> Float64:
+def _work(change: Change, begins: Float64) -> Float64:
     assert _plant is not None
     return _plant.replayed(change, begins)
 
@@ -59,15 +59,14 @@ def _work(change: Change, begins: Begins) -> Float64:
 class Run(Protocol):
     """Replays changes; see `Replays`."""
 
-    def __call__(
-        self, changes: Sequence[Change], begins: Sequence[Begins] | None = None
-    ) -> list[Float64]: ...
+    def __call__(self, changes: Sequence[Change], begins: Sequence[Float64]) -> list[Float64]: ...
 
-    def derived(self, change: Change, begins: Begins) -> tuple[Float64, Float64 | None]: ...
+    def derived(self, change: Change, begins: Float64) -> tuple[Float64, Float64]: ...
 
-    def settle(self, change: Change) -> Begins: ...
+    def settle(self, change: Change) -> Float64: ...
 
     base: dict[Place, float]
+    likely: Float64
     step: float
 
 
@@ -100,6 +99,8 @@ class Replays:
         self.plant = Plant(robot, scene, motion)
         self.base: dict[Place, float] = {}
         self.step = self.plant.step
+        self.likely = np.concatenate([motion.velocity_noise, 3.0 * _LIKELY[: 4 * motion.sought]])
+        self._of_joints: Float64 | None = None
         self._progress = progress
         self._motion = motion
         if motion.has_base and self.plant.base is None:
@@ -114,21 +115,19 @@ class Replays:
             context = multiprocessing.get_context("spawn")
             self._pool = ProcessPoolExecutor(processes, context, _begin, (robot, scene, motion))
 
-    def __call__(
-        self, changes: Sequence[Change], begins: Sequence[Begins] | None = None
-    ) -> list[Float64]:
+    def __call__(self, changes: Sequence[Change], begins: Sequence[Float64]) -> list[Float64]:
         """Return what `Plant.replayed` returns for each change.
 
         Args:
             changes: of the plant.
-            begins: of each, as of `Plant.replayed`; None where they were measured.
+            begins: of each, as of `Plant.replayed`.
 
         Raises:
             Interrupted: a signal asked to end; call it within `SIGNALS.guard`.
             UniconError: a process was killed.
         """
         found = list[Float64]()
-        work = list(zip(map(self._whole, changes), begins or [None] * len(changes)))
+        work = list(zip(map(self._whole, changes), begins))
         futures = [self._pool.submit(_work, *each) for each in work] if self._pool else []
         for done, each in enumerate(work):
             SIGNALS.check()
@@ -148,49 +147,52 @@ class Replays:
         return {place: self.base.get(place, 0.0) + change.get(place, 0.0)
                 for place in {**self.base, **change}}  # fmt: skip
 
-    def derived(self, change: Change, begins: Begins) -> tuple[Float64, Float64 | None]:
-        """Return the answers with a change, and their derivatives by `begins`, (w, l, m, 4).
+    def derived(self, change: Change, begins: Float64) -> tuple[Float64, Float64]:
+        """Return the answers with a change, and their derivatives by `begins`, (w, l, m, q).
 
-        The derivatives are None where begins are.
+        Those by the joints' velocities are of the first call.
         """
-        if begins is None:
-            return self([change])[0], None
-        beside = [begins, *(begins + row for row in np.diag(_SHIFTS))]
-        now, *moved = self([change] * len(beside), beside)
-        return now, (np.stack(moved, axis=-1) - now[..., None]) / _SHIFTS
+        n = len(self.plant.limbs)
+        shifts = np.concatenate([np.full(n, _SHIFT), _SHIFTS[: 4 * self._motion.sought]])
+        rows = np.diag(shifts)[n * (self._of_joints is not None) :]
+        now, *moved = self([change] * (1 + len(rows)), [begins, *(begins + row for row in rows)])
+        slopes = (np.stack([now, *moved], axis=-1)[..., 1:] - now[..., None]) / rows.max(axis=1)
+        if self._of_joints is None:
+            self._of_joints = slopes[..., :n]
+        else:
+            slopes = np.concatenate([self._of_joints, slopes], axis=-1)
+        return now, slopes
 
-    def settle(self, change: Change) -> Begins:
+    def settle(self, change: Change) -> Float64:
         """Find the base's velocity and height where windows begin, if they were not measured.
 
         A base whose velocity is wrong drags the feet that stand, so that the joints tell it within
         a window: Gauss and Newton's method, for each window alone, `_ROUNDS` rounds.
 
         Returns:
-            `begins`; None where they were measured.
+            `begins`.
         """
+        best = trial = guess = self.plant.carried()
         if not self._motion.sought:
-            return None
-        real = self._motion.answers
-        guess = self.plant.carried()
-        best = trial = guess
+            return guess
+        real, likely = self._motion.answers, self.likely
         cost, part = np.full(len(best), np.inf), np.ones(len(best))
         step, scale = np.zeros_like(best), None
         for _ in range(_ROUNDS):
             now, slopes = self.derived(change, trial)
-            assert slopes is not None
             left = real - now
             if scale is None:
                 scale = 1.5 * np.median(np.abs(left), axis=(0, 1)) + 1e-6
             size = np.minimum((left / scale) ** 2, 9.0).sum(axis=(1, 2))
-            size += (((trial - guess) / _LIKELY) ** 2).sum(axis=1)
+            size += (((trial - guess) / likely) ** 2).sum(axis=1)
             better = size < cost
             best = np.where(better[:, None], trial, best)
             cost = np.minimum(size, cost)
             part = np.where(better, 1.0, 0.3 * part)
             weighted = slopes / scale[:, None] ** 2
-            curvature = np.einsum("wlmp,wlmq->wpq", weighted, slopes) + np.diag(_LIKELY**-2.0)
+            curvature = np.einsum("wlmp,wlmq->wpq", weighted, slopes) + np.diag(likely**-2.0)
             asked = np.einsum("wlmp,wlm->wp", weighted[better], left[better])
-            asked += (guess - trial)[better] / _LIKELY**2
+            asked += (guess - trial)[better] / likely**2
             step[better] = np.linalg.solve(curvature[better], asked[..., None])[..., 0]
             trial = best + part[:, None] * step
         return best
@@ -220,46 +222,54 @@ class Settled:
 
     def __init__(self, motion: Motion, run: Run) -> None:
         self._real, self._run = motion.answers, run
-        self.begins: Begins = None
+        self.begins: Float64
         self.likelihood: Likelihood
 
     def begin(self) -> Float64:
         """Find how windows begin without a change, and return the answers."""
-        self.begins = self._run.settle({})
+        self.begins = self._guess = self._run.settle({})
         (now,) = self._run([{}], [self.begins])
         self.likelihood = Likelihood(self._real - now)
         now = self.derived({})
-        for _ in range(_SETTLED if self.begins is not None else 0):
-            _, self.begins = self.chosen({}, self.tries(self.begins, self._real - now))
+        for _ in range(_SETTLED):
+            _, self.begins = self.chosen({}, self.tries(self.begins, self.left(now)))
             now = self.derived({})
         return now
 
     def derived(self, change: Change) -> Float64:
-        """Return the answers with a change; leave out what beginnings could explain there."""
-        now, unknown = self._run.derived(change, self.begins)
-        self.likelihood.leave_out(unknown, 3.0 * _LIKELY, self._real - now)
+        """Return the answers with a change; the likelihood is from now on of what is left there."""
+        now, self._unknown = self._run.derived(change, self.begins)
+        self.likelihood.leave_out(self._unknown, self._run.likely, self._real - now)
         return now
 
-    def tries(self, begins: Begins, left: Float64) -> list[Begins]:
+    def left(self, answers: Float64, begins: Float64 | None = None) -> Float64:
+        """Return what is left of the motion, had windows begun as they were guessed to.
+
+        Args:
+            answers: of a replay, shape (w, l, m).
+            begins: of that replay, by default those that are the best.
+        """
+        apart = (self.begins if begins is None else begins) - self._guess
+        return np.asarray(self._real - answers + np.einsum("wlmq,wq->wlm", self._unknown, apart))
+
+    def tries(self, begins: Float64, left: Float64) -> list[Float64]:
         """Return how windows may begin: as they do, and so that it explains what is left.
 
         Contacts resist more than a derivative says, so a step of twice the size is one of them.
         """
-        if begins is None:
-            return [None]
-        step = self.likelihood.unknowns(left)
+        step = self._guess + self.likelihood.unknowns(left) - begins
         return [begins, begins + step, begins + 2.0 * step]
 
-    def chosen(self, change: Change, tries: Sequence[Begins]) -> tuple[Float64, Begins]:
+    def chosen(self, change: Change, tries: Sequence[Float64]) -> tuple[Float64, Float64]:
         """Return the answers of a change, and how each window begins where it fits best."""
         return self.best(self._run([change] * len(tries), tries), tries)
 
-    def best(self, answers: Sequence[Float64], tries: Sequence[Begins]) -> tuple[Float64, Begins]:
+    def best(self, answers: Sequence[Float64], tries: Sequence[Float64]) -> tuple[Float64, Float64]:
         """Return answers and beginnings that fit best, for each window by itself."""
-        known = [each for each in tries if each is not None]
-        if not known:
-            return answers[0], None
-        lefts = ((self._real - each) / self.likelihood.scale for each in answers)
-        costs = [np.minimum(left**2, _WORST**2).sum(axis=(1, 2)) for left in lefts]
+        costs = []
+        for answer, begins in zip(answers, tries):
+            left = np.minimum(np.abs((self._real - answer) / self.likelihood.scale), _WORST)
+            unlikely = (begins - self._guess) / self._run.likely
+            costs.append((left**2).sum(axis=(1, 2)) + (unlikely**2).sum(axis=1))
         window, which = np.arange(len(self._real)), np.argmin(costs, axis=0)
-        return np.stack(answers)[which, window], np.stack(known)[which, window]
+        return np.stack(answers)[which, window], np.stack(tries)[which, window]

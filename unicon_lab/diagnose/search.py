@@ -17,7 +17,7 @@ from unicon_base.arrays import Float64, Int64
 from unicon_lab.diagnose.likelihood import Fitted
 from unicon_lab.diagnose.motion import Motion
 from unicon_lab.diagnose.plant import KINDS, Change, Place
-from unicon_lab.diagnose.replays import Begins, Run, Settled
+from unicon_lab.diagnose.replays import Run, Settled
 
 FOLLOWED = 6
 """Changes that are followed to their best size, of those that fit best alone."""
@@ -34,13 +34,14 @@ HOPELESS = 5.0
 """Log odds by which a candidate may lag behind what it needs, and is followed still."""
 REFINED = 12
 """Turns in which sizes and the unknown beginnings of windows are fitted together, at most."""
-LEVELLED = 4
-"""Steps by which a record without a cause is fitted."""
 BESIDE = 0.03
 """Share of the square error that found causes explain, which the next one has to explain too: less
 may be what noise at the beginning of windows biases them by."""
-BESIDE_REFERENCE = 0.1
-"""The same where a reference tells what the simulator lacks: that depends on the cause a little."""
+OF_REFERENCE = 0.1
+"""Share of the square error that a reference's change explains, which each cause has to explain:
+what the simulator lacks depends on the cause a little."""
+MOST_REFERENCE = 6
+"""Changes of a reference."""
 BIAS_FOUND = 0.04
 """As of `Kind.bias` where velocities at the beginning of windows were found: walks of a Go2 gave
 3.76 kg for 4, -0.298 for -0.3 and 8.00 ms for 8."""
@@ -56,7 +57,7 @@ class Candidate:
         answers: of the windows with them.
         slope: derivative of the answers by the new one, there.
         log: likelihood there.
-        begins: of windows there, or None where they were measured; see `Plant.replayed`.
+        begins: of windows there; see `Plant.replayed`.
         fitted: the fit from there, in the order of `change`.
         part: of a fitted step that is taken; less after one that did not help.
         odds: log odds against the changes before.
@@ -67,7 +68,7 @@ class Candidate:
     answers: Float64
     slope: Float64
     log: float
-    begins: Begins = None
+    begins: Float64
     fitted: Fitted | None = None
     part: float = 1.0
     odds: float = -math.inf
@@ -107,9 +108,14 @@ class Search:
         limbs: of each joint, shape (n,).
         run: replays changes.
         tell: takes a line now and then.
-        wider: by which intervals are wider, for what they are compared with is uncertain too;
-            log odds are less by its square.
+        reference: search in a motion without the trouble, which has ended; what it found is no
+            cause. It is uncertain too, so intervals are wider.
+        most: causes.
     """
+
+    found: Found
+    _motion: Motion
+    _scale: Float64
 
     def __init__(
         self,
@@ -118,47 +124,21 @@ class Search:
         limbs: Int64,
         run: Run,
         tell: Callable[[str], object],
-        wider: float = 1.0,
+        reference: Search | None = None,
+        most: int = MOST,
     ) -> None:
-        self._wider = wider
+        self._wider, self._reference, self._most = 1.0, reference, most
+        if reference is not None:
+            run.base = reference.found.change
+            ratio = len(motion.starts) / len(reference._motion.starts)
+            self._wider = math.sqrt(1.0 + ratio)
         self._motion, self._places, self._run, self._tell = motion, places, run, tell
         self._limbs = limbs
         self._real = motion.answers
         self._windows = Settled(motion, run)
         self._slopes: dict[Place, Float64] = {}
         self.found = Found()
-
-    def level(self) -> dict[Place, float]:
-        """Return the change that explains this motion best, all places at once.
-
-        A record without a cause tells so what its plant has otherwise than the simulator.
-        """
-        kinds = [KINDS[kind] for kind, _ in self._places]
-        usual = np.array([kind.usual for kind in kinds])
-        low, high = np.array([(kind.low, kind.high) for kind in kinds]).T
-        sizes = trial = np.zeros(len(kinds))
-        now = here = self._windows.begin()
-        begins, left, best, part = self._windows.begins, self._real - now, -math.inf, 1.0
-        for turn in range(LEVELLED):
-            if turn:
-                self._run.base = dict(zip(self._places, trial.tolist()))
-                here, begins = self._windows.chosen(
-                    {}, self._windows.tries(self._windows.begins, left)
-                )
-            log = self._windows.likelihood.log(self._real - here)
-            log -= 0.5 * float(((trial / usual) ** 2).sum())
-            if log > best:
-                best, sizes, part, self._windows.begins = log, trial, 1.0, begins
-                now = self._windows.derived({})
-                self._look(now)
-                slopes = np.stack([self._slopes[place] for place in self._places], axis=-1)
-                step = self._windows.likelihood.fit(self._real - now, slopes, usual, sizes).size
-            else:
-                part *= 0.3
-            trial = np.clip(sizes + part * step, low, high)
-            left = self._real - now - slopes @ (trial - sizes)
-        self._run.base = dict(zip(self._places, sizes.tolist()))
-        return self._run.base
+        self._explained = 0.0
 
     def go(self) -> Found:
         """Search to the end; `found` has what there is when it is interrupted."""
@@ -166,18 +146,20 @@ class Search:
         now = self._windows.begin()
         found.before = found.after = self._square(now)
         at: dict[Place, float] = {}
+        reference = self._reference
+        self._scale = reference._scale if reference else self._windows.likelihood.scale
         whole = self._error(now)
         self._look(now)
-        for _ in range(2 * MOST):  # a cause may be dropped for another one, and come again
-            if len(found.causes) == MOST:
+        for _ in range(2 * self._most):  # a cause may be dropped for another one, and come again
+            if len(found.causes) == self._most:
                 break
             followed = self._followed(at, now)
             if not followed or followed[0].odds < CLEAR or not self._matters(followed[0]):
                 break
             best = followed[0]
             less = self._error(now) - self._error(best.answers)
-            beside = BESIDE if self._wider == 1.0 else BESIDE_REFERENCE
-            if less < beside * (whole - self._error(now)):
+            lacking = OF_REFERENCE * reference._explained if reference else 0.0
+            if less < max(BESIDE * (whole - self._error(now)), lacking):
                 break
             alike = [each.place for each in followed[1:] if best.odds - each.odds < ALIKE]
             alike += self._like(best, [each.place for each in followed])
@@ -191,7 +173,7 @@ class Search:
             at, now, fitted = self._refined(best)
             found.change, found.after = at, self._square(now)
             bias = np.array([KINDS[kind].bias for kind, _ in at])
-            bias = bias if self._windows.begins is None else np.maximum(bias, BIAS_FOUND)
+            bias = np.maximum(bias, BIAS_FOUND) if self._motion.sought else bias
             biased = bias * np.array(list(at.values()))
             rounded = self._run.step * np.array([0.06 * KINDS[kind].stepped for kind, _ in at])
             variance = self._wider**2 * (np.diag(fitted.spread) + biased**2) + rounded**2
@@ -204,6 +186,7 @@ class Search:
                 at = found.change = {p: size for p, size in at.items() if p not in idle}
                 now = self._windows.derived(at)
                 found.after = self._square(now)
+            self._explained = whole - self._error(now)
         found.complete = True
         return found
 
@@ -220,17 +203,15 @@ class Search:
             beside = [at | {place: size + KINDS[place[0]].step} for place, size in at.items()]
             moved = self._run(beside, [self._windows.begins] * len(at))
             slopes = np.stack([(e - now) / KINDS[k].step for e, (k, _) in zip(moved, at)], axis=-1)
-            fitted = self._windows.likelihood.fit(self._real - now, slopes, usual)
+            left = self._windows.left(now)
+            fitted = self._windows.likelihood.fit(left, slopes, usual)
             if np.all(np.abs(fitted.size) < 0.2 * np.sqrt(np.diag(fitted.spread))):
                 break
             sizes = np.array(list(at.values()))
             after = np.clip(sizes + fitted.size, low, high)
             at = dict(zip(at, after.tolist()))
-            if self._windows.begins is not None:
-                tries = self._windows.tries(
-                    self._windows.begins, self._real - now - slopes @ (after - sizes)
-                )
-                now, self._windows.begins = self._windows.chosen(at, tries)
+            tries = self._windows.tries(self._windows.begins, left - slopes @ (after - sizes))
+            now, self._windows.begins = self._windows.chosen(at, tries)
         for place in [place for place in at if KINDS[place[0]].stepped]:
             at = self._peak(at, place)
         now = self._windows.derived(at)
@@ -243,7 +224,7 @@ class Search:
         answers = self._run(
             [at | {place: float(size)} for size in grid], [self._windows.begins] * len(grid)
         )
-        logs = np.array([self._windows.likelihood.log(self._real - each) for each in answers])
+        logs = np.array([self._windows.likelihood.log(self._windows.left(e)) for e in answers])
         bent, slope, _ = np.polyfit(grid - grid[2], logs, 2)
         peak = grid[2] - 0.5 * slope / bent if bent < 0.0 else grid[logs.argmax()]
         return at | {place: float(np.clip(peak, grid[0], grid[-1]))}
@@ -257,7 +238,8 @@ class Search:
         places = [place for place in self._slopes if place not in best.change]
         places = [best.place, *(place for place in places if place not in followed)]
         slopes = np.stack([self._slopes[place] for place in places], axis=-1)
-        known = self._windows.likelihood.information(self._real - best.answers, slopes)
+        left = self._windows.left(best.answers, best.begins)
+        known = self._windows.likelihood.information(left, slopes)
         apart = known[0, 0] - known[0] ** 2 / np.maximum(np.diag(known), 1e-30)
         odds = 0.5 * best.change[best.place] ** 2 * apart / max(best.fitted.kappa, 1.0)
         return [place for place, each in zip(places[1:], odds[1:]) if each < ALIKE]
@@ -296,8 +278,8 @@ class Search:
         return abs(one.change[one.place]) >= KINDS[one.place[0]].least
 
     def _error(self, answers: Float64) -> float:
-        """Return the mean square of what is left, each channel by its own error at first."""
-        return float((((self._real - answers) / self._windows.likelihood.scale) ** 2).mean())
+        """Return the mean square of what is left, each channel by its error at first."""
+        return float((((self._real - answers) / self._scale) ** 2).mean())
 
     def _square(self, answers: Float64) -> float:
         joints = self._motion.measured["joint_pos"].shape[1]
@@ -313,7 +295,8 @@ class Search:
 
     def _followed(self, at: dict[Place, float], now: Float64) -> list[Candidate]:
         """Return the candidates beside what was found, the most probable first."""
-        left, log = self._real - now, self._windows.likelihood.log(self._real - now)
+        left = self._windows.left(now)
+        log = self._windows.likelihood.log(left)
         alone: list[tuple[float, Place]] = []
         for place, slope in self._slopes.items():
             if place not in at:
@@ -345,7 +328,9 @@ class Search:
         slopes = {place: self._slopes[place] for place in one.change} | {one.place: one.slope}
         usual = np.array([KINDS[kind].usual for kind, _ in one.change])
         every = np.stack(list(slopes.values()), axis=-1)
-        one.fitted = self._windows.likelihood.fit(self._real - one.answers, every, usual)
+        one.fitted = self._windows.likelihood.fit(
+            self._windows.left(one.answers, one.begins), every, usual
+        )
         return bool(np.any(np.abs(one.fitted.size) > 0.2 * np.sqrt(np.diag(one.fitted.spread))))
 
     def _hopes(self, one: Candidate, before: float, best: float) -> bool:
@@ -358,11 +343,11 @@ class Search:
 
     def _step(self, moving: Sequence[Candidate]) -> None:
         """Move candidates by what was fitted, where that helps."""
-        rows = list[tuple[list[Change], list[Begins]]]()
+        rows = list[tuple[list[Change], list[Float64]]]()
         for one in moving:
             assert one.fitted is not None
             moved: dict[Place, float] = {}
-            left = self._real - one.answers
+            left = self._windows.left(one.answers, one.begins)
             for (place, size), step in zip(one.change.items(), one.part * one.fitted.size):
                 kind = KINDS[place[0]]
                 moved[place] = float(np.clip(size + step, kind.low, kind.high))
@@ -376,7 +361,7 @@ class Search:
         for one, (changes, begins) in zip(moving, rows):
             *tried, beside = (next(answers) for _ in changes)
             here, there = self._windows.best(tried, begins[:-1])
-            log = self._windows.likelihood.log(self._real - here)
+            log = self._windows.likelihood.log(self._windows.left(here, there))
             if log > one.log:
                 one.change, one.begins = dict(changes[0]), there
                 one.answers, one.log, one.part = here, log, 1.0
