@@ -160,13 +160,13 @@ def _observations(
     six = Observation(longer, states6, robot.joint_names)
     fused, fused6 = (o.bind(np.zeros((1, o.size), np.float32)) for o in (one, six))
     plain, frame = _concatenation(states, contract), _concatenation(states6, longer)
-    frames: deque[Float32] = deque([frame()] * HISTORY, maxlen=HISTORY)
+    frames = deque([frame()] * HISTORY, maxlen=HISTORY)
 
     def plain6() -> Float32:
         frames.append(frame())
         return np.concatenate(frames)
 
-    calls: dict[str, Step] = {
+    calls = {
         "observation: fused": fused,
         "observation: concatenate": plain,
         "observation, history 6: fused": fused6,
@@ -203,7 +203,7 @@ def _ticks(bench: Bench, robot: Robot, contract: PolicyContract) -> None:
 def _memory(bench: Bench, robot: Robot, contract: PolicyContract, folder: Path) -> None:
     """A recurrent policy beside the same network without its memory, in turns and warm."""
     recurrent = random_policy(folder, robot, recurrent=True)
-    calls: dict[str, Step] = {
+    calls = {
         "policy call": Policy(contract, _states(contract, robot), robot),
         "policy call, recurrent": Policy(recurrent, _states(recurrent, robot), robot),
     }

@@ -89,7 +89,7 @@ def run_batch(rounds: int | None = None) -> Bench:
         rounds: interleaved rounds, 5 unless told.
     """
     bench = Bench("batch", rounds or 5)
-    kinds: list[tuple[str, tuple[int, ...], int, dict[str, Any]]] = [
+    kinds = [
         ("per robot", SIZES, BATCH_TICKS, {}),
         ("with physics, per robot", PHYSICS_SIZES, PHYSICS_TICKS, _PHYSICS),
     ]

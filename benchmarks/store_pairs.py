@@ -218,7 +218,7 @@ class RosReceiver(_RosNode):
             self._data[:] = message.data
             self._come = True
 
-        callback: Any = on_bytes if raw else on_message
+        callback = on_bytes if raw else on_message
         self.node.create_subscription(UInt8MultiArray, "group", callback, qos(False), raw=raw)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)

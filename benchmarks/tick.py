@@ -87,7 +87,7 @@ def closure_zip(*parts: Callable[[], Any]) -> Callable[[], Any]:
     """Return a zip as a closure: it calls its children in turn, and ends with one that is done."""
 
     def step() -> Any:
-        result: Any = False
+        result = False
         for part in parts:
             result = part()
             if result in DONE:

@@ -54,7 +54,7 @@ def define(source: str, names: Mapping[str, Any], label: str) -> dict[str, Any]:
         RuntimeError: the text holds more than generated code may; a mistake of its generator.
     """
     check_source(source, names)
-    space: dict[str, Any] = {"__builtins__": BUILTINS, **names}
+    space = {"__builtins__": BUILTINS, **names}
     exec(compile(source, label, "exec"), space)
     return space
 

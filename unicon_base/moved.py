@@ -92,5 +92,5 @@ def now_at(name: str) -> str:
 def install() -> None:
     """Put the finder before the others, once."""
     if not any(isinstance(each, Finder) for each in sys.meta_path):
-        finder: Any = Finder()
+        finder = Finder()
         sys.meta_path.insert(0, finder)

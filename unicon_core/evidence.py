@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from unicon_base.errors import UniconError
 from unicon_base.located_yaml import read_yaml
@@ -72,7 +71,7 @@ def evidence_of(kind: str, name: str) -> Evidence | None:
 def _read(path: Path) -> dict[tuple[str, str], Evidence]:
     document = read_yaml(path, UniconError)
     found = {}
-    kinds: dict[str, Any] = document.value if isinstance(document.value, dict) else {}
+    kinds = document.value if isinstance(document.value, dict) else {}
     for kind, entries in kinds.items():
         if kind == "schema":
             continue

@@ -248,7 +248,7 @@ class Latch:
         self.path = None if folder is None else folder / ".".join([*name, kind, "json"])
         self.trouble, self.robot = "", robot
         self._latched, self._warn = Latched(node, domain, kind), warn
-        self._outlet: NonBlockingWriter[str] = NonBlockingWriter(self._write)
+        self._outlet = NonBlockingWriter(self._write)
 
     def read(self) -> Latched | None:
         """Return what is latched, None if nothing is."""

@@ -148,7 +148,7 @@ def facts_of(kind: type[F], robot: Robot, **given: Any) -> F:
     Raises:
         RobotError: one lacks, or is not what it must be.
     """
-    hints: dict[str, Any] = get_type_hints(kind, include_extras=True)
+    hints = get_type_hints(kind, include_extras=True)
     for each in dataclasses.fields(kind):  # type: ignore[arg-type]  # a dataclass
         if each.name not in given:
             hint = hints[each.name]

@@ -31,7 +31,7 @@ from unicon_core.latches import FAULT as ENDED_BY_FAULT
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.runtime.phases import Phase
 from unicon_core.signals import SIGNALS
-from unicon_core.workflow import Hook, Program, load_document
+from unicon_core.workflow import Program, load_document
 from unicon_ros import compat
 from unicon_ros.attachments import Asked, Attachment, attached, said_at_end
 from unicon_ros.bridge import RosSession
@@ -309,7 +309,7 @@ class UniconNode(LifecycleNode):
             executor=self._executor,
             estop=self.estop,
         )
-        hooks: list[Hook] = [session.hook, self.tuning.hook]
+        hooks = [session.hook, self.tuning.hook]
         words = ("record", "record_split", "record_frames", "record_jpeg")
         options = {word: settings[word] for word in words} | {"speed": settings.speed}
         self._attachments = attached(Asked(options, document, map_name, session, warn))

@@ -146,7 +146,7 @@ class Record(Type):
     def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
         if self.name not in definitions:
             definitions[self.name] = {}  # a record may hold itself
-            schema: dict[str, Any] = {"type": "object", "additionalProperties": self.is_open}
+            schema = {"type": "object", "additionalProperties": self.is_open}
             required = [field.key for field in self.fields.values() if field.required]
             schema |= {"required": required} if required else {}
             schema["properties"] = {
@@ -332,7 +332,7 @@ def _fields(kind: Any) -> dict[str, Field]:
 @lru_cache(256)
 def option_hints(factory: Callable[..., Any]) -> dict[str, Any]:
     """Return the hints of what a function, or a class, takes by name; {} where they say nothing."""
-    target: Any = factory.__init__ if inspect.isclass(factory) else factory
+    target = factory.__init__ if inspect.isclass(factory) else factory
     try:
         return get_type_hints(target, include_extras=True)
     except (AttributeError, NameError, SyntaxError, TypeError):  # not written for files

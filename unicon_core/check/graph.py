@@ -156,7 +156,7 @@ def check_keys(subject: Subject, result: CheckResult) -> None:
 
 
 def _writers(subject: Subject, parts: Parts) -> Writers:
-    writers: dict[str, dict[str, str]] = {
+    writers = {
         state: {parts.first: f"platform {subject.platform.name!r}"}
         for state in subject.program.platform.facts.writes
     }

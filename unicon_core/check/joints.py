@@ -307,7 +307,7 @@ def check_order(subject: Subject, result: CheckResult) -> None:
 def _order(robot: Robot, model: LoadedModel, policy: PolicyResult) -> None:
     contract = policy.contract
     joints, action = contract.joints, contract.action
-    figures: Figures = {
+    figures = {
         "default_joint_pos": contract.default_joint_pos,
         "stiffness": contract.stiffness,
         "damping": contract.damping,

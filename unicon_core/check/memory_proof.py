@@ -159,8 +159,8 @@ class _Walker:
         self.places: dict[str, _Place] = {}
         self._states = states.buffer
         self._module = _package(holder_of(root))
-        self._todo: deque[tuple[str, Any]] = deque([("", root)])
-        seen: dict[int, Any] = {id(states): states}
+        self._todo = deque([("", root)])
+        seen = {id(states): states}
         while self._todo and len(seen) < MOST:
             path, value = self._todo.popleft()
             if id(value) not in seen:
@@ -274,6 +274,6 @@ def _names(code: Any) -> Iterator[str]:
 
 
 def _package(value: Any) -> str:
-    kind: Any = value if isinstance(value, (type, FunctionType)) else type(value)
+    kind = value if isinstance(value, (type, FunctionType)) else type(value)
     root = (getattr(kind, "__module__", None) or "").partition(".")[0]
     return "" if root in sys.stdlib_module_names and root != "__main__" else root

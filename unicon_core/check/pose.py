@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from itertools import compress
 from typing import Any
 
@@ -270,7 +270,7 @@ def _action(subject: Subject, policy: PolicyResult) -> None:
     share = np.abs(scale) * np.where(position, stiffness, np.where(velocity, damping, 1.0)) / effort
     outside = (low < lower - ROUNDING) | (high > upper + ROUNDING)
     unit = "" if kinds else " [rad]"
-    columns: dict[str, Sequence[str]] = {
+    columns = {
         "joint": joints,
         **({"target": kinds} if kinds else {}),
         "offset": figures(offset),

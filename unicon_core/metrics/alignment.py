@@ -260,12 +260,11 @@ def correlations(a: Float64, b: Float64, shifts: Int64, summed: bool = False) ->
         product = _cross_spectrum(a[..., :1], b[..., :1], size)
         for k in range(1, a.shape[-1]):
             product += _cross_spectrum(a[..., k : k + 1], b[..., k : k + 1], size)
-    taken: Float64 = np.take(np.fft.irfft(product, size, axis=-2), shifts % size, axis=-2)
-    return taken
+    return np.take(np.fft.irfft(product, size, axis=-2), shifts % size, axis=-2)
 
 
 def _cross_spectrum(a: Float64, b: Float64, size: int) -> NDArray[np.complex128]:
-    product: NDArray[np.complex128] = np.fft.rfft(a, size, axis=-2)
+    product = np.fft.rfft(a, size, axis=-2)
     product *= np.conj(np.fft.rfft(b, size, axis=-2))
     return product
 

@@ -355,8 +355,7 @@ def multiply(a: Float64, b: Float64) -> Float64:
 def rotate(quat: Float64, vector: Float64) -> Float64:
     """Return a vector turned by a unit quaternion wxyz, shape (3,)."""
     w, u = quat[0], quat[1:]
-    turned: Float64 = vector + 2.0 * np.cross(u, np.cross(u, vector) + w * vector)
-    return turned
+    return vector + 2.0 * np.cross(u, np.cross(u, vector) + w * vector)
 
 
 def about(axis: Float64, angle: float) -> Float64:

@@ -221,7 +221,7 @@ def give_visuals(path: Path, links: Sequence[Link], base_frame: str, files: Mesh
         if (colour := material.find("color")) is not None
     }
     children = {child.get("link") for child in root.iter("child")}
-    by_name: dict[str, Link] = {link.name: link for link in links}
+    by_name = {link.name: link for link in links}
     looks: dict[str, list[Geom]] = {}
     blind: set[str] = set()
     for element in root.findall("link"):

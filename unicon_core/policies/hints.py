@@ -76,7 +76,7 @@ def _slew(rates: Any) -> tuple[float, ...]:
 
 def each(number: Any) -> Made:
     """Return the mark of an array, for which one number or a list of them is written."""
-    many: Any = list[number]
+    many = list[number]
     return Made(floats, number | Annotated[many, NotEmpty, Write("a list of them")])
 
 

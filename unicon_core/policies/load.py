@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from unicon_base.errors import PolicyError, alternatives
-from unicon_base.located_yaml import Located, Where, read_yaml
+from unicon_base.located_yaml import Located, read_yaml
 from unicon_base.packages import path_of, registered
 from unicon_base.resources import (
     config_roots,
@@ -343,7 +343,7 @@ def _contract(facts: Facts) -> PolicyContract:
     """Build the contract, whose network is there and the one that it was written for."""
     contract = build_contract(facts)
     key = "torchscript" if contract.is_torchscript else "onnx"
-    models: list[tuple[Where, Where, Path, str | None]] = [
+    models = [
         ((key,), ("sha256",), contract.model, contract.sha256),
         *((p := ("networks", part.name), p, part.model, part.sha256) for part in contract.networks),
     ]

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import prod
-from typing import Any
 
 from unicon_base.arrays import Array
 from unicon_core.policies.contract import PolicyContract
@@ -92,7 +91,7 @@ def _followed(contract: PolicyContract) -> dict[str, StateSpec]:
     """States of the motion and of the robot beside it; see docs/howto/motion.md."""
     joints, xyz, upright = contract.joints, ("x", "y", "z"), (1.0, 0.0, 0.0, 0.0)
     columns = tuple(f"{axis}{side}" for axis in xyz for side in "xy")
-    rows: tuple[tuple[Any, ...], ...] = (
+    rows = (
         ("joint_pos", "rad", "", joints, "reference joint positions, policy order"),
         ("joint_vel", "rad/s", "", joints, "reference joint velocities, policy order"),
         ("anchor_pos", "m", "world", xyz, "where the reference's anchor is"),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -83,7 +82,7 @@ def term_slices(
             except RobotError as error:
                 raise PolicyError(f"{label}: the robot has {error}") from error
             names = contract.joints
-        subtract: Any = 0.0 if term.subtract is None else term.subtract
+        subtract = 0.0 if term.subtract is None else term.subtract
         default = contract.default_joint_pos if names == contract.joints else None
         if term.index is not None:
             if max(term.index) >= elements.size:

@@ -234,7 +234,7 @@ class Meeting:
         self.reason = self.late = ""
         self._states = States(GROUP)
         self._said: Int64 = self._states[STATE]
-        self._writer: Writer = _writer(party, self._states)
+        self._writer = _writer(party, self._states)
         self._others: dict[str, _Other] = {}
         try:
             for name in party.robots:

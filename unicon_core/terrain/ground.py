@@ -190,7 +190,7 @@ def uniform(seed: int, *shape: int) -> Float64:
     of each 64 bits, as a fraction.
     """
     raw = np.random.PCG64(seed).random_raw(int(np.prod(shape)))
-    numbers: Float64 = (raw >> np.uint64(11)).astype(np.float64) * 2.0**-53
+    numbers = (raw >> np.uint64(11)).astype(np.float64) * 2.0**-53
     return numbers.reshape(shape)
 
 

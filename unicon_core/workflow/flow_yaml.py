@@ -91,7 +91,7 @@ def skills_switch(
     for name, skill in said.items():
         place = ("skills", name)
         body = skill.get("do", {"policy": skill.get("policy")})
-        node: Node = read(body, (*place, "do") if "do" in skill else place)
+        node = read(body, (*place, "do") if "do" in skill else place)
         blend = float(skill.get("blend", BLEND))
         if blend:
             node = Zip(node, Use("blend_in", first=blend, where=where), where=where)

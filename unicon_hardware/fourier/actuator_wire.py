@@ -357,8 +357,7 @@ class ActuatorWire(Wire):
         changed = (gains != self._sent_gains).any(axis=0)
         changed[self._turn] = True
         self._sent_gains = gains
-        due: list[int] = np.flatnonzero(changed).tolist()
-        return due
+        return np.flatnonzero(changed).tolist()
 
     def close(self) -> None:
         """Switch off what was enabled, behind the damping, and let go."""

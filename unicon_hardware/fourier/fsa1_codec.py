@@ -145,7 +145,7 @@ class Servos(Addressed):
         Raises:
             RobotError: a fact is missing or wrong.
         """
-        listed: Any = robot.transport.get("encoders") or []
+        listed = robot.transport.get("encoders") or []
         complete(robot, 1, (*UNITS, "encoder_zero") if listed else UNITS, WHY)
         if not isinstance(listed, list | tuple) or len(listed) > robot.num_joints:
             raise RobotError(

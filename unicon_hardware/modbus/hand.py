@@ -103,8 +103,7 @@ class HandRegisters:
         if wrong.any():
             joint = int(np.argmax(wrong))
             raise Refused("angle out of range", f"{raw[joint]:g} of joint {joint}")
-        angles: Float64 = (raw - self.at_zero) / self.per_rad
-        return angles
+        return (raw - self.at_zero) / self.per_rad
 
 
 RATE = 100.0

@@ -12,7 +12,6 @@ from collections.abc import Callable
 from contextlib import suppress
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_core.states import States
 from unicon_hardware.endpoint import Endpoint
@@ -191,7 +190,7 @@ class HandEndpoint(Endpoint):
         self.server.serve(self._answer)
         heard, self._heard = self._heard, False
         if heard:
-            raw: NDArray[np.uint16] = self.memory[self._registers.target :][: self._joints].copy()
+            raw = self.memory[self._registers.target :][: self._joints].copy()
             keep = raw.view(np.int16) == -1  # leaves a finger as it is
             with suppress(Refused):
                 wanted = self._registers.angles(np.where(keep, 0, raw).astype(np.uint16))

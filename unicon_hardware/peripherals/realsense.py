@@ -276,7 +276,7 @@ class _RealSense:
             publish(filled[ring].tobytes())
 
     def _data(self, ring: str, filled: dict[str, UInt8]) -> Array:
-        message: FrameMessage = self._messages[ring]
+        message = self._messages[ring]
         return message.data(filled[ring])
 
     def _stamp_ns(self, frame: Any) -> int:

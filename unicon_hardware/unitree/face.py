@@ -117,7 +117,7 @@ class UnitreeEndpoint(DdsEndpoint):
             label = f"{self.label}: dead_man"
             dead_man = within(dead_man, label, "s", LONGEST, 1.0 / facts.rate)
         self.mode = mode
-        self._variant: Any = (facts.mode_machine or 0) if variant is None else variant
+        self._variant = (facts.mode_machine or 0) if variant is None else variant
         self._dead_man = math.inf if dead_man is None else dead_man
         self.held: Remote | None = None
         self.asked: dict[str, list[int]] = {}

@@ -117,7 +117,7 @@ class UnitreeFacts(DdsFacts):
     def command(self) -> Message:
         """LowCmd; who reads it refuses a command for its modes."""
         fields = motors("motor_cmd", self.slots, COMMANDS)
-        taken: dict[str, Any] = motors("motor_cmd", self.slots, {"mode": "modes"})
+        taken = motors("motor_cmd", self.slots, {"mode": "modes"})
         if self.go:
             taken["level_flag"] = self.constants["level_flag"]  # required
         else:

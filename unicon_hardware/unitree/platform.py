@@ -142,7 +142,7 @@ class UnitreeWire(DdsWire):
                 self.counts.refuse("old tick", f"{number} behind {self._last}")
                 return False
             self._last = number
-        told: dict[str, Any] = {"protocol": self._facts.protocol}
+        told = {"protocol": self._facts.protocol}
         if self._checked and not self._facts.go:
             told["mode_machine"] = int(self._mode)
         if self.variant and told != self.variant:

@@ -72,7 +72,7 @@ def write_report(
         }
         for who, run in zip(SIDES, runs)
     }
-    result: dict[str, Any] = {
+    result = {
         "schema": SCHEMA,
         "unicon_ros": __version__,
         **about,

@@ -115,7 +115,7 @@ def make_run(
         UniconError: no joint positions, too few samples, no clock that rises, or joint positions
             that are not numbers.
     """
-    elements: Elements = dict.fromkeys(JOINTS, joints) | BASE | dict(more)
+    elements = dict.fromkeys(JOINTS, joints) | BASE | dict(more)
     _check_shapes(path, elements, found)
     count = len(found["joint_pos"])
     if count < FEWEST:

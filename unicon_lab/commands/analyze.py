@@ -7,7 +7,6 @@ import json
 import math
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from unicon_base.errors import UniconError, cannot
 from unicon_core.page import write_file
@@ -103,7 +102,7 @@ def _fit(arguments: argparse.Namespace, folder: Path) -> int:
     overlay = path.name if found.better else None
     if found.better:
         write_file(path, text.encode())
-    content: dict[str, Any] = asdict(found) | {"overlay": overlay, "better": found.better}
+    content = asdict(found) | {"overlay": overlay, "better": found.better}
     write_file(folder / "fit.json", json.dumps(content, indent=1).encode())
     for each in found.parameters:
         unit = JOINT_PHYSICS[each.word]

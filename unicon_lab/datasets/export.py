@@ -275,7 +275,7 @@ def _written(
         beside = Path(tempfile.mkdtemp(prefix=f"{out.name}.partial-", dir=out.parent))
         made = writer(beside / out.name, fps, features, first.facts.get("robot", ""))
         for episode in episodes:
-            values: dict[str, Any] = {each.key: each.values(episode) for each in columns}
+            values = {each.key: each.values(episode) for each in columns}
             values[TICK] = episode.record.ticks[episode.rows].reshape(-1, 1)
             task = wanted.task or episode.record.facts.get("workflow") or "unicon"
             made.add(episode, values, task)

@@ -162,7 +162,7 @@ class DatasetWriter:
             "index": frames + self._frames,
             "task_index": np.full(count, self._tasks.setdefault(task, len(self._tasks))),
         }
-        row: dict[str, Any] = {"episode_index": number, "tasks": [task], "length": count}
+        row = {"episode_index": number, "tasks": [task], "length": count}
         statistics: dict[str, Statistics] = {}
         for key, feature in self._features.items():
             if feature.camera:
@@ -345,7 +345,7 @@ class PackageWriter:
             if not feature.camera
         }
         for number in range(len(episode.rows)):
-            frame: dict[str, Any] = {key: each[number] for key, each in typed.items()}
+            frame = {key: each[number] for key, each in typed.items()}
             for key, feature in self._features.items():
                 if feature.camera:
                     frame[key] = np.array(episode.shown[feature.camera].rgb(number))

@@ -11,7 +11,6 @@ import os
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -254,7 +253,7 @@ def simulated(record: Record, where: str, robot: Robot | None) -> tuple[Robot, S
         UniconError: the record is of another robot, or of several in one.
     """
     recorded = recorded_workflow(record)
-    said: dict[str, Any] = recorded.value if recorded and isinstance(recorded.value, dict) else {}
+    said = recorded.value if recorded and isinstance(recorded.value, dict) else {}
     if robot is None and isinstance(said.get("robot"), dict):
         raise UniconError(
             f"{record.facts.get('robot')} is made of {', '.join(map(str, said['robot']))}, and an "

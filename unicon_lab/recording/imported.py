@@ -69,7 +69,7 @@ def write_imported(
         raise UniconError(f"{source} has nothing that could be imported; is it the right map?")
     made = {"projected_gravity"} if "base_quat" in states else set()
     layout = layout_of(robot, {*states, *made})
-    kept: RecordedSubset = {"received": frozenset(layout.specs) - {*COMMAND_STATES}, "sent": None}
+    kept = {"received": frozenset(layout.specs) - {*COMMAND_STATES}, "sent": None}
     period = float(np.median(np.diff(stamps))) * 1e-9 if len(stamps) > 1 else 0.0
     if not SHORTEST <= period <= LONGEST:
         raise UniconError(

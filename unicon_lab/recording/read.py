@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from unicon_base.arrays import Array, UInt8
+from unicon_base.arrays import Array
 from unicon_base.errors import StateError, UniconError, alternatives
 from unicon_core.runtime.tick_ring import DONE, HEAD
 from unicon_core.states import Layout, States
@@ -235,7 +235,7 @@ class Record:
         Raises:
             StateError: no such moment.
         """
-        data: UInt8 | None = self._whole.get(row) if moment == "received" else None
+        data = self._whole.get(row) if moment == "received" else None
         key, at = (id(states), moment, data is None), 0
         if key not in self._feeds:
             self.need(moment)

@@ -11,7 +11,7 @@ import struct
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -341,7 +341,7 @@ class _Jpeg:
         self._image = imported("PIL.Image", "--record-jpeg", "lerobot", "pillow")
         self._from, self._quality = message, quality
         self._to = jpeg_message(0, message.frame_id)
-        self._file: BinaryIO = os.fdopen(os.memfd_create("jpeg"), "r+b")
+        self._file = os.fdopen(os.memfd_create("jpeg"), "r+b")
 
     def __call__(self, room: UInt8) -> int:
         """Replace the picture of a message by its JPEG; return the new length, 0 if it is longer.

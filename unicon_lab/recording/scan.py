@@ -93,7 +93,7 @@ def gather(data: UInt8, places: Int64, size: int) -> UInt8:
         return np.zeros((len(places), size), np.uint8)
     # Items that overlap: one for each byte, so that a place is an index.
     items = np.ndarray((len(data) - size + 1,), f"V{size}", data, strides=(1,))
-    packed: UInt8 = items[places].view(np.uint8)
+    packed = items[places].view(np.uint8)
     return packed.reshape(-1, size)
 
 

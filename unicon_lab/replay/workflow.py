@@ -166,7 +166,7 @@ def _other_robot(facts: Mapping[str, str], robot: Robot) -> list[str]:
 
 def versions(record: Record) -> list[str]:
     """Return packages of other versions than the recorded ones, one line each."""
-    recorded: dict[str, Any] = record.told("versions", dict)
+    recorded = record.told("versions", dict)
     here = versions_here()
     return [
         f"{name} {here[name]} here, {was} in the record"

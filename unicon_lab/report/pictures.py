@@ -254,7 +254,7 @@ def _timing(figure: Any, keeper: Keeper) -> bool:
     rows = statistics.kept()
     if not len(rows):
         return False
-    busy: Array = statistics.durations_us()
+    busy = statistics.durations_us()
     parts = [("busy", busy, MEASURED, "from recv to the end of send")]
     if keeper.paced:
         late: Array = (rows[:, 2] - rows[:, 0]) * 1e-3

@@ -294,9 +294,7 @@ class Figures:
 
     def __call__(self, rollout: Rollout) -> dict[str, Any]:
         """Return the row of a rollout, but for the program's hash."""
-        every: dict[str, Array] = {
-            name: rollout.states[:, place] for name, place in self._columns.items()
-        }
+        every = {name: rollout.states[:, place] for name, place in self._columns.items()}
         states = every
         if not np.isfinite(rollout.states).all():
             count = finite_rows(every)
@@ -318,7 +316,7 @@ class Figures:
 
     def _of_base(self, states: Mapping[str, Array], rollout: Rollout) -> dict[str, Any]:
         wide = {name: values.astype(np.float64) for name, values in states.items()}
-        row: dict[str, Any] = moved(wide, self._period, rollout.ended in _BY_ITSELF)
+        row = moved(wide, self._period, rollout.ended in _BY_ITSELF)
         upright = -states["projected_gravity"][:, 2].astype(np.float64)
         leans = upright < math.cos(LEANS)
         fell = row["fall_s"] is not None or bool(rollout.fault and leans[-1])
@@ -331,7 +329,7 @@ class Figures:
     def _of_joints(self, states: Mapping[str, Array]) -> dict[str, Any]:
         pos, effort = states["joint_pos"], states["joint_effort"]
         power = np.abs(effort.astype(np.float64) * states["joint_vel"])
-        row: dict[str, Any] = {
+        row = {
             "energy_j": float(power.sum() * self._period),
             "position_limit_hits": int(np.sum((pos <= self._lower) | (pos >= self._upper))),
             "effort_limit_hits": int(np.sum(np.abs(effort) >= self._effort)),

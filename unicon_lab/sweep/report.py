@@ -112,7 +112,7 @@ def comparison(a: Results, b: Results) -> str:
         p = stats.binomtest(only[0], sum(only)).pvalue if any(only) else 1.0
     else:
         p = stats.fisher_exact([[hit, count - hit] for hit, count in zip(hits, counts)])[1]
-    rows: list[tuple[str, ...]] = [("figure", "A", "B", "B - A", "p", "")]
+    rows = [("figure", "A", "B", "B - A", "p", "")]
 
     def row(name: str, a: str, b: str, apart: str, p: float) -> None:
         rows.append((name, a, b, apart, f"{p:.2g}", "differs" if p < SURE else ""))

@@ -6,7 +6,6 @@ import hashlib
 import json
 import math
 import shlex
-from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -153,7 +152,7 @@ class Results:
         outside = [path for path in self.parameters if not path.startswith("scene.")]
         seen: dict[tuple[Any, ...], Any] = {}
         columns = [self.varied(path) for path in outside]
-        keys: Iterator[tuple[Any, ...]] = zip(*columns) if columns else iter([()] * len(self.good))
+        keys = zip(*columns) if columns else iter([()] * len(self.good))
         return any(
             seen.setdefault(key, program) != program
             for key, program in zip(keys, self.column("program"))
@@ -165,8 +164,8 @@ class Results:
         Raises:
             UniconError: the parameter was not varied.
         """
-        places: dict[str, list[int]] = {"": list(range(len(self.good)))}
-        shown: dict[str, Any] = {"": None}
+        places = {"": list(range(len(self.good)))}
+        shown = {"": None}
         if gate.each:
             gate.check(self.parameters)
             places, shown = {}, {}

@@ -261,7 +261,7 @@ class RowRunner:
 
     def of(self, kept: WarmProgram, rollout: Rollout) -> dict[str, Any]:
         """Return what is told of a rollout."""
-        result: dict[str, Any] = {"row": kept.figures(rollout) | {"program": kept.sha256}}
+        result = {"row": kept.figures(rollout) | {"program": kept.sha256}}
         if kept.sha256 not in self._told:
             self._told.add(kept.sha256)
             result["facts"] = {kept.sha256: kept.facts | {"period_s": repr(kept.period)}}

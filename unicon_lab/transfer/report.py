@@ -173,7 +173,7 @@ def _paths(figure: Any, result: Mapping[str, Any], tracks: Tracks) -> bool:
     left, right = figure.subplots(1, 2, width_ratios=[1.0, 1.4])
     period = result["period_s"]
     width = max(1, round(SMOOTH_S / period))
-    longest: Array = np.zeros((0, 3))
+    longest = np.zeros((0, 3))
     for place, (name, states) in enumerate(tracks.items()):
         way, colour = states["base_pos_w"], f"C{place % 10}"
         left.plot(way[:, 0], way[:, 1], color=colour, linewidth=1.2, label=name)

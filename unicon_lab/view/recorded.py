@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -47,7 +46,7 @@ def shown_in(record: Record) -> tuple[Shown, list[str]]:
         notes.append(f"its workflow is not built here, so that skills are not named: {error}")
         robot = load_robot(robot_of(record))
         try:
-            model: Path | None = model_of(None, robot)
+            model = model_of(None, robot)
         except UniconError as lacking:
             model = None
             notes.append(f"the robot is not drawn: {lacking}")
@@ -61,7 +60,7 @@ def shown_in(record: Record) -> tuple[Shown, list[str]]:
         shown, _ = shown_of(program, compile_graph(program.root))
     finally:
         program.close()
-    about: dict[str, Any] = record.told("platform_facts", dict)
+    about = record.told("platform_facts", dict)
     return replace(
         shown,
         platform=facts.get("platform", shown.platform),

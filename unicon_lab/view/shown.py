@@ -145,7 +145,7 @@ def shown_of(
         frame_prefix: of ROS frames.
     """
     try:
-        model: Path | None = model_of(program.platform, program.robot)
+        model = model_of(program.platform, program.robot)
     except UniconError:
         model = None
     variables = tuple(graph.places.values())

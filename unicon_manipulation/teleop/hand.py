@@ -124,10 +124,10 @@ class Hand:
         self.quat: Quat = (1.0, 0.0, 0.0, 0.0)
         self.velocity: Vector = _STILL
         self.spin: Vector = _STILL
-        self._theirs: tuple[Vector, Quat] = self.position, self.quat
-        self._ours: tuple[Vector, Quat] = self.position, self.quat
-        self._seen: tuple[Vector, Quat] = self.position, self.quat
-        self._level: Quat = self.quat
+        self._theirs = self.position, self.quat
+        self._ours = self.position, self.quat
+        self._seen = self.position, self.quat
+        self._level = self.quat
 
     def engage(self, position: Vector, quat: Quat, yaw: float, ours: tuple[Vector, Quat]) -> None:
         """Take the operator's hand and the robot's as equal.

@@ -46,7 +46,7 @@ class OneEuro:
     def __init__(self, cutoff: float, slope: float) -> None:
         self._cutoff, self._slope = cutoff, slope
         self._position: Vector | None = None
-        self._quat: Quat = (1.0, 0.0, 0.0, 0.0)
+        self._quat = (1.0, 0.0, 0.0, 0.0)
         self._speed = self._turn = 0.0
 
     def reset(self) -> None:

@@ -69,7 +69,7 @@ class Code:
         if "staged" not in self.space:
             # The body starts at byte 4; numbers are aligned in it, so it is aligned in memory.
             room = bytearray(len(self.raw) + 16)
-            bytes_: AnyArray = np.frombuffer(room, np.uint8)
+            bytes_ = np.frombuffer(room, np.uint8)
             self.shift = -(bytes_.__array_interface__["data"][0] + 4) % 8
             there = slice(self.shift, self.shift + len(self.raw))
             self.space |= {"staged": bytes_[there], "stage": memoryview(room)[there], "room": room}
@@ -210,7 +210,7 @@ def read_in_bulk(code: Code, number: int, primitive: Primitive, runs: list[Run])
     flat = stage[4 : 4 + (len(stage) - 4) // wire.itemsize * wire.itemsize].view(wire)
     index = np.array([(o - 4) // wire.itemsize for r in runs for o in r.offsets], dtype=np.intp)
     room = bytearray(len(index) * wire.itemsize)
-    read: AnyArray = np.frombuffer(room, wire.newbyteorder("="))
+    read = np.frombuffer(room, wire.newbyteorder("="))
     code.space |= {f"index{number}": index, f"read{number}": read}
     if wire.isnative:
         code.space |= {f"take{number}": flat.take, "clip": "clip"}

@@ -215,8 +215,7 @@ class Copy:
     def target(self, data: bytearray) -> AnyArray:
         """Return the view of the message that it fills."""
         shape = self.view.shape
-        target: AnyArray = np.ndarray(shape, self.wire, data, self.offset, (self.stride,))
-        return target
+        return np.ndarray(shape, self.wire, data, self.offset, (self.stride,))
 
 
 def as_copy(slots: list[Slot], bound: Bound) -> Copy | None:

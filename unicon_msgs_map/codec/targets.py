@@ -55,7 +55,7 @@ def bind_targets(
     Raises:
         MapStateError: a state, variable, size or dtype does not fit.
     """
-    listed: Listed = {
+    listed = {
         number: _texts(field, bind_variable(field, variables))
         for number, field in enumerate(spec.fields)
         if field.source.kind == "variable"

@@ -91,7 +91,7 @@ class ActionServer:
             kind.Impl.CancelGoalService, f"{base}/cancel_goal", self._stop
         )
         take, self._let_go = compat.requests_take(self._stops)
-        self._take: Callable[[], Any] = take or _nothing
+        self._take = take or _nothing
         self._late: list[tuple[Any, Any]] = []
         self._feedback = node.create_publisher(kind.Impl.FeedbackMessage, f"{base}/feedback", 10)
         self._statuses = node.create_publisher(

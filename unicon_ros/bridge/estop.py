@@ -69,7 +69,7 @@ class EmergencyStop:
         self._service = add_services(node, handlers, warn)[0]
         taking, self._let_go = compat.request_take(self._service)
         self.polled = taking is not None
-        self._take: Callable[[], Any] = taking or _nothing
+        self._take = taking or _nothing
 
     def keep(self, robots: Sequence[Latch] = ()) -> None:
         """Keep the latch until the machine boots, and take over what an earlier process left.

@@ -134,7 +134,7 @@ def layout_text(program: Program, topics: Sequence[TopicOut | TopicIn] = ()) -> 
     told: dict[str, dict[str, Any]] = {}
     for topic in topics:
         spec, direction = topic.spec, "in" if isinstance(topic, TopicIn) else "out"
-        entry: dict[str, Any] = {"type": spec.type, "direction": direction, "states": []}
+        entry = {"type": spec.type, "direction": direction, "states": []}
         carried = told.setdefault(topic.topic, entry)["states"]
         carried += [name for name in spec.states if name in layout.specs and name not in carried]
     lines = [f"{_json(name)}: {_json(value)}," for name, value in heads.items()]

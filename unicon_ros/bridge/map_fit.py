@@ -131,7 +131,7 @@ def examine_platform(
     ros_is_there = find_spec("rclpy") is not None
     try:
         decoders, encoders = robot_codecs(load_map(path), states, robot)
-        said: list[TopicSpec] = [encoder.spec for encoder in encoders]
+        said = [encoder.spec for encoder in encoders]
         for spec in (*(decoder.spec for decoder in decoders), *said) if ros_is_there else ():
             message_class(spec)
     except MapDependencyError as error:

@@ -212,7 +212,7 @@ class NodeLog:
         self._logger = logger
         self._poll = select.poll()
         self._poll.register(STDERR, select.POLLOUT)
-        self._outlet: NonBlockingWriter[tuple[str, str]] = NonBlockingWriter(self._say)
+        self._outlet = NonBlockingWriter(self._say)
 
     @property
     def dropped(self) -> int:

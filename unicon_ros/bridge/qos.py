@@ -32,7 +32,7 @@ def qos_profile(qos: Qos) -> Any:
     from rclpy import qos as ros
     from rclpy.duration import Duration
 
-    values: dict[str, Any] = {"depth": qos.depth}
+    values = {"depth": qos.depth}
     for word in ("reliability", "durability", "history", "liveliness"):
         values[word] = getattr(ros, f"{word.capitalize()}Policy")[getattr(qos, word).upper()]
     for name, seconds in (
@@ -71,7 +71,7 @@ class QosEvents:
         qos = self.qos
         self._told: set[str] = set()
         self._alive = self._not_alive = 0  # publishers of a subscription
-        self._callbacks: dict[str, Callable[[Any], None]] = {"incompatible_qos": self._incompatible}
+        self._callbacks = {"incompatible_qos": self._incompatible}
         self._episodes: dict[str, _Episode] = {}
         if qos.deadline is not None:
             self._callbacks["deadline"] = self._deadline_missed

@@ -79,7 +79,7 @@ class TopicIn:
         self._timeout_ns = 0 if spec.timeout is None else round(spec.timeout * 1e9)
         self._holds_when_stale = spec.on_timeout == "hold"
         pending: deque[bytes] = deque(maxlen=1)
-        options: dict[str, Any] = {"raw": True, "callback_group": group}
+        options = {"raw": True, "callback_group": group}
         profile = qos_profile(spec.qos)
         self.events = QosEvents(spec.topic, spec.qos, "subscription", lambda: self.received, warn)
 

@@ -106,7 +106,7 @@ class Trajectories:
         self._measured = (arrays["joint_pos"], arrays["joint_vel"])
         stamp = arrays["stamp_ns"]
         simulated = program.platform.facts.simulated
-        self._now: Callable[[], int] = partial(int, stamp) if simulated else time.time_ns
+        self._now = partial(int, stamp) if simulated else time.time_ns
         self._every = self._due = max(1, round(1.0 / (FEEDBACK * program.period)))
         self._goal: Goal | None = None
         self._told: set[str] = set()

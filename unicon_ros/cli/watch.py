@@ -7,7 +7,6 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any
 
 from unicon_base.errors import StateError, alternatives
 from unicon_core.signals import SIGNALS
@@ -122,7 +121,7 @@ def _csv(watched: Mapping[str, _Watched], owner: Mapping[str, _Watched]) -> Call
     views = [each.states[state] for state, each in owner.items()]
 
     def values() -> None:
-        row: list[Any] = [each.stamp_ns for each in watched.values()]
+        row = [each.stamp_ns for each in watched.values()]
         for view in views:
             row += (view.view("uint8") if view.dtype == bool else view).reshape(-1).tolist()
         write(row)

@@ -90,8 +90,7 @@ def message_class(name: str) -> Any:
 
 def parameters_given(node: Any) -> Mapping[str, Any]:
     """Return the parameters that a node was given at start, by name; none where rclpy hides it."""
-    given: Mapping[str, Any] = getattr(node, "_parameter_overrides", {})
-    return given
+    return getattr(node, "_parameter_overrides", {})
 
 
 def parameter_given(node: Any, name: str, default: Any) -> Any:

@@ -194,7 +194,7 @@ def _template() -> _Template | None:
 
         if not _known_middleware():
             return None
-        kind: Any = type(String)
+        kind = type(String)
         if kind._TYPE_SUPPORT is None:
             kind.__import_type_support__()
         address = _python("PyCapsule_GetPointer", _POINTER, ctypes.py_object, ctypes.c_char_p)

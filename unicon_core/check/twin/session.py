@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import ChainMap
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext, suppress
+from contextlib import nullcontext, suppress
 from copy import deepcopy
 from dataclasses import replace
 
@@ -284,7 +284,7 @@ class TwinSession:
         )
         longest, walked = round(_LONGEST / program.period), round(seconds / program.period)
         fault, begun = "", 0
-        changed: AbstractContextManager[None] = nullcontext()
+        changed = nullcontext()
         if change.without and self.can(change):
             joints = [*map(program.robot.joint_names.index, change.locked)]
             changed = getattr(platform, change.without)(*[joints] if joints else ())

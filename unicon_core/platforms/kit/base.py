@@ -51,15 +51,13 @@ def rotation(quat: Array) -> Float64:
     """Return the rotation matrices of unit quaternions wxyz, shapes (..., 4) and (..., 3, 3)."""
     q = np.asarray(quat, np.float64)
     pairs = (q[..., :, None] * q[..., None, :]).reshape(*q.shape[:-1], 16)
-    matrix: Float64 = (pairs @ _ROTATION).reshape(*q.shape[:-1], 3, 3)
-    return matrix
+    return (pairs @ _ROTATION).reshape(*q.shape[:-1], 3, 3)
 
 
 def cross(left: Float64, right: Float64) -> Float64:
     """Return left × right, shapes (..., 3); `np.cross` takes several times as long for few."""
     pairs = left[..., :, None] * right[..., None, :]
-    product: Float64 = pairs.reshape(*left.shape[:-1], 9) @ _CROSS
-    return product
+    return pairs.reshape(*left.shape[:-1], 9) @ _CROSS
 
 
 def quat_of_rpy(rpy: Array) -> Float64:

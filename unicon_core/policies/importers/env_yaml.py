@@ -249,7 +249,7 @@ def _term(
 ) -> dict[str, Any]:
     facts, key, function = source.facts, where[-1], _function(value)
     state = term_state(function, absolute=True)
-    term: dict[str, Any] = {"name": key, **state}
+    term = {"name": key, **state}
     if not state:
         facts.notes.append(f"env.yaml: no state is known for {key!r} (function {function})")
     if unread := _unread(source.document, value, function):

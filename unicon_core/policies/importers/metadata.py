@@ -126,7 +126,7 @@ def mjlab_facts(onnx: OnnxFile) -> Facts:
 def _terms(reader: _Lists, motion: bool) -> list[dict[str, Any]]:
     names = reader.words("observation_names")
     motion = motion or "motion" in reader.metadata.get("command_names", "")
-    terms: list[dict[str, Any]] = [{"name": name, **term_state(name)} for name in names]
+    terms = [{"name": name, **term_state(name)} for name in names]
     for term in terms:
         if term["name"] == "command" and motion:
             term["state"] = "motion_command"

@@ -15,7 +15,6 @@ import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -337,7 +336,7 @@ def _read_csv(path: Path, fps: float | None) -> _Frames:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # that it is empty: refused below
-            rows: Any = np.loadtxt(path, delimiter=",", ndmin=2, dtype=np.float64)
+            rows = np.loadtxt(path, delimiter=",", ndmin=2, dtype=np.float64)
     except (OSError, ValueError) as error:
         raise PolicyError(
             f"{path}: not a motion in .csv: {one_line(error)[:120]}; give rows of numbers"

@@ -125,8 +125,8 @@ class MotionTracker:
         if self._placed:
             self.reads += ("base_pos_w",)
             self.writes += _PLACES
-        self._turn: list[Quat] = [(1.0, 0.0, 0.0, 0.0)] * rows
-        self._shift: list[tuple[Vector, Vector]] = [(_ORIGIN, _ORIGIN)] * rows
+        self._turn = [(1.0, 0.0, 0.0, 0.0)] * rows
+        self._shift = [(_ORIGIN, _ORIGIN)] * rows
         self._begun = False
 
     def __call__(self) -> None:
@@ -313,7 +313,7 @@ def _length(lane: PolicyStep, states: PackedStates, contract: PolicyContract) ->
     From its end on a network holds the last frame (HybridRobotics/whole_body_tracking
     `utils/exporter.py` clamps the step), so that the first one like it is the last.
     """
-    shown: list[Float32] = [
+    shown = [
         values
         for view, values in lane.published
         if any(np.shares_memory(view, states[name]) for name in _REFERENCE)

@@ -106,8 +106,7 @@ class HandFacts(DdsFacts):
 
     def to_angles(self, told: Array) -> Float64:
         """Return the angles in [rad] of what was told."""
-        angles: Float64 = self.lower + (told - self.open) / self.per_rad
-        return angles
+        return self.lower + (told - self.open) / self.per_rad
 
     @property
     def state(self) -> Message:

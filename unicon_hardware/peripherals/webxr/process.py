@@ -70,7 +70,7 @@ def certificate(host: str) -> Path:
 def _names(host: str) -> list[Any]:
     from cryptography import x509
 
-    names: list[Any] = [x509.DNSName("localhost"), x509.DNSName(socket.gethostname() or "robot")]
+    names = [x509.DNSName("localhost"), x509.DNSName(socket.gethostname() or "robot")]
     for address in dict.fromkeys(("127.0.0.1", host)):
         try:
             names.append(x509.IPAddress(ipaddress.ip_address(address)))

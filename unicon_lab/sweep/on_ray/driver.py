@@ -192,7 +192,7 @@ def _rows(line: Line) -> Iterator[Row]:
 
 def _join(ray: Any, task: dict[str, Any]) -> None:
     """Join a cluster, or start one on this machine."""
-    options: dict[str, Any] = {
+    options = {
         "runtime_env": {"working_dir": task["archive"], "env_vars": ONE_THREAD},
         "log_to_driver": False,
         "logging_level": "ERROR",

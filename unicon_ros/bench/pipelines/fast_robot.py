@@ -22,7 +22,6 @@ import rclpy
 from rclpy.node import Node
 from sensor_msgs.msg import Imu, JointState
 
-from unicon_base.arrays import Int64
 from unicon_base.errors import UniconError
 from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states
@@ -156,7 +155,7 @@ class Made:
     """When the latest states were made, by the position that tells their number in [rad]."""
 
     def __init__(self) -> None:
-        self._stamps: Int64 = np.zeros(WINDOW, np.int64)
+        self._stamps = np.zeros(WINDOW, np.int64)
         self._number = 0
 
     def add(self, stamp: int) -> float:
