@@ -1,15 +1,17 @@
-"""`unicon bench stores`: how a group of states gets to another process, ours beside other ways.
+"""`unicon bench stores`: how a group of states gets to another process, ours beside rclpy.
 
 One way: a group of 512 bytes at 500 Hz, from one process to another, on each way in turn: what the
 writer stamps before it sends, the reader subtracts when the value is in its states. All pairs
 live at once and take turns of half a second, so that the machine's noise meets all alike; ratios
 are those of the medians of each round, and of them the median. rclpy carries the same bytes as a
-UInt8MultiArray, Fast DDS with its defaults: a node with a reused message and an executor ("rclpy"),
-and the same with bytes that are serialized by hand ("raw").
+reused UInt8MultiArray, keep-last-1, Fast DDS with its defaults, into an executor with a callback.
+
+Each way has two ends. A sender publishes the states as they are; a receiver waits and puts what has
+come into its states. They meet at a place: a path that nobody else uses.
 
 The cores are kept awake by a process each of the kernel's idle class, which gives way to everything
-else: on a virtual machine the wake of a core that was halted takes 50 to 100 µs, three times a bare
-datagram, and would be measured on each way in the way's place.
+else: on a virtual machine the wake of a core that was halted takes 50 to 100 µs, several times what
+a way takes, and would be measured on each way in the way's place.
 
 Publish: `ShmWriter.publish` of a group of 1 kB, which nobody sleeps for, beside one NumPy copy of
 the same bytes, in turns within this process.
@@ -22,26 +24,156 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from array import array
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 
 from benchmarks.samples import Samples
-from benchmarks.store_pairs import WAYS, Receiver, Sender, group, segment_name
 from unicon_base.arrays import Int64
+from unicon_base.errors import StateError
 from unicon_base.resources import same_modules
 from unicon_core.signals import SIGNALS
 from unicon_core.states import States, StateSpec
-from unicon_core.states.backends.shm import Segment, ShmWriter, remove_dead
+from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter, remove_dead
+from unicon_core.states.backends.zmq import ZmqReader, ZmqWriter
 from unicon_ros.bench.domains import loopback_environment
 from unicon_ros.bench.loops import Loop, Slice
 from unicon_ros.bench.pipelines.log import Log, Stop, arguments
 from unicon_ros.bench.report import Bench
 from unicon_ros.bench.rounds import Rows, take_turns
+
+GROUP = "bench"
+PATIENCE = 20.0  # s until the other end must be there
+
+_T = TypeVar("_T")
+
+
+def group() -> States:
+    """Return the states that are carried: 512 bytes, all of which tell the value's number."""
+    specs = {"data": StateSpec((112,)), "number": StateSpec((), "int64")}
+    return States(specs | {"stamp_ns": StateSpec((), "int64")})
+
+
+def segment_name(place: Path) -> str:
+    """Return the name of the shared memory at a place."""
+    return f"{place.parent.name}-{place.name}"
+
+
+def _shm_sender(place: Path, states: States) -> ShmWriter:
+    segment = Segment.create(segment_name(place), {GROUP: states.layout})
+    return ShmWriter(segment, GROUP, states)
+
+
+def _zmq_sender(place: Path, states: States) -> ZmqWriter:
+    writer = ZmqWriter(f"ipc://{place}", GROUP, states.layout, states)
+    told = place.with_suffix(".told")
+    told.write_text(writer.address, "utf-8")
+    os.replace(told, place.with_suffix(".address"))
+    return writer
+
+
+class _Waiting:
+    """Waits for one of our readers, asleep; `starved` is how often no value could be had whole."""
+
+    def __init__(self, reader: Any) -> None:
+        self._reader, self.close = reader, reader.close
+
+    @property
+    def starved(self) -> int:
+        return getattr(self._reader, "starved", 0)
+
+    def receive(self, timeout: float) -> bool:
+        """Wait for a value; return whether one has come."""
+        return bool(self._reader.wait(timeout) and self._reader.take())
+
+
+def _shm_receiver(place: Path, states: States) -> _Waiting:
+    return _Waiting(_when_there(lambda: ShmReader(segment_name(place), GROUP, states)))
+
+
+def _zmq_receiver(place: Path, states: States) -> _Waiting:
+    address = _when_there(place.with_suffix(".address").read_text)
+    return _Waiting(ZmqReader(address, GROUP, states.layout, states))
+
+
+def _when_there(attempt: Callable[[], _T]) -> _T:
+    """Return what the attempt returns once the other end is there."""
+    end = time.monotonic() + PATIENCE
+    while True:
+        try:
+            return attempt()
+        except (StateError, FileNotFoundError):
+            if time.monotonic() > end:
+                raise
+            time.sleep(0.01)
+
+
+class _RosNode:
+    def __init__(self, name: str, states: States) -> None:
+        import rclpy
+        from std_msgs.msg import UInt8MultiArray
+
+        from unicon_ros.bench.pipelines.plain import qos
+
+        self._rclpy, self._type, self._qos = rclpy, UInt8MultiArray, qos(False)
+        rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
+        self.node, self._data = rclpy.node.Node(name), states.buffer.data
+
+    def close(self) -> None:
+        """Let go."""
+        self.node.destroy_node()
+        self._rclpy.try_shutdown()
+
+
+class RosSender(_RosNode):
+    """Publishes the bytes in a message."""
+
+    def __init__(self, place: Path, states: States) -> None:
+        super().__init__("writer", states)
+        self._send = self.node.create_publisher(self._type, "group", self._qos).publish
+        self._message = self._type()
+
+    def publish(self) -> None:
+        """Send the states as they are."""
+        self._message.data = array("B", self._data)
+        self._send(self._message)
+
+
+class RosReceiver(_RosNode):
+    """Receives in the callback of a single-threaded executor."""
+
+    starved = 0
+
+    def __init__(self, place: Path, states: States) -> None:
+        super().__init__("reader", states)
+        self._come = False
+        self.node.create_subscription(self._type, "group", self._heard, self._qos)
+        self._executor = self._rclpy.executors.SingleThreadedExecutor()
+        self._executor.add_node(self.node)
+
+    def _heard(self, message: Any) -> None:
+        self._data[:] = message.data
+        self._come = True
+
+    def receive(self, timeout: float) -> bool:
+        """Wait for a value; return whether one has come."""
+        self._come = False
+        self._executor.spin_once(timeout_sec=timeout)
+        return self._come
+
+
+WAYS: Mapping[str, tuple[Callable[..., Any], Callable[..., Any], str]] = {
+    "shm, sleeping": (_shm_sender, _shm_receiver, "sys"),
+    "zmq ipc": (_zmq_sender, _zmq_receiver, "zmq"),
+    "rclpy": (RosSender, RosReceiver, "rclpy"),
+}
+"""Name of each way to its ends, made of a place and the states, and the module that it needs."""
 
 RATE = 500.0  # Hz
 SECONDS = 0.5
@@ -61,7 +193,6 @@ RATIOS = (
 INSTALL = {
     "zmq": "pip install 'unicon_ros[zmq]'",
     "rclpy": "pip install 'unicon_ros[ros]', or source /opt/ros/<distro>/setup.bash",
-    "iceoryx2": "pip install iceoryx2",
 }
 
 TIMES = ("one way", "send", "reader's CPU [% of a core]")
@@ -77,9 +208,8 @@ def run(rounds: int | None = None, *, only: Callable[[str], bool] | None = None)
     rounds = rounds or ROUNDS
     skipped = {
         name: f"skipped: {INSTALL[module]}"
-        for name, way in WAYS.items()
-        for module in way.needs
-        if find_spec(module) is None
+        for name, (_, _, module) in WAYS.items()
+        if module in INSTALL and find_spec(module) is None
     }
     names = [name for name in WAYS if name not in skipped and (only is None or only(name))]
     samples = Samples()
@@ -197,18 +327,18 @@ def main() -> None:
     options = arguments()
     stop = Stop()
     name, _, side = options.variant.rpartition(": ")
-    way, states = WAYS[name], group()
+    (sender, receiver, _), states = WAYS[name], group()
     # The log's own name leads to the place, and that of the writer's log begins as the reader's.
     place = options.out.with_name(options.out.stem.partition("_")[0])
     if side == "writer":
-        _write(way.sender(place, states), states, 1.0 / options.state_rate, options.out, stop)
+        _write(sender(place, states), states, 1.0 / options.state_rate, options.out, stop)
     else:
-        _read(way.receiver(place, states), states, options.out, stop)
+        _read(receiver(place, states), states, options.out, stop)
 
 
-def _write(sender: Sender, states: object, period: float, out: Path, stop: Stop) -> None:
+def _write(sender: Any, states: States, period: float, out: Path, stop: Stop) -> None:
     log = Log(out, "begin", "end")
-    data, number, stamp = (getattr(states, name) for name in ("data", "number", "stamp_ns"))
+    data, number, stamp = states.data, states.number, states.stamp_ns
     now, publish = time.time_ns, sender.publish
     due = time.monotonic() + period
     while not stop:
@@ -224,9 +354,9 @@ def _write(sender: Sender, states: object, period: float, out: Path, stop: Stop)
     sender.close()
 
 
-def _read(receiver: Receiver, states: object, out: Path, stop: Stop) -> None:
+def _read(receiver: Any, states: States, out: Path, stop: Stop) -> None:
     log = Log(out, "stamp", "received", "number", "torn", "starved")
-    data, number, stamp = (getattr(states, name) for name in ("data", "number", "stamp_ns"))
+    data, number, stamp = states.data, states.number, states.stamp_ns
     while not stop:
         if receiver.receive(LONGEST):
             received = time.time_ns()
