@@ -5,9 +5,7 @@
 Both loops have absolute deadlines, so that only the waiting differs. Rounds are interleaved, the
 loops of a round in an order that changes. A ratio of p99 is the median over the rounds of what one
 round gives, told with its 95 % interval: single rounds of one run gave 0.02 to 5.6 on two shared
-cores, as others took the machine or did not, which is what a p99 is made of. Where others keep the
-machine busy, both loops wake when the scheduler lets them: a third case has real-time priority,
-where that is permitted; it is shown beside and is in no ratio.
+cores, as others took the machine or did not, which is what a p99 is made of.
 
 `unicon bench policy`: the policy tick in a real 50 Hz loop, ours beside the usual way.
 
@@ -39,7 +37,6 @@ from unicon_ros.bench.rounds import interval
 TIMING_RATE = 500.0  # Hz
 ROUNDS = 15
 TIMING_SECONDS = 1.5  # of each loop in each round: 750 ticks, whose p99 is the eighth latest
-REAL_TIME = Pacing(priority=50)
 
 
 def run_timing(rounds: int | None = None) -> Bench:
@@ -51,10 +48,8 @@ def run_timing(rounds: int | None = None) -> Bench:
     bench = Bench("timing", rounds or ROUNDS)
     loops: dict[str, Callable[[int], Paced]] = {
         "time.sleep": _sleeping,
-        "unicon": lambda ticks: _pacing(ticks, Pacing()),
+        "unicon": lambda ticks: _ours(ticks, TIMING_RATE),
     }
-    if _permitted(REAL_TIME):
-        loops["unicon, SCHED_FIFO"] = lambda ticks: _pacing(ticks, REAL_TIME)
     errors, shares = Samples(), Samples()
     for number in range(bench.rounds):
         for name in list(loops)[:: -1 if number % 2 else 1]:
@@ -78,16 +73,13 @@ def _sleeping(ticks: int) -> Paced:
     return paced(ticks, TIMING_RATE, sleep_until)
 
 
-def _permitted(pacing: Pacing) -> bool:
-    refused: list[str] = []
-    prepare_process(pacing, refused.append)()
-    return not refused
-
-
-def _pacing(ticks: int, pacing: Pacing) -> Paced:
+def _ours(ticks: int, rate: float, tick: Step = bool, warm_up: Step | None = None) -> Paced:
+    pacing = Pacing()
+    clock = WallClock(round(pacing.spin_us * 1e3))
+    wait = WarmUp(warm_up, clock, round(pacing.dry_run_us * 1e3)) if warm_up else clock
     restore = prepare_process(pacing, print)
     try:
-        return paced(ticks, TIMING_RATE, WallClock(round(pacing.spin_us * 1e3)).until)
+        return paced(ticks, rate, wait.until, tick)
     finally:
         restore()
 
@@ -97,7 +89,6 @@ SECONDS = 3.0  # of each loop in each round
 WARM_CALLS = 2000  # of each observation in each round, 20 in a sample
 HISTORY = 6
 USUAL, OURS = "policy tick, usual", "policy tick, unicon"
-ALONE = "network alone, in our loop"
 
 
 def run_policy(rounds: int | None = None) -> Bench:
@@ -185,11 +176,9 @@ def _observations(
 
 def _ticks(bench: Bench, robot: Robot, contract: PolicyContract) -> None:
     policy = Policy(contract, _states(contract, robot), robot)
-    alone = Policy(contract, _states(contract, robot), robot).lane.infer
-    loops = {
+    loops: dict[str, Callable[[int], Paced]] = {
         USUAL: _usual_loop(robot, contract),
-        OURS: _unicon_loop(policy, policy.warm_up),
-        ALONE: _unicon_loop(alone, alone),
+        OURS: lambda ticks: _ours(ticks, RATE, policy, policy.warm_up),
     }
     times = Samples()
     for _ in range(bench.rounds):
@@ -197,7 +186,6 @@ def _ticks(bench: Bench, robot: Robot, contract: PolicyContract) -> None:
             times.add(name, loop(round(RATE * SECONDS)).took)
     times.add_to(bench, ("policy_tick_p50", OURS, USUAL, 0.1))
     bench.ratio("policy_tick_p99", times.ratio(OURS, USUAL, percent=99), 0.2)
-    bench.facts["policy tick, of the network alone, p50"] = f"{times.ratio(OURS, ALONE):.3g}"
 
 
 def _memory(bench: Bench, robot: Robot, contract: PolicyContract, folder: Path) -> None:
@@ -232,17 +220,3 @@ def _usual_loop(robot: Robot, contract: PolicyContract) -> Callable[[int], Paced
         target[...] = default + scale * action
 
     return lambda ticks: paced(ticks, RATE, sleep_until, tick)
-
-
-def _unicon_loop(tick: Step, warm_up: Step) -> Callable[[int], Paced]:
-    def loop(ticks: int) -> Paced:
-        pacing = Pacing()
-        clock = WallClock(round(pacing.spin_us * 1e3))
-        wait = WarmUp(warm_up, clock, round(pacing.dry_run_us * 1e3)).until
-        restore = prepare_process(pacing, print)
-        try:
-            return paced(ticks, RATE, wait, tick)
-        finally:
-            restore()
-
-    return loop

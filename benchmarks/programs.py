@@ -193,14 +193,10 @@ ROUNDS = 10
 PATIENCE = 60.0  # s for a process
 
 BASE = "import mujoco, onnxruntime"
-RUN, ROS, LIST = "unicon run go2_walk", "unicon run go2_walk --ros", "unicon workflows"
+RUN, ROS = "unicon run go2_walk", "unicon run go2_walk --ros"
 BARS = (("start", RUN, 2.0), ("start_ros", ROS, 3.3))
 """Ratio, case and bar: 0.5 s and 0.85 s where the two imports take 0.255 s."""
 
-_CODE = {
-    BASE: BASE,
-    LIST: "from unicon_ros.cli.main import main; main(['workflows'])",
-}
 _AGE = """
 import time
 done = time.monotonic()
@@ -220,10 +216,10 @@ def run_start(rounds: int | None = None) -> Bench:
         RuntimeError: a run fails.
     """
     bench, times = Bench("start", rounds or ROUNDS), Samples()
-    cases = [BASE, RUN, LIST]
+    cases = [BASE, RUN]
     with suppress(MissingDependencyError):
         compat.import_rclpy("unicon bench start")
-        cases.insert(2, ROS)
+        cases.append(ROS)
     with tempfile.TemporaryDirectory() as folder:
         environment = _environment(Path(folder))
         for number in range(-1, bench.rounds):  # the first one writes bytecode and warms files up
@@ -250,8 +246,8 @@ def _seconds(case: str, folder: Path, environment: Mapping[str, str]) -> float:
         RuntimeError: it failed.
     """
     report = folder / "report.json"
-    if case in _CODE:
-        command = ["-c", _CODE[case] + _AGE]
+    if case == BASE:
+        command = ["-c", BASE + _AGE]
     else:
         command = ["-m", "unicon_ros", *case.split()[1:], "--speed", "max", "--duration", "0.02"]
         command += ["--quiet", "--faults", "off", "--report", str(report)]
@@ -266,6 +262,6 @@ def _seconds(case: str, folder: Path, environment: Mapping[str, str]) -> float:
     if done.returncode:
         line = (done.stderr.strip().splitlines() or ["it told nothing"])[-1]
         raise RuntimeError(f"bench start: {case!r} ended with {done.returncode}: {line}")
-    if case in _CODE:
+    if case == BASE:
         return float(done.stdout.splitlines()[-1])
     return float(json.loads(report.read_text(encoding="utf-8"))["startup_s"])

@@ -3,9 +3,8 @@
 Dispatch: 10, 32 and 100 blocks that do nothing, in one zip and in zips of five, compiled and with
 the time stamps of `unicon run`, beside closures as the paper of UniCon describes them: a zip is a
 function that calls its children in turn and ends with the first that says that it is done (our own
-code, by its section on control blocks). The same with a stamp for each block is `traced`. Fused
-copies: sixteen neighbouring copies of 20 floats, fused beside the same graph without fusion. All
-variants take turns in one run.
+code, by its section on control blocks). Fused copies: sixteen neighbouring copies of 20 floats,
+fused beside the same graph without fusion. All variants take turns in one run.
 """
 
 from __future__ import annotations
@@ -49,7 +48,6 @@ def run(rounds: int | None = None) -> Bench:
                 closure_zip(*[closure_zip(*p) for p in parts])
             ),
             f"{count} blocks, nested: as run": as_run(Zip(*[Zip(*part) for part in parts])),
-            f"{count} blocks: traced": as_run(Zip(*empty), detail=True),
         }
     states, maps = _copies()
     separate = [_copy(each) for each in maps]
@@ -72,10 +70,6 @@ def run(rounds: int | None = None) -> Bench:
     bench.ratio("fused_copy", ratio("copies: compiled, fused", "copies: compiled, separate"), 0.15)
     for kind, found in dispatch.items():
         bench.facts[f"dispatch, {kind}"] = f"{found:.3f}{' (told above)' if kind == worst else ''}"
-    for count in BLOCKS:
-        flat = f"{count} blocks, flat"
-        traced = ratio(f"{count} blocks: traced", f"{flat}: closures")
-        bench.facts[f"traced, {count} blocks"] = f"{traced:.3f}"
     return bench
 
 
@@ -109,14 +103,10 @@ def loop(step: Callable[[], Any]) -> Step:
     return run
 
 
-def as_run(root: Node, *, detail: bool = False) -> Step:
-    """Return a loop of `EVERY` ticks with the time stamps that a run gives them.
+def as_run(root: Node) -> Step:
+    """Return a loop of `EVERY` ticks of a tree with the time stamps that a run gives them.
 
     What keeps them, and what waits for the next tick, is not in it.
-
-    Args:
-        root: the tree of a tick.
-        detail: as with `unicon run --trace`.
     """
     graph = compile_graph(root, trace=True)
     names = [block.name for block in graph.blocks]
@@ -127,15 +117,12 @@ def as_run(root: Node, *, detail: bool = False) -> Step:
         graph.deferred()
         statistics.add(0, time.perf_counter_ns(), stamps)
     switch = Detail(graph, statistics)
-    if detail:
-        switch.at = -1
-    else:
-        switch()
+    switch()
 
     def run() -> None:
         left = EVERY
         while left:  # as the ticker's: up to the tick before which detail is switched
-            ticks = left if switch.at < 0 else min(left, switch.at - statistics.count)
+            ticks = min(left, switch.at - statistics.count)
             step, deferred = graph.step, graph.deferred
             for _ in range(ticks):
                 if step() or deferred():

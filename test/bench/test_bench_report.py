@@ -97,7 +97,6 @@ def test_tick_compares_things_that_do_the_same() -> None:
     for run in (
         tick.loop(tick.closure_zip(*[block.tick for block in empty])),
         tick.as_run(Zip(*empty)),
-        tick.as_run(Zip(*empty), detail=True),
     ):
         called.clear()
         run()

@@ -13,7 +13,7 @@ from benchmarks import programs as start
 from unicon_ros.cli.bench import BENCHES
 
 
-@pytest.mark.parametrize("case", [start.BASE, start.RUN, start.LIST])
+@pytest.mark.parametrize("case", [start.BASE, start.RUN])
 def test_a_process_is_so_old_and_bytecode_goes_where_it_is_told(case: str, tmp_path: Path) -> None:
     environment = start._environment(tmp_path)
     assert 0.0 < start._seconds(case, tmp_path, environment) < start.PATIENCE
