@@ -44,7 +44,7 @@ from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow
 from unicon_core.workflow.registry import known
-from unicon_lab.transfer.plan import OURS
+from unicon_lab.transfer.rollout import OURS
 from unicon_ros import compat
 from unicon_ros.bench.domains import loopback_environment
 from unicon_ros.bench.report import Bench

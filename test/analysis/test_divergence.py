@@ -21,8 +21,8 @@ from unicon_core.policies import load_policy, policy_states
 from unicon_core.policies.observation import Observation
 from unicon_core.states import States, StateSpec, standard_states
 from unicon_core.workflow import Program
-from unicon_lab.analysis import divergence as module
-from unicon_lab.analysis.divergence import divergence, signals_of
+from unicon_lab.analysis import comparison as module
+from unicon_lab.analysis.comparison import divergence, signals_of
 from unicon_lab.analysis.paired_runs import bring_together
 from unicon_lab.analysis.run import read_run
 from unicon_lab.recording import open_record

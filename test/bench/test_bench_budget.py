@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from unicon_ros.bench.budget import add
 from unicon_ros.bench.loops import Slice
+from unicon_ros.bench.pipelines.budget import add
 from unicon_ros.bench.report import Bench
 from unicon_ros.cli.main import main
 

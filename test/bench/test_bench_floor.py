@@ -7,7 +7,7 @@ import shutil
 
 import pytest
 
-from unicon_ros.bench.references import c_level_floor
+from unicon_ros.bench.rounds import c_level_floor
 
 
 def test_without_ddsperf_there_is_no_floor(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from unicon_ros.bench.references import ROWS, THEIRS, beside_paper
 from unicon_ros.bench.report import Bench
+from unicon_ros.bench.rounds import PAPER_ROWS, THEIRS, beside_paper
 
 
 def made() -> Bench:
@@ -16,7 +16,7 @@ def made() -> Bench:
 
 
 def test_their_end_to_end_ends_at_send_as_our_state_to_command() -> None:
-    assert ROWS["End-to-end"] == "state_to_command"
+    assert PAPER_ROWS["End-to-end"] == "state_to_command"
     assert made().facts["here, ours"] == (
         "Recv 200 ± 8.2 (200, 210), Send –, End-to-end 300 ± 8.2 (300, 310)"
     )
@@ -28,6 +28,6 @@ def test_who_sends_no_command_has_no_row_and_the_paper_has_all() -> None:
     assert {name.removeprefix("paper, ") for name in facts if name.startswith("paper, ")} == {
         *THEIRS
     }
-    for word in ROWS:
+    for word in PAPER_ROWS:
         assert f"{word}: " in facts["the paper's rows"]
         assert f"{word} " in facts["paper, UniCon"]

@@ -22,9 +22,9 @@ from pages import read_page
 from unicon_base.resources import sha256_of
 from unicon_core.robots import load_robot
 from unicon_lab.analysis.run import read_run
-from unicon_lab.transfer.plan import make_plan, simulators
 from unicon_lab.transfer.report import PICTURES
 from unicon_lab.transfer.results import COLUMNS, cell, spread
+from unicon_lab.transfer.rollout import make_plan, simulators
 from unicon_ros.cli.main import main
 
 STAND = ("transfer", "go2_stand", "--duration", "1.0")

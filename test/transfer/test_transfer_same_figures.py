@@ -9,9 +9,8 @@ from typing import Any
 import pytest
 
 from unicon_lab.sweep.worker import RowRunner
-from unicon_lab.transfer.plan import make_plan
 from unicon_lab.transfer.results import Results
-from unicon_lab.transfer.rollout import FIGURES, KEPT, TimedRunner
+from unicon_lab.transfer.rollout import FIGURES, KEPT, TimedRunner, make_plan
 
 WALK = (
     *("flow={policy: walk}", "scene.initial_pose='policy:walk'", "scene.noise.joint_vel=0.2"),

@@ -16,8 +16,7 @@ from unicon_base.arrays import Bool
 from unicon_core import __version__
 from unicon_core.drawing import drawings
 from unicon_core.page import findings, number, page, pairs, table, write_file
-from unicon_lab.analysis.comparison import LAG_S, SIDES, Comparison, gap_spread
-from unicon_lab.analysis.divergence import FACTOR
+from unicon_lab.analysis.comparison import FACTOR, LAG_S, SIDES, Comparison, gap_spread
 from unicon_lab.analysis.pictures import PICTURES
 from unicon_lab.analysis.run import Run
 

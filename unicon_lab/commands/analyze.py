@@ -24,8 +24,7 @@ def _analyze(arguments: argparse.Namespace) -> int:
         if arguments.sim is None:
             return status
     from unicon_core.drawing import require
-    from unicon_lab.analysis.comparison import compare_runs
-    from unicon_lab.analysis.divergence import signals_of
+    from unicon_lab.analysis.comparison import compare_runs, signals_of
     from unicon_lab.analysis.paired_runs import bring_together
     from unicon_lab.analysis.report import HEADS, chain_rows, write_report
     from unicon_lab.analysis.run import read_run

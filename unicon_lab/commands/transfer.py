@@ -16,8 +16,8 @@ from unicon_ros.cli.console import Console, note
 from unicon_ros.cli.options import WORKFLOW, argument, command, positive, whole
 
 if TYPE_CHECKING:
-    from unicon_lab.transfer.plan import Plan
     from unicon_lab.transfer.results import Results
+    from unicon_lab.transfer.rollout import Plan
 
 TIMEOUT = 600.0
 """Wall time in [s] that a run may take, the compilation of an engine included."""
@@ -37,7 +37,7 @@ def _transfer(arguments: argparse.Namespace) -> int:
     Exit status: 0; 1 where no simulator could be run; 3 where a run ended with a fault, in a crash
     or not at all.
     """
-    from unicon_lab.transfer.plan import make_plan
+    from unicon_lab.transfer.rollout import make_plan
 
     plan = make_plan(
         arguments.workflow,

@@ -36,7 +36,7 @@ from unicon_lab.recording import Record, open_record
 from unicon_lab.recording.facts import VERSIONS
 from unicon_lab.recording.scan import scan
 from unicon_lab.replay.workflow import recorded_workflow
-from unicon_lab.transfer.plan import OURS
+from unicon_lab.transfer.rollout import OURS
 
 HERE = re.compile(
     r"(.*[/:@])?(127(\.\d+){1,3}|0\.0\.0\.0|\[?::1\]?|localhost\S*|lo\d*)([:/]\d+)?"

@@ -17,7 +17,7 @@ from unicon_core.page import plain
 from unicon_core.text_table import aligned
 from unicon_lab.analysis.run import read_run
 from unicon_lab.sweep.figures import apart
-from unicon_lab.transfer.plan import Plan
+from unicon_lab.transfer.rollout import Plan
 from unicon_ros.bench.report import machine
 
 SCHEMA = "unicon.transfer/1"

@@ -28,10 +28,9 @@ from pathlib import Path
 from unicon_base.errors import UniconError
 from unicon_core.signals import SIGNALS
 from unicon_ros import compat
-from unicon_ros.bench.budget import measure_budget
 from unicon_ros.bench.domains import free_domain, loopback_environment
 from unicon_ros.bench.loops import LEASE, SETTLE, Loop
-from unicon_ros.bench.references import beside_paper, c_level_floor
+from unicon_ros.bench.pipelines.budget import measure_budget
 from unicon_ros.bench.report import Bench
 from unicon_ros.bench.rounds import (
     Claim,
@@ -40,6 +39,8 @@ from unicon_ros.bench.rounds import (
     add_pooled_ratios,
     add_ratios,
     add_rows,
+    beside_paper,
+    c_level_floor,
     rounds_of,
     take_turns,
 )
