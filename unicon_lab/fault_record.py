@@ -25,13 +25,12 @@ from typing import TYPE_CHECKING
 from unicon_base.errors import UniconError
 from unicon_base.resources import user_folder
 from unicon_core.flow import Block, Stage
-from unicon_core.memory_json import to_json
 from unicon_core.runtime.tick_ring import FEWEST, TickRing
 from unicon_lab.recording import McapFile, recover
 from unicon_lab.recording.facts import content_of, facts_of
 from unicon_lab.recording.mcap_file import FileInUse
 from unicon_lab.recording.records import attachment, metadata
-from unicon_lab.recording.ticks import add_ticks, tick_channel
+from unicon_lab.recording.ticks import add_ticks, tick_channel, to_json
 from unicon_ros.attachments import Attachment
 
 if TYPE_CHECKING:

@@ -22,13 +22,13 @@ from replaying import cut_off, replay
 from unicon_base.errors import StateError, UniconError
 from unicon_core import Zip, pose
 from unicon_core.flow import Block, Stage
-from unicon_core.memory_json import from_json
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.workflow import Program, load_workflow
 from unicon_lab import fault_record
 from unicon_lab.fault_record import KEPT, FaultRecord, fault_folder
 from unicon_lab.recording import McapFile, mcap_file, open_record
 from unicon_lab.recording.facts import network_hash
+from unicon_lab.recording.ticks import from_json
 from unicon_ros.cli.main import main
 
 HOLD = {

@@ -22,8 +22,8 @@ from unicon_base.errors import StateError
 from unicon_core.check.memory_proof import prove
 from unicon_core.flow import Block
 from unicon_core.memory import Memory, Snapshot
-from unicon_core.memory_json import changes, from_json, to_json
 from unicon_core.states import States, StateSpec
+from unicon_lab.recording.ticks import changes, from_json, to_json
 
 KINDS = ("bool", "int8", "uint16", "int64", "float32", "float64", "complex128")
 ARRAYS = st.sampled_from(KINDS).flatmap(

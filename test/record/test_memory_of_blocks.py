@@ -20,7 +20,6 @@ from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.flow.nodes import unfused
 from unicon_core.gates.build import first_command
 from unicon_core.memory import Memory, Snapshot
-from unicon_core.memory_json import from_json, to_json
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import StateSpec
 from unicon_core.states.standard import forwarded_states, hardware_states
@@ -29,6 +28,7 @@ from unicon_core.workflow import Program, load_document, workflow_names
 from unicon_core.workflow.live_twin import twin_states
 from unicon_core.workflow.registry import known
 from unicon_core.workflow.tick_tree import memory_of
+from unicon_lab.recording.ticks import from_json, to_json
 
 OPTIONS: dict[str, dict[str, Any]] = {
     "action_stop": {},

@@ -21,9 +21,9 @@ from replaying import cut_off, replay
 from unicon_base.errors import UniconError
 from unicon_core.flow import Amends
 from unicon_core.memory import Snapshot
-from unicon_core.memory_json import to_json
 from unicon_core.workflow import Program
 from unicon_lab.recording import open_record
+from unicon_lab.recording.ticks import to_json
 
 pytestmark = pytest.mark.usefixtures("short_ring")
 

@@ -19,12 +19,11 @@ import yaml
 
 from unicon_core import __version__
 from unicon_core.flow import Stage
-from unicon_core.memory_json import to_json
 from unicon_core.robots import Robot, robot_files
 from unicon_core.runtime import Runner
 from unicon_core.runtime.tick_ring import KeptMemory
 from unicon_core.workflow import Program
-from unicon_lab.recording.ticks import RecordedSubset, layout_facts
+from unicon_lab.recording.ticks import RecordedSubset, layout_facts, to_json
 
 VERSIONS = (
     *("numpy", "onnxruntime", "torch", "mujoco", "pybullet", "jax", "newton", "rclpy"),

@@ -19,7 +19,6 @@ from unicon_base.errors import StateError, UniconError, one_line
 from unicon_core.flow import Block, Stage, blocks_of, compile_graph
 from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.memory import Snapshot
-from unicon_core.memory_json import changes, from_json
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.runtime.phases import Phase
 from unicon_core.runtime.startup_sequence import approach_tree, waiting_tree
@@ -28,6 +27,7 @@ from unicon_core.states.standard import COMMAND_STATES, GAIN_SCALE, GAIN_SCALE_S
 from unicon_core.workflow import Program, WorkflowDocument
 from unicon_core.workflow.tick_tree import memory_of
 from unicon_lab.recording import Record
+from unicon_lab.recording.ticks import changes, from_json
 from unicon_lab.replay.platform import StandIn, recorded_facts
 from unicon_lab.replay.series import Columns
 
