@@ -232,11 +232,7 @@ def emulated(platform: str, name: str, arguments: tuple[str, ...]) -> Iterator[_
         options = {"address": "127.0.0.1", "domain": domain, **PATIENCE}
         robot.sets = ("--set", f"platforms={json.dumps({platform: options})}")
     process = subprocess.Popen(
-        command,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=robot.environment,
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=robot.environment
     )
     assert process.stdout is not None
     assert process.stderr is not None

@@ -152,7 +152,7 @@ class _Reader:
         mapping: dict[Any, Any] = {}
         for key_node, value_node in node.value:
             key = _Reader(self.foreign).value(key_node, ())
-            if not isinstance(key, (str, int)) and not (self.foreign and isinstance(key, float)):
+            if not isinstance(key, str | int) and not (self.foreign and isinstance(key, float)):
                 raise YamlError(key_node.line, f"key {key!r} is neither a word nor a number")
             here = (*where, str(key) if isinstance(key, float) else key)
             if key in mapping:

@@ -95,7 +95,7 @@ def path_of(entry: EntryPoint, what: str, error: type[UniconError]) -> Path | No
         raise error(f"{label}: {reason}; install its package again") from wrong
     if hasattr(value, "__path__"):  # a package
         value = next(iter(value.__path__), None)
-    if not isinstance(value, (str, os.PathLike)):
+    if not isinstance(value, str | os.PathLike):
         raise error(
             f"{label}: its value is of type {type(value).__name__}; it must be the path of a "
             "folder or file, or a function that returns one"

@@ -71,13 +71,7 @@ Scale = Annotated[float | None, positive(TRIP_SHARE)]
 
 
 def within(
-    value: Any,
-    option: str,
-    unit: str,
-    highest: float,
-    lowest: float = 0.0,
-    *,
-    above: bool = True,
+    value: Any, option: str, unit: str, highest: float, lowest: float = 0.0, *, above: bool = True
 ) -> float:
     """Return a value that is a number within its bounds.
 
@@ -94,7 +88,7 @@ def within(
     Raises:
         WorkflowError: it is not; the message has the range and the remedy.
     """
-    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    number = isinstance(value, int | float) and not isinstance(value, bool)
     if not (number and value <= highest and (value > lowest if above else value >= lowest)):
         end = f" [{unit}]" if unit else ""
         start = f"above {lowest:g}" if above else f"from {lowest:g}"

@@ -202,10 +202,7 @@ def zoomed(
 
 
 def drawings(
-    pictures: Pictures,
-    *of: Any,
-    folder: Path | None = None,
-    tell: Callable[[str], object] = bool,
+    pictures: Pictures, *of: Any, folder: Path | None = None, tell: Callable[[str], object] = bool
 ) -> Iterator[tuple[str, str]]:
     """Yield name and HTML of each picture in which there is something to show.
 

@@ -84,7 +84,7 @@ def _names_of(holder: Any) -> tuple[str, ...] | None:
 
 def holder_of(tick: Any) -> Any:
     """Return the object that remembers for a block's function: that of a method, or itself."""
-    while isinstance(tick, (partial, MethodType)):
+    while isinstance(tick, partial | MethodType):
         tick = tick.func if isinstance(tick, partial) else tick.__self__
     return tick
 
@@ -196,11 +196,11 @@ def _fixed(value: Any, states: UInt8 | None) -> bool:
         return not value.flags.writeable or (
             states is not None and np.may_share_memory(value, states)
         )
-    if isinstance(value, (tuple, frozenset)):
+    if isinstance(value, tuple | frozenset):
         return all(_fixed(each, states) for each in value)
     if isinstance(value, FunctionType):
         return _stateless(value, states)
-    return type(value) in ATOMS or isinstance(value, (ModuleType, type, np.generic, np.ufunc))
+    return type(value) in ATOMS or isinstance(value, ModuleType | type | np.generic | np.ufunc)
 
 
 def save(holder: Any, path: str = "") -> Any:

@@ -136,7 +136,7 @@ def plain(value: Any) -> Any:
     """Return what JSON can have: lists, mappings by texts, and null for what is not finite."""
     if isinstance(value, Mapping):
         return {str(key): plain(each) for key, each in value.items()}
-    if isinstance(value, (list, tuple)):
+    if isinstance(value, list | tuple):
         return [plain(each) for each in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 

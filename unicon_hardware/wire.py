@@ -261,11 +261,7 @@ class Udp:
     MOST = 64
 
     def __init__(
-        self,
-        local: tuple[str, int],
-        peer: tuple[str, int],
-        what: str,
-        counts: Counts | None = None,
+        self, local: tuple[str, int], peer: tuple[str, int], what: str, counts: Counts | None = None
     ) -> None:
         self._what, self.peer, self._counts = what, peer, counts or Counts()
         self.strangers = 0

@@ -161,11 +161,7 @@ class FaultRecord(Attachment):
 
 
 def _fill(
-    file: McapFile,
-    ring: TickRing,
-    runner: Runner,
-    report: Report,
-    facts: dict[str, str],
+    file: McapFile, ring: TickRing, runner: Runner, report: Report, facts: dict[str, str]
 ) -> None:
     """Write what is small first: a kill in the middle then leaves what explains the rest."""
     now = time.time_ns()

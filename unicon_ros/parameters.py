@@ -226,7 +226,7 @@ def unsuitable(values: Mapping[str, Any]) -> str:
         words = WORDS.get(name)
         if words and value not in words:
             return f"{name} is one of {', '.join(words)}, not {value!r}"
-        texts = value if isinstance(value, (list, tuple)) else [value]
+        texts = value if isinstance(value, list | tuple) else [value]
         for text in texts if name in CHECKS else []:
             try:
                 if text:

@@ -48,12 +48,7 @@ def check_reach(host: str, token: str) -> None:
         )
 
 
-def refusal(
-    headers: Mapping[str, str],
-    path: str,
-    token: str,
-    origins: Sequence[str] = (),
-) -> str:
+def refusal(headers: Mapping[str, str], path: str, token: str, origins: Sequence[str] = ()) -> str:
     """Return why a client may not come in, "" where it may.
 
     Another site's page, open in the same browser, can reach 127.0.0.1 too: it tells its own origin,

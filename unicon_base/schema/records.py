@@ -354,7 +354,7 @@ def _unbounded(kind: Type) -> Type:
         kind.bounds = Within(endless=True)
     for inner in (*getattr(kind, "members", ()), *getattr(kind, "entries", ())):
         _unbounded(inner)
-    if isinstance(kind, (ListOf, MapOf)):
+    if isinstance(kind, ListOf | MapOf):
         _unbounded(kind.entry)
     return kind
 

@@ -201,7 +201,7 @@ class Word(Type):
         self.matches, self.wanted = matches, wanted
 
     def accepts(self, value: Any) -> bool:
-        return isinstance(value, (str, Path))
+        return isinstance(value, str | Path)
 
     def fits(self, value: Any) -> bool:
         if self.matches is None or not self.accepts(value):
@@ -225,7 +225,7 @@ def _said(**entries: Any) -> dict[str, Any]:
 class _Listed(Type):
     def accepts(self, value: Any) -> bool:
         listed = isinstance(value, Sequence) or hasattr(value, "tolist")  # NumPy's
-        return listed and not isinstance(value, (str, bytes))
+        return listed and not isinstance(value, str | bytes)
 
 
 class ListOf(_Listed):

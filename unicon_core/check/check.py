@@ -96,12 +96,7 @@ def check_robot(subject: Subject, result: CheckResult) -> None:
     if subject.platform.simulated:
         result.note("robot.facts", culprit, f"{evidence}: the real robot cannot be driven")
     else:
-        result.find(
-            "robot.facts",
-            culprit,
-            evidence,
-            where=robot.path,
-        )
+        result.find("robot.facts", culprit, evidence, where=robot.path)
 
 
 ENOUGH = {"simulator": "vendor", "robot": "hardware"}

@@ -167,11 +167,7 @@ def _writers(subject: Subject, parts: Parts) -> Writers:
 
 
 def _check_read(
-    subject: Subject,
-    result: CheckResult,
-    parts: Parts,
-    given: Mapping[str, str],
-    writers: Writers,
+    subject: Subject, result: CheckResult, parts: Parts, given: Mapping[str, str], writers: Writers
 ) -> None:
     missing: dict[tuple[str, str], set[str]] = {}
     for block in subject.program.blocks:
@@ -306,7 +302,7 @@ def _conditional(node: Node, under: str) -> Iterator[tuple[Block, str]]:
             yield node, under
         return
     chooses = (
-        isinstance(node, (Switch, When))
+        isinstance(node, Switch | When)
         or (isinstance(node, Chain) and len(node.children) > 1)
         or (isinstance(node, Every) and node.n > 1)
         or (isinstance(node, Loop) and node.until is not None)

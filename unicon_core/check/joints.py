@@ -340,10 +340,7 @@ def _order(robot: Robot, model: LoadedModel, policy: PolicyResult) -> None:
 
         best = min(swaps, key=apart)
         both = " and ".join(old for old, new in zip(joints, best) if old != new)
-        find(
-            f"with {both} exchanged all of it is",
-            f"exchange {both} in joints, or their figures",
-        )
+        find(f"with {both} exchanged all of it is", f"exchange {both} in joints, or their figures")
         return
     for name, order in joint_orders(joints, robot, joint_depths(model, robot, joints)).items():
         if fits(order):

@@ -188,7 +188,7 @@ class _Walker:
             self._todo.append((path, value))
             if isinstance(value, GeneratorType):
                 shown = value.gi_frame and value.gi_frame.f_lasti
-            elif isinstance(value, (list, dict, set, deque, bytearray)):
+            elif isinstance(value, list | dict | set | deque | bytearray):
                 shown = len(value)
             else:
                 return
@@ -208,7 +208,7 @@ class _Walker:
         elif isinstance(value, GeneratorType):
             if value.gi_frame is not None:
                 yield from ((f"{path}.{n}", each) for n, each in value.gi_frame.f_locals.items())
-        elif isinstance(value, (list, tuple, deque, set, frozenset)):
+        elif isinstance(value, list | tuple | deque | set | frozenset):
             yield from _enumerated(path, value)
         elif isinstance(value, dict):
             yield from ((f"{path}[{key!r}]", each) for key, each in value.items())
@@ -259,7 +259,7 @@ def _enumerated(path: str, values: Any) -> Iterator[tuple[str, Any]]:
 
 def _plain(value: Any) -> bool:
     """Return whether a declared attribute is a value, not an object with a memory of its own."""
-    if isinstance(value, (list, tuple, deque)):
+    if isinstance(value, list | tuple | deque):
         return all(map(_plain, value))
     if isinstance(value, dict):
         return all(map(_plain, value.values()))
@@ -274,6 +274,6 @@ def _names(code: Any) -> Iterator[str]:
 
 
 def _package(value: Any) -> str:
-    kind = value if isinstance(value, (type, FunctionType)) else type(value)
+    kind = value if isinstance(value, type | FunctionType) else type(value)
     root = (getattr(kind, "__module__", None) or "").partition(".")[0]
     return "" if root in sys.stdlib_module_names and root != "__main__" else root

@@ -141,11 +141,7 @@ def _term(subject: Subject, policy: PolicyResult, part: TermSlice) -> None:
             "them",
         )
     elif none.size:
-        policy.find(
-            "observation.scale",
-            culprit,
-            "scale is 0: the network would not see it",
-        )
+        policy.find("observation.scale", culprit, "scale is 0: the network would not see it")
     for odd, hint in (
         ((part.scale < 0.0) & (term.state in SIGNED), "was it trained with the other sign?"),
         (
@@ -162,9 +158,7 @@ def _term(subject: Subject, policy: PolicyResult, part: TermSlice) -> None:
             )
     if (part.low >= part.high).any():
         policy.find(
-            "observation.clip",
-            culprit,
-            f"it is clipped to {span(part.low.max(), part.high.min())}",
+            "observation.clip", culprit, f"it is clipped to {span(part.low.max(), part.high.min())}"
         )
     if term.state == "base_quat" and term.index is None:
         policy.note(
@@ -241,11 +235,7 @@ def check_timing(subject: Subject, result: CheckResult) -> None:
         often = "each tick" if n == 1 else f"every {n} ticks"
         rows.append([f"policy {key}", f"{period:g}", f"{1.0 / period:g}", often])
         if not 0.002 <= period <= 0.1:
-            policy.find(
-                "timing.period",
-                "period",
-                f"{period:g} s ({1.0 / period:g} Hz)",
-            )
+            policy.find("timing.period", "period", f"{period:g} s ({1.0 / period:g} Hz)")
         check_clock(policy)
     info = info_of(program.platform)
     if "physics_step_s" in info:

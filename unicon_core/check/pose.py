@@ -232,12 +232,7 @@ def check_collision(loaded: LoadedModel, robot: Robot, result: CheckResult, wher
         return
     files = dict.fromkeys(file for foot in blind for file in lost[foot])
     what += f"; mesh files that are their shapes are absent: {listed(files)}" if files else ""
-    result.find(
-        "model.collision",
-        f"model {loaded.path}, collision geometry",
-        what,
-        where=where,
-    )
+    result.find("model.collision", f"model {loaded.path}, collision geometry", what, where=where)
 
 
 def check_action(subject: Subject, result: CheckResult) -> None:

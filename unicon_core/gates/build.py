@@ -19,12 +19,7 @@ from unicon_core.gates.data import Changing, Imu, Rate, Told
 from unicon_core.gates.gate import Heeding, NoCommand, Passing, SoleCommander, StartGate, Variant
 from unicon_core.memory import Memory
 from unicon_core.platforms.joined import members_of
-from unicon_core.platforms.platform import (
-    CountsArrivals,
-    Prepares,
-    ReportsVariant,
-    SeesCommanders,
-)
+from unicon_core.platforms.platform import CountsArrivals, Prepares, ReportsVariant, SeesCommanders
 from unicon_core.policies.controller import controller_contract
 from unicon_core.robots import joint_index, robot_files
 from unicon_core.states.standard import JOINT_STATES
@@ -73,7 +68,7 @@ def _gates(program: ProgramData) -> list[StartGate]:
     if readers:
         gates.append(Told(states, readers, source))
     promised = robot.transport.get("rate_hz")
-    rate = float(promised) if isinstance(promised, (int, float)) and promised > 0 else None
+    rate = float(promised) if isinstance(promised, int | float) and promised > 0 else None
     if isinstance(platform, CountsArrivals):
         gates.append(Rate(platform.arrivals, period, rate, source))
     elif "stamp_ns" in facts.writes:
@@ -177,7 +172,7 @@ def beginning(program: ProgramData) -> Target:
     """
     block = next((found for node in program.stages[Stage.FLOW] if (found := _acting(node))), None)
     robot, measured = program.robot, np.array(program.states["joint_pos"])
-    if block is None or isinstance(block.tick, (Pose, Hold, Damp)):
+    if block is None or isinstance(block.tick, Pose | Hold | Damp):
         stiffness, damping = robot_gains(robot, "start")
         if block is not None and isinstance(block.tick, Damp):
             stiffness = np.zeros_like(stiffness)

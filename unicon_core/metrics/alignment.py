@@ -158,10 +158,7 @@ def admissible_shifts(
 
 
 def aligned_mse(
-    real: ArrayLike,
-    sim: ArrayLike,
-    max_shift: int | None = None,
-    min_overlap: float = 0.5,
+    real: ArrayLike, sim: ArrayLike, max_shift: int | None = None, min_overlap: float = 0.5
 ) -> Aligned:
     """Return the aligned MSE, over all admissible shifts.
 
@@ -208,10 +205,7 @@ def smallest_means(a: Float64, b: Float64, shifts: Int64, overlaps: Int64) -> tu
 
 
 def shift_losses(
-    real: ArrayLike,
-    sim: ArrayLike,
-    max_shift: int | None = None,
-    min_overlap: float = 0.5,
+    real: ArrayLike, sim: ArrayLike, max_shift: int | None = None, min_overlap: float = 0.5
 ) -> tuple[Int64, Float64]:
     """Return every admissible shift and the loss there, to be drawn.
 

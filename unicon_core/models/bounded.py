@@ -72,7 +72,7 @@ def refuse_not_finite(path: Path, model: Any) -> None:
     for owner in (model.opt, model):
         for name in dir(owner):
             value = None if name.startswith("_") else getattr(owner, name)
-            if isinstance(value, (float, np.ndarray)) and not _finite(value):
+            if isinstance(value, float | np.ndarray) and not _finite(value):
                 wrong.append(name)
     if wrong:
         named = f"{', '.join(wrong[:8])} {'is' if len(wrong) == 1 else 'are'}"

@@ -70,7 +70,7 @@ def _wrong(contract: Any) -> str:
     if lacking:
         return f"does not say {', '.join(lacking)}"
     period, ranges, joints = contract.period, contract.command_ranges, contract.joints
-    if not isinstance(period, (int, float)) or not 0.0 < period < math.inf:
+    if not isinstance(period, int | float) or not 0.0 < period < math.inf:
         return f"says period {period!r}"
     if not isinstance(ranges, Mapping) or any(np.shape(r) != (2,) for r in ranges.values()):
         return f"says command_ranges {ranges!r}"

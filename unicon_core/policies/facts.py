@@ -265,13 +265,13 @@ def says(values: Any, fact: str) -> bool:
     term, _, key = fact.removeprefix("observation.terms.").rpartition(".")
     value, terms = value_of(values, fact), value_of(values, "observation.terms")
     if fact == "observation.terms":
-        return isinstance(terms, (list, tuple)) and bool(terms)
+        return isinstance(terms, list | tuple) and bool(terms)
     if value is not None or (term != "observation" and not fact.startswith("observation.terms.")):
         return value is not None and not is_open(value)
     if key == "scale" and value_of(values, "observation.scale") is not None:
         return True
     named = list(terms.items()) if isinstance(terms, Mapping) else []
-    named += [(dig(t, "name"), t) for t in terms] if isinstance(terms, (list, tuple)) else []
+    named += [(dig(t, "name"), t) for t in terms] if isinstance(terms, list | tuple) else []
     chosen = [t for name, t in named if term in ("*", "observation") or name == term]
     return bool(chosen) and all(dig(t, key) is not None for t in chosen)
 

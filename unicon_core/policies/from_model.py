@@ -163,7 +163,7 @@ class FromModel:
             if key == "joints":
                 continue
             names = self.given.get("joints") or joints
-            if not isinstance(names, (list, tuple)):
+            if not isinstance(names, list | tuple):
                 raise self._wrong(key, "is from the model, and the joints are not said; give them")
             known = self._known
             for name in names:

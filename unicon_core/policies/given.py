@@ -140,7 +140,7 @@ def _merge(facts: Facts, said: dict[str, Any], given: Mapping[str, Any], where: 
     for key, value in given.items():
         place, known = (*where, key), said.get(key)
         if isinstance(known, list) and is_open(known):  # what the source leaves open in a list
-            values = value if isinstance(value, (list, tuple)) else [value] * len(known)
+            values = value if isinstance(value, list | tuple) else [value] * len(known)
             if len(values) == len(known):
                 known = [new if is_open(old) else old for old, new in zip(known, values)]
         if isinstance(value, Mapping) and isinstance(known, dict):

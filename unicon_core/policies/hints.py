@@ -104,9 +104,7 @@ Angle = Annotated[
     Write(f"a number from {-POSITION:g} to {POSITION:g} [rad] (are these degrees?)"),
 ]
 Alpha = Annotated[
-    float,
-    positive(1.0),
-    Write("the weight of the newest sample, above 0 and at most 1"),
+    float, positive(1.0), Write("the weight of the newest sample, above 0 and at most 1")
 ]
 Place = Annotated[int, Within(0)]
 Places = Annotated[tuple[int, ...], Made(listed, Place | list[Place])]
@@ -118,9 +116,7 @@ Threshold = Annotated[
     Made(
         rounded_one,
         Annotated[
-            float,
-            positive(),
-            Write("a speed above 0 in [m/s] and [rad/s]: no command is below it"),
+            float, positive(), Write("a speed above 0 in [m/s] and [rad/s]: no command is below it")
         ],
     ),
 ]

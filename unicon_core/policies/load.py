@@ -324,7 +324,7 @@ def _name_tensors(facts: Facts, onnx: OnnxFile) -> None:
     if values.get("networks"):  # the observation is split among them by 'feeds'
         values.setdefault("inputs", {"observation": "observation"})
     pairs = values.get("recurrent")
-    listed = pairs if isinstance(pairs, (list, tuple)) else []
+    listed = pairs if isinstance(pairs, list | tuple) else []
     for key, canonical, tensors in (
         ("inputs", "observation", onnx.inputs),
         ("outputs", "action", onnx.outputs),

@@ -177,7 +177,7 @@ def _plain(value: Any, alone: bool = False) -> Any:
         return float(str(value))
     if isinstance(value, np.ndarray) and alone and value.ndim == 1 and len({*value.tolist()}) == 1:
         return _plain(value[0])
-    if isinstance(value, (np.ndarray, tuple)):
+    if isinstance(value, np.ndarray | tuple):
         return [_plain(each, alone) for each in value]
     if isinstance(value, Mapping):
         return {key: _plain(each) for key, each in value.items()}
@@ -193,7 +193,7 @@ def _plain(value: Any, alone: bool = False) -> Any:
         usual: Any = each.default
         if each.default_factory is not MISSING:
             usual = each.default_factory()
-        empty = said is None or (isinstance(said, (tuple, Mapping)) and not said)
+        empty = said is None or (isinstance(said, tuple | Mapping) and not said)
         if not empty and not (isinstance(value, _BRIEF) and np.array_equal(said, usual)):
             found[each.name] = _plain(said, isinstance(value, ObservationTerm))
     return found

@@ -141,9 +141,7 @@ def joint_rows(contract: PolicyContract, robot: Robot | None = None) -> list[lis
 
 
 def observation_table(
-    contract: PolicyContract,
-    robot: Robot | None = None,
-    states: PackedStates | None = None,
+    contract: PolicyContract, robot: Robot | None = None, states: PackedStates | None = None
 ) -> str:
     """Return `observation_rows` as text, and what the numbers mean."""
     rows, tail = observation_rows(contract, robot, states)
@@ -151,9 +149,7 @@ def observation_table(
 
 
 def observation_rows(
-    contract: PolicyContract,
-    robot: Robot | None = None,
-    states: PackedStates | None = None,
+    contract: PolicyContract, robot: Robot | None = None, states: PackedStates | None = None
 ) -> tuple[list[list[str]], str]:
     """Return the heads and a row for each term, and a line with what the numbers mean.
 

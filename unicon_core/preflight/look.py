@@ -310,7 +310,7 @@ def tell_first_command(program: Program, result: PreflightResult) -> None:
         begins, first = beginning(program), first_command(program)
         entry = _entered(program, begins)
     except Exception as error:  # of a block, which may raise anything
-        kind = "" if isinstance(error, (UniconError, Fault)) else f"{type(error).__name__}: "
+        kind = "" if isinstance(error, UniconError | Fault) else f"{type(error).__name__}: "
         result.add("first command", False, f"{kind}{error}; nothing would be sent")
         return
     way, joint = _farthest(program, begins, measured)
@@ -379,7 +379,7 @@ def tell_frames(program: Program, result: PreflightResult) -> None:
     """
     platform, transport = program.platform, program.robot.transport
     promised = transport.get("rate_hz")
-    if not isinstance(platform, CountsArrivals) or not isinstance(promised, (int, float)):
+    if not isinstance(platform, CountsArrivals) or not isinstance(promised, int | float):
         return
     if transport.get("protocol") not in platform.facts.protocols:
         return

@@ -162,9 +162,7 @@ class Transport:
     protocol: Text | None
     command: Literal["position", "torque"] = "torque"
     stop_buttons: Annotated[
-        list[Button] | None,
-        NotEmpty,
-        Write(f"a list of {', '.join(BUTTONS)}"),
+        list[Button] | None, NotEmpty, Write(f"a list of {', '.join(BUTTONS)}")
     ] = None
     motors: Annotated[
         list[Annotated[int, Within(0)]] | None, Write("the motor number of each joint")

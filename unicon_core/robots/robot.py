@@ -258,8 +258,7 @@ class Robot:
         """Joints whose vendor closes the position loop, shape (n,); they stop at what they grip."""
         robots = self.members.values() or (self,)
         return np.repeat(
-            [robot.position_controlled for robot in robots],
-            [robot.num_joints for robot in robots],
+            [robot.position_controlled for robot in robots], [robot.num_joints for robot in robots]
         )
 
     def joints_of(self, member: str) -> slice:

@@ -64,7 +64,7 @@ class _Box:
 
     @property
     def sideways(self) -> bool:
-        return isinstance(self.node, (Chain, Switch))
+        return isinstance(self.node, Chain | Switch)
 
 
 def show_svg(root: Node, states: States, critical: Collection[Block] = ()) -> str:

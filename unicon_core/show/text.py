@@ -186,7 +186,7 @@ def _reach(node: Node, before: Writers, flow: dict[tuple[Block, Block], list[str
                 if name not in names:
                     names.append(name)
         return before | dict.fromkeys((*node.writes, *node.amends), (node,))
-    if isinstance(node, (Chain, Switch)):
+    if isinstance(node, Chain | Switch):
         if isinstance(node, Switch):
             before = _reach(node.selector, before, flow)
         return _either([_reach(child, before, flow) for child in node.children])

@@ -72,11 +72,7 @@ class Ground:
 
 
 def block(
-    x: tuple[float, float],
-    y: tuple[float, float],
-    top: float,
-    floor: float,
-    friction: float = 1.0,
+    x: tuple[float, float], y: tuple[float, float], top: float, floor: float, friction: float = 1.0
 ) -> Box:
     """Return an upright box by its ends in x and y and its top, down below the floor, in [m]."""
     bottom = min(floor, top) - THICK

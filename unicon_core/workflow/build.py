@@ -21,23 +21,12 @@ from unicon_core.states import States, StateSpec, standard_states
 from unicon_core.states.layout import check_name
 from unicon_core.states.stacked import spans
 from unicon_core.states.standard import COMMAND_STATES, control_states, hardware_states
-from unicon_core.workflow.autowire import (
-    BuildContext,
-    autowire,
-    option_names,
-    read_options,
-)
+from unicon_core.workflow.autowire import BuildContext, autowire, option_names, read_options
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.expression import expression
 from unicon_core.workflow.flow_yaml import FlowReader
 from unicon_core.workflow.live_twin import twin_states
-from unicon_core.workflow.members import (
-    member_context,
-    member_robot,
-    of_whole,
-    share_of,
-    stamps_of,
-)
+from unicon_core.workflow.members import member_context, member_robot, of_whole, share_of, stamps_of
 from unicon_core.workflow.platforms import facts_of_all, find_platforms
 from unicon_core.workflow.policies import declared_states, policy_factory
 from unicon_core.workflow.program_data import ProgramData
@@ -52,11 +41,7 @@ Sections = dict[Stage, list[Node]]
 def sections_of(document: WorkflowDocument) -> tuple[Sections, Node | None]:
     """Return what a workflow says for each stage, and the flow of its wind-down or None."""
     reader, safety = FlowReader(document), safety_of(document)
-    listed = {
-        Stage.ESTIMATE: "estimate",
-        Stage.COMMAND: "commands",
-        Stage.OBSERVE: "deferred",
-    }
+    listed = {Stage.ESTIMATE: "estimate", Stage.COMMAND: "commands", Stage.OBSERVE: "deferred"}
 
     def read(items: Sequence[Any], *path: str) -> list[Node]:
         return [reader.node(item, (*path, i)) for i, item in enumerate(items)]
@@ -186,10 +171,7 @@ def period_of(document: WorkflowDocument, policies: Mapping[str, Any]) -> float:
 
 
 def specs_of(
-    document: WorkflowDocument,
-    robot: Robot,
-    policies: Mapping[str, Any],
-    uses: Iterable[Use],
+    document: WorkflowDocument, robot: Robot, policies: Mapping[str, Any], uses: Iterable[Use]
 ) -> dict[str, StateSpec]:
     for use in uses:
         if use.of and use.of not in robot.members:

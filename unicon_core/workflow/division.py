@@ -130,11 +130,7 @@ def _owners(node: Node, parts: Parts) -> set[str]:
 
 
 def publishers(
-    store: Store,
-    part: str,
-    groups: Groups,
-    states: States,
-    stages: Mapping[Stage, list[Node]],
+    store: Store, part: str, groups: Groups, states: States, stages: Mapping[Stage, list[Node]]
 ) -> list[Block]:
     """Put a publisher of each group behind what changes its states last; return them.
 

@@ -160,7 +160,7 @@ def set_value(values: dict[str, Any], dotted: str, value: Any) -> str:
             inner = here[key] = {inner: {}}
         elif isinstance(inner, str) and depth == 2 and keys[0] == "policies":
             inner = here[key] = {"path": inner}
-        elif not isinstance(inner, (dict, list)):
+        elif not isinstance(inner, dict | list):
             path = ".".join(f'"{k}"' if "." in str(k) else str(k) for k in keys[:depth])
             remedy = f"set it whole: --set {path}=VALUE"
             if path == "platform" and not isinstance(values.get("robot"), dict):

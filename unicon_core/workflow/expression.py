@@ -159,7 +159,7 @@ class _Expression:
         below = ast.iter_child_nodes(node)
         match node:
             case ast.Constant(value=value):
-                if not isinstance(value, (int, float)) or not abs(value) <= LARGEST_NUMBER:
+                if not isinstance(value, int | float) or not abs(value) <= LARGEST_NUMBER:
                     raise self.fail(f"{_short(value)} is not a number that a state holds")
             case ast.Name(id=name):
                 node.id = f"s_{name}"
@@ -179,14 +179,14 @@ class _Expression:
                     place = ast.literal_eval(node.slice)
                 except ValueError:
                     place = None
-                if type(place) is not int or not isinstance(node.value, (ast.Name, ast.Subscript)):
+                if type(place) is not int or not isinstance(node.value, ast.Name | ast.Subscript):
                     raise self.fail(
                         f"{ast.unparse(node)}: an element of a state goes by a whole number, "
                         "as in [2]"
                     )
             case ast.BinOp(op=ast.Pow()):
                 exponent = node.right.value if isinstance(node.right, ast.Constant) else None
-                small = isinstance(exponent, (int, float)) and 0 <= exponent <= LARGEST_POWER
+                small = isinstance(exponent, int | float) and 0 <= exponent <= LARGEST_POWER
                 if not small or any(isinstance(n, ast.Pow) for n in ast.walk(node.left)):
                     raise self.fail(
                         f"{ast.unparse(node)}: a power goes by a number from 0 to "

@@ -316,7 +316,7 @@ class FlowReader:
         """Return the block of a predicate: an expression, a block's name, or a block."""
         if isinstance(value, bool) or value is None:
             raise self._error(path, f"{path[-1]}: needs a block or an expression over states")
-        if isinstance(value, (int, float)):
+        if isinstance(value, int | float):
             return self._expression(str(value), path)
         if isinstance(value, str) and value not in known("blocks") and ":" not in value:
             return self._expression(value, path)

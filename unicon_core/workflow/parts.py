@@ -24,13 +24,7 @@ from unicon_base.schema.marks import Checked, Matches, Size, Write
 from unicon_core.states import Layout, States
 from unicon_core.states.backends import Reader
 from unicon_core.states.groups import Groups, groups_of, subset
-from unicon_core.states.links import (
-    Incoming,
-    Silent,
-    Store,
-    neutral_value,
-    open_reader,
-)
+from unicon_core.states.links import Incoming, Silent, Store, neutral_value, open_reader
 from unicon_core.workflow.document import WorkflowDocument, read_part
 
 

@@ -105,10 +105,7 @@ def controllers_reading(
 
 
 def declared_states(
-    use: Use,
-    policies: Mapping[str, Any],
-    robot: Robot,
-    extra: Mapping[str, StateSpec],
+    use: Use, policies: Mapping[str, Any], robot: Robot, extra: Mapping[str, StateSpec]
 ) -> dict[str, StateSpec]:
     """Return the states that a policy block needs beyond the standard ones.
 

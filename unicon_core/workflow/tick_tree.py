@@ -9,15 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from unicon_base.errors import WorkflowError
-from unicon_core.flow import (
-    Block,
-    Deferred,
-    Node,
-    Switch,
-    Zip,
-    as_block,
-    blocks_of,
-)
+from unicon_core.flow import Block, Deferred, Node, Switch, Zip, as_block, blocks_of
 from unicon_core.flow.block import Stage
 from unicon_core.flow.checks import check_graph, raise_first
 from unicon_core.flow.compiled import CompiledGraph
@@ -27,12 +19,7 @@ from unicon_core.flow.nodes import children_of, chooser_of, unfused, with_childr
 from unicon_core.memory import Memory
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES, unsaid_states
-from unicon_core.workflow.command_bounds import (
-    COMMAND,
-    CommandBound,
-    CommandBounds,
-    command_bounds,
-)
+from unicon_core.workflow.command_bounds import COMMAND, CommandBound, CommandBounds, command_bounds
 from unicon_core.workflow.live_twin import TWIN_STATES
 from unicon_core.workflow.policies import controllers_reading
 from unicon_core.workflow.program_data import ProgramData

@@ -17,15 +17,7 @@ import numpy as np
 from unicon_base.arrays import Array, Float64
 from unicon_base.schema.marks import Key, Text
 from unicon_core.robots import Robot
-from unicon_hardware.facts import (
-    AskingRate,
-    Transport,
-    each,
-    each_text,
-    fact,
-    facts_of,
-    wrong_fact,
-)
+from unicon_hardware.facts import AskingRate, Transport, each, each_text, fact, facts_of, wrong_fact
 
 ENABLE = bytes(7 * [0xFF]) + b"\xfc"
 """Lets a DM motor take commands; it answers with its state."""

@@ -206,11 +206,7 @@ class Arx(WiredRobot):
     """See the module."""
 
     # No temperature: DM motors, half of an arm, do not tell theirs.
-    facts = Facts(
-        "arx",
-        writes=(*JOINT_STATES, "motor_error", "stamp_ns"),
-        protocols=("arx",),
-    )
+    facts = Facts("arx", writes=(*JOINT_STATES, "motor_error", "stamp_ns"), protocols=("arx",))
 
 
 def make(

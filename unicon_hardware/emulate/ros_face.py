@@ -52,12 +52,7 @@ class RosEndpoint(Endpoint):
     where = "joint_commands"
 
     def __init__(
-        self,
-        states: States,
-        robot: Robot,
-        *,
-        rate: float = 200.0,
-        imu_seconds: float = math.inf,
+        self, states: States, robot: Robot, *, rate: float = 200.0, imu_seconds: float = math.inf
     ) -> None:
         if not 0.0 < rate <= FASTEST:
             raise PlatformError(

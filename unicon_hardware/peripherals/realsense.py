@@ -35,11 +35,7 @@ from unicon_ros.bridge.images import (
     rays,
     topic_options,
 )
-from unicon_ros.peripheral import (
-    check_positive,
-    peripheral_block,
-    peripheral_states,
-)
+from unicon_ros.peripheral import check_positive, peripheral_block, peripheral_states
 from unicon_ros.peripheral_process import SLICE, Feed, Gone, end, serve
 
 PROCESS = "unicon_hardware.peripherals.realsense"

@@ -34,11 +34,7 @@ from unicon_ros.bridge.images import (
     large_data,
     topic_options,
 )
-from unicon_ros.peripheral import (
-    check_positive,
-    peripheral_block,
-    peripheral_states,
-)
+from unicon_ros.peripheral import check_positive, peripheral_block, peripheral_states
 from unicon_ros.peripheral_process import SLICE, Feed, Gone, end, serve
 
 PROCESS = "unicon_hardware.peripherals.webcam"
@@ -176,11 +172,7 @@ class Rgb:
         chroma, total = self._chroma, self._sum
         luma, blue, red = self._luma[packed[..., ::2]], packed[..., 1], packed[..., 3]
         pairs = into.reshape(*total.shape, 3)
-        parts = (
-            chroma["r"][red],
-            chroma["gr"][red] + chroma["gb"][blue],
-            chroma["b"][blue],
-        )
+        parts = (chroma["r"][red], chroma["gr"][red] + chroma["gb"][blue], chroma["b"][blue])
         for number, part in enumerate(parts):
             np.add(luma, part[..., None], out=total)
             np.right_shift(total, 5, out=total)

@@ -19,15 +19,7 @@ import numpy as np
 from unicon_base.errors import Fault
 from unicon_base.schema.marks import Key, Size, Within, Write
 from unicon_core.robots import Robot
-from unicon_hardware.dds.maps import (
-    COMMANDS,
-    IMU,
-    MEASURED,
-    DdsFacts,
-    Message,
-    motors,
-    zeros,
-)
+from unicon_hardware.dds.maps import COMMANDS, IMU, MEASURED, DdsFacts, Message, motors, zeros
 from unicon_hardware.dds.participant import Participant
 from unicon_hardware.dds.service import Procedure, ServiceEnd
 from unicon_hardware.facts import (
@@ -188,7 +180,7 @@ def _constants(robot: Robot, count: int, modes: Mapping[int, int]) -> dict[str, 
 def _release(robot: Robot) -> tuple[tuple[str, int] | None, float]:
     """Return how the robot's own controller is asked to let go."""
     said = robot.transport.get("release")
-    if not isinstance(said, dict) or not isinstance(said.get("wait"), (int, float)):
+    if not isinstance(said, dict) or not isinstance(said.get("wait"), int | float):
         wanted = "{wait: seconds}, with before: [service, number] if any"
         raise wrong_fact(robot, "release", wanted)
     before = said.get("before")

@@ -60,12 +60,7 @@ def _told(states: States, link: LeggedTransport) -> tuple[str, ...]:
     return tuple(name for name in names if name in states and name not in without)
 
 
-def _examined(
-    states: States,
-    robot: Robot,
-    period: float,
-    **options: Any,
-) -> Binding:
+def _examined(states: States, robot: Robot, period: float, **options: Any) -> Binding:
     """Tell `unicon check` what would be told, without opening anything.
 
     Raises:

@@ -169,9 +169,7 @@ _add_diagnose = command(
         "workflow", "WORKFLOW", "whose contract should have made it (default: its own)", nargs="?"
     ),
     argument(
-        "--reference",
-        "RECORD",
-        "of the same robot without the trouble: what both lack is no cause",
+        "--reference", "RECORD", "of the same robot without the trouble: what both lack is no cause"
     ),
     argument("--robot", "ROBOT", "its file (default: the record's)"),
     flag("--hung", "the robot hung in the air, or its base was fixed"),

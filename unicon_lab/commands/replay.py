@@ -8,15 +8,7 @@ from collections.abc import Sequence
 
 from unicon_base.errors import UniconError
 from unicon_ros.cli.console import Console, print_table
-from unicon_ros.cli.options import (
-    OVERRIDES,
-    argument,
-    command,
-    exclusive,
-    flag,
-    positive,
-    seconds,
-)
+from unicon_ros.cli.options import OVERRIDES, argument, command, exclusive, flag, positive, seconds
 from unicon_ros.cli.run import close_session, ros_session, run_document, run_options
 
 OWN = ("bag", "verify", "play", "command", "function", "parser", "quiet", "verbose")
@@ -131,8 +123,7 @@ add = command(
             "compare every state of every tick with the recorded; exit status 1 where one differs",
         ),
         flag(
-            "--play",
-            "publish the recorded states to ROS topics, with /clock; nothing is computed",
+            "--play", "publish the recorded states to ROS topics, with /clock; nothing is computed"
         ),
     ),
     argument("--start", "S", "leave S s out", type=seconds, default=0.0),

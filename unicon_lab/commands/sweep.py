@@ -14,15 +14,7 @@ from typing import TYPE_CHECKING, Any
 from unicon_base.errors import MissingDependencyError, UniconError
 from unicon_core.signals import SIGNALS
 from unicon_ros.cli.console import Console, note, warn
-from unicon_ros.cli.options import (
-    FORCE,
-    OVERRIDES,
-    REPEATED,
-    argument,
-    command,
-    flag,
-    whole,
-)
+from unicon_ros.cli.options import FORCE, OVERRIDES, REPEATED, argument, command, flag, whole
 
 if TYPE_CHECKING:
     from unicon_lab.sweep.engines import Wish

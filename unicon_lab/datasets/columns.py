@@ -46,11 +46,7 @@ def rate_of(record: Record) -> float:
 
 
 def episodes_of(
-    path: Path,
-    record: Record,
-    fps: int,
-    phases: Collection[str],
-    pictures: Mapping[str, Pictures],
+    path: Path, record: Record, fps: int, phases: Collection[str], pictures: Mapping[str, Pictures]
 ) -> list[Episode]:
     """Return an episode for each stretch of ticks of the phases, none where there are no such.
 

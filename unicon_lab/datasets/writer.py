@@ -262,10 +262,7 @@ class DatasetWriter:
         shown = episode.shown[feature.camera]
         for number in range(len(shown)):
             video.add(shown.rgb(number))
-        place |= {
-            "from_timestamp": first / self._fps,
-            "to_timestamp": video.frames / self._fps,
-        }
+        place |= {"from_timestamp": first / self._fps, "to_timestamp": video.frames / self._fps}
         return {f"videos/{key}/{name}": value for name, value in place.items()}
 
 

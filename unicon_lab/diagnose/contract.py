@@ -44,10 +44,7 @@ Tell = Callable[..., object]
 
 
 def contract_causes(
-    record: Record,
-    where: str,
-    contract: PolicyContract | None = None,
-    tell: Tell = lambda *_: None,
+    record: Record, where: str, contract: PolicyContract | None = None, tell: Tell = lambda *_: None
 ) -> tuple[list[Cause], list[str]]:
     """Say in what the contract that made a record differs from the given one.
 

@@ -77,7 +77,7 @@ def simulated(record: Record) -> bool:
 
 
 def _texts(value: Any) -> Iterator[str]:
-    if isinstance(value, (dict, list)):
+    if isinstance(value, dict | list):
         for each in value.values() if isinstance(value, dict) else value:
             yield from _texts(each)
     elif isinstance(value, str):
@@ -231,7 +231,7 @@ def recording_of(record: Record) -> list[str]:
 def _options(said: Mapping[str, Any], platforms: Sequence[str]) -> dict[str, Any]:
     given = said.get("platforms") or {}
     pairs = [pair for name in platforms for pair in (given.get(name) or {}).items()]
-    numbers = {k: v for k, v in pairs if k in OPTIONS and isinstance(v, (bool, int, float))}
+    numbers = {k: v for k, v in pairs if k in OPTIONS and isinstance(v, bool | int | float)}
     return numbers | {k: v for k, v in pairs if k in WORDS and _matched(r"[\w.]{1,30}$", v)}
 
 

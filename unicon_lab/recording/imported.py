@@ -293,11 +293,7 @@ def too_large(path: Path) -> UniconError:
 
 
 def import_npz(
-    source: Path,
-    out: Path,
-    robot: Robot,
-    joints: Sequence[str] = (),
-    rate: float | None = None,
+    source: Path, out: Path, robot: Robot, joints: Sequence[str] = (), rate: float | None = None
 ) -> int:
     """Write a record of ticks; return how many.
 

@@ -23,14 +23,7 @@ from typing import Any
 import numpy as np
 
 from unicon_base.errors import StateError
-from unicon_core.memory import (
-    ATOMS,
-    Component,
-    EnumMember,
-    FromLibrary,
-    GeneratorState,
-    Snapshot,
-)
+from unicon_core.memory import ATOMS, Component, EnumMember, FromLibrary, GeneratorState, Snapshot
 from unicon_core.runtime.tick_ring import HEAD, PHASES
 from unicon_core.states import Layout
 from unicon_lab.recording.mcap_file import McapFile
@@ -236,7 +229,7 @@ def to_json(value: Any) -> Any:
         return value if math.isfinite(value) else {"float": repr(value)}
     if kind in ATOMS:
         return value
-    if isinstance(value, (np.ndarray, np.generic)):
+    if isinstance(value, np.ndarray | np.generic):
         array = np.asarray(value)
         data = base64.b64encode(array.tobytes()).decode()
         content = {"dtype": array.dtype.str, "shape": list(array.shape), "data": data}
@@ -291,7 +284,7 @@ def changes(snapshot: Snapshot, built: Snapshot) -> Snapshot:
 
 
 def _changes(snapshot: Any, built: Any) -> Any:
-    if isinstance(snapshot, (Component, Snapshot)) and type(built) is type(snapshot):
+    if isinstance(snapshot, Component | Snapshot) and type(built) is type(snapshot):
         found = {name: _changes(each, built.get(name)) for name, each in snapshot.items()}
         kept = {name: each for name, each in found.items() if each is not _SAME}
         return type(snapshot)(kept) if kept or not snapshot else _SAME

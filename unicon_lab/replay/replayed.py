@@ -72,7 +72,7 @@ class Replayed:
         self.outside = {
             moment: tuple(map(str, names))
             for moment, names in said.items()
-            if isinstance(names, (list, tuple))
+            if isinstance(names, list | tuple)
         }
         self.program = Program(
             document,

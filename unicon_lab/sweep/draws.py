@@ -154,7 +154,7 @@ def _one_line(value: Any) -> str:
 
 
 def _number(value: object) -> bool:
-    if not isinstance(value, (int, float)) or isinstance(value, bool):
+    if not isinstance(value, int | float) or isinstance(value, bool):
         return False
     return math.isfinite(value)
 

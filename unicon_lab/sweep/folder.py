@@ -222,10 +222,7 @@ def shard_names(folder: Path) -> list[Path]:
 
 
 def write_shard(
-    path: Path,
-    plan: Plan,
-    rows: Sequence[tuple[Row, Mapping[str, Any]]],
-    facts: Mapping[str, Any],
+    path: Path, plan: Plan, rows: Sequence[tuple[Row, Mapping[str, Any]]], facts: Mapping[str, Any]
 ) -> None:
     """Write a shard, whole or not at all, and on the disk when it returns.
 

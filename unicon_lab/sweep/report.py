@@ -292,7 +292,7 @@ def bins_of(path: str, values: Sequence[Any], most: int) -> Bins:
         most: bins; of words twice as many, then the rest together.
     """
     distinct = list(dict.fromkeys(values))
-    numbers = all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in distinct)
+    numbers = all(isinstance(v, int | float) and not isinstance(v, bool) for v in distinct)
     if numbers and len(distinct) > most:
         array = np.array(values, np.float64)
         edges = np.unique(np.quantile(array, np.linspace(0.0, 1.0, most + 1)))

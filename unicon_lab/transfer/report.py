@@ -106,7 +106,7 @@ def _engines(result: Mapping[str, Any]) -> str:
         if run is None:
             continue
         versions = ", ".join(f"{name} {number}" for name, number in run["versions"].items())
-        info = [(key, v) for key, v in run["info"].items() if isinstance(v, (str, int, float))]
+        info = [(key, v) for key, v in run["info"].items() if isinstance(v, str | int | float)]
         told = "; ".join(f"{key} {value}" for key, value in info)
         notes = "".join(f"; {note}" for note in run["info"].get("notes", ()))
         facts[platform["platform"]] = f"{versions}; {told}{notes}"
@@ -223,11 +223,7 @@ PICTURES: Pictures = {
         "Mean of each platform; the whisker is the standard deviation over seeds, where there are "
         "several.",
     ),
-    "paths": (
-        _paths,
-        "The base",
-        "First run of each platform. Dashed: the commanded speed.",
-    ),
+    "paths": (_paths, "The base", "First run of each platform. Dashed: the commanded speed."),
     "joints": (
         _joints,
         "The joints that differ most",

@@ -4,10 +4,7 @@
 `process.py` gives the ring to a sink: a page in the browser or Foxglove.
 """
 
-SINKS = {
-    "page": "unicon_lab.view.page.sink:Page",
-    "foxglove": "unicon_lab.view.foxglove:Foxglove",
-}
+SINKS = {"page": "unicon_lab.view.page.sink:Page", "foxglove": "unicon_lab.view.foxglove:Foxglove"}
 """Word of `--view` to what shows it."""
 
 PORT = 8700

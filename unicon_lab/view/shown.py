@@ -184,7 +184,7 @@ def _lines(
     depth: int,
     when: tuple[tuple[int, int], ...],
 ) -> list[GraphLine]:
-    number = numbers.get(id(node), -1) if isinstance(node, (Chain, Switch)) else -1
+    number = numbers.get(id(node), -1) if isinstance(node, Chain | Switch) else -1
     text = f"{label}: {title(node)}" if label else title(node)
     lines = [GraphLine(depth, text, when, number)]
     for place, (name, child) in enumerate(branches(node)):

@@ -288,12 +288,7 @@ class HumanHand:
     """
 
     def __init__(
-        self,
-        poses: Float32,
-        fingers: Sequence[str],
-        side: str = "",
-        *,
-        mirrored: bool = False,
+        self, poses: Float32, fingers: Sequence[str], side: str = "", *, mirrored: bool = False
     ) -> None:
         self._points, self._wrist, self._side = poses[:, :3], poses[0, 3:], side
         self._fingers = tuple(fingers)

@@ -19,14 +19,7 @@ from unicon_base.errors import WorkflowError, alternatives
 from unicon_core.blocks.controls.device import declares_controls
 from unicon_core.bounds import BUTTONS
 from unicon_core.flow.block import Writes
-from unicon_core.models.frames import (
-    Quat,
-    Vector,
-    conjugate,
-    multiply,
-    towards,
-    vector_of,
-)
+from unicon_core.models.frames import Quat, Vector, conjugate, multiply, towards, vector_of
 from unicon_core.states import States
 
 SPEED_CUTOFF = 1.0

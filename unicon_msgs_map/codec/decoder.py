@@ -76,12 +76,7 @@ def _maker(source: str) -> Callable[..., Callable[[bytes], bool | None]]:
 
 
 def compile_fast(
-    raw: bytes,
-    order: str,
-    hard: list[tuple[int, int]],
-    runs: list[Run],
-    reject: bool,
-    loose: bool,
+    raw: bytes, order: str, hard: list[tuple[int, int]], runs: list[Run], reject: bool, loose: bool
 ) -> Callable[[bytes], bool | None]:
     """Generate and return the function for payloads that are built like one.
 

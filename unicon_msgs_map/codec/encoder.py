@@ -240,7 +240,7 @@ def constant(
         except ValueError:
             named = alternatives(str(number), constants) if constants else "no constant is named"
             raise field.state_error(f"{number!r} is not {_one(kind)}; {named}") from None
-    if not isinstance(number, (int, float)):
+    if not isinstance(number, int | float):
         raise field.state_error(f"{value!r} is not {_one(kind)}")
     if kind.name == "bool":
         return bool(number)
@@ -274,9 +274,7 @@ def _parse_number(text: str) -> bool | int | float:
 
 
 def generate(
-    template: Template,
-    bounds: Mapping[int, Bound],
-    checksum: Callable[[], int] | None = None,
+    template: Template, bounds: Mapping[int, Bound], checksum: Callable[[], int] | None = None
 ) -> tuple[Callable[[], bytes], str]:
     """Return the encode function and its source.
 

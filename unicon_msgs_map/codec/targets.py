@@ -197,7 +197,7 @@ def _fixed_count(field: FieldSpec, message: Struct) -> int | None:
 
 
 def _required(number: int, field: FieldSpec, kind: TypeRef) -> Target:
-    if not isinstance(kind, (Primitive, String)) or any(
+    if not isinstance(kind, Primitive | String) or any(
         isinstance(selector, tuple) for _, selector in field.steps
     ):
         raise field.state_error(

@@ -67,7 +67,7 @@ class Composed(Located):
 
     def _plain(self, node: _Node, where: Where) -> Any:
         self._origins[where] = node
-        if isinstance(node.value, (dict, list)):
+        if isinstance(node.value, dict | list):
             parts = {k: self._plain(n, (*where, k)) for k, n in node.parts().items()}
             return parts if isinstance(node.value, dict) else list(parts.values())
         return node.value

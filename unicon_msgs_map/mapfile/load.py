@@ -27,21 +27,11 @@ from unicon_msgs_map.mapfile.document import (
     missing_keys,
 )
 from unicon_msgs_map.mapfile.include import Composed, compose
-from unicon_msgs_map.spec import (
-    FieldSpec,
-    MessageMap,
-    PublishSpec,
-    Qos,
-    Reception,
-    SubscribeSpec,
-)
+from unicon_msgs_map.spec import FieldSpec, MessageMap, PublishSpec, Qos, Reception, SubscribeSpec
 
 
 def load_map(
-    path: str | Path,
-    typestore: str | Messages | Any | None = None,
-    *,
-    heard: Qos | None = None,
+    path: str | Path, typestore: str | Messages | Any | None = None, *, heard: Qos | None = None
 ) -> MessageMap:
     """Read a mapping file.
 

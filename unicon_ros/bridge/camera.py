@@ -51,12 +51,7 @@ from unicon_ros.bridge.images import (
     rays,
     topic_options,
 )
-from unicon_ros.peripheral import (
-    Peripheral,
-    check_positive,
-    check_stale,
-    peripheral_states,
-)
+from unicon_ros.peripheral import Peripheral, check_positive, check_stale, peripheral_states
 from unicon_ros.peripheral_process import SLICE, Feed, end, serve
 
 PROCESS = "unicon_ros.bridge.camera"

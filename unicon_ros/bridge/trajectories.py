@@ -258,7 +258,7 @@ class Trajectories:
             if each.velocity > 0.0 or each.acceleration > 0.0 or not np.isfinite(each.position):
                 raise Refusal(
                     f"tolerances of {each.name}: positions alone are compared; give a number "
-                    "there, and 0 for velocity and acceleration",
+                    "there, and 0 for velocity and acceleration"
                 )
             if each.position:
                 values[joints.index(each.name)] = each.position if each.position > 0 else np.inf

@@ -55,11 +55,7 @@ def check(arguments: argparse.Namespace) -> int:
         return mirror_hook(program, arguments.map)
 
     result = check_workflow(
-        arguments.workflow,
-        arguments.overrides,
-        twin=arguments.twin,
-        more=[mirror],
-        hooks=[heard],
+        arguments.workflow, arguments.overrides, twin=arguments.twin, more=[mirror], hooks=[heard]
     )
     if arguments.json:
         result.write(arguments.json)

@@ -268,11 +268,4 @@ def run_options() -> list[Adder]:
     return [*RUN_OPTIONS, *(o for each in loaded("run").values() for o in each.OPTIONS)]
 
 
-add = command(
-    "run",
-    run,
-    "run a workflow",
-    __doc__,
-    *WORKFLOW,
-    *run_options(),
-)
+add = command("run", run, "run a workflow", __doc__, *WORKFLOW, *run_options())

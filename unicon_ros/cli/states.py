@@ -13,13 +13,7 @@ from unicon_base.errors import StateError
 from unicon_core.page import write_file
 from unicon_core.text_table import number_text
 from unicon_ros.cli.console import print_table
-from unicon_ros.cli.options import (
-    OVERRIDES,
-    argument,
-    command,
-    flag,
-    positive,
-)
+from unicon_ros.cli.options import OVERRIDES, argument, command, flag, positive
 
 if TYPE_CHECKING:
     from unicon_base.arrays import Array

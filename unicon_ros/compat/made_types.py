@@ -262,11 +262,7 @@ def _class(name: str, description: Any, digest: bytes, template: _Template) -> A
     whole = _Description(individual(description["type_description"]), sequence(_Individual, parts))
     callbacks = _Callbacks(f"{package}::msg".encode(), short.encode(), *template.functions)
     members = _Members(f"{package}__msg".encode(), short.encode(), 0)
-    rest = (
-        teller(_Hash(1, (ctypes.c_uint8 * 32)(*digest))),
-        teller(whole),
-        teller(_Sequence()),
-    )
+    rest = (teller(_Hash(1, (ctypes.c_uint8 * 32)(*digest))), teller(whole), teller(_Sequence()))
     found: dict[bytes, int] = {}
     find = _FIND(lambda _, identifier: found.get(identifier))
     keep += [callbacks, members, find]

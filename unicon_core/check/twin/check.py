@@ -260,9 +260,7 @@ class _Twin:
         return best if best and self.compared(best[0]).clear else []
 
     def tried(
-        self,
-        changes: Callable[[PolicyContract], Iterable[Change]],
-        seconds: float | None = None,
+        self, changes: Callable[[PolicyContract], Iterable[Change]], seconds: float | None = None
     ) -> list[Tried]:
         """Return the changes of all policies that the simulator can make, and their runs."""
         until = time.monotonic() + _PATIENCE

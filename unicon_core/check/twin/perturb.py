@@ -297,11 +297,7 @@ def clock_reordered(contract: PolicyContract, order: Sequence[int]) -> PolicyCon
         order: which of all sines, then all cosines stands at each place, length 2k.
     """
     count = len(order) // 2
-    halves = {
-        "gait_phase": order,
-        "gait_phase_sin": order[:count],
-        "gait_phase_cos": order[count:],
-    }
+    halves = {"gait_phase": order, "gait_phase_sin": order[:count], "gait_phase_cos": order[count:]}
 
     def reordered(term: ObservationTerm) -> ObservationTerm:
         if term.state not in halves:

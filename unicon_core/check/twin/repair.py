@@ -56,11 +56,7 @@ _NONE = float("nan")  # size
 
 
 def repairs(
-    contract: PolicyContract,
-    robot: Robot,
-    model: LoadedModel | None,
-    *,
-    recorded: bool = False,
+    contract: PolicyContract, robot: Robot, model: LoadedModel | None, *, recorded: bool = False
 ) -> Iterator[Change]:
     """Yield what a policy's contract might be if it were right, the likeliest first.
 

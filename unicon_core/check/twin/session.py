@@ -217,7 +217,7 @@ class TwinSession:
         self._uses = [
             (keys[id(block.tick.contract)], block, block.tick)
             for block in self.program.blocks
-            if isinstance(block.tick, (Policy, DrivenPolicy))
+            if isinstance(block.tick, Policy | DrivenPolicy)
         ]
         robot, platform = self.program.robot, self.program.platform
         own = getattr(platform, "passive_damping", np.zeros(robot.num_joints))

@@ -43,7 +43,7 @@ def legged_gym_facts(source: Source) -> Facts:
     if source.line("control.action_scale") is not None:
         source.say("action.scale", dig(document, "control", "action_scale"), "control.action_scale")
     bound = dig(document, "normalization", "clip_actions")
-    if isinstance(bound, (int, float)):
+    if isinstance(bound, int | float):
         facts.say("action.clip", [-bound, bound])
     scales = dig(document, "normalization", "obs_scales")
     if isinstance(scales, Mapping):
@@ -194,7 +194,7 @@ def _action(source: Source, name: str, term: Mapping[str, Any], joints: list[str
         ("offset", 0.0, not term.get("use_default_offset", True)),
     ):
         value = term.get(key, None if key == "scale" else default)
-        if not isinstance(value, (int, float)):
+        if not isinstance(value, int | float):
             many = moved or key == "offset"
             value = values_by_pattern(value, moved or [], default=default) if many else None
         if wanted and (value is not None or key == "offset"):

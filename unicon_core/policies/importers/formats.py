@@ -93,7 +93,7 @@ def settled(
     kept = [pair for pair in onnx.metadata if pair[0] not in twice]
     for key, written in _NAMES.items():  # by which all vectors are read
         joints = said.get("joints")
-        if key in twice and isinstance(joints, (list, tuple)):
+        if key in twice and isinstance(joints, list | tuple):
             kept.append((key, written([str(name) for name in joints])))
     return replace(onnx, metadata=tuple(kept)), notes
 

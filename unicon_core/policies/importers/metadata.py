@@ -262,7 +262,7 @@ def exploy_facts(onnx: OnnxFile) -> Facts:
     """
     metadata, facts = _json(onnx), _begun(onnx, "exploy metadata")
     rate = metadata.get("update_rate")
-    if isinstance(rate, (int, float)) and rate > 0:
+    if isinstance(rate, int | float) and rate > 0:
         facts.say("period", 1.0 / rate, "update_rate")
     outputs = _names(onnx.outputs)
     targets = [match.groups() for name in outputs if (match := _OUTPUT.fullmatch(name))]

@@ -38,7 +38,7 @@ def keys_of(place: Place) -> Where:
 def motors_of(robot: Robot) -> dict[int, str]:
     """Return motor numbers of the vendor's SDK to joints: places unless the robot says more."""
     names, numbers = robot.joint_names, robot.transport.get("motors")
-    if not isinstance(numbers, (list, tuple)) or len(numbers) != len(names):
+    if not isinstance(numbers, list | tuple) or len(numbers) != len(names):
         numbers = range(len(names))
     return {int(number): name for number, name in zip(numbers, names)}
 
@@ -176,7 +176,7 @@ class Source:
         ranges = {
             RENAMED_RANGES.get(name, name): list(pair)
             for name, pair in (found if isinstance(found, Mapping) else {}).items()
-            if isinstance(pair, (list, tuple)) and len(pair) == 2
+            if isinstance(pair, list | tuple) and len(pair) == 2
         }
         if ranges:
             self.say("command_ranges", ranges, place)
@@ -316,16 +316,16 @@ def values_by_pattern(
         whole: whether a pattern must match the whole name (Isaac Lab), or a part (legged_gym).
     """
     found: list[Any] = []
-    if isinstance(value, (int, float)) and not isinstance(value, bool):
+    if isinstance(value, int | float) and not isinstance(value, bool):
         found = [value] * len(joints)
-    elif isinstance(value, (list, tuple)):
+    elif isinstance(value, list | tuple):
         found = list(value)
     elif isinstance(value, Mapping):
-        numbers = [item for item in value.items() if isinstance(item[1], (int, float))]
+        numbers = [item for item in value.items() if isinstance(item[1], int | float)]
         for joint in joints:
             fits = (n for p, n in numbers if (matches(p, joint) if whole else str(p) in joint))
             found.append(next(fits, default))
     elif not joints:
         return None
-    right = len(found) == len(joints) and all(isinstance(v, (int, float)) for v in found)
+    right = len(found) == len(joints) and all(isinstance(v, int | float) for v in found)
     return list(map(float, found)) if right else None

@@ -270,11 +270,7 @@ def _agree(
 
 
 def _joint_order(
-    path: Path,
-    spec: MotionSpec,
-    contract: PolicyContract,
-    robot_joints: Sequence[str],
-    count: int,
+    path: Path, spec: MotionSpec, contract: PolicyContract, robot_joints: Sequence[str], count: int
 ) -> list[str]:
     said = spec.joints if spec.joints is not None or path.suffix == ".csv" else "policy"
     if said is None:

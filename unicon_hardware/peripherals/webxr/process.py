@@ -110,9 +110,7 @@ def _made(host: str) -> bytes:
         .sign(key, hashes.SHA256())
     )
     secret = key.private_bytes(
-        serialization.Encoding.PEM,
-        serialization.PrivateFormat.PKCS8,
-        serialization.NoEncryption(),
+        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
     )
     return bytes(secret + made.public_bytes(serialization.Encoding.PEM))
 

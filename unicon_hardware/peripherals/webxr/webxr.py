@@ -192,13 +192,7 @@ def webxr(
         "stale": stale,
     }
     return peripheral_block(
-        context,
-        prefix,
-        MODULE,
-        options,
-        values=_values(prefix),
-        stale=stale,
-        kind=Headset,
+        context, prefix, MODULE, options, values=_values(prefix), stale=stale, kind=Headset
     )
 
 

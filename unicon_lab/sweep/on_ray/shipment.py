@@ -163,7 +163,7 @@ def rehearsed(plan: Plan) -> Iterator[tuple[str, ...]]:
     base = len(plan.sweep.settings)
     for place, each in enumerate(plan.sweep.parameters):
         for value in each.values or ():
-            if not isinstance(value, (int, float)) and value is not None:
+            if not isinstance(value, int | float) and value is not None:
                 settings = list(first.settings)
                 settings[base + place] = setting_of(each.path, value)
                 yield tuple(settings)
@@ -217,7 +217,7 @@ class _Watch:
 
     def note(self, path: Any) -> None:
         """Remember a path."""
-        if isinstance(path, (str, os.PathLike)):
+        if isinstance(path, str | os.PathLike):
             with suppress(TypeError):
                 self.seen.add(os.path.abspath(os.fspath(path)))
 

@@ -327,4 +327,4 @@ class Viewer:
 def _vector(given: Any) -> list[float] | None:
     if not isinstance(given, list) or len(given) != 3:
         return None
-    return given if all(isinstance(x, (int, float)) for x in given) else None
+    return given if all(isinstance(x, int | float) for x in given) else None

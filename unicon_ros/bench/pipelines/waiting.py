@@ -22,15 +22,7 @@ from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
-from unicon_ros.bench.pipelines.log import (
-    COMMAND,
-    STATE,
-    Log,
-    Stop,
-    arguments,
-    beside,
-    nanoseconds,
-)
+from unicon_ros.bench.pipelines.log import COMMAND, STATE, Log, Stop, arguments, beside, nanoseconds
 from unicon_ros.bench.pipelines.plain import qos
 
 LONGEST_NS = 100_000_000
