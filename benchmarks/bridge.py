@@ -26,6 +26,7 @@ from unicon_core.states import States, standard_states
 from unicon_msgs_map import Decoder, Encoder, PublishSpec, SubscribeSpec, load_map
 from unicon_ros import compat
 from unicon_ros.bench.domains import stay_on_loopback
+from unicon_ros.bench.pipelines.log import joint_names
 from unicon_ros.bench.report import Bench
 from unicon_ros.bridge.topics import TopicIn, TopicOut
 
@@ -262,11 +263,6 @@ def bench_states(joints: int) -> States:
             states[name][...] = generator.uniform(-1.0, 1.0, states[name].shape)
     states["stamp_ns"][...] = 1_234_567_890
     return states
-
-
-def joint_names(joints: int) -> list[str]:
-    """Return made-up names."""
-    return [f"joint_{i}" for i in range(joints)]
 
 
 def arrays_of(states: States) -> dict[str, Array]:

@@ -8,6 +8,7 @@ Light or dark as the reader has it; drawings take the page's colours by its CSS 
 from __future__ import annotations
 
 import html
+import json
 import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
@@ -165,6 +166,12 @@ def refuse_existing(path: Path, what: str = "") -> None:
     """
     if os.path.lexists(path):
         raise UniconError(f"{what}{path} exists; move it away or give another name")
+
+
+def write_json(path: Path, value: Any, folders: bool = False) -> None:
+    """Write a value as JSON; as `write_file`."""
+    text = json.dumps(value, indent=2, ensure_ascii=False)
+    write_file(path, f"{text}\n".encode(), folders)
 
 
 def write_file(path: Path, content: bytes, folders: bool = False) -> None:

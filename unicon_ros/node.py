@@ -25,7 +25,7 @@ from typing import Any
 from rclpy.executors import ExternalShutdownException
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
-from unicon_base.errors import UniconError
+from unicon_base.errors import UniconError, one_line
 from unicon_core.check import refuse_errors
 from unicon_core.latches import FAULT as ENDED_BY_FAULT
 from unicon_core.runtime import Runner, RunOptions
@@ -355,7 +355,7 @@ class UniconNode(LifecycleNode):
 
     def _transition_refused(self, error: Exception) -> None:
         """Tell of a transition that another process asked for and rclpy raised at."""
-        reason = " ".join(str(error).split()).split(", at /")[0]
+        reason = one_line(error).split(", at /")[0]
         self.log.warning(f"transition refused in state {self._label()!r}: {reason}")
 
     # -- services -------------------------------------------------------------------------------

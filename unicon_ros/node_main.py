@@ -10,7 +10,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from unicon_base.errors import UniconError
+from unicon_base.errors import UniconError, one_line
 from unicon_core.non_blocking_writer import open_standard_files, relayed_stderr
 from unicon_core.signals import SIGNALS, Interrupted
 from unicon_ros import compat
@@ -68,7 +68,7 @@ def _without_ros(rclpy: Any, arguments: list[str]) -> list[str]:
 
 
 def _refused(error: Exception) -> UniconError:
-    text = " ".join(str(error).split()).split(", at /")[0]
+    text = one_line(error).split(", at /")[0]
     return UniconError(f"{text}; correct the arguments after --ros-args")
 
 

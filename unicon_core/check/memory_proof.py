@@ -48,7 +48,7 @@ class Proof:
     trouble: str = ""
 
 
-def prove(block: Block, states: States, ticks: int = TICKS, seed: int = 0) -> Proof:
+def prove(block: Block, states: States, seed: int = 0) -> Proof:
     """Return whether a block remembers what it declares, and nothing else.
 
     The states are as before at the end; the block is made fresh.
@@ -56,7 +56,6 @@ def prove(block: Block, states: States, ticks: int = TICKS, seed: int = 0) -> Pr
     Args:
         block: is called; nothing is sent.
         states: that it reads and writes.
-        ticks: how many go in front of the snapshot, and behind it.
         seed: of what it reads.
     """
     kept = states.snapshot()
@@ -66,15 +65,15 @@ def prove(block: Block, states: States, ticks: int = TICKS, seed: int = 0) -> Pr
         for why in memory.unproven.values():
             if why != UNDECLARED:
                 return Proof(trouble=why)
-        _run(block, states, inputs, range(ticks))
+        _run(block, states, inputs, range(TICKS))
         middle, remembered = states.snapshot(), memory.take()
         before = _Walker(block.tick, states).places
-        first = _run(block, states, inputs, range(ticks, 2 * ticks))
+        first = _run(block, states, inputs, range(TICKS, 2 * TICKS))
         changed = _changed(before, _Walker(block.tick, states).places)
         states.restore(middle)
         memory.put_back(remembered)
         _spoil(changed)
-        second = _run(block, states, inputs, range(ticks, 2 * ticks))
+        second = _run(block, states, inputs, range(TICKS, 2 * TICKS))
     except Exception as error:  # a block of somebody's may raise anything
         return Proof(trouble=f"{type(error).__name__}: {error}")
     finally:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from unicon_base.arrays import Bool
 from unicon_base.errors import UniconError, alternatives
 from unicon_core.check.rules import CODES, FIRM, RULES
-from unicon_core.page import write_file
+from unicon_core.page import write_json
 from unicon_core.text_table import WIDTH, aligned, near, wrapped
 
 if TYPE_CHECKING:
@@ -213,8 +212,7 @@ class CheckResult:
 
     def write(self, path: str | Path) -> None:
         """Write `to_json` to a file, folders made as needed."""
-        text = json.dumps(self.to_json(), indent=2, ensure_ascii=False)
-        write_file(Path(path), f"{text}\n".encode(), folders=True)
+        write_json(Path(path), self.to_json(), folders=True)
 
 
 @dataclass(frozen=True)

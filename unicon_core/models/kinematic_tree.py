@@ -20,6 +20,7 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 
 from unicon_base.arrays import Float64
+from unicon_core.models.frames import yaw_of
 from unicon_core.models.loaded import (
     LoadedModel,
     about,
@@ -343,8 +344,7 @@ def _rpy(quat: Float64) -> tuple[float, float, float]:
             math.atan2(2.0 * (w * z - x * y), 1.0 - 2.0 * (x * x + z * z)),
         )
     roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-    yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-    return roll, math.asin(sine), yaw
+    return roll, math.asin(sine), yaw_of((w, x, y, z))
 
 
 def _numbers(values: Sequence[float] | Float64) -> str:

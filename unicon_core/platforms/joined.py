@@ -225,14 +225,12 @@ class PartPlatform:
         PlatformError: it is not heard in time.
     """
 
-    def __init__(
-        self, part: str, first: str, arrivals: Sequence[Incoming], patience: float = START
-    ) -> None:
+    def __init__(self, part: str, first: str, arrivals: Sequence[Incoming]) -> None:
         writes = tuple(state for arrival in arrivals for state in arrival.writes)
         self.facts = Facts(f"part {part}", simulated=True, reads=(), writes=writes)
         self._arrivals = tuple(arrivals)
         self._first = next((a for a in arrivals if a.part == first), None)
-        end = time.monotonic() + patience
+        end = time.monotonic() + START
         while self._first is not None and not self._first.heard:
             self._first.quiet = True
             self._first()

@@ -281,7 +281,7 @@ def value_of(values: Any, name: str) -> Any:
     return dig(values, *name.split("."))
 
 
-def shown(value: Any, limit: int = 60) -> str:
-    """Return a value for a message, cut off after so many characters."""
+def shown(value: Any) -> str:
+    """Return a value for a message, cut off after 60 characters."""
     text = " ".join(str(value).split())
-    return text if len(text) <= limit else f"{text[: limit - 1]}…"
+    return text if len(text) <= 60 else f"{text[:59]}…"

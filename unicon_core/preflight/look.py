@@ -5,7 +5,6 @@ Beside what the gates say: how often frames come, where the flow begins, what it
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import shutil
@@ -25,7 +24,7 @@ from unicon_core.flow.block import Stage
 from unicon_core.gates.build import beginning, first_command
 from unicon_core.gates.data import Rate
 from unicon_core.gates.gate import SoleCommander
-from unicon_core.page import write_file
+from unicon_core.page import write_json
 from unicon_core.platforms.joined import members_of
 from unicon_core.platforms.platform import (
     CountsArrivals,
@@ -123,7 +122,7 @@ class PreflightResult:
         Raises:
             UniconError: it cannot be written.
         """
-        write_file(Path(path), (json.dumps(values, indent=2) + "\n").encode())
+        write_json(Path(path), values)
 
 
 FREE_BYTES = 1 << 30

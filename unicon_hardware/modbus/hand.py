@@ -140,13 +140,11 @@ class HandWire(Wire):
         open_link: Callable[[], ModbusConnection],
         where: str,
         *,
-        rate: float = RATE,
         silent: bool = False,
         first: Callable[[ModbusConnection], None] | None = None,
     ) -> None:
         self.counts, self.where = Counts(), where
         self._registers, self._open, self._silent = registers, open_link, silent
-        self._every = 1.0 / rate
         self._pos, self._target = states["joint_pos"], states["joint_pos_target"]
         self._vel = states["joint_vel"]
         self._slow = {n: t for n, t in registers.slow.items() if n in states}
@@ -237,7 +235,7 @@ class HandWire(Wire):
         while left:
             ending = self._ending.is_set()
             left -= ending
-            due = time.monotonic() + self._every
+            due = time.monotonic() + 1.0 / RATE
             try:
                 if self._link is None:
                     self._link = self._open()

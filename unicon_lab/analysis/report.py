@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import html
-import json
 import math
 from collections.abc import Callable, Mapping
 from itertools import groupby
@@ -14,8 +13,9 @@ import numpy as np
 
 from unicon_base.arrays import Bool
 from unicon_core import __version__
+from unicon_core.check.subject import listed
 from unicon_core.drawing import drawings
-from unicon_core.page import findings, number, page, pairs, table, write_file
+from unicon_core.page import findings, number, page, pairs, table, write_file, write_json
 from unicon_lab.analysis.comparison import FACTOR, LAG_S, SIDES, Comparison, gap_spread
 from unicon_lab.analysis.pictures import PICTURES
 from unicon_lab.analysis.run import Run
@@ -97,7 +97,7 @@ def write_report(
     parts.append(f'<p class="sub">{end}</p>')
     title = f"{runs[0].path.name} (real) and {runs[1].path.name} (simulated)"
     text = page(title, "How far the simulator is from the robot", parts)
-    write_file(folder / "analysis.json", (json.dumps(result, indent=1) + "\n").encode())
+    write_json(folder / "analysis.json", result)
     write_file(folder / "report.html", text.encode())
     return result
 
@@ -126,7 +126,7 @@ def _headline(found: Mapping[str, Any]) -> str:
     for rank, step in groupby(found["signals"], lambda each: each["rank"]):
         alike = [*step]
         if rank in range(1, STEPS + 1):
-            names = _some([each["signal"] for each in alike])
+            names = listed(each["signal"] for each in alike)
             steps.append(f"{names} at {alike[0]['time_s']:.3f} s")
     if steps:
         return f"First to differ: {'; then '.join(steps)}."
@@ -238,9 +238,4 @@ def _falls(falls: tuple[float, float]) -> list[str]:
 
 
 def _names(comparison: Comparison, which: Bool) -> str:
-    return _some([comparison.together.joints[k] for k in comparison.order if which[k]])
-
-
-def _some(names: list[str]) -> str:
-    more = f" and {len(names) - 4} more" if len(names) > 4 else ""
-    return ", ".join(names[:4]) + more
+    return listed(comparison.together.joints[k] for k in comparison.order if which[k])

@@ -262,8 +262,7 @@ def read_run(
         clocks.append(("the numbers of the ticks", np.asarray(numbers, np.float64)))
     facts = ("robot", "workflow", "platform", "reason", "written")
     about = {name: record.facts[name] for name in facts if record.facts.get(name)}
-    joints = layout.specs["joint_pos"].names if "joint_pos" in layout.specs else ()
-    return make_run(path, about, clocks, tuple(joints), found, window, notes, elements)
+    return make_run(path, about, clocks, record.joints, found, window, notes, elements)
 
 
 def _seconds(stamps: Array) -> Float64:

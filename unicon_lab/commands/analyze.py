@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 from dataclasses import asdict
 from pathlib import Path
 
 from unicon_base.errors import UniconError, cannot
-from unicon_core.page import write_file
+from unicon_core.page import write_file, write_json
 from unicon_ros.cli.console import note, print_table
 from unicon_ros.cli.options import argument, command, flag, group, positive, seconds
 
@@ -102,7 +101,7 @@ def _fit(arguments: argparse.Namespace, folder: Path) -> int:
     if found.better:
         write_file(path, text.encode())
     content = asdict(found) | {"overlay": overlay, "better": found.better}
-    write_file(folder / "fit.json", json.dumps(content, indent=1).encode())
+    write_json(folder / "fit.json", content)
     for each in found.parameters:
         unit = JOINT_PHYSICS[each.word]
         interval = f"{each.after:.4g} ± {each.deviation:.2g} {unit}".rstrip()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +17,7 @@ from unicon_core.page import (
     refuse_unwritable,
     table,
     write_file,
+    write_json,
 )
 from unicon_lab.diagnose import MOTIONS
 from unicon_ros.cli.console import Console, print_table
@@ -73,9 +73,7 @@ def _diagnose(arguments: argparse.Namespace) -> int:
         console.close()
     _print(path.name, found)
     if arguments.json:
-        write_file(
-            Path(arguments.json), json.dumps(plain(asdict(found)), indent=1).encode(), folders=True
-        )
+        write_json(Path(arguments.json), plain(asdict(found)), folders=True)
     if arguments.html:
         write_file(Path(arguments.html), _page(path.name, found).encode(), folders=True)
     return 0 if found.complete else 130

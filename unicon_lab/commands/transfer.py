@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import tempfile
 import time
 from collections.abc import Callable
@@ -155,10 +154,10 @@ def _write(result: dict[str, Any], out: Path | None) -> str:
     """Write what there is so far; return what went wrong: a full disk ends no run."""
     if out is None:
         return ""
-    from unicon_core.page import write_file
+    from unicon_core.page import write_json
 
     try:
-        write_file(out, (json.dumps(result, indent=1, ensure_ascii=False) + "\n").encode())
+        write_json(out, result)
     except UniconError as error:
         return str(error)
     return ""

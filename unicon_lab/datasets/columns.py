@@ -246,8 +246,7 @@ def _known(episodes: Sequence[Episode], state: str, told: list[str]) -> Index:
 def _names(record: Record, state: str, places: Index) -> tuple[str, ...]:
     """Return the names of elements; those of joints without the state in front."""
     elements = record.layout.elements(state)
-    joints = record.layout.specs["joint_pos"].names if "joint_pos" in record.layout.specs else ()
-    if joints and record.layout.specs[state].names == joints:
+    if record.joints and record.layout.specs[state].names == record.joints:
         elements = [name.removeprefix(f"{state}.") for name in elements]
     return tuple(elements[place] for place in places)
 

@@ -89,12 +89,10 @@ def _given(
             if contract is None:
                 raise
     robot = load_robot(robot_of(record)) if document is None else load_robot_of(document)
-    spec = record.layout.specs.get("joint_pos")
-    names = () if spec is None else spec.names
-    if tuple(names) != robot.joint_names:
+    if record.joints != robot.joint_names:
         raise UniconError(
-            f"robot {robot.name} has the joints {', '.join(robot.joint_names)}, and the record "
-            f"{', '.join(names) or 'none'}; restore the robot file that it was recorded with"
+            f"robot {robot.name} has the joints {', '.join(robot.joint_names)}, and the record has "
+            f"{', '.join(record.joints) or 'none'}; restore the robot file of the recording"
         )
     if contract is not None:
         path = str(contract.path)

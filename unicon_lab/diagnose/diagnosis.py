@@ -27,7 +27,7 @@ from unicon_lab.diagnose.plant import KINDS, MOTION, OF_BASE, Place
 from unicon_lab.diagnose.replays import Replays
 from unicon_lab.diagnose.search import MOST_REFERENCE, Found, Search
 from unicon_lab.recording import Record
-from unicon_lab.replay.workflow import recorded_workflow, robot_of
+from unicon_lab.replay.workflow import recorded_values, robot_of
 
 MOST = {16: 60, 200: 40}
 """Windows that are replayed, by the number of joints up to which: a G1's take three times as
@@ -252,8 +252,7 @@ def simulated(record: Record, where: str, robot: Robot | None) -> tuple[Robot, S
     Raises:
         UniconError: the record is of another robot, or of several in one.
     """
-    recorded = recorded_workflow(record)
-    said = recorded.value if recorded and isinstance(recorded.value, dict) else {}
+    said = recorded_values(record)
     if robot is None and isinstance(said.get("robot"), dict):
         raise UniconError(
             f"{record.facts.get('robot')} is made of {', '.join(map(str, said['robot']))}, and an "
@@ -263,11 +262,10 @@ def simulated(record: Record, where: str, robot: Robot | None) -> tuple[Robot, S
         robot = robot or load_robot(robot_of(record))
     except UniconError as error:
         raise UniconError(f"{error}; give the robot with --robot") from error
-    specs = record.layout.specs
-    names = specs["joint_pos"].names if "joint_pos" in specs else ()
-    if tuple(names) != robot.joint_names:
+    if record.joints != robot.joint_names:
         raise UniconError(
-            f"{where} is of {record.facts.get('robot') or 'another robot'} with {len(names)} "
+            f"{where} is of {record.facts.get('robot') or 'another robot'} with "
+            f"{len(record.joints)} "
             f"joints, and robot {robot.name} has others: give that robot's file with --robot"
         )
     scene = said.get("scene") or {}

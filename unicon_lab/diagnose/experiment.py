@@ -22,7 +22,7 @@ from unicon_core.robots import Robot, load_robot
 from unicon_core.robots.load import joints_like
 from unicon_lab.diagnose.diagnosis import simulated
 from unicon_lab.recording import open_record
-from unicon_lab.replay.workflow import recorded_workflow, robot_of
+from unicon_lab.replay.workflow import recorded_values, robot_of
 
 SIZES = {"drop": 0.25, "wiggle": 0.1, "sway": 0.05, "rest": 0.0}
 """By which joints move at most in [rad], [m] of sliding joints."""
@@ -51,8 +51,7 @@ def experiment_text(subject: str, kind: str, file: str, joints: Sequence[str] = 
     if given.suffix == ".mcap" or given.is_dir():
         record = open_record(given)
         robot, scene = simulated(record, given.name, None)
-        workflow = recorded_workflow(record)
-        said = workflow.value if workflow and isinstance(workflow.value, dict) else {}
+        said = recorded_values(record)
         words |= {key: said[key] for key in ("platform", "platforms") if key in said}
         words |= {"robot": robot_of(record), "rate": round(1.0 / record.period, 3)}
         words |= {"model": str(scene.model_path(robot))} if scene.model else {}

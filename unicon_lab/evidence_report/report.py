@@ -35,7 +35,7 @@ from unicon_lab.fault_record import fault_folder
 from unicon_lab.recording import Record, open_record
 from unicon_lab.recording.facts import VERSIONS
 from unicon_lab.recording.scan import scan
-from unicon_lab.replay.workflow import recorded_workflow
+from unicon_lab.replay.workflow import recorded_values
 from unicon_lab.transfer.rollout import OURS
 
 HERE = re.compile(
@@ -193,8 +193,7 @@ def report_of(path: Path, hardware: bool = False) -> dict[str, Any]:
         raise UniconError(f"{path} is cut off, or being written; unicon bag recover mends it")
     if not len(record.ticks):
         raise UniconError(f"{path} has no ticks; give the recording of a run that ticked")
-    workflow = recorded_workflow(record)
-    said = workflow.value if workflow is not None and isinstance(workflow.value, dict) else {}
+    said = recorded_values(record)
     level, why = level_of(record, said, hardware)
     if hardware and level != "hardware":
         raise UniconError(f"{path} was not on hardware: {why}; leave --hardware out")

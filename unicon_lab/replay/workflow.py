@@ -68,6 +68,12 @@ def recorded_workflow(record: Record) -> Located | None:
     return parse_yaml(text, path, WorkflowError) if text else None
 
 
+def recorded_values(record: Record) -> dict[str, Any]:
+    """Return what the workflow in a record says; as `recorded_workflow`."""
+    workflow = recorded_workflow(record)
+    return workflow.value if workflow and isinstance(workflow.value, dict) else {}
+
+
 def robot_of(record: Record) -> str:
     """Return the file of a record's robot, or the name of one that has members.
 

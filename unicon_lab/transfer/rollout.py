@@ -8,7 +8,6 @@ nothing is tried again.
 
 from __future__ import annotations
 
-import json
 import re
 import sys
 import time
@@ -23,7 +22,7 @@ import numpy as np
 from unicon_base.errors import MissingDependencyError, PlatformError, UniconError
 from unicon_core.check import refuse_errors
 from unicon_core.pacing import process_age_s
-from unicon_core.page import write_file
+from unicon_core.page import write_json
 from unicon_core.platforms.platform import info_of
 from unicon_core.runtime.report import Report
 from unicon_core.runtime.rollouts import Look, Rollout
@@ -367,7 +366,7 @@ def run_one(plan: Plan, row: Row, folder: Path, tell: Progress) -> dict[str, Any
         told["file"] = str(files.with_suffix(".npz").relative_to(folder.parent))
         told["log"] = ""
         with suppress(UniconError):  # a full disk: the caller's own file tells
-            write_file(files.with_suffix(".json"), (json.dumps(told) + "\n").encode())
+            write_json(files.with_suffix(".json"), told)
     return told
 
 

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base.errors import alternatives
+from unicon_base.errors import alternatives, one_line
 from unicon_msgs_map.errors import MapDependencyError, MessageTypeError
 from unicon_msgs_map.layout.installed import installed_files, ready_made, unknown_type
 
@@ -223,7 +223,7 @@ class Messages:
             try:
                 found.update(get_types_from_msg(text, name))
             except Exception as error:
-                reason = " ".join(str(error).split())
+                reason = one_line(error)
                 raise MessageTypeError(
                     f"definition of {name!r} cannot be parsed: {reason}"
                 ) from None

@@ -19,7 +19,7 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
@@ -262,11 +262,15 @@ def measure(
     Raises:
         UniconError: a loop does not start, or a process of it has ended.
     """
-    makers: dict[str, Callable[[], Loop]] = {}
-    for variant in variants:
-        given = ["--rate", f"{variant.rate or rate}", *common]
-        log = folder / f"{len(makers)}_{variant.measuring[1]}.npz"
-        makers[variant.name] = partial(_loop, variant, given, log)
+    makers = {
+        each.name: partial(
+            _loop,
+            each,
+            ["--rate", f"{each.rate or rate}", *common],
+            folder / f"{number}_{each.measuring[1]}.npz",
+        )
+        for number, each in enumerate(variants)
+    }
     return rounds_of(*take_turns(makers, rounds, seconds))
 
 

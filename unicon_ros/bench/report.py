@@ -92,7 +92,12 @@ class Bench:
         """Return everything as JSON; numbers that are not finite become null."""
         values = {
             "bench": self.name,
-            "machine": _machine_facts(),
+            "machine": {
+                "cpu": _cpu(),
+                "cores": _cores(),
+                "system": f"{platform.system()} {platform.release()}",
+                "load_1min": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
+            },
             "versions": _package_versions(),
             "seed": self.seed,
             "rounds": self.rounds,
@@ -128,16 +133,6 @@ class Bench:
 def machine() -> str:
     """Return CPU and cores in words."""
     return f"{_cpu()}, {_cores()} cores"
-
-
-def _machine_facts() -> dict[str, Any]:
-    """Return what the numbers depend on: CPU, cores, system, load at this moment."""
-    return {
-        "cpu": _cpu(),
-        "cores": _cores(),
-        "system": f"{platform.system()} {platform.release()}",
-        "load_1min": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
-    }
 
 
 def _package_versions() -> dict[str, str]:

@@ -99,7 +99,11 @@ def rounds_of(whole: int, loops: Mapping[str, Loop]) -> list[dict[str, Rows]]:
 def interval(ratios: ArrayLike) -> str:
     """Return the 95 % bootstrap interval of the median over rounds."""
     draws = np.random.default_rng(SEED).choice(ratios, (1000, np.size(ratios)))
-    low, high = np.percentile(np.median(draws, axis=1), [2.5, 97.5])
+    return _between(np.median(draws, axis=1))
+
+
+def _between(drawn: Float64 | list[float]) -> str:
+    low, high = np.percentile(drawn, [2.5, 97.5])
     return f"{low:.3g} to {high:.3g}"
 
 
@@ -166,9 +170,8 @@ def add_pooled_ratios(
         count = len(pairs)
         draws = rng.integers(count, size=(1000, count))
         drawn = [_ratio([pairs[i] for i in draw], percentile) for draw in draws]
-        low, high = np.percentile(drawn, [2.5, 97.5])
         bench.ratio(name, _ratio(pairs, percentile), bar)
-        bench.facts[f"{name}, 95 % interval"] = f"{low:.3g} to {high:.3g}"
+        bench.facts[f"{name}, 95 % interval"] = _between(drawn)
 
 
 def _ratio(pairs: Sequence[tuple[Float64, Float64]], percentile: float | None) -> float:

@@ -19,7 +19,7 @@ from contextlib import suppress
 from typing import Any
 
 import unicon_core
-from unicon_base.errors import UniconError
+from unicon_base.errors import UniconError, one_line
 from unicon_base.packages import loaded
 from unicon_core.non_blocking_writer import open_standard_files
 from unicon_core.signals import SIGNALS, Interrupted
@@ -139,7 +139,7 @@ def _unforeseen(error: Exception) -> int:
     if os.environ.get("UNICON_TRACEBACK"):
         raise error
     last = traceback.extract_tb(error.__traceback__)[-1]
-    text = " ".join(str(error).split())[:500]
+    text = one_line(error)[:500]
     return _refuse(
         f"{type(error).__name__}: {text} ({os.path.basename(last.filename)}:{last.lineno}); "
         "this was not foreseen: --verbose shows where it comes from; report it"

@@ -4,13 +4,12 @@ nothing: it only reads. `unicon states --header FILE.h WORKFLOW` tells a program
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from unicon_base.errors import StateError
-from unicon_core.page import write_file
+from unicon_core.page import write_json
 from unicon_core.text_table import number_text
 from unicon_ros.cli.console import print_table
 from unicon_ros.cli.options import OVERRIDES, argument, command, flag, positive
@@ -82,7 +81,7 @@ def _names() -> str:
 def _list(file: str | None) -> int:
     found = look()
     if file:
-        write_file(Path(file), f"{json.dumps(found, indent=2)}\n".encode())
+        write_json(Path(file), found)
     rows = [HEAD]
     for segment in found:
         process = f"{segment['pid'] or '?'}" + ("" if segment["alive"] else " (dead)")

@@ -17,7 +17,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from unicon_base.errors import UniconError
+from unicon_base.errors import UniconError, one_line
 from unicon_lab.sweep.plan import Row, code_sha256, differing, versions
 from unicon_lab.sweep.pool import HOPELESS, LOOK, ONE_THREAD, START_S, Line, Pool, PoolWorker
 
@@ -225,7 +225,7 @@ def main() -> int:
     try:
         _join(ray, task)
     except Exception as error:  # whatever a cluster of another kind or version makes of it
-        said = " ".join(str(error).split())[:300]
+        said = one_line(error)[:300]
         if task["address"]:
             said += "; a cluster that has tokens wants RAY_AUTH_MODE=token here, too"
         line.write({"error": f"ray: {said}; what Ray said is in {task['log']}"})

@@ -10,6 +10,7 @@ import numpy as np
 from viser import _messages
 
 from unicon_base.arrays import Array, Float32, Float64
+from unicon_core.models.frames import yaw_of
 from unicon_core.models.loaded import floors, import_mujoco
 from unicon_core.models.posed import PosedModel, foot_bodies, foot_geoms
 from unicon_core.models.terrain import load_on
@@ -152,8 +153,7 @@ class Stage:
 
     def _arrows(self, states: Mapping[str, Array], pose: Pose) -> None:
         """Draw both velocities over the base, 1 m/s as 0.6 m, along its heading."""
-        w, x, y, z = pose.quat[self._body]
-        yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        yaw = yaw_of(pose.quat[self._body])
         heading = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
         for row, state in enumerate(("velocity_command", "base_lin_vel")):
             start = pose.base + np.array((0.0, 0.0, self._above + 0.06 * row))

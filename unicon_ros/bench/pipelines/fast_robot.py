@@ -28,7 +28,16 @@ from unicon_core.states import States, standard_states
 from unicon_core.workflow.registry import find_factory
 from unicon_msgs_map import Decoder, Encoder, parse_map
 from unicon_ros import compat
-from unicon_ros.bench.pipelines.log import COMMAND, IMU, MIRROR, STATE, Log, Stop, arguments
+from unicon_ros.bench.pipelines.log import (
+    COMMAND,
+    IMU,
+    MIRROR,
+    STATE,
+    Log,
+    Stop,
+    arguments,
+    joint_names,
+)
 from unicon_ros.bench.pipelines.plain import qos
 from unicon_ros.bench.pipelines.unicon import joint_states_entry
 from unicon_ros.bridge.topics import TopicIn
@@ -68,10 +77,6 @@ def main() -> None:
     log.save()
 
 
-def _names(options: argparse.Namespace) -> list[str]:
-    return [f"joint_{i}" for i in range(options.joints)]
-
-
 def _beat(
     rate: float,
     stop: Stop,
@@ -95,7 +100,7 @@ def _beat(
 
 def _serve(options: argparse.Namespace, node: Node, stop: Stop, log: Log) -> None:
     """Publish at `--state-rate` and note commands."""
-    names = _names(options)
+    names = joint_names(options.joints)
     joints = ("joint_pos", "joint_vel", "joint_effort", "joint_pos_target")
     arrays = {name: np.zeros(len(names), np.float32) for name in joints}
     arrays |= {name: np.zeros((), np.int64) for name in ("stamp_ns", "command_stamp_ns")}
@@ -137,7 +142,9 @@ def _observe(options: argparse.Namespace, node: Node, stop: Stop, log: Log) -> N
     joints = ("joint_pos", "joint_vel", "joint_effort")
     arrays = {name: np.zeros(options.joints, np.float32) for name in joints}
     stamp = {"stamp_ns": np.zeros((), np.int64)}
-    decoder = Decoder.build(spec, arrays | stamp, None, {"joint_names": _names(options)})
+    decoder = Decoder.build(
+        spec, arrays | stamp, None, {"joint_names": joint_names(options.joints)}
+    )
     topic = TopicIn(node, decoder, JointState, False, compat.polled_group(), print)
     waiter = compat.ReusedWaitSet([topic.subscription], node.context)
     while not stop:

@@ -15,6 +15,9 @@ from typing import Any
 
 import numpy as np
 
+CAPACITY = 200_000
+"""Rows of a log; later ones are dropped."""
+
 STATE, IMU, COMMAND, MIRROR = "joint_states", "imu/data", "joint_command", "mirror"
 
 
@@ -45,19 +48,23 @@ def nanoseconds(stamp: Any) -> int:
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
+def joint_names(joints: int) -> list[str]:
+    """Return the names of a benchmark's joints."""
+    return [f"joint_{i}" for i in range(joints)]
+
+
 class Log:
     """Rows of int64 in preallocated memory, written to a file at the end.
 
     Args:
         path: of the file; beside it one with the suffix `.ready` appears with the first row.
         columns: their names.
-        capacity: how many rows; later ones are dropped.
     """
 
-    def __init__(self, path: Path, *columns: str, capacity: int = 200_000) -> None:
+    def __init__(self, path: Path, *columns: str) -> None:
         self.path = path
         self.columns = columns
-        self.rows = np.zeros((capacity, len(columns)), dtype=np.int64)
+        self.rows = np.zeros((CAPACITY, len(columns)), np.int64)
         self.count = 0
 
     def add(self, *values: int) -> None:

@@ -34,6 +34,7 @@ from unicon_ros.bench.pipelines.log import (
     Stop,
     arguments,
     beside,
+    joint_names,
     nanoseconds,
     set_stamp,
 )
@@ -54,9 +55,9 @@ class PlainRobot(Node):
         profile = qos(best_effort)
         self.state_out = self.create_publisher(JointState, STATE, profile)
         self.imu_out = self.create_publisher(Imu, IMU, profile)
-        names = [f"joint_{i}" for i in range(joints)]
         zeros = array("d", [0.0] * joints)
-        self.state = JointState(name=names, position=zeros, velocity=zeros, effort=zeros)
+        self.state = JointState(position=zeros, velocity=zeros, effort=zeros)
+        self.state.name = joint_names(joints)
         self.imu = Imu()
         self.create_subscription(JointState, COMMAND, self.on_command, profile)
         self.create_timer(1.0 / state_rate, self.on_timer)
@@ -82,7 +83,7 @@ class Controller(Node):
         self.log = log
         profile = qos(best_effort, depth)
         self.command_out = self.create_publisher(JointState, COMMAND, profile)
-        self.command = JointState(name=[f"joint_{i}" for i in range(joints)])
+        self.command = JointState(name=joint_names(joints))
         self.state: Any = None
         self.imu: Any = None
         self.seen_ns = 0
@@ -143,7 +144,7 @@ class PlainMirror(Node):
         super().__init__("controller")
         self.log = log
         self.out = self.create_publisher(JointState, MIRROR, qos(best_effort))
-        self.message = JointState(name=[f"joint_{i}" for i in range(joints)])
+        self.message = JointState(name=joint_names(joints))
         self.driver = np.zeros((3, joints), np.float32)
         self.states = np.zeros_like(self.driver)
         self.create_timer(1.0 / state_rate, self.on_timer)

@@ -22,7 +22,16 @@ from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
-from unicon_ros.bench.pipelines.log import COMMAND, STATE, Log, Stop, arguments, beside, nanoseconds
+from unicon_ros.bench.pipelines.log import (
+    COMMAND,
+    STATE,
+    Log,
+    Stop,
+    arguments,
+    beside,
+    joint_names,
+    nanoseconds,
+)
 from unicon_ros.bench.pipelines.plain import qos
 
 LONGEST_NS = 100_000_000
@@ -80,7 +89,7 @@ def stamp_of(raw: bytes) -> int:
 
 def typed_answer(publisher: Any, joints: int) -> Answer:
     """Return what answers a JointState of so many joints by a message that is reused."""
-    command = JointState(name=_names(joints))
+    command = JointState(name=joint_names(joints))
     publish = publisher.publish
 
     def answer(state: Any) -> int:
@@ -100,7 +109,7 @@ def raw_answer(publisher: Any, joints: int) -> Answer:
     """
     marks = [float(i) + 0.5 for i in range(joints)]
     positions = struct.Struct(f"<{joints}d")
-    made = JointState(name=_names(joints), position=marks)
+    made = JointState(name=joint_names(joints), position=marks)
     command = bytearray(serialize_message(made))
     place = command.index(positions.pack(*marks))
     publish = publisher.publish_raw
@@ -112,10 +121,6 @@ def raw_answer(publisher: Any, joints: int) -> Answer:
         return stamp_of(state)
 
     return answer
-
-
-def _names(joints: int) -> list[str]:
-    return [f"joint_{i}" for i in range(joints)]
 
 
 if __name__ == "__main__":
