@@ -60,7 +60,7 @@ class Rule:
 TABLE = """\
 check.settings firm: document
   the workflow's `check:` section is wrong
-  a misspelt code would accept nothing, or what cannot be accepted
+  a misspelt code accepts nothing
   correct the key or the code; `unicon explain` lists the codes
 build firm: document, robot, policy, platform
   the workflow cannot be built
@@ -72,86 +72,84 @@ graph firm: document
   move the block, or give one of them another state
 robot.facts firm: robot, platform
   the robot file lacks what is needed to drive the robot
-  without motor order, limits, gains or protocol, commands would be guesses; simulated, it is a \
-note
-  find them (the vendor's URDF, SDK or a measurement) and add them with their source
+  without motor order, limits, gains or protocol, commands are guesses; a note in simulation
+  add them with their source: the vendor's URDF or SDK, or a measurement
 parts.writers firm: document
   two parts of a divided workflow write one state
   the last value that arrives would win
-  let one of them have a state of its own (states: in the block's options)
+  give one of them a state of its own (states: in the block's options)
 parts.published firm: document
   a state does not reach the part that reads it, or nothing writes it
   the part would read its initial value for ever
   name it under `publishes` of the part that writes it
 parts.silent firm: document
-  nobody says what is commanded when the part that commands is silent
-  a cable that is pulled would leave the last command standing
+  no command is defined for when the commanding part is silent
+  a pulled cable would leave the last command standing
   write silent: {then: fault} or {then: hold}, or the values under set:
 joints.motors error: robot
   motor slots do not fit the joints
   commands would go to other motors
-  give one slot for each joint in transport.motors, in the order of joints
+  list one slot a joint in transport.motors, in the order of joints
 joints.order error: policy, robot
-  the joints are named in another order than the figures have
+  joints and figures have different orders
   gains, scales and pose would be at the wrong joints
   give the joints in the order in which the policy was trained
 model.collision error: model
   the robot's model does not collide with the floor
-  it falls through, whatever the policy does; often mesh files are absent
-  add the mesh files, or give the feet geoms with contype and conaffinity or a <pair>
+  it falls through; often mesh files are absent
+  add the mesh files, or give the feet geoms contype and conaffinity or a <pair>
 limits.effort error: robot, model
   effort limits of robot file and model are far apart
-  one of them is another robot's, or in another unit
+  one is another robot's, or in another unit
   correct joints.effort, or choose the model of this robot
 gains.swapped error: policy
   damping is greater than stiffness at most joints
-  the joints hardly hold and resist every motion
+  the joints hardly hold
   exchange stiffness and damping
 gains.damping either: policy, model
   a joint has stiffness but no damping
   it swings; some exporters write 0 for servos that damp themselves
-  give the damping that the policy was trained with
+  give the damping of the training
 pose.limits error: policy, robot
   the default pose is outside the limits
   an action of 0 would press against a stop
   correct the pose, its order or its unit (degrees?), or the limits
 pose.symmetry error: policy, robot
   the default pose is not the same on both sides
-  a sign or the joint order is wrong; a robot stands the same on both sides
+  a sign or the joint order is wrong
   correct the pose, or accept it where it is meant
 timing.period error: policy
   the control period is not plausible
-  milliseconds, a rate, or the physics step in its place; the policy would run at another rate \
-than in training
+  the policy would run at another rate than in training
   give the control period in [s], decimation × physics step: 0.02 for 50 Hz
 timing.clock error: policy
   a phase or the period of the gait clock is in another unit
-  the gait would be many times too fast or slow
+  the gait would be far too fast or slow
   give phases in [rad], and the period of the gait in [s]: 0.8 for 1.25 Hz
 observation.frame error: platform
   the platform's orientation and gravity contradict each other
-  the policy would believe to be tilted
+  the policy would see a tilt
   deliver base_quat as w, x, y, z of length 1, base to world
 observation.scale either: policy
   a term is multiplied by 0, or by an odd factor
-  the policy would be blind for it, or see it in another unit
-  give the scale that it was trained with, or leave the term out
+  the policy is blind for it, or sees another unit
+  give the scale of the training, or leave the term out
 observation.clip error: policy
   a term is clipped to a single value
   the policy would always see the same
   give [lowest, highest], or leave the clip out
 observation.measured error: policy, platform
   a term cannot be measured on this platform
-  the state would keep its initial value, and the policy act on it
+  the policy would act on its initial value
   add an estimator under `estimate:`, or a platform that measures it
 action.limp error: policy
   a joint is given positions and has no stiffness
   it does not go there
-  give action.kind velocity or torque there, or the stiffness that it was trained with
+  give action.kind velocity or torque there, or the stiffness of the training
 action.scale either: policy, robot
   one unit of action is more than a joint's range, or nothing
   degrees for radians, or a scale of another policy
-  give the scale that it was trained with, in [rad]
+  give the scale of the training in [rad]
 gains.symmetry error: policy
   left and right joints have different gains
   the joint order or a figure is wrong
@@ -162,7 +160,7 @@ action.symmetry error: policy
   correct the scales, or accept it where it is meant
 action.offset error: policy, robot
   action 0 means a target outside the limits
-  the joint would press against its stop when the policy does nothing
+  the joint would press against its stop
   correct the offset (the default pose) or the robot's limits
 gains.stiff error: policy, robot, model
   a joint is at its effort limit within a tenth of a radian, or by its damping
@@ -170,7 +168,7 @@ gains.stiff error: policy, robot, model
   correct stiffness and damping, or joints.effort in the robot file
 pose.feet either: policy, model
   in the default pose the robot does not stand on its feet
-  the pose, its joint order, or a sign is wrong
+  the pose, its joint order or a sign is wrong
   correct the pose, its order, signs or unit
 blocks.memory note: document
   a block remembers what it does not declare
@@ -182,22 +180,22 @@ joints.held note: policy, robot
   nothing, where that is meant
 joints.welded note: policy, model
   the simulated model lacks joints that no policy moves
-  they are fixed in simulation, and not on the robot
+  they are fixed in simulation alone
   nothing, or choose a model with all joints
 joints.seen error: policy
   a policy sees joints that other blocks move
-  it sees motions that it was not trained with
+  it sees motions unlike those in training
   hide them: sees_default_for: [GROUP]; accept it where the policy was trained so
 evidence note: platform, robot
-  what the platform or the robot was run against, where that is little
-  what has only met an emulator may meet surprises on the robot
+  platform or robot were hardly run against anything real
+  surprises on the robot are likely
   begin as docs/howto/preflight.md says
 gains.differ note: policy, robot
   the policy's gains are not the robot file's
   the policy's are used
   nothing, where the policy was trained with them
 gains.passive note: policy, model
-  the model's joints damp themselves about as much as the policy does
+  the model's joints damp themselves as much as the policy does
   in simulation both act, on the robot only the policy's
   passive: replace, where the model's damping is the servos'
 limits.differ note: robot, model
@@ -205,23 +203,23 @@ limits.differ note: robot, model
   targets are kept within the robot's, the smaller efforts are simulated
   correct the one that is wrong
 action.reach error: policy, robot
-  clipped actions reach far outside the limits, and nothing limits targets
+  clipped actions reach outside the limits, and nothing limits targets
   a large action would be sent as it is
   add joint_limits to safety, or a clip
 action.unsent error: policy, platform
-  the platform does not send the velocities or torques that are commanded
+  the platform does not send commanded velocities or torques
   part of the command would be lost
-  choose a map or platform that sends them, or leave out what gives them
+  choose a map or platform that sends them, or leave them out
 action.torque note: policy, robot
   one unit of action asks for more torque than there is
-  the joints are often at their limit, and a fall is near
+  joints at their limit lead to a fall
   compare scale and stiffness with the training's
 timing.catch_up firm: document, platform
   missed ticks shall be caught up on a robot
-  several commands in a row, made of old data
+  several commands in a row would be of old data
   set pacing.overrun: skip
 timing.trigger firm: document, platform
-  ticks shall come with data of a platform that cannot tell when they arrive
+  ticks shall wait for data of a platform that cannot tell when they arrive
   no tick would come
   set pacing.trigger: deadline
 command.range error: document, policy
@@ -234,8 +232,8 @@ command.bounds note: policy, robot
   give command_ranges in the policy or the robot file
 policy.source note: policy
   what was read of a policy, and from where, or left open
-  facts of an exporter may be read in several ways
-  look them through once
+  an exporter's facts may be ambiguous
+  look through them once
 pose.differ note: policy, robot
   the policy's default pose is not the robot file's
   the policy's is used
@@ -246,15 +244,15 @@ pose.floor error: document, model
   leave scene.initial_height out, or correct it
 pose.start either: document, policy
   a policy is the first to move a robot that lies
-  policies are trained from standing, and kick
+  policies are trained from standing
   let `pose: {to: stand}` go there first: flow: {chain: [{pose: …}, {policy: …}]}
 start.gates note: document
   nothing is asked before a robot moves
-  a wrong posture or a silent sensor would be found by the fall
+  a fall would reveal a wrong posture or a silent sensor
   leave start.gates out
 start.watchdog note: platform
   nothing damps a robot whose process is killed
-  its motors keep the last command
+  motors keep the last command
   use a protocol with a command timeout, or be ready with the remote
 safety.none note: document
   no safety block looks at commands
@@ -273,7 +271,7 @@ safety.partial error: document
   a command would pass it
   write it into safety: by itself, correct its states:, or take it out
 zmq.keys error: document
-  everybody on the network may read or write states, for want of keys
+  without keys everybody on the network may read or write states
   a stranger's frame could move the robot
   make keys (docs/howto/zmq.md) and name their folder
 platform.open note: platform
@@ -282,7 +280,7 @@ platform.open note: platform
   unicon preflight looks
 model.meshes note: model
   mesh files of the model are absent
-  it is simulated without them, maybe without feet
+  it is simulated without them
   fetch the files that the note names
 model.bodies note: model, robot
   the model lacks a body that the robot file names
@@ -290,11 +288,11 @@ model.bodies note: model, robot
   correct the name, or choose the model
 reach.apart note: document, robot
   capsules that are near at the default pose are not kept apart
-  they would push each other away from the first tick on
+  they would push each other away at once
   make them smaller, or nothing
 map.fit firm: document
-  the message map does not fit the states, or could not be looked at
-  a topic would be missing, or refused when the bridge starts
+  the message map does not fit the states, or cannot be read
+  a topic would be missing, or refused
   correct the entry that the finding names
 twin.run error: rollout
   the twin could not be run
@@ -307,20 +305,20 @@ twin.platform note: rollout
 twin.fall error: rollout
   the policy falls in the twin
   it would fall on the robot
-  compare what it names with the training side; the findings before it may explain it
+  compare what it names with the training side, after the findings before it
 twin.command error: rollout
   the policy does not follow its command, or its motion, in the twin
   a scale, an order or a frame is wrong
-  compare what it names with the training side; the findings before it may explain it
+  compare what it names with the training side, after the findings before it
 twin.suspect either: rollout
   another contract does clearly better
-  the contract has a usual mistake that the twin undid
+  the twin undid a usual mistake
   compare what it names with the training side
 twin.saturated error: rollout
   a joint is at its limit of effort or position for much of the walk
   gains, period or limits are not those of the training
-  compare default pose, gains, period, action.scale and the joint's limits with the training \
-side, and its effort limit with the motor's
+  compare default pose, gains, period, action.scale and limits with the training side, and the \
+effort limit with the motor's
 gate.data firm: live
   a state that the command depends on has not arrived, or is not finite
   the policy would begin on initial values
@@ -335,11 +333,11 @@ gate.changing firm: live
   restart the robot's driver
 gate.imu firm: live
   orientation, gravity, accelerometer and gyroscope contradict each other at rest
-  a wrong axis, sign or unit lets the policy fall at once
+  the policy falls at once
   hold the robot still; correct the IMU's axes, signs and units in the driver or the map
 gate.posture firm: live
   a joint is measured outside its limits
-  an encoder is off, or the robot file is another robot's
+  an encoder is off, or it is another robot's file
   move the joint by hand, calibrate its encoder, or correct the limits
 gate.tilt firm: live
   the base leans more than the run allows
@@ -362,7 +360,7 @@ gate.command firm: live
   the robot would walk away at its first step
   let go of the stick, or stop the program that publishes the command
 preflight.frames firm: live
-  the robot sends fewer than half of the frames that its file promises
+  the robot sends fewer than half of the promised frames
   the robot is in another mode, or the network loses frames
   look at mode and network, or correct transport.rate_hz
 preflight.first_command firm: live
