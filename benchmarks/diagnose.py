@@ -82,7 +82,7 @@ def diagnosed(wanted: Sequence[Case], path: Path) -> list[Row]:
     """
     with cannot(f"read {path}", "name a file of rows, or a new one"):
         there = path.exists() and not path.is_char_device()  # /dev/full never ends
-        text = path.read_text(encoding="utf-8") if there else ""
+        text = path.read_text("utf-8") if there else ""
     text = text[: text.rfind("\n") + 1]
     try:
         rows = {row["case"]: row for row in map(json.loads, text.splitlines())}

@@ -249,7 +249,7 @@ def _edit(case: Case, loaded: LoadedModel, path: Path, spec: Any) -> None:
     model.dof_armature[dofs] += of("armature")
     spec.copy_back(model)
     spec.meshdir = str((loaded.path.parent / spec.meshdir).resolve())
-    path.write_text(spec.to_xml(), encoding="utf-8")
+    path.write_text(spec.to_xml(), "utf-8")
 
 
 def _wrong(case: Case, program: Program) -> dict[Stage, list[Block]]:

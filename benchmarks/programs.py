@@ -101,7 +101,7 @@ def run_batch(rounds: int | None = None) -> Bench:
     with tempfile.TemporaryDirectory() as folder:
         random_policy(Path(folder) / "policy", load_robot("go2"))
         path = Path(folder) / "batch.yaml"
-        path.write_text(_WORKFLOW.replace("POLICY", "./policy"), encoding="utf-8")
+        path.write_text(_WORKFLOW.replace("POLICY", "./policy"), "utf-8")
         runners: dict[str, tuple[Runner, int, int]] = {}
         for kind, sizes, ticks, changed in kinds:
             for size in sizes:
@@ -264,4 +264,4 @@ def _seconds(case: str, folder: Path, environment: Mapping[str, str]) -> float:
         raise RuntimeError(f"bench start: {case!r} ended with {done.returncode}: {line}")
     if case == BASE:
         return float(done.stdout.splitlines()[-1])
-    return float(json.loads(report.read_text(encoding="utf-8"))["startup_s"])
+    return float(json.loads(report.read_text("utf-8"))["startup_s"])

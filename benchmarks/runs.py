@@ -330,7 +330,7 @@ def run_safety(rounds: int | None = None) -> Bench:
     with tempfile.TemporaryDirectory() as folder:
         random_policy(Path(folder) / "policy", load_robot(ROBOT))
         path = Path(folder) / "safety.yaml"
-        path.write_text(_WORKFLOW, encoding="utf-8")
+        path.write_text(_WORKFLOW, "utf-8")
         programs = {WITH: load_workflow(path), WITHOUT: load_workflow(path, {"safety": "none"})}
         runners = {name: Runner(each, RunOptions(warn=unsaid)) for name, each in programs.items()}
         restore = prepare_process(programs[WITH].pacing, unsaid)

@@ -243,7 +243,7 @@ def random_policy(
         "  terms:",
         *(f"    - {term}{frames}" for term in TERMS),
     ]
-    (folder / "policy.yaml").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    (folder / "policy.yaml").write_text("\n".join(lines) + "\n", "utf-8")
     return load_policy(folder, robot=robot)
 
 

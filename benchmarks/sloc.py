@@ -185,7 +185,7 @@ def run(rounds: int | None = None) -> Bench:
     for name, place in COMPONENTS:
         path = root / place
         files = sorted(path.rglob("*.py")) if path.is_dir() else [path]
-        lines = sum(len(code_of(file.read_text(encoding="utf-8"))) for file in files)
+        lines = sum(len(code_of(file.read_text("utf-8"))) for file in files)
         bench.facts[f"component: {name}"] = f"{lines} lines of Python, written once"
     bench.facts["the paper's ad-hoc code"] = ", ".join(
         f"{name} {lines}" for name, lines in PAPER.items()
@@ -194,7 +194,7 @@ def run(rounds: int | None = None) -> Bench:
     for transfer in TRANSFERS:
         robot = transfer.edit.get("robot")
         if robot is not None:
-            text = find_config("robots", robot).read_text(encoding="utf-8")
+            text = find_config("robots", robot).read_text("utf-8")
             written = f"{lines_of(text)} lines of facts, written once"
             bench.facts[f"robot file: {robot}"] = written
         outcome = transferred(transfer)

@@ -84,10 +84,10 @@ def run(rounds: int | None = None, rollouts: int = ROLLOUTS) -> Bench:
     times, ways = Samples(), []
     with tempfile.TemporaryDirectory() as name, SIGNALS.guard():
         folder = Path(name)
-        (folder / "walk.yaml").write_text(_WORKFLOW, encoding="utf-8")
+        (folder / "walk.yaml").write_text(_WORKFLOW, "utf-8")
         count = each * (bench.rounds + 1)
         text = _SWEEP.replace("ROLLOUTS", str(count))
-        (folder / "sweep.yaml").write_text(text, encoding="utf-8")
+        (folder / "sweep.yaml").write_text(text, "utf-8")
         plan = Plan(read_sweep(folder / "sweep.yaml"))
         sides: list[tuple[str, Folder, LocalEngine]] = []
         for engine in SIDES:

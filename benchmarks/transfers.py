@@ -128,7 +128,7 @@ def transferred(transfer: Transfer) -> Outcome:
     Raises:
         UniconError: the edit cannot be made.
     """
-    text = find_config("workflows", transfer.workflow).read_text(encoding="utf-8")
+    text = find_config("workflows", transfer.workflow).read_text("utf-8")
     source = edited(text, transfer.before)
     target = edited(source, transfer.edit)
     changed = difference(source, target)
@@ -137,7 +137,7 @@ def transferred(transfer: Transfer) -> Outcome:
     words = sum(a != b for a, b in zip(removed, added)) + abs(len(removed) - len(added))
     with TemporaryDirectory(prefix="unicon_sloc_") as folder:
         path = Path(folder) / f"{transfer.workflow}.yaml"
-        path.write_text(target, encoding="utf-8")
+        path.write_text(target, "utf-8")
         values = load_document(path).values
         missing = _missing(values)
         ran, told = (None, missing) if missing else _run(path, values, transfer)
@@ -185,7 +185,7 @@ def _run(path: Path, values: Mapping[str, Any], transfer: Transfer) -> tuple[boo
     if not report.is_file():
         lines = done.stderr.strip().splitlines() or [f"exit status {done.returncode}"]
         return False, lines[-1]
-    said = json.loads(report.read_text(encoding="utf-8"))
+    said = json.loads(report.read_text("utf-8"))
     if said["faults"]:
         return False, said["faults"][0]
     moved = (robot.moved or said["base_displacement_m"])[0]

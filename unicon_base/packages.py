@@ -231,7 +231,7 @@ def _indexed(prefix: Path) -> tuple[Path, ...]:
         if package.startswith(".") or package == _OURS:
             continue
         try:
-            text = (prefix / _INDEX / RESOURCE / package).read_text(encoding="utf-8").strip()
+            text = (prefix / _INDEX / RESOURCE / package).read_text("utf-8").strip()
         except (OSError, UnicodeDecodeError):
             continue
         found.append(prefix / (text or f"share/{package}/config"))

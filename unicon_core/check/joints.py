@@ -261,7 +261,7 @@ def other_order(depths: Sequence[int]) -> Index:
     Args:
         depths: in the kinematic tree, in the given order, shape (n,).
     """
-    order = np.argsort(np.asarray(depths), kind="stable")
+    order = np.argsort(depths, kind="stable")
     if (np.diff(depths) >= 0).all():  # breadth-first already: back to a limb at a time
         count = max(1, int((np.asarray(depths) == depths[0]).sum()))
         order = np.concatenate([np.arange(limb, len(depths), count) for limb in range(count)])

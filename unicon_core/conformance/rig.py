@@ -156,9 +156,9 @@ class Rig:
         joints = "\n".join(_JOINT.format(name=name, effort=effort, **says) for name in order)
         kind, feet = ("quadruped", "feet: [box]\n") if floating else ("arm", "")
         robot = _ROBOT.format(kind=kind, joints=joints, imu=list(IMU_POSITION), feet=feet)
-        file.write_text(robot, encoding="utf-8")
+        file.write_text(robot, "utf-8")
         base = "<freejoint/>" if floating else ""
-        path.write_text(_MODEL.format(base=base, **says), encoding="utf-8")
+        path.write_text(_MODEL.format(base=base, **says), "utf-8")
         self.robot: Robot = load_robot(str(file))
         self.states = States(standard_states(self.robot.joint_names), num_robots)
         self.period = steps * TIMESTEP

@@ -108,12 +108,12 @@ class LoadedModel:
     @property
     def addresses(self) -> Index:
         """Where each robot joint stands in `qpos`, shape (n,)."""
-        return np.array(self.model.jnt_qposadr[self.joints], dtype=np.intp)
+        return np.array(self.model.jnt_qposadr[self.joints], np.intp)
 
     @property
     def dofs(self) -> Index:
         """Where each robot joint stands in `qvel`, shape (n,)."""
-        return np.array(self.model.jnt_dofadr[self.joints], dtype=np.intp)
+        return np.array(self.model.jnt_dofadr[self.joints], np.intp)
 
     def key_poses(self) -> dict[str, Float64]:
         """Return key frame to joint positions in the robot's order, [rad] or [m], shape (n,)."""
@@ -233,7 +233,7 @@ def index_of(positions: Sequence[int]) -> slice | Index:
     first = positions[0]
     if list(positions) == list(range(first, first + len(positions))):
         return slice(first, first + len(positions))
-    return np.array(positions, dtype=np.intp)
+    return np.array(positions, np.intp)
 
 
 def rows_of(source: Array, index: Index) -> tuple[Array, Callable[[], object] | None]:

@@ -89,7 +89,7 @@ class ActionMap:
                     f"{robot.file_of(joint).name}"
                 )
         # One gather covers all joints: held ones take action 0 with scale 0.
-        index = np.zeros(n, dtype=np.intp)
+        index = np.zeros(n, np.intp)
         index[robot_from_action] = np.arange(m)
         scale = np.zeros(n, np.float32)
         scale[robot_from_action[by_position]] = action.scale[by_position]

@@ -123,7 +123,7 @@ def _digests(folder: Path, url: str, wanted: str | None) -> dict[str, str]:
 def _note(path: Path, source: str) -> None:
     """Add to a policy.yaml where it is from."""
     if "sources" not in read_yaml(path, PolicyError, foreign=True).value:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text("utf-8")
         path.write_text(f"{text}{yaml.safe_dump({'sources': {'fetched': source}})}", "utf-8")
 
 

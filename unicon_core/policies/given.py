@@ -160,7 +160,7 @@ def _same(known: Any, value: Any, tolerance: tuple[float, float]) -> bool:
     if known == value:
         return True
     try:
-        a, b = np.asarray(known, dtype=float), np.asarray(value, dtype=float)
+        a, b = np.asarray(known, float), np.asarray(value, float)
     except (TypeError, ValueError, OverflowError):
         return False
     alike = a.shape == b.shape or 1 in (a.size, b.size)

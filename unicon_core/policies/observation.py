@@ -61,7 +61,7 @@ class Observation:
                 + part.elements
                 for part in self.slices
             ]
-            or [np.zeros((rows, 0), dtype=np.intp)],
+            or [np.zeros((rows, 0), np.intp)],
             axis=1,
         )
         # Only the part that is read: `take` copies its result where it lies inside what it reads,

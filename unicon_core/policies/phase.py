@@ -60,7 +60,7 @@ class GaitPhase:
         self.reads: tuple[str, ...] = ()
         self.writes: tuple[str, ...] = tuple(sizes)
         self._step = 2.0 * np.pi * period / spec.period
-        self._start = np.tile(np.array(spec.offsets, dtype=np.float64), (rows, 1))
+        self._start = np.tile(np.array(spec.offsets, np.float64), (rows, 1))
         self.phase = self._start.copy()
         self._sin, self._cos, self._both = (
             states[name].reshape(rows, size) for name, size in sizes.items()

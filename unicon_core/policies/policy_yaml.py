@@ -112,7 +112,7 @@ def _write(folder: Path, text: str, model: Path | None) -> Path:
         if model is not None:
             _copy_model(model, folder)
         path = folder / "policy.yaml"
-        path.write_text(text, encoding="utf-8")
+        path.write_text(text, "utf-8")
     return path
 
 

@@ -245,7 +245,7 @@ def _extended(located: Located) -> Robot:
 
 
 def _array(values: Iterable[float | None]) -> Float32:
-    array = np.array([np.nan if value is None else value for value in values], dtype=np.float32)
+    array = np.array([np.nan if value is None else value for value in values], np.float32)
     array.setflags(write=False)
     return array
 

@@ -295,7 +295,7 @@ class Robot:
                 )
             found.update(joints)
         places = [i for i, name in enumerate(self.joint_names) if name in found]
-        return np.array(places, dtype=np.intp)
+        return np.array(places, np.intp)
 
     def file_of(self, joint: str) -> Path:
         """Return the file that says the facts of a joint."""
@@ -387,7 +387,7 @@ def joint_index(to: Sequence[str], from_: Sequence[str], *, loose: bool = False)
         if position[fits[0]] in found:
             raise RobotError(f"joint {name!r} and another one are both {fits[0]!r}")
         found.append(position[fits[0]])
-    return np.array(found, dtype=np.intp)
+    return np.array(found, np.intp)
 
 
 def plain_name(name: str) -> str:

@@ -350,9 +350,7 @@ def _asked(states: dict[str, Float64]) -> Float64:
         states[name][:-1] if name in states else np.zeros_like(target)
         for name in ("joint_vel_target", "joint_effort_ff")
     )
-    return np.asarray(
-        kp * (target - states["joint_pos"][1:]) + kd * (speed - states["joint_vel"][1:]) + torque
-    )
+    return kp * (target - states["joint_pos"][1:]) + kd * (speed - states["joint_vel"][1:]) + torque
 
 
 def _whole(name: str, both: Together) -> dict[str, float]:

@@ -267,7 +267,7 @@ def read_run(
 
 def _seconds(stamps: Array) -> Float64:
     """Return times in [s] from the first one; a clock of nanoseconds since 1970 loses no digit."""
-    return np.asarray((stamps - stamps[:1]) * 1e-9, np.float64)
+    return (stamps - stamps[:1]) * 1e-9
 
 
 NOT_SURE = ("base_lin_vel", "base_lin_acc", "velocity_command", "base_quat", "base_pos_w")

@@ -319,7 +319,7 @@ def _write_sources(root: Path, episodes: Sequence[Episode]) -> None:
         for episode in episodes
     ]
     path = root / "meta/unicon.json"
-    path.write_text(json.dumps({"episodes": told}, indent=2), encoding="utf-8")
+    path.write_text(json.dumps({"episodes": told}, indent=2), "utf-8")
 
 
 def _described(columns: Sequence[Column]) -> list[str]:

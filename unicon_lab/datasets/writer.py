@@ -86,7 +86,7 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
         OSError: it cannot be written.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(content, indent=4, ensure_ascii=False), encoding="utf-8")
+    path.write_text(json.dumps(content, indent=4, ensure_ascii=False), "utf-8")
 
 
 VERSION = "v3.0"

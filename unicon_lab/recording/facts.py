@@ -177,7 +177,7 @@ def robot_text(robot: Robot) -> str:
 
 def _text_of(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
+        return path.read_text("utf-8")
     except (OSError, UnicodeDecodeError):
         return ""
 

@@ -140,7 +140,7 @@ def beyond(keeper: Keeper) -> list[str]:
 
 def _too_strong(torque: Array, limit: Array) -> Array:
     """Return where a torque is more than its limit, not by the rounding of a float32 alone."""
-    return np.asarray(torque > limit * (1.0 + ROUNDING))
+    return torque > limit * (1.0 + ROUNDING)
 
 
 def _ranges(figure: Any, keeper: Keeper) -> bool:

@@ -148,7 +148,7 @@ class Keeper(Attachment):
     def largest(self, name: str) -> Array:
         """Return the largest size of each element in the run, shape (elements,)."""
         low, high = self.reached(name)
-        return np.asarray(np.fmax(np.abs(low), np.abs(high)))
+        return np.fmax(np.abs(low), np.abs(high))
 
     def curve(self, name: str) -> tuple[Array, Array]:
         """Return times in [s] and values of a state to draw, no peak lost."""

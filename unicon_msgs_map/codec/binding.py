@@ -141,9 +141,9 @@ def affine(field: FieldSpec, count: int, *, receive: bool) -> Conversion | None:
                 f"{label} has {len(value)} entries for {count_of(count)}; give one number or one "
                 "per element"
             )
-    scale = np.broadcast_to(np.asarray(field.scale, dtype=np.float64), (count,))
+    scale = np.broadcast_to(np.asarray(field.scale, np.float64), (count,))
     scale = scale / factor if receive else scale * factor
-    offset = np.broadcast_to(np.asarray(field.offset, dtype=np.float64), (count,)).copy()
+    offset = np.broadcast_to(np.asarray(field.offset, np.float64), (count,)).copy()
     if bool(np.all(scale == 1.0)) and not offset.any():
         return None
     return np.ascontiguousarray(scale), offset

@@ -208,7 +208,7 @@ def read_in_bulk(code: Code, number: int, primitive: Primitive, runs: list[Run])
         _direct(code, number, wire, groups, [grid for grid in grids if grid])
         return
     flat = stage[4 : 4 + (len(stage) - 4) // wire.itemsize * wire.itemsize].view(wire)
-    index = np.array([(o - 4) // wire.itemsize for r in runs for o in r.offsets], dtype=np.intp)
+    index = np.array([(o - 4) // wire.itemsize for r in runs for o in r.offsets], np.intp)
     room = bytearray(len(index) * wire.itemsize)
     read = np.frombuffer(room, wire.newbyteorder("="))
     code.space |= {f"index{number}": index, f"read{number}": read}
@@ -276,7 +276,7 @@ def _copy(code: Code, key: str, group: list[Run], piece: AnyArray) -> None:
     if len(group) == 1 and step(run.elements) is None:
         code.space |= {
             f"out{key}": run.flat,
-            f"at{key}": np.array(run.elements, dtype=np.intp),
+            f"at{key}": np.array(run.elements, np.intp),
             f"piece{key}": piece,
         }
         code.writes.append(f"out{key}[at{key}] = piece{key}")

@@ -39,7 +39,7 @@ def unitree_crc(field: FieldSpec, message: Struct, buffer: bytearray) -> Callabl
         )
     places = _Places(field)
     places.walk(message)
-    index = np.zeros(places.memory, dtype=np.intp)
+    index = np.zeros(places.memory, np.intp)
     for wire, memory, size in places.pairs:
         index[memory : memory + size] = np.arange(wire, wire + size)
     return _crc_of(buffer, index[:-4])
@@ -58,9 +58,9 @@ def words_crc(buffer: bytearray, words: int) -> Callable[[], int]:
 def _crc_of(buffer: bytearray, index: NDArray[np.intp]) -> Callable[[], int]:
     """Return what computes the checksum of the words whose bytes stand at an index, low first."""
     index = np.ascontiguousarray(index.reshape(-1, 4)[:, ::-1]).reshape(-1)
-    source = np.frombuffer(buffer, dtype=np.uint8)
+    source = np.frombuffer(buffer, np.uint8)
     image = bytearray(len(index))
-    target = np.frombuffer(image, dtype=np.uint8)
+    target = np.frombuffer(image, np.uint8)
 
     def compute() -> int:
         source.take(index, None, target, "clip")

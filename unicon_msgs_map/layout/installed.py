@@ -60,5 +60,5 @@ FILE = "jazzy.json"
 def ready_made() -> Mapping[str, Any]:
     """Return name to (constants, fields), laid out as rosbags' `fielddefs`; read in 2 ms."""
     file = resources.files("unicon_msgs_map").joinpath("msg").joinpath(FILE)
-    types: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    types: dict[str, Any] = json.loads(file.read_text("utf-8"))
     return types

@@ -244,7 +244,7 @@ class Messages:
         if folder.is_dir():
             self.register(
                 {
-                    f"{package}/msg/{entry.name[:-4]}": entry.read_text(encoding="utf-8")
+                    f"{package}/msg/{entry.name[:-4]}": entry.read_text("utf-8")
                     for entry in folder.iterdir()
                     if entry.name.endswith(".msg")
                 }

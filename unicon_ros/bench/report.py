@@ -56,7 +56,7 @@ class Bench:
         Raises:
             ValueError: no samples, or a second case of that name.
         """
-        samples = np.asarray(samples_us, dtype=np.float64).ravel()
+        samples = np.asarray(samples_us, np.float64).ravel()
         if not samples.size:
             raise ValueError(f"case {name!r} has no samples")
         if name in self.cases:

@@ -53,7 +53,7 @@ class LinkTransforms:
         self.moving = [link for link in links if link.index >= 0]
         self.fixed = [link for link in links if link.index < 0 and link.parent >= 0]
         self._joint_pos = joint_pos
-        self._index = np.array([link.index for link in self.moving], dtype=np.intp)
+        self._index = np.array([link.index for link in self.moving], np.intp)
         self._origin = np.array([link.position for link in self.moving]).reshape(-1, 3)
         self.positions = self._origin.copy()
         self.quats = np.array([link.quat for link in self.moving]).reshape(-1, 4)

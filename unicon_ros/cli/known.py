@@ -176,7 +176,7 @@ def _workflows(arguments: argparse.Namespace) -> int:
     from unicon_core.workflow.document import description_of
 
     if arguments.name:
-        print(load_document(arguments.name).path.read_text(encoding="utf-8"), end="")
+        print(load_document(arguments.name).path.read_text("utf-8"), end="")
         return 0
     rows = []
     for name in workflow_names():

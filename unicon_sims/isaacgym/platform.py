@@ -115,7 +115,7 @@ class IsaacGymPlatform(SteppedSimulator):
         options.max_linear_velocity = options.max_angular_velocity = _FAST
         with TemporaryDirectory() as folder:
             file = Path(folder) / f"{robot.name}.urdf"
-            file.write_text(physical_urdf(start.loaded, robot), encoding="utf-8")
+            file.write_text(physical_urdf(start.loaded, robot), "utf-8")
             asset = self._gym.load_asset(self._sim, folder, file.name, options)
         if asset is None:
             raise PlatformError(f"platform 'isaacgym' does not load {start.loaded.path}")

@@ -118,7 +118,7 @@ class IsaacLabPlatform(SteppedSimulator):
         robot = setup.robot
         start = setup.start
         file = Path(self._folder.name) / f"{robot.name}.urdf"
-        file.write_text(physical_urdf(start.loaded, robot), encoding="utf-8")
+        file.write_text(physical_urdf(start.loaded, robot), "utf-8")
         drive = lab.UrdfFileCfg.JointDriveCfg
         by_name = {
             word: dict(zip(robot.joint_names, map(float, getattr(setup.figures, word))))

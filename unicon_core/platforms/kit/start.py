@@ -198,7 +198,7 @@ def _add(model: Any, body: int, mass: float, position: Any) -> None:
 
 
 def _steiner(way: Float64) -> Float64:
-    return np.asarray(way @ way * np.eye(3) - np.outer(way, way))
+    return way @ way * np.eye(3) - np.outer(way, way)
 
 
 FREQUENCY = 2.0

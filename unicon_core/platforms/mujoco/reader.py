@@ -80,7 +80,7 @@ class BaseReader:
             self.source[kind] = model.sensor(imu[kind]).name or None
             start = int(model.sensor_adr[imu[kind]])
             size = int(model.sensor_dim[imu[kind]])
-            quat = np.array(model.site_quat[model.sensor_objid[imu[kind]]], dtype=np.float64)
+            quat = np.array(model.site_quat[model.sensor_objid[imu[kind]]], np.float64)
             return data.sensordata[start : start + size], quat
 
         copies: list[Copy] = []
@@ -106,8 +106,8 @@ class BaseReader:
         length = float(np.linalg.norm(model.opt.gravity))
         self._world[1] = model.opt.gravity / length if length > 0.0 else (0.0, 0.0, -1.0)
         self._base = np.zeros((2, 3))
-        self._lin_vel = views.get("base_lin_vel", np.zeros(3, dtype=np.float32))
-        self._gravity = views.get("projected_gravity", np.zeros(3, dtype=np.float32))
+        self._lin_vel = views.get("base_lin_vel", np.zeros(3, np.float32))
+        self._gravity = views.get("projected_gravity", np.zeros(3, np.float32))
 
     def __call__(self) -> None:
         for copy in self._copies:

@@ -98,7 +98,7 @@ class PageConnection:
                 heard(state)
 
         uuids = {"stop": stop and stop._impl.uuid, "beat": beat._impl.uuid}
-        script = files(__package__).joinpath("script.js").read_text(encoding="utf-8")
+        script = files(__package__).joinpath("script.js").read_text("utf-8")
         self._connection.queue_message(
             _messages.RunJavascriptMessage(source=f"const given = {json.dumps(uuids)};\n{script}")
         )

@@ -190,10 +190,10 @@ start: none
 
 def _written(folder: Path, joints: int, workflow: str, topics: str) -> tuple[Path, Path]:
     rows = "\n".join(f"  - {_JOINT.format(i=i)}" for i in range(joints))
-    (folder / "bench_robot.yaml").write_text(_ROBOT.format(joints=rows), encoding="utf-8")
+    (folder / "bench_robot.yaml").write_text(_ROBOT.format(joints=rows), "utf-8")
     paths = folder / "workflow.yaml", folder / "robot.yaml"
     for path, text in zip(paths, (workflow, topics)):
-        path.write_text(text, encoding="utf-8")
+        path.write_text(text, "utf-8")
     return paths
 
 
