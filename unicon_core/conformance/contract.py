@@ -44,10 +44,7 @@ class Contract(Case):
         assert stamps.tolist() == [7_000_000 * tick for tick in range(31)]
 
     def test_a_tick_is_whole_physics_steps(self, rig: Build) -> None:
-        it = rig(steps=7)
-        it.command(joint_effort_ff={"yaw": 0.1})
-        ones = rig(steps=1)
-        ones.command(joint_effort_ff={"yaw": 0.1})
+        it, ones = (rig(steps=n).command(joint_effort_ff={"yaw": 0.1}) for n in (7, 1))
         last = it.run(10)["joint_pos"][-1]
         assert ones.run(70)["joint_pos"][-1] == pytest.approx(last, rel=1e-3, abs=1e-5)
 
@@ -85,9 +82,7 @@ class Contract(Case):
         for effort in (0.0, 2.0):
             it = rig(num_robots=2, initial_height=0.06)
             it.command(robot=1, joint_effort_ff=effort)
-            it.command(robot=0, joint_effort_ff={"yaw": 0.1})
-            told = it.run(30)
-            runs.append(told)
+            runs.append(it.command(robot=0, joint_effort_ff={"yaw": 0.1}).run(30))
         for name in ("joint_pos", "joint_vel", "base_quat", "base_lin_acc", "joint_effort"):
             assert runs[0][name].shape[1] == 2
             assert runs[0][name][:, 0].tobytes() == runs[1][name][:, 0].tobytes()
@@ -95,14 +90,13 @@ class Contract(Case):
         assert apart[1] > 0.05
 
     def test_a_robot_of_a_batch_does_as_it_would_alone(self, rig: Build) -> None:
-        alone, batch = rig(), rig(num_robots=3)
-        for it in (alone, batch):
+        rigs = rig(), rig(num_robots=3)
+        for it in rigs:
             it.command(joint_pos_target=0.3, joint_stiffness=10.0, joint_damping=0.3)
-        one, three = alone.run(20), batch.run(20)
+        one, three = (it.run(20) for it in rigs)
         for name in ("joint_pos", "base_quat", "base_pos_w"):
             for k in range(3):
-                near = 10 * self.near
-                assert three[name][:, k] == pytest.approx(one[name], rel=near, abs=near)
+                assert three[name][:, k] == self.alike(one[name])
 
     def test_what_is_not_finite_moves_nothing(self, rig: Build) -> None:
         it = rig()
@@ -125,19 +119,17 @@ class Contract(Case):
         for delay in (0, 3):
             it = rig(**STAND, delay=delay)
             it.run(1)
-            it.command(joint_effort_ff={"yaw": 0.1})
-            moved[delay] = it.run(8)["joint_vel"][:, it.joint("yaw")]
+            moved[delay] = it.command(joint_effort_ff={"yaw": 0.1}).run(8).of("joint_vel", "yaw")
         assert np.abs(moved[3][:4]).max() < 1e-6
         assert moved[3][3:] == pytest.approx(moved[0][:-3], rel=0.01, abs=1e-5)
 
     def test_a_joints_own_delay_is_in_physics_steps(self, rig: Build) -> None:
         speeds = {}
         for delay in (0.0, 0.004):
-            joints = {"yaw": {"delay": delay}}
-            it = rig(**STAND, joints=joints)
+            it = rig(**STAND, joints={"yaw": {"delay": delay}})
             it.run(1)
-            it.command(joint_effort_ff={"yaw": 0.1, "right": 0.1})
-            speeds[delay] = it.run(1)["joint_vel"][-1]
+            told = it.command(joint_effort_ff={"yaw": 0.1, "right": 0.1}).run(1)
+            speeds[delay] = told["joint_vel"][-1]
         yaw, right = (it.joint(name) for name in ("yaw", "right"))
         assert speeds[0.004][yaw] == pytest.approx(0.6 * speeds[0.0][yaw], rel=0.02)
         assert speeds[0.004][right] == pytest.approx(speeds[0.0][right], rel=1e-3)
@@ -157,8 +149,7 @@ class Contract(Case):
         it.run(1)
         assert isinstance(it.platform, Pushable)
         it.platform.push(np.array((0.5, 0.2)))
-        told = it.run(1)["base_lin_vel"][-1]
-        assert told == pytest.approx((0.2, -0.5, 0.0), abs=0.01)
+        assert it.run(1)["base_lin_vel"][-1] == pytest.approx((0.2, -0.5, 0.0), abs=0.01)
 
     def test_a_base_that_is_fixed_is_not_pushed(self, rig: Build) -> None:
         it = rig(floating=False)

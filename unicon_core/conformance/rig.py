@@ -111,6 +111,19 @@ _MODEL = """
 """
 
 
+class Told(dict[str, Array]):
+    """What was measured before the first tick and after each: state to values.
+
+    They are float64 of shape (ticks + 1, ..., shape of the state).
+    """
+
+    joint_names: Sequence[str]
+
+    def of(self, state: str, joint: str) -> Array:
+        """Return what was measured of one joint, shape (ticks + 1, ...)."""
+        return self[state][..., self.joint_names.index(joint)]
+
+
 class Rig:
     """The robot on a platform; close it.
 
@@ -181,12 +194,15 @@ class Rig:
         """Close the platform."""
         self.platform.close()
 
-    def command(self, robot: int | None = None, **values: Mapping[str, float] | float) -> None:
+    def command(self, robot: int | None = None, **values: Mapping[str, float] | float) -> Rig:
         """Set command states, one number for all joints or by name; what is not said is 0.
 
         Args:
             robot: of a batch, all if None.
             values: command state to value.
+
+        Returns:
+            The rig itself.
         """
         for state in COMMAND_STATES:
             view = self.states[state] if robot is None else self.states[state][robot]
@@ -194,14 +210,11 @@ class Rig:
             view[...] = 0.0 if isinstance(said, Mapping) else said
             if isinstance(said, Mapping):
                 for name, value in said.items():
-                    view[..., self.robot.joint_names.index(name)] = value
+                    view[..., self.joint(name)] = value
+        return self
 
-    def run(self, ticks: int) -> dict[str, Array]:
-        """Tick; return what was measured before the first tick and after each.
-
-        Returns:
-            State to values of shape (ticks + 1, ..., shape of the state), float64.
-        """
+    def run(self, ticks: int) -> Told:
+        """Tick; return what was measured before the first tick and after each."""
         names = ("stamp_ns", *self.platform.facts.writes)
         rows = {name: [np.array(self.states[name], np.float64)] for name in names}
         for _ in range(ticks):
@@ -209,11 +222,13 @@ class Rig:
             self.platform.recv()
             for name, row in rows.items():
                 row.append(np.array(self.states[name], np.float64))
-        return {name: np.array(row) for name, row in rows.items()}
+        told = Told((name, np.array(row)) for name, row in rows.items())
+        told.joint_names = self.robot.joint_names
+        return told
 
     def after(self, ticks: int, state: str, joint: str) -> float:
         """Tick; return what was measured of a joint in the end."""
-        return float(self.run(ticks)[state][-1][self.joint(joint)])
+        return float(self.run(ticks).of(state, joint)[-1])
 
     def joint(self, name: str) -> int:
         """Return where a joint stands in the robot's order."""
@@ -238,6 +253,10 @@ class Case:
     options: ClassVar[Mapping[str, Any]] = {}
     near: ClassVar[float] = 1e-4
     """Relative difference that is taken for rounding: of engines in float32 more."""
+
+    def alike(self, values: Any, times: float = 10.0) -> Any:
+        """Return what equals such values up to so many times rounding."""
+        return pytest.approx(values, rel=times * self.near, abs=times * self.near)
 
     @pytest.fixture
     def rig(self, tmp_path: Path) -> Iterator[Build]:
