@@ -20,11 +20,11 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory, mkdtemp
-from typing import Any
 
 import numpy as np
 
 from benchmarks.injected import HEALTHY, SETUP, SIZES, Case, cases, ladder, made
+from unicon_base import AnyDict
 from unicon_base.errors import Fault, UniconError, cannot
 from unicon_core.page import plain, write_file
 from unicon_core.signals import SIGNALS
@@ -34,7 +34,7 @@ from unicon_lab.recording import Record
 from unicon_ros.bench.report import Bench
 from unicon_ros.cli.console import note
 
-Row = dict[str, Any]
+Row = AnyDict
 
 
 def run(

@@ -27,6 +27,7 @@ import numpy as np
 
 from benchmarks.samples import unsaid
 from benchmarks.transfers import emulated
+from unicon_base import AnyDict
 from unicon_base.arrays import Array
 from unicon_base.located_yaml import read_yaml
 from unicon_core.check.joints import mirror_pairs
@@ -203,7 +204,7 @@ def made(case: Case, take: int, folder: str, seconds: float = 20.0) -> tuple[Rec
     t = np.arange(0.0, 40.0, 0.2)  # longer than a run
     sway = np.sin(np.outer(t, (1.1, 0.7, 0.9)) + take * np.arange(1, 4))
     schedule = np.c_[t, sway * (0.3, 0.2, 0.5) + (0.3, 0.0, 0.0)].tolist()
-    options: dict[str, Any] = {"commands": [{"velocity_command": {"schedule": schedule}}]}
+    options: AnyDict = {"commands": [{"velocity_command": {"schedule": schedule}}]}
     options |= SETUP["platforms"][case.plant]
     simulated = case.plant != "emulated"
     if simulated:

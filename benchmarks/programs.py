@@ -31,11 +31,11 @@ from collections.abc import Mapping
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from benchmarks.samples import Samples, random_policy, timed
+from unicon_base import AnyDict
 from unicon_base.arrays import Float64
 from unicon_base.errors import MissingDependencyError
 from unicon_core.platforms.kit.stepped import SteppedSimulator
@@ -75,7 +75,7 @@ safety: [finite, joint_limits]
 """
 
 # In place of the above; our own policy walks, where a random one would fall.
-_PHYSICS: dict[str, Any] = {
+_PHYSICS: AnyDict = {
     "platform": "mujoco",
     "scene": {"initial_pose": "policy:walk"},
     "policies": {"walk": "go2_velocity"},

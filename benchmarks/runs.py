@@ -33,12 +33,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 from urllib.parse import urlsplit
 
 import numpy as np
 
 from benchmarks.samples import TICK, WHOLE, Samples, random_policy, tick_times, timed, unsaid
+from unicon_base import AnyDict
 from unicon_base.arrays import Float64
 from unicon_base.resources import same_modules
 from unicon_core.flow import Block, Stage
@@ -74,7 +74,7 @@ def run_record(rounds: int | None = None, seconds: float = RECORD_SECONDS) -> Be
     compat.import_rclpy("unicon bench record")
     bench = Bench("record", rounds or 6)
     times = Samples()
-    written: dict[str, Any] = {}
+    written: AnyDict = {}
     with tempfile.TemporaryDirectory() as folder:
         for number in range(bench.rounds):
             turns = [RECORD_WITHOUT, RECORD_WITH] if number % 2 else [RECORD_WITH, RECORD_WITHOUT]
@@ -101,7 +101,7 @@ def run_record(rounds: int | None = None, seconds: float = RECORD_SECONDS) -> Be
     return bench
 
 
-def _run_record(file: Path | None, seconds: float) -> tuple[dict[str, Float64], dict[str, Any]]:
+def _run_record(file: Path | None, seconds: float) -> tuple[dict[str, Float64], AnyDict]:
     """Return the times of a run's ticks in [µs], and what was recorded."""
     from unicon_ros.bridge import RosSession
 
@@ -351,7 +351,7 @@ def run_safety(rounds: int | None = None) -> Bench:
     return bench
 
 
-def _turn(runners: dict[str, Runner]) -> dict[str, Any]:
+def _turn(runners: dict[str, Runner]) -> AnyDict:
     """Return the times of one round of ticks in [µs]."""
     now = time.perf_counter_ns
     waits = {

@@ -21,8 +21,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Thread
-from typing import Any
 
+from unicon_base import AnyMapping
 from unicon_base.errors import UniconError
 from unicon_base.resources import assets_root, find_config
 from unicon_core.robots import load_robot
@@ -148,7 +148,7 @@ def transferred(transfer: Transfer) -> Outcome:
     return Outcome(changed, words, ran, told)
 
 
-def _missing(values: Mapping[str, Any]) -> str:
+def _missing(values: AnyMapping) -> str:
     """Return what this machine lacks for a workflow, "" where it has all."""
     platform, policies = values["platform"], values.get("policies")
     for module in (*NEEDED.get(platform, ()), *(["onnxruntime"] if policies else [])):
@@ -161,7 +161,7 @@ def _missing(values: Mapping[str, Any]) -> str:
     return ""
 
 
-def _run(path: Path, values: Mapping[str, Any], transfer: Transfer) -> tuple[bool, str]:
+def _run(path: Path, values: AnyMapping, transfer: Transfer) -> tuple[bool, str]:
     """Run a workflow in a process of its own; return whether it did, and how it ended."""
     report = path.with_suffix(".json")
     report.unlink(missing_ok=True)

@@ -15,6 +15,8 @@ from typing import Any
 
 import yaml
 
+from unicon_base import AnyDict
+
 MAX_SIZE = 4 * 1024 * 1024
 """Characters of one document; the largest that we know of, a dumped Isaac Lab environment, has
 0.1 million."""
@@ -30,7 +32,7 @@ _CORE = "tag:yaml.org,2002:"
 _INT = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
 _FLOAT = re.compile(r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?")
 _INFINITE = re.compile(r"[-+]?\.(?:inf|Inf|INF)")
-_WORDS: dict[str, Any] = {
+_WORDS: AnyDict = {
     **dict.fromkeys(("", "~", "null", "Null", "NULL")),
     **dict.fromkeys(("true", "True", "TRUE"), True),
     **dict.fromkeys(("false", "False", "FALSE"), False),

@@ -12,10 +12,11 @@ import ast
 import keyword
 import re
 import threading
-from collections.abc import Mapping
 from typing import Any
 
-BUILTINS: dict[str, Any] = {
+from unicon_base import AnyDict, AnyMapping
+
+BUILTINS: AnyDict = {
     f.__name__: f for f in (abs, all, any, bool, bytes, divmod, len, max, min, round)
 }
 """What generated code may call without binding it."""
@@ -42,7 +43,7 @@ def is_identifier(name: object) -> bool:
     )
 
 
-def define(source: str, names: Mapping[str, Any], label: str) -> dict[str, Any]:
+def define(source: str, names: AnyMapping, label: str) -> AnyDict:
     """Run the text of functions and return what it defined.
 
     Args:
@@ -69,7 +70,7 @@ def parse(text: str, mode: str = "exec") -> Any:
         return ast.parse(text, mode=mode)
 
 
-def check_source(source: str, names: Mapping[str, Any]) -> ast.Module:
+def check_source(source: str, names: AnyMapping) -> ast.Module:
     """Return the syntax tree of a generated text, or refuse it; see `define`."""
     tree: ast.Module = parse(source)
     known = {*names, *BUILTINS}

@@ -22,8 +22,8 @@ from contextlib import suppress
 from functools import cache, lru_cache
 from importlib.metadata import EntryPoint, distribution, distributions
 from pathlib import Path
-from typing import Any
 
+from unicon_base import AnyDict, AnyMapping
 from unicon_base.errors import UniconError, alternatives
 
 
@@ -42,7 +42,7 @@ NEEDED = {"commands": ("add",), "run": ("OPTIONS", "CHECKS", "refuse", "attachme
 
 
 @cache
-def loaded(kind: str) -> Mapping[str, Any]:
+def loaded(kind: str) -> AnyMapping:
     """Return name to object of a group, by name; without those whose package was removed.
 
     Another package that is broken is named on standard error and left out.
@@ -50,7 +50,7 @@ def loaded(kind: str) -> Mapping[str, Any]:
     Args:
         kind: a key of `NEEDED`.
     """
-    found: dict[str, Any] = {}
+    found: AnyDict = {}
     for name, entry in sorted(registered(kind).items()):
         try:
             each = entry.load()

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from unicon_base import AnyDict
 from unicon_base.arrays import Array
 from unicon_base.errors import imported
 from unicon_core.page import figure as figure_html
@@ -32,7 +33,7 @@ Pictures = Mapping[str, tuple[Callable[..., bool], str, str]]
 """Name to what fills a figure, as of `drawn`, heading and caption, in the order of a page."""
 
 _FOLLOWS = {INK: "currentColor", MARK: "var(--mark)", _PAPER: "var(--page)"}
-_LOOKS: dict[str, Any] = {
+_LOOKS: AnyDict = {
     **dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor"), INK),
     **dict.fromkeys(("xtick.color", "ytick.color", "axes.titlecolor"), INK),
     **dict.fromkeys(("figure.facecolor", "axes.facecolor"), "none"),

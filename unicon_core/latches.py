@@ -21,13 +21,14 @@ import socket
 import struct
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 from urllib.parse import quote, unquote
 
+from unicon_base import AnyMapping, TextSink
 from unicon_base.errors import PlatformError
 from unicon_base.resources import user_folder
 from unicon_core.non_blocking_writer import NonBlockingWriter
@@ -118,9 +119,7 @@ class Latched:
         return tuple(filter(None, self.robot.split(",")))
 
 
-def robot_key(
-    platform: str, protocols: Sequence[str], options: Mapping[str, Any], robot: Robot
-) -> str:
+def robot_key(platform: str, protocols: Sequence[str], options: AnyMapping, robot: Robot) -> str:
     """Return what tells a robot from others before anything is opened, such as `arx/can0`.
 
     No public protocol that is spoken here tells a serial number reliably, so it is the protocol
@@ -238,9 +237,7 @@ class Latch:
         trouble: why the last one could not be kept, "" if it could.
     """
 
-    def __init__(
-        self, node: str, domain: int, kind: str, warn: Callable[[str], None], robot: str = ""
-    ) -> None:
+    def __init__(self, node: str, domain: int, kind: str, warn: TextSink, robot: str = "") -> None:
         folder = latch_folder()
         name = (
             [str(domain), *node.strip("/").split("/")] if node else [ROBOT, quote(robot, safe="")]

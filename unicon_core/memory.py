@@ -18,7 +18,7 @@ import hashlib
 import json
 import sys
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from enum import Enum
 from functools import lru_cache, partial
 from types import BuiltinMethodType, FunctionType, MethodType, ModuleType
@@ -26,6 +26,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from unicon_base import AnyDict, AnyMapping
 from unicon_base.arrays import UInt8
 from unicon_base.errors import StateError, one_line
 
@@ -49,11 +50,11 @@ class Library(Protocol):
         ...
 
 
-class Snapshot(dict[str, Any]):
+class Snapshot(AnyDict):
     """Block to what it remembered."""
 
 
-class Component(dict[str, Any]):
+class Component(AnyDict):
     """The memory of an object that declares one: attribute to value."""
 
 
@@ -101,8 +102,8 @@ class Memory:
             declares what it lacks, or what cannot be saved.
     """
 
-    def __init__(self, holders: Mapping[str, Any], states: UInt8 | None = None) -> None:
-        self._holders: dict[str, Any] = {}
+    def __init__(self, holders: AnyMapping, states: UInt8 | None = None) -> None:
+        self._holders: AnyDict = {}
         self.unproven: dict[str, str] = {}
         for label, tick in holders.items():
             holder = holder_of(tick)

@@ -17,6 +17,8 @@ from queue import SimpleQueue
 from select import select
 from typing import Generic, TypeVar
 
+from unicon_base import TextSink
+
 CAPACITY = 256
 """Lines that may wait."""
 
@@ -83,7 +85,7 @@ class NonBlockingWriter(Generic[Line]):
                 self.dropped += 1
 
 
-def to_stderr() -> Callable[[str], None]:
+def to_stderr() -> TextSink:
     """Return a sink that writes to standard error, past the lock of Python's own stream.
 
     Python's stream holds its lock while a write blocks, and the end of the process waits for it.

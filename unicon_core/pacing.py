@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
+from unicon_base import TextSink
 from unicon_base.schema.marks import Core, Unit, Within
 
 _PR_SET_TIMERSLACK = 29  # linux/prctl.h
@@ -224,7 +225,7 @@ def staying(wait: Callable[[float], bool]) -> Callable[[float], bool]:
     return stay
 
 
-def prepare_process(pacing: Pacing, warn: Callable[[str], None]) -> Callable[[], None]:
+def prepare_process(pacing: Pacing, warn: TextSink) -> Callable[[], None]:
     """Set timer slack, priority, core and memory as asked; what is refused is told, not fatal.
 
     Returns:

@@ -15,10 +15,10 @@ Such a factory is named `module:face`, or registered under its protocol in the e
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
+from unicon_base import AnyMapping
 from unicon_base.arrays import UInt8
 from unicon_core.states import States
 
@@ -82,7 +82,7 @@ class EmulatedModes:
         """Let all motors go into the commanded mode again, with the next command."""
         self._away.clear()
 
-    def command(self, modes: UInt8, states: States | Mapping[str, Any]) -> None:
+    def command(self, modes: UInt8, states: States | AnyMapping) -> None:
         """Go into the commanded modes; a motor that is away has neither stiffness nor torque.
 
         Args:

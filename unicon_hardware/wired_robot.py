@@ -17,10 +17,11 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
+from unicon_base import AnyMapping
 from unicon_base.errors import Fault, PlatformError, Silence
 from unicon_core.blocks.maps import projected_gravity
 from unicon_core.platforms.kit.command import FiniteCheck
@@ -229,7 +230,7 @@ class WiredRobot:
         """Return where the robot takes commands, with the number of others that send there."""
         return self._wire.commanders()
 
-    def info(self) -> Mapping[str, Any]:
+    def info(self) -> AnyMapping:
         """Return where the robot is, and what came from it."""
         counts, modes = self._wire.counts, self._modes
         told = {} if modes is None else {"unguarded_modes": modes.unguarded, "notes": [modes.note]}

@@ -17,11 +17,11 @@ import os
 import re
 import threading
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from unicon_base import TextSink
 from unicon_base.errors import UniconError
 from unicon_base.resources import user_folder
 from unicon_core.flow import Block, Stage
@@ -67,7 +67,7 @@ class FaultRecord(Attachment):
     def __init__(
         self,
         folder: str | None = None,
-        warn: Callable[[str], None] = print,
+        warn: TextSink = print,
         recording: Recording | None = None,
     ) -> None:
         self._folder, self._warn, self._recording = fault_folder(folder), warn, recording

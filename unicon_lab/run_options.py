@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from unicon_base import AnyDict, AnyMapping
 from unicon_base.errors import UniconError
 from unicon_core.page import refuse_unwritable
 from unicon_lab.view import LOCAL, PORT, SINKS
@@ -82,7 +83,7 @@ OPTIONS = (
 """What `unicon run` takes besides its own."""
 
 
-def view_options(options: Mapping[str, Any], sink: str = "") -> dict[str, Any]:
+def view_options(options: AnyMapping, sink: str = "") -> AnyDict:
     """Return the options of a viewer, for `View`."""
     names = ("host", "port", "token", "fps")
     return {"sink": sink or options["view"]} | {n: options[f"view_{n}"] for n in names}

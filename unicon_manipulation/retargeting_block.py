@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
+from unicon_base import TextSink
 from unicon_base.arrays import Float32, Float64
 from unicon_base.errors import WorkflowError, alternatives
 from unicon_base.schema.marks import Within, positive
@@ -302,7 +303,7 @@ class Retarget:
         self._joint_pos, self._command = joint_pos, joint_pos_command
         self._error = context.states[_error(human)]
         tell, who = context.tell, f"retarget of {robot.name}"
-        self.tell: Callable[[str], None] = lambda found: tell(f"{who}: {found}")
+        self.tell: TextSink = lambda found: tell(f"{who}: {found}")
         rate = np.full(robot.num_joints, np.inf)
         if max_rate is not None:
             rate = rates_of(max_rate, robot, "retarget").astype(np.float64)

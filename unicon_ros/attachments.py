@@ -9,8 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from unicon_base import AnyDict, TextSink
 from unicon_base.packages import loaded
 
 if TYPE_CHECKING:
@@ -35,11 +36,11 @@ class Asked:
         warn: takes lines for the operator.
     """
 
-    options: dict[str, Any]
+    options: AnyDict
     document: WorkflowDocument
     map_name: str | None
     session: RosSession | None
-    warn: Callable[[str], None]
+    warn: TextSink
 
 
 class Attachment:

@@ -14,6 +14,7 @@ from typing import Any, Literal
 import numpy as np
 from rcl_interfaces.msg import ParameterType, SetParametersResult
 
+from unicon_base import AnyDict, AnyMapping
 from unicon_base.errors import UniconError, alternatives
 from unicon_base.packages import loaded
 from unicon_base.resources import find_config
@@ -220,7 +221,7 @@ CHECKS: dict[str, Callable[[str], object]] = {
 """What can be known of a text when it is set; the rest shows when the node is configured."""
 
 
-def unsuitable(values: Mapping[str, Any]) -> str:
+def unsuitable(values: AnyMapping) -> str:
     """Return why a parameter cannot have the value that it is set to, or ""."""
     for name, value in values.items():
         words = WORDS.get(name)
@@ -302,7 +303,7 @@ class Parameters:
         self._tuning.apply(values)
         return SetParametersResult(successful=True)
 
-    def _refusal(self, values: dict[str, Any]) -> str:
+    def _refusal(self, values: AnyDict) -> str:
         """Return why these numbers cannot be set together with the present ones, or ""."""
         for name in RANGES:
             if not math.isfinite(values.get(name, 0.0)):

@@ -17,8 +17,9 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from unicon_base import AnyDict, AnyMapping, TextSink
 from unicon_base.errors import Fault, UniconError
 from unicon_core.flow import Block, Stage
 from unicon_core.handles import FrameRing
@@ -103,12 +104,12 @@ def peripheral_block(
     context: BuildContext,
     name: str,
     module: str,
-    options: Mapping[str, Any],
+    options: AnyMapping,
     *,
     values: Iterable[str],
     frames: Mapping[str, FrameMessage] | None = None,
     stale: float = 0.2,
-    data: Mapping[str, Any] | None = None,
+    data: AnyMapping | None = None,
     environment: Mapping[str, str] | None = None,
     kind: type[Peripheral] | None = None,
 ) -> Block:
@@ -196,11 +197,11 @@ class Peripheral:
         states: States,
         layout: Layout,
         module: str,
-        given: Mapping[str, Any],
+        given: AnyMapping,
         frames: Mapping[str, FrameMessage],
         stale: float,
         period: float,
-        tell: Callable[[str], None],
+        tell: TextSink,
         environment: Mapping[str, str] | None = None,
     ) -> None:
         self._states, self._layout, self._module = states, layout, module
@@ -213,7 +214,7 @@ class Peripheral:
         self._ending = threading.Lock()
         self._neutral = States(layout)
         self._pairs = Copies(states, layout, memoryview(self._neutral.buffer.data).cast("B")).pairs
-        self.heard: Callable[[dict[str, Any]], object] = bool
+        self.heard: Callable[[AnyDict], object] = bool
         self.rings: dict[str, FrameRing] = {}
         self.sources: dict[str, FrameSource] = {}
         self._watcher: ShmWatcher | None = None
@@ -232,7 +233,7 @@ class Peripheral:
                 made.close()
             raise
 
-    def _start(self) -> dict[str, Any]:
+    def _start(self) -> AnyDict:
         """Start the process and wait until it is ready; also from a thread beside the ticks."""
         self.started += 1
         segment = f"{self._name}-{os.getpid()}-{id(self) & 0xFFFFFF:x}-{self.started}"

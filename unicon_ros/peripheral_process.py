@@ -22,6 +22,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, NoReturn, Protocol
 
+from unicon_base import AnyDict
 from unicon_base.errors import UniconError
 from unicon_core.handles import FrameRing
 from unicon_core.platforms.child.pipe import ALARM, LONGEST, Parent, text_of
@@ -67,8 +68,8 @@ class Feed:
     def __init__(self, parent: Parent) -> None:
         given, self._parent = parent.given, parent
         self.name: str = given["name"]
-        self.options: dict[str, Any] = given["options"]
-        self.data: dict[str, Any] = given["data"]
+        self.options: AnyDict = given["options"]
+        self.data: AnyDict = given["data"]
         self.rings = {name: FrameRing.attach(path) for name, path in given["rings"].items()}
         self.wishes: list[list[Any]] = []
         self._early: list[str] | None = []

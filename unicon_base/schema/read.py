@@ -6,6 +6,7 @@ import inspect
 from collections.abc import Callable
 from typing import Any, TypeVar
 
+from unicon_base import AnyDict
 from unicon_base.errors import UniconError
 from unicon_base.located_yaml import Located, Where
 from unicon_base.schema.records import record_of, type_of
@@ -99,13 +100,13 @@ def _line(problem: UniconError) -> int:
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 
 
-def json_schema(*kinds: Any) -> dict[str, Any]:
+def json_schema(*kinds: Any) -> AnyDict:
     """Return the schema of a document of one of these classes.
 
     Args:
         kinds: dataclasses of documents; a document is one of them.
     """
-    definitions: dict[str, Any] = {}
+    definitions: AnyDict = {}
     references = [record_of(kind).json(definitions) for kind in kinds]
     title = (inspect.getdoc(kinds[0]) or "").partition("\n")[0].rstrip(".")
     whole = references[0] if len(references) == 1 else {"anyOf": references}

@@ -19,6 +19,7 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
+from unicon_base import AnyDict
 from unicon_base.errors import UniconError, alternatives
 from unicon_base.located_yaml import Where
 from unicon_base.schema.marks import (
@@ -143,7 +144,7 @@ class Record(Type):
             if field.key not in misspelt:
                 mistakes.missing(where, field.key, field.type.wanted)
 
-    def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
+    def json(self, definitions: AnyDict) -> AnyDict:
         if self.name not in definitions:
             definitions[self.name] = {}  # a record may hold itself
             schema = {"type": "object", "additionalProperties": self.is_open}
@@ -181,7 +182,7 @@ class _Wrapped(Type):
     def read(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
         return self.inner.read(value, where, mistakes)
 
-    def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
+    def json(self, definitions: AnyDict) -> AnyDict:
         return self.inner.json(definitions)
 
 
@@ -330,7 +331,7 @@ def _fields(kind: Any) -> dict[str, Field]:
 
 
 @lru_cache(256)
-def option_hints(factory: Callable[..., Any]) -> dict[str, Any]:
+def option_hints(factory: Callable[..., Any]) -> AnyDict:
     """Return the hints of what a function, or a class, takes by name; {} where they say nothing."""
     target = factory.__init__ if inspect.isclass(factory) else factory
     try:

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from unicon_base import AnyDict
 from unicon_base.errors import alternatives
 from unicon_base.located_yaml import Where
 from unicon_base.schema.marks import Matches, Size, Within
@@ -120,7 +121,7 @@ class Type:
         """Return what fits as Python has it, or `INVALID` after noting what is wrong inside it."""
         return value
 
-    def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
+    def json(self, definitions: AnyDict) -> AnyDict:
         """Return the JSON Schema; named records go to `definitions`."""
         return {}
 
@@ -147,7 +148,7 @@ class Plain(Type):
             return mistakes.value(where, f"{show(value)} is not known; {known}")
         return self.refuse(value, where, mistakes)
 
-    def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
+    def json(self, definitions: AnyDict) -> AnyDict:
         if len(self.values) == 1:
             return {"const": self.values[0]}
         return {"type": "boolean"} if self.values[0] is True else {"enum": list(self.values)}
@@ -183,8 +184,8 @@ class Number(Type):
     def take(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
         return value if self.whole else float(value)
 
-    def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
-        schema: dict[str, Any] = {"type": "integer" if self.whole else "number"}
+    def json(self, definitions: AnyDict) -> AnyDict:
+        schema: AnyDict = {"type": "integer" if self.whole else "number"}
         if self.bounds.endless:
             return schema
         if math.isfinite(self.bounds.low):
@@ -209,7 +210,7 @@ class Word(Type):
         short = len(str(value)) <= (self.matches.longest or math.inf)
         return short and re.fullmatch(self.matches.pattern, str(value)) is not None
 
-    def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
+    def json(self, definitions: AnyDict) -> AnyDict:
         if self.matches is None:
             return {"type": "string"}
         pattern = self.matches.pattern
@@ -217,7 +218,7 @@ class Word(Type):
         return _said(type="string", pattern=pattern, maxLength=self.matches.longest)
 
 
-def _said(**entries: Any) -> dict[str, Any]:
+def _said(**entries: Any) -> AnyDict:
     """Return the entries of a JSON Schema that say something."""
     return {key: entry for key, entry in entries.items() if entry}
 
@@ -243,7 +244,7 @@ class ListOf(_Listed):
         found = [self.entry.read(each, (*where, i), mistakes) for i, each in enumerate(value)]
         return INVALID if any(each is INVALID for each in found) else self.made(found)
 
-    def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
+    def json(self, definitions: AnyDict) -> AnyDict:
         schema = {"type": "array", "items": self.entry.json(definitions)}
         return schema | _said(minItems=self.size.least, maxItems=self.size.most)
 
@@ -266,7 +267,7 @@ class TupleOf(_Listed):
         found = tuple(entry.read(each, (*where, i), mistakes) for i, (entry, each) in pairs)
         return INVALID if any(each is INVALID for each in found) else found
 
-    def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
+    def json(self, definitions: AnyDict) -> AnyDict:
         entries = [entry.json(definitions) for entry in self.entries]
         count = len(entries)
         same = {"items": entries[0]} if entries == entries[:1] * count else {"prefixItems": entries}
@@ -298,7 +299,7 @@ class MapOf(Type):
                 found[key] = self.entry.read(each, (*where, key), mistakes)
         return INVALID if any(each is INVALID for each in found.values()) else found
 
-    def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
+    def json(self, definitions: AnyDict) -> AnyDict:
         keys = self.key.json(definitions)
         names = keys if keys != {"type": "string"} else {}
         schema = _said(type="object", propertyNames=names, minProperties=self.size.least)
@@ -335,5 +336,5 @@ class OneOf(Type):
         mistakes.found += tried.found
         return INVALID
 
-    def json(self, definitions: dict[str, Any]) -> dict[str, Any]:
+    def json(self, definitions: AnyDict) -> AnyDict:
         return {"anyOf": [each.json(definitions) for each in self.members]}

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from unicon_base import AnyDict
 from unicon_base.errors import (
     CheckError,
     MissingDependencyError,
@@ -247,9 +248,9 @@ def static_checks(subject: Subject, result: CheckResult) -> None:
     result.sort()
 
 
-def check_section(document: WorkflowDocument, result: CheckResult) -> dict[str, Any]:
+def check_section(document: WorkflowDocument, result: CheckResult) -> AnyDict:
     """Return the workflow's `check:` section, its codes accepted by the result."""
-    settings: dict[str, Any] = document.get("check", {})
+    settings: AnyDict = document.get("check", {})
     if settings.get("accept") is not None:
         result.accept(settings["accept"], document.where("check", "accept"))
     return settings

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from itertools import compress
 from typing import Any
 
 import numpy as np
 
+from unicon_base import TextSink
 from unicon_base.arrays import Bool
 from unicon_core.blocks.safety.limits import EffortLimits, JointLimits, VelocityLimits
 from unicon_core.check.graph import has_limits
@@ -156,7 +157,7 @@ def _lowest(model: Any, heights: Mapping[int, float]) -> tuple[str, float]:
     return model.body(int(model.geom_bodyid[geom])).name, heights[geom]
 
 
-def _balance(wrong: Callable[[str], None], posed: PosedModel, geoms: list[int]) -> None:
+def _balance(wrong: TextSink, posed: PosedModel, geoms: list[int]) -> None:
     """The centre of mass over the feet: a pose that is far off it is none to stand in."""
     model, data = posed.loaded.model, posed.data
     root = int(model.body_rootid[model.geom_bodyid[geoms[0]]])

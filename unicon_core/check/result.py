@@ -8,6 +8,7 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from unicon_base import AnyDict
 from unicon_base.arrays import Bool
 from unicon_base.errors import UniconError, alternatives
 from unicon_core.check.rules import CODES, FIRM, RULES
@@ -199,7 +200,7 @@ class CheckResult:
         tables = [section.text(width) for section in self.sections]
         return "\n\n".join([*parts, verdict, *tables, *([verdict] if tables else [])])
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> AnyDict:
         """Return all as plain values."""
         return {
             "workflow": self.workflow,

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
+from unicon_base import AnyMapping
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.flow import Block, Stage, blocks_of
 from unicon_core.models.find import Modelled
@@ -121,7 +121,7 @@ def build_subject(document: WorkflowDocument, hooks: Sequence[Hook] = ()) -> Sub
 
 
 def on_platform(
-    document: WorkflowDocument, name: str, scene: Mapping[str, Any] | None = None
+    document: WorkflowDocument, name: str, scene: AnyMapping | None = None
 ) -> WorkflowDocument:
     """Return the same workflow on another platform.
 

@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
+from unicon_base import AnyMapping
 from unicon_base.arrays import Array
 from unicon_base.errors import PlatformError
 from unicon_core.platforms.kit.disturbances import disturb
@@ -40,7 +41,7 @@ FRICTION = 0.5
 IMU_POSITION = (0.05, 0.02, 0.03)
 """On the base in [m]."""
 
-STAND: Mapping[str, Any] = {"floating": False, "model": {"gravity": 0.0}}
+STAND: AnyMapping = {"floating": False, "model": {"gravity": 0.0}}
 """Of a robot whose joints alone move."""
 
 _ROBOT = """\
@@ -145,13 +146,13 @@ class Rig:
         self,
         platform: str,
         folder: Path,
-        options: Mapping[str, Any] | None = None,
+        options: AnyMapping | None = None,
         *,
         order: Sequence[str] = JOINTS,
         floating: bool = True,
         num_robots: int | None = None,
         steps: int = 10,
-        model: Mapping[str, Any] | None = None,
+        model: AnyMapping | None = None,
         effort: float = EFFORT_LIMIT,
         **scene: Any,
     ) -> None:
@@ -250,7 +251,7 @@ class Case:
     """A platform under test; a subclass names it."""
 
     platform: ClassVar[str]
-    options: ClassVar[Mapping[str, Any]] = {}
+    options: ClassVar[AnyMapping] = {}
     near: ClassVar[float] = 1e-4
     """Relative difference that is taken for rounding: of engines in float32 more."""
 

@@ -7,8 +7,9 @@ who else commands it, and whether a command would move it.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from typing import Protocol
 
+from unicon_base import AnyMapping
 from unicon_base.arrays import Array
 from unicon_base.errors import Fault
 from unicon_core.robots import Robot
@@ -98,7 +99,7 @@ class Variant:
 
     name = "variant"
 
-    def __init__(self, told: Callable[[], Mapping[str, Any]], robot: Robot) -> None:
+    def __init__(self, told: Callable[[], AnyMapping], robot: Robot) -> None:
         self._told, self._robot = told, robot
         self.about = f"what the robot reports of itself is what {robot.path.name} says"
 

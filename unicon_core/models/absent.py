@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyDict
 from unicon_base.errors import ModelError
 from unicon_base.packages import PACKAGE, share_folder
 from unicon_core.file_kinds import is_lfs_pointer
@@ -57,7 +58,7 @@ def drop_absent_meshes(
     """
     urdf = path.suffix.lower() == ".urdf"
     folders = model_folders(path)
-    absent: dict[str, Any] = {}
+    absent: AnyDict = {}
     pointers = 0
     for mesh in spec.meshes:
         if not mesh.file or mesh.file in spec.assets:

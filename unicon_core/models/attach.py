@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyDict
 from unicon_base.errors import ModelError, alternatives
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.robots import Robot
@@ -17,7 +18,7 @@ from unicon_core.robots.robot import plain_name
 _ROTOR = 0.01
 
 # Name of a key frame, and joint to its part of `qpos`.
-_Key = tuple[str, dict[str, Any]]
+_Key = tuple[str, AnyDict]
 
 
 def lacking_members(spec: Any, robot: Robot) -> list[str]:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Annotated, Any
 
 import numpy as np
 
+from unicon_base import AnyMapping
 from unicon_base.arrays import Float32
 from unicon_base.schema.marks import Unit, Within
 from unicon_core.platforms.kit.command import Command, Servo
@@ -157,7 +157,7 @@ class FakePlatform:
     def close(self) -> None:
         """Let go; there is nothing to damp."""
 
-    def info(self) -> Mapping[str, Any]:
+    def info(self) -> AnyMapping:
         """Return the joints' response."""
         return {"model": None, "time_constant_s": self._time_constant}
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any
 
+from unicon_base import AnyMapping
 from unicon_base.arrays import Array
 from unicon_base.errors import Fault, PlatformError
 from unicon_core.platforms.platform import (
@@ -166,7 +166,7 @@ class JoinedPlatform:
         if first is not None:
             raise first
 
-    def info(self) -> Mapping[str, Any]:
+    def info(self) -> AnyMapping:
         """Return what each member tells of itself."""
         return {name: dict(info_of(each)) for name, each in self.members.items()}
 

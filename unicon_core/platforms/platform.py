@@ -20,8 +20,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
+from unicon_base import AnyMapping
 from unicon_base.arrays import Array, Float64
 from unicon_core.states.standard import BASE_STATES, COMMAND_STATES, JOINT_STATES
 
@@ -161,7 +162,7 @@ class Prepares(Protocol):
 class ReportsVariant(Protocol):
     """A robot that says which variant it is, for the gate that compares it with the robot file."""
 
-    def variant(self) -> Mapping[str, Any]:
+    def variant(self) -> AnyMapping:
         """Return what it reports, under the keys of `transport` in the robot file.
 
         Such as {"mode_machine": 5}; {} as long as it has not reported.
@@ -254,11 +255,11 @@ class Viewable(Protocol):
 class Informative(Protocol):
     """Tells about itself once it is built."""
 
-    def info(self) -> Mapping[str, Any]:
+    def info(self) -> AnyMapping:
         """Return facts for `unicon show` and the report: model file, physics step, gains…"""
         ...
 
 
-def info_of(platform: Platform) -> Mapping[str, Any]:
+def info_of(platform: Platform) -> AnyMapping:
     """Return what a platform tells about itself; of one that tells nothing, nothing."""
     return platform.info() if isinstance(platform, Informative) else {}

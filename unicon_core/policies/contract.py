@@ -4,8 +4,7 @@ The canonical form of `policy.yaml`; every importer ends here. One observation t
 `scale · clip(filter(state[index]) − subtract)`; the command is
 `joint_pos_target = offset + scale · filter(clip(action))`, or a velocity or torque likewise.
 
-Most classes are what `policy.yaml` has, too (`file.py` has the others), so that their hints say how
-a value is written, its unit and its bounds.
+Most hints are those of `policy.yaml` (`file.py` has the others): how to write a value, its bounds.
 """
 
 from __future__ import annotations
@@ -17,6 +16,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
 
+from unicon_base import AnyDict
 from unicon_base.arrays import Bool, Float32
 from unicon_base.schema.marks import (
     Checked,
@@ -76,7 +76,7 @@ class FilterSpec:
     start: Literal["first", "zeros"] = "first"
 
     @staticmethod
-    def between(found: dict[str, Any], here: Here) -> None:
+    def between(found: AnyDict, here: Here) -> None:
         """Note other than one filter."""
         named = [key for key, said in here.written.items() if key != "start" and said is not None]
         if len(named) != 1:
@@ -137,7 +137,7 @@ class ObservationSpec:
     start: Literal["first", "zeros"] = "first"
 
     @staticmethod
-    def between(found: dict[str, Any], here: Here) -> None:
+    def between(found: AnyDict, here: Here) -> None:
         """Note whole frames of terms that have different histories."""
         terms = found.get("terms", ())
         odd = [term for term in terms if term.history != terms[0].history]
@@ -242,7 +242,7 @@ class PhaseSpec:
     resume: Literal["offsets", "stand", "clock"] | None = None
 
     @staticmethod
-    def between(found: dict[str, Any], here: Here) -> None:
+    def between(found: AnyDict, here: Here) -> None:
         """Note phases that go on and never stand."""
         if found.get("resume") is not None and here.written.get("stand") is None:
             here.value(
@@ -314,7 +314,7 @@ class MotionSpec:
     chain: Mapping[str, Literal["x", "y", "z", "-x", "-y", "-z"]] = field(default_factory=dict)
 
     @staticmethod
-    def between(found: dict[str, Any], here: Here) -> None:
+    def between(found: AnyDict, here: Here) -> None:
         """Note an end before the start."""
         start, end = found.get("start", 0.0), found.get("end")
         if end is not None and end <= start:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from unicon_base import AnyDict
 from unicon_base.errors import PolicyError
 from unicon_base.located_yaml import Where
 from unicon_base.resources import file_beside, find_resource
@@ -33,7 +34,7 @@ _STATES = {
     "motion_anchor_ori_b": "motion_anchor_ori_b motion_ref_ori_b",
     "motion_anchor_pos_b": "motion_anchor_pos_b motion_ref_pos_b",
 }
-_TERMS: dict[str, dict[str, Any]] = {
+_TERMS: dict[str, AnyDict] = {
     **{name: {"state": state} for state, names in _STATES.items() for name in names.split()},
     "command_lin_vel": {"state": "velocity_command", "index": [0, 1]},
     "command_ang_vel": {"state": "velocity_command", "index": [2]},
@@ -87,7 +88,7 @@ class Facts:
 
     path: Path
     source: str
-    values: dict[str, Any] = field(default_factory=dict)
+    values: AnyDict = field(default_factory=dict)
     lines: dict[Where, int] = field(default_factory=dict)
     keys: dict[Where, str] = field(default_factory=dict)
     asks: dict[str, str] = field(default_factory=dict)
@@ -187,7 +188,7 @@ class Facts:
         return PolicyError(message, f"{self.path}{line}")
 
 
-def term_state(name: str, *, absolute: bool = False) -> dict[str, Any]:
+def term_state(name: str, *, absolute: bool = False) -> AnyDict:
     """Return `state` (and `index`, `subtract`) of a term's usual name, empty if it is unknown.
 
     Args:

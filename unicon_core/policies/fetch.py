@@ -12,16 +12,17 @@ from __future__ import annotations
 
 import glob
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
-from typing import Any, TypeAlias
+from typing import TypeAlias
 from urllib.parse import unquote, urlsplit
 
 import yaml
 
+from unicon_base import AnyMapping
 from unicon_base.errors import PolicyError, alternatives, cannot, imported, one_line
 from unicon_base.located_yaml import read_yaml
 from unicon_base.resources import sha256_of
@@ -64,7 +65,7 @@ def fetch_policy(
     sha256: str | None = None,
     force: bool = False,
     robot: Robot | None = None,
-    given: Mapping[str, Any] | None = None,
+    given: AnyMapping | None = None,
 ) -> FetchReport:
     """Fetch a policy, and write it as `policy.yaml` with its network beside it.
 

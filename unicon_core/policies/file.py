@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 
+from unicon_base import AnyDict
 from unicon_base.arrays import Float32
 from unicon_base.errors import PolicyError, alternatives
 from unicon_base.located_yaml import Where
@@ -60,7 +61,7 @@ def kinds_of(said: Any, moved: Sequence[str]) -> list[ActionKind]:
     return cast(list[ActionKind], [said] * len(moved) if isinstance(said, str) else said)
 
 
-def note_networks(found: dict[str, Any], here: Here) -> None:
+def note_networks(found: AnyDict, here: Here) -> None:
     """Note what goes with other networks than those that are named."""
     networks, feeds = (here.document.get(key) for key in ("networks", "feeds"))
     if here.document.get("torchscript") is not None:
@@ -87,7 +88,7 @@ def is_single(value: Any) -> bool:
     return not hasattr(value, "__len__")
 
 
-def note_joints(found: dict[str, Any], here: Here) -> None:
+def note_joints(found: AnyDict, here: Here) -> None:
     """Note lists that are longer or shorter than that of the joints, and what one cannot have."""
     joints, action = found.get("joints"), found.get("action")
     if joints is None:
@@ -149,7 +150,7 @@ def _note_action(
             here.value(text, "damping")
 
 
-def note_filters(found: dict[str, Any], here: Here) -> None:
+def note_filters(found: AnyDict, here: Here) -> None:
     """Note low passes that let everything pass."""
     terms = enumerate(getattr(found.get("observation"), "terms", ()))
     places: list[tuple[Where, Any]] = [(("action",), found.get("action"))]
@@ -162,7 +163,7 @@ def note_filters(found: dict[str, Any], here: Here) -> None:
             here.value(f"{text} {highest:g}, half the policy's rate", *where, "filter", "low_pass")
 
 
-def note_unread_command(found: dict[str, Any], here: Here) -> None:
+def note_unread_command(found: AnyDict, here: Here) -> None:
     """Note a limit of the command where nothing sees the command."""
     terms, inputs = getattr(found.get("observation"), "terms", ()), found.get("inputs", {})
     phase = found.get("phase")
@@ -253,7 +254,7 @@ class PolicyFile(PolicyFacts):
     sources: Any = None
 
     @staticmethod
-    def between(found: dict[str, Any], here: Here) -> None:
+    def between(found: AnyDict, here: Here) -> None:
         """Note what fits no joint, no network or no period."""
         for note in (note_networks, note_joints, note_filters, note_unread_command):
             note(found, here)

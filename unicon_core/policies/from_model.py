@@ -16,6 +16,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+from unicon_base import AnyDict, AnyMapping
 from unicon_base.errors import PolicyError, UniconError, alternatives
 from unicon_base.schema.marks import Key, Made
 from unicon_base.schema.read import read_value
@@ -99,14 +100,14 @@ class FromModel:
     def __init__(
         self,
         source: Path,
-        given: Mapping[str, Any],
+        given: AnyMapping,
         robot: Robot | None,
         find: Callable[[], Path] | None = None,
     ) -> None:
         self._source, self._robot, self._find = source, robot, find
         self.given = dict(given)
         self.notes: list[str] = []
-        self._asked: dict[str, Any] = {}
+        self._asked: AnyDict = {}
         for key, value in given.items():
             if not isinstance(value, Mapping) or "from" not in value:
                 continue

@@ -12,6 +12,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from unicon_base import AnyDict, AnyMapping
 from unicon_base.errors import PolicyError, alternatives
 from unicon_base.located_yaml import Where
 from unicon_base.schema.marks import Write
@@ -21,14 +22,14 @@ from unicon_core.policies.importers.source import values_by_pattern
 from unicon_core.robots.robot import plain_name
 from unicon_core.text_table import figure
 
-_CHANGE = Annotated[Mapping[str, Any], Write("{scale: 0.05}")]
+_CHANGE = Annotated[AnyMapping, Write("{scale: 0.05}")]
 _TERMS = (
     Annotated[Mapping[str, _CHANGE], Write("{joint_vel: {scale: 0.05}}")]
     | Annotated[list[Any], Write("a list")]
 )
 
 
-def nested(path: Path, given: Mapping[str, Any]) -> dict[str, Any]:
+def nested(path: Path, given: AnyMapping) -> AnyDict:
     """Return what a user gives with nested keys: `action.scale` stands under `action`.
 
     Args:
@@ -38,7 +39,7 @@ def nested(path: Path, given: Mapping[str, Any]) -> dict[str, Any]:
     Raises:
         PolicyError: a fact is given twice, or also as a whole.
     """
-    made: dict[str, Any] = {}
+    made: AnyDict = {}
     for key, value in given.items():
         place = made
         *steps, last = str(key).split(".")
@@ -56,7 +57,7 @@ def nested(path: Path, given: Mapping[str, Any]) -> dict[str, Any]:
     return made
 
 
-def merge_given(facts: Facts, given: Mapping[str, Any]) -> None:
+def merge_given(facts: Facts, given: AnyMapping) -> None:
     """Add facts that the user gives; a fact that the source says otherwise is refused.
 
     Args:
@@ -79,7 +80,7 @@ def merge_given(facts: Facts, given: Mapping[str, Any]) -> None:
         del facts.asks[name]
 
 
-def _merge_terms(facts: Facts, observation: dict[str, Any]) -> None:
+def _merge_terms(facts: Facts, observation: AnyDict) -> None:
     """Bring given terms into the source's list of terms, by name."""
     given, scale = observation.pop("terms", None), observation.pop("scale", None)
     if given is not None:
@@ -112,7 +113,7 @@ def _merge_terms(facts: Facts, observation: dict[str, Any]) -> None:
         facts.asks.pop("observation.scale", None)
 
 
-def _changes(facts: Facts, terms: list[Any], given: Any) -> list[tuple[int, Mapping[str, Any]]]:
+def _changes(facts: Facts, terms: list[Any], given: Any) -> list[tuple[int, AnyMapping]]:
     """Return the place of a term and what is added to it; terms of a given list are put in."""
     names = [term.get("name") for term in terms]
     if isinstance(given, Mapping):
@@ -136,7 +137,7 @@ def _changes(facts: Facts, terms: list[Any], given: Any) -> list[tuple[int, Mapp
     return [(i, item) for i, item in enumerate(given) if isinstance(item, Mapping)]
 
 
-def _merge(facts: Facts, said: dict[str, Any], given: Mapping[str, Any], where: Where) -> None:
+def _merge(facts: Facts, said: AnyDict, given: AnyMapping, where: Where) -> None:
     for key, value in given.items():
         place, known = (*where, key), said.get(key)
         if isinstance(known, list) and is_open(known):  # what the source leaves open in a list
@@ -167,7 +168,7 @@ def _same(known: Any, value: Any, tolerance: tuple[float, float]) -> bool:
     return alike and bool(np.allclose(a, b, *tolerance))
 
 
-def check_agreement(facts: Facts, other: Facts, given: Mapping[str, Any]) -> None:
+def check_agreement(facts: Facts, other: Facts, given: AnyMapping) -> None:
     """Compare what a file says with the metadata of the network that it names, joint by joint.
 
     Args:
@@ -207,7 +208,7 @@ def check_agreement(facts: Facts, other: Facts, given: Mapping[str, Any]) -> Non
             break
 
 
-def _by_joint(values: Mapping[str, Any], key: str, joints: list[str]) -> dict[str, float]:
+def _by_joint(values: AnyMapping, key: str, joints: list[str]) -> dict[str, float]:
     moved = value_of(values, "action.joints")
     if key == "action.scale" and isinstance(moved, list):
         joints = moved

@@ -12,6 +12,7 @@ from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 
+from unicon_base import AnyDict, AnyMapping
 from unicon_base.arrays import Float32
 from unicon_base.errors import PolicyError
 from unicon_base.schema.marks import Made, Matches, NotEmpty, Within, Write, positive
@@ -66,7 +67,7 @@ def _range(pair: Any) -> tuple[float, float]:
     return low, high
 
 
-def _said(ranges: Mapping[str, Any]) -> dict[str, Any]:
+def _said(ranges: AnyMapping) -> AnyDict:
     return {name: pair for name, pair in ranges.items() if pair is not None}
 
 

@@ -8,8 +8,8 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
+from unicon_base import AnyMapping
 from unicon_base.errors import PolicyError, alternatives
 from unicon_base.located_yaml import Located, read_yaml
 from unicon_base.packages import path_of, registered
@@ -81,7 +81,7 @@ def load_policy(
     reference: str | Path,
     *,
     robot: Robot | None = None,
-    given: Mapping[str, Any] | None = None,
+    given: AnyMapping | None = None,
     model: Callable[[], Path] | None = None,
 ) -> PolicyContract:
     """Load a policy in any known format.
@@ -109,7 +109,7 @@ def import_policy(
     out_dir: str | Path,
     *,
     robot: Robot | None = None,
-    given: Mapping[str, Any] | None = None,
+    given: AnyMapping | None = None,
     force: bool = False,
 ) -> ImportReport:
     """Write a policy of any known format as `policy.yaml`, and list what its source did not say.
@@ -222,7 +222,7 @@ def _configurations(folder: Path) -> list[Path]:
 def _read(
     reference: str | Path,
     robot: Robot | None,
-    given: Mapping[str, Any],
+    given: AnyMapping,
     model: Callable[[], Path] | None = None,
 ) -> Facts:
     path = _locate(reference)
@@ -266,7 +266,7 @@ def _yaml(path: Path) -> Located:
     return read_yaml(path, PolicyError, foreign=True)
 
 
-def _facts_of(path: Path, robot: Robot | None, given: Mapping[str, Any]) -> Facts:
+def _facts_of(path: Path, robot: Robot | None, given: AnyMapping) -> Facts:
     if path.suffix == ".onnx":
         onnx = read_onnx(path)
         for beside in ("policy.yaml", "deploy.yaml", "../params/deploy.yaml"):

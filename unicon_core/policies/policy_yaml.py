@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from unicon_base import AnyDict
 from unicon_base.errors import PolicyError, cannot
 from unicon_base.located_yaml import Located, Tagged
 from unicon_base.resources import sha256_of
@@ -84,7 +85,7 @@ def write_partial_yaml(facts: Facts, missing: Mapping[str, str], out_dir: str | 
     key = "torchscript" if "torchscript" in facts.values else "onnx"
     model = facts.model() if key in facts.values else None
     read_facts(facts, missing)
-    values: dict[str, Any] = {"schema": SCHEMA}
+    values: AnyDict = {"schema": SCHEMA}
     if model is not None:
         values[key] = model.name
         if os.path.isfile(model):
@@ -133,7 +134,7 @@ def _copy(source: Path, target: Path) -> None:
         shutil.copyfile(source, target)
 
 
-def contract_values(contract: PolicyContract) -> dict[str, Any]:
+def contract_values(contract: PolicyContract) -> AnyDict:
     """Return the canonical form as plain values; `build_contract` reads them back."""
     values = _plain(contract)
     action = values["action"]
@@ -212,7 +213,7 @@ _Dumper.add_representer(list, _list)
 _Dumper.add_representer(Tagged, lambda dumper, value: dumper.represent_str(str(value.value)))
 
 
-def _dump(values: dict[str, Any]) -> str:
+def _dump(values: AnyDict) -> str:
     return yaml.dump(
         values,
         Dumper=_Dumper,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from itertools import accumulate
-from typing import Any
 
+from unicon_base import AnyDict
 from unicon_base.arrays import Float32
 from unicon_base.errors import PolicyError
 from unicon_core.policies.contract import PolicyContract
@@ -18,11 +18,11 @@ from unicon_core.states import States, standard_states
 from unicon_core.text_table import aligned, figure, span
 
 
-def policies_rows() -> list[dict[str, Any]]:
+def policies_rows() -> list[AnyDict]:
     """Return what is said of each policy in `config/policies/`: `error` of a broken one."""
-    rows: list[dict[str, Any]] = []
+    rows: list[AnyDict] = []
     for name in policy_names():
-        row: dict[str, Any] = {"name": name}
+        row: AnyDict = {"name": name}
         try:
             contract = load_policy(name)
             row |= {

@@ -11,10 +11,10 @@ import shutil
 import time
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyDict
 from unicon_base.arrays import Float32
 from unicon_base.errors import Fault, UniconError
 from unicon_core.blocks.approach import Target
@@ -111,12 +111,12 @@ class PreflightResult:
         end = [f"fault: {self.fault}"] if self.fault else []
         return "\n".join([head, *(f"  {x}" for x in lines), *end, f"{passed} pass, {failed} fail"])
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> AnyDict:
         """Return all of it as plain values."""
         return {**asdict(self), "ok": self.ok}
 
     @staticmethod
-    def write(values: dict[str, Any], path: str | Path) -> None:
+    def write(values: AnyDict, path: str | Path) -> None:
         """Write values as JSON.
 
         Raises:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from fnmatch import fnmatchcase
-from typing import Any
 
+from unicon_base import AnyDict, AnyMapping
 from unicon_base.errors import alternatives
 from unicon_base.located_yaml import Where
 from unicon_base.schema.records import meant
@@ -13,12 +13,12 @@ from unicon_base.schema.types import Here
 from unicon_core.robots.robot import JOINT_FIELDS
 
 
-def joints_of(document: Mapping[str, Any]) -> list[dict[str, Any]]:
+def joints_of(document: AnyMapping) -> list[AnyDict]:
     joints = document.get("joints")
     return [j for j in joints if isinstance(j, dict)] if isinstance(joints, list) else []
 
 
-def note_joints_once(document: Mapping[str, Any], here: Here) -> None:
+def note_joints_once(document: AnyMapping, here: Here) -> None:
     joints = document.get("joints")
     seen: dict[str, int] = {}
     for i, joint in enumerate(joints if isinstance(joints, list) else ()):
@@ -30,7 +30,7 @@ def note_joints_once(document: Mapping[str, Any], here: Here) -> None:
             )
 
 
-def note_contacts(kind: str, document: Mapping[str, Any], here: Here) -> None:
+def note_contacts(kind: str, document: AnyMapping, here: Here) -> None:
     """Note feet of what does not walk, fingertips of what is no hand, and missing ones."""
     key = {"quadruped": "feet", "humanoid": "feet", "hand": "fingertips"}.get(kind)
     instead = [other for other in document if key and key in meant(other, (key,))]
@@ -51,7 +51,7 @@ def note_contacts(kind: str, document: Mapping[str, Any], here: Here) -> None:
         here.note(f"a robot of kind {kind} has no 'hand'; remove it", "hand")
 
 
-def note_groups(groups: Mapping[str, list[str]], document: Mapping[str, Any], here: Here) -> None:
+def note_groups(groups: Mapping[str, list[str]], document: AnyMapping, here: Here) -> None:
     names = [str(joint.get("name")) for joint in joints_of(document)]
     for group, patterns in groups.items():
         if not group.isidentifier() or group in names:
@@ -63,7 +63,7 @@ def note_groups(groups: Mapping[str, list[str]], document: Mapping[str, Any], he
                 here.note(f"groups: no joint is like {pattern!r}; {known}", "groups", group, i)
 
 
-def _nulls(document: Mapping[str, Any]) -> dict[str, Where]:
+def _nulls(document: AnyMapping) -> dict[str, Where]:
     """Return the dotted facts that a file leaves open and that its `unknown` has to name.
 
     Each has the place where it is left open first.
@@ -89,7 +89,7 @@ def _nulls(document: Mapping[str, Any]) -> dict[str, Where]:
     return found | {f"transport.{key}": ("transport", key) for key in nulls}
 
 
-def note_unknown(document: Mapping[str, Any], here: Here) -> None:
+def note_unknown(document: AnyMapping, here: Here) -> None:
     unknown = document.get("unknown") or []
     if not isinstance(unknown, list) or not all(isinstance(fact, str) for fact in unknown):
         return
@@ -110,7 +110,7 @@ def note_unknown(document: Mapping[str, Any], here: Here) -> None:
             )
 
 
-def _given(document: Mapping[str, Any], fact: str) -> bool:
+def _given(document: AnyMapping, fact: str) -> bool:
     part, _, key = fact.partition(".")
     values = joints_of(document) if part == "joints" else [document.get(part)]
     if not key:
@@ -122,7 +122,7 @@ _SOURCED = ("imu", "feet", "fingertips", "command_ranges", "mounts", "end_effect
             "hand")  # fmt: skip
 
 
-def note_sources(document: Mapping[str, Any], here: Here) -> None:
+def note_sources(document: AnyMapping, here: Here) -> None:
     """Every group of figures that the file gives says where it was taken from."""
     for key in ("transport", "sources"):
         if key not in document:

@@ -15,10 +15,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyDict
 from unicon_base.arrays import Float32, Float64
 from unicon_base.errors import RobotError, WorkflowError, alternatives
 from unicon_base.located_yaml import Located, read_yaml
@@ -186,7 +186,7 @@ def read_robot_file(located: Located) -> RobotFile:
 def _robot(located: Located) -> Robot:
     said = read_robot_file(located)
     names = tuple(joint.name for joint in said.joints)
-    arrays: dict[str, Any] = {
+    arrays: AnyDict = {
         field: _array([getattr(joint, key) for joint in said.joints])
         for key, field in JOINT_FIELDS.items()
     }
@@ -282,7 +282,7 @@ def compose(members: Mapping[str, Robot], mounts: Mapping[str, Place] | None = N
             f"robot of {', '.join(members)}: two joints are called {twice!r}; name a member "
             "otherwise, or one of the joints in its file"
         )
-    arrays: dict[str, Any] = {
+    arrays: AnyDict = {
         field: _array(np.concatenate([_gains(robot, field) for robot in members.values()]))
         for field in JOINT_FIELDS.values()
     }

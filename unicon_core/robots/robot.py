@@ -14,10 +14,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Literal, get_args
 
 import numpy as np
 
+from unicon_base import AnyMapping
 from unicon_base.arrays import Bool, Float32, Index
 from unicon_base.errors import RobotError, alternatives
 from unicon_base.schema.marks import Key, Matches, NotEmpty, Point, Quat, Text, Write, positive
@@ -209,7 +210,7 @@ class Robot:
     joint_damping: Float32
     imu: Imu | None
     feet: tuple[str, ...]
-    transport: Mapping[str, Any]
+    transport: AnyMapping
     sources: Mapping[str, str]
     unknown: tuple[str, ...]
     command_ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)

@@ -6,6 +6,7 @@ import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from unicon_base import AnyDict, AnyMapping
 from unicon_base.errors import RobotError, one_line
 from unicon_core.evidence import evidence_of, load_evidence
 from unicon_core.robots.load import load_robot, robot_names
@@ -35,9 +36,9 @@ _AGAINST = {
 _UNKNOWN = "unknown"
 
 
-def robots_rows() -> list[dict[str, Any]]:
+def robots_rows() -> list[AnyDict]:
     """Return what is told of each robot: `error` of a broken file, else its facts."""
-    rows: list[dict[str, Any]] = []
+    rows: list[AnyDict] = []
     ledger = load_evidence()
     for name in robot_names():
         try:
@@ -156,7 +157,7 @@ def _missing(robot: Robot) -> str:
     return "\n".join(lines)
 
 
-def _flat(mapping: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+def _flat(mapping: AnyMapping, prefix: str = "") -> list[tuple[str, str]]:
     rows: list[tuple[str, str]] = []
     for key, value in mapping.items():
         if isinstance(value, Mapping):

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
+from unicon_base import AnyDict
 from unicon_base.arrays import Int64
 from unicon_base.errors import Fault, StateError, UniconError, WorkflowError, alternatives
 from unicon_base.schema.marks import Made, Matches, Write, positive
@@ -95,7 +96,7 @@ class Party:
     keys: Annotated[Path | None, Matches(r".+", "the folder of the group's keys")] = None
 
     @staticmethod
-    def between(found: dict[str, Any], here: Here) -> None:
+    def between(found: AnyDict, here: Here) -> None:
         """Note a robot that is none of the group, and keys without addresses."""
         robots = found.get("robots", {})
         me = found.get("me")
@@ -283,7 +284,7 @@ class Meeting:
             other.close()
         self._writer.close()
 
-    def facts(self) -> dict[str, Any]:
+    def facts(self) -> AnyDict:
         """Return what the report tells."""
         return {"robots": list(self._agreement.among)}
 

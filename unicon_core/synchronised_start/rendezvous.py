@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
+from unicon_base import AnyDict, TextSink
 from unicon_base.errors import Fault, UniconError, WorkflowError
 from unicon_core.bounds import within
 from unicon_core.synchronised_start.meeting import Meeting
@@ -42,9 +43,7 @@ class Rendezvous:
             before that is known.
     """
 
-    def __init__(
-        self, source: WallClock | Meeting, period: float, warn: Callable[[str], None]
-    ) -> None:
+    def __init__(self, source: WallClock | Meeting, period: float, warn: TextSink) -> None:
         self._source, self._warn = source, warn
         # Left for the change to the flow, between one period and two: on a busy machine it was seen
         # to take 9 ms. Nothing is sent meanwhile, and a child's watchdog is three periods at least.
@@ -93,7 +92,7 @@ class Rendezvous:
         """Return the same where there is no way to go first."""
         return self(True)
 
-    def facts(self, first_ns: int) -> dict[str, Any]:
+    def facts(self, first_ns: int) -> AnyDict:
         """Return what the report tells.
 
         Args:
@@ -226,7 +225,7 @@ class WallClock:
     def close(self) -> None:
         """Nothing is open."""
 
-    def facts(self) -> dict[str, Any]:
+    def facts(self) -> AnyDict:
         """Return what the report tells."""
         return {"at": _told(self._next)} if self._next else {}
 

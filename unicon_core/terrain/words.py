@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Annotated, Any
 
+from unicon_base import AnyDict, AnyMapping
 from unicon_base.errors import PlatformError, alternatives
 from unicon_base.schema.marks import Checked, Within
 from unicon_base.schema.read import refuse
@@ -176,7 +177,7 @@ class Terrain:
     """
 
     kind: str
-    figures: Mapping[str, Any]
+    figures: AnyMapping
     seed: int = 0
 
     def __getitem__(self, name: str) -> Any:
@@ -212,7 +213,7 @@ def read_terrain(said: object, seed: int) -> Terrain | None:
     found = record_of(KINDS[kind]).read(given, ("scene", "terrain", kind), mistakes)
     refuse(mistakes, lambda _, text: PlatformError(text), f"scene.terrain.{kind}")
     pairs = [each.name for each in fields(found) if isinstance(each.default, tuple)]
-    values: dict[str, Any] = {
+    values: AnyDict = {
         name: (value, value) if name in pairs and not isinstance(value, tuple) else value
         for name, value in asdict(found).items()
     }

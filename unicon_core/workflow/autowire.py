@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from unicon_base import AnyDict, AnyMapping, TextSink
 from unicon_base.errors import (
     MissingDependencyError,
     StateError,
@@ -62,11 +63,11 @@ class BuildContext:
     states: States
     robot: Robot
     period: float
-    policies: Mapping[str, Any] = field(default_factory=dict)
+    policies: AnyMapping = field(default_factory=dict)
     relative_to: Path | None = None
     platform: Platform | None = None
     dry: bool = False
-    tell: Callable[[str], None] = print
+    tell: TextSink = print
     driving: Callable[[], bool] = lambda: True
     sent: LastSent | None = None
     paced: Callable[[], bool] = lambda: False
@@ -114,7 +115,7 @@ def autowire(
     factory: Factory,
     name: str,
     context: BuildContext,
-    options: Mapping[str, Any],
+    options: AnyMapping,
     rename: Mapping[str, str] | None = None,
     where: str = "",
 ) -> Block:
@@ -174,8 +175,8 @@ def autowire(
 
 
 def read_options(
-    factory: Factory, options: Mapping[str, Any], wrong: Callable[..., UniconError]
-) -> dict[str, Any]:
+    factory: Factory, options: AnyMapping, wrong: Callable[..., UniconError]
+) -> AnyDict:
     """Return options as the hints of a factory have them: each value read, nothing left to check.
 
     Args:
@@ -236,9 +237,9 @@ def _states_of(
     rename: Mapping[str, str],
     wrong: Callable[..., WorkflowError],
     used: Mapping[str, list[str]],
-) -> dict[str, Any]:
+) -> AnyDict:
     """Return the arguments that are states or bundles of them; add the labels to `used`."""
-    arguments: dict[str, Any] = {}
+    arguments: AnyDict = {}
     access, bundles = _annotated(factory)
     for parameter, mode in access.items():
         label = rename.get(parameter, parameter)
@@ -269,7 +270,7 @@ def _annotated(factory: Factory) -> tuple[dict[str, str], dict[str, type[Bundle]
     return states_in({name: hints.get(name) for name in inspect.signature(factory).parameters})
 
 
-Json = dict[str, Any]
+Json = AnyDict
 
 _OWN = {"pattern": r"^[\w.]+:\w+$", "type": "string", "description": "a factory of one's own"}
 _SEVERAL = ("zip", "chain")
@@ -314,7 +315,7 @@ class Platforms(Type):
 
     def read(self, value: Any, where: Where, mistakes: Mistakes) -> Any:
         """Return the mapping; options are read by the builder, for the platforms that are used."""
-        return type_of(Mapping[str, Mapping[str, Any] | None]).read(value, where, mistakes)
+        return type_of(Mapping[str, AnyMapping | None]).read(value, where, mistakes)
 
     def json(self, definitions: Json) -> Json:
         """Return the schema of `platforms:`."""

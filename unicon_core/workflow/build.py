@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from copy import copy
 from dataclasses import replace
 from typing import Any
 
+from unicon_base import AnyDict, AnyMapping
 from unicon_base.errors import UniconError, WorkflowError, alternatives
 from unicon_core.blocks.safety.stops import Finite
 from unicon_core.flow import Blender, Block, Every, Node, Switch, blocks_of, children_of
@@ -159,7 +160,7 @@ def finite_first(document: WorkflowDocument, safety: Sequence[Node]) -> None:
             clamp = block.name
 
 
-def period_of(document: WorkflowDocument, policies: Mapping[str, Any]) -> float:
+def period_of(document: WorkflowDocument, policies: AnyMapping) -> float:
     rate = document.get("rate")
     if rate is not None:
         return 1.0 / float(rate)
@@ -171,7 +172,7 @@ def period_of(document: WorkflowDocument, policies: Mapping[str, Any]) -> float:
 
 
 def specs_of(
-    document: WorkflowDocument, robot: Robot, policies: Mapping[str, Any], uses: Iterable[Use]
+    document: WorkflowDocument, robot: Robot, policies: AnyMapping, uses: Iterable[Use]
 ) -> dict[str, StateSpec]:
     for use in uses:
         if use.of and use.of not in robot.members:
@@ -236,7 +237,7 @@ def factory_of(use: Use) -> Factory:
         raise WorkflowError(str(error), use.where) from error
 
 
-def _options(factory: Factory, use: Use) -> dict[str, Any]:
+def _options(factory: Factory, use: Use) -> AnyDict:
     options = dict(use.options)
     if use.word == "call":
         options.pop("function", None)

@@ -8,11 +8,12 @@ clip: to the `command_ranges` of the controllers that read it, else of the robot
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from unicon_base import TextSink
 from unicon_base.arrays import Array, Float32
 from unicon_core.policies.controller import ControllerContract
 from unicon_core.robots import Robot
@@ -106,7 +107,7 @@ class CommandBounds:
         bounds: tuple[CommandBound, ...],
         tick: Array,
         period: float,
-        warn: Callable[[str], None],
+        warn: TextSink,
     ) -> None:
         self._rows = command.reshape(-1, 3)
         self._first = self._rows[0]

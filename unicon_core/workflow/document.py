@@ -15,6 +15,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+from unicon_base import AnyDict, AnyMapping
 from unicon_base.bounded_yaml import MAX_DEPTH, YamlError
 from unicon_base.errors import WorkflowError
 from unicon_base.located_yaml import Located, parse_value, read_yaml
@@ -38,7 +39,7 @@ class WorkflowDocument:
     """
 
     name: str
-    values: dict[str, Any]
+    values: AnyDict
     located: Located
     overridden: tuple[str, ...] = ()
 
@@ -111,7 +112,7 @@ def split_setting(text: str) -> tuple[str, Any]:
         ) from error
 
 
-def set_value(values: dict[str, Any], dotted: str, value: Any) -> str:
+def set_value(values: AnyDict, dotted: str, value: Any) -> str:
     """Set a value and return its path without quotes; missing mappings are made.
 
     What is there already counts first, whichever of its keys have dots. List items go by number.
@@ -215,7 +216,7 @@ def description_of(name: str) -> str:
 
 
 def load_document(
-    name_or_path: str | Path, overrides: Iterable[str] | Mapping[str, Any] = ()
+    name_or_path: str | Path, overrides: Iterable[str] | AnyMapping = ()
 ) -> WorkflowDocument:
     """Read a workflow file.
 
@@ -230,9 +231,7 @@ def load_document(
     return document_at(read_yaml(path, WorkflowError), overrides)
 
 
-def document_at(
-    located: Located, overrides: Iterable[str] | Mapping[str, Any] = ()
-) -> WorkflowDocument:
+def document_at(located: Located, overrides: Iterable[str] | AnyMapping = ()) -> WorkflowDocument:
     """Return the document of a workflow that was read; see `load_document`."""
     path, values = located.path, located.value
     if not isinstance(values, dict):
@@ -242,7 +241,7 @@ def document_at(
     return _checked(WorkflowDocument(path.stem, values, located, changed))
 
 
-def document_of(values: Mapping[str, Any], path: Path, line: int) -> WorkflowDocument:
+def document_of(values: AnyMapping, path: Path, line: int) -> WorkflowDocument:
     """Return the document of a workflow that is written in Python.
 
     Args:

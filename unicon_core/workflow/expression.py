@@ -15,6 +15,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from unicon_base import AnyDict
 from unicon_base.errors import StateError, WorkflowError
 from unicon_base.generated import define, parse
 from unicon_core.flow.block import Block
@@ -102,7 +103,7 @@ class _Expression:
 
     def __init__(self, text: str, states: States, where: str) -> None:
         self.text, self.states, self.where = text, states, where
-        self.bound: dict[str, Any] = {}
+        self.bound: AnyDict = {}
 
     def fail(self, message: object) -> WorkflowError:
         shown = self.text if len(self.text) <= 120 else f"{self.text[:117]}…"

@@ -29,6 +29,7 @@ from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 
+from unicon_base import AnyDict, AnyMapping
 from unicon_base.errors import WorkflowError
 from unicon_base.schema.marks import Key, NotEmpty, Within, Write
 from unicon_core.blocks.controls.modes import SKILL, Ended, Skills, check_buttons, way_of
@@ -103,7 +104,7 @@ def skills_switch(
 
 def _selector(
     document: WorkflowDocument,
-    said: Mapping[str, Mapping[str, Any]],
+    said: Mapping[str, AnyMapping],
     on: str | None,
     made: list[Skills],
     where: str,
@@ -219,7 +220,7 @@ class SwitchForm:
     blend: Annotated[float, Within(0.0, unit="s")] = 0.0
 
 
-_CONTROLS: dict[str, Any] = {
+_CONTROLS: AnyDict = {
     "loop": LoopForm,
     "every": EveryForm,
     "when": WhenForm,
@@ -286,7 +287,7 @@ class FlowReader:
         word: str,
         what: str,
         give: Callable[[str, Node], Node],
-        value: dict[str, Any],
+        value: AnyDict,
         path: Where,
     ) -> Node:
         """Return the node beside `on: NAME` or `of: NAME`, all of whose blocks belong there."""

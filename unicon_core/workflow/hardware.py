@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyDict
 from unicon_base.errors import PlatformError, RobotError, WorkflowError, alternatives
 from unicon_core.platforms.kit.scene import DISTURBANCES, Scene
 from unicon_core.platforms.platform import Facts, Platform, WaitsForData
@@ -150,7 +151,7 @@ def read_scene(document: WorkflowDocument, context: BuildContext, facts: Facts) 
     def wrong(text: str, *path: str) -> WorkflowError:
         return document.error(text, *(path or ("scene",)))
 
-    values: dict[str, Any] = document.get("scene", {})
+    values: AnyDict = document.get("scene", {})
     for key in values:
         if key in DISTURBANCES and not facts.simulated:
             raise wrong(

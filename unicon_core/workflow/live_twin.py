@@ -9,12 +9,12 @@ robot was measured, so that a gap is one of the joints and their motors, and doe
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 
+from unicon_base import AnyDict, AnyMapping
 from unicon_base.errors import Fault, PlatformError, UniconError, WorkflowError
 from unicon_base.schema.marks import positive
 from unicon_core.bounds import POSITION
@@ -214,7 +214,7 @@ class LiveTwin:
         self._kept = self._in_window = 0
         self._alone = True
 
-    def save(self) -> dict[str, Any]:
+    def save(self) -> AnyDict:
         """Return what gap, lag and simulation go on from, for a replay."""
         past = (self._kept, self._in_window, self._alone)
         simulator = self._beside.platform
@@ -224,7 +224,7 @@ class LiveTwin:
             "simulator": simulator.save() if isinstance(simulator, Library) else None,
         }
 
-    def load(self, saved: Mapping[str, Any]) -> None:
+    def load(self, saved: AnyMapping) -> None:
         """Go on as another twin would that was built alike."""
         self._past[...] = saved["past"]
         self._kept, self._in_window, self._alone = saved["counts"]

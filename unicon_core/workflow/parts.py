@@ -14,11 +14,12 @@ NAME` runs one part; without `--part` all of it runs in one process, as if nothi
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
+from unicon_base import TextSink
 from unicon_base.errors import StateError, WorkflowError, alternatives
 from unicon_base.schema.marks import Checked, Matches, Size, Write
 from unicon_core.states import Layout, States
@@ -186,7 +187,7 @@ class Parts:
                     place = ("parts", part.name, "silent", "set", state)
                     raise document.error(str(error), *place) from error
 
-    def incoming(self, here: str, states: States, tell: Callable[[str], None]) -> list[Incoming]:
+    def incoming(self, here: str, states: States, tell: TextSink) -> list[Incoming]:
         """Return what brings the states of the other parts into those of this one.
 
         Over `zmq` parts talk with the first one alone.

@@ -6,8 +6,9 @@ import inspect
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from unicon_base import AnyDict, TextSink
 from unicon_base.errors import (
     MissingDependencyError,
     PlatformError,
@@ -96,7 +97,7 @@ def build_platform(
 
     def opened(member: str, context: BuildContext, scene: Scene) -> Platform:
         use, factory, facts = chosen[member].use, chosen[member].factory, chosen[member].facts
-        given: dict[str, Any] = {"relative_to": context.relative_to, "scene": scene}
+        given: AnyDict = {"relative_to": context.relative_to, "scene": scene}
         if silent and not facts.simulated and not dry:
             refuse_loud(factory, use.name)
             given["silent"] = True
@@ -168,7 +169,7 @@ def _of_members(
         raise
 
 
-def _stand_in(facts: Facts, context: BuildContext, arguments: dict[str, Any]) -> Platform:
+def _stand_in(facts: Facts, context: BuildContext, arguments: AnyDict) -> Platform:
     """Return `fake`, with what the hardware would read and write."""
     from unicon_core.platforms.fake import make
 
@@ -230,9 +231,7 @@ def latch_keys(document: WorkflowDocument, robot: Robot) -> tuple[str, ...]:
     return tuple(dict.fromkeys(keys))
 
 
-def latches_of(
-    document: WorkflowDocument, robot: Robot, warn: Callable[[str], None]
-) -> list[Latch]:
+def latches_of(document: WorkflowDocument, robot: Robot, warn: TextSink) -> list[Latch]:
     """Return the latches of the robots that a workflow drives, before anything is opened.
 
     Raises:
@@ -256,7 +255,7 @@ def latches_of(
 
 def platform_options(
     document: WorkflowDocument, chosen: Mapping[str, Chosen]
-) -> dict[str, dict[str, Any]]:
+) -> dict[str, AnyDict]:
     """Return each platform's options of the workflow file, and check those of all others.
 
     What stands under a member's name goes before what stands under its platform's.
@@ -287,7 +286,7 @@ def platform_options(
     }
 
 
-def _checked_options(document: WorkflowDocument, name: str, factory: Factory) -> dict[str, Any]:
+def _checked_options(document: WorkflowDocument, name: str, factory: Factory) -> AnyDict:
     options = document.get("platforms", {}).get(name) or {}
     for option in options:
         if option in SCENE_KEYS and option not in option_names(factory):

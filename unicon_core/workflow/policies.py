@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from unicon_base import AnyDict, AnyMapping
 from unicon_base.errors import ModelError, PolicyError, WorkflowError, alternatives
 from unicon_core.flow import Block
 from unicon_core.models.find import model_of, pick_model
@@ -72,7 +73,7 @@ def with_weldable(
     return replace(robot, weldable=held) if simulated else robot
 
 
-def used_policy(use: Use, policies: Mapping[str, Any]) -> str:
+def used_policy(use: Use, policies: AnyMapping) -> str:
     """Return the name of the policy that a `policy` block mentions.
 
     Raises:
@@ -105,7 +106,7 @@ def controllers_reading(
 
 
 def declared_states(
-    use: Use, policies: Mapping[str, Any], robot: Robot, extra: Mapping[str, StateSpec]
+    use: Use, policies: AnyMapping, robot: Robot, extra: Mapping[str, StateSpec]
 ) -> dict[str, StateSpec]:
     """Return the states that a policy block needs beyond the standard ones.
 
@@ -119,7 +120,7 @@ def declared_states(
     return policy_states(policies[name], robot.joint_names, extra, prefix=prefix_of(name, policies))
 
 
-def policy_factory(use: Use, policies: Mapping[str, Any]) -> Callable[..., Any]:
+def policy_factory(use: Use, policies: AnyMapping) -> Callable[..., Any]:
     """Return the factory of the block that runs the mentioned policy."""
     name = used_policy(use, policies)
     contract, prefix, member = policies[name], prefix_of(name, policies), use.of
@@ -147,7 +148,7 @@ def policy_factory(use: Use, policies: Mapping[str, Any]) -> Callable[..., Any]:
             with suppress(ModelError):  # told where it is needed
                 model = model_of(context.platform, context.robot)
         others = [each for each in policies.values() if each.action.kinds]
-        options: dict[str, Any] = {"prefix": prefix, "model": model, "every_target": bool(others)}
+        options: AnyDict = {"prefix": prefix, "model": model, "every_target": bool(others)}
         if contract.child is None:
             return Policy(contract, states, context.robot, **options)
         from unicon_core.policies.child_policy import ChildPolicy  # of Linux alone

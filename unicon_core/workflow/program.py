@@ -11,8 +11,9 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import TYPE_CHECKING, TypedDict
 
+from unicon_base import AnyMapping
 from unicon_core.blocks.approach import Entry, Monitor
 from unicon_core.flow import Block, Node, as_block, blocks_of
 from unicon_core.flow.block import Stage
@@ -57,8 +58,8 @@ if TYPE_CHECKING:
     from typing import Unpack
 
 
-Named = str | Mapping[str, Any]
-Flow = Node | Callable[..., object] | str | Mapping[str, Any]
+Named = str | AnyMapping
+Flow = Node | Callable[..., object] | str | AnyMapping
 Blocks = Sequence[Flow]
 
 
@@ -71,26 +72,26 @@ class Described(TypedDict, total=False):
     name: str
     description: str
     store: Named
-    parts: Mapping[str, Any]
-    scene: Mapping[str, Any]
-    platforms: Mapping[str, Any]
+    parts: AnyMapping
+    scene: AnyMapping
+    platforms: AnyMapping
     rate: float
     duration: float
     num_robots: int
     map: str
     ros: bool
-    states: Mapping[str, Any]
-    policies: Mapping[str, Any]
-    skills: Mapping[str, Any]
+    states: AnyMapping
+    policies: AnyMapping
+    skills: AnyMapping
     estimate: Blocks
     commands: Blocks
     start: Named
     wind_down: Flow
-    safety: str | Blocks | Mapping[str, Any]
+    safety: str | Blocks | AnyMapping
     deferred: Blocks
     twin: Named
-    pacing: Mapping[str, Any]
-    check: Mapping[str, Any]
+    pacing: AnyMapping
+    check: AnyMapping
 
 
 Hook = Callable[["Program"], Mapping[Stage, Sequence[Block]]]
@@ -317,7 +318,7 @@ class Program(ProgramData):
 
 def load_workflow(
     name_or_path: str | Path,
-    overrides: Iterable[str] | Mapping[str, Any] = (),
+    overrides: Iterable[str] | AnyMapping = (),
     *,
     hooks: Iterable[Hook] = (),
 ) -> Program:

@@ -12,6 +12,7 @@ from contextlib import suppress
 
 import numpy as np
 
+from unicon_base import TextSink
 from unicon_base.errors import Fault, Hung
 from unicon_core.blocks.approach import Monitor
 from unicon_core.flow import Block, Node
@@ -187,7 +188,7 @@ class ProgramData:
     safety: tuple[str, ...]
     latches: list[Latch]
     safety_left_out: dict[str, str]
-    warn: Callable[[str], None]
+    warn: TextSink
     paced: bool
     forced: tuple[str, ...]
     _closed: bool

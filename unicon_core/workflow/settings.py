@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
+from unicon_base import AnyDict
 from unicon_base.schema.marks import Made, Within, positive
 from unicon_base.schema.types import Here
 from unicon_core.bounds import POSE_SPEED
@@ -79,7 +80,7 @@ class StartSettings:
     late: Literal["fault", "go"] = "fault"
 
     @staticmethod
-    def between(found: dict[str, Any], here: Here) -> None:
+    def between(found: AnyDict, here: Here) -> None:
         """Note two moments."""
         if found.get("at") is not None and found.get("together") is not None:
             here.note("at and together both say when; leave one out", "at")

@@ -6,8 +6,8 @@ Bounds of the velocity command stand before the flow, and behind whatever gives 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Any
 
+from unicon_base import AnyDict
 from unicon_base.errors import WorkflowError
 from unicon_core.flow import Block, Deferred, Node, Switch, Zip, as_block, blocks_of
 from unicon_core.flow.block import Stage
@@ -148,9 +148,9 @@ def memory_of(
     return Memory(holders, program.states.buffer)
 
 
-def holders_of(program: ProgramData, trees: Iterable[Node]) -> dict[str, Any]:
+def holders_of(program: ProgramData, trees: Iterable[Node]) -> AnyDict:
     """Return label to function of the blocks in some trees that a snapshot holds."""
-    found: dict[str, Any] = {}
+    found: AnyDict = {}
     for node in dict.fromkeys(node for tree in trees for node in _nodes(tree)):
         if isinstance(node, Switch) and node.blender is not None:
             found[_label("blend", found)] = node.blender
@@ -170,7 +170,7 @@ def _nodes(node: Node) -> Iterator[Node]:
         yield from _nodes(child)
 
 
-def _label(name: str, taken: dict[str, Any]) -> str:
+def _label(name: str, taken: AnyDict) -> str:
     number, label = 1, name
     while label in taken:
         number += 1

@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from unicon_base import AnyMapping
 from unicon_base.errors import WorkflowError
 from unicon_core.flow import Block, Node, Tick, as_node, blocks_of
 
@@ -38,7 +39,7 @@ class Use(Block):
         *,
         factory: Callable[..., Any] | None = None,
         first: Any = None,
-        options: Mapping[str, Any] | None = None,
+        options: AnyMapping | None = None,
         label: str = "",
         rename: Mapping[str, str] | None = None,
         where: str = "",
@@ -123,7 +124,7 @@ def of(member: str, node: Node | Tick) -> Node:
 def _use(
     what: str | Callable[..., Any],
     first: Any,
-    options: Mapping[str, Any],
+    options: AnyMapping,
     name: str = "",
     states: Mapping[str, str] | None = None,
 ) -> Use:

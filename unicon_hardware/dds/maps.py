@@ -10,6 +10,7 @@ from typing import Annotated, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_base import AnyDict, AnyMapping
 from unicon_base.arrays import Array
 from unicon_base.schema.marks import Text, Within
 from unicon_core.states import States
@@ -194,9 +195,9 @@ class Message:
 
     topic: str
     type: str
-    fields: Mapping[str, Any]
-    sent: Mapping[str, Any] = field(default_factory=dict)
-    taken: Mapping[str, Any] = field(default_factory=dict)
+    fields: AnyMapping
+    sent: AnyMapping = field(default_factory=dict)
+    taken: AnyMapping = field(default_factory=dict)
     name: str = ""
     lengths: Mapping[str, int] = field(default_factory=dict)
     orientation: str = ""
@@ -216,7 +217,7 @@ class Message:
         fields = {path: _sent(said) for path, said in _known(self.fields, known).items()}
         return self._parsed("publish", {**self.sent, **fields}).publish[0]
 
-    def _parsed(self, way: str, fields: Mapping[str, Any]) -> MessageMap:
+    def _parsed(self, way: str, fields: AnyMapping) -> MessageMap:
         entry = {"topic": self.topic, "type": self.type, "fields": fields}
         return parse_map(json.dumps({way: [entry]}), shared_messages(), name=self.topic)
 
@@ -237,7 +238,7 @@ class Message:
         )
 
 
-def _known(fields: Mapping[str, Any], arrays: Container[str]) -> dict[str, Any]:
+def _known(fields: AnyMapping, arrays: Container[str]) -> AnyDict:
     """Return the fields whose array is there, and those that must be a number."""
     return {
         path: said

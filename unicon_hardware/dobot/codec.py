@@ -9,10 +9,11 @@ dobot_atom/msg/UpperState.msg).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 
+from unicon_base import AnyDict
 from unicon_base.arrays import Array
 from unicon_base.errors import PlatformError
 from unicon_base.schema.marks import Key, Text
@@ -63,7 +64,7 @@ class Half(Messages):
     def state(self) -> Message:
         """LowerState, or UpperState of either layout."""
         told = MEASURED | {"motor_temp": "motor_temperature", "mode": "modes"}
-        fields: dict[str, Any] = motors("motor_state", range(self.count), told, self.first)
+        fields: AnyDict = motors("motor_state", range(self.count), told, self.first)
         if self.first:
             fields["is_upper_control"] = "upper_control"
             name = "dobot_atom.msg.dds_.UpperState_"

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import TextSink
 from unicon_base.arrays import Float32
 from unicon_base.errors import MissingDependencyError, ModelError, PlatformError
 from unicon_core.platforms.fake import FakePlatform
@@ -72,7 +73,7 @@ def body_of(
     lift: float = LIFT,
     seed: int = 0,
     still: bool = False,
-    warn: Callable[[str], None],
+    warn: TextSink,
 ) -> Body:
     """Build the physics.
 

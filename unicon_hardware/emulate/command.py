@@ -11,6 +11,7 @@ import argparse
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from unicon_base import AnyDict
 from unicon_base.errors import Fault, PlatformError, RobotError, UniconError, alternatives
 from unicon_ros.cli.console import note, warn
 from unicon_ros.cli.options import (
@@ -75,7 +76,7 @@ def emulate(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _options(arguments: argparse.Namespace, factory: Any, name: str) -> dict[str, Any]:
+def _options(arguments: argparse.Namespace, factory: Any, name: str) -> AnyDict:
     """Return the options of the face."""
     from unicon_core.workflow.autowire import option_names
     from unicon_core.workflow.document import split_setting

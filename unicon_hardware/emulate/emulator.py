@@ -15,11 +15,12 @@ import json
 import os
 import shlex
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyMapping, TextSink
 from unicon_base.errors import Fault, PlatformError, RobotError, UniconError
 from unicon_base.resources import find_config
 from unicon_core.pacing import Pacing, WallClock, prepare_process
@@ -258,14 +259,14 @@ class Emulator:
 def emulated(
     robot: Robot,
     factory: Callable[..., Endpoint],
-    options: Mapping[str, Any] | None = None,
+    options: AnyMapping | None = None,
     *,
     name: str = "",
     defects: Defects | None = None,
     let_go: float | None = None,
     say: Say = say,
     each: bool = False,
-    warn: Callable[[str], None] = print,
+    warn: TextSink = print,
     **body: Any,
 ) -> Emulator:
     """Build an emulated robot.

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyDict
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_hardware.endpoint import Endpoint
@@ -240,7 +241,7 @@ class Fsa1Endpoint(ActuatorEndpoint):
                 states["joint_damping"][joint] = damping
         return heard
 
-    def _set(self, joint: int, asked: dict[str, Any], reply: Callable[[bytes], None]) -> None:
+    def _set(self, joint: int, asked: AnyDict, reply: Callable[[bytes], None]) -> None:
         """Carry out a setting, or answer a question, of JSON."""
         method, target, told = asked.get("method"), asked.get("reqTarget"), {"status": "OK"}
         word, mode = asked.get("control_word"), asked.get("mode_of_operation")

@@ -17,6 +17,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_base import AnyDict
 from unicon_base.arrays import Float64
 from unicon_base.errors import RobotError
 from unicon_base.schema.marks import Key, Size, Within, Write
@@ -83,7 +84,7 @@ def loop_gains(position: float, speed: float) -> bytes:
     )
 
 
-def understood(data: bytes) -> dict[str, Any] | None:
+def understood(data: bytes) -> AnyDict | None:
     """Return a JSON object; None where it is none, whatever it is."""
     if len(data) > LARGEST_ANSWER:
         return None

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyDict
 from unicon_base.arrays import Array, Float32, Float64, UInt8
 from unicon_base.errors import MissingDependencyError, UniconError, one_line
 from unicon_core.flow import Block
@@ -109,7 +110,7 @@ def realsense(
     )
 
 
-def messages(name: str, options: dict[str, Any]) -> dict[str, FrameMessage]:
+def messages(name: str, options: AnyDict) -> dict[str, FrameMessage]:
     """Return the layout of the frames in each ring.
 
     Args:
@@ -181,7 +182,7 @@ class _RealSense:
         if options["topic"]:
             self._open_topics(options, color, depth)
 
-    def _open_topics(self, options: dict[str, Any], color: Any, depth: Any) -> None:
+    def _open_topics(self, options: AnyDict, color: Any, depth: Any) -> None:
         feed = self._feed
         self._topics = CameraTopics(options["ros"], feed.tell)
         over = "aligned_depth_to_color" if options["aligned"] else "depth"

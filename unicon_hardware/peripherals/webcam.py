@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyDict
 from unicon_base.arrays import UInt8
 from unicon_base.errors import UniconError, alternatives
 from unicon_core.flow import Block
@@ -115,7 +116,7 @@ def webcam(
     )
 
 
-def message_of(options: dict[str, Any]) -> FrameMessage:
+def message_of(options: AnyDict) -> FrameMessage:
     """Return the layout of its frames.
 
     Args:

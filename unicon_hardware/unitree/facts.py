@@ -16,6 +16,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from unicon_base import AnyDict, AnyMapping
 from unicon_base.errors import Fault
 from unicon_base.schema.marks import Key, Size, Within, Write
 from unicon_core.robots import Robot
@@ -64,13 +65,13 @@ class UnitreeFacts(DdsFacts):
     protocol: PROTOCOL
     slots: list[int]
     modes: list[int]
-    constants: Mapping[str, Any]
+    constants: AnyMapping
     release: tuple[tuple[str, int] | None, float]
     waist: Annotated[int | None, Key("waist_joint"), joint_number] = None
     battery: bool = False
     mode_machine: Annotated[int | None, Within(0, 255)] = None
 
-    def own(self, joints: int) -> dict[str, Any]:
+    def own(self, joints: int) -> AnyDict:
         """Return the arrays of the messages that are not states, zero."""
         return zeros(
             f"tick u4, mode_machine u1, mode_pr u1, modes u1 {joints}, "
@@ -89,7 +90,7 @@ class UnitreeFacts(DdsFacts):
     @property
     def state(self) -> Message:
         """LowState."""
-        fields: dict[str, Any] = {f"imu_state.{key}": name for key, name in IMU.items()}
+        fields: AnyDict = {f"imu_state.{key}": name for key, name in IMU.items()}
         fields |= {"tick": "tick", "wireless_remote": "remote"}
         told = MEASURED | {"mode": "modes"}
         if self.go:
@@ -117,7 +118,7 @@ class UnitreeFacts(DdsFacts):
             taken["mode_pr"] = "mode_pr"
         return self._message(self.command_topic, "LowCmd", fields, sent=self.constants, taken=taken)
 
-    def _message(self, topic: str, kind: str, fields: Mapping[str, Any], **more: Any) -> Message:
+    def _message(self, topic: str, kind: str, fields: AnyMapping, **more: Any) -> Message:
         more["sent"] = {**more.get("sent", {}), "crc": {"checksum": "unitree"}}
         return Message(topic, f"{self.protocol}/msg/{kind}", fields, checked=True, **more)
 
@@ -157,7 +158,7 @@ def _modes(robot: Robot) -> list[int]:
     return said if listed else [said] * robot.num_joints
 
 
-def _constants(robot: Robot, count: int, modes: Mapping[int, int]) -> dict[str, Any]:
+def _constants(robot: Robot, count: int, modes: Mapping[int, int]) -> AnyDict:
     """Return what always stands in LowCmd; `modes` by slot, of those that have a joint."""
     go = robot.transport["protocol"] == "unitree_go"
     keys = {"head": HEAD, "level_flag": Octet} if go else {"mode_pr": Octet}

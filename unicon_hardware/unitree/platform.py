@@ -9,12 +9,12 @@ Topics, modes and motor slots stand in the robot file. It needs the extra `hw-un
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
 
+from unicon_base import AnyMapping
 from unicon_base.errors import Fault, PlatformError
 from unicon_core.blocks.controls.device import Controls
 from unicon_core.blocks.controls.device import unitree as held
@@ -65,7 +65,7 @@ class UnitreeWire(DdsWire):
 
     def _built(self) -> None:
         states, own, facts = self._states, self._own, self._facts
-        self.variant: Mapping[str, Any] = {}
+        self.variant: AnyMapping = {}
         self._last = -1
         self.remote, self._held = memoryview(own["remote"].data), b""
         self._tick, self._mode = own["tick"], own["mode_machine"]
@@ -208,7 +208,7 @@ class Unitree(WiredRobot):
     )
     _wire: UnitreeWire
 
-    def variant(self) -> Mapping[str, Any]:
+    def variant(self) -> AnyMapping:
         """Return what the robot tells of itself: its protocol, and G1 and H1-2 `mode_machine`.
 
         unitree_mujoco leaves the latter at 0, whatever it simulates.

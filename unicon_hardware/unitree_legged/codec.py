@@ -14,6 +14,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from unicon_base import AnyMapping
 from unicon_base.arrays import Array, Float32
 from unicon_base.errors import PlatformError, RobotError, alternatives
 from unicon_base.schema.marks import Key, Text, Within
@@ -293,7 +294,7 @@ def link_of(
     )
 
 
-def _generation(robot: Robot, chosen: str | None) -> tuple[str, Mapping[str, Any]]:
+def _generation(robot: Robot, chosen: str | None) -> tuple[str, AnyMapping]:
     known = robot.transport.get("generations")
     mapping = isinstance(known, Mapping) and all(
         isinstance(said, Mapping) for said in known.values()

@@ -8,12 +8,12 @@ platforms:
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyMapping
 from unicon_base.errors import PlatformError
 from unicon_core.platforms.kit.base import IMU_STATES
 from unicon_core.platforms.platform import Binding, Facts
@@ -77,7 +77,7 @@ class UnitreeLegged(WiredRobot):
     facts = Facts(NAME, writes=_WRITES, protocols=(NAME,), examine=_examined)
     _wire: LeggedWire
 
-    def info(self) -> Mapping[str, Any]:
+    def info(self) -> AnyMapping:
         """Return the generation too, and how many came from others."""
         return {
             **super().info(),

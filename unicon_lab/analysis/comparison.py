@@ -19,11 +19,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from unicon_base import AnyDict
 from unicon_base.arrays import Array, Bool, Float64
 from unicon_base.errors import UniconError, one_line
 from unicon_core.metrics import (
@@ -67,7 +67,7 @@ ROUNDING = 1e-5
 """Of the largest value: processors round otherwise."""
 
 
-def divergence(both: Together) -> dict[str, Any]:
+def divergence(both: Together) -> AnyDict:
     """Return in which order the signals of two runs began to differ.
 
     The runs are compared sample by sample without a shift or with that of the comparison, under
@@ -87,7 +87,7 @@ def divergence(both: Together) -> dict[str, Any]:
     return max(found, key=lambda each: float(each["agree_s"]))
 
 
-def _divergence(both: Together, shift: int) -> dict[str, Any]:
+def _divergence(both: Together, shift: int) -> AnyDict:
     period, skipped = both.period, (max(0, shift), max(0, -shift))
     count = min(end - first for end, first in zip(both.ends, skipped))
     length = max(HOLD, min(round(HEALTHY_S / period), count // 4))
@@ -228,9 +228,9 @@ class Comparison:
     joints: dict[str, Float64]
     states: dict[str, dict[str, float]]
     swapped: list[tuple[int, ...]]
-    divergence: dict[str, Any]
+    divergence: AnyDict
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> AnyDict:
         """Return all of it as plain values, joints in the order of their rank."""
         both = self.together
         names = both.joints

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import html
 import math
-from collections.abc import Callable, Mapping
 from itertools import groupby
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyDict, AnyMapping, TextSink
 from unicon_base.arrays import Bool
 from unicon_core import __version__
 from unicon_core.check.subject import listed
@@ -43,8 +42,8 @@ _COLUMNS = {
 
 
 def write_report(
-    comparison: Comparison, runs: tuple[Run, Run], folder: Path, tell: Callable[[str], None]
-) -> dict[str, Any]:
+    comparison: Comparison, runs: tuple[Run, Run], folder: Path, tell: TextSink
+) -> AnyDict:
     """Write `report.html`, `analysis.json` and a PNG for each picture.
 
     Args:
@@ -105,7 +104,7 @@ def write_report(
 HEADS = ("signal", "rank", "first in", "from [s]", "RMS of difference", "÷ variation")
 
 
-def chain_rows(found: Mapping[str, Any]) -> list[list[str]]:
+def chain_rows(found: AnyMapping) -> list[list[str]]:
     """Return the cells of a divergence, a row for each signal, under `HEADS`."""
     return [
         [
@@ -120,7 +119,7 @@ def chain_rows(found: Mapping[str, Any]) -> list[list[str]]:
     ]
 
 
-def _headline(found: Mapping[str, Any]) -> str:
+def _headline(found: AnyMapping) -> str:
     """Return the first steps of a divergence in words."""
     steps = []
     for rank, step in groupby(found["signals"], lambda each: each["rank"]):

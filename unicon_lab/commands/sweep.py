@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from unicon_base import AnyMapping
 from unicon_base.errors import MissingDependencyError, UniconError
 from unicon_core.signals import SIGNALS
 from unicon_ros.cli.console import Console, note, warn
@@ -151,9 +152,7 @@ def _rows(plan: Plan, folder: Folder, wish: Wish, console: Console) -> None:
         engine.close()
 
 
-def _progress(
-    console: Console, whole: int, before: int
-) -> Callable[[Mapping[str, Any], str], None]:
+def _progress(console: Console, whole: int, before: int) -> Callable[[AnyMapping, str], None]:
     """Return what shows the status line; it takes the figures of a row, and why it was built anew.
 
     Args:
@@ -165,7 +164,7 @@ def _progress(
     began = time.monotonic()
     told = ""
 
-    def show(figures: Mapping[str, Any], why_not: str) -> None:
+    def show(figures: AnyMapping, why_not: str) -> None:
         nonlocal done, fell, told
         done += 1
         fell += bool(figures.get("fell"))

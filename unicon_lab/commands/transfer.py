@@ -7,8 +7,9 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from unicon_base import AnyDict
 from unicon_base.errors import UniconError, cannot
 from unicon_core.signals import SIGNALS
 from unicon_ros.cli.console import Console, note
@@ -150,7 +151,7 @@ def _all_runs(results: Results, console: Console, out: Path | None) -> None:
         _write(results.to_json(), out)
 
 
-def _write(result: dict[str, Any], out: Path | None) -> str:
+def _write(result: AnyDict, out: Path | None) -> str:
     """Write what there is so far; return what went wrong: a full disk ends no run."""
     if out is None:
         return ""

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_base import AnyDict
 from unicon_base.arrays import Index, Int64
 from unicon_base.errors import StateError, UniconError
 from unicon_core.states.standard import FORWARDED_STATES
@@ -271,7 +271,7 @@ class Feature:
     names: tuple[str, ...] | None = None
     camera: str = ""
 
-    def described(self) -> dict[str, Any]:
+    def described(self) -> AnyDict:
         """Return what the Hugging Face library wants to know of its column, {} without one."""
         if self.dtype == "video":
             return {}
@@ -316,9 +316,9 @@ def features_of(
     return found
 
 
-def info_of(features: Mapping[str, Feature], fps: int) -> dict[str, Any]:
+def info_of(features: Mapping[str, Feature], fps: int) -> AnyDict:
     """Return the features as `meta/info.json` has them."""
-    found: dict[str, Any] = {}
+    found: AnyDict = {}
     for key, each in features.items():
         names = None if each.names is None else list(each.names)
         found[key] = {"dtype": each.dtype, "shape": list(each.shape), "names": names}

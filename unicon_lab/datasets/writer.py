@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyDict, AnyMapping
 from unicon_base.arrays import Array
 from unicon_base.errors import MissingDependencyError, UniconError, imported, one_line
 from unicon_lab.datasets.columns import DEFAULTS, Episode, Feature, info_of
@@ -49,7 +50,7 @@ class Files:
         self._number, self.began = -1, False
         self._path = root
 
-    def next_path(self) -> tuple[Path, dict[str, Any]]:
+    def next_path(self) -> tuple[Path, AnyDict]:
         """Return the file for the next episode, and its place for `meta/episodes`."""
         self.began = self._number < 0 or self._size() >= self._largest
         self._number += self.began
@@ -65,7 +66,7 @@ class Files:
         return self._path.stat().st_size if self._path.exists() else 0
 
 
-def task_index() -> dict[str, Any]:
+def task_index() -> AnyDict:
     """Return what lets pandas take the tasks for the index of their numbers."""
     column = {"name": None, "field_name": "__index_level_0__", "metadata": None}
     number = {"name": "task_index", "field_name": "task_index", "metadata": None}
@@ -79,7 +80,7 @@ def task_index() -> dict[str, Any]:
     }
 
 
-def write_json(path: Path, content: Mapping[str, Any]) -> None:
+def write_json(path: Path, content: AnyMapping) -> None:
     """Write a file of `meta`; its folder is made.
 
     Raises:
@@ -137,7 +138,7 @@ class DatasetWriter:
         self._table: Any = None
         self._open: dict[str, Video] = {}
         self._tasks: dict[str, int] = {}
-        self._rows: list[dict[str, Any]] = []
+        self._rows: list[AnyDict] = []
         self._statistics: list[dict[str, Statistics]] = []
         self._frames = 0
 
@@ -219,7 +220,7 @@ class DatasetWriter:
         }
         write_json(self._root / "meta/info.json", totals)
 
-    def _write_table(self, episode: Episode, every: Mapping[str, Array]) -> dict[str, Any]:
+    def _write_table(self, episode: Episode, every: Mapping[str, Array]) -> AnyDict:
         """Write the numbers as one row group; return where they are."""
         arrow = self._arrow
         arrays, fields = [], []
@@ -249,7 +250,7 @@ class DatasetWriter:
         self._table.write_table(arrow.Table.from_arrays(arrays, schema=schema))
         return {f"data/{name}": value for name, value in place.items()}
 
-    def _write_video(self, key: str, episode: Episode) -> dict[str, Any]:
+    def _write_video(self, key: str, episode: Episode) -> AnyDict:
         """Write the pictures of a camera behind those before; return where they are."""
         feature, files = self._features[key], self._videos[key]
         path, place = files.next_path()

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyDict
 from unicon_base.arrays import Array, Bool
 from unicon_base.errors import Fault, UniconError, WorkflowError, alternatives, one_line
 from unicon_core.check.twin.perturb import AS_GIVEN, GAINS, Change
@@ -260,9 +261,9 @@ def _file(contract: PolicyContract) -> str:
     return contract.path.name if contract.source == "policy.yaml" else "'given' of the policy"
 
 
-def _lines(values: Any, key: str = "") -> dict[str, Any]:
+def _lines(values: Any, key: str = "") -> AnyDict:
     """Return dotted key to value; of terms by their name, and those names in order."""
-    lines = dict[str, Any]()
+    lines = AnyDict()
     if key.endswith("terms"):
         lines[key], values = [term["name"] for term in values], {t["name"]: t for t in values}
     if not isinstance(values, dict):

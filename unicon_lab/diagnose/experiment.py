@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from unicon_base import AnyDict
 from unicon_base.errors import UniconError
 from unicon_base.resources import find_config
 from unicon_core.robots import Robot, load_robot
@@ -45,8 +46,8 @@ def experiment_text(subject: str, kind: str, file: str, joints: Sequence[str] = 
     Raises:
         UniconError: there is no such robot or record, or it cannot move so.
     """
-    given, said = Path(subject), dict[str, Any]()
-    words: dict[str, Any] = {"platform": "mujoco", "platforms": None, "model": None, "rate": 50.0}
+    given, said = Path(subject), AnyDict()
+    words: AnyDict = {"platform": "mujoco", "platforms": None, "model": None, "rate": 50.0}
     words |= {"stiffness": 1.0, "damping": 1.0}
     if given.suffix == ".mcap" or given.is_dir():
         record = open_record(given)
@@ -86,7 +87,7 @@ def experiment_text(subject: str, kind: str, file: str, joints: Sequence[str] = 
     return re.sub(r"\n *(model|platforms): null", "", filled)
 
 
-def _moves(robot: Robot, most: float, patterns: Sequence[str]) -> dict[str, Any]:
+def _moves(robot: Robot, most: float, patterns: Sequence[str]) -> AnyDict:
     """Return joints, amplitudes, and poses: about which they move, at their end, to lie in."""
     moving = sorted({i for pattern in patterns or ["*"] for i in joints_like(pattern, robot)})
     lower, upper, stand = np.array((robot.lower, robot.upper, robot.default_joint_pos), float)

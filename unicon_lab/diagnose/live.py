@@ -12,10 +12,10 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyDict
 from unicon_base.errors import Fault, UniconError, one_line
 from unicon_core.platforms.kit.disturbances import Beside
 from unicon_core.platforms.kit.scene import Scene
@@ -65,7 +65,7 @@ class Diagnosed(Fed):
         self.warn = runner.program.tell  # the lines of a viewer, too
         self._watch(runner, {"sink": SINK, "scene": self._scene}).heard = self._heard
 
-    def _heard(self, words: dict[str, Any]) -> None:
+    def _heard(self, words: AnyDict) -> None:
         told = self._session and self._session.diagnostics
         if told:
             told.causes = words["causes"]
@@ -86,9 +86,7 @@ class Live:
 
     address = "warns of causes that make it unlike its simulation"
 
-    def __init__(
-        self, shown: Shown, source: Source, remote: Remote, options: dict[str, Any]
-    ) -> None:
+    def __init__(self, shown: Shown, source: Source, remote: Remote, options: AnyDict) -> None:
         from unicon_core.platforms.mujoco import make
 
         self._shown, self._source = shown, source

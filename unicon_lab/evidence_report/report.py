@@ -11,7 +11,7 @@ import json
 import os
 import re
 import subprocess
-from collections.abc import Iterator, Mapping, Sequence, Set
+from collections.abc import Iterator, Sequence, Set
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
@@ -22,6 +22,7 @@ import yaml
 
 import unicon_core
 import unicon_ros
+from unicon_base import AnyDict, AnyMapping
 from unicon_base.errors import UniconError
 from unicon_base.located_yaml import read_yaml
 from unicon_base.resources import config_roots, sha256_of
@@ -46,7 +47,7 @@ HERE = re.compile(
 """Where no robot of metal is: loopback, a virtual bus, a pseudo-terminal."""
 
 
-def level_of(record: Record, workflow: Mapping[str, Any], hardware: bool) -> tuple[str, str]:
+def level_of(record: Record, workflow: AnyMapping, hardware: bool) -> tuple[str, str]:
     """Return a level of the ledger, and why it is that.
 
     Args:
@@ -92,10 +93,10 @@ RANGES = {
 UNITS = ("rad/s", "N·m", "m/s", "ms", "µs", "°C", "Hz")
 
 
-def figures_of(record: Record) -> dict[str, Any]:
+def figures_of(record: Record) -> AnyDict:
     """Return what is known: names end in their unit, ranges are least and most."""
     facts, ticks, period = record.facts, len(record.ticks), record.period
-    found: dict[str, Any] = {"duration_s": round(ticks * period, 2), "ticks": ticks}
+    found: AnyDict = {"duration_s": round(ticks * period, 2), "ticks": ticks}
     found["period_s"] = period
     if "overruns" in facts:  # of a run that was not killed
         found["overruns"] = int(facts["overruns"])
@@ -175,7 +176,7 @@ VERSION = r"\d+(\.\d+)*"
 KERNEL = rf"{VERSION}(-\d+)?([-+](rt\d*|generic|lowlatency|realtime|tegra|raspi)\b)?"
 
 
-def report_of(path: Path, hardware: bool = False) -> dict[str, Any]:
+def report_of(path: Path, hardware: bool = False) -> AnyDict:
     """Return the report of a recording or fault record.
 
     Args:
@@ -227,7 +228,7 @@ def recording_of(record: Record) -> list[str]:
     return [sha256_of(path) for path in record.paths]
 
 
-def _options(said: Mapping[str, Any], platforms: Sequence[str]) -> dict[str, Any]:
+def _options(said: AnyMapping, platforms: Sequence[str]) -> AnyDict:
     given = said.get("platforms") or {}
     pairs = [pair for name in platforms for pair in (given.get(name) or {}).items()]
     numbers = {k: v for k, v in pairs if k in OPTIONS and isinstance(v, bool | int | float)}
@@ -256,7 +257,7 @@ def _digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest() if text else ""
 
 
-def _system(record: Record) -> dict[str, Any]:
+def _system(record: Record) -> AnyDict:
     versions, system = (record.told(name, dict) for name in ("versions", "system"))
     numbers = {k: _matched(VERSION, versions.get(k)) for k in ("unicon_ros", "python", *VERSIONS)}
     return {
@@ -274,7 +275,7 @@ NAMESPACE = "unicon-run"
 """Of signatures: one that was made for another purpose signs no report."""
 
 
-def text_of(report: dict[str, Any]) -> str:
+def text_of(report: AnyDict) -> str:
     """Return a report as YAML."""
     return str(yaml.safe_dump(report, sort_keys=False, allow_unicode=True, width=100))
 
@@ -284,7 +285,7 @@ def signature_of(path: Path) -> Path:
     return path.with_name(f"{path.name}.sig")
 
 
-def read_report(path: Path) -> dict[str, Any]:
+def read_report(path: Path) -> AnyDict:
     """Return what a report says.
 
     Raises:

@@ -25,11 +25,12 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_base import AnyDict, TextSink
 from unicon_lab.recording.mcap_file import McapFile
 from unicon_lab.recording.records import MESSAGE, MESSAGE_HEAD, ROW, Buffer, Channel, Large
 
@@ -77,9 +78,7 @@ class Background:
             run as fast as they can.
     """
 
-    def __init__(
-        self, file: McapFile, path: Path, warn: Callable[[str], None], patient: bool
-    ) -> None:
+    def __init__(self, file: McapFile, path: Path, warn: TextSink, patient: bool) -> None:
         self._file, self._warn, self._patient = file, warn, patient
         self._label = f"recording {path}"
         self._block = _Block(BLOCK_BYTES)
@@ -137,7 +136,7 @@ class Background:
             for thread in self._threads:
                 thread.start()
 
-    def counts(self) -> dict[str, Any]:
+    def counts(self) -> AnyDict:
         """Return messages in the file, those dropped, bytes of the file, and the error or ""."""
         messages, size = self._file.recorded
         dropped = self._lost() + self._discarded

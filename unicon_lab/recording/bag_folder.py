@@ -12,12 +12,13 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from unicon_base import AnyDict
 from unicon_base.errors import UniconError
 from unicon_lab.recording.mcap_file import McapFile
 from unicon_lab.recording.records import (
@@ -233,7 +234,7 @@ def write_metadata(
     partial.replace(folder / "metadata.yaml")
 
 
-def _times(span: tuple[int, int] | None) -> dict[str, Any]:
+def _times(span: tuple[int, int] | None) -> AnyDict:
     first, last = span or (0, 0)
     return {
         "starting_time": {"nanoseconds_since_epoch": first},

@@ -13,10 +13,10 @@ import uuid
 from contextlib import suppress
 from importlib import metadata as packages
 from pathlib import Path
-from typing import Any
 
 import yaml
 
+from unicon_base import AnyDict
 from unicon_core import __version__
 from unicon_core.flow import Stage
 from unicon_core.robots import Robot, robot_files
@@ -102,7 +102,7 @@ def robot_facts(robot: Robot) -> dict[str, str]:
     }
 
 
-def content_of(memory: KeptMemory, row: int) -> dict[str, Any]:
+def content_of(memory: KeptMemory, row: int) -> AnyDict:
     """Return what was remembered before a tick, for `memory.json`.
 
     Args:
@@ -182,7 +182,7 @@ def _text_of(path: Path) -> str:
         return ""
 
 
-def _yaml(values: dict[str, Any]) -> str:
+def _yaml(values: AnyDict) -> str:
     """Return a workflow with all overrides; what was written in Python is not text."""
     try:
         return str(yaml.safe_dump(values, sort_keys=False, allow_unicode=True))

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from unicon_base import TextSink
 from unicon_base.arrays import Array, UInt8
 from unicon_base.errors import UniconError, imported, one_line
 from unicon_base.resources import find_config
@@ -58,7 +58,7 @@ def import_bag(
     robot: Robot,
     map_name: str = MAP,
     rate: float | None = None,
-    tell: Callable[[str], None] = print,
+    tell: TextSink = print,
 ) -> int:
     """Write a record of ticks; return how many.
 
@@ -137,7 +137,7 @@ def _rows(
     lead: str,
     states: States,
     rate: float | None,
-    tell: Callable[[str], None],
+    tell: TextSink,
 ) -> list[tuple[int, UInt8]]:
     """Return time in [ns] and all states of each tick."""
     step = None if rate is None else 1e9 / rate
@@ -175,7 +175,7 @@ def _tell_of_beginning(
     heard: dict[str, int],
     lead: str,
     decoders: dict[str, Decoder],
-    tell: Callable[[str], None],
+    tell: TextSink,
 ) -> None:
     """Name what a record lacks at its beginning, which is at a time in [ns]."""
     if begin > heard[lead]:

@@ -10,10 +10,10 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyDict
 from unicon_base.arrays import Array
 from unicon_base.errors import UniconError, cannot, imported
 from unicon_core.page import refuse_existing
@@ -26,7 +26,7 @@ TOLD = ("workflow", "robot", "platform", "part", "reason", "written", "imported_
 """Facts that are told as they are."""
 
 
-def info_of(path: Path) -> dict[str, Any]:
+def info_of(path: Path) -> AnyDict:
     """Return what is in a recording, fault record or bag, as plain values.
 
     Raises:
@@ -78,7 +78,7 @@ def _bag(
     counts: Counter[str],
     span: list[int] | None,
     whole: bool,
-) -> dict[str, Any]:
+) -> AnyDict:
     return {
         "path": str(path),
         "files": [each.name for each in paths],
@@ -90,7 +90,7 @@ def _bag(
     }
 
 
-def _ticks(record: Record) -> dict[str, Any]:
+def _ticks(record: Record) -> AnyDict:
     facts, phases = record.facts, np.asarray(record.phases)
     try:
         period = record.period
@@ -114,7 +114,7 @@ def _ticks(record: Record) -> dict[str, Any]:
     }
 
 
-def info_text(info: dict[str, Any]) -> str:
+def info_text(info: AnyDict) -> str:
     """Return it for people, a line for each fact."""
     rows: list[tuple[str, str]] = [("recording", info["path"])]
     if info["files"] != [Path(info["path"]).name]:

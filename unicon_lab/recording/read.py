@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from unicon_base import AnyDict
 from unicon_base.arrays import Array
 from unicon_base.errors import StateError, UniconError, alternatives
 from unicon_core.runtime.tick_ring import DONE, HEAD
@@ -114,7 +115,7 @@ class Record:
             for each in json.loads(content)["memories"]
         ]
         there = [each for each in memories if 0 <= each["before"] < max(count, 1)]
-        self.memories: list[dict[str, Any]] = sorted(there, key=lambda each: int(each["before"]))
+        self.memories: list[AnyDict] = sorted(there, key=lambda each: int(each["before"]))
         self._whole = {
             each["before"]: np.frombuffer(base64.b64decode(each.pop("received")), np.uint8)
             for each in self.memories
@@ -178,7 +179,7 @@ class Record:
                 raise StateError(f"{self.paths[0]} has no state {name!r} at {moment!r}{why}")
 
     @property
-    def policies(self) -> dict[str, dict[str, Any]]:
+    def policies(self) -> dict[str, AnyDict]:
         """Name of a policy to `path`, `model`, and the `sha256` of its network."""
         return {
             name: said

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from unicon_base import TextSink
 from unicon_base.arrays import UInt8
 from unicon_base.errors import UniconError, alternatives, imported, one_line
 from unicon_base.resources import find_config
@@ -254,7 +255,7 @@ class RecordedFrames:
         sources: Mapping[str, FrameSource],
         now: Callable[[], int],
         jpeg: int = 0,
-        warn: Callable[[str], None] = print,
+        warn: TextSink = print,
     ) -> None:
         self._streams = {
             name: _Stream(recorder, name, source, jpeg) for name, source in sources.items()

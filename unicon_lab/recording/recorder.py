@@ -8,13 +8,12 @@ grows it is called `FILE.partial`; what a killed run left of that name is finish
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any
 
 import yaml
 
+from unicon_base import AnyDict, TextSink
 from unicon_base.errors import UniconError, cannot
 from unicon_core.page import ROOM, refuse_existing
 from unicon_core.states import Layout
@@ -45,7 +44,7 @@ class Recorder(Background):
     def __init__(
         self,
         path: str | Path,
-        warn: Callable[[str], None] = print,
+        warn: TextSink = print,
         patient: bool = False,
         split: Split | None = None,
     ) -> None:
@@ -164,7 +163,7 @@ def offered_qos(qos: Qos) -> str:
     return str(yaml.safe_dump([profile], sort_keys=False))
 
 
-def _time(seconds: float | None) -> dict[str, Any]:
+def _time(seconds: float | None) -> AnyDict:
     """Return a time in [s] as rosbag2 has it; None is for ever."""
     sec, nsec = divmod(_FOREVER if seconds is None else round(seconds * 1e9), 10**9)
     return {"sec": sec, "nsec": nsec}

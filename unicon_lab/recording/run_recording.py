@@ -5,12 +5,13 @@ from __future__ import annotations
 import base64
 import json
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from unicon_base import AnyDict, TextSink
 from unicon_base.errors import UniconError, imported
 from unicon_core.flow import Block, Stage
 from unicon_core.memory import Snapshot
@@ -61,7 +62,7 @@ class Recording(Attachment):
     path: str | Path
     map_name: str | None = None
     session: RosSession | None = None
-    warn: Callable[[str], None] = print
+    warn: TextSink = print
     patient: bool = False
     split: str = ""
     namespace: str = ""
@@ -81,7 +82,7 @@ class Recording(Attachment):
         self._frames: RecordedFrames | None = None
         self._statistics: TickStatistics | None = None
 
-    def counts(self) -> dict[str, Any]:
+    def counts(self) -> AnyDict:
         """Return messages in the file, those dropped, bytes, and the error or "".
 
         Where frames are recorded, `frames` tells of each ring how many were taken and missed.

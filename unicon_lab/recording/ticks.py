@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyDict
 from unicon_base.errors import StateError
 from unicon_core.memory import ATOMS, Component, EnumMember, FromLibrary, GeneratorState, Snapshot
 from unicon_core.runtime.tick_ring import HEAD, PHASES
@@ -208,7 +209,7 @@ def add_ticks(file: McapFile, ticks: Iterable[Buffer]) -> None:
 _WRONG = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 _SAME: Any = object()
 
-_NAMED: dict[str, Any] = {
+_NAMED: AnyDict = {
     "snapshot": Snapshot,
     "component": Component,
     "library": FromLibrary,

@@ -5,13 +5,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyMapping
 from unicon_base.errors import PlatformError, UniconError
 from unicon_core.platforms.kit.scene import DISTURBANCES
 from unicon_core.platforms.platform import SIMULATED, Facts
@@ -76,7 +77,7 @@ class ReplayPlatform:
     def close(self) -> None:
         """Let go; there is nothing to damp."""
 
-    def info(self) -> Mapping[str, Any]:
+    def info(self) -> AnyMapping:
         """Return what is replayed."""
         record = self.series.record
         return {

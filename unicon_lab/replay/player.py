@@ -15,8 +15,9 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from unicon_base import AnyDict, TextSink
 from unicon_base.errors import UniconError
 from unicon_core.flow import Block
 from unicon_core.runtime import Report, Runner, RunOptions
@@ -99,8 +100,8 @@ def play(
     duration: float | None = None,
     session: RosSession | None = None,
     keys: bool = False,
-    warn: Callable[[str], None] = print,
-    status: Callable[[dict[str, Any]], None] | None = None,
+    warn: TextSink = print,
+    status: Callable[[AnyDict], None] | None = None,
 ) -> Report:
     """Play a record to its end.
 
@@ -143,7 +144,7 @@ def play(
         program.close()
 
 
-def _described(record: Record, path: Path, rate: float, options: dict[str, Any]) -> dict[str, Any]:
+def _described(record: Record, path: Path, rate: float, options: AnyDict) -> AnyDict:
     """Return the keys of the program that plays a record."""
     layout, robot = record.layout, robot_of(record)
     if "joint_pos" not in layout.specs:

@@ -6,8 +6,8 @@ import os
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
+from unicon_base import AnyDict, AnyMapping
 from unicon_base.errors import UniconError, WorkflowError
 from unicon_base.located_yaml import Located, parse_yaml
 from unicon_base.resources import find_config
@@ -22,7 +22,7 @@ from unicon_lab.recording.facts import network_hash, robot_facts, versions_here
 def workflow_of(
     record: Record,
     workflow: str | Path | None = None,
-    overrides: Iterable[str] | Mapping[str, Any] = (),
+    overrides: Iterable[str] | AnyMapping = (),
 ) -> WorkflowDocument:
     """Return the workflow to replay a record with.
 
@@ -48,7 +48,7 @@ def workflow_of(
         _refuse_absent(document)
     # A platform that cannot be asked here may have declared them.
     there = record.layout.specs
-    lacking: dict[str, Any] = {name: None for name in HARDWARE_STATES if name in there}
+    lacking: AnyDict = {name: None for name in HARDWARE_STATES if name in there}
     if there.get(GAIN_SCALE) == GAIN_SCALE_SPEC:
         lacking[GAIN_SCALE] = GAIN_SCALE_SPEC.to_dict()
     declared = document.get("states", {})
@@ -68,7 +68,7 @@ def recorded_workflow(record: Record) -> Located | None:
     return parse_yaml(text, path, WorkflowError) if text else None
 
 
-def recorded_values(record: Record) -> dict[str, Any]:
+def recorded_values(record: Record) -> AnyDict:
     """Return what the workflow in a record says; as `recorded_workflow`."""
     workflow = recorded_workflow(record)
     return workflow.value if workflow and isinstance(workflow.value, dict) else {}

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyDict
 from unicon_base.arrays import Array
 from unicon_core.drawing import INK, MARK, Pictures, as_png, curve, drawn, grid
 from unicon_core.page import write_file
@@ -225,7 +226,7 @@ def _around(figure: Any, every: Any, label: str) -> None:
 
 def _once(*all_axes: Any) -> tuple[list[Any], list[str]]:
     """Return what a legend shows, each label once."""
-    by_label: dict[str, Any] = {}
+    by_label: AnyDict = {}
     for axes in all_axes:
         by_label |= {label: handle for handle, label in zip(*axes.get_legend_handles_labels())}
     return list(by_label.values()), list(by_label)

@@ -16,8 +16,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import wait
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
+from unicon_base import AnyDict
 from unicon_base.errors import MissingDependencyError, UniconError, alternatives
 from unicon_core.signals import SIGNALS
 from unicon_lab.sweep.on_ray.shipment import files_of, manifest, pack
@@ -334,7 +335,7 @@ class LocalEngine(Pool):
     """
 
     def __init__(
-        self, task: dict[str, Any], workers: int, timeout: float, logs: Path, batch: int = 1
+        self, task: AnyDict, workers: int, timeout: float, logs: Path, batch: int = 1
     ) -> None:
         super().__init__(workers, timeout, batch=batch)
         self._task, self._logs = task | {"batch": batch}, logs
@@ -363,7 +364,7 @@ class _Worker(PoolWorker):
         log: file for what it prints.
     """
 
-    def __init__(self, name: int, task: dict[str, Any], log: Path) -> None:
+    def __init__(self, name: int, task: AnyDict, log: Path) -> None:
         super().__init__(name, str(log))
         self.process = PipedProcess("unicon_lab.sweep.worker", log, ONE_THREAD)
         self.process.write(task)
@@ -372,7 +373,7 @@ class _Worker(PoolWorker):
         """Bring it a row."""
         self.process.write({"index": row.index, "settings": row.settings, "name": row.name})
 
-    def heard(self) -> Iterator[dict[str, Any]]:
+    def heard(self) -> Iterator[AnyDict]:
         """Yield what it has told."""
         return self.process.heard()
 

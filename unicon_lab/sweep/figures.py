@@ -7,10 +7,10 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyDict
 from unicon_base.arrays import Array, Float64
 from unicon_base.errors import UniconError
 from unicon_core.metrics import fall_time, mse, unfolded_mse
@@ -95,7 +95,7 @@ def moved(
     return figures
 
 
-def apart(first: Run, other: Run) -> dict[str, Any]:
+def apart(first: Run, other: Run) -> AnyDict:
     """Return how far the joint positions of a run are from those of another.
 
     Both are cut at a fall, and joints matched by name, as `unicon analyze` does.
@@ -152,7 +152,7 @@ class Keeper:
             UniconError: it cannot be written.
         """
         places = columns_of(program.states, self._names)
-        arrays: dict[str, Any] = {key: rollout.states[:, place] for key, place in places.items()}
+        arrays: AnyDict = {key: rollout.states[:, place] for key, place in places.items()}
         arrays |= {"dt": program.period, "joint_names": np.array(program.robot.joint_names)}
         arrays |= {"robot": program.robot.name, "workflow": program.name}
         content = io.BytesIO()
@@ -218,7 +218,7 @@ NUMBERS = [name for name, column in COLUMNS.items() if column.kind in (int, floa
 """Figures of which there are means."""
 
 
-def empty_row() -> dict[str, Any]:
+def empty_row() -> AnyDict:
     """Return a row of which nothing is known."""
     return dict.fromkeys(COLUMNS)
 
@@ -292,7 +292,7 @@ class Figures:
         self._upper = robot.upper - NEAR
         self._effort = np.nan_to_num(robot.effort_limit, nan=np.inf) * FULL
 
-    def __call__(self, rollout: Rollout) -> dict[str, Any]:
+    def __call__(self, rollout: Rollout) -> AnyDict:
         """Return the row of a rollout, but for the program's hash."""
         every = {name: rollout.states[:, place] for name, place in self._columns.items()}
         states = every
@@ -314,7 +314,7 @@ class Figures:
         endless = [k for k, v in row.items() if isinstance(v, float) and not math.isfinite(v)]
         return row | dict.fromkeys(endless)
 
-    def _of_base(self, states: Mapping[str, Array], rollout: Rollout) -> dict[str, Any]:
+    def _of_base(self, states: Mapping[str, Array], rollout: Rollout) -> AnyDict:
         wide = {name: values.astype(np.float64) for name, values in states.items()}
         row = moved(wide, self._period, rollout.ended in _BY_ITSELF)
         upright = -states["projected_gravity"][:, 2].astype(np.float64)
@@ -326,7 +326,7 @@ class Figures:
         lowest = float(np.clip(upright.min(), -1.0, 1.0))
         return row | {"fell": fell, "tilt_deg": math.degrees(math.acos(lowest))}
 
-    def _of_joints(self, states: Mapping[str, Array]) -> dict[str, Any]:
+    def _of_joints(self, states: Mapping[str, Array]) -> AnyDict:
         pos, effort = states["joint_pos"], states["joint_effort"]
         power = np.abs(effort.astype(np.float64) * states["joint_vel"])
         row = {

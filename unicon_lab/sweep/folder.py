@@ -9,10 +9,11 @@ from __future__ import annotations
 import fcntl
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from unicon_base import AnyDict, AnyMapping
 from unicon_base.errors import UniconError, cannot, imported
 from unicon_core.page import write_file
 from unicon_lab.sweep.figures import COLUMNS
@@ -74,7 +75,7 @@ class Folder:
             self.close()
             raise
 
-    def _said(self, program: str) -> dict[str, Any]:
+    def _said(self, program: str) -> AnyDict:
         """Return what the folder says of its sweep, which is this one."""
         here = {
             "sha256": self._plan.sha256,
@@ -97,7 +98,7 @@ class Folder:
             )
         return there
 
-    def _tell(self, facts: Mapping[str, Any]) -> None:
+    def _tell(self, facts: AnyMapping) -> None:
         text = json.dumps(facts, indent=1, ensure_ascii=False) + "\n"
         write_file(self.path / SWEEP, text.encode())
 
@@ -110,13 +111,13 @@ class Folder:
         flags = os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC
         self._journal = os.open(self.path / JOURNAL, flags)
 
-    def know(self, facts: Mapping[str, Any]) -> None:
+    def know(self, facts: AnyMapping) -> None:
         """Write down what programs are made of."""
         if any(name not in self._facts["programs"] for name in facts):
             self._facts["programs"] |= facts
             self._tell(self._facts)
 
-    def add(self, index: int, figures: dict[str, Any]) -> None:
+    def add(self, index: int, figures: AnyDict) -> None:
         """Write a row down; it is not lost from here on.
 
         Raises:
@@ -168,7 +169,7 @@ class Folder:
         self._journal = self._lock = -1
 
 
-def read_sweep_json(path: Path) -> dict[str, Any] | None:
+def read_sweep_json(path: Path) -> AnyDict | None:
     """Return what a folder says of its sweep, None where there is none.
 
     Raises:
@@ -188,7 +189,7 @@ def read_sweep_json(path: Path) -> dict[str, Any] | None:
         raise UniconError(f"cannot read {path / SWEEP}: {error}; give another folder") from error
 
 
-def read_journal(path: Path) -> dict[int, dict[str, Any]]:
+def read_journal(path: Path) -> dict[int, AnyDict]:
     """Return the rows of a journal; a line that is torn or garbage is a row that was not run."""
     journal = path / JOURNAL
     with cannot(f"read {journal}", "make it readable"):
@@ -204,7 +205,7 @@ def read_journal(path: Path) -> dict[int, dict[str, Any]]:
     return found
 
 
-def _line(index: int, figures: Mapping[str, Any]) -> bytes:
+def _line(index: int, figures: AnyMapping) -> bytes:
     return (json.dumps([index, figures]) + "\n").encode()
 
 
@@ -222,7 +223,7 @@ def shard_names(folder: Path) -> list[Path]:
 
 
 def write_shard(
-    path: Path, plan: Plan, rows: Sequence[tuple[Row, Mapping[str, Any]]], facts: Mapping[str, Any]
+    path: Path, plan: Plan, rows: Sequence[tuple[Row, AnyMapping]], facts: AnyMapping
 ) -> None:
     """Write a shard, whole or not at all, and on the disk when it returns.
 

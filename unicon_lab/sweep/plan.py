@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 import unicon_core
+from unicon_base import AnyDict, AnyMapping
 from unicon_base.arrays import Float64
 from unicon_base.errors import UniconError, WorkflowError, imported
 from unicon_base.located_yaml import Located, read_yaml
@@ -127,7 +128,7 @@ class Plan:
         points: Float64 = sequence.random_base2(bits)[:count]
         return points
 
-    def identity(self) -> dict[str, Any]:
+    def identity(self) -> AnyDict:
         """Return what decides every row, as plain values: two sweeps with the same are the same."""
         sweep, document = self.sweep, self.workflow_file
         return {
@@ -151,7 +152,7 @@ class Plan:
         text = json.dumps(self.identity(), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
-    def task(self, out: Path | None = None) -> dict[str, Any]:
+    def task(self, out: Path | None = None) -> AnyDict:
         """Return what a worker begins with.
 
         Args:
@@ -245,7 +246,7 @@ def differing(there: Mapping[str, str], here: Mapping[str, str]) -> Iterator[tup
             yield name, there.get(name, "absent"), here.get(name, "absent")
 
 
-def changes(there: Mapping[str, Any], here: Mapping[str, Any], identity: Mapping[str, Any]) -> str:
+def changes(there: AnyMapping, here: AnyMapping, identity: AnyMapping) -> str:
     """Return how a folder's sweep differs from the one at hand, "" where it does not.
 
     Args:

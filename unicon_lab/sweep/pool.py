@@ -19,6 +19,7 @@ from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 from typing import Any
 
+from unicon_base import AnyDict
 from unicon_base.errors import UniconError
 from unicon_base.resources import same_modules
 from unicon_core.signals import SIGNALS, signal_name
@@ -39,7 +40,7 @@ class Result:
     """
 
     index: int
-    figures: dict[str, Any]
+    figures: AnyDict
     facts: dict[str, dict[str, str]] = field(default_factory=dict)
     why_not: str = ""
 
@@ -104,7 +105,7 @@ class PoolWorker(ABC):
         """Send it a row; a worker that has died ignores it."""
 
     @abstractmethod
-    def heard(self) -> Iterator[dict[str, Any]]:
+    def heard(self) -> Iterator[AnyDict]:
         """Yield its messages about its rows, as of `RowRunner.told`.
 
         In their order, or each with its `index`.
@@ -231,15 +232,15 @@ class Line:
         self.connection = connection or Connection(int(sys.argv[1]))
         self.over = False
 
-    def write(self, value: dict[str, Any]) -> None:
+    def write(self, value: AnyDict) -> None:
         """Send something to the other end; one that has died ignores it."""
         with suppress(ConnectionError):
             self.connection.send_bytes(json.dumps(value, default=str).encode())
 
-    def read(self) -> dict[str, Any]:
+    def read(self) -> AnyDict:
         """Return the next message; wait until there is one, {} at its end."""
         with suppress(EOFError, OSError):
-            value: dict[str, Any] = json.loads(self.connection.recv_bytes())
+            value: AnyDict = json.loads(self.connection.recv_bytes())
             return value
         self.over = True
         return {}
@@ -279,7 +280,7 @@ class PipedProcess(Line):
             raise
         self.pid = self._process.pid
 
-    def heard(self) -> Iterator[dict[str, Any]]:
+    def heard(self) -> Iterator[AnyDict]:
         """Yield the next message, once there is one; nothing at its end."""
         if told := self.read():
             yield told

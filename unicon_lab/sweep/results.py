@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyDict
 from unicon_base.errors import UniconError
 from unicon_lab.sweep.figures import COLUMNS
 from unicon_lab.sweep.folder import (
@@ -126,7 +127,7 @@ class Results:
         """Return what a parameter was in the rows that have a result."""
         return self.column(VARIED + path)
 
-    def row(self, place: int) -> dict[str, Any]:
+    def row(self, place: int) -> AnyDict:
         """Return one row, by its place among all."""
         return {name: values[place] for name, values in self._columns.items()}
 

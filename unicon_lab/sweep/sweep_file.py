@@ -15,11 +15,12 @@ from __future__ import annotations
 import math
 import operator
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+from unicon_base import AnyDict, AnyMapping
 from unicon_base.errors import UniconError, alternatives
 from unicon_base.located_yaml import read_yaml
 from unicon_base.schema.marks import NotEmpty, Text, Within, Write, positive
@@ -117,7 +118,7 @@ MOST_PARAMETERS = 32
 MOST_REPEAT = 10_000
 
 
-_Vary = Annotated[Mapping[str, Any], NotEmpty, Write("{scene.seed: {range: [0, 99]}}")]
+_Vary = Annotated[AnyMapping, NotEmpty, Write("{scene.seed: {range: [0, 99]}}")]
 
 
 @dataclass(frozen=True)
@@ -146,7 +147,7 @@ class SweepDocument:
     workflow: Text
     vary: _Vary
     schema: Literal["unicon.sweep/1"] = "unicon.sweep/1"
-    set: Annotated[Mapping[str, Any] | None, Write("{platform: mujoco}")] = None
+    set: Annotated[AnyMapping | None, Write("{platform: mujoco}")] = None
     sample: Literal["grid", "random", "sobol"] = "grid"
     rollouts: Annotated[int | None, Within(1, MOST_ROLLOUTS)] = None
     seed: Annotated[int, Within(0, 2**63 - 1)] = 0
@@ -161,7 +162,7 @@ class SweepDocument:
     description: str | None = None
 
     @staticmethod
-    def between(found: dict[str, Any], here: Here) -> None:
+    def between(found: AnyDict, here: Here) -> None:
         """Note what is varied in vain, and a number of points that a sample does not have."""
         vary, rollouts = found.get("vary", {}), found.get("rollouts")
         if len(vary) > MOST_PARAMETERS:

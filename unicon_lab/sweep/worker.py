@@ -16,8 +16,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
+from unicon_base import AnyDict
 from unicon_base.errors import MissingDependencyError, UniconError, WorkflowError
 from unicon_base.located_yaml import read_yaml
 from unicon_base.resources import sha256_of
@@ -172,7 +172,7 @@ def facts_of(program: Program) -> dict[str, str]:
     return facts
 
 
-Tell = Callable[[dict[str, Any]], None]
+Tell = Callable[[AnyDict], None]
 """Tells the parent something, while a row runs too."""
 
 
@@ -189,7 +189,7 @@ class RowRunner:
         UniconError: a file cannot be read.
     """
 
-    def __init__(self, task: dict[str, Any], said: Callable[[object], str] = str) -> None:
+    def __init__(self, task: AnyDict, said: Callable[[object], str] = str) -> None:
         self._said = said
         self._located = read_yaml(Path(task["workflow"]), WorkflowError)
         reference = task["reference"]
@@ -205,7 +205,7 @@ class RowRunner:
         self._told: set[str] = set()
         self._running: Lockstep[tuple[int, str, WarmProgram]] = Lockstep()
 
-    def __call__(self, settings: list[str], name: str = "") -> dict[str, Any]:
+    def __call__(self, settings: list[str], name: str = "") -> AnyDict:
         """Return `row` of some settings; where a program is new, also its `facts`.
 
         Args:
@@ -228,7 +228,7 @@ class RowRunner:
         """How many rows are running."""
         return len(self._running)
 
-    def begin(self, index: int, settings: list[str], name: str = "") -> dict[str, Any] | None:
+    def begin(self, index: int, settings: list[str], name: str = "") -> AnyDict | None:
         """Have a row run beside the others; return what is told of it where it is refused."""
         try:
             kept = self.programs.begun(document_with(self._located, settings))
@@ -240,14 +240,14 @@ class RowRunner:
         self._running.add((index, name, kept), kept.rollouts, limit)
         return None
 
-    def tick(self) -> list[tuple[int, dict[str, Any]]]:
+    def tick(self) -> list[tuple[int, AnyDict]]:
         """Run a tick of each row; return the index of each that has ended, and what is told."""
         return [
             (index, self._ended(name, kept, rollout))
             for (index, name, kept), rollout in self._running.tick()
         ]
 
-    def _ended(self, name: str, kept: WarmProgram, rollout: Rollout) -> dict[str, Any]:
+    def _ended(self, name: str, kept: WarmProgram, rollout: Rollout) -> AnyDict:
         if self._keep is not None:
             self._keep(name, kept.rollouts.program, rollout)
         told = self.of(kept, rollout)
@@ -259,7 +259,7 @@ class RowRunner:
         stops = self._stops and program.robot.floats
         return (lambda states: FallLook(states, program.period)) if stops else None
 
-    def of(self, kept: WarmProgram, rollout: Rollout) -> dict[str, Any]:
+    def of(self, kept: WarmProgram, rollout: Rollout) -> AnyDict:
         """Return what is told of a rollout."""
         result = {"row": kept.figures(rollout) | {"program": kept.sha256}}
         if kept.sha256 not in self._told:
@@ -267,19 +267,19 @@ class RowRunner:
             result["facts"] = {kept.sha256: kept.facts | {"period_s": repr(kept.period)}}
         return result
 
-    def told(self, settings: list[str], name: str = "") -> dict[str, Any]:
+    def told(self, settings: list[str], name: str = "") -> AnyDict:
         """Return what is told of a row: as above with `why_not`, or an `error`."""
         try:
             return self.counted(self(settings, name))
         except UniconError as error:
             return {"error": self._said(error)}
 
-    def counted(self, told: dict[str, Any]) -> dict[str, Any]:
+    def counted(self, told: AnyDict) -> AnyDict:
         """Return what is told of a row with `why_not` of the programs so far."""
         return told | {"why_not": self.programs.why_not}
 
 
-def serve(make: Callable[[dict[str, Any], Tell], RowRunner]) -> int:
+def serve(make: Callable[[AnyDict, Tell], RowRunner]) -> int:
     """Run rows until the line ends.
 
     Args:

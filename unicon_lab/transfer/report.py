@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyMapping
 from unicon_base.arrays import Array
 from unicon_core.drawing import Pictures, curve, drawings, grid, zoomed
 from unicon_core.page import findings, page, pairs, table, write_file
@@ -20,7 +21,7 @@ _WORDS = {
 }
 
 
-def write_report(result: Mapping[str, Any], folder: Path) -> Path:
+def write_report(result: AnyMapping, folder: Path) -> Path:
     """Write `report.html`, and a PNG for each picture.
 
     Args:
@@ -53,7 +54,7 @@ def write_report(result: Mapping[str, Any], folder: Path) -> Path:
     return path
 
 
-def _said(result: Mapping[str, Any]) -> str:
+def _said(result: AnyMapping) -> str:
     """Return what stands out, in a box."""
     said = [
         f"{len(result['platforms'])} platforms, {len(result['seeds'])} "
@@ -75,7 +76,7 @@ def _said(result: Mapping[str, Any]) -> str:
     return findings(said)
 
 
-def _legend(result: Mapping[str, Any]) -> str:
+def _legend(result: AnyMapping) -> str:
     words = {name: f"[{unit}] {what}" for name, unit, what in COLUMNS.values()} | _WORDS
     if len(result["seeds"]) > 1:
         words["±"] = "standard deviation over seeds (n − 1)"
@@ -83,7 +84,7 @@ def _legend(result: Mapping[str, Any]) -> str:
     return pairs(words)
 
 
-def _facts(result: Mapping[str, Any]) -> str:
+def _facts(result: AnyMapping) -> str:
     workflow = result["workflow"]
     facts = {
         "workflow": f"{workflow['file']}, SHA-256 {workflow['sha256']}",
@@ -98,7 +99,7 @@ def _facts(result: Mapping[str, Any]) -> str:
     return pairs(facts)
 
 
-def _engines(result: Mapping[str, Any]) -> str:
+def _engines(result: AnyMapping) -> str:
     """Return what each platform tells of itself, and what it cannot represent."""
     facts: dict[str, str] = {}
     for platform in result["platforms"]:
@@ -122,7 +123,7 @@ SMOOTH_S = 0.4
 """Over which speeds are averaged: longer than a step."""
 
 
-def tracks_of(result: Mapping[str, Any], folder: Path) -> dict[str, dict[str, Array]]:
+def tracks_of(result: AnyMapping, folder: Path) -> dict[str, dict[str, Array]]:
     """Read the states of each platform's first run."""
     tracks = {}
     for platform in result["platforms"]:
@@ -142,7 +143,7 @@ def tracks_of(result: Mapping[str, Any], folder: Path) -> dict[str, dict[str, Ar
     return tracks
 
 
-def _figures(figure: Any, result: Mapping[str, Any], tracks: Tracks) -> bool:
+def _figures(figure: Any, result: AnyMapping, tracks: Tracks) -> bool:
     shown = [p for p in result["platforms"] if p["runs_done"]]
     keys = [k for k in COLUMNS if any(p["figures"][k]["mean"] is not None for p in shown)]
     if not keys:
@@ -166,7 +167,7 @@ def _figures(figure: Any, result: Mapping[str, Any], tracks: Tracks) -> bool:
     return True
 
 
-def _paths(figure: Any, result: Mapping[str, Any], tracks: Tracks) -> bool:
+def _paths(figure: Any, result: AnyMapping, tracks: Tracks) -> bool:
     if not tracks:
         return False
     figure.set_size_inches(12.0, 5.0)
@@ -196,7 +197,7 @@ def _paths(figure: Any, result: Mapping[str, Any], tracks: Tracks) -> bool:
     return True
 
 
-def _joints(figure: Any, result: Mapping[str, Any], tracks: Tracks) -> bool:
+def _joints(figure: Any, result: AnyMapping, tracks: Tracks) -> bool:
     first = result["first"]
     others = [name for name in tracks if name != first]
     if first not in tracks or not others:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import yaml
 
+from unicon_base import AnyDict, AnyMapping
 from unicon_base.errors import UniconError
 from unicon_core import __version__
 from unicon_core.page import plain
@@ -51,7 +51,7 @@ class Results:
 
     def __init__(self, plan: Plan, folder: Path) -> None:
         self.plan, self.folder = plan, folder
-        self.runs: dict[str, list[dict[str, Any]]] = {name: [] for name in plan.platforms}
+        self.runs: dict[str, list[AnyDict]] = {name: [] for name in plan.platforms}
         self.interrupted = False
 
     @property
@@ -66,7 +66,7 @@ class Results:
         """Return whether another seed would change nothing."""
         return any(run["outcome"] in NOT_RUN for run in self.runs[platform])
 
-    def add(self, platform: str, run: dict[str, Any]) -> None:
+    def add(self, platform: str, run: AnyDict) -> None:
         """Take a run, and compare it with that of the first platform with the same seed."""
         self.runs[platform].append(run)
         if run["outcome"] != "ran":
@@ -89,7 +89,7 @@ class Results:
         except UniconError as error:
             run["compared"] = {"why_not": str(error).replace(f"{self.folder}/", "")}
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> AnyDict:
         """Return all as plain values; what is not a finite number is null."""
         document = self.plan.document
         ran = [run for runs in self.runs.values() for run in runs if run["outcome"] == "ran"]
@@ -134,7 +134,7 @@ class Results:
         shown = self._shown()
         return [name for name in self.runs if name not in shown]
 
-    def _platform(self, name: str, commanded: float) -> dict[str, Any]:
+    def _platform(self, name: str, commanded: float) -> AnyDict:
         runs = self.runs[name]
         ran = [run for run in runs if run["outcome"] == "ran"]
         for run in ran:
@@ -163,17 +163,17 @@ class Results:
         }
 
 
-def _outcome(run: dict[str, Any]) -> str:
+def _outcome(run: AnyDict) -> str:
     if run["outcome"] != "ran":
         return str(run["outcome"])
     return "fault" if run["faults"] else "fell" if _fell(run) else "ran"
 
 
-def _fell(run: dict[str, Any]) -> bool:
+def _fell(run: AnyDict) -> bool:
     return bool(run["fell"] or run["fall_s"] is not None)
 
 
-def _troubles(runs: list[dict[str, Any]]) -> list[str]:
+def _troubles(runs: list[AnyDict]) -> list[str]:
     """Return what went wrong, each thing once with the seeds that it happened with."""
     seeds: dict[str, list[str]] = {}
     for run in runs:
@@ -239,7 +239,7 @@ def heads(form: str = " [{}]") -> list[str]:
     return ["platform", "runs", *figures, "falls", "outcome"]
 
 
-def row(platform: Mapping[str, Any]) -> list[str]:
+def row(platform: AnyMapping) -> list[str]:
     """Return the cells of a platform."""
     done = platform["runs_done"]
     return [
@@ -251,7 +251,7 @@ def row(platform: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def cell(figure: Mapping[str, Any], factor: float = 1.0) -> str:
+def cell(figure: AnyMapping, factor: float = 1.0) -> str:
     """Return mean ± standard deviation, – where there is nothing."""
     mean, std = figure["mean"], figure["std"]
     if mean is None:
@@ -268,7 +268,7 @@ def _number(value: float, digits: int = 3) -> str:
     return f"{value:.{max(0, digits - 1 - math.floor(math.log10(abs(value))))}f}"
 
 
-def table(result: Mapping[str, Any]) -> str:
+def table(result: AnyMapping) -> str:
     """Return all rows, what went wrong, and what was decided."""
     rows = [heads(), *(row(each) for each in result["platforms"])]
     workflow, first = result["workflow"], result["first"]

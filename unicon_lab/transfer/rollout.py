@@ -15,10 +15,10 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyDict
 from unicon_base.errors import MissingDependencyError, PlatformError, UniconError
 from unicon_core.check import refuse_errors
 from unicon_core.pacing import process_age_s
@@ -78,7 +78,7 @@ class Plan:
         said = self.document.get("duration")
         return float(said if self.duration is None else self.duration)
 
-    def task(self) -> dict[str, Any]:
+    def task(self) -> AnyDict:
         """Return what a worker begins with, as in a sweep."""
         task = {"workflow": str(self.document.path), "duration": self.longest}
         return task | {"stops_at_fall": False, "reference": None}
@@ -259,12 +259,12 @@ class TimedRunner(RowRunner):
         tell: tells the parent `at`: the time in [s] that is simulated.
     """
 
-    def __init__(self, task: dict[str, Any], tell: Tell) -> None:
+    def __init__(self, task: AnyDict, tell: Tell) -> None:
         super().__init__(task)
         self._tell = tell
         self._warnings: list[str] = []
 
-    def begin(self, index: int, settings: list[str], name: str = "") -> dict[str, Any] | None:
+    def begin(self, index: int, settings: list[str], name: str = "") -> AnyDict | None:
         """As of `RowRunner`; what is not installed is an outcome here."""
         try:
             return super().begin(index, settings, name)
@@ -281,7 +281,7 @@ class TimedRunner(RowRunner):
 
         return watch
 
-    def of(self, kept: WarmProgram, rollout: Rollout) -> dict[str, Any]:
+    def of(self, kept: WarmProgram, rollout: Rollout) -> AnyDict:
         """Return `row`, and `run` besides."""
         watch, program = self._watch, kept.rollouts.program
         if not rollout.ticks and not rollout.fault:
@@ -322,7 +322,7 @@ Progress = Callable[[float], None]
 """Takes the time in [s] that a run has simulated, 0 before its first tick; called often."""
 
 
-def run_one(plan: Plan, row: Row, folder: Path, tell: Progress) -> dict[str, Any]:
+def run_one(plan: Plan, row: Row, folder: Path, tell: Progress) -> AnyDict:
     """Run a platform with a seed to its end, whatever that is.
 
     Args:
@@ -352,7 +352,7 @@ def run_one(plan: Plan, row: Row, folder: Path, tell: Progress) -> dict[str, Any
         ) from error
     process.write(plan.task() | {"keep": keep})
     process.write({"index": row.index, "settings": row.settings, "name": row.name})
-    told: dict[str, Any] = {}
+    told: AnyDict = {}
     try:
         told = _watched(process, plan.timeout, tell)
     finally:
@@ -370,7 +370,7 @@ def run_one(plan: Plan, row: Row, folder: Path, tell: Progress) -> dict[str, Any
     return told
 
 
-def _watched(process: PipedProcess, timeout: float, tell: Progress) -> dict[str, Any]:
+def _watched(process: PipedProcess, timeout: float, tell: Progress) -> AnyDict:
     """Wait for what a process tells of its row; return {} of one that ended, or was not awaited."""
     seconds, end = 0.0, time.monotonic() + timeout
     while not SIGNALS.asked and not process.over:

@@ -8,11 +8,12 @@ touch; only a driver who lets go gives the command back to the workflow.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from unicon_base import AnyDict, AnyMapping
 from unicon_base.errors import EmergencyStopPressed, UniconError, alternatives
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime.phases import Phase
@@ -192,7 +193,7 @@ class Driver:
 
     # -- acts -----------------------------------------------------------------------------------
 
-    def _act(self, words: Mapping[str, Any]) -> None:
+    def _act(self, words: AnyMapping) -> None:
         act = words.get("act")
         if not isinstance(act, list) or not act:
             return
@@ -204,7 +205,7 @@ class Driver:
         if self._peripheral is not None:
             self._peripheral.wish("answer", number, done, short(text, LONGEST))
 
-    def _done(self, name: str, arguments: dict[str, Any]) -> Answer:
+    def _done(self, name: str, arguments: AnyDict) -> Answer:
         if name in _ACTS:
             answer: Answer = getattr(self._controls, name)()
             return answer

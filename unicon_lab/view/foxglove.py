@@ -13,13 +13,14 @@ import struct
 import threading
 import time
 import xml.etree.ElementTree as Xml
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 from urllib.parse import unquote, urlsplit
 
+from unicon_base import AnyMapping
 from unicon_base.errors import UniconError, imported
 from unicon_base.packages import package_file
 from unicon_core.platforms.platform import Facts
@@ -109,9 +110,7 @@ class Foxglove:
         UniconError: the map does not fit, or no port is free.
     """
 
-    def __init__(
-        self, shown: Shown, source: Source, remote: Remote, options: Mapping[str, Any]
-    ) -> None:
+    def __init__(self, shown: Shown, source: Source, remote: Remote, options: AnyMapping) -> None:
         foxglove = imported("foxglove", "--view=foxglove", "foxglove", "foxglove-sdk")
         websocket = foxglove.websocket
         self._sdk, self._shown, self._source, self._remote = websocket, shown, source, remote

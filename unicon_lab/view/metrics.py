@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyMapping
 from unicon_base.arrays import Array, Float64
 from unicon_base.errors import UniconError
 from unicon_core import __version__
@@ -67,9 +68,7 @@ class Metrics:
         UniconError: the port cannot be had.
     """
 
-    def __init__(
-        self, shown: Shown, source: Source, remote: Remote, options: Mapping[str, Any]
-    ) -> None:
+    def __init__(self, shown: Shown, source: Source, remote: Remote, options: AnyMapping) -> None:
         self._shown, self._source, self._written = shown, source, set(options["written"])
         self._server = _Server(int(options["port"]), self._page)
         self.address = f"http://127.0.0.1:{self._server.server_address[1]}{PATH}"

@@ -7,6 +7,7 @@ import time
 from pkgutil import resolve_name
 from typing import Any
 
+from unicon_base import AnyDict
 from unicon_core.handles import FrameRing
 from unicon_lab.view import SINKS
 from unicon_lab.view.shown import NAME, Shown
@@ -41,7 +42,7 @@ class Viewer:
         self._sink: Sink = sink_class(options["sink"])(shown, self._source, self._remote, options)
         self._due = self._beat = time.monotonic()
 
-    def first(self) -> dict[str, Any]:
+    def first(self) -> AnyDict:
         """Return the address, for the run to print."""
         return {"address": self._sink.address}
 

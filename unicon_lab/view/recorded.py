@@ -5,10 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyDict
 from unicon_base.arrays import Float64
 from unicon_base.errors import UniconError
 from unicon_core.flow import compile_graph
@@ -121,7 +121,7 @@ class RecordedSource:
         self._most = max(1, min(MOST, round(BEHIND_S / record.period)))
         self._row, self._time, self._looked = 0, 0.0, 0.0
         self.answers: list[Answered] = []
-        self.texts: dict[str, Any] = {
+        self.texts: AnyDict = {
             "waits_for": "",
             "timed": False,
             "faults": list(map(str, record.told("faults", list) or ())),

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from unicon_base import AnyDict
 from unicon_base.arrays import Array, Int64
 from unicon_core.handles import FrameRing
 from unicon_core.states import Layout, States
@@ -85,7 +86,7 @@ class Source(Protocol):
         span: first and last moment of a recording in [s]; None of a live run.
     """
 
-    texts: dict[str, Any]
+    texts: AnyDict
     answers: list[Answered]
     span: tuple[float, float] | None
 
@@ -111,7 +112,7 @@ class LiveSource:
     def __init__(self, layout: Layout, ring: FrameRing) -> None:
         self._ring = ring
         self._latest, self._each = (Snapshot(layout, ring.nbytes) for _ in range(2))
-        self.texts: dict[str, Any] = {"waits_for": "", "faults": [], "notes": []}
+        self.texts: AnyDict = {"waits_for": "", "faults": [], "notes": []}
         self.answers: list[Answered] = []
 
     def latest(self) -> Snapshot | None:

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 from urllib.parse import urlsplit
 
+from unicon_base import AnyDict, AnyMapping, TextSink
 from unicon_core.flow import Block, Stage
 from unicon_core.handles import FrameRing
 from unicon_core.runtime.phases import Phase
@@ -142,7 +143,7 @@ class Fed(Attachment):
     """Of ticks in the ring, in [s]."""
     driving = paused = 0
 
-    def __init__(self, warn: Callable[[str], None], session: RosSession | None) -> None:
+    def __init__(self, warn: TextSink, session: RosSession | None) -> None:
         self.warn, self.address, self._session = warn, "", session
         self._ring: FrameRing | None = None
         self._peripheral: Peripheral | None = None
@@ -153,7 +154,7 @@ class Fed(Attachment):
         """Return the block that copies each tick."""
         return {Stage.OBSERVE: [Block(self.label, self._tick, endless=True)]}
 
-    def _watch(self, runner: Runner, options: dict[str, Any]) -> Peripheral:
+    def _watch(self, runner: Runner, options: AnyDict) -> Peripheral:
         """Start a process that only looks; see `_start`."""
         told = States(peripheral_states(self.label, {}))
         return self._start(runner, told, options, self, self, self.interval, self.interval)
@@ -162,7 +163,7 @@ class Fed(Attachment):
         self,
         runner: Runner,
         told: States,
-        options: dict[str, Any],
+        options: AnyDict,
         driver: _Drives,
         controls: _Pauses,
         stale: float,
@@ -239,11 +240,11 @@ class View(Fed):
 
     def __init__(
         self,
-        options: Mapping[str, Any],
+        options: AnyMapping,
         session: RosSession | None = None,
         map: str | None = None,
         frame_prefix: str = "",
-        warn: Callable[[str], None] = print,
+        warn: TextSink = print,
     ) -> None:
         super().__init__(warn, session)
         self._options = dict(options)
@@ -251,7 +252,7 @@ class View(Fed):
         self.controls = session.controls if session is not None else Controls(time.sleep)
         self._tuning, self._told = Tuning(), States(PAGE)
         self._lines: list[str] = []
-        self._texts: dict[str, Any] = {}
+        self._texts: AnyDict = {}
         self._reader: object = None
         self._driver: Driver | None = None
 
@@ -351,7 +352,7 @@ class Metered(Fed):
     label, interval = METRICS, 1.0
 
     def __init__(
-        self, port: int, session: RosSession | None = None, warn: Callable[[str], None] = print
+        self, port: int, session: RosSession | None = None, warn: TextSink = print
     ) -> None:
         super().__init__(warn, session)
         self._port = port
@@ -366,7 +367,7 @@ class Metered(Fed):
         self._watch(runner, {"port": self._port, "written": written, "sink": SINK})
 
     def _tell(self, peripheral: Peripheral) -> bool:
-        texts: dict[str, Any] = {"faults": [fault[:80] for fault in self._runner.faults[:9]]}
+        texts: AnyDict = {"faults": [fault[:80] for fault in self._runner.faults[:9]]}
         if self._session is not None:
             texts["counts"] = _counts(self._session)
         peripheral.wish("texts", texts)

@@ -7,12 +7,13 @@ brought to the present, and refused where they are none.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, TypeAlias
 
 import numpy as np
 
+from unicon_base import TextSink
 from unicon_base.arrays import Array, Float64
 from unicon_base.schema.marks import Within
 from unicon_core.models.frames import turn_between, turned_by
@@ -208,7 +209,7 @@ class Target:
         stamp_ns: Array,
         turns: bool,
         look_ahead: float,
-        tell: Callable[[str], None],
+        tell: TextSink,
     ) -> None:
         self._effector, self._turns, self._tell = effector, turns, tell
         self._pose, self._velocity, self._stamp = pose, velocity, stamp_ns

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
 
+from unicon_base import AnyDict
 from unicon_msgs_map.codec.binding import (
     DOUBLE_MAX,
     SINGLE_MAX,
@@ -56,7 +57,7 @@ class Code:
 
     def __init__(self, raw: bytes, order: str, reject: bool) -> None:
         self.raw, self.order, self.reject = raw, order, reject
-        self.space: dict[str, Any] = {"size": len(raw)}
+        self.space: AnyDict = {"size": len(raw)}
         self.checks: list[str] = []
         self.work: list[str] = []
         self.writes: list[str] = []

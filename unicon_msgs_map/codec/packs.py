@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyDict
 from unicon_msgs_map.codec.binding import (
     SINGLE_MAX,
     AnyArray,
@@ -38,7 +39,7 @@ class Packs:
     def __init__(self, template: Template, bounds: Mapping[int, Bound]) -> None:
         self.data = template.data
         self.bounds = bounds
-        self.space: dict[str, Any] = {}
+        self.space: AnyDict = {}
         self.values: dict[Slot, list[tuple[str, str]]] = {}
 
     def loads(self, scalars: list[Slot]) -> list[str]:
@@ -237,10 +238,10 @@ def as_copy(slots: list[Slot], bound: Bound) -> Copy | None:
     return Copy(slots[0].source, state, view, slots[0].offset, stride, wire, conversion)
 
 
-def copy_lines(copies: list[Copy], data: bytearray) -> tuple[list[str], dict[str, Any]]:
+def copy_lines(copies: list[Copy], data: bytearray) -> tuple[list[str], AnyDict]:
     """Return the lines of the copies, fused where distances are even, and the values they use."""
     lines: list[str] = []
-    space: dict[str, Any] = {}
+    space: AnyDict = {}
     plain = sorted(filter(_plain, copies), key=lambda copy: copy.offset)
     for number, group in enumerate(fuse(plain, _form, _begins)):
         space[f"keep{number}"] = [copy.view for copy in group]  # alive with the function
@@ -254,7 +255,7 @@ def copy_lines(copies: list[Copy], data: bytearray) -> tuple[list[str], dict[str
     return lines, space
 
 
-def _converted(copy: Copy, data: bytearray, space: dict[str, Any]) -> list[str]:
+def _converted(copy: Copy, data: bytearray, space: AnyDict) -> list[str]:
     number = copy.source
     space |= {f"state{number}": copy.view, f"wire{number}": copy.target(data)}
     if copy.conversion is None:

@@ -6,12 +6,12 @@ Installed are `share/PACKAGE/msg/NAME.msg` of the ament prefixes.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
+from unicon_base import AnyDict, AnyMapping
 from unicon_base.errors import alternatives
 from unicon_base.packages import share_folder, shares
 from unicon_msgs_map.errors import MessageTypeError
@@ -57,8 +57,8 @@ FILE = "jazzy.json"
 
 
 @cache
-def ready_made() -> Mapping[str, Any]:
+def ready_made() -> AnyMapping:
     """Return name to (constants, fields), laid out as rosbags' `fielddefs`; read in 2 ms."""
     file = resources.files("unicon_msgs_map").joinpath("msg").joinpath(FILE)
-    types: dict[str, Any] = json.loads(file.read_text("utf-8"))
+    types: AnyDict = json.loads(file.read_text("utf-8"))
     return types

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
 from importlib import resources
@@ -20,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyDict, AnyMapping
 from unicon_base.errors import alternatives, one_line
 from unicon_msgs_map.errors import MapDependencyError, MessageTypeError
 from unicon_msgs_map.layout.installed import installed_files, ready_made, unknown_type
@@ -144,7 +144,7 @@ class Messages:
     """
 
     def __init__(self, distro: str | Any = DEFAULT_DISTRO) -> None:
-        self._ready: Mapping[str, Any] = {}
+        self._ready: AnyMapping = {}
         if not isinstance(distro, str):
             self.store = distro
         elif _short(distro) == DEFAULT_DISTRO:
@@ -217,7 +217,7 @@ class Messages:
         """
         from rosbags.typesys import get_types_from_msg
 
-        found: dict[str, Any] = {}
+        found: AnyDict = {}
         for name, text in texts.items():
             full_name(name)
             try:

@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
+from unicon_base import AnyDict
 from unicon_base.located_yaml import Located
 from unicon_base.schema.marks import Checked, Matches, Text, Unit, Within, Write
 from unicon_base.schema.types import Here, Mistakes, show
@@ -153,7 +154,7 @@ class PublishEntry(Entry):
     """A topic that we publish."""
 
     @staticmethod
-    def between(found: dict[str, Any], here: Here) -> None:
+    def between(found: AnyDict, here: Here) -> None:
         """Note a reader that could stop the tick: Fast DDS blocks a full writer for 100 ms."""
         qos = found.get("qos")
         if isinstance(qos, Qos) and (qos.history, qos.reliability) == ("keep_all", "reliable"):

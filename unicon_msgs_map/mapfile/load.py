@@ -10,6 +10,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
+from unicon_base import AnyDict
 from unicon_base.errors import UniconError
 from unicon_base.located_yaml import Where, read_text
 from unicon_base.packages import PACKAGE, package_file
@@ -117,7 +118,7 @@ def _both(
     messages: Messages,
     unsaid: Qos,
     problems: list[UniconError],
-) -> dict[str, Any]:
+) -> AnyDict:
     """Return the attributes that both directions have, by name.
 
     Args:

@@ -15,10 +15,10 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyDict
 from unicon_base.arrays import Bool, Float64, Int64
 from unicon_base.errors import UniconError
 from unicon_core.signals import SIGNALS
@@ -203,9 +203,7 @@ def breathe(loops: Iterable[Loop]) -> None:
         loop.hold()
 
 
-def _bridged(
-    each: Slice, measured: dict[str, Any], controlled: dict[str, Any]
-) -> dict[str, Float64]:
+def _bridged(each: Slice, measured: AnyDict, controlled: AnyDict) -> dict[str, Float64]:
     ticks = each.holds(controlled["end"]) & each.fresh(controlled["stamp"])
     part = {name: controlled[name][ticks] for name in ("stamp", "seen", "begin", "end")}
     latency = _under_way(each, measured)
@@ -229,9 +227,7 @@ def _bridged(
     return rows
 
 
-def _mirrored(
-    each: Slice, measured: dict[str, Any], controlled: dict[str, Any]
-) -> dict[str, Float64]:
+def _mirrored(each: Slice, measured: AnyDict, controlled: AnyDict) -> dict[str, Float64]:
     row, since, to_wall = "send", "begin", 0
     if "stamp" in controlled:  # a driver's, of the monotonic clock
         row, since, to_wall = "state_to_command", "stamp", time.time_ns() - time.monotonic_ns()
@@ -246,7 +242,7 @@ def _mirrored(
     }
 
 
-def _under_way(each: Slice, log: dict[str, Any]) -> Float64:
+def _under_way(each: Slice, log: AnyDict) -> Float64:
     """Return how long messages that arrived in a slice took, in [µs]."""
     latency: Float64 = (log["received"] - log["stamp"]) * 1e-3
     return latency[each.holds(log["received"]) & each.fresh(log["stamp"])]

@@ -10,11 +10,11 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from unicon_base import AnyDict
 from unicon_base.errors import UniconError
 from unicon_core.drawing import as_png, require
 from unicon_core.page import plain, write_file
@@ -44,7 +44,7 @@ class Bench:
     seed: int = 0
     cases: dict[str, dict[str, float]] = field(default_factory=dict)
     ratios: dict[str, dict[str, float | bool | str]] = field(default_factory=dict)
-    facts: dict[str, Any] = field(default_factory=dict)
+    facts: AnyDict = field(default_factory=dict)
 
     def case(self, name: str, samples_us: ArrayLike) -> None:
         """Add the statistics of one case.
@@ -198,7 +198,7 @@ def plot(bench: Bench, path: Path) -> None:
     axes.scatter(p50, labels, color=colours, zorder=3)
     axes.scatter(p99, labels, color=colours, marker="|", zorder=3)
     for place, value in enumerate(p50):
-        look: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "fontsize": 7}
+        look: AnyDict = {"textcoords": "offset points", "ha": "center", "fontsize": 7}
         axes.annotate(_number(value), (value, place), xytext=(0, 4), **look)
     label = "µs (dot: p50, end of the line: p99), log scale"
     axes.set(xscale="log", xlabel=label)

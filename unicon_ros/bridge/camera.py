@@ -30,6 +30,7 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyDict
 from unicon_base.arrays import Array, Float32
 from unicon_base.errors import ModelError, UniconError
 from unicon_core.handles import FrameRing
@@ -77,7 +78,7 @@ class Camera:
     outside = True
 
     def __init__(
-        self, context: BuildContext, name: str, every: int, stale: float, options: dict[str, Any]
+        self, context: BuildContext, name: str, every: int, stale: float, options: AnyDict
     ) -> None:
         states, robot = context.states, context.robot
         if not robot.floats:  # its base stands where the model has it

@@ -9,12 +9,13 @@ the middleware. A look takes some 10 µs for each topic; the answers are rcl's o
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from unicon_base import TextSink
 from unicon_core.runtime import Runner, TickStatistics, percentiles
 from unicon_core.runtime.phases import Phase
 from unicon_ros import compat
@@ -43,7 +44,7 @@ class Neighbours:
     node: Any
     outgoing: Sequence[TopicOut]
     incoming: Sequence[TopicIn]
-    warn: Callable[[str], None]
+    warn: TextSink
 
     def __post_init__(self) -> None:
         self._told: set[str] = set()

@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+from unicon_base import TextSink
 from unicon_base.errors import EmergencyStopPressed, UniconError
 from unicon_core.flow import Block
 from unicon_core.latches import ESTOP, PATIENCE, Latch, clearing
@@ -53,9 +54,7 @@ class EmergencyStop:
         restored: when it was pressed, where an earlier process left it latched; else "".
     """
 
-    def __init__(
-        self, node: Any, running: Callable[[], bool], warn: Callable[[str], None] = print
-    ) -> None:
+    def __init__(self, node: Any, running: Callable[[], bool], warn: TextSink = print) -> None:
         self.latched = False
         self.restored = ""
         self._node = node
@@ -241,7 +240,7 @@ class EmergencyStop:
         return f"; for this process only ({troubles[0]})" if troubles else ""
 
 
-def latch_of(node: Any, kind: str, warn: Callable[[str], None]) -> Latch:
+def latch_of(node: Any, kind: str, warn: TextSink) -> Latch:
     """Return a latch of an rclpy node, by its name and domain."""
     return Latch(node.get_fully_qualified_name(), node.context.get_domain_id(), kind, warn)
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from unicon_base import AnyMapping
 from unicon_core.platforms.platform import Binding, Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
@@ -58,7 +59,7 @@ class GazeboPlatform(RosPlatform):
         notes = _servo_notes(self.facts.reads, period)
         self.facts = replace(self.facts, notes=(*self.facts.notes, *notes))
 
-    def info(self) -> Mapping[str, Any]:
+    def info(self) -> AnyMapping:
         """Return map, topics, what came in, and where the servo is."""
         told = super().info()
         return {**told, "notes": [*told["notes"], *self.facts.notes]}

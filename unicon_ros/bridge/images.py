@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyDict, AnyMapping, TextSink
 from unicon_base.arrays import Array, Float32, Float64
 from unicon_base.errors import UniconError, alternatives
 from unicon_base.resources import find_config, same_modules
@@ -249,7 +250,7 @@ class CameraTopics:
         MissingDependencyError: rclpy is not installed.
     """
 
-    def __init__(self, options: Mapping[str, Any], tell: Callable[[str], None]) -> None:
+    def __init__(self, options: AnyMapping, tell: TextSink) -> None:
         self._own = OwnNode(options["node"], options["namespace"], options["ros_args"])
         self._tell, self._due = tell, 0.0
         self._qos = Qos(reliability=options["reliability"], depth=DEPTH)
@@ -339,7 +340,7 @@ class CameraTopics:
 
 def topic_options(
     what: str, node: str, namespace: str | None, ros_args: Sequence[str], reliability: str
-) -> dict[str, Any]:
+) -> AnyDict:
     """Return the options of a camera's topics, as `CameraTopics` takes them.
 
     Args:

@@ -19,6 +19,7 @@ from dataclasses import replace
 from fnmatch import fnmatchcase
 from typing import Any
 
+from unicon_base import AnyDict
 from unicon_base.errors import UniconError, alternatives
 from unicon_core.flow import blocks_of
 from unicon_core.workflow import Program
@@ -131,7 +132,7 @@ def layout_text(program: Program, topics: Sequence[TopicOut | TopicIn] = ()) -> 
         "nbytes": layout.nbytes,
     }
     states = [_json({"name": name, **spec.to_dict()}) for name, spec in layout.specs.items()]
-    told: dict[str, dict[str, Any]] = {}
+    told: dict[str, AnyDict] = {}
     for topic in topics:
         spec, direction = topic.spec, "in" if isinstance(topic, TopicIn) else "out"
         entry = {"type": spec.type, "direction": direction, "states": []}
@@ -143,7 +144,7 @@ def layout_text(program: Program, topics: Sequence[TopicOut | TopicIn] = ()) -> 
     return "\n".join(["{", *lines, "}"])
 
 
-def _entries(values: dict[str, Any]) -> str:
+def _entries(values: AnyDict) -> str:
     return ",\n".join(f"{_json(name)}: {_json(value)}" for name, value in values.items())
 
 

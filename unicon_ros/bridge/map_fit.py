@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from unicon_base import AnyMapping
 from unicon_base.arrays import Float32
 from unicon_base.errors import PlatformError, UniconError
 from unicon_base.resources import find_config
@@ -262,7 +263,7 @@ def _heard(program: ProgramData, mapping: MessageMap) -> list[TopicSpec]:
 
 def codecs(
     mapping: MessageMap,
-    arrays: Mapping[str, Any],
+    arrays: AnyMapping,
     names: Mapping[str, Sequence[str]],
     variables: Mapping[str, object],
 ) -> tuple[list[Decoder], list[Encoder]]:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from unicon_base import TextSink
 from unicon_msgs_map.spec import Qos
 from unicon_ros import compat
 
@@ -63,7 +64,7 @@ class QosEvents:
     qos: Qos
     own: str
     passed: Callable[[], int]
-    warn: Callable[[str], None]
+    warn: TextSink
     remedy: str = REMEDY
     theirs: Callable[[str], str] = lambda _: ""
 

@@ -7,12 +7,13 @@ so all moving links are one vectorized half-angle formula, 8 µs for 29 joints.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from unicon_base import TextSink
 from unicon_base.arrays import Array, Float32
 from unicon_base.errors import UniconError
 from unicon_core.flow import Block
@@ -233,7 +234,7 @@ class RobotFrames:
         program: Program,
         stamp: Array,
         group: Any,
-        warn: Callable[[str], None],
+        warn: TextSink,
         frame_prefix: str = "",
     ) -> None:
         self.messages: RobotMessages | None = None

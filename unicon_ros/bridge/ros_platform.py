@@ -22,10 +22,11 @@ from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
+from unicon_base import AnyMapping
 from unicon_base.errors import Fault, MissingDependencyError, PlatformError, Silence, UniconError
 from unicon_base.resources import find_config
 from unicon_core.blocks.maps import projected_gravity
@@ -63,7 +64,7 @@ LONGEST_DAMPING = 0.8
 """Largest option `damping`, [s]: whoever asks a run to end waits for it."""
 
 
-def _reached(options: Mapping[str, Any]) -> str:
+def _reached(options: AnyMapping) -> str:
     """Return what tells a robot behind topics from others, for its latch: domain and namespace."""
     domain = os.environ.get("ROS_DOMAIN_ID") or "0"
     names = str(options.get("namespace") or "").strip("/").split("/")
@@ -301,7 +302,7 @@ class RosPlatform:
         count = self._own.node.count_publishers
         return {topic: count(topic) - (topic in own) for topic in self._commands}
 
-    def info(self) -> Mapping[str, Any]:
+    def info(self) -> AnyMapping:
         """Return map, topics and what came in."""
         return {
             "map": str(self._path),

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any, Protocol
 
+from unicon_base import TextSink
 from unicon_core.blocks.controls.modes import Skills
 from unicon_core.platforms.platform import Pausable
 from unicon_core.runtime import Runner
@@ -238,7 +239,7 @@ class SlackServer:
 
     name = "ros services"
 
-    def __init__(self, executor: Any, warn: Callable[[str], None]) -> None:
+    def __init__(self, executor: Any, warn: TextSink) -> None:
         self.runner: Runner | None = None
         self.served = self.forced = 0
         self.always = False

@@ -18,6 +18,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from unicon_base import AnyDict, TextSink
 from unicon_base.errors import UniconError, one_line
 from unicon_base.resources import find_config
 from unicon_core.flow import Block, Stage
@@ -77,7 +78,7 @@ class RosSession:
         node_name: str = "unicon",
         namespace: str | None = None,
         ros_args: Sequence[str] = (),
-        warn: Callable[[str], None] = print,
+        warn: TextSink = print,
         frame_prefix: str = "",
         *,
         node: Any = None,
@@ -110,7 +111,7 @@ class RosSession:
         self.introspection = Introspection(
             node, self._group, lambda: self.controls.runner is not None
         )
-        self.arrays: dict[str, Any] = {}  # the states as they are published
+        self.arrays: AnyDict = {}  # the states as they are published
         self._others: list[Callable[[], None]] = []
         self._timers: list[Any] = []
         self._stamp: WallStamp | None = None
@@ -243,10 +244,10 @@ class RosSession:
             told.outgoing, told.incoming = self.outgoing, self.incoming
         self.slack.look()
 
-    def counts(self) -> dict[str, Any]:
+    def counts(self) -> AnyDict:
         """Return what passed: totals, and per topic `published`, or `received`, `rejected`, …"""
         seconds = max((time.perf_counter_ns() - self._started_ns) * 1e-9, 1e-9)
-        topics: dict[str, dict[str, Any]] = {}
+        topics: dict[str, AnyDict] = {}
         for out in self.outgoing:
             sent = topics.setdefault(out.topic, {"published": 0, "failed": 0})
             sent["published"] += out.published  # several of ours may share a topic, such as /tf

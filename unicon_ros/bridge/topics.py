@@ -19,6 +19,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+from unicon_base import TextSink
 from unicon_base.errors import one_line
 from unicon_core.flow import Block
 from unicon_msgs_map import Decoder, Encoder
@@ -70,7 +71,7 @@ class TopicIn:
         message: Any,
         contested: bool,
         group: Any,
-        warn: Callable[[str], None],
+        warn: TextSink,
     ) -> None:
         spec = self.spec = decoder.spec
         self._node, self._warn, self.decoder = node, warn, decoder
@@ -289,7 +290,7 @@ class TopicOut:
         every: int,
         phase: int,
         group: Any,
-        warn: Callable[[str], None],
+        warn: TextSink,
         prepare: Callable[[], None] | None = None,
         part: str = "map",
     ) -> None:

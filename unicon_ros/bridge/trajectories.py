@@ -7,13 +7,13 @@ message is checked in the slack of a tick, and played from the next one on.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
+from unicon_base import TextSink
 from unicon_base.errors import UniconError
 from unicon_core.blocks.forward_command import ForwardCommand
 from unicon_core.flow import Block
@@ -78,9 +78,7 @@ class Trajectories:
         UniconError: nobody would follow, or control_msgs is needed and not installed.
     """
 
-    def __init__(
-        self, node: Any, spec: TrajectorySpec, program: Program, warn: Callable[[str], None]
-    ) -> None:
+    def __init__(self, node: Any, spec: TrajectorySpec, program: Program, warn: TextSink) -> None:
         self._node, self._spec, self._warn = node, spec, warn
         following = followers(spec, program)
         arrays, robot, size = arrays_of(program), program.robot, program.robot.num_joints

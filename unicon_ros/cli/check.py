@@ -12,8 +12,9 @@ import argparse
 import json
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from unicon_base import AnyDict
 from unicon_base.errors import UniconError, alternatives
 from unicon_base.packages import registered
 from unicon_core.page import write_file
@@ -121,7 +122,7 @@ def show(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def schema_of(kind: str) -> dict[str, Any]:
+def schema_of(kind: str) -> AnyDict:
     """Return the JSON Schema of a kind of document.
 
     Raises:

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from unicon_base import AnyDict
 from unicon_core.non_blocking_writer import NonBlockingWriter, to_stderr
 from unicon_core.text_table import Rows, aligned
 
@@ -71,13 +72,13 @@ class Console:
         clear = CLEAR if self.terminal else ""
         self._outlet(f"{clear}unicon: {message}\n")
 
-    def status(self, values: dict[str, Any]) -> None:
+    def status(self, values: AnyDict) -> None:
         """Rewrite the status line."""
         line = "  ".join(f"{key} {value}" for key, value in values.items())
         self._shown = True
         self._outlet(f"{CLEAR}{line}")
 
-    def status_of(self, arguments: argparse.Namespace) -> Callable[[dict[str, Any]], None] | None:
+    def status_of(self, arguments: argparse.Namespace) -> Callable[[AnyDict], None] | None:
         """Return what shows the status line; None where there is none."""
         return None if arguments.quiet or not self.terminal else self.status
 

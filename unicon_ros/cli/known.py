@@ -15,6 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from unicon_base import AnyDict
 from unicon_base.errors import PlatformError, PolicyError, UniconError, WorkflowError
 from unicon_ros.cli.console import print_json, print_table
 from unicon_ros.cli.options import Adder, argument, command, flag
@@ -38,7 +39,7 @@ def _listed(function: Run, what: str) -> Run:
     return run
 
 
-def _rows(rows: list[dict[str, Any]], arguments: argparse.Namespace) -> int:
+def _rows(rows: list[AnyDict], arguments: argparse.Namespace) -> int:
     """Print a list as JSON, or its names alone."""
     if arguments.json:
         print_json(rows)
@@ -98,7 +99,7 @@ def _fetch(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _told(arguments: argparse.Namespace) -> dict[str, Any]:
+def _told(arguments: argparse.Namespace) -> AnyDict:
     given = {"joints": _joints(arguments.joints)} if arguments.joints else None
     return {"force": arguments.force, "robot": _robot(arguments), "given": given}
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from unicon_base import AnyDict
 from unicon_base.arrays import Float64
 from unicon_base.errors import ModelError, RobotError
 from unicon_base.located_yaml import parse_yaml
@@ -338,7 +339,7 @@ def _models(model: str, path: Path, file: Path) -> tuple[dict[str, str], list[st
 
 
 def _text(facts: _Facts, models: dict[str, str]) -> str:
-    form: dict[str, Any] = {"sort_keys": False, "allow_unicode": True, "width": 1000}
+    form: AnyDict = {"sort_keys": False, "allow_unicode": True, "width": 1000}
     imu = None
     if facts.imu is not None:
         frame, position, quat = facts.imu

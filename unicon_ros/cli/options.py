@@ -9,12 +9,14 @@ import argparse
 from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
 
+from unicon_base import AnyDict
+
 Adder: TypeAlias = Callable[[Any], object]
 """Adds a command to the commands, or an argument to a parser or a group of its arguments."""
 
-EXAMPLES: dict[str, Any] = {"formatter_class": argparse.RawDescriptionHelpFormatter}
+EXAMPLES: AnyDict = {"formatter_class": argparse.RawDescriptionHelpFormatter}
 """Settings of a command whose description has lines that stay as they are."""
-REPEATED: dict[str, Any] = {"action": "append", "default": []}
+REPEATED: AnyDict = {"action": "append", "default": []}
 """Settings of an option that may be given several times."""
 
 

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+from unicon_base import AnyDict
 from unicon_base.errors import CheckError, Fault, UniconError
 from unicon_core.latches import clearing
 from unicon_core.signals import SIGNALS
@@ -138,7 +139,7 @@ def _estop(session: Any, program: Program, result: PreflightResult) -> None:
     result.add("estop", not latched, f"{node}/estop: {told if latched else 'not pressed'}")
 
 
-def _wiggle(arguments: argparse.Namespace, document: WorkflowDocument, told: dict[str, Any]) -> int:
+def _wiggle(arguments: argparse.Namespace, document: WorkflowDocument, told: AnyDict) -> int:
     """Move each joint and tell what followed; exit status."""
     from unicon_core.preflight.look import look
     from unicon_core.preflight.wiggle import verdicts, wiggle

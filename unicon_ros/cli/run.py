@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from unicon_base import TextSink
 from unicon_base.errors import UniconError
 from unicon_base.packages import loaded
 from unicon_core.non_blocking_writer import relayed_stderr
@@ -23,8 +24,6 @@ from unicon_ros.cli.console import Console
 from unicon_ros.cli.options import RUN_OPTIONS, WORKFLOW, Adder, command
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from unicon_core.runtime import Report, Runner
     from unicon_core.workflow import Hook
     from unicon_core.workflow.document import WorkflowDocument
@@ -150,9 +149,7 @@ def uses_ros(arguments: argparse.Namespace, document: WorkflowDocument) -> bool:
     return bool(document.get("ros", False) if arguments.ros is None else arguments.ros)
 
 
-def ros_session(
-    arguments: argparse.Namespace, map_name: str | None, warn: Callable[[str], None]
-) -> RosSession:
+def ros_session(arguments: argparse.Namespace, map_name: str | None, warn: TextSink) -> RosSession:
     """Return the node of a run, as the options say."""
     from unicon_ros.bridge import RosSession
 

@@ -6,8 +6,9 @@ from __future__ import annotations
 import argparse
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from unicon_base import AnyDict
 from unicon_base.errors import StateError
 from unicon_core.page import write_json
 from unicon_core.text_table import number_text
@@ -102,7 +103,7 @@ def _list(file: str | None) -> int:
     return 0
 
 
-def look(seconds: float = LOOK) -> list[dict[str, Any]]:
+def look(seconds: float = LOOK) -> list[AnyDict]:
     """Return this user's segments as plain values.
 
     Args:
@@ -115,8 +116,8 @@ def look(seconds: float = LOOK) -> list[dict[str, Any]]:
     """
     from unicon_core.states.backends.shm import Segment, segments
 
-    listed: list[dict[str, Any]] = []
-    facts: dict[str, Any]
+    listed: list[AnyDict] = []
+    facts: AnyDict
     opened: list[Segment | None] = []
     for found in segments():
         facts = {"name": found.name, "alive": found.alive, "pid": 0, "size": found.size}
@@ -152,7 +153,7 @@ def _newest(segment: Segment) -> dict[str, tuple[int, int]]:
     return {name: segment.latest(name) for name in segment.groups}
 
 
-def _group_cells(group: dict[str, Any]) -> tuple[str, ...]:
+def _group_cells(group: AnyDict) -> tuple[str, ...]:
     rate = "-" if group["rate"] is None else f"{group['rate']:.1f} Hz"
     return (str(group["states"]), str(group["bytes"]), rate, _age(group["age"]))
 

@@ -9,9 +9,10 @@ import importlib
 import os
 import platform
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
+from unicon_base import AnyMapping
 from unicon_base.errors import MissingDependencyError
 
 _WHEELS = "pip install 'unicon_ros[ros]'"
@@ -88,7 +89,7 @@ def message_class(name: str) -> Any:
         return None
 
 
-def parameters_given(node: Any) -> Mapping[str, Any]:
+def parameters_given(node: Any) -> AnyMapping:
     """Return the parameters that a node was given at start, by name; none where rclpy hides it."""
     return getattr(node, "_parameter_overrides", {})
 

@@ -20,12 +20,13 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any, NamedTuple
 
+from unicon_base import AnyDict
 from unicon_msgs_map import Messages
 from unicon_msgs_map.errors import MapError
 from unicon_msgs_map.layout.messages import Array, Primitive, String, Struct, TypeRef
 from unicon_ros.compat.loading import fast_dds_profiles, message_class, middleware
 
-TypeDescription = dict[str, Any]
+TypeDescription = AnyDict
 """As `type_description_interfaces/msg/TypeDescription`, without default values."""
 
 # Numbers of type_description_interfaces/msg/FieldType; a `char` of a .msg is a uint8 in IDL.
@@ -50,7 +51,7 @@ _FIXED, _BOUNDED, _UNBOUNDED = 48, 96, 144
 
 def described(struct: Struct) -> TypeDescription:
     """Return the description of a type, with those of its parts, sorted by name."""
-    parts: dict[str, Any] = {}
+    parts: AnyDict = {}
     own = _individual(struct, parts)
     parts.pop(struct.name, None)
     return {
@@ -64,12 +65,12 @@ def rihs01(description: TypeDescription) -> bytes:
     return hashlib.sha256(json.dumps(description).encode()).digest()
 
 
-def _individual(struct: Struct, parts: dict[str, Any]) -> dict[str, Any]:
+def _individual(struct: Struct, parts: AnyDict) -> AnyDict:
     fields = [{"name": n, "type": _field(kind, parts)} for n, kind in struct.fields.items()]
     return {"type_name": struct.name, "fields": fields}
 
 
-def _field(kind: TypeRef, parts: dict[str, Any]) -> dict[str, Any]:
+def _field(kind: TypeRef, parts: AnyDict) -> AnyDict:
     offset = capacity = 0
     if isinstance(kind, Array):
         capacity = kind.most or 0

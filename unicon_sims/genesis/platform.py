@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyDict
 from unicon_base.errors import Fault, MissingDependencyError, ModelError, one_line
 from unicon_core.models.loaded import contact_of, floors, may_touch, on_floor
 from unicon_core.platforms.kit.stepped import (
@@ -204,7 +205,7 @@ def built(genesis: Any, model: Any, timestep: float, begin: Float64) -> tuple[An
     return scene, entity
 
 
-def _solver(genesis: Any, model: Any) -> dict[str, Any]:
+def _solver(genesis: Any, model: Any) -> AnyDict:
     """Return the solver's settings as the model has them."""
     mujoco = import_mujoco()
     opt = model.opt

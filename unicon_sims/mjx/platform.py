@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from unicon_base import AnyDict
 from unicon_base.errors import MissingDependencyError, ModelError, one_line
 from unicon_core.models.load import effort_ranges
 from unicon_core.platforms.kit.command import strength_of
@@ -124,7 +125,7 @@ class MjxPlatform(SteppedSimulator):
     def close(self) -> None:
         pass  # memory goes with the arrays
 
-    def info(self) -> dict[str, Any]:
+    def info(self) -> AnyDict:
         devices = sorted({str(device) for device in self._state.qpos.devices()})
         return super().info() | {"devices": devices}
 
@@ -227,7 +228,7 @@ def _put(mjx: Any, model: Any, start: Start) -> tuple[Any, Any]:
     return compiled, data
 
 
-def _arrays(told: dict[str, Any]) -> dict[str, Float64]:
+def _arrays(told: AnyDict) -> dict[str, Float64]:
     return {name: np.asarray(value, np.float64) for name, value in told.items()}
 
 

@@ -8,7 +8,7 @@ then the rate. https://newton-physics.github.io/newton/latest/concepts/conventio
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
 from itertools import pairwise
@@ -16,6 +16,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from unicon_base import TextSink
 from unicon_base.arrays import Float32
 from unicon_base.errors import MissingDependencyError, PlatformError, alternatives, one_line
 from unicon_core.platforms.kit.stepped import (
@@ -269,7 +270,7 @@ def _imported(device: str) -> tuple[Any, Any]:
 
 
 @contextmanager
-def _noted(note: Callable[[str], None]) -> Iterator[None]:
+def _noted(note: TextSink) -> Iterator[None]:
     """Tell warnings as notes, and what Newton refuses as a PlatformError."""
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyDict
 from unicon_base.arrays import Float64
 from unicon_core.models.kinematic_tree import Link, physical_links, read_tree
 from unicon_core.models.loaded import import_mujoco, rotate, solid, still
@@ -62,7 +63,7 @@ def build_world(
     return _Builder(newton, warp, start, robot, figures).build()
 
 
-def solver_options(start: Start) -> dict[str, Any]:
+def solver_options(start: Start) -> AnyDict:
     """Return the settings of the model's own solver, as `SolverMuJoCo` takes them."""
     option = start.loaded.model.opt
     single = getattr(import_mujoco().mjtDisableBit, "mjDSBL_MULTICCD", None)
@@ -175,7 +176,7 @@ class _Builder:
         for i, value in enumerate(coordinates):
             self._builder.joint_q[first + i] = float(value)
 
-    def _figures_of(self, link: Link) -> dict[str, Any]:
+    def _figures_of(self, link: Link) -> AnyDict:
         """Return what Newton is told of a joint; it has no drive of its own."""
         model = self._model
         figures = self._figures
@@ -216,7 +217,7 @@ class _Builder:
 
     def _shape(self, body: int, geom: int, position: Float64, quat: Float64) -> None:
         """Add a geom of the model, with its contacts' settings."""
-        model, kind, sizes = self._model, self._kind(geom), dict[str, Any]()
+        model, kind, sizes = self._model, self._kind(geom), AnyDict()
         if kind in _SIZES:
             sizes = dict(zip(_SIZES[kind], model.geom_size[geom].tolist()))
         elif kind == "plane":
@@ -298,7 +299,7 @@ class _Builder:
         place = self._warp.vec3(*map(float, position))
         return self._warp.transform(place, self._warp.quat(x, y, z, w))
 
-    def _same(self, arrays: Mapping[str, str], place: int) -> dict[str, Any]:
+    def _same(self, arrays: Mapping[str, str], place: int) -> AnyDict:
         """Return what arrays of the model have at a place, as Newton takes it.
 
         Args:

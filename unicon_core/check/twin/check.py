@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
+from unicon_base import AnyMapping
 from unicon_base.errors import UniconError
 from unicon_core.check.joints import joint_depths
 from unicon_core.check.pose import check_collision
@@ -44,7 +44,7 @@ _PATIENCE = 120.0  # [s] of wall time for the search
 
 
 def check_twin(
-    document: WorkflowDocument, platform: Platform, settings: Mapping[str, Any], result: CheckResult
+    document: WorkflowDocument, platform: Platform, settings: AnyMapping, result: CheckResult
 ) -> None:
     """Run the workflow on its simulator and add tables and findings.
 

@@ -21,6 +21,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from unicon_base import AnyDict
 from unicon_base.arrays import Array, Float64
 from unicon_core.check.gains import counted_twice
 from unicon_core.check.joints import mirror_pairs, other_order
@@ -270,7 +271,7 @@ def permuted(contract: PolicyContract, names: Sequence[str]) -> PolicyContract:
         if term.index is not None or not per_joint:
             return term
         order = at if term.state == "action" else index
-        each: dict[str, Any] = {"scale": term.scale, "clip": term.clip}
+        each: AnyDict = {"scale": term.scale, "clip": term.clip}
         for name, values in each.items():
             if values is not None and values.shape[-1] == len(order) > 1:
                 each[name] = values[..., order]

@@ -10,10 +10,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations, pairwise, product
-from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyDict
 from unicon_base.arrays import Float64
 from unicon_core.check.joints import (
     joint_depths,
@@ -229,7 +229,7 @@ def _terms(contract: PolicyContract, recorded: bool) -> Iterator[Change]:
 
 def _of_term(
     term: ObservationTerm, width: int, recorded: bool
-) -> Iterator[tuple[str, str, float, dict[str, Any]]]:
+) -> Iterator[tuple[str, str, float, AnyDict]]:
     """Yield changes of one term, each as its name, the part, the size and the new fields."""
     what, name = f"term {term.name!r}", repr(term.name)
     absolute = term.subtract is None

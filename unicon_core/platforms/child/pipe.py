@@ -18,7 +18,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any
 
-from unicon_base import errors
+from unicon_base import AnyDict, AnyMapping, errors
 from unicon_base.errors import Fault, PlatformError, UniconError
 from unicon_base.resources import same_modules
 from unicon_core.signals import signal_name
@@ -46,7 +46,7 @@ class Pipe:
     def __init__(
         self,
         what: str,
-        given: Mapping[str, Any],
+        given: AnyMapping,
         module: str = PLATFORM,
         environment: Mapping[str, str] | None = None,
     ) -> None:
@@ -86,7 +86,7 @@ class Pipe:
             return self.process.stdin.write(line) is not None
         return False
 
-    def words(self) -> dict[str, Any]:
+    def words(self) -> AnyDict:
         """Return what the child has written since the last look, {} for nothing whole."""
         assert self.process.stdout is not None
         while select.select([self.process.stdout], [], [], 0.0)[0]:
@@ -107,7 +107,7 @@ class Pipe:
             return told
         return {"fault": f"{self._what}: its process wrote garbage into its pipe"}
 
-    def answer(self, patience: float, look: Callable[[], object] = bool) -> dict[str, Any]:
+    def answer(self, patience: float, look: Callable[[], object] = bool) -> AnyDict:
         """Return what the child answers.
 
         Args:
@@ -153,14 +153,14 @@ class Pipe:
         )
         return f"{self._what}: its process {self.process.pid} {how}"
 
-    def close(self, patience: float) -> dict[str, Any]:
+    def close(self, patience: float) -> AnyDict:
         """Let the child end, kill it where it hangs; return its last words.
 
         Args:
             patience: how long it may take in [s].
         """
         process = self.process
-        words = dict[str, Any]()
+        words = AnyDict()
         assert process.stdin is not None
         assert process.stdout is not None
         with suppress(OSError):
@@ -205,7 +205,7 @@ class Parent:
         self._telling = threading.Lock()
         os.dup2(2, 1)  # what libraries print is not for the parent
         size = int.from_bytes(_exactly(8), "little")
-        self.given: dict[str, Any] = pickle.loads(_exactly(size))  # through our own pipe
+        self.given: AnyDict = pickle.loads(_exactly(size))  # through our own pipe
         self._rest = b""
 
     def tell(self, **words: Any) -> None:

@@ -16,13 +16,14 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyMapping
 from unicon_base.arrays import Float64
 from unicon_base.errors import Fault, PlatformError
 from unicon_core.platforms.child.pipe import Pipe
@@ -84,7 +85,7 @@ class ChildPlatform:
         states: States,
         robot: Robot,
         period: float,
-        arguments: Mapping[str, Any],
+        arguments: AnyMapping,
         *,
         silence: float | None = None,
         watchdog: float | None = None,
@@ -95,7 +96,7 @@ class ChildPlatform:
             WATCHDOG[facts.simulated] if watchdog is None else watchdog, 3.0 * period
         )
         self._due = 0
-        self._reported: Mapping[str, Any] = {}
+        self._reported: AnyMapping = {}
         self._closed = self._hung = self._done = False
         self._told = True  # its end, in an error: nothing is to be told twice
         name = f"{facts.name or 'platform'}-{os.getpid()}-{id(self) & 0xFFFF:x}"
@@ -120,7 +121,7 @@ class ChildPlatform:
             self.process = self._pipe.process
             told = self._pipe.answer(START, SIGNALS.check)
             self.facts = told["facts"]
-            self._info: Mapping[str, Any] = told["info"]
+            self._info: AnyMapping = told["info"]
             self._reader = ShmReader(self._child_segment, MEASURED, states)
             # Nobody else is to find them, and whoever is killed leaves nothing.
             self._segment.unlink()
@@ -243,7 +244,7 @@ class ChildPlatform:
             self._reported = self._ask("variant")
         return self._reported
 
-    def info(self) -> Mapping[str, Any]:
+    def info(self) -> AnyMapping:
         """Return what the child's platform told when it was built, and the process."""
         return {**self._info, "process": self.process.pid}
 

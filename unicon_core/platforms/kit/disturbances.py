@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyMapping
 from unicon_base.arrays import Array, Float32
 from unicon_base.errors import PlatformError, alternatives
 from unicon_core.memory import load, save
@@ -189,7 +190,7 @@ class Beside:
         robot: Robot,
         period: float,
         scene: Scene,
-        options: Mapping[str, Any] | None = None,
+        options: AnyMapping | None = None,
     ) -> None:
         self.states = States(standard_states(robot.joint_names))
         calm = replace(scene, seed=0, noise={}, push={}, delay=0)

@@ -9,10 +9,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 
+from unicon_base import AnyMapping
 from unicon_base.arrays import Float32, Float64
 from unicon_base.errors import PlatformError, alternatives
 from unicon_base.schema.marks import Like, NotAKey, Point, Unit, Within, Write, positive
@@ -118,7 +119,7 @@ class Scene:
     initial_pose: str | Mapping[str, Annotated[float, Unit("rad")]] = "default"
     initial_height: Annotated[float | None, Within(-100.0, 100.0, "m")] = None
     gantry: bool = False
-    terrain: str | Mapping[str, Any] = FLAT
+    terrain: str | AnyMapping = FLAT
     seed: Annotated[int, Within(0)] = 0
     delay: Annotated[int, Within(0, LONGEST_DELAY, "ticks")] = 0
     noise: Mapping[str, Annotated[float, Within(0.0)]] = field(default_factory=dict)
@@ -126,7 +127,7 @@ class Scene:
         default_factory=dict
     )
     joints: Simulated = field(default_factory=dict)
-    payload: Annotated[Mapping[str, Any], Like(Payload), Write("{mass: 3.0}")] = field(
+    payload: Annotated[AnyMapping, Like(Payload), Write("{mass: 3.0}")] = field(
         default_factory=dict
     )
     contact_friction: Annotated[float, Within(0.0, ROUGHEST)] = 1.0

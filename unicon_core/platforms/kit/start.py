@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyMapping
 from unicon_base.arrays import Float64
 from unicon_base.errors import ModelError, PlatformError, alternatives
 from unicon_core.models.load import load_model
@@ -128,7 +128,7 @@ def initial_positions(loaded: LoadedModel, robot: Robot, scene: Scene) -> Float6
     return np.array(data.qpos)
 
 
-def tell_bodies(loaded: LoadedModel, payload: Mapping[str, Any], friction: float) -> None:
+def tell_bodies(loaded: LoadedModel, payload: AnyMapping, friction: float) -> None:
     """Put a payload and the factor on all friction into a model.
 
     Args:

@@ -10,10 +10,11 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from threading import Timer
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
+from unicon_base import AnyDict
 from unicon_base.arrays import Float64
 from unicon_base.errors import Fault, PlatformError
 from unicon_core.models.load import effort_ranges
@@ -304,7 +305,7 @@ class SteppedSimulator(ABC):
             "the physics step (timestep)"
         )
 
-    def info(self) -> dict[str, Any]:
+    def info(self) -> AnyDict:
         """Return model, physics step, number of robots, and what of the model is otherwise."""
         return {
             "model": str(self.model_path),

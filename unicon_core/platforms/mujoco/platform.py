@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyDict, AnyMapping
 from unicon_base.arrays import Array, Float64
 from unicon_base.errors import PlatformError, one_line
 from unicon_core.models.loaded import LoadedModel, import_mujoco
@@ -240,11 +241,11 @@ class MujocoPlatform:
         for robot in self.robots:
             robot.put(measured, self._posed)
 
-    def save(self) -> list[dict[str, Any]]:
+    def save(self) -> list[AnyDict]:
         """Return what the physics go on from, for a replay."""
         return [robot.save() for robot in self.robots]
 
-    def load(self, saved: list[dict[str, Any]]) -> None:
+    def load(self, saved: list[AnyDict]) -> None:
         """Go on as another platform would that was built alike."""
         for robot, kept in zip(self.robots, saved, strict=True):
             robot.load(kept)
@@ -295,7 +296,7 @@ class MujocoPlatform:
         kinds = [self._mujoco.mjtWarning(i).name.removeprefix("mjWARN_") for i in range(len(total))]
         return {kind: int(count) for kind, count in zip(kinds, total) if count}
 
-    def info(self) -> Mapping[str, Any]:
+    def info(self) -> AnyMapping:
         """Return model, physics step, actuators, limits, IMU sources and what was changed."""
         mujoco, model, servo, loaded = self._mujoco, self.model, self.servo, self._loaded
         physics = self._physics

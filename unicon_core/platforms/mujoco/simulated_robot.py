@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyDict
 from unicon_base.arrays import Array, Float64, Int64
 from unicon_base.errors import Fault
 from unicon_core import memory
@@ -243,7 +244,7 @@ class SimulatedRobot:
         data.qacc_warmstart[:] = 0.0  # what comes follows from the measured state alone
         self.forward()
 
-    def save(self) -> dict[str, Any]:
+    def save(self) -> AnyDict:
         """Return what the physics go on from."""
         mujoco = self._mujoco
         model = self.model
@@ -259,7 +260,7 @@ class SimulatedRobot:
             "delay": None if self.delay is None else memory.save(self.delay),
         }
 
-    def load(self, kept: dict[str, Any]) -> None:
+    def load(self, kept: AnyDict) -> None:
         """Go on as a robot of another platform would that was built alike."""
         mujoco = self._mujoco
         model = self.model

@@ -19,8 +19,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
+from unicon_base import AnyDict
 from unicon_core.policies.facts import Facts, term_state
 from unicon_core.policies.importers.source import Source, motors_of, plural
 
@@ -61,7 +61,7 @@ _UNITREE_SCALES = {
 }
 
 
-def _term(name: str, scale: list[float], moved: Iterable[int]) -> dict[str, Any]:
+def _term(name: str, scale: list[float], moved: Iterable[int]) -> AnyDict:
     """Return a term; of joints it sees the moved ones alone, if any are said."""
     term = {"name": name, **(term_state(name) or {"state": "gait_phase"}), "scale": plural(scale)}
     places = list(moved) if term["state"] in ("joint_pos", "joint_vel") else []

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyDict, AnyMapping
 from unicon_base.errors import PolicyError, alternatives
 from unicon_base.located_yaml import Where, read_yaml
 from unicon_core.policies.facts import GAINS, Facts, dig, term_state
@@ -117,7 +118,7 @@ def _observation(source: Source) -> None:
         source.say("inputs.observation", entries[0], where)
         if not isinstance(group, Mapping):
             raise source.wrong(where, f"observations.{where[-1]} is {group!r}; no term")
-    terms: list[dict[str, Any]] = []
+    terms: list[AnyDict] = []
     for name, value in group.items():
         if name in _FLAGS:
             continue
@@ -134,11 +135,9 @@ def _observation(source: Source) -> None:
     }
 
 
-def _term(
-    source: Source, where: Where, value: Mapping[str, Any], scale_first: bool
-) -> dict[str, Any]:
+def _term(source: Source, where: Where, value: AnyMapping, scale_first: bool) -> AnyDict:
     name, params = str(where[-1]), value.get("params")
-    term: dict[str, Any] = {"name": name, **term_state(name, absolute=True)}
+    term: AnyDict = {"name": name, **term_state(name, absolute=True)}
     places = source.ids(where, dig(params, "asset_cfg", "joint_ids"))
     if places is not None:
         term["index"] = places
@@ -301,7 +300,7 @@ def _rl_observation(source: Source, count: int, wheels: list[int]) -> None:
 
 def _rl_term(
     source: Source, name: str, bound: float | None, count: int, wheels: list[int]
-) -> dict[str, Any]:
+) -> AnyDict:
     if name not in _rl_TERMS:
         known = alternatives(name, _rl_TERMS)
         source.facts.notes.append(
@@ -309,7 +308,7 @@ def _rl_term(
         )
         return {"name": name}
     state, key, _ = _rl_TERMS[name]
-    term: dict[str, Any] = {"name": name, "state": state}
+    term: AnyDict = {"name": name, "state": state}
     scale = source.numbers(key, 3 if state == "velocity_command" else 1) if key else [1.0]
     if state == "joint_pos":
         term["subtract"] = "default_joint_pos"

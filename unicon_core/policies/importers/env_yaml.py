@@ -21,6 +21,7 @@ import re
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
+from unicon_base import AnyDict, AnyMapping
 from unicon_base.errors import alternatives
 from unicon_base.located_yaml import Where
 from unicon_core.policies.facts import GAINS, TO_GIVE, Facts, dig, open_joints, term_state
@@ -80,7 +81,7 @@ def env_yaml_facts(source: Source) -> Facts:
         _robot(facts, source.document, joints)
     _action(source, name, action, joints)
     shared = dig(source.document, *where, "history_length")
-    said: list[dict[str, Any]] = []
+    said: list[AnyDict] = []
     for key, value in terms.items():
         facts.lines[("observation", "terms", len(said))] = source.located.lines[(*where, key)]
         length = value.get("history_length") if shared is None else shared
@@ -110,7 +111,7 @@ def _stated_order(chosen: Any) -> list[str] | None:
 
 
 def _stated_joints(
-    facts: Facts, action: Mapping[str, Any], terms: Mapping[str, Mapping[str, Any]]
+    facts: Facts, action: AnyMapping, terms: Mapping[str, AnyMapping]
 ) -> list[str] | None:
     """Return the joints in the action's order, where all that is of joints states its own order."""
     stated = _stated_order(action)
@@ -127,7 +128,7 @@ def _stated_joints(
     return stated
 
 
-def _robot(facts: Facts, document: Mapping[str, Any], joints: list[str]) -> None:
+def _robot(facts: Facts, document: AnyMapping, joints: list[str]) -> None:
     said = dig(document, "scene", "robot", "init_state", "joint_pos")
     pose = values_by_pattern(said, joints, default=0.0)
     if pose is not None:
@@ -166,7 +167,7 @@ def suggest_joints(facts: Facts, widths: Collection[int | str]) -> None:
             return  # said once
 
 
-def _action_term(source: Source) -> tuple[str, Mapping[str, Any]]:
+def _action_term(source: Source) -> tuple[str, AnyMapping]:
     actions = source.document.get("actions")
     listed = actions.items() if isinstance(actions, Mapping) else ()
     terms = {name: term for name, term in listed if isinstance(term, Mapping)}
@@ -184,7 +185,7 @@ def _action_term(source: Source) -> tuple[str, Mapping[str, Any]]:
     return name, term
 
 
-def _action(source: Source, name: str, term: Mapping[str, Any], joints: list[str] | None) -> None:
+def _action(source: Source, name: str, term: AnyMapping, joints: list[str] | None) -> None:
     facts, action = source.facts, {"feedback": "raw"}
     moved = (joints and _chosen(source, ("actions", name), term, joints)) or joints
     if moved != joints:
@@ -227,7 +228,7 @@ def _chosen(source: Source, where: Where, chosen: Any, joints: list[str]) -> lis
     return None if ids is None else [joints[i] for i in ids]
 
 
-def _term_group(source: Source) -> tuple[Where, dict[str, Mapping[str, Any]]]:
+def _term_group(source: Source) -> tuple[Where, dict[str, AnyMapping]]:
     """Return where the terms stand, and each by its name."""
     observations = source.document["observations"]
     name = next((g for g in _GROUPS if isinstance(dig(observations, g), Mapping)), None)
@@ -240,13 +241,11 @@ def _term_group(source: Source) -> tuple[Where, dict[str, Mapping[str, Any]]]:
     return where, {key: value for key, value in group.items() if dig(value, "func") is not None}
 
 
-def _function(term: Mapping[str, Any]) -> str:
+def _function(term: AnyMapping) -> str:
     return str(term["func"]).rsplit(":", 1)[-1].rsplit(".", 1)[-1]
 
 
-def _term(
-    source: Source, where: Where, value: Mapping[str, Any], joints: list[str] | None
-) -> dict[str, Any]:
+def _term(source: Source, where: Where, value: AnyMapping, joints: list[str] | None) -> AnyDict:
     facts, key, function = source.facts, where[-1], _function(value)
     state = term_state(function, absolute=True)
     term = {"name": key, **state}
@@ -268,7 +267,7 @@ def _term(
     return term if value.get("clip") is None else {**term, "clip": value["clip"]}
 
 
-def _unread(document: Mapping[str, Any], term: Mapping[str, Any], function: str) -> str:
+def _unread(document: AnyMapping, term: AnyMapping, function: str) -> str:
     """Return what changes a term and is not understood, "" where nothing does.
 
     A function without a known state has parameters that only a given state can mind.

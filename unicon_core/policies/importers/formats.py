@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
+from unicon_base import AnyMapping
 from unicon_base.errors import PolicyError
 from unicon_core.policies.facts import Facts, says
 from unicon_core.policies.importers.deploy_programs import booster_facts, unitree_rl_gym_facts
@@ -64,7 +65,7 @@ def metadata_reader(onnx: OnnxFile) -> Callable[[OnnxFile], Facts] | None:
 
 
 def settled(
-    onnx: OnnxFile, said: Mapping[str, Any], where: str, *, whole: bool = False
+    onnx: OnnxFile, said: AnyMapping, where: str, *, whole: bool = False
 ) -> tuple[OnnxFile, list[str]]:
     """Return the file without keys that stand twice with different values, and notes of them.
 

@@ -28,6 +28,7 @@ import json
 import re
 from typing import Any
 
+from unicon_base import AnyDict
 from unicon_base.errors import PolicyError
 from unicon_core.policies.facts import GAINS, Facts, term_state
 from unicon_core.policies.importers.source import RENAMED_RANGES, plural
@@ -123,7 +124,7 @@ def mjlab_facts(onnx: OnnxFile) -> Facts:
     return facts
 
 
-def _terms(reader: _Lists, motion: bool) -> list[dict[str, Any]]:
+def _terms(reader: _Lists, motion: bool) -> list[AnyDict]:
     names = reader.words("observation_names")
     motion = motion or "motion" in reader.metadata.get("command_names", "")
     terms = [{"name": name, **term_state(name)} for name in names]
@@ -192,9 +193,9 @@ class _Lists:
         return found
 
 
-def _json(onnx: OnnxFile) -> dict[str, Any]:
+def _json(onnx: OnnxFile) -> AnyDict:
     """Return the metadata with every value decoded; a value that is not JSON stays a text."""
-    result: dict[str, Any] = {}
+    result: AnyDict = {}
     for key, text in onnx.unique_metadata().items():
         try:
             result[key] = json.loads(text)

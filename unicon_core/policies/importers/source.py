@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
+from unicon_base import AnyDict, AnyMapping
 from unicon_base.errors import PolicyError, UniconError, alternatives
 from unicon_base.located_yaml import Located, Tagged, Where
 from unicon_base.schema.marks import Checked, Names, Within, twice
@@ -57,11 +58,11 @@ class Source:
         document: what the files say.
     """
 
-    def __init__(self, located: Located, given: Mapping[str, Any], robot: Robot | None) -> None:
+    def __init__(self, located: Located, given: AnyMapping, robot: Robot | None) -> None:
         self.path, self.located, self.given, self.robot = located.path, located, given, robot
         self.facts = Facts(located.path, "")
         self.files: list[tuple[Located, Where]] = [(located, ())]
-        self.document: Mapping[str, Any] = located.value
+        self.document: AnyMapping = located.value
 
     def line(self, place: Place) -> int | None:
         """Return the line of a place in the first file, None where it has none."""
@@ -181,7 +182,7 @@ class Source:
         if ranges:
             self.say("command_ranges", ranges, place)
 
-    def say_terms(self, terms: list[dict[str, Any]], key: str, size: int, program: str) -> None:
+    def say_terms(self, terms: list[AnyDict], key: str, size: int, program: str) -> None:
         """Note the terms that a program lays out; they are asked for where its size is another.
 
         Args:

@@ -24,6 +24,7 @@ from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
+from unicon_base import AnyDict
 from unicon_base.errors import UniconError, imported
 from unicon_base.resources import user_folder
 from unicon_hardware.peripherals.webxr.webxr import ANSWER, FRAME, PARTS, PING, Frame, Refused
@@ -236,7 +237,7 @@ class WebXr:
             family=socket.AF_INET6 if ":" in self._host else socket.AF_INET,
         )
 
-    def first(self) -> dict[str, Any]:
+    def first(self) -> AnyDict:
         """Return where it is served."""
         port = self._server.sockets[0].getsockname()[1]
         address = f"{'https' if self._tls else 'http'}://{netloc(self._host, port)}/"
@@ -333,7 +334,7 @@ class WebXr:
 
     def _tell(self, frame: Frame, stamp: int, late: float) -> None:
         name = self._feed.name
-        told: dict[str, Any] = {
+        told: AnyDict = {
             f"{name}_{part}": frame.poses[at if at.stop - at.start > 1 else at.start]
             for part, at in PARTS.items()
         }

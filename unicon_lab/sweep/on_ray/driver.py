@@ -12,11 +12,12 @@ import socket
 import sys
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from unicon_base import AnyDict, AnyMapping
 from unicon_base.errors import UniconError, one_line
 from unicon_lab.sweep.plan import Row, code_sha256, differing, versions
 from unicon_lab.sweep.pool import HOPELESS, LOOK, ONE_THREAD, START_S, Line, Pool, PoolWorker
@@ -32,12 +33,12 @@ class RowActor:
         manifest: as of `shipment.manifest`.
     """
 
-    def __init__(self, manifest: dict[str, Any]) -> None:
+    def __init__(self, manifest: AnyDict) -> None:
         self._manifest = manifest
         self._root = Path.cwd()
         self._runner: Any = None
 
-    def hello(self) -> dict[str, Any]:
+    def hello(self) -> AnyDict:
         """Return who this is: `node`, `pid`, `code` and `versions` as of `plan`."""
         from unicon_lab.sweep.plan import code_sha256, versions
 
@@ -48,7 +49,7 @@ class RowActor:
             "versions": versions(),
         }
 
-    def row(self, settings: list[str]) -> dict[str, Any]:
+    def row(self, settings: list[str]) -> AnyDict:
         """Return what is told of a row, as of `RowRunner.told`."""
         from unicon_base.errors import UniconError
         from unicon_lab.sweep.on_ray.shipment import arrive
@@ -60,7 +61,7 @@ class RowActor:
                 self._runner = RowRunner(task, original)
             except UniconError as error:
                 return {"error": original(error)}
-        told: dict[str, Any] = self._runner.told(settings)
+        told: AnyDict = self._runner.told(settings)
         return told
 
 
@@ -79,7 +80,7 @@ class ActorPool(Pool):
         timeout: wall time in [s] that a row may take.
     """
 
-    def __init__(self, ray: Any, manifest: dict[str, Any], count: int, timeout: float) -> None:
+    def __init__(self, ray: Any, manifest: AnyDict, count: int, timeout: float) -> None:
         # A node that is lost takes all its workers at once.
         super().__init__(count, timeout, max(HOPELESS, 2 * count))
         self._ray = ray
@@ -136,7 +137,7 @@ class _Actor(PoolWorker):
         """Bring it a row."""
         self.answers.append(self._actor.row.remote(row.settings))
 
-    def heard(self) -> Iterator[dict[str, Any]]:
+    def heard(self) -> Iterator[AnyDict]:
         """Yield its first answer."""
         try:
             told = self._ray.get(self.answers[0])
@@ -168,7 +169,7 @@ def _last_line(error: BaseException) -> str:
     return lines[-1][:300] if lines else type(error).__name__
 
 
-def differs(told: Mapping[str, Any]) -> str:
+def differs(told: AnyMapping) -> str:
     """Return how what a worker runs differs from what we have, and what to do; "" if it does not.
 
     Args:
@@ -190,7 +191,7 @@ def _rows(line: Line) -> Iterator[Row]:
         yield Row(said["index"], 0, (), tuple(said["settings"]))
 
 
-def _join(ray: Any, task: dict[str, Any]) -> None:
+def _join(ray: Any, task: AnyDict) -> None:
     """Join a cluster, or start one on this machine."""
     options = {
         "runtime_env": {"working_dir": task["archive"], "env_vars": ONE_THREAD},

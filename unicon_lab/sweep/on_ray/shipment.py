@@ -19,6 +19,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from unicon_base import AnyDict
 from unicon_base.errors import UniconError
 from unicon_base.resources import assets_cache, assets_root, config_roots
 from unicon_lab.sweep.draws import setting_of
@@ -38,7 +39,7 @@ _SOURCE = Path(__file__).resolve().parents[3]
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the same files are the same archive, which nodes have already
 
 
-def manifest(task: dict[str, Any]) -> dict[str, Any]:
+def manifest(task: AnyDict) -> AnyDict:
     """Return what `arrive` has to know, as plain values.
 
     Args:
@@ -117,7 +118,7 @@ def _below(folder: Path, name: str) -> Iterator[tuple[str, Path | None]]:
             yield f"{name}/{path.relative_to(folder).as_posix()}", path
 
 
-def arrive(root: Path, told: dict[str, Any]) -> tuple[dict[str, Any], Callable[[object], str]]:
+def arrive(root: Path, told: AnyDict) -> tuple[AnyDict, Callable[[object], str]]:
     """Make this process find the copies; return its task, and a function that tells of originals.
 
     Args:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
-from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyDict, AnyMapping
 from unicon_base.arrays import Float32, Float64
 from unicon_core.states import Layout
 from unicon_lab.view.shown import GraphLine, Shown
@@ -263,7 +263,7 @@ class Plot:
             return np.full(len(rows), curve.constant)
         return rows[:, curve.column].astype(float)
 
-    def series(self) -> tuple[Mapping[str, Any], ...]:
+    def series(self) -> tuple[AnyMapping, ...]:
         """Return how the lines look, as uPlot wants it, the axis of time first."""
         lines = [
             {
@@ -299,7 +299,7 @@ def status_html(
     tick: Snapshot,
     history: History,
     rate: float,
-    texts: dict[str, Any],
+    texts: AnyDict,
     driver: str,
     stale: float,
 ) -> str:

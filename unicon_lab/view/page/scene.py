@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from viser import _messages
 
+from unicon_base import AnyDict
 from unicon_base.arrays import Array, Float32, Float64
 from unicon_core.models.frames import yaw_of
 from unicon_core.models.loaded import floors, import_mujoco
@@ -215,7 +216,7 @@ class Scene:
         api.add_frame("/world/origin", axes_length=0.3, axes_radius=0.006)
         self._ground = api.add_line_segments("/world/ground", _squares(), _GRID, line_width=1.5)
         self._bodies: dict[int, Any] = {}
-        self._feet: dict[str, Any] = {}
+        self._feet: AnyDict = {}
         self._drawn, self._middle = -1, (0.0, 0.0)
         if stage is None:
             return

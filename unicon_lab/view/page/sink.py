@@ -8,9 +8,9 @@ import threading
 import time
 import warnings
 from collections import deque
-from collections.abc import Mapping
 from typing import Any
 
+from unicon_base import AnyMapping
 from unicon_base.errors import UniconError, imported
 from unicon_lab.view import PORT
 from unicon_lab.view.page.plots import SECONDS, History, status_html, table
@@ -40,9 +40,7 @@ class Page:
         UniconError: it may not or cannot be served there.
     """
 
-    def __init__(
-        self, shown: Shown, source: Source, remote: Remote, options: Mapping[str, Any]
-    ) -> None:
+    def __init__(self, shown: Shown, source: Source, remote: Remote, options: AnyMapping) -> None:
         rich, viser = (imported(name, "--view", "view") for name in ("rich", "viser"))
         from unicon_lab.view.page import viewer
         from unicon_lab.view.page.scene import Stage

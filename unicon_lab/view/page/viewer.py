@@ -12,6 +12,7 @@ from typing import Any
 
 from viser import _messages
 
+from unicon_base import AnyDict
 from unicon_lab.view.page.panel import Panel
 from unicon_lab.view.page.plots import History, graph_html
 from unicon_lab.view.page.scene import Pose, Scene, Stage
@@ -82,7 +83,7 @@ class PageConnection:
         takes: how long it takes of late to have one handled, in [s].
     """
 
-    def __init__(self, client: Any, heard: Callable[[dict[str, Any]], None], stop: Any) -> None:
+    def __init__(self, client: Any, heard: Callable[[AnyDict], None], stop: Any) -> None:
         self._connection = client._websock_connection
         self.asked = self.answered = 0
         self.takes = self._sent = 0.0
@@ -125,7 +126,7 @@ class PageConnection:
                 self.takes += 0.4 * (took - self.takes)
 
 
-def state_of(text: str) -> dict[str, Any] | None:
+def state_of(text: str) -> AnyDict | None:
     """Return what a heartbeat tells, None for garbage.
 
     Args:
@@ -274,7 +275,7 @@ class Viewer:
 
     # -- in the server's thread -----------------------------------------------------------------
 
-    def _heard(self, state: dict[str, Any]) -> None:
+    def _heard(self, state: AnyDict) -> None:
         """Take what the page tells with an answer: it lives, and gamepad and keys."""
         stops = state.get("stops", 0)
         if isinstance(stops, int) and stops > self._stops:
@@ -315,7 +316,7 @@ class Viewer:
         elif self._recorded is not None:
             self._recorded(what, *given)
 
-    def _act(self, name: str, arguments: dict[str, Any]) -> None:
+    def _act(self, name: str, arguments: AnyDict) -> None:
         """Ask the run for something; while somebody drives, only he may, but for a stop."""
         driver = self._wheel.driver
         if driver is not None and driver != self.number and name != "stop":

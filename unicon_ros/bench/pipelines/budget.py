@@ -18,12 +18,12 @@ import resource
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyDict, AnyMapping
 from unicon_base.errors import UniconError
 from unicon_core.flow import Block, Stage
 from unicon_core.pacing import WallClock, WarmUp
@@ -144,7 +144,7 @@ def main() -> None:
 def _save(log: Log, runner: Runner) -> None:
     statistics = runner.statistics
     labels = list(statistics.labels)
-    columns: dict[str, Any] = {
+    columns: AnyDict = {
         "columns": np.array(log.columns),
         "rows": log.rows[: log.count],
         "labels": np.array(labels),
@@ -215,7 +215,7 @@ _COUNTS = {
 }
 
 
-def add(bench: Bench, log: Mapping[str, Any], measured: Slice) -> None:
+def add(bench: Bench, log: AnyMapping, measured: Slice) -> None:
     """Add what a log of pipeline `budget` tells of the ticks in a slice of time."""
     # Spans are of the last phase, rows of all; a tick without a state has no row.
     count = min(len(log["rows"]), len(log["spans"]))

@@ -15,6 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyDict
+
 CAPACITY = 200_000
 """Rows of a log; later ones are dropped."""
 
@@ -79,7 +81,7 @@ class Log:
         """Write the columns; the file appears whole."""
         partial = self.path.with_suffix(".partial.npz")
         rows = self.rows[: self.count]
-        values: dict[str, Any] = {name: rows[:, i] for i, name in enumerate(self.columns)}
+        values: AnyDict = {name: rows[:, i] for i, name in enumerate(self.columns)}
         np.savez(partial, **values)
         os.replace(partial, self.path)
 
