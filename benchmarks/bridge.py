@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.samples import Samples, Step, timed
+from unicon_base import UniconError
 from unicon_base.arrays import Array, Float32
-from unicon_base.errors import UniconError
 from unicon_base.resources import find_config
 from unicon_core.states import States, standard_states
 from unicon_msgs_map import Decoder, Encoder, PublishSpec, SubscribeSpec, load_map

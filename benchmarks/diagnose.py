@@ -24,8 +24,7 @@ from tempfile import TemporaryDirectory, mkdtemp
 import numpy as np
 
 from benchmarks.injected import HEALTHY, SETUP, SIZES, Case, cases, ladder, made
-from unicon_base import AnyDict
-from unicon_base.errors import Fault, UniconError, cannot
+from unicon_base import AnyDict, Fault, UniconError, cannot
 from unicon_core.page import plain, write_file
 from unicon_core.signals import SIGNALS
 from unicon_lab.diagnose import Cause, Diagnosis

@@ -35,9 +35,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.samples import Samples, random_policy, timed
-from unicon_base import AnyDict
+from unicon_base import AnyDict, MissingDependencyError
 from unicon_base.arrays import Float64
-from unicon_base.errors import MissingDependencyError
 from unicon_core.platforms.kit.stepped import SteppedSimulator
 from unicon_core.platforms.mujoco.batch import shares
 from unicon_core.robots import load_robot

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from unicon_base import imported
 from unicon_base.arrays import Float32, Float64
-from unicon_base.errors import imported
 from unicon_core.policies import PolicyContract, load_policy
 from unicon_core.robots import Robot
 from unicon_core.runtime import TickStatistics

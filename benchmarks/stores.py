@@ -35,8 +35,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from benchmarks.samples import Samples
+from unicon_base import StateError
 from unicon_base.arrays import Int64
-from unicon_base.errors import StateError
 from unicon_base.resources import same_modules
 from unicon_core.signals import SIGNALS
 from unicon_core.states import States, StateSpec

@@ -22,8 +22,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Thread
 
-from unicon_base import AnyMapping
-from unicon_base.errors import UniconError
+from unicon_base import AnyMapping, UniconError
 from unicon_base.resources import assets_root, find_config
 from unicon_core.robots import load_robot
 from unicon_core.workflow import load_document

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from unicon_base import UniconError
 from unicon_base.bounded_yaml import MAX_SIZE, Node, YamlError, compose, plain
-from unicon_base.errors import UniconError
 
 Where = tuple[str | int, ...]
 

@@ -23,8 +23,7 @@ from functools import cache, lru_cache
 from importlib.metadata import EntryPoint, distribution, distributions
 from pathlib import Path
 
-from unicon_base import AnyDict, AnyMapping
-from unicon_base.errors import UniconError, alternatives
+from unicon_base import AnyDict, AnyMapping, UniconError, alternatives
 
 
 def registered(kind: str) -> Mapping[str, EntryPoint]:

@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
 
-from unicon_base.errors import UniconError, alternatives
+from unicon_base import UniconError, alternatives
 from unicon_base.packages import PACKAGE, indexed_folders, package_file, registered_folders
 
 CHUNK = 1 << 20

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from unicon_base import moved
 
 if TYPE_CHECKING:
-    from unicon_base.errors import Fault, UniconError
+    from unicon_base import Fault, UniconError
     from unicon_core.flow import (
         Amends,
         Block,

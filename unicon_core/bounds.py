@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Literal, get_args
 
-from unicon_base.errors import WorkflowError
+from unicon_base import WorkflowError
 from unicon_base.schema.marks import Within, positive
 
 POSITION = 4.0 * math.pi

@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from unicon_base import AnyDict
+from unicon_base import AnyDict, imported
 from unicon_base.arrays import Array
-from unicon_base.errors import imported
 from unicon_core.page import figure as figure_html
 from unicon_core.page import write_file
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from unicon_base.errors import UniconError
+from unicon_base import UniconError
 from unicon_base.located_yaml import read_yaml
 from unicon_base.resources import config_files
 

@@ -28,8 +28,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote, unquote
 
-from unicon_base import AnyMapping, TextSink
-from unicon_base.errors import PlatformError
+from unicon_base import AnyMapping, PlatformError, TextSink
 from unicon_base.resources import user_folder
 from unicon_core.non_blocking_writer import NonBlockingWriter
 

@@ -26,9 +26,8 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from unicon_base import AnyDict, AnyMapping
+from unicon_base import AnyDict, AnyMapping, StateError, one_line
 from unicon_base.arrays import UInt8
-from unicon_base.errors import StateError, one_line
 
 UNDECLARED = "declares no memory"
 """Reason of `Memory.unproven` for a block that may have one all the same."""

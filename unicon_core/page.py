@@ -16,7 +16,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from unicon_base.errors import UniconError, cannot
+from unicon_base import UniconError, cannot
 
 ROOM = "give a path in a writable folder with room"
 """The remedy where a file cannot be written."""

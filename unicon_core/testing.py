@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from unicon_base.errors import WorkflowError
+from unicon_base import WorkflowError
 from unicon_core.flow import Block
 from unicon_core.robots import Robot, load_robot
 from unicon_core.states import States, StateSpec, standard_states

@@ -21,7 +21,7 @@ from typing import Annotated, Any, TypeAlias, TypeVar, get_type_hints
 
 import numpy as np
 
-from unicon_base.errors import PlatformError, RobotError
+from unicon_base import PlatformError, RobotError
 from unicon_base.schema.marks import Key, Size, Within
 from unicon_base.schema.records import type_of
 from unicon_base.schema.types import INVALID, ListOf, MapOf, Mistakes, Number, Plain, Type

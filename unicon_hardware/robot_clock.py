@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections import deque
 
-from unicon_base.errors import Fault
+from unicon_base import Fault
 from unicon_hardware.wire import ahead
 
 WRAP = 1 << 32

@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import Fault, PlatformError
 from unicon_base.arrays import Array, Float64
-from unicon_base.errors import Fault, PlatformError
 from unicon_core.platforms.kit.base import IMU_STATES
 from unicon_core.states import States
 from unicon_hardware.modes import ModeGuard

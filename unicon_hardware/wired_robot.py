@@ -21,8 +21,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from unicon_base import AnyMapping
-from unicon_base.errors import Fault, PlatformError, Silence
+from unicon_base import AnyMapping, Fault, PlatformError, Silence
 from unicon_core.blocks.maps import projected_gravity
 from unicon_core.platforms.kit.command import FiniteCheck
 from unicon_core.platforms.kit.damping import DAMPING_TIME, Damping, LastSent, repeated

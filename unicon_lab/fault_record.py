@@ -21,8 +21,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from unicon_base import TextSink
-from unicon_base.errors import UniconError
+from unicon_base import TextSink, UniconError
 from unicon_base.resources import user_folder
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime.tick_ring import FEWEST, TickRing

@@ -7,8 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from unicon_base import AnyDict, AnyMapping
-from unicon_base.errors import UniconError
+from unicon_base import AnyDict, AnyMapping, UniconError
 from unicon_core.page import refuse_unwritable
 from unicon_lab.view import LOCAL, PORT, SINKS
 from unicon_ros.attachments import Asked, Attachment

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from unicon_base.errors import WorkflowError
+from unicon_base import WorkflowError
 from unicon_base.schema.marks import Within, Write, positive
 from unicon_core.blocks.forward_command import MAX_RATE
 from unicon_core.blocks.joint_command import single

@@ -14,9 +14,8 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from unicon_base import TextSink
+from unicon_base import TextSink, WorkflowError, alternatives
 from unicon_base.arrays import Float32, Float64
-from unicon_base.errors import WorkflowError, alternatives
 from unicon_base.schema.marks import Within, positive
 from unicon_core.blocks.joint_command import single
 from unicon_core.blocks.safety.limits import rates_of

@@ -12,7 +12,7 @@ payload that cannot be read is counted and described by the decoder instead.
 
 from __future__ import annotations
 
-from unicon_base.errors import UniconError
+from unicon_base import UniconError
 
 
 class MapError(UniconError):

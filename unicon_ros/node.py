@@ -25,7 +25,7 @@ from typing import Any
 from rclpy.executors import ExternalShutdownException
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
-from unicon_base.errors import UniconError, one_line
+from unicon_base import UniconError, one_line
 from unicon_core.check import refuse_errors
 from unicon_core.latches import FAULT as ENDED_BY_FAULT
 from unicon_core.runtime import Runner, RunOptions

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from unicon_base.errors import UniconError, one_line
+from unicon_base import UniconError, one_line
 from unicon_core.non_blocking_writer import open_standard_files, relayed_stderr
 from unicon_core.signals import SIGNALS, Interrupted
 from unicon_ros import compat

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from unicon_base.errors import UniconError
+from unicon_base import UniconError
 from unicon_ros import compat
 
 Row = tuple[str, Any, str]

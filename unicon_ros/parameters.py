@@ -14,8 +14,7 @@ from typing import Any, Literal
 import numpy as np
 from rcl_interfaces.msg import ParameterType, SetParametersResult
 
-from unicon_base import AnyDict, AnyMapping
-from unicon_base.errors import UniconError, alternatives
+from unicon_base import AnyDict, AnyMapping, UniconError, alternatives
 from unicon_base.packages import loaded
 from unicon_base.resources import find_config
 from unicon_core.check.rules import CODES

@@ -19,8 +19,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from unicon_base import AnyDict, AnyMapping, TextSink
-from unicon_base.errors import Fault, UniconError
+from unicon_base import AnyDict, AnyMapping, Fault, TextSink, UniconError
 from unicon_core.flow import Block, Stage
 from unicon_core.handles import FrameRing
 from unicon_core.platforms.child.pipe import Pipe

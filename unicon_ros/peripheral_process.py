@@ -22,8 +22,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, NoReturn, Protocol
 
-from unicon_base import AnyDict
-from unicon_base.errors import UniconError
+from unicon_base import AnyDict, UniconError
 from unicon_core.handles import FrameRing
 from unicon_core.platforms.child.pipe import ALARM, LONGEST, Parent, text_of
 from unicon_core.states import Layout, States

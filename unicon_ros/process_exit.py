@@ -19,7 +19,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from unicon_base.errors import UniconError
+from unicon_base import UniconError
 
 PARENT, NOBODY = "parent", "nobody"
 SET_PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of linux/prctl.h

@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from urllib.parse import urlsplit
 
-from unicon_base.errors import UniconError
+from unicon_base import UniconError
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 SHORTEST = 8

@@ -6,8 +6,7 @@ import inspect
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from unicon_base import AnyDict
-from unicon_base.errors import UniconError
+from unicon_base import AnyDict, UniconError
 from unicon_base.located_yaml import Located, Where
 from unicon_base.schema.records import record_of, type_of
 from unicon_base.schema.types import Mistakes

@@ -19,8 +19,7 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from unicon_base import AnyDict
-from unicon_base.errors import UniconError, alternatives
+from unicon_base import AnyDict, UniconError, alternatives
 from unicon_base.located_yaml import Where
 from unicon_base.schema.marks import (
     Checked,

@@ -12,8 +12,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from unicon_base import AnyDict
-from unicon_base.errors import alternatives
+from unicon_base import AnyDict, alternatives
 from unicon_base.located_yaml import Where
 from unicon_base.schema.marks import Matches, Size, Within
 

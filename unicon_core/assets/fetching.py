@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote, urlsplit
 
-from unicon_base.errors import UniconError
+from unicon_base import UniconError
 from unicon_base.resources import CHUNK, assets_cache, sha256_of
 from unicon_core.assets.manifest import Asset, AssetFile, wrong_files
 

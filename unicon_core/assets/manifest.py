@@ -13,7 +13,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import quote
 
-from unicon_base.errors import UniconError, alternatives
+from unicon_base import UniconError, alternatives
 from unicon_base.located_yaml import Located, read_yaml
 from unicon_base.resources import assets_roots, config_files, sha256_of
 

@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from unicon_base import AnyDict
-from unicon_base.errors import (
+from unicon_base import (
+    AnyDict,
     CheckError,
     MissingDependencyError,
     ModelError,

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import MissingDependencyError, ModelError
 from unicon_base.arrays import Array, Float64, Index
-from unicon_base.errors import MissingDependencyError, ModelError
 from unicon_core.check.joints import ModelJoints, check_mirrored, model_joints, robot_values
 from unicon_core.check.result import CheckResult, PolicyResult, first
 from unicon_core.check.subject import Subject, listed

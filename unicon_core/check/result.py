@@ -8,9 +8,8 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from unicon_base import AnyDict
+from unicon_base import AnyDict, UniconError, alternatives
 from unicon_base.arrays import Bool
-from unicon_base.errors import UniconError, alternatives
 from unicon_core.check.rules import CODES, FIRM, RULES
 from unicon_core.page import write_json
 from unicon_core.text_table import WIDTH, aligned, near, wrapped

@@ -7,7 +7,7 @@ from contextlib import suppress
 import numpy as np
 import pytest
 
-from unicon_base.errors import Fault, PlatformError
+from unicon_base import Fault, PlatformError
 from unicon_core.conformance.rig import STAND, TIMESTEP, Build, Case, Rig
 from unicon_core.platforms.platform import SIMULATED, Pushable, Resettable
 

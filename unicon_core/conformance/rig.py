@@ -14,9 +14,8 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from unicon_base import AnyMapping
+from unicon_base import AnyMapping, PlatformError
 from unicon_base.arrays import Array
-from unicon_base.errors import PlatformError
 from unicon_core.platforms.kit.disturbances import disturb
 from unicon_core.platforms.kit.scene import SCENE_KEYS, Scene
 from unicon_core.platforms.platform import Platform, info_of

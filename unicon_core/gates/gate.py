@@ -9,9 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Protocol
 
-from unicon_base import AnyMapping
+from unicon_base import AnyMapping, Fault
 from unicon_base.arrays import Array
-from unicon_base.errors import Fault
 from unicon_core.robots import Robot
 from unicon_core.text_table import figure
 

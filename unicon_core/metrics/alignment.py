@@ -26,8 +26,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from unicon_base import UniconError
 from unicon_base.arrays import Float64, Int64
-from unicon_base.errors import UniconError
 
 LARGEST = 1e100
 """Of an element: its square, summed over any recording, is still a number."""

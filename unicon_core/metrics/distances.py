@@ -26,8 +26,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from unicon_base import UniconError
 from unicon_base.arrays import Float64
-from unicon_base.errors import UniconError
 from unicon_core.metrics.alignment import one, refuse_period, smallest_means, two
 
 _AXES = {"all": (-2, -1), "element": (-2,), "frame": (-1,)}

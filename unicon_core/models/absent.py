@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base import AnyDict
-from unicon_base.errors import ModelError
+from unicon_base import AnyDict, ModelError
 from unicon_base.packages import PACKAGE, share_folder
 from unicon_core.file_kinds import is_lfs_pointer
 

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base import AnyDict
-from unicon_base.errors import ModelError, alternatives
+from unicon_base import AnyDict, ModelError, alternatives
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.robots import Robot
 from unicon_core.robots.robot import plain_name

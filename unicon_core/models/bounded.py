@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base.errors import ModelError
+from unicon_base import ModelError
 
 COPIES = 5_000
 """Elements made by repetition: MuJoCo takes 1 to 3 s for so many, and 4 times that for twice."""

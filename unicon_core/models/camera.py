@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import ModelError, UniconError, alternatives, one_line
 from unicon_base.arrays import Array, Float64
-from unicon_base.errors import ModelError, UniconError, alternatives, one_line
 from unicon_core.models.kinematic_tree import frame_of
 from unicon_core.models.loaded import body_in, import_mujoco, multiply
 from unicon_core.models.posed import PosedModel

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
 
+from unicon_base import ModelError
 from unicon_base.arrays import Array, Float64, Index
-from unicon_base.errors import ModelError
 from unicon_core.models.loaded import (
     LoadedModel,
     dofs_above,

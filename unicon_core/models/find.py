@@ -9,7 +9,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Protocol, runtime_checkable
 
-from unicon_base.errors import MissingDependencyError, ModelError, alternatives, imported, one_line
+from unicon_base import MissingDependencyError, ModelError, alternatives, imported, one_line
 from unicon_base.resources import find_resource
 from unicon_core.robots import Robot
 from unicon_core.robots.robot import MODEL_FORMATS

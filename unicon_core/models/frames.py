@@ -13,8 +13,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
+from unicon_base import ModelError, alternatives
 from unicon_base.arrays import Array, Float64
-from unicon_base.errors import ModelError, alternatives
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.posed import PosedModel
 from unicon_core.robots import Robot

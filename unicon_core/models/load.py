@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import ModelError, RobotError, one_line
 from unicon_base.arrays import Float64
-from unicon_base.errors import ModelError, RobotError, one_line
 from unicon_core.models.absent import drop_absent_meshes, drop_absent_textures, repaired_urdf
 from unicon_core.models.attach import attach_members
 from unicon_core.models.bounded import refuse_endless, refuse_not_finite

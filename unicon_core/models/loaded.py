@@ -18,8 +18,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
 
+from unicon_base import MissingDependencyError, ModelError, RobotError, alternatives
 from unicon_base.arrays import Array, Bool, Float64, Index
-from unicon_base.errors import MissingDependencyError, ModelError, RobotError, alternatives
 from unicon_core.robots import Robot, joint_index
 
 _log = logging.getLogger(__name__)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from unicon_base.errors import ModelError
+from unicon_base import ModelError
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, around, floors, import_mujoco
 from unicon_core.models.posed import PosedModel

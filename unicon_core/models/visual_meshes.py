@@ -18,8 +18,8 @@ from urllib.parse import unquote
 
 import numpy as np
 
+from unicon_base import UniconError
 from unicon_base.arrays import Float64
-from unicon_base.errors import UniconError
 from unicon_base.packages import PACKAGE, package_file
 from unicon_core.models.absent import mesh_places, model_folders, repaired_urdf
 from unicon_core.models.find import pick_model

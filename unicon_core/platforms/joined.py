@@ -9,9 +9,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
-from unicon_base import AnyMapping
+from unicon_base import AnyMapping, Fault, PlatformError
 from unicon_base.arrays import Array
-from unicon_base.errors import Fault, PlatformError
 from unicon_core.platforms.platform import (
     Facts,
     Platform,

@@ -7,8 +7,8 @@ from contextlib import suppress
 
 import numpy as np
 
+from unicon_base import PolicyError, RobotError, alternatives
 from unicon_base.arrays import Float32
-from unicon_base.errors import PolicyError, RobotError, alternatives
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.controller import ControllerContract
 from unicon_core.policies.phase import Filter, make_filter

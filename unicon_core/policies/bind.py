@@ -14,8 +14,8 @@ from typing import TypeAlias
 
 import numpy as np
 
+from unicon_base import PolicyError
 from unicon_base.arrays import Array, Float32
-from unicon_base.errors import PolicyError
 from unicon_core.policies.contract import ObservationSpec, ObservationTerm, PolicyContract
 from unicon_core.policies.controller import PackedStates
 from unicon_core.policies.networks import Network, Remembering, Tensor

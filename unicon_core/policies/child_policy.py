@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base.errors import Fault, PolicyError
+from unicon_base import Fault, PolicyError
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.controller import PackedStates, PrefixedStates
 from unicon_core.policies.networks.child import ChildNetwork, Question

@@ -12,8 +12,8 @@ from typing import Any, Protocol, TypeAlias, cast
 
 import numpy as np
 
+from unicon_base import WorkflowError
 from unicon_base.arrays import Array
-from unicon_base.errors import WorkflowError
 from unicon_core.flow import Block
 from unicon_core.states import States, StateSpec, standard_states
 

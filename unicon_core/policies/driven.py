@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import RobotError, WorkflowError
 from unicon_base.arrays import Array, Float32
-from unicon_base.errors import RobotError, WorkflowError
 from unicon_core.flow import Block
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.policy import Policy

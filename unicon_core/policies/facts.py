@@ -11,8 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from unicon_base import AnyDict
-from unicon_base.errors import PolicyError
+from unicon_base import AnyDict, PolicyError
 from unicon_base.located_yaml import Where
 from unicon_base.resources import file_beside, find_resource
 from unicon_core.policies.contract import MotionSpec

@@ -22,8 +22,7 @@ from urllib.parse import unquote, urlsplit
 
 import yaml
 
-from unicon_base import AnyMapping
-from unicon_base.errors import PolicyError, alternatives, cannot, imported, one_line
+from unicon_base import AnyMapping, PolicyError, alternatives, cannot, imported, one_line
 from unicon_base.located_yaml import read_yaml
 from unicon_base.resources import sha256_of
 from unicon_core.policies.contract import TORCHSCRIPT

@@ -15,9 +15,8 @@ from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 
-from unicon_base import AnyDict
+from unicon_base import AnyDict, PolicyError, alternatives
 from unicon_base.arrays import Float32
-from unicon_base.errors import PolicyError, alternatives
 from unicon_base.located_yaml import Where
 from unicon_base.resources import file_beside
 from unicon_base.schema.marks import Matches, Names, NotEmpty, Within, Write

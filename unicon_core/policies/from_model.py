@@ -16,8 +16,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from unicon_base import AnyDict, AnyMapping
-from unicon_base.errors import PolicyError, UniconError, alternatives
+from unicon_base import AnyDict, AnyMapping, PolicyError, UniconError, alternatives
 from unicon_base.schema.marks import Key, Made
 from unicon_base.schema.read import read_value
 from unicon_core.models.find import pick_model

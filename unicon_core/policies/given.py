@@ -12,8 +12,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from unicon_base import AnyDict, AnyMapping
-from unicon_base.errors import PolicyError, alternatives
+from unicon_base import AnyDict, AnyMapping, PolicyError, alternatives
 from unicon_base.located_yaml import Where
 from unicon_base.schema.marks import Write
 from unicon_base.schema.read import read_value

@@ -12,9 +12,8 @@ from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 
-from unicon_base import AnyDict, AnyMapping
+from unicon_base import AnyDict, AnyMapping, PolicyError
 from unicon_base.arrays import Float32
-from unicon_base.errors import PolicyError
 from unicon_base.schema.marks import Made, Matches, NotEmpty, Within, Write, positive
 from unicon_core.bounds import POSITION
 

@@ -9,8 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from unicon_base import AnyMapping
-from unicon_base.errors import PolicyError, alternatives
+from unicon_base import AnyMapping, PolicyError, alternatives
 from unicon_base.located_yaml import Located, read_yaml
 from unicon_base.packages import path_of, registered
 from unicon_base.resources import (

@@ -22,8 +22,8 @@ from typing import TypeAlias
 
 import numpy as np
 
+from unicon_base import PolicyError
 from unicon_base.arrays import Float32, Float64
-from unicon_base.errors import PolicyError
 from unicon_core.policies.contract import CommandSpec, FilterSpec, PhaseSpec
 from unicon_core.policies.controller import PackedStates
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base.errors import Fault, PolicyError
+from unicon_base import Fault, PolicyError
 from unicon_core.policies.action_map import ActionMap
 from unicon_core.policies.bind import Binding
 from unicon_core.policies.contract import PolicyContract

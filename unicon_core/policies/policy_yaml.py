@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from unicon_base import AnyDict
-from unicon_base.errors import PolicyError, cannot
+from unicon_base import AnyDict, PolicyError, cannot
 from unicon_base.located_yaml import Located, Tagged
 from unicon_base.resources import sha256_of
 from unicon_core.file_kinds import other_kind

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from itertools import accumulate
 
-from unicon_base import AnyDict
+from unicon_base import AnyDict, PolicyError
 from unicon_base.arrays import Float32
-from unicon_base.errors import PolicyError
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.controller import PackedStates
 from unicon_core.policies.load import load_policy, policy_names

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from unicon_base import PolicyError, RobotError, alternatives
 from unicon_base.arrays import Float32, Index
-from unicon_base.errors import PolicyError, RobotError, alternatives
 from unicon_core.policies.contract import ObservationSpec, ObservationTerm, PolicyContract
 from unicon_core.policies.controller import PackedStates
 from unicon_core.robots import joint_index

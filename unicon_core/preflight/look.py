@@ -14,9 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from unicon_base import AnyDict
+from unicon_base import AnyDict, Fault, UniconError
 from unicon_base.arrays import Float32
-from unicon_base.errors import Fault, UniconError
 from unicon_core.blocks.approach import Target
 from unicon_core.check.rules import live_code
 from unicon_core.flow import Node, Zip, compile_graph

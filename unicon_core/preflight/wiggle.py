@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from unicon_base.errors import Fault
+from unicon_base import Fault
 from unicon_core.blocks.joint_command import robot_gains
 from unicon_core.bounds import within
 from unicon_core.flow import Zip, as_block

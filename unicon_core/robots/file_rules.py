@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from fnmatch import fnmatchcase
 
-from unicon_base import AnyDict, AnyMapping
-from unicon_base.errors import alternatives
+from unicon_base import AnyDict, AnyMapping, alternatives
 from unicon_base.located_yaml import Where
 from unicon_base.schema.records import meant
 from unicon_base.schema.types import Here

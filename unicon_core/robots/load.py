@@ -18,9 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from unicon_base import AnyDict
+from unicon_base import AnyDict, RobotError, WorkflowError, alternatives
 from unicon_base.arrays import Float32, Float64
-from unicon_base.errors import RobotError, WorkflowError, alternatives
 from unicon_base.located_yaml import Located, read_yaml
 from unicon_base.resources import find_config, list_config
 from unicon_base.schema.read import read, refuse

@@ -18,9 +18,8 @@ from typing import Annotated, Literal, get_args
 
 import numpy as np
 
-from unicon_base import AnyMapping
+from unicon_base import AnyMapping, RobotError, alternatives
 from unicon_base.arrays import Bool, Float32, Index
-from unicon_base.errors import RobotError, alternatives
 from unicon_base.schema.marks import Key, Matches, NotEmpty, Point, Quat, Text, Write, positive
 
 

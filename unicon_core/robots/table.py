@@ -6,8 +6,7 @@ import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from unicon_base import AnyDict, AnyMapping
-from unicon_base.errors import RobotError, one_line
+from unicon_base import AnyDict, AnyMapping, RobotError, one_line
 from unicon_core.evidence import evidence_of, load_evidence
 from unicon_core.robots.load import load_robot, robot_names
 from unicon_core.robots.robot import JOINT_FIELDS, Hand, Place, Robot

@@ -17,9 +17,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-from unicon_base import AnyDict
+from unicon_base import AnyDict, Fault, StateError, UniconError, WorkflowError, alternatives
 from unicon_base.arrays import Int64
-from unicon_base.errors import Fault, StateError, UniconError, WorkflowError, alternatives
 from unicon_base.schema.marks import Made, Matches, Write, positive
 from unicon_base.schema.types import Here, show
 from unicon_core.states import Layout, States, StateSpec

@@ -16,8 +16,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from unicon_base import AnyDict, TextSink
-from unicon_base.errors import Fault, UniconError, WorkflowError
+from unicon_base import AnyDict, Fault, TextSink, UniconError, WorkflowError
 from unicon_core.bounds import within
 from unicon_core.synchronised_start.meeting import Meeting
 

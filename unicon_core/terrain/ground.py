@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from unicon_base import PlatformError
 from unicon_base.arrays import Float64
-from unicon_base.errors import PlatformError
 from unicon_core.terrain.words import KINDS, Terrain
 
 THICK = 0.5

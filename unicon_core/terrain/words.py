@@ -9,8 +9,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Annotated, Any
 
-from unicon_base import AnyDict, AnyMapping
-from unicon_base.errors import PlatformError, alternatives
+from unicon_base import AnyDict, AnyMapping, PlatformError, alternatives
 from unicon_base.schema.marks import Checked, Within
 from unicon_base.schema.read import refuse
 from unicon_base.schema.records import record_of

@@ -13,8 +13,8 @@ from enum import IntEnum
 
 import numpy as np
 
+from unicon_base import alternatives
 from unicon_base.arrays import Float64, Index
-from unicon_base.errors import alternatives
 
 
 class Spline:

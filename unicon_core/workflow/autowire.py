@@ -14,10 +14,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from unicon_base import AnyDict, AnyMapping, TextSink
-from unicon_base.errors import (
+from unicon_base import (
+    AnyDict,
+    AnyMapping,
     MissingDependencyError,
     StateError,
+    TextSink,
     UniconError,
     WorkflowError,
     alternatives,

@@ -8,8 +8,7 @@ from copy import copy
 from dataclasses import replace
 from typing import Any
 
-from unicon_base import AnyDict, AnyMapping
-from unicon_base.errors import UniconError, WorkflowError, alternatives
+from unicon_base import AnyDict, AnyMapping, UniconError, WorkflowError, alternatives
 from unicon_core.blocks.safety.stops import Finite
 from unicon_core.flow import Blender, Block, Every, Node, Switch, blocks_of, children_of
 from unicon_core.flow.block import Stage, Tick

@@ -15,9 +15,8 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from unicon_base import AnyDict, AnyMapping
+from unicon_base import AnyDict, AnyMapping, WorkflowError
 from unicon_base.bounded_yaml import MAX_DEPTH, YamlError
-from unicon_base.errors import WorkflowError
 from unicon_base.located_yaml import Located, parse_value, read_yaml
 from unicon_base.resources import find_config, list_config
 from unicon_base.schema.read import refuse

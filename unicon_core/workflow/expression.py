@@ -15,8 +15,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from unicon_base import AnyDict
-from unicon_base.errors import StateError, WorkflowError
+from unicon_base import AnyDict, StateError, WorkflowError
 from unicon_base.generated import define, parse
 from unicon_core.flow.block import Block
 from unicon_core.states import States

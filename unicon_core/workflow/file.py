@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-from unicon_base.errors import UniconError, alternatives
+from unicon_base import UniconError, alternatives
 from unicon_base.resources import find_config
 from unicon_base.schema.marks import (
     Checked,

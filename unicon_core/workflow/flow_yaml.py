@@ -29,8 +29,7 @@ from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 
-from unicon_base import AnyDict, AnyMapping
-from unicon_base.errors import WorkflowError
+from unicon_base import AnyDict, AnyMapping, WorkflowError
 from unicon_base.schema.marks import Key, NotEmpty, Within, Write
 from unicon_core.blocks.controls.modes import SKILL, Ended, Skills, check_buttons, way_of
 from unicon_core.flow import Block, Chain, Deferred, Every, Loop, Node, Switch, When, Zip, as_node

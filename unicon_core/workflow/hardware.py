@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base import AnyDict
-from unicon_base.errors import PlatformError, RobotError, WorkflowError, alternatives
+from unicon_base import AnyDict, PlatformError, RobotError, WorkflowError, alternatives
 from unicon_core.platforms.kit.scene import DISTURBANCES, Scene
 from unicon_core.platforms.platform import Facts, Platform, WaitsForData
 from unicon_core.robots import Robot, joint_index

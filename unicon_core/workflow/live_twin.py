@@ -14,8 +14,7 @@ from typing import Annotated
 
 import numpy as np
 
-from unicon_base import AnyDict, AnyMapping
-from unicon_base.errors import Fault, PlatformError, UniconError, WorkflowError
+from unicon_base import AnyDict, AnyMapping, Fault, PlatformError, UniconError, WorkflowError
 from unicon_base.schema.marks import positive
 from unicon_core.bounds import POSITION
 from unicon_core.flow import Block

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
-from unicon_base.errors import RobotError, WorkflowError, alternatives
+from unicon_base import RobotError, WorkflowError, alternatives
 from unicon_base.resources import find_config
 from unicon_base.schema.marks import Write, positive
 from unicon_core.flow.block import Share

@@ -19,8 +19,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
-from unicon_base import TextSink
-from unicon_base.errors import StateError, WorkflowError, alternatives
+from unicon_base import StateError, TextSink, WorkflowError, alternatives
 from unicon_base.schema.marks import Checked, Matches, Size, Write
 from unicon_core.states import Layout, States
 from unicon_core.states.backends import Reader

@@ -8,11 +8,12 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from unicon_base import AnyDict, TextSink
-from unicon_base.errors import (
+from unicon_base import (
+    AnyDict,
     MissingDependencyError,
     PlatformError,
     RobotError,
+    TextSink,
     UniconError,
     WorkflowError,
     alternatives,

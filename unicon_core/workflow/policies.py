@@ -9,8 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from unicon_base import AnyDict, AnyMapping
-from unicon_base.errors import ModelError, PolicyError, WorkflowError, alternatives
+from unicon_base import AnyDict, AnyMapping, ModelError, PolicyError, WorkflowError, alternatives
 from unicon_core.flow import Block
 from unicon_core.models.find import model_of, pick_model
 from unicon_core.policies import Policy, PolicyContract, load_policy, policy_states

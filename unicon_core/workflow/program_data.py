@@ -12,8 +12,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from unicon_base import TextSink
-from unicon_base.errors import Fault, Hung
+from unicon_base import Fault, Hung, TextSink
 from unicon_core.blocks.approach import Monitor
 from unicon_core.flow import Block, Node
 from unicon_core.flow.block import Stage

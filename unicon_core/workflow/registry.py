@@ -18,7 +18,7 @@ from functools import lru_cache
 from importlib import import_module
 from typing import Annotated, Any, TypeAlias, get_args, get_origin
 
-from unicon_base.errors import MissingDependencyError, UniconError, alternatives
+from unicon_base import MissingDependencyError, UniconError, alternatives
 from unicon_base.packages import registered
 from unicon_base.schema.records import option_hints
 from unicon_core.flow.block import Access, Block, Bundle, Tick

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 
-from unicon_base.errors import UniconError, WorkflowError
+from unicon_base import UniconError, WorkflowError
 from unicon_core.flow import Node, blocks_of
 from unicon_core.platforms.platform import Platform
 from unicon_core.states.standard import BASE_STATES, COMMAND_STATES, CONTROL_STATES, HARDWARE_STATES

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
-from unicon_base import AnyDict
-from unicon_base.errors import WorkflowError
+from unicon_base import AnyDict, WorkflowError
 from unicon_core.flow import Block, Deferred, Node, Switch, Zip, as_block, blocks_of
 from unicon_core.flow.block import Stage
 from unicon_core.flow.checks import check_graph, raise_first

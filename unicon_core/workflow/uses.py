@@ -12,8 +12,7 @@ import sys
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from unicon_base import AnyMapping
-from unicon_base.errors import WorkflowError
+from unicon_base import AnyMapping, WorkflowError
 from unicon_core.flow import Block, Node, Tick, as_node, blocks_of
 
 EXPRESSION = "expression"

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base.errors import Fault, PlatformError, imported
+from unicon_base import Fault, PlatformError, imported
 from unicon_core.platforms.kit.command import Command
 from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot

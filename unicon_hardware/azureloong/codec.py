@@ -13,8 +13,8 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from unicon_base import PlatformError, alternatives
 from unicon_base.arrays import Float32, Float64
-from unicon_base.errors import PlatformError, alternatives
 from unicon_base.schema.marks import Key, Within
 from unicon_core.platforms.kit.base import rpy_of_quat
 from unicon_core.robots import Robot

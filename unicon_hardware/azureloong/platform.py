@@ -13,7 +13,7 @@ from typing import Annotated
 
 import numpy as np
 
-from unicon_base.errors import Fault, PlatformError
+from unicon_base import Fault, PlatformError
 from unicon_base.schema.marks import Within
 from unicon_core.bounds import within
 from unicon_core.platforms.kit.base import IMU_STATES, Mounting, quat_of_rpy

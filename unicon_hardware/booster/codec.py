@@ -12,8 +12,8 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from unicon_base import RobotError
 from unicon_base.arrays import Array, Index
-from unicon_base.errors import RobotError
 from unicon_base.schema.marks import Key, Text
 from unicon_core.robots import Robot
 from unicon_hardware.dds.maps import (

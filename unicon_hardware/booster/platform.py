@@ -14,8 +14,8 @@ import time
 
 import numpy as np
 
+from unicon_base import Fault
 from unicon_base.arrays import Array
-from unicon_base.errors import Fault
 from unicon_core.blocks.controls.device import REMOTES, Controls
 from unicon_core.platforms.kit.base import Mounting, quat_of_rpy
 from unicon_core.platforms.platform import Facts

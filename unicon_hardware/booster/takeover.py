@@ -19,7 +19,7 @@ from collections.abc import Callable, Generator
 from functools import partial
 from typing import Any
 
-from unicon_base.errors import Fault, PlatformError
+from unicon_base import Fault, PlatformError
 from unicon_core.platforms.kit.base import rpy_of_quat
 from unicon_core.robots import Robot
 from unicon_core.states import States

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from threading import Event, Lock, Thread
 from typing import Any
 
-from unicon_base.errors import PlatformError
+from unicon_base import PlatformError
 from unicon_core.latches import ipv4_of
 
 FOREIGN = 0x8007

@@ -22,7 +22,7 @@ from contextlib import suppress
 from importlib import metadata
 from typing import Any
 
-from unicon_base.errors import Fault, MissingDependencyError, PlatformError
+from unicon_base import Fault, MissingDependencyError, PlatformError
 from unicon_hardware.dds.domains import enter, leave
 from unicon_msgs_map.layout.messages import Array, Primitive, String, Struct, TypeRef
 

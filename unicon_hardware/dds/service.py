@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Generator, Iterator
 from typing import Any, ClassVar, TypeVar
 
-from unicon_base.errors import Fault
+from unicon_base import Fault
 from unicon_hardware.dds.participant import Participant, Reader
 from unicon_hardware.wire import Counts
 from unicon_msgs_map.layout.messages import shared_messages

@@ -13,9 +13,8 @@ from typing import Annotated
 
 import numpy as np
 
-from unicon_base import AnyDict
+from unicon_base import AnyDict, PlatformError
 from unicon_base.arrays import Array
-from unicon_base.errors import PlatformError
 from unicon_base.schema.marks import Key, Text
 from unicon_core.platforms.kit.base import IMU_STATES
 from unicon_core.robots import Robot

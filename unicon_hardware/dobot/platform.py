@@ -18,8 +18,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from unicon_base import Fault, PlatformError
 from unicon_base.arrays import Array
-from unicon_base.errors import Fault, PlatformError
 from unicon_core.blocks.controls.device import dobot
 from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot

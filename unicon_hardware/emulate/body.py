@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base import TextSink
+from unicon_base import MissingDependencyError, ModelError, PlatformError, TextSink
 from unicon_base.arrays import Float32
-from unicon_base.errors import MissingDependencyError, ModelError, PlatformError
 from unicon_core.platforms.fake import FakePlatform
 from unicon_core.platforms.kit.disturbances import disturb
 from unicon_core.platforms.kit.scene import Scene

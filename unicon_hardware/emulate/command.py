@@ -11,8 +11,7 @@ import argparse
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from unicon_base import AnyDict
-from unicon_base.errors import Fault, PlatformError, RobotError, UniconError, alternatives
+from unicon_base import AnyDict, Fault, PlatformError, RobotError, UniconError, alternatives
 from unicon_ros.cli.console import note, warn
 from unicon_ros.cli.options import (
     REPEATED,

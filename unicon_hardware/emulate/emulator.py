@@ -20,8 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base import AnyMapping, TextSink
-from unicon_base.errors import Fault, PlatformError, RobotError, UniconError
+from unicon_base import AnyMapping, Fault, PlatformError, RobotError, TextSink, UniconError
 from unicon_base.resources import find_config
 from unicon_core.pacing import Pacing, WallClock, prepare_process
 from unicon_core.platforms.kit.command import FiniteCheck

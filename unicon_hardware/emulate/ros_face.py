@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base.errors import PlatformError
+from unicon_base import PlatformError
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_hardware.endpoint import Endpoint

@@ -17,8 +17,8 @@ from typing import Annotated, Any, TypeVar
 
 import numpy as np
 
+from unicon_base import Fault, RobotError
 from unicon_base.arrays import Float64
-from unicon_base.errors import Fault, RobotError
 from unicon_base.schema.marks import Key
 from unicon_core.robots import Robot
 from unicon_core.states import States

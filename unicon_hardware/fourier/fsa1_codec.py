@@ -17,9 +17,8 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_base import AnyDict
+from unicon_base import AnyDict, RobotError
 from unicon_base.arrays import Float64
-from unicon_base.errors import RobotError
 from unicon_base.schema.marks import Key, Size, Within, Write
 from unicon_core.robots import Robot
 from unicon_hardware.facts import Port, each, fact

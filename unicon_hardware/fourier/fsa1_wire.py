@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from unicon_base.errors import Fault
+from unicon_base import Fault
 from unicon_core.states import States
 from unicon_hardware.fourier.actuator_wire import LARGEST, ActuatorWire
 from unicon_hardware.fourier.fsa1_codec import (

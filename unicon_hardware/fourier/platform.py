@@ -18,8 +18,8 @@ from typing import Annotated
 
 import numpy as np
 
+from unicon_base import Fault, PlatformError
 from unicon_base.arrays import Float64
-from unicon_base.errors import Fault, PlatformError
 from unicon_base.schema.marks import Key
 from unicon_core.bounds import within
 from unicon_core.platforms.platform import Facts

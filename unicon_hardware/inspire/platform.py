@@ -17,7 +17,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from unicon_base.errors import PlatformError
+from unicon_base import PlatformError
 from unicon_base.schema.marks import Within
 from unicon_core.platforms.platform import Binding, Facts
 from unicon_core.robots import Robot

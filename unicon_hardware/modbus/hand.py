@@ -16,8 +16,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_base import PlatformError
 from unicon_base.arrays import Float32, Float64, Int64
-from unicon_base.errors import PlatformError
 from unicon_core.states import States
 from unicon_hardware.modbus.link import ModbusConnection, Refused
 from unicon_hardware.wire import Counts, Speed, Wire

@@ -18,7 +18,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_base.errors import PlatformError
+from unicon_base import PlatformError
 from unicon_core.robots import Robot
 from unicon_hardware.facts import Baud, Port, fact, port_number
 

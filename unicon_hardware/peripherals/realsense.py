@@ -18,9 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base import AnyDict
+from unicon_base import AnyDict, MissingDependencyError, UniconError, one_line
 from unicon_base.arrays import Array, Float32, Float64, UInt8
-from unicon_base.errors import MissingDependencyError, UniconError, one_line
 from unicon_core.flow import Block
 from unicon_core.models.camera import Intrinsics
 from unicon_core.states import StateSpec

@@ -17,7 +17,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
-from unicon_base.errors import UniconError
+from unicon_base import UniconError
 from unicon_ros.peripheral_process import Gone
 
 CAPABILITY = struct.Struct("<16s32s32sIII12x")  # driver, card, bus, version, capabilities, device's

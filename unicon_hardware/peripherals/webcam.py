@@ -18,9 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base import AnyDict
+from unicon_base import AnyDict, UniconError, alternatives
 from unicon_base.arrays import UInt8
-from unicon_base.errors import UniconError, alternatives
 from unicon_core.flow import Block
 from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext

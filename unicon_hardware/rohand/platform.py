@@ -16,7 +16,7 @@ from typing import Annotated
 
 import numpy as np
 
-from unicon_base.errors import PlatformError
+from unicon_base import PlatformError
 from unicon_base.schema.marks import Within
 from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot

@@ -16,8 +16,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from unicon_base import AnyDict, AnyMapping
-from unicon_base.errors import Fault
+from unicon_base import AnyDict, AnyMapping, Fault
 from unicon_base.schema.marks import Key, Size, Within, Write
 from unicon_core.robots import Robot
 from unicon_hardware.dds.maps import COMMANDS, IMU, MEASURED, DdsFacts, Message, motors, zeros

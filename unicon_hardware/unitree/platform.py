@@ -14,8 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from unicon_base import AnyMapping
-from unicon_base.errors import Fault, PlatformError
+from unicon_base import AnyMapping, Fault, PlatformError
 from unicon_core.blocks.controls.device import Controls
 from unicon_core.blocks.controls.device import unitree as held
 from unicon_core.platforms.kit.base import Mounting

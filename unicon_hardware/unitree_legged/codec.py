@@ -14,9 +14,8 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from unicon_base import AnyMapping
+from unicon_base import AnyMapping, PlatformError, RobotError, alternatives
 from unicon_base.arrays import Array, Float32
-from unicon_base.errors import PlatformError, RobotError, alternatives
 from unicon_base.schema.marks import Key, Text, Within
 from unicon_core.robots import Robot
 from unicon_hardware.facts import (

@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base import AnyMapping
-from unicon_base.errors import PlatformError
+from unicon_base import AnyMapping, PlatformError
 from unicon_core.platforms.kit.base import IMU_STATES
 from unicon_core.platforms.platform import Binding, Facts
 from unicon_core.robots import Robot

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import Fault, PlatformError, StateError
 from unicon_base.arrays import Float32
-from unicon_base.errors import Fault, PlatformError, StateError
 from unicon_core.blocks.controls.device import Controls
 from unicon_core.blocks.controls.device import unitree as held
 from unicon_core.platforms.kit.base import IMU_STATES, Mounting

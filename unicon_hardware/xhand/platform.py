@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import Fault, MissingDependencyError, PlatformError
 from unicon_base.arrays import Float64
-from unicon_base.errors import Fault, MissingDependencyError, PlatformError
 from unicon_base.schema.marks import Text
 from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot

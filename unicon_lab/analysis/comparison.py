@@ -23,9 +23,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from unicon_base import AnyDict
+from unicon_base import AnyDict, UniconError, one_line
 from unicon_base.arrays import Array, Bool, Float64
-from unicon_base.errors import UniconError, one_line
 from unicon_core.metrics import (
     affine,
     chamfer,

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from unicon_base import UniconError
 from unicon_base.arrays import Float64
-from unicon_base.errors import UniconError
 from unicon_core.metrics import Aligned, aligned_mse, fall_time
 from unicon_lab.analysis.run import BASE, FEWEST, JOINTS, Run
 

@@ -11,8 +11,8 @@ from typing import TypeAlias
 
 import numpy as np
 
+from unicon_base import UniconError
 from unicon_base.arrays import Array, Bool, Float64
-from unicon_base.errors import UniconError
 from unicon_core.platforms.kit.base import rotation
 from unicon_lab.recording import Record, open_record
 from unicon_lab.recording.imported import KEYS, NAMES, UNICONS, Archive, read_archive, too_large

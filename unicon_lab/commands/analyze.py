@@ -7,7 +7,7 @@ import math
 from dataclasses import asdict
 from pathlib import Path
 
-from unicon_base.errors import UniconError, cannot
+from unicon_base import UniconError, cannot
 from unicon_core.page import write_file, write_json
 from unicon_ros.cli.console import note, print_table
 from unicon_ros.cli.options import argument, command, flag, group, positive, seconds

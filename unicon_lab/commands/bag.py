@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from unicon_base.errors import UniconError
+from unicon_base import UniconError
 from unicon_lab.datasets import WRITERS
 from unicon_ros.cli.console import note, print_json
 from unicon_ros.cli.options import argument, command, flag, group, option, positive, several

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from unicon_base.errors import UniconError
+from unicon_base import UniconError
 from unicon_core.page import (
     figure,
     findings,

@@ -6,7 +6,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 
-from unicon_base.errors import UniconError
+from unicon_base import UniconError
 from unicon_ros.cli.console import Console, print_table
 from unicon_ros.cli.options import OVERRIDES, argument, command, exclusive, flag, positive, seconds
 from unicon_ros.cli.run import close_session, ros_session, run_document, run_options

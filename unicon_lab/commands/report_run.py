@@ -11,7 +11,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from unicon_base.errors import UniconError
+from unicon_base import UniconError
 from unicon_ros.cli.options import EXAMPLES, argument, command, flag
 
 

@@ -11,8 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from unicon_base import AnyMapping
-from unicon_base.errors import MissingDependencyError, UniconError
+from unicon_base import AnyMapping, MissingDependencyError, UniconError
 from unicon_core.signals import SIGNALS
 from unicon_ros.cli.console import Console, note, warn
 from unicon_ros.cli.options import FORCE, OVERRIDES, REPEATED, argument, command, flag, whole

@@ -9,8 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from unicon_base import AnyDict
-from unicon_base.errors import UniconError, cannot
+from unicon_base import AnyDict, UniconError, cannot
 from unicon_core.signals import SIGNALS
 from unicon_ros.cli.console import Console, note
 from unicon_ros.cli.options import WORKFLOW, argument, command, positive, whole

@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_base import AnyDict
+from unicon_base import AnyDict, StateError, UniconError
 from unicon_base.arrays import Index, Int64
-from unicon_base.errors import StateError, UniconError
 from unicon_core.states.standard import FORWARDED_STATES
 from unicon_lab.datasets.pictures import NAME, PIXELS, Pictures, Shown, can_encode
 from unicon_lab.recording import Record

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base.errors import StateError, UniconError, alternatives, one_line
+from unicon_base import StateError, UniconError, alternatives, one_line
 from unicon_core.runtime.tick_ring import PHASES
 from unicon_lab.datasets.columns import (
     ACTION,

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import UniconError, imported, one_line
 from unicon_base.arrays import Int64, UInt8
-from unicon_base.errors import UniconError, imported, one_line
 from unicon_lab.recording import Record
 from unicon_lab.recording.scan import Frames
 from unicon_msgs_map.layout.messages import shared_messages

@@ -22,9 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base import AnyDict, AnyMapping
+from unicon_base import AnyDict, AnyMapping, MissingDependencyError, UniconError, imported, one_line
 from unicon_base.arrays import Array
-from unicon_base.errors import MissingDependencyError, UniconError, imported, one_line
 from unicon_lab.datasets.columns import DEFAULTS, Episode, Feature, info_of
 from unicon_lab.datasets.pictures import Video
 from unicon_lab.datasets.statistics import Statistics, joined, of_pictures, of_values

@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base import AnyDict
+from unicon_base import AnyDict, Fault, UniconError, WorkflowError, alternatives, one_line
 from unicon_base.arrays import Array, Bool
-from unicon_base.errors import Fault, UniconError, WorkflowError, alternatives, one_line
 from unicon_core.check.twin.perturb import AS_GIVEN, GAINS, Change
 from unicon_core.check.twin.repair import repairs
 from unicon_core.policies import PolicyContract, load_policy

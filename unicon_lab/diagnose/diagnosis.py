@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
+from unicon_base import UniconError
 from unicon_base.arrays import Float64
-from unicon_base.errors import UniconError
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.policies import PolicyContract
 from unicon_core.robots import Robot, load_robot

@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from unicon_base import AnyDict
-from unicon_base.errors import UniconError
+from unicon_base import AnyDict, UniconError
 from unicon_base.resources import find_config
 from unicon_core.robots import Robot, load_robot
 from unicon_core.robots.load import joints_like

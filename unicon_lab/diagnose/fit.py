@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from unicon_base.errors import UniconError, alternatives
+from unicon_base import UniconError, alternatives
 from unicon_core.robots import Robot, robot_names
 from unicon_core.robots.load import JOINT_PHYSICS, joints_like
 from unicon_core.signals import SIGNALS

@@ -15,8 +15,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from unicon_base import AnyDict
-from unicon_base.errors import Fault, UniconError, one_line
+from unicon_base import AnyDict, Fault, UniconError, one_line
 from unicon_core.platforms.kit.disturbances import Beside
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.runtime import Runner

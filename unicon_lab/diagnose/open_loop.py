@@ -12,8 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from unicon_base import Fault, UniconError
 from unicon_base.arrays import Array, Bool, Float64
-from unicon_base.errors import Fault, UniconError
 from unicon_core.check.twin.perturb import GAINS, Change, field_changed, with_action
 from unicon_core.models.find import pick_model
 from unicon_core.models.load import load_model

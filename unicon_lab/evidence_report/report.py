@@ -22,8 +22,7 @@ import yaml
 
 import unicon_core
 import unicon_ros
-from unicon_base import AnyDict, AnyMapping
-from unicon_base.errors import UniconError
+from unicon_base import AnyDict, AnyMapping, UniconError
 from unicon_base.located_yaml import read_yaml
 from unicon_base.resources import config_roots, sha256_of
 from unicon_core.evidence import load_evidence

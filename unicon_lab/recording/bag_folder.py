@@ -18,8 +18,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from unicon_base import AnyDict
-from unicon_base.errors import UniconError
+from unicon_base import AnyDict, UniconError
 from unicon_lab.recording.mcap_file import McapFile
 from unicon_lab.recording.records import (
     MESSAGE,

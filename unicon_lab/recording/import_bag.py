@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base import TextSink
+from unicon_base import TextSink, UniconError, imported, one_line
 from unicon_base.arrays import Array, UInt8
-from unicon_base.errors import UniconError, imported, one_line
 from unicon_base.resources import find_config
 from unicon_core.robots import Robot
 from unicon_core.states import States

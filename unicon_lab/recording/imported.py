@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
+from unicon_base import UniconError, alternatives, cannot, one_line
 from unicon_base.arrays import Array, Float64, Int64
-from unicon_base.errors import UniconError, alternatives, cannot, one_line
 from unicon_core.blocks.maps import projected_gravity
 from unicon_core.page import ROOM, refuse_existing
 from unicon_core.platforms.kit.base import quat_of_rpy

@@ -13,9 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from unicon_base import AnyDict
+from unicon_base import AnyDict, UniconError, cannot, imported
 from unicon_base.arrays import Array
-from unicon_base.errors import UniconError, cannot, imported
 from unicon_core.page import refuse_existing
 from unicon_core.text_table import aligned
 from unicon_lab.recording.import_bag import open_bag

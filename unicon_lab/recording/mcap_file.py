@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_base.errors import UniconError
+from unicon_base import UniconError
 from unicon_core import __version__
 from unicon_lab.recording.records import (
     ATTACHMENT_INDEX,

@@ -14,9 +14,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from unicon_base import AnyDict
+from unicon_base import AnyDict, StateError, UniconError, alternatives
 from unicon_base.arrays import Array
-from unicon_base.errors import StateError, UniconError, alternatives
 from unicon_core.runtime.tick_ring import DONE, HEAD
 from unicon_core.states import Layout, States
 from unicon_lab.recording.scan import Frames, Scan, frames_in, gather, scan

@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from unicon_base import TextSink
+from unicon_base import TextSink, UniconError, alternatives, imported, one_line
 from unicon_base.arrays import UInt8
-from unicon_base.errors import UniconError, alternatives, imported, one_line
 from unicon_base.resources import find_config
 from unicon_core.flow import Block
 from unicon_lab.recording.background import calm

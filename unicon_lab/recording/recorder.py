@@ -13,8 +13,7 @@ from pathlib import Path
 
 import yaml
 
-from unicon_base import AnyDict, TextSink
-from unicon_base.errors import UniconError, cannot
+from unicon_base import AnyDict, TextSink, UniconError, cannot
 from unicon_core.page import ROOM, refuse_existing
 from unicon_core.states import Layout
 from unicon_lab.recording import McapFile, recover

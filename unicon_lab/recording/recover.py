@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from unicon_base.errors import UniconError, cannot
+from unicon_base import UniconError, cannot
 from unicon_lab.recording.bag_folder import BagFile, write_metadata
 from unicon_lab.recording.mcap_file import McapFile
 from unicon_lab.recording.read import files_of, missing

@@ -11,8 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from unicon_base import AnyDict, TextSink
-from unicon_base.errors import UniconError, imported
+from unicon_base import AnyDict, TextSink, UniconError, imported
 from unicon_core.flow import Block, Stage
 from unicon_core.memory import Snapshot
 from unicon_core.runtime.tick_ring import HEAD, KeptMemory, TickRing

@@ -22,8 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base import AnyDict
-from unicon_base.errors import StateError
+from unicon_base import AnyDict, StateError
 from unicon_core.memory import ATOMS, Component, EnumMember, FromLibrary, GeneratorState, Snapshot
 from unicon_core.runtime.tick_ring import HEAD, PHASES
 from unicon_core.states import Layout

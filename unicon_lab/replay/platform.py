@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base import AnyMapping
-from unicon_base.errors import PlatformError, UniconError
+from unicon_base import AnyMapping, PlatformError, UniconError
 from unicon_core.platforms.kit.scene import DISTURBANCES
 from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.robots import Robot

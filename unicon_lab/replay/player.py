@@ -17,8 +17,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from unicon_base import AnyDict, TextSink
-from unicon_base.errors import UniconError
+from unicon_base import AnyDict, TextSink, UniconError
 from unicon_core.flow import Block
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.states.standard import HARDWARE_STATES, standard_states

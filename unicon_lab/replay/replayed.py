@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import StateError, UniconError, one_line
 from unicon_base.arrays import Float64
-from unicon_base.errors import StateError, UniconError, one_line
 from unicon_core.flow import Block, Stage, blocks_of, compile_graph
 from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.memory import Snapshot

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+from unicon_base import StateError, UniconError, WorkflowError
 from unicon_base.arrays import Array, Index
-from unicon_base.errors import StateError, UniconError, WorkflowError
 from unicon_core.blocks.joint_command import robot_gains
 from unicon_core.runtime.phases import Phase
 from unicon_core.states import States

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import Fault, StateError
 from unicon_base.arrays import Array
-from unicon_base.errors import Fault, StateError
 from unicon_core.flow import Block
 from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.policies import Policy

@@ -7,8 +7,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
-from unicon_base import AnyDict, AnyMapping
-from unicon_base.errors import UniconError, WorkflowError
+from unicon_base import AnyDict, AnyMapping, UniconError, WorkflowError
 from unicon_base.located_yaml import Located, parse_yaml
 from unicon_base.resources import find_config
 from unicon_core.robots import Robot, robot_files

@@ -17,8 +17,8 @@ from typing import Any
 
 import yaml
 
+from unicon_base import UniconError, alternatives
 from unicon_base.bounded_yaml import YamlError
-from unicon_base.errors import UniconError, alternatives
 from unicon_base.located_yaml import parse_value
 
 DIGITS = 6

@@ -18,8 +18,7 @@ from multiprocessing.connection import wait
 from pathlib import Path
 from typing import IO
 
-from unicon_base import AnyDict
-from unicon_base.errors import MissingDependencyError, UniconError, alternatives
+from unicon_base import AnyDict, MissingDependencyError, UniconError, alternatives
 from unicon_core.signals import SIGNALS
 from unicon_lab.sweep.on_ray.shipment import files_of, manifest, pack
 from unicon_lab.sweep.plan import Plan, Row

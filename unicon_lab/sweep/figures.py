@@ -10,9 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from unicon_base import AnyDict
+from unicon_base import AnyDict, UniconError
 from unicon_base.arrays import Array, Float64
-from unicon_base.errors import UniconError
 from unicon_core.metrics import fall_time, mse, unfolded_mse
 from unicon_core.metrics.distances import LEANS
 from unicon_core.page import write_file

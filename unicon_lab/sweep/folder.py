@@ -13,8 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from unicon_base import AnyDict, AnyMapping
-from unicon_base.errors import UniconError, cannot, imported
+from unicon_base import AnyDict, AnyMapping, UniconError, cannot, imported
 from unicon_core.page import write_file
 from unicon_lab.sweep.figures import COLUMNS
 from unicon_lab.sweep.plan import Plan, Row, changes, code_sha256, versions

@@ -16,9 +16,8 @@ from typing import Any
 import numpy as np
 
 import unicon_core
-from unicon_base import AnyDict, AnyMapping
+from unicon_base import AnyDict, AnyMapping, UniconError, WorkflowError, imported
 from unicon_base.arrays import Float64
-from unicon_base.errors import UniconError, WorkflowError, imported
 from unicon_base.located_yaml import Located, read_yaml
 from unicon_base.resources import find_config, sha256_of
 from unicon_core import __version__

@@ -19,8 +19,7 @@ from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 from typing import Any
 
-from unicon_base import AnyDict
-from unicon_base.errors import UniconError
+from unicon_base import AnyDict, UniconError
 from unicon_base.resources import same_modules
 from unicon_core.signals import SIGNALS, signal_name
 from unicon_lab.sweep.figures import empty_row

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import UniconError, imported
 from unicon_base.arrays import Bool, Int64
-from unicon_base.errors import UniconError, imported
 from unicon_core.drawing import MARK, Pictures, drawings, grid, require
 from unicon_core.page import findings, number, page, pairs, table, write_file
 from unicon_core.text_table import aligned

@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base import AnyDict
-from unicon_base.errors import UniconError
+from unicon_base import AnyDict, UniconError
 from unicon_lab.sweep.figures import COLUMNS
 from unicon_lab.sweep.folder import (
     SETTINGS,

@@ -20,8 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from unicon_base import AnyDict, AnyMapping
-from unicon_base.errors import UniconError, alternatives
+from unicon_base import AnyDict, AnyMapping, UniconError, alternatives
 from unicon_base.located_yaml import read_yaml
 from unicon_base.schema.marks import NotEmpty, Text, Within, Write, positive
 from unicon_base.schema.read import read

@@ -17,8 +17,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from unicon_base import AnyDict
-from unicon_base.errors import MissingDependencyError, UniconError, WorkflowError
+from unicon_base import AnyDict, MissingDependencyError, UniconError, WorkflowError
 from unicon_base.located_yaml import read_yaml
 from unicon_base.resources import sha256_of
 from unicon_core.models.find import model_of

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from unicon_base import AnyDict, AnyMapping
-from unicon_base.errors import UniconError
+from unicon_base import AnyDict, AnyMapping, UniconError
 from unicon_core import __version__
 from unicon_core.page import plain
 from unicon_core.text_table import aligned

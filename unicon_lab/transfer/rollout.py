@@ -18,8 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from unicon_base import AnyDict
-from unicon_base.errors import MissingDependencyError, PlatformError, UniconError
+from unicon_base import AnyDict, MissingDependencyError, PlatformError, UniconError
 from unicon_core.check import refuse_errors
 from unicon_core.pacing import process_age_s
 from unicon_core.page import write_json

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from unicon_base import AnyDict, AnyMapping
-from unicon_base.errors import EmergencyStopPressed, UniconError, alternatives
+from unicon_base import AnyDict, AnyMapping, EmergencyStopPressed, UniconError, alternatives
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime.phases import Phase
 from unicon_core.states import States

@@ -20,8 +20,7 @@ from types import SimpleNamespace
 from typing import Any, cast
 from urllib.parse import unquote, urlsplit
 
-from unicon_base import AnyMapping
-from unicon_base.errors import UniconError, imported
+from unicon_base import AnyMapping, UniconError, imported
 from unicon_base.packages import package_file
 from unicon_core.platforms.platform import Facts
 from unicon_core.states import States

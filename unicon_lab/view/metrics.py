@@ -15,9 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base import AnyMapping
+from unicon_base import AnyMapping, UniconError
 from unicon_base.arrays import Array, Float64
-from unicon_base.errors import UniconError
 from unicon_core import __version__
 from unicon_lab.view.shown import Shown
 from unicon_lab.view.source import Remote, Snapshot, Source

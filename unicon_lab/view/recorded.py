@@ -8,9 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from unicon_base import AnyDict
+from unicon_base import AnyDict, UniconError
 from unicon_base.arrays import Float64
-from unicon_base.errors import UniconError
 from unicon_core.flow import compile_graph
 from unicon_core.models.find import model_of
 from unicon_core.robots import load_robot

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from unicon_base.errors import UniconError
+from unicon_base import UniconError
 from unicon_core.flow import Chain, Node, Switch
 from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.models.find import model_of, terrain_of

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import RobotError, WorkflowError, alternatives
 from unicon_base.arrays import Array, Bool, Float64, Index
-from unicon_base.errors import RobotError, WorkflowError, alternatives
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, bodies_above, dofs_above, import_mujoco, index_of
 from unicon_core.robots import Robot

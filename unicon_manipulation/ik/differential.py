@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import imported
 from unicon_base.arrays import Array, Bool, Float64
-from unicon_base.errors import imported
 from unicon_core.models.loaded import import_mujoco, index_of
 from unicon_core.robots import Robot
 from unicon_manipulation.ik.chain import Chain

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import ModelError, RobotError
 from unicon_base.arrays import Bool, Float32, Float64
-from unicon_base.errors import ModelError, RobotError
 from unicon_core.models.find import pick_model
 from unicon_core.models.frames import body_of
 from unicon_core.models.load import load_model

@@ -17,7 +17,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from unicon_base.errors import WorkflowError
+from unicon_base import WorkflowError
 from unicon_core.models.frames import (
     Quat,
     Vector,

@@ -14,8 +14,8 @@ import math
 from collections.abc import Mapping
 from typing import Any, Literal
 
+from unicon_base import WorkflowError, alternatives
 from unicon_base.arrays import Array
-from unicon_base.errors import WorkflowError, alternatives
 from unicon_core.blocks.controls.device import declares_controls
 from unicon_core.bounds import BUTTONS
 from unicon_core.flow.block import Writes

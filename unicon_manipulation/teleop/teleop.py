@@ -16,8 +16,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
+from unicon_base import WorkflowError
 from unicon_base.arrays import Float32, Int32, Int64
-from unicon_base.errors import WorkflowError
 from unicon_base.schema.marks import Within, Write, positive
 from unicon_core.blocks.joint_command import ticks_of
 from unicon_core.models.frames import Vector

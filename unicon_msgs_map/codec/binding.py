@@ -17,7 +17,7 @@ import numpy as np
 from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
-from unicon_base.errors import alternatives
+from unicon_base import alternatives
 from unicon_msgs_map.errors import count_of
 from unicon_msgs_map.layout.messages import QUATERNION, Struct, TypeRef
 from unicon_msgs_map.spec import PER_SI, FieldSpec

@@ -23,7 +23,7 @@ import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from unicon_base.errors import alternatives
+from unicon_base import alternatives
 from unicon_base.generated import define
 from unicon_msgs_map.codec.binding import (
     SINGLE_MAX,

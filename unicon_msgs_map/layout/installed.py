@@ -11,8 +11,7 @@ from functools import cache
 from importlib import resources
 from pathlib import Path
 
-from unicon_base import AnyDict, AnyMapping
-from unicon_base.errors import alternatives
+from unicon_base import AnyDict, AnyMapping, alternatives
 from unicon_base.packages import share_folder, shares
 from unicon_msgs_map.errors import MessageTypeError
 

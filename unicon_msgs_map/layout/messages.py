@@ -19,8 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base import AnyDict, AnyMapping
-from unicon_base.errors import alternatives, one_line
+from unicon_base import AnyDict, AnyMapping, alternatives, one_line
 from unicon_msgs_map.errors import MapDependencyError, MessageTypeError
 from unicon_msgs_map.layout.installed import installed_files, ready_made, unknown_type
 

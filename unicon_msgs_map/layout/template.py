@@ -12,7 +12,7 @@ import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
-from unicon_base.errors import alternatives
+from unicon_base import alternatives
 from unicon_msgs_map.errors import MapStateError, count_of
 from unicon_msgs_map.layout.messages import QUATERNION, Array, Primitive, String, Struct, TypeRef
 from unicon_msgs_map.layout.paths import Key, Path, Selector

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from unicon_base.errors import UniconError, alternatives
+from unicon_base import UniconError, alternatives
 from unicon_base.located_yaml import Located, Where, parse_yaml, read_text
 from unicon_base.packages import PACKAGE
 from unicon_base.resources import find_config

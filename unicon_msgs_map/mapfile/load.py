@@ -10,8 +10,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-from unicon_base import AnyDict
-from unicon_base.errors import UniconError
+from unicon_base import AnyDict, UniconError
 from unicon_base.located_yaml import Where, read_text
 from unicon_base.packages import PACKAGE, package_file
 from unicon_base.schema.read import read

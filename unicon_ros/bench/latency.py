@@ -25,7 +25,7 @@ from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
-from unicon_base.errors import UniconError
+from unicon_base import UniconError
 from unicon_core.signals import SIGNALS
 from unicon_ros import compat
 from unicon_ros.bench.domains import free_domain, loopback_environment

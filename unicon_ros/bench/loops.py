@@ -18,9 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from unicon_base import AnyDict
+from unicon_base import AnyDict, UniconError
 from unicon_base.arrays import Bool, Float64, Int64
-from unicon_base.errors import UniconError
 from unicon_core.signals import SIGNALS
 from unicon_ros.bench.pipelines.log import beside
 from unicon_ros.process_exit import die_with_parent

@@ -14,8 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from unicon_base import AnyDict
-from unicon_base.errors import UniconError
+from unicon_base import AnyDict, UniconError
 from unicon_core.drawing import as_png, require
 from unicon_core.page import plain, write_file
 from unicon_core.text_table import aligned

@@ -6,8 +6,8 @@ import time
 
 import numpy as np
 
+from unicon_base import UniconError
 from unicon_base.arrays import Array
-from unicon_base.errors import UniconError
 from unicon_core.robots import Robot
 from unicon_core.workflow.program_data import ProgramData
 

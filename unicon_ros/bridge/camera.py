@@ -30,9 +30,8 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base import AnyDict
+from unicon_base import AnyDict, ModelError, UniconError
 from unicon_base.arrays import Array, Float32
-from unicon_base.errors import ModelError, UniconError
 from unicon_core.handles import FrameRing
 from unicon_core.models.camera import ModelCamera
 from unicon_core.models.find import find_model, model_of, terrain_of

@@ -16,8 +16,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-from unicon_base import TextSink
-from unicon_base.errors import EmergencyStopPressed, UniconError
+from unicon_base import EmergencyStopPressed, TextSink, UniconError
 from unicon_core.flow import Block
 from unicon_core.latches import ESTOP, PATIENCE, Latch, clearing
 from unicon_ros import compat

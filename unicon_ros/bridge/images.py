@@ -24,9 +24,8 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base import AnyDict, AnyMapping, TextSink
+from unicon_base import AnyDict, AnyMapping, TextSink, UniconError, alternatives
 from unicon_base.arrays import Array, Float32, Float64
-from unicon_base.errors import UniconError, alternatives
 from unicon_base.resources import find_config, same_modules
 from unicon_core.models.camera import Intrinsics
 from unicon_core.models.kinematic_tree import Link

@@ -19,8 +19,7 @@ from dataclasses import replace
 from fnmatch import fnmatchcase
 from typing import Any
 
-from unicon_base import AnyDict
-from unicon_base.errors import UniconError, alternatives
+from unicon_base import AnyDict, UniconError, alternatives
 from unicon_core.flow import blocks_of
 from unicon_core.workflow import Program
 from unicon_msgs_map import Encoder, FieldSpec, PublishSpec, Qos

@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from unicon_base import AnyMapping
+from unicon_base import AnyMapping, PlatformError, UniconError
 from unicon_base.arrays import Float32
-from unicon_base.errors import PlatformError, UniconError
 from unicon_base.resources import find_config
 from unicon_core.flow import Block, Stage
 from unicon_core.platforms.platform import Binding, Facts

@@ -22,7 +22,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from unicon_base.errors import UniconError, one_line
+from unicon_base import UniconError, one_line
 from unicon_base.resources import find_config
 from unicon_core.non_blocking_writer import NonBlockingWriter
 from unicon_ros import compat

@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base import TextSink
+from unicon_base import TextSink, UniconError
 from unicon_base.arrays import Array, Float32
-from unicon_base.errors import UniconError
 from unicon_core.flow import Block
 from unicon_core.models.find import model_of
 from unicon_core.models.kinematic_tree import Link, urdf

@@ -26,8 +26,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from unicon_base import AnyMapping
-from unicon_base.errors import Fault, MissingDependencyError, PlatformError, Silence, UniconError
+from unicon_base import (
+    AnyMapping,
+    Fault,
+    MissingDependencyError,
+    PlatformError,
+    Silence,
+    UniconError,
+)
 from unicon_base.resources import find_config
 from unicon_core.blocks.maps import projected_gravity
 from unicon_core.platforms.kit.command import FiniteCheck, Servo

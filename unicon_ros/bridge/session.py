@@ -18,8 +18,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from unicon_base import AnyDict, TextSink
-from unicon_base.errors import UniconError, one_line
+from unicon_base import AnyDict, TextSink, UniconError, one_line
 from unicon_base.resources import find_config
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Runner

@@ -19,8 +19,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from unicon_base import TextSink
-from unicon_base.errors import one_line
+from unicon_base import TextSink, one_line
 from unicon_core.flow import Block
 from unicon_msgs_map import Decoder, Encoder
 from unicon_ros import compat

@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base import TextSink
-from unicon_base.errors import UniconError
+from unicon_base import TextSink, UniconError
 from unicon_core.blocks.forward_command import ForwardCommand
 from unicon_core.flow import Block
 from unicon_core.trajectory.accepted import Code, Limits, Points, Refusal

@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from unicon_base.errors import UniconError
+from unicon_base import UniconError
 from unicon_base.resources import assets_roots
 from unicon_ros.cli.console import Console, note, print_json, print_table
 from unicon_ros.cli.options import EXAMPLES, argument, command, flag, option, several

@@ -9,7 +9,7 @@ from pathlib import Path
 from types import ModuleType
 
 import unicon_ros
-from unicon_base.errors import UniconError
+from unicon_base import UniconError
 from unicon_core.page import write_file
 from unicon_ros.cli.options import argument, command, flag, option, several
 

@@ -14,8 +14,7 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING
 
-from unicon_base import AnyDict
-from unicon_base.errors import UniconError, alternatives
+from unicon_base import AnyDict, UniconError, alternatives
 from unicon_base.packages import registered
 from unicon_core.page import write_file
 from unicon_ros.cli.console import print_table

@@ -22,7 +22,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import unicon_core
-from unicon_base.errors import PlatformError, UniconError, cannot
+from unicon_base import PlatformError, UniconError, cannot
 from unicon_core.latches import Latched, clearing, flags_of, ipv4_of, latch_folder, latches
 from unicon_core.pacing import REAL_TIME
 from unicon_core.text_table import aligned

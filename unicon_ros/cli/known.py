@@ -15,8 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from unicon_base import AnyDict
-from unicon_base.errors import PlatformError, PolicyError, UniconError, WorkflowError
+from unicon_base import AnyDict, PlatformError, PolicyError, UniconError, WorkflowError
 from unicon_ros.cli.console import print_json, print_table
 from unicon_ros.cli.options import Adder, argument, command, flag
 

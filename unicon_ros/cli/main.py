@@ -19,7 +19,7 @@ from contextlib import suppress
 from typing import Any
 
 import unicon_core
-from unicon_base.errors import UniconError, one_line
+from unicon_base import UniconError, one_line
 from unicon_base.packages import loaded
 from unicon_core.non_blocking_writer import open_standard_files
 from unicon_core.signals import SIGNALS, Interrupted

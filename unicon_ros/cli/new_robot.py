@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from unicon_base import AnyDict
+from unicon_base import AnyDict, ModelError, RobotError
 from unicon_base.arrays import Float64
-from unicon_base.errors import ModelError, RobotError
 from unicon_base.located_yaml import parse_yaml
 from unicon_core.check.joints import model_joints
 from unicon_core.models.find import find_model

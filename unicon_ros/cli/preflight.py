@@ -12,8 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from unicon_base import AnyDict
-from unicon_base.errors import CheckError, Fault, UniconError
+from unicon_base import AnyDict, CheckError, Fault, UniconError
 from unicon_core.latches import clearing
 from unicon_core.signals import SIGNALS
 from unicon_ros.cli.console import print_table, warn

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import RobotError
 from unicon_base.arrays import Float64
-from unicon_base.errors import RobotError
 from unicon_core.models.loaded import free_joint, import_mujoco
 from unicon_core.robots.file import KINDS
 

@@ -13,8 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from unicon_base import TextSink
-from unicon_base.errors import UniconError
+from unicon_base import TextSink, UniconError
 from unicon_base.packages import loaded
 from unicon_core.non_blocking_writer import relayed_stderr
 from unicon_core.page import refuse_unwritable

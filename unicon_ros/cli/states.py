@@ -8,8 +8,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from unicon_base import AnyDict
-from unicon_base.errors import StateError
+from unicon_base import AnyDict, StateError
 from unicon_core.page import write_json
 from unicon_core.text_table import number_text
 from unicon_ros.cli.console import print_table

@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from unicon_base.errors import UniconError, alternatives
+from unicon_base import UniconError, alternatives
 from unicon_core.signals import SIGNALS
 from unicon_ros.cli.options import EXAMPLES, argument, command, flag, positive, together
 

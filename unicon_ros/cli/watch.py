@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
-from unicon_base.errors import StateError, alternatives
+from unicon_base import StateError, alternatives
 from unicon_core.signals import SIGNALS
 from unicon_core.states import Layout, States
 from unicon_core.states.backends.shm import Segment, ShmWatcher, segment_path

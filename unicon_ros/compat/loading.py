@@ -12,8 +12,7 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-from unicon_base import AnyMapping
-from unicon_base.errors import MissingDependencyError
+from unicon_base import AnyMapping, MissingDependencyError
 
 _WHEELS = "pip install 'unicon_ros[ros]'"
 _SOURCE = "source /opt/ros/<distro>/setup.bash"

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from unicon_base.errors import UniconError
+from unicon_base import UniconError
 from unicon_ros.compat.loading import is_fast_dds
 
 

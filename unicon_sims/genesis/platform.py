@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base import AnyDict
-from unicon_base.errors import Fault, MissingDependencyError, ModelError, one_line
+from unicon_base import AnyDict, Fault, MissingDependencyError, ModelError, one_line
 from unicon_core.models.loaded import contact_of, floors, may_touch, on_floor
 from unicon_core.platforms.kit.stepped import (
     SIMULATED,

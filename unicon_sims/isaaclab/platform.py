@@ -15,7 +15,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from unicon_base.errors import MissingDependencyError, PlatformError
+from unicon_base import MissingDependencyError, PlatformError
 from unicon_base.schema.marks import Matches
 from unicon_core.models.kinematic_tree import physical_urdf
 from unicon_core.platforms.kit.stepped import (

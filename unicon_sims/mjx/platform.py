@@ -15,8 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from unicon_base import AnyDict
-from unicon_base.errors import MissingDependencyError, ModelError, one_line
+from unicon_base import AnyDict, MissingDependencyError, ModelError, one_line
 from unicon_core.models.load import effort_ranges
 from unicon_core.platforms.kit.command import strength_of
 from unicon_core.platforms.kit.stepped import (

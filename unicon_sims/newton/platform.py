@@ -16,9 +16,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from unicon_base import TextSink
+from unicon_base import MissingDependencyError, PlatformError, TextSink, alternatives, one_line
 from unicon_base.arrays import Float32
-from unicon_base.errors import MissingDependencyError, PlatformError, alternatives, one_line
 from unicon_core.platforms.kit.stepped import (
     SIMULATED,
     DampedSimulator,

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base.errors import imported
+from unicon_base import imported
 from unicon_core.models.kinematic_tree import physical_urdf
 from unicon_core.platforms.kit.stepped import (
     BODY_PHYSICS,

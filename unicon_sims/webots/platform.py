@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base.errors import Fault, MissingDependencyError, PlatformError, alternatives
+from unicon_base import Fault, MissingDependencyError, PlatformError, alternatives
 from unicon_core.platforms.kit.stepped import (
     SIMULATED,
     Facts,

@@ -7,8 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from unicon_base import AnyMapping
-from unicon_base.errors import UniconError
+from unicon_base import AnyMapping, UniconError
 from unicon_core.check.joints import joint_depths
 from unicon_core.check.pose import check_collision
 from unicon_core.check.result import CheckResult, PolicyResult

@@ -14,8 +14,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from unicon_base import Fault, PlatformError, UniconError
 from unicon_base.arrays import Array, Float32, Float64
-from unicon_base.errors import Fault, PlatformError, UniconError
 from unicon_core.blocks.approach import Monitor
 from unicon_core.check.twin.measures import Measures
 from unicon_core.check.twin.perturb import AS_GIVEN, Change

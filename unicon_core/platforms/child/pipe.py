@@ -18,8 +18,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any
 
-from unicon_base import AnyDict, AnyMapping, errors
-from unicon_base.errors import Fault, PlatformError, UniconError
+from unicon_base import AnyDict, AnyMapping, Fault, PlatformError, UniconError, errors
 from unicon_base.resources import same_modules
 from unicon_core.signals import signal_name
 

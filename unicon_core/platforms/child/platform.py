@@ -23,9 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base import AnyMapping
+from unicon_base import AnyMapping, Fault, PlatformError
 from unicon_base.arrays import Float64
-from unicon_base.errors import Fault, PlatformError
 from unicon_core.platforms.child.pipe import Pipe
 from unicon_core.platforms.kit.command import FiniteCheck
 from unicon_core.platforms.platform import Facts

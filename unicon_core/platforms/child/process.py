@@ -16,7 +16,7 @@ from dataclasses import replace
 from pkgutil import resolve_name
 from typing import Any
 
-from unicon_base.errors import Fault, UniconError
+from unicon_base import Fault, UniconError
 from unicon_core.models.find import terrain_of
 from unicon_core.platforms.child.pipe import ALARM, LONGEST, Parent, text_of
 from unicon_core.platforms.child.platform import START

@@ -10,8 +10,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike
 
+from unicon_base import Fault, ModelError
 from unicon_base.arrays import Array, Float64, Int64
-from unicon_base.errors import Fault, ModelError
 from unicon_core.robots.load import JointPhysics
 from unicon_core.states import States
 from unicon_core.states.stacked import flat, stacked

@@ -14,9 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base import AnyMapping
+from unicon_base import AnyMapping, PlatformError, alternatives
 from unicon_base.arrays import Array, Float32
-from unicon_base.errors import PlatformError, alternatives
 from unicon_core.memory import load, save
 from unicon_core.platforms.kit.command import Command
 from unicon_core.platforms.kit.scene import Scene

@@ -13,9 +13,8 @@ from typing import Annotated
 
 import numpy as np
 
-from unicon_base import AnyMapping
+from unicon_base import AnyMapping, PlatformError, alternatives
 from unicon_base.arrays import Float32, Float64
-from unicon_base.errors import PlatformError, alternatives
 from unicon_base.schema.marks import Like, NotAKey, Point, Unit, Within, Write, positive
 from unicon_base.schema.read import check_made
 from unicon_base.schema.records import record_of

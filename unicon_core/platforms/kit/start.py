@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base import AnyMapping
+from unicon_base import AnyMapping, ModelError, PlatformError, alternatives
 from unicon_base.arrays import Float64
-from unicon_base.errors import ModelError, PlatformError, alternatives
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.posed import PosedModel

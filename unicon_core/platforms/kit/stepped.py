@@ -14,9 +14,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from unicon_base import AnyDict
+from unicon_base import AnyDict, Fault, PlatformError
 from unicon_base.arrays import Float64
-from unicon_base.errors import Fault, PlatformError
 from unicon_core.models.load import effort_ranges
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.platforms.kit.base import BaseStates, WorldPose, cross, rotation

@@ -14,9 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base import AnyDict, AnyMapping
+from unicon_base import AnyDict, AnyMapping, PlatformError, one_line
 from unicon_base.arrays import Array, Float64
-from unicon_base.errors import PlatformError, one_line
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.posed import PosedModel
 from unicon_core.models.terrain import Models

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base import AnyDict
+from unicon_base import AnyDict, Fault
 from unicon_base.arrays import Array, Float64, Int64
-from unicon_base.errors import Fault
 from unicon_core import memory
 from unicon_core.models.loaded import LoadedModel
 from unicon_core.models.posed import PosedModel

@@ -17,8 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base import AnyDict, AnyMapping
-from unicon_base.errors import PolicyError, alternatives
+from unicon_base import AnyDict, AnyMapping, PolicyError, alternatives
 from unicon_base.located_yaml import Where, read_yaml
 from unicon_core.policies.facts import GAINS, Facts, dig, term_state
 from unicon_core.policies.hints import Pair

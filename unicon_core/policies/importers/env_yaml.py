@@ -21,8 +21,7 @@ import re
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
-from unicon_base import AnyDict, AnyMapping
-from unicon_base.errors import alternatives
+from unicon_base import AnyDict, AnyMapping, alternatives
 from unicon_base.located_yaml import Where
 from unicon_core.policies.facts import GAINS, TO_GIVE, Facts, dig, open_joints, term_state
 from unicon_core.policies.importers.source import Source, matches, values_by_pattern

@@ -7,8 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from unicon_base import AnyMapping
-from unicon_base.errors import PolicyError
+from unicon_base import AnyMapping, PolicyError
 from unicon_core.policies.facts import Facts, says
 from unicon_core.policies.importers.deploy_programs import booster_facts, unitree_rl_gym_facts
 from unicon_core.policies.importers.deploy_yaml import deploy_yaml_facts, refuse_base, rl_sar_facts

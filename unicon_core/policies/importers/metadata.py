@@ -28,8 +28,7 @@ import json
 import re
 from typing import Any
 
-from unicon_base import AnyDict
-from unicon_base.errors import PolicyError
+from unicon_base import AnyDict, PolicyError
 from unicon_core.policies.facts import GAINS, Facts, term_state
 from unicon_core.policies.importers.source import RENAMED_RANGES, plural
 from unicon_core.policies.networks.onnx_file import OnnxFile

@@ -12,8 +12,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
-from unicon_base import AnyDict, AnyMapping
-from unicon_base.errors import PolicyError, UniconError, alternatives
+from unicon_base import AnyDict, AnyMapping, PolicyError, UniconError, alternatives
 from unicon_base.located_yaml import Located, Tagged, Where
 from unicon_base.schema.marks import Checked, Names, Within, twice
 from unicon_base.schema.read import read_value

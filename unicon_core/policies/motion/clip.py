@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
+from unicon_base import PolicyError, alternatives, one_line
 from unicon_base.arrays import Float32, Float64
-from unicon_base.errors import PolicyError, alternatives, one_line
 from unicon_core.models.frames import Quat, Vector, multiply, rotate, turned
 from unicon_core.models.kinematic_tree import BASE, frame_of, read_tree
 from unicon_core.models.load import load_model

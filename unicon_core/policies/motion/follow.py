@@ -24,8 +24,8 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base import PolicyError
 from unicon_base.arrays import Float32
-from unicon_base.errors import PolicyError
 from unicon_core.models.frames import Quat, Vector, conjugate, multiply, rotate, turned, yaw_of
 from unicon_core.policies.bind import PolicyStep
 from unicon_core.policies.contract import PolicyContract

@@ -13,7 +13,7 @@ import ipaddress
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal
 
-from unicon_base.errors import WorkflowError
+from unicon_base import WorkflowError
 from unicon_base.schema.marks import Within
 from unicon_core.flow import Block
 from unicon_core.states import StateSpec

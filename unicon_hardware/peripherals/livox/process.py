@@ -11,7 +11,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from unicon_base.errors import UniconError
+from unicon_base import UniconError
 from unicon_hardware.peripherals.livox import protocol
 from unicon_hardware.peripherals.livox.cloud import ROW, Clouds, Counter, SensorClock, livox_message
 from unicon_hardware.peripherals.livox.protocol import Packet, Refused

@@ -24,8 +24,7 @@ from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
-from unicon_base import AnyDict
-from unicon_base.errors import UniconError, imported
+from unicon_base import AnyDict, UniconError, imported
 from unicon_base.resources import user_folder
 from unicon_hardware.peripherals.webxr.webxr import ANSWER, FRAME, PARTS, PING, Frame, Refused
 from unicon_ros.peripheral_process import SLICE, Feed, end, serve

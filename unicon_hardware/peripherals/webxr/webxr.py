@@ -15,8 +15,8 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from unicon_base import MissingDependencyError, WorkflowError
 from unicon_base.arrays import Float32
-from unicon_base.errors import MissingDependencyError, WorkflowError
 from unicon_base.schema.marks import Within
 from unicon_core.flow import Block
 from unicon_core.states import StateSpec

@@ -17,8 +17,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from unicon_base import AnyDict, AnyMapping
-from unicon_base.errors import UniconError, one_line
+from unicon_base import AnyDict, AnyMapping, UniconError, one_line
 from unicon_lab.sweep.plan import Row, code_sha256, differing, versions
 from unicon_lab.sweep.pool import HOPELESS, LOOK, ONE_THREAD, START_S, Line, Pool, PoolWorker
 
@@ -51,7 +50,7 @@ class RowActor:
 
     def row(self, settings: list[str]) -> AnyDict:
         """Return what is told of a row, as of `RowRunner.told`."""
-        from unicon_base.errors import UniconError
+        from unicon_base import UniconError
         from unicon_lab.sweep.on_ray.shipment import arrive
         from unicon_lab.sweep.worker import RowRunner
 

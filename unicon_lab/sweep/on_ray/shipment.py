@@ -19,8 +19,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from unicon_base import AnyDict
-from unicon_base.errors import UniconError
+from unicon_base import AnyDict, UniconError
 from unicon_base.resources import assets_cache, assets_root, config_roots
 from unicon_lab.sweep.draws import setting_of
 from unicon_lab.sweep.plan import Plan

@@ -10,8 +10,7 @@ import warnings
 from collections import deque
 from typing import Any
 
-from unicon_base import AnyMapping
-from unicon_base.errors import UniconError, imported
+from unicon_base import AnyMapping, UniconError, imported
 from unicon_lab.view import PORT
 from unicon_lab.view.page.plots import SECONDS, History, status_html, table
 from unicon_lab.view.shown import Shown

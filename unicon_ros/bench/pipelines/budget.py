@@ -23,8 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
-from unicon_base import AnyDict, AnyMapping
-from unicon_base.errors import UniconError
+from unicon_base import AnyDict, AnyMapping, UniconError
 from unicon_core.flow import Block, Stage
 from unicon_core.pacing import WallClock, WarmUp
 from unicon_core.runtime import Runner, RunOptions, ticker

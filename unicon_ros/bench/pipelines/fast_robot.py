@@ -22,7 +22,7 @@ import rclpy
 from rclpy.node import Node
 from sensor_msgs.msg import Imu, JointState
 
-from unicon_base.errors import UniconError
+from unicon_base import UniconError
 from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states
 from unicon_core.workflow.registry import find_factory
