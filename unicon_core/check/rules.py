@@ -73,7 +73,7 @@ graph firm: document
 robot.facts firm: robot, platform
   the robot file lacks what is needed to drive the robot
   without motor order, limits, gains or protocol, commands are guesses; a note in simulation
-  add them with their source: the vendor's URDF or SDK, or a measurement
+  find them (the vendor's URDF, SDK or a measurement) and add them with their source
 parts.writers firm: document
   two parts of a divided workflow write one state
   the last value that arrives would win

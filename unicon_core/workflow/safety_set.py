@@ -19,7 +19,14 @@ from unicon_core.workflow.registry import find_factory
 from unicon_core.workflow.uses import EXPRESSION, Use
 
 FIRST = "finite"
-STOPS = ("command_stop", "range_stop", "velocity_stop", "tilt_stop", "hardware_stop", "remote_stop")
+STOPS = (
+    "command_stop",
+    "range_stop",
+    "velocity_stop",
+    "tilt_stop",
+    "hardware_stop",
+    "remote_stop",
+)
 """Behind `finite`, before what the workflow lists: they look at ranges, and neighbours which do so
 become one comparison (`flow/fuse.py`)."""
 LAST = ("joint_limits", "stale_stop", "imu_stop", "joint_sensor_stop", "encoder_stop")

@@ -265,8 +265,8 @@ def simulated(record: Record, where: str, robot: Robot | None) -> tuple[Robot, S
     if record.joints != robot.joint_names:
         raise UniconError(
             f"{where} is of {record.facts.get('robot') or 'another robot'} with "
-            f"{len(record.joints)} "
-            f"joints, and robot {robot.name} has others: give that robot's file with --robot"
+            f"{len(record.joints)} joints, and robot {robot.name} has others: give that robot's "
+            "file with --robot"
         )
     scene = said.get("scene") or {}
     path = record.facts.get("workflow_path")

@@ -45,7 +45,6 @@ class Record:
     Attributes:
         facts: reason, workflow, robot, versions, … as texts.
         layout: of the states.
-        joints: their names; none without `joint_pos`.
         moments: what is kept of a tick: `received`, …, `sent`.
         kept: moment to the states that are kept there; at `sent` they are all. Of a recording the
             others have those that came from outside there.
@@ -81,8 +80,6 @@ class Record:
                         "as one recording; give one of its files, or move the others away"
                     )
         self.layout = layout = Layout.from_json(facts["layout"])
-        positions = layout.specs.get("joint_pos")
-        self.joints = tuple(positions.names if positions else ())
         self.moments: tuple[str, ...] = tuple(json.loads(facts["moments"]))
         some = {m: frozenset(n) for m, n in json.loads(facts.get("kept", "{}")).items()}
         self._places = kept_moments(layout, {moment: some.get(moment) for moment in self.moments})
@@ -123,6 +120,12 @@ class Record:
         if any(len(each) != layout.nbytes for each in self._whole.values()):
             raise ValueError("its memory is of another layout")
         self._feeds: dict[tuple[int, str, bool], tuple[States, Any]] = {}
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints; none without `joint_pos`."""
+        positions = self.layout.specs.get("joint_pos")
+        return tuple(positions.names) if positions else ()
 
     @property
     def period(self) -> float:
