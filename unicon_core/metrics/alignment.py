@@ -204,7 +204,9 @@ def smallest_means(a: Float64, b: Float64, shifts: Int64, overlaps: Int64) -> tu
     return smallest.reshape(front), best.reshape(front)
 
 
-def shift_losses(real: ArrayLike, sim: ArrayLike) -> tuple[Int64, Float64]:
+def shift_losses(
+    real: ArrayLike, sim: ArrayLike, max_shift: int | None = None, min_overlap: float = 0.5
+) -> tuple[Int64, Float64]:
     """Return every admissible shift and the loss there, to be drawn.
 
     The smallest is `aligned_mse`'s, up to a rounding error of 1e-13 of the signals' energy.
@@ -212,6 +214,8 @@ def shift_losses(real: ArrayLike, sim: ArrayLike) -> tuple[Int64, Float64]:
     Args:
         real: T, shape (n, d).
         sim: T̂, shape (m, d).
+        max_shift: largest |j| in samples; None for all.
+        min_overlap: share of the shorter trajectory that must have pairs, in (0, 1].
 
     Returns:
         Both of shape (s,).
@@ -220,7 +224,7 @@ def shift_losses(real: ArrayLike, sim: ArrayLike) -> tuple[Int64, Float64]:
         UniconError: something that is not a number, empty, or shapes that do not fit.
     """
     a, b = two(real, sim)
-    shifts, overlaps = admissible_shifts(a.shape[-2], b.shape[-2], None)
+    shifts, overlaps = admissible_shifts(a.shape[-2], b.shape[-2], max_shift, min_overlap)
     means, _ = _mean_squares(a[None], b[None], shifts, overlaps)
     return shifts, np.maximum(2.0 * means[0], 0.0)
 
