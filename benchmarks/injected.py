@@ -50,7 +50,7 @@ from unicon_core.platforms.kit.base import rotation
 from unicon_core.policies import PolicyContract
 from unicon_core.policies.contract import FilterSpec
 from unicon_core.runtime import Runner, RunOptions
-from unicon_core.workflow import Hook, Program, load_document
+from unicon_core.workflow import Hook, HookBlocks, Program, load_document
 from unicon_core.workflow.document import split_setting
 from unicon_core.workflow.members import load_robot_of
 from unicon_core.workflow.policies import load_policies
@@ -253,7 +253,7 @@ def _edit(case: Case, loaded: LoadedModel, path: Path, spec: Any) -> None:
     path.write_text(spec.to_xml(), "utf-8")
 
 
-def _wrong(case: Case, program: Program) -> dict[Stage, list[Block]]:
+def _wrong(case: Case, program: Program) -> HookBlocks:
     """Let sensors and motors of a simulated robot be wrong, or what the policy sees a tick late."""
     of, states, platform = case.of, program.states, program.platform
     recv, send = platform.recv, platform.send

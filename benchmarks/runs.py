@@ -44,7 +44,7 @@ from unicon_base.resources import same_modules
 from unicon_core.flow import Block, Stage
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions, WallClock, WarmUp, prepare_process
-from unicon_core.workflow import Program, load_workflow
+from unicon_core.workflow import HookBlocks, Program, load_workflow
 from unicon_lab.fault_record import FaultRecord
 from unicon_lab.recording.run_recording import Recording
 from unicon_lab.view import PORT
@@ -123,7 +123,7 @@ def _run_record(file: Path | None, seconds: float) -> tuple[dict[str, Float64], 
     return tick_times(runner.statistics, round(SETTLED * RATE)), counts
 
 
-def walk(program: Program) -> dict[Stage, list[Block]]:
+def walk(program: Program) -> HookBlocks:
     """Command a slow walk, as a desk would."""
     command = program.states["velocity_command"]
 

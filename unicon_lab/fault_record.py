@@ -23,7 +23,6 @@ from typing import TYPE_CHECKING
 
 from unicon_base import TextSink, UniconError
 from unicon_base.resources import user_folder
-from unicon_core.flow import Block, Stage
 from unicon_core.runtime.tick_ring import FEWEST, TickRing
 from unicon_lab.recording import McapFile, recover
 from unicon_lab.recording.facts import content_of, facts_of
@@ -34,7 +33,7 @@ from unicon_ros.attachments import Attachment
 
 if TYPE_CHECKING:
     from unicon_core.runtime import Report, Runner
-    from unicon_core.workflow import Program
+    from unicon_core.workflow import HookBlocks, Program
     from unicon_lab.recording.run_recording import Recording
 
 OFF = "off"
@@ -74,7 +73,7 @@ class FaultRecord(Attachment):
         self._runner: Runner | None = None
         self._facts: dict[str, str] = {}
 
-    def hook(self, program: Program) -> dict[Stage, list[Block]]:
+    def hook(self, program: Program) -> HookBlocks:
         """Return the blocks that keep the ticks; give it as the last of the hooks."""
         recording = self._recording
         if self._folder is None and recording is None:

@@ -14,8 +14,7 @@ from unicon_ros.attachments import Asked, Attachment
 from unicon_ros.cli.options import argument, flag, option, port, positive, whole
 
 if TYPE_CHECKING:
-    from unicon_core.flow import Block, Stage
-    from unicon_core.workflow import Program
+    from unicon_core.workflow import HookBlocks, Program
 
 VIEW_OPTIONS = (
     argument("--view-host", "HOST", "where the viewer is served", default=LOCAL),
@@ -178,7 +177,7 @@ def attachments(asked: Asked) -> Iterator[Attachment]:
 class _Window(Attachment):
     """`--view=window`: the simulator's own."""
 
-    def hook(self, program: Program) -> dict[Stage, list[Block]]:
+    def hook(self, program: Program) -> HookBlocks:
         """See `Attachment`."""
         from unicon_core.flow import Stage, as_block
         from unicon_core.platforms.platform import Viewable

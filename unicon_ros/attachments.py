@@ -15,9 +15,8 @@ from unicon_base import AnyDict, TextSink
 from unicon_base.packages import loaded
 
 if TYPE_CHECKING:
-    from unicon_core.flow import Block, Stage
     from unicon_core.runtime import Report, Runner
-    from unicon_core.workflow import Program, WorkflowDocument
+    from unicon_core.workflow import HookBlocks, Program, WorkflowDocument
     from unicon_ros.bridge import RosSession
 
 File = tuple[str, str, Callable[[], object]]
@@ -54,7 +53,7 @@ class Attachment:
 
     address, label, drives = "", "", False
 
-    def hook(self, program: Program) -> dict[Stage, list[Block]]:
+    def hook(self, program: Program) -> HookBlocks:
         """Return its blocks, while the program is built."""
         return {}
 

@@ -20,7 +20,7 @@ from unicon_base.resources import find_config
 from unicon_core.check.rules import CODES
 from unicon_core.flow import Block, Stage, Tick
 from unicon_core.states.standard import GAIN_SCALE, GAIN_SCALE_SPEC
-from unicon_core.workflow import Program, WorkflowDocument
+from unicon_core.workflow import HookBlocks, Program, WorkflowDocument
 from unicon_core.workflow.document import split_setting
 from unicon_core.workflow.registry import known
 from unicon_ros import compat
@@ -97,7 +97,7 @@ class Tuning:
         if GAIN_SCALE not in states:
             document.values["states"] = {**states, GAIN_SCALE: GAIN_SCALE_SPEC.to_dict()}
 
-    def hook(self, program: Program) -> dict[Stage, list[Block]]:
+    def hook(self, program: Program) -> HookBlocks:
         """Return the blocks that limit the velocity command and scale the gains.
 
         Place it after the hook that receives commands.

@@ -20,7 +20,7 @@ from unicon_core.flow import Block, Stage
 from unicon_core.policies import load_policy, policy_states
 from unicon_core.policies.observation import Observation
 from unicon_core.states import States, StateSpec, standard_states
-from unicon_core.workflow import Program
+from unicon_core.workflow import HookBlocks, Program
 from unicon_lab.analysis import comparison as module
 from unicon_lab.analysis.comparison import divergence, signals_of
 from unicon_lab.analysis.paired_runs import bring_together
@@ -175,10 +175,10 @@ def flow(folder: Path, **more: Any) -> Path:
 
 def from_tick(
     first: int, stage: Stage, name: str, change: Callable[[Any], object]
-) -> Callable[[Program], dict[Stage, list[Block]]]:
+) -> Callable[[Program], HookBlocks]:
     """Return a hook that changes a state from a tick on."""
 
-    def hook(program: Program) -> dict[Stage, list[Block]]:
+    def hook(program: Program) -> HookBlocks:
         state, tick = program.states[name], count()
 
         def spoil() -> None:

@@ -20,7 +20,7 @@ from unicon_core.policies.controller import PrefixedStates
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import Layout, States, standard_states
-from unicon_core.workflow import Program, load_workflow
+from unicon_core.workflow import HookBlocks, Program, load_workflow
 
 SWAY = """\
 schema: unicon.workflow/1
@@ -66,7 +66,7 @@ class Seen:
         path.write_text(text)
         self.told: list[str] = []
 
-        def hook(workflow: Program) -> dict[Stage, list[Block]]:
+        def hook(workflow: Program) -> HookBlocks:
             command = workflow.states.velocity_command
 
             def give() -> None:
@@ -302,7 +302,7 @@ def test_every_robot_of_a_batch_is_held_to_the_bounds(tmp_path: Path, num_robots
     path = tmp_path / "batch.yaml"
     path.write_text(SWAY)
 
-    def hook(workflow: Program) -> dict[Stage, list[Block]]:
+    def hook(workflow: Program) -> HookBlocks:
         command = workflow.states.velocity_command
 
         def give() -> None:

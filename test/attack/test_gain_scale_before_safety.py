@@ -12,7 +12,7 @@ from unicon_base.errors import Fault
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states.groups import groups_hash, groups_of
-from unicon_core.workflow import Program, load_document, load_workflow
+from unicon_core.workflow import HookBlocks, Program, load_document, load_workflow
 from unicon_ros.parameters import Tuning, too_little_damping
 
 WORKFLOW = """\
@@ -39,7 +39,7 @@ def built(folder: Path, tuning: Tuning, safety: str, flow: str = "{hold: {}}") -
     return load_workflow(path, hooks=[tuning.hook, last_look])
 
 
-def last_look(workflow: Program) -> dict[Stage, list[Block]]:
+def last_look(workflow: Program) -> HookBlocks:
     return {Stage.SAFETY: [Block("last look", lambda: None, endless=True)]}
 
 
@@ -187,7 +187,7 @@ def test_the_node_does_not_start_with_scales_that_ring(capfd: pytest.CaptureFixt
 def test_a_fault_of_the_last_look_comes_before_send(tmp_path: Path) -> None:
     sent: list[int] = []
 
-    def stop(workflow: Program) -> dict[Stage, list[Block]]:
+    def stop(workflow: Program) -> HookBlocks:
         def look() -> None:
             raise Fault("stop")
 

@@ -8,7 +8,7 @@ import pytest
 
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Runner, RunOptions
-from unicon_core.workflow import Program, load_workflow
+from unicon_core.workflow import HookBlocks, Program, load_workflow
 
 WORKFLOW = """\
 robot: go2
@@ -28,7 +28,7 @@ def path(tmp_path: Path) -> Path:
 
 
 def test_a_run_that_leans_too_far_does_not_say_that_it_did_not_fall(path: Path) -> None:
-    def lean(workflow: Program) -> dict[Stage, list[Block]]:
+    def lean(workflow: Program) -> HookBlocks:
         gravity, tick = workflow.states.projected_gravity, workflow.states.tick
 
         def tilted() -> None:
@@ -58,7 +58,7 @@ def test_simulated_and_wall_time_stand_apart(path: Path) -> None:
 
 
 def test_the_largest_tilt_is_told(path: Path) -> None:
-    def lean(workflow: Program) -> dict[Stage, list[Block]]:
+    def lean(workflow: Program) -> HookBlocks:
         gravity, tick = workflow.states.projected_gravity, workflow.states.tick
 
         def tilted() -> None:
@@ -74,7 +74,7 @@ def test_the_largest_tilt_is_told(path: Path) -> None:
 
 
 def test_a_base_that_sinks_upright_is_told(path: Path) -> None:
-    def sink(workflow: Program) -> dict[Stage, list[Block]]:
+    def sink(workflow: Program) -> HookBlocks:
         base, tick = workflow.states.base_pos_w, workflow.states.tick
 
         def lowered() -> None:
@@ -90,7 +90,7 @@ def test_a_base_that_sinks_upright_is_told(path: Path) -> None:
 def test_a_fixed_base_neither_falls_nor_moves(path: Path) -> None:
     """An arm whose platform says any gravity: nothing of it can fall."""
 
-    def lean(workflow: Program) -> dict[Stage, list[Block]]:
+    def lean(workflow: Program) -> HookBlocks:
         gravity = workflow.states.projected_gravity
 
         def tilted() -> None:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Report, Runner, RunOptions
-from unicon_core.workflow import Program, load_workflow
+from unicon_core.workflow import HookBlocks, Program, load_workflow
 
 Float = NDArray[np.float64]
 
@@ -60,7 +60,7 @@ def run(workflow, changes, seconds, spoil=None):
     def keep(name: str, value: Any) -> None:
         seen.setdefault(name, []).append(np.array(value, np.float64))
 
-    def hook(program: Program) -> dict[Stage, list[Block]]:
+    def hook(program: Program) -> HookBlocks:
         states = program.states
 
         def before() -> None:

@@ -22,7 +22,7 @@ from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import States, StateSpec
 from unicon_core.states.standard import BUTTONS, control_states, standard_states
-from unicon_core.workflow import Program, load_document
+from unicon_core.workflow import HookBlocks, Program, load_document
 from unicon_core.workflow.autowire import BuildContext, autowire
 
 TO = {
@@ -239,7 +239,7 @@ class Player:
         self.x: list[float] = []
         self.height: list[float] = []
 
-    def hook(self, program: Program) -> dict[Stage, list[Block]]:
+    def hook(self, program: Program) -> HookBlocks:
         states = program.states
 
         def play() -> None:

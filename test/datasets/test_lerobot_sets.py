@@ -29,7 +29,7 @@ from pyarrow import parquet
 from unicon_base.errors import StateError, UniconError
 from unicon_core.flow import Block, Stage
 from unicon_core.robots import load_robot
-from unicon_core.workflow import Program
+from unicon_core.workflow import HookBlocks, Program
 from unicon_lab.datasets.export import Wanted, export_dataset
 from unicon_lab.recording import open_record
 from unicon_ros.cli.main import main
@@ -181,7 +181,7 @@ def test_a_video_has_a_frame_for_each_row(bags: list[Path], tmp_path: Path) -> N
 # -- what was commanded, and what is not a number --------------------------------------------------
 
 
-def commands(program: Program) -> dict[Stage, list[Block]]:
+def commands(program: Program) -> HookBlocks:
     """Command three joints from tick 20 to 39, and forget an effort in tick 7."""
     command, effort = program.states["joint_pos_command"], program.states["joint_effort"]
     tick = program.states["tick"]

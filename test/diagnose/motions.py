@@ -9,7 +9,7 @@ import numpy as np
 
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Runner, RunOptions
-from unicon_core.workflow import Program, load_document
+from unicon_core.workflow import HookBlocks, Program, load_document
 from unicon_lab.diagnose.motion import Motion
 
 WORKFLOW = """\
@@ -27,7 +27,7 @@ def states_of(
     """Return all states of a run in every tick, and its period in [s]."""
     rows: dict[str, list[Any]] = {}
 
-    def hook(program: Program) -> dict[Stage, list[Block]]:
+    def hook(program: Program) -> HookBlocks:
         rows.update({name: [] for name in program.states})
 
         def look() -> None:

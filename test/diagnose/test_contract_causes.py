@@ -33,7 +33,7 @@ from unicon_core.policies import PolicyContract
 from unicon_core.policies.contract import ChildSpec, FilterSpec
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import Layout
-from unicon_core.workflow import Program, load_document
+from unicon_core.workflow import HookBlocks, Program, load_document
 from unicon_core.workflow.members import load_robot_of
 from unicon_core.workflow.policies import load_policies
 from unicon_lab.diagnose import Cause
@@ -70,7 +70,7 @@ def given(contract: PolicyContract) -> PolicyContract:
     return contract
 
 
-def noise(program: Program) -> dict[Stage, list[Block]]:
+def noise(program: Program) -> HookBlocks:
     """Return a block that gives the policy something to see."""
     rng, first = np.random.default_rng(1), dict[str, Any]()
 

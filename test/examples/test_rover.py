@@ -25,7 +25,7 @@ from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import States, standard_states
 from unicon_core.states.standard import COMMAND_STATES
-from unicon_core.workflow import Program, load_document
+from unicon_core.workflow import HookBlocks, Program, load_document
 
 HERE = Path(__file__).resolve().parents[2] / "examples" / "rover"
 WORKFLOW = HERE / "drive.yaml"
@@ -47,7 +47,7 @@ def driven(
     kept = (*KEPT, *own)
     rows: dict[str, list[Any]] = {name: [] for name in kept}
 
-    def hook(program: Program) -> dict[Stage, list[Block]]:
+    def hook(program: Program) -> HookBlocks:
         states = program.states
 
         def before() -> None:

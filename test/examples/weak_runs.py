@@ -9,7 +9,7 @@ import numpy as np
 
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Runner, RunOptions
-from unicon_core.workflow import Program, load_document
+from unicon_core.workflow import HookBlocks, Program, load_document
 
 WORKFLOW = Path(__file__).resolve().parents[2] / "examples" / "weak_calf.yaml"
 RL_CALF = 11
@@ -20,7 +20,7 @@ def walked(weak: bool, seed: int, **overrides: Any) -> tuple[Any, dict[str, Any]
     """Return the report of a run, and its states in every tick."""
     rows: dict[str, list[Any]] = {name: [] for name in KEPT}
 
-    def hook(program: Program) -> dict[Stage, list[Block]]:
+    def hook(program: Program) -> HookBlocks:
         def look() -> None:
             for name, row in rows.items():
                 row.append(program.states[name].copy())

@@ -19,7 +19,7 @@ from unicon_base.errors import Fault
 from unicon_core.flow import Block, Stage, blocks_of
 from unicon_core.policies import Policy
 from unicon_core.states.standard import COMMAND_STATES
-from unicon_core.workflow import Program
+from unicon_core.workflow import HookBlocks, Program
 from unicon_ros.bridge.estop import EmergencyStop
 from unicon_ros.parameters import Tuning
 
@@ -206,7 +206,7 @@ def tunes(stiffness: float, damping: float = 1.0) -> Mishap:
         def act(program: Program, first: bool) -> None:
             tuning.scales[0], tuning.scales[1] = stiffness, damping
 
-        blocks: dict[Stage, list[Block]] = {k: list(v) for k, v in tuning.hook(program).items()}
+        blocks: HookBlocks = {k: list(v) for k, v in tuning.hook(program).items()}
         for stage, own in acts(act, stage=Stage.INPUT)(program).items():
             blocks[stage] = [*own, *blocks.get(stage, ())]
         return blocks

@@ -24,7 +24,7 @@ from unicon_core.models.kinematic_tree import read_tree, urdf
 from unicon_core.models.load import load_model
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Report, Runner, RunOptions
-from unicon_core.workflow import Program, load_workflow
+from unicon_core.workflow import HookBlocks, Program, load_workflow
 from unicon_ros.bench.domains import free_domain
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
@@ -103,7 +103,7 @@ def until_heard(path: Path, count: int, *peers: Heard, hooks: Any = ()) -> Repor
     """Run until each peer has heard so many pictures."""
     runner: list[Runner] = []
 
-    def ends(workflow: Program) -> dict[Stage, list[Block]]:
+    def ends(workflow: Program) -> HookBlocks:
         def look() -> None:
             if all(len(peer.lines) >= count for peer in peers):
                 runner[0].stop()
@@ -124,7 +124,7 @@ def test_a_plain_subscriber_sees_the_sky_above_and_the_floor_below(
     handles: list[int] = []
     shapes: list[Any] = []
 
-    def look(workflow: Program) -> dict[Stage, list[Block]]:
+    def look(workflow: Program) -> HookBlocks:
         (camera,) = [b.tick for b in workflow.blocks if "camera" in b.name or b.name == "call"]
 
         def note() -> None:
@@ -162,7 +162,7 @@ def test_depths_are_where_the_floor_is(
     peer = Heard(viewer("camera/depth", name))
     heights: list[float] = []
 
-    def note(workflow: Program) -> dict[Stage, list[Block]]:
+    def note(workflow: Program) -> HookBlocks:
         return {
             Stage.OBSERVE: [
                 Block("note", lambda: heights.append(float(workflow.states["base_pos_w"][2])))
@@ -213,7 +213,7 @@ def test_the_camera_info_stands_beside_the_pictures_with_their_stamps(
 def test_a_camera_process_that_is_killed_leaves_the_ticks_alone(write: Callable[..., Path]) -> None:
     killed: list[int] = []
 
-    def kill(workflow: Program) -> dict[Stage, list[Block]]:
+    def kill(workflow: Program) -> HookBlocks:
         (camera,) = [b.tick for b in workflow.blocks if hasattr(b.tick, "frame")]
 
         def act() -> None:

@@ -21,7 +21,7 @@ from unicon_base.errors import UniconError
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.states.backends.shm import segments
-from unicon_core.workflow import Program, load_workflow
+from unicon_core.workflow import HookBlocks, Program, load_workflow
 from unicon_ros.bench.domains import free_domain
 from unicon_ros.bridge.camera import Camera
 
@@ -57,7 +57,7 @@ class Rig:
         self.told: list[str] = []
 
     def run(self, seconds: float, act: Callable[[Program, list[Camera]], object]) -> Report:
-        def hook(program: Program) -> dict[Stage, list[Block]]:
+        def hook(program: Program) -> HookBlocks:
             cameras = [block.tick for block in program.blocks if isinstance(block.tick, Camera)]
             return {Stage.OBSERVE: [Block("act", lambda: act(program, cameras))]}
 

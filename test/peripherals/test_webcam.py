@@ -21,7 +21,7 @@ from unicon_core.flow import Block, Stage
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import States
-from unicon_core.workflow import Program, load_workflow
+from unicon_core.workflow import HookBlocks, Program, load_workflow
 from unicon_core.workflow.autowire import BuildContext
 from unicon_hardware.peripherals import v4l2
 from unicon_hardware.peripherals.v4l2 import Capture, Kernel
@@ -258,7 +258,7 @@ def test_a_workflow_has_two_of_them_and_one_is_pulled_out(plug: Path) -> None:
     seen: list[tuple[int, ...]] = []
     names = ("webcam_alive", "webcam_handle", "rear_alive", "rear_handle")
 
-    def hook(program: Program) -> dict[Stage, list[Block]]:
+    def hook(program: Program) -> HookBlocks:
         def look() -> None:
             if int(program.states["tick"]) == 150:
                 plug.unlink()

@@ -12,7 +12,7 @@ import numpy as np
 from unicon_base.errors import Fault
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Report, Runner, RunOptions
-from unicon_core.workflow import Program, load_document
+from unicon_core.workflow import HookBlocks, Program, load_document
 from unicon_lab.fault_record import FaultRecord
 from unicon_lab.recording import Record, open_record
 from unicon_lab.replay import verify, workflow_of
@@ -54,7 +54,7 @@ def cut_off(
     rng = np.random.default_rng(ticks)
     record = FaultRecord(str(folder), warn=_unwanted)
 
-    def outside(program: Program) -> dict[Stage, list[Block]]:
+    def outside(program: Program) -> HookBlocks:
         measured = [program.states[name] for name in program.platform.facts.writes]
         measured = [view for view in measured if view.dtype.kind == "f"]
         count = 0

@@ -23,7 +23,7 @@ from unicon_base.errors import StateError, UniconError
 from unicon_core import Zip, pose
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Report, Runner, RunOptions
-from unicon_core.workflow import Program, load_workflow
+from unicon_core.workflow import HookBlocks, Program, load_workflow
 from unicon_lab import fault_record
 from unicon_lab.fault_record import KEPT, FaultRecord, fault_folder
 from unicon_lab.recording import McapFile, mcap_file, open_record
@@ -53,7 +53,7 @@ def faulty(workflow: Path, folder: Path, at: int, **options: Any) -> tuple[Repor
     warnings: list[str] = options.pop("warnings", [])
     record = FaultRecord(str(folder), warn=warnings.append)
 
-    def outside(program: Program) -> dict[Stage, list[Block]]:
+    def outside(program: Program) -> HookBlocks:
         pos, tick = program.states["joint_pos"], program.states["tick"]
 
         def damage() -> None:
@@ -185,7 +185,7 @@ def test_a_fault_in_the_first_tick_and_in_recv(error: BaseException, tmp_path: P
     program.close()
     record = FaultRecord(str(tmp_path / "faults"))
 
-    def outside(program: Program) -> dict[Stage, list[Block]]:
+    def outside(program: Program) -> HookBlocks:
         def broken() -> None:
             program.states["joint_pos"][0] = 1.25
             raise error
@@ -268,7 +268,7 @@ def test_a_robot_has_the_time_of_the_wall(short_damping: None, tmp_path: Path) -
     options = {"platform": "fake_robot", "safety": "none", "flow": "hold", "duration": 0.3}
     options["start"] = {"approach": 10.0, "fade_in": 0.1}
 
-    def outside(program: Program) -> dict[Stage, list[Block]]:
+    def outside(program: Program) -> HookBlocks:
         def broken() -> None:
             if program.states["tick"] >= 10:
                 raise ValueError("the fault")

@@ -21,7 +21,7 @@ from rosbags.highlevel import AnyReader
 from test_recorded_runs import recorded, written
 
 from unicon_core.flow import Block, Stage
-from unicon_core.workflow import Program
+from unicon_core.workflow import HookBlocks, Program
 from unicon_lab.recording import open_record
 from unicon_lab.recording.read import files_of
 from unicon_lab.recording.ticks import TOPIC
@@ -44,7 +44,7 @@ Messages = dict[str, list[tuple[int, Any]]]
 """Topic to when each message was logged, [ns], and its fields."""
 
 
-def odd(program: Program) -> dict[Stage, list[Block]]:
+def odd(program: Program) -> HookBlocks:
     """Numbers that text does not have, and the smallest and largest ones."""
     view = program.states["joint_effort"]
     return {

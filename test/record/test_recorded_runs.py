@@ -20,7 +20,7 @@ from unicon_base.errors import Fault, StateError
 from unicon_core.flow import Block, Stage
 from unicon_core.policies import load_policy
 from unicon_core.runtime import Runner, RunOptions
-from unicon_core.workflow import Program, WorkflowDocument, load_document
+from unicon_core.workflow import HookBlocks, Program, WorkflowDocument, load_document
 from unicon_lab.fault_record import FaultRecord
 from unicon_lab.recording import Record, open_record
 from unicon_lab.recording.run_recording import Recording
@@ -69,10 +69,10 @@ def recorded(
     return open_record(file), recording.counts()
 
 
-def every_tick(into: list[bytes]) -> Callable[[Program], dict[Stage, list[Block]]]:
+def every_tick(into: list[bytes]) -> Callable[[Program], HookBlocks]:
     """Return a hook that keeps all states where a tick ends."""
 
-    def hook(program: Program) -> dict[Stage, list[Block]]:
+    def hook(program: Program) -> HookBlocks:
         def keep() -> None:
             into.append(program.states.buffer.tobytes())
 
@@ -81,7 +81,7 @@ def every_tick(into: list[bytes]) -> Callable[[Program], dict[Stage, list[Block]
     return hook
 
 
-def noise(program: Program) -> dict[Stage, list[Block]]:
+def noise(program: Program) -> HookBlocks:
     """Sensors that are noise, and say what they change."""
     rng = np.random.default_rng(3)
     names = ("joint_pos", "joint_vel")
@@ -125,7 +125,7 @@ def test_a_run_with_policy_input_and_reset_replays_to_the_bit(tmp_path: Path) ->
     rng = np.random.default_rng(5)
     runners: list[Runner] = []
 
-    def given(program: Program) -> dict[Stage, list[Block]]:
+    def given(program: Program) -> HookBlocks:
         command, tick = program.states["velocity_command"], program.states["tick"]
 
         def put() -> None:
@@ -150,7 +150,7 @@ def test_a_run_with_policy_input_and_reset_replays_to_the_bit(tmp_path: Path) ->
 def test_a_recording_that_a_fault_cuts_off_has_its_tick(tmp_path: Path) -> None:
     count = 0
 
-    def faulty(program: Program) -> dict[Stage, list[Block]]:
+    def faulty(program: Program) -> HookBlocks:
         def trip() -> None:
             nonlocal count
             count += 1
@@ -260,7 +260,7 @@ def scaled_from_outside(file: Path, declared: bool) -> Record:
 
     tuning, tick = Tuning(), 0
 
-    def scaled(program: Program) -> dict[Stage, list[Block]]:
+    def scaled(program: Program) -> HookBlocks:
         def turn() -> None:
             nonlocal tick
             tick += 1

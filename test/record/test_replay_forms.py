@@ -20,7 +20,7 @@ from unicon_base.resources import find_config
 from unicon_core.flow import Block, Stage
 from unicon_core.gates.build import beginning
 from unicon_core.runtime import Report, Runner, RunOptions
-from unicon_core.workflow import Program, load_workflow
+from unicon_core.workflow import HookBlocks, Program, load_workflow
 from unicon_lab.recording import open_record
 from unicon_lab.recording.info import info_of, info_text
 from unicon_lab.replay import verify, workflow_of
@@ -286,7 +286,7 @@ def test_a_record_that_is_cut_off_is_compared_as_far_as_it_is_whole(
 def test_nan_in_a_record_is_compared_too_and_never_sent(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def blind(program: Program) -> dict[Stage, list[Block]]:
+    def blind(program: Program) -> HookBlocks:
         effort = program.states["joint_effort"]
 
         def damage() -> None:
@@ -341,7 +341,7 @@ def test_a_fault_that_is_found_behind_send_comes_again(
     stuck = {"encoder_stop": {"timeout": 0.1, "motion": 0.05}}
     workflow = written(tmp_path, platform="fake", safety=["finite", stuck])
 
-    def still(program: Program) -> dict[Stage, list[Block]]:
+    def still(program: Program) -> HookBlocks:
         pos, tick = program.states["joint_pos"], program.states["tick"]
 
         def hold() -> None:

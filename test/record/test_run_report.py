@@ -25,7 +25,7 @@ from unicon_base.resources import sha256_of
 from unicon_core.flow import Block, Stage
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
-from unicon_core.workflow import Program, load_document
+from unicon_core.workflow import HookBlocks, Program, load_document
 from unicon_lab import fault_record
 from unicon_lab.evidence_report.report import HERE, report_of
 from unicon_lab.fault_record import FaultRecord
@@ -89,7 +89,7 @@ def recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., P
             fault_record, "facts_of", lambda *given: honest(*given) | changed | facts
         )
 
-        def damage(program: Program) -> dict[Stage, list[Block]]:
+        def damage(program: Program) -> HookBlocks:
             tick = program.states["tick"]
 
             def work() -> None:

@@ -20,7 +20,7 @@ from unicon_core.flow import Block, Stage, Tick
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.runtime.phases import Phase
-from unicon_core.workflow import Program
+from unicon_core.workflow import HookBlocks, Program
 from unicon_lab.report import run_samples
 from unicon_lab.report.pictures import PICTURES
 from unicon_lab.report.run_page import Pictured
@@ -93,7 +93,7 @@ class Kept:
     def __init__(self) -> None:
         self.rows: dict[str, list[NDArray[Any]]] = {name: [] for name in self.NAMES}
 
-    def hook(self, program: Program) -> dict[Stage, list[Block]]:
+    def hook(self, program: Program) -> HookBlocks:
         def keep() -> None:
             for name in self.NAMES:
                 self.rows[name].append(program.states[name].copy())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from unicon_core.flow import Block, Stage
 from unicon_core.states.standard import COMMAND_STATES
-from unicon_core.workflow import Program
+from unicon_core.workflow import HookBlocks, Program
 from unicon_ros.bridge.bindings import told_states
 
 
@@ -12,7 +12,7 @@ def test_the_platform_blocks_hooks_and_the_wind_down_tell_states() -> None:
     def nothing() -> None:
         return None
 
-    def hook(_: Program) -> dict[Stage, list[Block]]:
+    def hook(_: Program) -> HookBlocks:
         return {Stage.INPUT: [Block("given", nothing, writes=("by_hook",), endless=True)]}
 
     states = {name: {"shape": [2]} for name in ("by_hook", "by_ending", "by_nobody")}

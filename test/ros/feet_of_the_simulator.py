@@ -11,11 +11,11 @@ import sys
 
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Runner, RunOptions
-from unicon_core.workflow import Program, load_workflow
+from unicon_core.workflow import HookBlocks, Program, load_workflow
 from unicon_ros.bridge import RosSession
 
 
-def feet(workflow: Program) -> dict[Stage, list[Block]]:
+def feet(workflow: Program) -> HookBlocks:
     data = workflow.platform.data  # type: ignore[attr-defined]
 
     def say() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from unicon_core.flow import Block, Stage
-from unicon_core.workflow import Program, load_document
+from unicon_core.workflow import HookBlocks, Program, load_document
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(240)]
 
@@ -27,7 +27,7 @@ class Seen:
         self.places: list[Any] = []
         self.commands: list[Any] = []
 
-    def hook(self, program: Program) -> dict[Stage, list[Block]]:
+    def hook(self, program: Program) -> HookBlocks:
         states = program.states
 
         def truth() -> None:  # before an estimate takes its place

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from unicon_core.flow import Block, Stage
-from unicon_core.workflow import Program
+from unicon_core.workflow import HookBlocks, Program
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 
@@ -22,7 +22,7 @@ class Recorder:
         self.quats: dict[int, list[float]] = {}
         self.base: list[tuple[int, float]] = []
 
-    def hook(self, workflow: Program) -> dict[Stage, list[Block]]:
+    def hook(self, workflow: Program) -> HookBlocks:
         states = workflow.states
 
         def record() -> None:

@@ -15,7 +15,7 @@ from std_msgs.msg import Float64MultiArray
 
 from unicon_core.flow import Block, Stage
 from unicon_core.robots import load_robot
-from unicon_core.workflow import Program
+from unicon_core.workflow import HookBlocks, Program
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
 
@@ -120,7 +120,7 @@ def as_controller(
     robot = peers("ros2_control_robot", interface, "200", f"{seconds + 40.0}", *rest)
     heard: list[tuple[int, int]] = []
 
-    def look(program: Program) -> dict[Stage, list[Block]]:
+    def look(program: Program) -> HookBlocks:
         stamp, count = program.states.stamp_ns, program.platform.arrivals  # type: ignore[attr-defined]
         tick = partial(_note, heard, count, stamp)
         return {Stage.ESTIMATE: [Block("look", tick)]}

@@ -12,12 +12,12 @@ import time
 
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Runner, RunOptions
-from unicon_core.workflow import Program
+from unicon_core.workflow import HookBlocks, Program
 from unicon_core.workflow.document import load_document
 from unicon_ros.bridge import RosSession
 
 
-def told(program: Program) -> dict[Stage, list[Block]]:
+def told(program: Program) -> HookBlocks:
     states = program.states
 
     def say() -> None:

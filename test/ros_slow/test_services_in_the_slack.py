@@ -14,9 +14,9 @@ from pathlib import Path
 
 import pytest
 
-from unicon_core.flow import Block, Stage
+from unicon_core.flow import Stage
 from unicon_core.runtime import Runner, RunOptions
-from unicon_core.workflow import Program, load_workflow
+from unicon_core.workflow import HookBlocks, Program, load_workflow
 from unicon_lab.fault_record import FaultRecord
 from unicon_lab.recording.run_recording import Recording
 from unicon_ros.bridge import RosSession
@@ -68,7 +68,7 @@ def test_services_are_answered_within_100_ms_and_make_no_tick_late(
         session = RosSession(map=mapping if topics else None, warn=lambda line: None)
         watched = Watched(session)
 
-        def hook(program: Program) -> dict[Stage, list[Block]]:
+        def hook(program: Program) -> HookBlocks:
             stages = session.hook(program)
             for block in stages[Stage.OBSERVE]:
                 if block.name == session.slack.name:

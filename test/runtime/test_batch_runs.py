@@ -12,7 +12,7 @@ from policy_workflows import write_workflow
 
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Runner, RunOptions
-from unicon_core.workflow import Program, load_workflow
+from unicon_core.workflow import HookBlocks, Program, load_workflow
 
 ROBOTS = 64
 TICKS = 110
@@ -44,7 +44,7 @@ def commands(ticks: int) -> NDArray[np.float32]:
 def runner(path: Path, told: NDArray[np.float32], robots: int | None) -> Runner:
     """A run whose velocity command is `told[tick]`."""
 
-    def hook(workflow: Program) -> dict[Stage, list[Block]]:
+    def hook(workflow: Program) -> HookBlocks:
         command, tick = workflow.states["velocity_command"], workflow.states["tick"]
 
         def tell() -> None:

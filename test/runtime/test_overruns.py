@@ -13,7 +13,7 @@ import pytest
 from unicon_core.flow import Block, Stage, Zip
 from unicon_core.runtime import Report, Runner, RunOptions, TickStatistics, percentiles
 from unicon_core.runtime.statistics import EVERY, LEARN
-from unicon_core.workflow import Program, load_workflow
+from unicon_core.workflow import HookBlocks, Program, load_workflow
 
 pytestmark = pytest.mark.usefixtures("time_passes")
 
@@ -152,7 +152,7 @@ def test_a_slow_observer_of_a_run_is_in_the_report(tmp_path: Path) -> None:
         if len(calls) % 3 == 0:
             time.sleep(0.03)
 
-    def hook(workflow: Any) -> dict[Stage, list[Block]]:
+    def hook(workflow: Any) -> HookBlocks:
         return {Stage.OBSERVE: [Block("sleepy", sleepy, reads=("joint_pos",))]}
 
     runner = Runner(load_workflow(path, hooks=[hook]), RunOptions())

@@ -12,7 +12,7 @@ from unicon_base.errors import UniconError
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.runtime.rollouts import Rollout, Rollouts
-from unicon_core.workflow import Program, load_document
+from unicon_core.workflow import HookBlocks, Program, load_document
 from unicon_core.workflow.document import WorkflowDocument
 
 pytest.importorskip("mujoco")
@@ -144,7 +144,7 @@ def test_what_cannot_begin_anew_says_so() -> None:
 def test_a_block_that_holds_an_iterator_is_built_anew() -> None:
     numbers = iter(range(1000))
 
-    def hook(program: Program) -> dict[Stage, list[Block]]:
+    def hook(program: Program) -> HookBlocks:
         return {Stage.TUNE: [Block("counted", lambda: bool(next(numbers) < 0))]}
 
     program = Program(document(), hooks=[hook])

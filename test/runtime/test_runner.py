@@ -15,7 +15,7 @@ from unicon_core.flow import Block, Stage
 from unicon_core.platforms.kit.damping import DAMPING_TIME
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.signals import SIGNALS
-from unicon_core.workflow import Program, load_workflow
+from unicon_core.workflow import HookBlocks, Program, load_workflow
 
 TIME_PASSES = pytest.mark.usefixtures("time_passes")
 
@@ -90,7 +90,7 @@ def test_a_fault_stops_before_send_and_closes_everything(path: Path) -> None:
         if ticks == 3:
             raise Fault("the test says so")
 
-    def inputs(workflow: Program) -> dict[Stage, list[Block]]:
+    def inputs(workflow: Program) -> HookBlocks:
         platform = workflow.platform
         send, close = platform.send, platform.close
         monitored: Any = platform

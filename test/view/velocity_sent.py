@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from unicon_core.flow import Block, Stage
-from unicon_core.workflow import Program
+from unicon_core.workflow import HookBlocks, Program
 
 __all__ = ["VelocitySent"]
 
@@ -14,7 +14,7 @@ class VelocitySent:
     def __init__(self) -> None:
         self.last = [0.0, 0.0, 0.0]
 
-    def hook(self, program: Program) -> dict[Stage, list[Block]]:
+    def hook(self, program: Program) -> HookBlocks:
         command = program.states["velocity_command"]
 
         def note() -> None:

@@ -19,7 +19,7 @@ from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import States, standard_states
 from unicon_core.states.standard import COMMAND_STATES
-from unicon_core.workflow import Program, load_document
+from unicon_core.workflow import HookBlocks, Program, load_document
 
 pytest.importorskip("mujoco", reason="mujoco is not installed: pip install 'unicon_ros[sim]'")
 
@@ -39,7 +39,7 @@ def ran(
     path.write_text(text)
     rows: dict[str, list[Any]] = {}
 
-    def hook(program: Program) -> dict[Stage, list[Block]]:
+    def hook(program: Program) -> HookBlocks:
         names = [name for name in program.states if name.startswith(("twin", "joint_pos"))]
         rows.update({name: [] for name in names})
 

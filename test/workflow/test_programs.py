@@ -31,7 +31,7 @@ from unicon_core import (
 from unicon_core.flow import Tick, blocks_of
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.runtime.phases import Phase
-from unicon_core.workflow import load_workflow
+from unicon_core.workflow import HookBlocks, load_workflow
 
 FAKE = {"robot": "go2", "platform": "fake", "rate": 100}
 
@@ -134,7 +134,7 @@ def test_a_use_that_nobody_built_says_so() -> None:
 
 
 def test_stages_are_in_order_and_every_block_knows_its_own() -> None:
-    def hook(program: Program) -> dict[Stage, list[Block]]:
+    def hook(program: Program) -> HookBlocks:
         return {stage: [Block(stage.value, bool, endless=True)] for stage in Stage}
 
     flow = Loop(block("hold"), until=elapsed(1.0))
@@ -165,7 +165,7 @@ def test_the_report_counts_the_run_alone_and_the_wind_down_goes_through_safety()
     plain = fast(Program(flow=flow, **FAKE))
     seen: list[tuple[Phase, float]] = []
 
-    def hook(program: Program) -> dict[Stage, list[Block]]:
+    def hook(program: Program) -> HookBlocks:
         target = program.states["joint_pos_target"]
         look = Block("look", lambda: seen.append((runner.phase, float(target[1]))))
         return {Stage.SAFETY: [look]}
@@ -184,7 +184,7 @@ def test_the_report_counts_the_run_alone_and_the_wind_down_goes_through_safety()
 def test_a_wind_down_that_never_ends_is_bounded() -> None:
     ticks: list[Phase] = []
 
-    def hook(program: Program) -> dict[Stage, list[Block]]:
+    def hook(program: Program) -> HookBlocks:
         return {Stage.OBSERVE: [Block("look", lambda: ticks.append(runner.phase))]}
 
     flow = Loop(pose("stand"), until=elapsed(0.1))
@@ -206,7 +206,7 @@ def test_nothing_is_compiled_between_run_and_wind_down(monkeypatch: pytest.Monke
 
 
 def test_after_a_fault_nothing_winds_down() -> None:
-    def hook(program: Program) -> dict[Stage, list[Block]]:
+    def hook(program: Program) -> HookBlocks:
         return {Stage.SAFETY: [Block("trip", trip, reads=("tick",))]}
 
     def trip() -> None:

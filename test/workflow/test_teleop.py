@@ -8,7 +8,7 @@ import pytest
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.runtime.phases import Phase
-from unicon_core.workflow import Program, load_workflow
+from unicon_core.workflow import HookBlocks, Program, load_workflow
 
 pytest.importorskip("mujoco", reason="these walk in MuJoCo")
 
@@ -21,7 +21,7 @@ pytest.importorskip("mujoco", reason="these walk in MuJoCo")
 def test_it_stands_walks_and_stands_again(name: str, least: float, lies: bool, rate: int) -> None:
     rows: list[tuple[Phase, float, float, float, float]] = []
 
-    def hook(program: Program) -> dict[Stage, list[Block]]:
+    def hook(program: Program) -> HookBlocks:
         states = program.states
         command, pos, target = (
             states[key] for key in ("velocity_command", "base_pos_w", "joint_pos_target")

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 from unicon_core.workflow.document import WorkflowDocument, load_document, workflow_names
 
 if TYPE_CHECKING:
-    from unicon_core.workflow.program import Hook, Program, load_workflow
+    from unicon_core.workflow.program import Hook, HookBlocks, Program, load_workflow
 
 __all__ = [
     "Hook",
+    "HookBlocks",
     "Program",
     "WorkflowDocument",
     "load_document",
@@ -22,7 +23,7 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     """Import what builds when it is asked for: documents are read and listed without NumPy."""
-    if name not in ("Hook", "Program", "load_workflow"):
+    if name not in ("Hook", "HookBlocks", "Program", "load_workflow"):
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = getattr(import_module("unicon_core.workflow.program"), name)
     globals()[name] = value

@@ -97,6 +97,8 @@ class Described(TypedDict, total=False):
 Hook = Callable[["Program"], Mapping[Stage, Sequence[Block]]]
 """Gives a program further blocks, each for its stage, once states and platform exist: a bridge, a
 recorder, a viewer. They stand behind the program's own blocks of that stage."""
+HookBlocks = dict[Stage, list[Block]]
+"""What most hooks give."""
 
 
 class Program(ProgramData):

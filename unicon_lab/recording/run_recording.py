@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from unicon_base import AnyDict, TextSink, UniconError, imported
-from unicon_core.flow import Block, Stage
+from unicon_core.flow import Stage
 from unicon_core.memory import Snapshot
 from unicon_core.runtime.tick_ring import HEAD, KeptMemory, TickRing
 from unicon_lab.recording.bag_folder import Split
@@ -25,7 +25,7 @@ from unicon_ros.attachments import Attachment
 if TYPE_CHECKING:
     from unicon_core.runtime import Report
     from unicon_core.runtime.statistics import TickStatistics
-    from unicon_core.workflow import Program
+    from unicon_core.workflow import HookBlocks, Program
     from unicon_lab.recording.recorded_topics import RecordedFrames
     from unicon_ros.bridge import RosSession
 
@@ -100,7 +100,7 @@ class Recording(Attachment):
             text += f", {frames['frames']} frames of {name}{missed}"
         return text + (f" ({counts['error']})" if counts["error"] else "")
 
-    def hook(self, program: Program) -> dict[Stage, list[Block]]:
+    def hook(self, program: Program) -> HookBlocks:
         """Return the block that records."""
         from unicon_lab.recording.recorded_topics import (
             RecordedFrames,

@@ -15,7 +15,7 @@ from unicon_ros.bridge.bindings import told_states
 if TYPE_CHECKING:
     from unicon_core.runtime import Runner
     from unicon_core.runtime.phases import Phase
-    from unicon_core.workflow import Program
+    from unicon_core.workflow import HookBlocks, Program
 
 STATES = (
     *("base_pos_w", "base_lin_vel", "base_ang_vel", "projected_gravity", "velocity_command"),
@@ -54,7 +54,7 @@ class Keeper(Attachment):
         self._runner: Runner | None = None
         self._phase: Phase | None = None
 
-    def hook(self, program: Program) -> dict[Stage, list[Block]]:
+    def hook(self, program: Program) -> HookBlocks:
         """Return the block that keeps the states."""
         states = program.states
         self.robot, self.period, start = program.robot, program.period, 0

@@ -17,7 +17,7 @@ from unicon_base import AnyDict, AnyMapping, EmergencyStopPressed, UniconError, 
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime.phases import Phase
 from unicon_core.states import States
-from unicon_core.workflow import Program
+from unicon_core.workflow import HookBlocks, Program
 from unicon_core.workflow.flow_yaml import skills_of
 from unicon_lab.view.shown import DEAD_MAN, DRIVING, GIVEN_BACK
 from unicon_ros.bridge.bindings import told_states
@@ -89,7 +89,7 @@ class Driver:
         self._peripheral, self._runner = peripheral, runner
         peripheral.heard = self._act
 
-    def blocks(self) -> dict[Stage, list[Block]]:
+    def blocks(self) -> HookBlocks:
         """Return the blocks: before the flow, right before `send`, and after it.
 
         A viewer that does not drive is heard after `send`: no command waits for it.

@@ -16,7 +16,7 @@ from unicon_core.flow import Block, Stage
 from unicon_core.handles import FrameRing
 from unicon_core.runtime.phases import Phase
 from unicon_core.states import States
-from unicon_core.workflow import Program, WorkflowDocument
+from unicon_core.workflow import HookBlocks, Program, WorkflowDocument
 from unicon_lab.view import PORT
 from unicon_lab.view.driver import Driver
 from unicon_lab.view.shown import DEAD_MAN, HEAD, NAME, PAGE, shown_of
@@ -150,7 +150,7 @@ class Fed(Attachment):
         self._fill: Callable[[], object] = bool
         self._due_ns = 0
 
-    def hook(self, program: Program) -> dict[Stage, list[Block]]:
+    def hook(self, program: Program) -> HookBlocks:
         """Return the block that copies each tick."""
         return {Stage.OBSERVE: [Block(self.label, self._tick, endless=True)]}
 
@@ -260,7 +260,7 @@ class View(Fed):
         """Let the workflow have the states that a viewer's parameters change."""
         self._tuning.declare(document)
 
-    def hook(self, program: Program) -> dict[Stage, list[Block]]:
+    def hook(self, program: Program) -> HookBlocks:
         """Return the blocks of the viewer. Place it after the hook that receives commands."""
         press: Callable[[], object] = bool
         if self._session is not None and self._session.estop is not None:

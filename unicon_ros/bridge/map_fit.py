@@ -36,7 +36,7 @@ from unicon_ros.bridge.bindings import arrays_of, names_of, robot_variables, tol
 if TYPE_CHECKING:
     from unicon_core.check import CheckResult
     from unicon_core.check.subject import Subject
-    from unicon_core.workflow import Program
+    from unicon_core.workflow import HookBlocks, Program
     from unicon_core.workflow.program_data import ProgramData
 
 ORIENTATION = "base_quat"
@@ -186,7 +186,7 @@ def message_class(spec: TopicSpec) -> Any:
     return message
 
 
-def mirror_hook(program: Program, name: str | None = None) -> dict[Stage, list[Block]]:
+def mirror_hook(program: Program, name: str | None = None) -> HookBlocks:
     """Return what stands in the graph for the topics that `--ros` hears, as the bridge has it.
 
     A map that does not fit gives nothing here: `check_mirror` tells it.

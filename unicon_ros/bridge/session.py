@@ -23,7 +23,7 @@ from unicon_base.resources import find_config
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Runner
 from unicon_core.states.standard import COMMAND_STATES
-from unicon_core.workflow import Program
+from unicon_core.workflow import HookBlocks, Program
 from unicon_msgs_map import Decoder, Encoder, MapStateError, load_map
 from unicon_msgs_map.spec import PublishSpec, SubscribeSpec, TopicSpec
 from unicon_ros import compat
@@ -124,7 +124,7 @@ class RosSession:
 
     # -- hooks ----------------------------------------------------------------------------------
 
-    def hook(self, program: Program) -> dict[Stage, list[Block]]:
+    def hook(self, program: Program) -> HookBlocks:
         """Return the blocks that poll subscriptions and ~/estop, publish and serve.
 
         Raises:

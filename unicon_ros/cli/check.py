@@ -21,8 +21,7 @@ from unicon_ros.cli.console import print_table
 from unicon_ros.cli.options import MAP, WORKFLOW, argument, command, exclusive, flag, together
 
 if TYPE_CHECKING:
-    from unicon_core.flow import Block, Stage
-    from unicon_core.workflow import Program
+    from unicon_core.workflow import HookBlocks, Program
 
 
 KINDS = {
@@ -47,7 +46,7 @@ def check(arguments: argparse.Namespace) -> int:
 
             check_mirror(subject, result, arguments.map)
 
-    def heard(program: Program) -> dict[Stage, list[Block]]:
+    def heard(program: Program) -> HookBlocks:
         if not (arguments.ros or program.document.get("ros", False)):
             return {}
         from unicon_ros.bridge.map_fit import mirror_hook

@@ -17,7 +17,7 @@ import numpy as np
 
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Runner, RunOptions
-from unicon_core.workflow import Program, load_workflow
+from unicon_core.workflow import HookBlocks, Program, load_workflow
 from unicon_ros.bench.pipelines.log import arguments
 from unicon_ros.bench.pipelines.unicon import write_bridged
 
@@ -32,7 +32,7 @@ def main() -> None:
     begin = 0.0
     traced = [0, 0]
 
-    def note_sent(workflow: Program) -> dict[Stage, list[Block]]:
+    def note_sent(workflow: Program) -> HookBlocks:
         stamp = workflow.states["stamp_ns"]
 
         def note() -> None:

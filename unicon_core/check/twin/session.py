@@ -29,7 +29,7 @@ from unicon_core.policies.driven import DrivenPolicy
 from unicon_core.robots import Robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import States
-from unicon_core.workflow import Program
+from unicon_core.workflow import HookBlocks, Program
 from unicon_core.workflow.document import WorkflowDocument
 
 JUDGED = (
@@ -339,7 +339,7 @@ class TwinSession:
         names = (f"{prefix_of(key, policies)}motion_error" for key in self.contracts)
         return next((states[name] for name in names if name in states), None)
 
-    def _commander(self, program: Program) -> dict[Stage, list[Block]]:
+    def _commander(self, program: Program) -> HookBlocks:
         """Return the block that commands a walk, as /cmd_vel would."""
         if not any(map(_reads_command, program.policies.values())):
             return {}

@@ -28,7 +28,7 @@ from unicon_core.flow import Block, Stage
 from unicon_core.pacing import WallClock, WarmUp
 from unicon_core.runtime import Runner, RunOptions, ticker
 from unicon_core.signals import SIGNALS
-from unicon_core.workflow import Program
+from unicon_core.workflow import HookBlocks, Program
 from unicon_core.workflow.document import load_document
 from unicon_ros.attachments import Asked, attached
 from unicon_ros.bench.domains import loopback_environment
@@ -72,7 +72,7 @@ class Meter:
 
         return WarmUp(timed, clock, longest_ns)
 
-    def first(self, program: Program) -> dict[Stage, list[Block]]:
+    def first(self, program: Program) -> HookBlocks:
         """Return the hook that comes before all others."""
 
         def begin() -> None:
@@ -80,7 +80,7 @@ class Meter:
 
         return {Stage.ESTIMATE: [Block("begin", begin)]}
 
-    def last(self, program: Program) -> dict[Stage, list[Block]]:
+    def last(self, program: Program) -> HookBlocks:
         """Return the hook that comes after all others."""
         stamp = program.states["stamp_ns"]
 

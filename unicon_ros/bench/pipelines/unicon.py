@@ -24,7 +24,7 @@ from unicon_core.robots import Robot
 from unicon_core.runtime import Runner
 from unicon_core.states import States
 from unicon_core.states.standard import JOINT_STATES
-from unicon_core.workflow import Program, load_workflow
+from unicon_core.workflow import HookBlocks, Program, load_workflow
 from unicon_ros.bench.pipelines.log import COMMAND, IMU, MIRROR, STATE, Log, arguments
 from unicon_ros.bridge import RosSession
 
@@ -209,7 +209,7 @@ def main() -> None:
 def _bridged(options: argparse.Namespace, folder: Path) -> None:
     log = Log(options.out, "stamp", "seen", "begin", "end")
 
-    def note(program: Program) -> dict[Stage, list[Block]]:
+    def note(program: Program) -> HookBlocks:
         stamp, seen_ns = program.states["stamp_ns"], 0
 
         def note_seen() -> None:
@@ -241,7 +241,7 @@ def _bridged(options: argparse.Namespace, folder: Path) -> None:
 def _local(options: argparse.Namespace, folder: Path) -> None:
     log = Log(options.out, "stamp", "end")
 
-    def note(program: Program) -> dict[Stage, list[Block]]:
+    def note(program: Program) -> HookBlocks:
         # The first block after `send`: the command of this tick has just been handed over.
         stamp, tick, now = program.states["stamp_ns"], program.states["tick"], time.monotonic_ns
         every = max(1, round(options.state_rate / options.rate))
@@ -281,7 +281,7 @@ def _unitree(options: argparse.Namespace, folder: Path) -> None:
     robot, _, trigger = options.variant.partition(":")
     log = Log(options.out, "stamp", "seen", "begin", "end", "cost")
 
-    def note(program: Program) -> dict[Stage, list[Block]]:
+    def note(program: Program) -> HookBlocks:
         stamp = program.states["wireless_remote"].view(np.int64)
         platform, now = program.platform, time.time_ns
         recv, send = platform.recv, platform.send
