@@ -193,6 +193,11 @@ def assets_cache() -> Path | None:
     return _user("XDG_CACHE_HOME", ".cache", "assets")
 
 
+def native_cache() -> Path | None:
+    """Return where compiled ticks lie, `$XDG_CACHE_HOME/unicon/native`; None without a home."""
+    return _user("XDG_CACHE_HOME", ".cache", "native")
+
+
 def user_folder(name: str, given: str = "") -> Path | None:
     """Return where files of this user lie that outlive a run: a folder that is given, else ours.
 

@@ -124,6 +124,7 @@ class CompiledGraph:
             last one. The last group has none: it ends with the tick, as the ticker notes.
         places: `id` of a chain or switch to the variable of `save` that tells which of its
             children runs; less than 0 before the first one.
+        shared: variables of `save` that lie in memory of native code: each has `cell_contents`.
     """
 
     step: Callable[[], bool]
@@ -138,6 +139,7 @@ class CompiledGraph:
     _ways: Sequence[Callable[[], bool]]
     places: Mapping[int, str]
     detailed: bool = True
+    shared: Mapping[str, Any] = field(default_factory=dict)
 
     def watch(self, each: bool) -> None:
         """Stamp each block from the next tick on, or `groups` of them alone, for next to nothing.
@@ -176,7 +178,9 @@ class CompiledGraph:
 
     def _counters(self) -> dict[str, CellType]:
         """Return the generated functions' own variables: all else that they enclose are objects."""
-        found: dict[str, CellType] = {}
+        found: dict[str, CellType] = {
+            name: cell for name, cell in self.shared.items() if _kind(name) not in WITHIN
+        }
         todo: list[object] = [self.step, self.deferred, self.reset]
         seen: set[int] = set()
         while todo:

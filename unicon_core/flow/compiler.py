@@ -8,10 +8,13 @@ meaning of each node is said in `nodes.py`; an interpreter of the tree is the re
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any, Protocol
 
 import numpy as np
 
+from unicon_base.arrays import Int64
 from unicon_core.flow.block import Block
 from unicon_core.flow.compiled import PLACED, CompiledGraph, Lines, Scope, indent
 from unicon_core.flow.nodes import (
@@ -27,15 +30,36 @@ from unicon_core.flow.nodes import (
 )
 
 
-def compile_graph(root: Node, *, trace: bool = False) -> CompiledGraph:
+class NativeCode(Protocol):
+    """What has blocks run as native code; see `unicon_core/native/tick.py`.
+
+    Attributes:
+        cells: variables that lie in memory of native code, by name.
+    """
+
+    cells: Mapping[str, Any]
+
+    def call(self, block: Block, scope: Scope) -> str:
+        """Return the lines that call a block, "" where Python runs it."""
+        ...
+
+    def rewrite(self, scope: Scope, functions: dict[str, Lines], stamps: Int64) -> dict[str, Lines]:
+        """Return the functions' lines with calls of native code, and change the scope's own."""
+        ...
+
+
+def compile_graph(
+    root: Node, *, trace: bool = False, native: NativeCode | None = None
+) -> CompiledGraph:
     """Compile a tree of nodes.
 
     Args:
         root: the tree; shared blocks may stand in several places.
         trace: write a time stamp after each block, see `CompiledGraph.watch`; 75 to 105 ns each, by
             `unicon bench tick`: `traced` less `as run`.
+        native: takes the blocks that it can run; None leaves all to Python.
     """
-    return _Compiler(trace).compile(root)
+    return _Compiler(trace, native).compile(root)
 
 
 OUTLINE_DEPTH = 12
@@ -53,6 +77,7 @@ linearly with the tree and not with its square."""
 @dataclass
 class _Compiler:
     trace: bool
+    native: NativeCode | None = None
     scope: Scope = field(default_factory=Scope)
     blocks: list[Block] = field(default_factory=list)
     columns: dict[tuple[int, bool], int] = field(default_factory=dict)
@@ -95,6 +120,8 @@ class _Compiler:
             made[f"step{way}"] = [*begin, "done = False", *body, "return done"]
             made[f"deferred{way}"] = [*begin_deferred, *tail, *ending, *late, "return False"]
             begin, begin_deferred = [], []
+        if self.native is not None:
+            made = self.native.rewrite(scope, made, stamps)
         scope.functions += made.items()
         source, (warm, renew, *ways) = scope.build(*made)
         if self.trace and not (bodies[1][1] or ending or late):
@@ -103,6 +130,7 @@ class _Compiler:
             *(ways[0], ways[1], warm, renew, source, tuple(self.blocks)),
             *(frozenset(self.deferred_blocks), stamps, tuple(self.shared), ways),
             {owner: name for (kind, owner), name in scope.counters.items() if kind in PLACED},
+            shared={} if self.native is None else self.native.cells,
         )
 
     def step(self, root: Node) -> tuple[Lines, Lines]:
@@ -112,6 +140,8 @@ class _Compiler:
         return body, self.tail
 
     def call(self, block: Block) -> str:
+        if self.native is not None and (lines := self.native.call(block, self.scope)):
+            return lines
         if not block.inline:
             return f"{self.scope.bind('b', block.tick, block.name)}()"
         text = self.scope.renamed(block.inline, block.inline_names)
@@ -177,8 +207,10 @@ class _Compiler:
         call = self.call(block)
         if not after:
             return [call, *stamp]
-        asked = [f"r = {call}", *stamp, "if r:"] if stamp else [f"if {call}:"]
-        return [*asked, *indent(after)]
+        if not stamp:
+            return [f"if {call}:", *indent(after)]
+        result = self.scope.temporary("r")
+        return [f"{result} = {call}", *stamp, f"if {result}:", *indent(after)]
 
     def zip(self, node: Zip, on_done: Lines, conditional: bool, idempotent: bool) -> Lines:
         resets = [self.reset(child) for child in node.children]

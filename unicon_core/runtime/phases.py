@@ -164,6 +164,7 @@ class RunOptions:
         status: called about once a second with facts for a status line, or None.
         operator: wait for `Runner.go` before a robot moves, where the workflow does not say that
             nobody is asked. False: whoever runs it has decided.
+        native: run blocks that have a C++ twin as native code, with the same commands.
 
     Raises:
         UniconError: `speed` is not a word of these, or `duration` not a number of at least 0.
@@ -176,6 +177,7 @@ class RunOptions:
     warn: Callable[[str], None] = print
     status: Callable[[dict[str, Any]], None] | None = None
     operator: bool = False
+    native: bool = False
 
     def __post_init__(self) -> None:
         if self.speed not in get_args(Speed):

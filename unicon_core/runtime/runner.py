@@ -9,7 +9,7 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from unicon_base.errors import EmergencyStopPressed, Fault, Hung, Silence, UniconError
-from unicon_core.flow import Node
+from unicon_core.flow import Node, compile_graph
 from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.pacing import prepare_process, process_age_s
 from unicon_core.platforms.platform import Resettable
@@ -64,13 +64,19 @@ class Runner:
         self.phase = Phase.WAIT
         self.monitor = program.monitor
         status = None if self.options.status is None else self._status
-        self._run = self._ticker = Ticker(program, program.root, self.options.capacity, status)
+        compiles: Callable[..., CompiledGraph] = compile_graph
+        if self.options.native:
+            from unicon_core.native.tick import NativeTick
+
+            compiles = NativeTick(program.states, self.options.warn).compile
+        ticks = self.options.capacity
+        self._run = self._ticker = Ticker(program, program.root, ticks, status, compiles)
         if self.options.detail:
             self._run.detail.at = -1
         # Compiled now: between run and wind-down a robot would wait for its commands.
         self._ending_ticks = max(1, round(WIND_DOWN / program.period))
         root = program.wind_down
-        self._ending = None if root is None else Ticker(program, root, self._ending_ticks, None)
+        self._ending = None if root is None else Ticker(program, root, self._ending_ticks, None, compiles)
         self.operator = self.options.operator
         self._damp = Damp(program) if program.has_platform else None
         self._before = StartupSequence(program, self.options, self._ticked)

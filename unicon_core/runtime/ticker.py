@@ -10,6 +10,7 @@ import numpy as np
 
 from unicon_base.errors import Fault, Hung
 from unicon_core.flow import Node, compile_graph
+from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.pacing import CATCH_UP, WallClock, WarmUp, staying
 from unicon_core.platforms.platform import CountsArrivals
 from unicon_core.runtime.arrivals import Arrivals, awaited
@@ -32,6 +33,7 @@ class Ticker:
         root: the tree of a tick.
         capacity: ticks whose time stamps are kept.
         status: called about once a second, or None.
+        compiles: makes the graph of the tree, as `compile_graph` does.
 
     Attributes:
         graph: the compiled tree.
@@ -50,11 +52,16 @@ class Ticker:
     """
 
     def __init__(
-        self, program: Program, root: Node, capacity: int, status: Callable[[], object] | None
+        self,
+        program: Program,
+        root: Node,
+        capacity: int,
+        status: Callable[[], object] | None,
+        compiles: Callable[..., CompiledGraph] = compile_graph,
     ) -> None:
         self._program, self._status = program, status
         self.pacing, self.period_ns = program.pacing, round(program.period * 1e9)
-        self.graph = compile_graph(root, trace=True)
+        self.graph = compiles(root, trace=True)
         names = [block.name for block in self.graph.blocks]
         self.statistics = TickStatistics(
             names, self.graph.deferred_blocks, capacity, self.graph.groups

@@ -179,6 +179,11 @@ RUN_OPTIONS = (
         default="",
     ),
     argument("--part", "NAME", "run one part of a workflow that has parts", default=""),
+    flag(
+        "--native",
+        "compile blocks that have a C++ twin, with the same commands; without a compiler the "
+        "Python tick runs",
+    ),
     argument("--trace", "FILE.json", "write every block of every tick"),
     argument(
         "--report",

@@ -103,6 +103,7 @@ def _run(
             warn=console.warn,
             status=console.status_of(arguments),
             operator=not arguments.yes,
+            native=arguments.native,
         )
         with ExitStack() as shown:
             for each in attachments:

@@ -1,0 +1,204 @@
+"""Operands of C++ twins: arrays by their address, numbers as literals, memory in shared slots.
+
+A twin is a C++ text in which `$path` stands for an attribute of its block and `#path` for the
+number of elements of one. Arrays become pointers in one table, so that the same source serves
+every program of the same shapes. A number that a block remembers moves into a slot: an array of one
+element, which the native code writes and which the block's class reads by a descriptor, so that
+snapshots, replay and the Python twin see the same value.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from types import BuiltinMethodType, FunctionType
+from typing import Any
+
+import numpy as np
+
+from unicon_base.arrays import Array
+from unicon_core.memory import declared
+
+C_TYPES = {
+    "float32": "float",
+    "float64": "double",
+    "bool": "uint8_t",
+    **{f"{sign}int{bits}": f"{sign}int{bits}_t" for sign in ("", "u") for bits in (8, 16, 32, 64)},
+}
+"""Type of NumPy to the one of C++."""
+
+NEVER = (1 << 63) - 1
+"""Constant that stands for None: a number of ticks that is never reached."""
+UNSET = -(1 << 63)
+"""Value of a slot that stands for None."""
+
+_OPERAND = re.compile(r"([$#])([A-Za-z_]\w*(?:\.\w+)*)")
+
+
+class NotNative(Exception):
+    """A block, or what it uses, has no exact twin; its Python code runs."""
+
+
+class Slot:
+    """Descriptor of a number that a block remembers, which lies in an array of one element."""
+
+    def __init__(self, name: str, kind: type) -> None:
+        self.name, self.kind = name, kind
+
+    def __get__(self, owner: Any, _: Any = None) -> Any:
+        value = owner.__dict__[self.name].item()
+        return None if value == UNSET else self.kind(value)
+
+    def __set__(self, owner: Any, value: Any) -> None:
+        owner.__dict__[self.name][0] = UNSET if value is None else value
+
+
+@dataclass
+class Table:
+    """What a library points at.
+
+    Attributes:
+        arrays: in the order of their addresses in the table.
+        declarations: of the pointers, in C++.
+        bindings: statements that set them to the addresses.
+        moved: objects, their classes and names of the numbers that went into slots.
+    """
+
+    arrays: list[Array] = field(default_factory=list)
+    declarations: list[str] = field(default_factory=list)
+    bindings: list[str] = field(default_factory=list)
+    moved: list[tuple[Any, type, str]] = field(default_factory=list)
+    _names: dict[tuple[Any, ...], str] = field(default_factory=dict)
+
+    def array(self, values: Array) -> str:
+        """Return the name of an array in C++, which is indexed in C order by one number.
+
+        Raises:
+            NotNative: its type has none there, or its elements do not stand at equal distances.
+        """
+        dtype, address = values.dtype, values.__array_interface__["data"][0]
+        kind = C_TYPES.get(dtype.name)
+        stride = _stride(values)
+        if kind is None or not (dtype.isnative and values.flags.aligned and values.size):
+            raise NotNative(f"an array of {values.size} {dtype}")
+        key = address, kind, stride, values.size
+        if key not in self._names:
+            name = self._names[key] = f"a{len(self.arrays)}"
+            whole = stride == 1
+            self.declarations.append(
+                f"static {kind}* {name};" if whole else f"static View<{kind}, {stride}> {name};"
+            )
+            self.bindings.append(f"{name if whole else name + '.p'} = ({kind}*)t[{len(self.arrays)}];")
+            self.arrays.append(values)
+        return self._names[key]
+
+    def constants(self, values: Any, dtype: Any) -> str:
+        """Return the name of an array of constants."""
+        fixed = np.ascontiguousarray(values, dtype)
+        return self.array(fixed)
+
+    def slot(self, owner: Any, name: str) -> str:
+        """Return the C++ of a number that an object remembers, and move it into a slot."""
+        kind = type(owner)
+        if not isinstance(vars(kind).get(name), Slot):
+            value = getattr(owner, name)
+            self.moved.append((owner, kind, name))
+            if "_slots" not in vars(kind):
+                named = {"__module__": kind.__module__, "__qualname__": kind.__qualname__}
+                kind = type(kind.__name__, (kind,), named | {"_slots": True})
+            setattr(kind, name, Slot(name, int if value is None else type(value)))
+            dtype = np.float64 if type(value) is float else np.int64
+            owner.__dict__[name] = np.array([UNSET if value is None else value], dtype)
+            owner.__class__ = kind
+        return f"{self.array(owner.__dict__[name])}[0]"
+
+    def undo(self, first: int = 0) -> None:
+        """Give objects their numbers back, from the given place of `moved` on."""
+        for owner, kind, name in reversed(self.moved[first:]):
+            value = getattr(owner, name)
+            delattr(type(owner), name)
+            owner.__class__ = kind
+            owner.__dict__[name] = value
+        del self.moved[first:]
+
+    def expand(self, text: str, holder: Any) -> str:
+        """Return a twin's text with its operands in place of `$path` and `#path`.
+
+        Raises:
+            NotNative: an operand cannot be had.
+        """
+
+        def operand(found: re.Match[str]) -> str:
+            sign, path = found.groups()
+            *owners, name = path.split(".")
+            owner = holder
+            for each in owners:
+                owner = _part(owner, each)
+            value = _part(owner, name)
+            if sign == "#":
+                return str(np.size(value))
+            if isinstance(value, np.ndarray):
+                return self.array(value)
+            if name in (declared(type(owner)) or ()):  # type: ignore[arg-type]
+                if type(value) not in (bool, int, float, type(None)):
+                    raise NotNative(f"{path} is a {type(value).__name__}")
+                return self.slot(owner, name)
+            if isinstance(value, (list, tuple)):
+                return self.constants(value, np.int64)
+            return literal(value)
+
+        return _OPERAND.sub(operand, text)
+
+
+def literal(value: Any) -> str:
+    """Return a constant in C++, exactly.
+
+    Raises:
+        NotNative: it is none.
+    """
+    if value is None:
+        return f"INT64_C({NEVER})"
+    if isinstance(value, (bool, np.bool_)):
+        return str(int(value))
+    if isinstance(value, (int, np.integer)) and UNSET < value <= NEVER:
+        return f"INT64_C({value})"
+    if isinstance(value, (float, np.float32)):
+        number = float(value)
+        kind = "float" if isinstance(value, np.float32) else "double"
+        if number != number:
+            return f"std::numeric_limits<{kind}>::quiet_NaN()"
+        if abs(number) == np.inf:
+            return f"({'-' if number < 0 else ''}std::numeric_limits<{kind}>::infinity())"
+        return f"(({kind}){number.hex()})"
+    raise NotNative(f"a constant {type(value).__name__}")
+
+
+def _part(owner: Any, name: str) -> Any:
+    """Return an attribute, an element of a list, or what a function encloses.
+
+    A bound method of an array of one element, such as `item`, stands for the array.
+    """
+    if name.isdecimal():
+        return owner[int(name)]
+    if isinstance(owner, FunctionType):
+        cells = zip(owner.__code__.co_freevars, owner.__closure__ or ())
+        value: Any = next(cell.cell_contents for each, cell in cells if each == name)
+    else:
+        value = getattr(owner, name)
+    if isinstance(value, BuiltinMethodType):
+        value = value.__self__
+        if np.size(value) != 1:
+            raise NotNative(f"{name} of several robots")
+    return value
+
+
+def _stride(values: Array) -> int:
+    """Return the distance of neighbours in elements, in C order."""
+    steps = {
+        stride for length, stride in zip(values.shape, values.strides) if length > 1
+    }
+    if not steps or values.flags.c_contiguous:
+        return 1
+    if len(steps) > 1 or min(steps) % values.itemsize or min(steps) <= 0:
+        raise NotNative("an array that is not evenly spaced")
+    return min(steps) // values.itemsize

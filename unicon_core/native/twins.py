@@ -1,0 +1,543 @@
+"""C++ twins of blocks: what a block's tick does, statement by statement in the same types.
+
+A twin is exact by construction: additions, products, quotients, comparisons, the larger and the
+smaller of two numbers, in the order and the types of NumPy's operations (a Python float beside a
+float32 array counts as float32); sines and cosines only where Python takes them of `math`, which
+calls the same library. In a text `$path` is an attribute of the block, `#path` its number of
+elements; `each(n)` loops over i; `BAIL` runs the Python twin of this tick instead, and stands
+before anything is written; `DONE(x)` returns whether the block is done.
+
+A twin belongs to the function of this package that it repeats, not to a class: a subclass that
+overrides one of them is called back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from types import FunctionType
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from unicon_base.errors import Fault
+from unicon_core.flow.block import Block, LinearMap
+from unicon_core.native.operands import NotNative, Table
+
+Twin: TypeAlias = str | Callable[[Any], str]
+
+GAINS = "joint_stiffness", "joint_damping"
+
+
+@dataclass
+class Piece:
+    """A part of a block's tick.
+
+    Attributes:
+        name: of the block.
+        call: the part in Python: what it does where `text` is None, else what `BAIL` runs.
+        text: its C++, expanded; None where Python runs it.
+    """
+
+    name: str
+    call: Callable[[], object]
+    text: str | None = None
+
+
+def pieces_of(block: Block, table: Table) -> list[Piece]:
+    """Return a block's tick as pieces that follow each other.
+
+    Args:
+        block: of the tree.
+        table: takes the operands.
+
+    Raises:
+        NotNative: Python runs all of it; with the reason.
+    """
+    moved = len(table.moved)
+    try:
+        policy = _policy_pieces(block, table)
+        return [Piece(block.name, block.tick, _text(block, table))] if policy is None else policy
+    except NotNative:
+        table.undo(moved)
+        raise
+
+
+def _text(block: Block, table: Table) -> str:
+    tick: Any = block.tick
+    if block.linear is not None:
+        return _linear(block.linear, table)
+    if block.parts and block.inline:
+        return "\n".join(f"{{ {_text(part, table)} }}" for part in block.parts)
+    if block.parts:
+        return _looked(block, table)
+    return _own_text(tick, table)
+
+
+def _own_text(tick: Any, table: Table) -> str:
+    """Return the twin of a function or an object by what it runs."""
+    called = tick if isinstance(tick, FunctionType) else getattr(type(tick), "__call__", None)
+    for (first, *others), twin in _TWINS.items():
+        if _name(called) == first and all(
+            _name(getattr(type(tick), other.rpartition(".")[2], None)) == other for other in others
+        ):
+            text = twin if isinstance(twin, str) else twin(tick)
+            ranges = _within(tick.ranges, table) if "RANGES" in text else ""
+            return table.expand(text, tick).replace("RANGES", ranges)
+    raise NotNative("it has no twin")
+
+
+def _name(function: Any) -> str:
+    """Return `module:name` of a function of this package's core, without the package."""
+    module = getattr(function, "__module__", None) or ""
+    return f"{module.removeprefix('unicon_core.')}:{getattr(function, '__qualname__', '')}"
+
+
+# -- copies and ranges --------------------------------------------------------------------------
+
+
+def _linear(linear: LinearMap, table: Table) -> str:
+    source, target = linear.source, linear.target
+    floats = source.dtype.kind in "fbiu" and target.dtype.name in ("float32", "float64")
+    if np.may_share_memory(source, target):
+        raise NotNative("a map into its own source")
+    if source.dtype != target.dtype and not floats or not (linear.is_copy or floats):
+        raise NotNative(f"a map of {source.dtype} into {target.dtype}")
+    if linear.index is not None and source.ndim > 1:
+        raise NotNative("a map of several rows")
+    kind = "float" if target.dtype.name == "float32" else "double"
+    lines = ["each(#target) {", "auto x = " + ("$source[$index[i]];" if linear.index is not None else "$source[i];")]
+    value = "x"
+    if not linear.is_copy or source.dtype != target.dtype:
+        value = f"({kind})x"
+    for name, sign in (("scale", "*"), ("offset", "+")):
+        if (by := getattr(linear, name)) is not None:
+            if by.ndim and by.size not in (1, target.size):
+                raise NotNative("a map of several rows")
+            value = f"{value} {sign} ${name}[{'i' if by.size > 1 else 0}]"
+            value = f"({kind})({value})"
+    return table.expand("\n".join([*lines, f"$target[i] = {value};", "}"]), linear)
+
+
+def _within(ranges: Any, table: Table) -> str:
+    """Return an expression that holds where all ranges do, as `Screen` compares them."""
+    parts = []
+    for view, lower, upper in ranges:
+        low, high = (
+            table.constants(np.broadcast_to(each, view.shape), view.dtype) for each in (lower, upper)
+        )
+        parts.append(f"within({table.array(view)}, {low}, {high}, {view.size})")
+    return " && ".join(parts)
+
+
+def _looked(block: Block, table: Table) -> str:
+    """Return the twin of blocks that act beyond ranges, which `fuse` put together."""
+    stops = [part for part in block.parts if not part.amends]
+    amending = [part for part in block.parts if part.amends]
+    lines = [f"if ({_within([r for p in block.parts for r in p.tick.ranges], table)}) return 0;"]  # type: ignore[attr-defined]
+    if stops:
+        tripped = _within([r for p in stops for r in p.tick.ranges], table)  # type: ignore[attr-defined]
+        lines.append(f"if (!({tripped})) BAIL;")
+    return "\n".join([*lines, *(f"{{ {_text(part, table)} }}" for part in amending)])
+
+
+# -- blocks -------------------------------------------------------------------------------------
+
+
+def _gains(gains: Any, path: str = "gains") -> str:
+    if gains is None:
+        return ""
+    return "".join(
+        f"each(#{path}.{k}) $_command.{name}[i] = ${path}.{k}[i];\n" for k, name in enumerate(GAINS)
+    )
+
+
+_ENTRY = "($_command.joint_stiffness[i] > 0.0f ? $_command.joint_pos_target[i] : $_command.joint_pos[i])"
+_STILL = "each(#_command.joint_pos) { $_command.joint_vel_target[i] = 0.0f; $_command.joint_effort_ff[i] = 0.0f; }\n"
+
+
+def _pose(pose: Any) -> str:
+    first = "".join(f"each(#_fades.{k}.0) $_fades.{k}.1[i] = $_fades.{k}.0[i];\n" for k in (0, 1))
+    faded = "".join(
+        f"""each(#_fades.{k}.0) {{
+          if (faded == 1.0) {{ $_fades.{k}.0[i] = $_fades.{k}.2[i]; continue; }}
+          float x = $_fades.{k}.2[i] - $_fades.{k}.1[i];
+          x = x * (float)faded;
+          $_fades.{k}.0[i] = x + $_fades.{k}.1[i];
+        }}
+        """
+        for k in (0, 1)
+    )
+    return f"""
+    if ($_tick == 0) {{
+      float farthest = 0.0f;
+      each(#_start) {{
+        $_start[i] = {_ENTRY};
+        float way = $_goal[i] - $_start[i];
+        $_way[i] = way * $_said[i];
+        farthest = greater(farthest, std::fabs($_way[i]));
+      }}
+      if (std::isfinite(farthest))
+        $_ticks = std::max($_asked, (int64_t)std::min(std::ceil((double)farthest * $_ticks_per_rad), 9e18));
+      {first}
+    }}
+    $_tick += 1;
+    bool done = $_tick >= $_ticks;
+    double share = 1.0;
+    if (!done) share = 0.5 - 0.5 * std::cos(3.141592653589793 * (double)$_tick / (double)$_ticks);
+    each(#_way) {{
+      float x = $_way[i] * (float)share;
+      $_command.joint_pos_target[i] = x + $_start[i];
+    }}
+    {_STILL}
+    double faded = std::min((double)$_tick / (double)$_fade_ticks, 1.0);
+    {faded}
+    DONE(done);
+    """
+
+
+def _hold(hold: Any) -> str:
+    return f"""
+    if ($_tick == 0) each(#_held) $_held[i] = {_ENTRY};
+    $_tick += 1;
+    each(#_held) $_command.joint_pos_target[i] = $_held[i];
+    {_STILL}{_gains(hold.gains)}
+    DONE($_tick >= $_ticks);
+    """
+
+
+_DAMP = f"""
+    each(#_gain) {{
+      $_command.joint_pos_target[i] = $_command.joint_pos[i];
+      $_command.joint_stiffness[i] = 0.0f;
+      $_command.joint_damping[i] = $_gain[i];
+    }}
+    {_STILL}
+    $_tick += 1;
+    DONE($_tick >= $_ticks);
+    """
+
+
+def _velocity_command(block: Any) -> str:
+    write = "$_out[i] = wanted;"
+    if block._step is not None:
+        write = """
+        float change = wanted - $_out[i];
+        $_out[i] = $_out[i] + lesser(greater(change, -$_step[i]), $_step[i]);
+        """
+        if not np.ndim(block._step):
+            write = write.replace("$_step[i]", "$_step")
+    return f"""
+    while ($_row + 1 < #_starts && $_tick >= $_starts[$_row + 1]) $_row += 1;
+    each(3) {{
+      float wanted = $_row >= 0 ? $_values[3 * $_row + i] : 0.0f;
+      {write}
+    }}
+    $_tick += 1;
+    DONE($_tick >= $_ticks);
+    """
+
+
+def _finite(block: Any) -> str:
+    return "".join(
+        f"each(#_flat.{k}) if (!std::isfinite($_flat.{k}[i])) BAIL;\n"
+        for k in range(len(block._flat))
+    )
+
+
+def _fade_in(block: Any) -> str:
+    return (
+        "if ($_tick < $_ticks) {\n$_tick += 1;\n"
+        "float share = (float)((double)$_tick / (double)$_ticks);\n"
+        + "".join(
+            f"""each(#_views.{k}.0) {{
+              if ($_views.{k}.0[i] != $_views.{k}.2[i]) $_views.{k}.1[i] = $_views.{k}.0[i];
+              $_views.{k}.0[i] = $_views.{k}.1[i] * share;
+              $_views.{k}.2[i] = $_views.{k}.0[i];
+            }}
+            """
+            for k in range(len(block._views))
+        )
+        + "}"
+    )
+
+
+def _blend_in(block: Any) -> str:
+    mixed = "".join(
+        f"""each(#_live.{k}) {{
+          if ($_live.{k}[i] != $_mixed.{k}[i]) $_own.{k}[i] = $_live.{k}[i];
+          float x = $_own.{k}[i] - $_held.{k}[i];
+          x = x * share;
+          $_live.{k}[i] = x + $_held.{k}[i];
+          $_mixed.{k}[i] = $_live.{k}[i];
+        }}
+        """
+        for k in range(len(block._live))
+    )
+    return f"""
+    if ($_tick >= $_ticks) return 0;
+    if ($_tick == 0) BAIL;
+    $_tick += 1;
+    float share = (float)((double)$_tick / (double)($_ticks + 1));
+    {mixed}
+    """
+
+
+def _remote_stop(block: Any) -> str:
+    pressed = " && ".join(f"$_buttons[{place}]" for place in block._places)
+    return f"if (!({pressed})) $_ticks = 0; else if ($_ticks + 1 >= 2) BAIL; else $_ticks += 1;"
+
+
+def _button_stop(block: Any) -> str:
+    pressed = " || ".join(f"$_buttons[{place}]" for place in block._places)
+    return f"""
+    int64_t silent = $_alive[0] ? 0 : $_silent + 1;
+    if ({pressed} || silent > $_lost) BAIL;
+    $_silent = silent;
+    """
+
+
+_TORQUE = """
+      float rest = $_servo.joint_vel_target[i] - $_servo.joint_vel[i];
+      rest = rest * $_servo.joint_damping[i];
+      float torque = $_servo.joint_pos_target[i] - $_servo.joint_pos[i];
+      torque = torque * $_servo.joint_stiffness[i];
+      torque = torque + rest;
+      torque = torque + $_servo.joint_effort_ff[i];
+      float clipped = lesser(greater(torque, $_lower[i]), $_upper[i]);
+"""
+_RATE = """
+    each(#_target) {{
+      float last = $_fresh ? $_pos[i] : $_last[i];
+      {act}
+    }}
+    $_fresh = 0;
+    each(#_target) $_last[i] = $_target[i];
+"""
+
+_TWINS: dict[tuple[str, ...], Twin] = {
+    ("blocks.postures:Pose.__call__", "blocks.postures:Pose._write_gains"): _pose,
+    ("blocks.postures:Hold.__call__",): _hold,
+    ("blocks.postures:Damp.__call__",): _DAMP,
+    ("blocks.velocity_command:VelocityCommand.__call__",): _velocity_command,
+    (
+        "workflow.command_bounds:CommandBounds.__call__",
+        "workflow.command_bounds:CommandBounds.within",
+    ): """
+    double x = $_first[0], y = $_first[1], z = $_first[2];
+    if (!($_x0 <= x && x <= $_x1 && $_y0 <= y && y <= $_y1 && $_z0 <= z && z <= $_z1)) BAIL;
+    """,
+    ("blocks.predicates:Elapsed.__call__",): "$_tick += 1; DONE($_tick >= $_ticks);",
+    ("blocks.predicates:tilted.<locals>.is_tilted",): "DONE(!((double)$most[0] <= $bound));",
+    ("blocks.predicates:Commanded.__call__",): """
+    double most = std::fabs((double)$_command[0]);
+    for (int64_t i = 1; i < #_command; ++i) {
+      double x = std::fabs((double)$_command[i]);
+      if (x > most) most = x;
+    }
+    if (most > $_least) { $_left = $_ticks; return 1; }
+    $_left = std::max<int64_t>($_left - 1, 0);
+    DONE($_left > 0);
+    """,
+    ("blocks.predicates:Settled.__call__",): """
+    float most = 0.0f;
+    each(#_vel) { $_speed[i] = std::fabs($_vel[i]); most = greater(most, $_speed[i]); }
+    $_slow = most <= (float)$_bound ? $_slow + 1 : 0;
+    DONE($_slow >= $_ticks);
+    """,
+    ("blocks.maps:projected_gravity.<locals>.of_one_robot",): """
+    double w = $base_quat[0], x = $base_quat[1], y = $base_quat[2], z = $base_quat[3];
+    $projected_gravity[0] = (float)(2.0 * (w * y - x * z));
+    $projected_gravity[1] = (float)(-2.0 * (w * x + y * z));
+    $projected_gravity[2] = (float)(2.0 * (x * x + y * y) - 1.0);
+    """,
+    ("platforms.kit.command:FiniteCheck.__call__",): _finite,
+    ("blocks.safety.limits:Clamp.__call__",): """
+    each(#_target) $_target[i] = lesser(greater($_target[i], $_lower[i]), $_upper[i]);
+    """,
+    ("blocks.safety.limits:Trip.__call__",): """
+    each(#_target) if (!($_target[i] >= $_lower[i] && $_target[i] <= $_upper[i])) BAIL;
+    """,
+    ("blocks.safety.limits:EffortLimits.__call__", "blocks.safety.limits:EffortLimits._act"): f"""
+    each(#_lower) {{
+      {_TORQUE}
+      if (torque == clipped) continue;
+      bool stiff = $_servo.joint_stiffness[i] > 0.0f;
+      clipped = clipped - rest;
+      if (!stiff) {{ $_servo.joint_effort_ff[i] = clipped; continue; }}
+      clipped = clipped - $_servo.joint_effort_ff[i];
+      clipped = clipped / $_servo.joint_stiffness[i];
+      $_servo.joint_pos_target[i] = clipped + $_servo.joint_pos[i];
+    }}
+    """,
+    ("blocks.safety.limits:EffortLimits.__call__", "blocks.safety.limits:EffortStop._act"): f"""
+    each(#_lower) {{ {_TORQUE} if (torque != clipped) BAIL; }}
+    """,
+    ("blocks.safety.limits:RateLimit.__call__", "blocks.safety.limits:RateLimit._act"): _RATE.format(
+        act="$_target[i] = lesser(greater($_target[i], last - $_step[i]), last + $_step[i]);"
+    ),
+    ("blocks.safety.limits:RateLimit.__call__", "blocks.safety.limits:RateStop._act"): _RATE.format(
+        act="if (!(std::fabs($_target[i] - last) <= $_step[i] * 1.0001f)) BAIL;"
+    ),
+    ("blocks.safety.ranges:RangeStop.__call__",): "if (!(RANGES)) BAIL;",
+    ("blocks.safety.stops:TiltStop.__call__",): """
+    if (!((double)$_largest[0] <= $_bound)) BAIL;
+    """,
+    ("blocks.safety.stops:VelocityStop.__call__",): "if (!(RANGES)) BAIL;",
+    ("blocks.safety.stops:StaleStop.__call__",): """
+    int64_t stamp = $_oldest[0];
+    if (stamp != $_last) { $_last = stamp; $_same = 0; return 0; }
+    if ($_same + 1 >= $_ticks) BAIL;
+    $_same += 1;
+    """,
+    ("blocks.safety.stops:RemoteStop.__call__",): _remote_stop,
+    ("blocks.safety.stops:ButtonStop.__call__",): _button_stop,
+    # What a dot product of float32 decides is left to Python wherever it is close.
+    ("blocks.safety.servo_stops:TrackingStop.__call__",): """
+    double square = 0.0;
+    each(#_pos) { $_apart[i] = $_target[i] - $_pos[i]; square += (double)$_apart[i] * $_apart[i]; }
+    if ($_counting || !(square <= 0.999 * $_bound * $_bound)) BAIL;
+    """,
+    ("blocks.safety.stuck:EncoderStop.__call__",): """
+    each(#_pos) if (!($_pos[i] != $_last[i])) BAIL;
+    $_tick += 1;
+    each(#_pos) { $_last[i] = $_pos[i]; $_reference[i] = $_target[i]; }
+    $_all = $_tick;
+    """,
+    ("policies.phase:CommandSlew.__call__",): """
+    each(#_seen) {
+      float change = $_command[i] - $_seen[i];
+      $_seen[i] = $_seen[i] + lesser(greater(change, $_least[i]), $_step[i]);
+    }
+    """,
+    ("blocks.approach:FadeIn.__call__",): _fade_in,
+    ("blocks.approach:BlendIn.__call__",): _blend_in,
+}
+"""Functions of this package that a block runs, the tick first, to their twin."""
+
+
+# -- policies -----------------------------------------------------------------------------------
+
+
+def _policy_pieces(block: Block, table: Table) -> list[Piece] | None:
+    """Return what a policy does before and behind its network, None where it is no plain one.
+
+    Raises:
+        NotNative: the policy has what Python runs.
+    """
+    policy: Any = block.tick
+    name = _name(getattr(type(policy), "__call__", None))
+    if name != "policies.policy:Policy.__call__":
+        return None
+    lane, action_map = policy.lane, policy.action_map
+    observation = lane.observation
+    plain = {
+        "a motion": policy.tracker is None and not policy._motion,
+        "inputs beside the observation": observation is not None and not lane.inputs,
+        "a network that remembers inside itself": not lane._remembering,
+        "filters": not (observation and observation._filters) and action_map.filter is None,
+        "actions that are not positions": action_map.positions_only,
+    }
+    for what, lacks in plain.items():
+        if not lacks:
+            raise NotNative(f"a policy with {what}")
+
+    def refuse(blame: Callable[[], str]) -> Callable[[], object]:
+        def fault() -> None:
+            raise Fault(blame())
+
+        return fault
+
+    before = [Piece(f"{block.name}_{k}", part) for k, part in enumerate(policy._before)]
+    for piece in before:
+        with suppress(NotNative):
+            piece.text = _own_text(piece.call, table)
+    assemble = "\n".join([_observation(observation), "each(#obs) if (!std::isfinite($obs[i])) BAIL;"])
+    holder = _Operands(lane, observation, policy)
+    return [
+        *before,
+        Piece(block.name, refuse(policy._blame_observation), table.expand(assemble, holder)),
+        Piece(f"{block.name}_network", lane.infer),
+        Piece(block.name, refuse(policy._blame_action), table.expand(_action(policy), holder)),
+    ]
+
+
+class _Operands:
+    """Names for what a policy's twin uses."""
+
+    def __init__(self, lane: Any, observation: Any, policy: Any) -> None:
+        self.lane, self.observation, self.map = lane, observation, policy.action_map
+        self.obs, self.action = lane.obs, lane.action
+        self.target = policy._computed[0]
+        self.published, self.recurrent = policy._published, lane.recurrent
+        if observation._clip is not None:
+            span, self.low, self.high = observation._clip
+            self.first, self.last = span.start, span.stop
+        if self.map._clip is not None:  # of the action, or of targets
+            self.least, self.most = self.map._clip
+
+
+def _observation(observation: Any) -> str:
+    """Return the twin of `Observation.bind_parts`'s `write`, into `obs` or the ring."""
+    lines = ["float x = $observation._buffer[$observation._index[i]];"]
+    if observation._subtract is not None:
+        lines.append("x = x - $observation._subtract[i];")
+    if observation._clip is not None:
+        clip = "x = lesser(greater(x, $low[i - $first]), $high[i - $first]);"
+        lines.append(f"if (i >= $first && i < $last) {clip}")
+    if observation._scale is not None:
+        lines.append("x = x * $observation._scale[i];")
+    size = observation._index.size
+    frame = f"each({size}) {{ {' '.join(lines)} OUT[i] = x; }}"
+    history = observation._history
+    if history == 1:
+        return frame.replace("OUT", "$obs")
+    fresh = "0.0f" if observation._zeros else f"slot[i % {size}]"
+    return f"""
+    float* slot = &$observation._ring[$observation._head * {size}];
+    {frame.replace("OUT", "slot")}
+    if ($observation._fresh) {{
+      float kept[{size}];
+      each({size}) kept[i] = slot[i];
+      each(#observation._ring) $observation._ring[i] = {fresh.replace("slot", "kept")};
+      each({size}) slot[i] = kept[i];
+    }}
+    each({size}) slot[{history * size} + i] = slot[i];
+    const float* window = &$observation._ring[($observation._head + 1) * {size}];
+    each(#obs) $obs[i] = window[$observation._window_index[i]];
+    """
+
+
+def _action(policy: Any) -> str:
+    action_map, lane = policy.action_map, policy.lane
+    lines = ["each(#action) if (!std::isfinite($action[i])) BAIL;"]
+    clip, target = action_map._clip is not None, "$action[$map._index[i]]"
+    if clip and action_map._feed_clipped:
+        lines.append(
+            "each(#action) $action[i] = lesser(greater($action[i], $least[i]), $most[i]);"
+        )
+    elif clip:
+        target = f"lesser(greater({target}, $least[i]), $most[i])"
+    lines.append(
+        f"each(#target) {{ float x = {target}; x = x * $map._scale[i];"
+        " $target[i] = x + $map._offset[i]; }"
+    )
+    lines += _copies("published", len(policy._published))
+    if lane.advance.__name__ == "_go_on":
+        if lane.observation._history > 1:
+            lines.append(
+                "$observation._head = $observation._head + 1 < $observation._history"
+                " ? $observation._head + 1 : 0; $observation._fresh = 0;"
+            )
+        lines += [
+            f"each(#recurrent.{k}.0) $recurrent.{k}.1[i] = $recurrent.{k}.0[i];"
+            for k in range(len(lane.recurrent))
+        ]
+        lines.append("$lane._steps += 1.0;")
+    return "\n".join(lines)
+
+
+def _copies(path: str, count: int) -> Iterator[str]:
+    for k in range(count):
+        yield f"each(#{path}.{k}.0) ${path}.{k}.0[i] = ${path}.{k}.1[i];"
