@@ -18,7 +18,7 @@ from unicon_base import AnyDict, UniconError, alternatives
 from unicon_base.packages import registered
 from unicon_core.page import write_file
 from unicon_ros.cli.console import print_table
-from unicon_ros.cli.options import MAP, WORKFLOW, argument, command, exclusive, flag, together
+from unicon_ros.cli.options import MAP, WORKFLOW, argument, command, exclusive, flag, option, together
 
 if TYPE_CHECKING:
     from unicon_core.workflow import HookBlocks, Program
@@ -94,7 +94,11 @@ def show(arguments: argparse.Namespace) -> int:
     program = Program(load_document(arguments.workflow, arguments.overrides), dry=True)
     try:
         facts = (program.root, program.states, program.critical)
-        if arguments.source:
+        if arguments.source == "cpp":
+            from unicon_core.native.tick import NativeTick
+
+            print(NativeTick(program.states, print).source(program.root), end="")
+        elif arguments.source:
             print(compile_graph(program.root).source, end="")
         elif arguments.mermaid:
             print(show_mermaid(*facts))
@@ -181,7 +185,13 @@ add_show = command(
     "Show graph, states and tables of a workflow, without running it.",
     *WORKFLOW,
     exclusive(
-        flag("--source", "the compiled step as Python"),
+        option(
+            "--source",
+            nargs="?",
+            const="python",
+            choices=("python", "cpp"),
+            help="the compiled step as Python, or what `run --native` compiles",
+        ),
         flag("--mermaid", "the graph as Mermaid"),
         argument("--svg", "FILE", "the graph as SVG, written to FILE"),
         argument("--html", "FILE", "all of it as one page, written to FILE"),
