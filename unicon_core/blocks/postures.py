@@ -24,6 +24,10 @@ from unicon_core.robots import Robot
 from unicon_core.robots.load import joints_like, named_pose
 
 
+LONGEST = 1e9
+"""Ticks of a pose at most: a position of 1e30 rad is garbage, and no robot gets there."""
+
+
 class Pose(Counting):
     """Interpolate the position targets from where they are to a pose.
 
@@ -78,7 +82,8 @@ class Pose(Counting):
             self._way *= self._said
             farthest = float(np.abs(self._way).max())
             if self._way.ndim == 1 and math.isfinite(farthest):  # a batch is simulated
-                self._ticks = max(self._asked, math.ceil(farthest * self._ticks_per_rad))
+                ticks = math.ceil(min(farthest * self._ticks_per_rad, LONGEST))
+                self._ticks = max(self._asked, ticks)
             for out, first, _ in self._fades:
                 first[...] = out
         self._tick += 1

@@ -35,6 +35,60 @@ UNSET = -(1 << 63)
 _OPERAND = re.compile(r"([$#])([A-Za-z_]\w*(?:\.\w+)*)")
 
 
+PRELUDE = """
+#include <float.h>
+#include <stdint.h>
+#include <time.h>
+
+static_assert(FLT_EVAL_METHOD == 0, "float32 has to be computed as float32");
+#define each(n) for (int64_t i = 0; i < (int64_t)(n); ++i)
+#define DONE(x) return (x) ? 1 : 0
+#define finite(x) __builtin_isfinite(x)
+
+template <class T, int64_t S> struct View {
+  T* p;
+  T& operator[](int64_t i) const { return p[i * S]; }
+};
+
+// As NumPy's maximum and minimum: NaN goes through, of two equal numbers the second one counts.
+template <class T> static inline T greater(T a, T b) { return a != a ? a : a > b ? a : b; }
+template <class T> static inline T lesser(T a, T b) { return a != a ? a : a < b ? a : b; }
+// As Python's max and min.
+template <class T> static inline T larger(T a, T b) { return b > a ? b : a; }
+template <class T> static inline T smaller(T a, T b) { return b < a ? b : a; }
+static inline float magnitude(float x) { return __builtin_fabsf(x); }
+static inline double magnitude(double x) { return __builtin_fabs(x); }
+
+template <class A, class B> static inline bool within(A a, B low, B high, int64_t n) {
+  bool holds = true;
+  each(n) holds &= a[i] >= low[i] && a[i] <= high[i];
+  return holds;
+}
+
+template <class T> static void compare(int way, const T* a, const T* b, T* out, int64_t n) {
+  each(n) out[i] = way ? lesser(a[i], b[i]) : greater(a[i], b[i]);
+}
+
+extern "C" void unicon_compare(int way, const void* a, const void* b, void* out, int64_t n) {
+  if (way < 2) compare(way, (const float*)a, (const float*)b, (float*)out, n);
+  else if (way < 4) compare(way - 2, (const double*)a, (const double*)b, (double*)out, n);
+  else each(n) ((double*)out)[i] = __builtin_cos(((const double*)a)[i]);
+}
+
+static int64_t* v;
+static int64_t* T;
+static int64_t (*call)(int64_t);
+
+// The clock of time.perf_counter_ns on Linux.
+static inline int64_t now() {
+  timespec t;
+  clock_gettime(CLOCK_MONOTONIC, &t);
+  return (int64_t)t.tv_sec * 1000000000 + t.tv_nsec;
+}
+"""
+"""What stands before the functions of a library."""
+
+
 class NotNative(Exception):
     """A block, or what it uses, has no exact twin; its Python code runs."""
 
@@ -166,9 +220,9 @@ def literal(value: Any) -> str:
         number = float(value)
         kind = "float" if isinstance(value, np.float32) else "double"
         if number != number:
-            return f"std::numeric_limits<{kind}>::quiet_NaN()"
+            return f'(({kind})__builtin_nan(""))'
         if abs(number) == np.inf:
-            return f"({'-' if number < 0 else ''}std::numeric_limits<{kind}>::infinity())"
+            return f"(({kind}){'-' if number < 0 else ''}__builtin_inf())"
         return f"(({kind}){number.hex()})"
     raise NotNative(f"a constant {type(value).__name__}")
 

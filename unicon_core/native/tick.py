@@ -14,10 +14,10 @@ from __future__ import annotations
 
 import ast
 import ctypes
+import math
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,13 +28,14 @@ from unicon_core.flow.compiled import CompiledGraph, Lines, Scope, indent
 from unicon_core.flow.compiler import compile_graph
 from unicon_core.flow.nodes import Node
 from unicon_core.native.build import NativeError, load
-from unicon_core.native.operands import NotNative, Table
+from unicon_core.native.operands import PRELUDE, NotNative, Table
 from unicon_core.native.twins import Piece, pieces_of
 from unicon_core.states import States
 
 LEAST = 2
 """A stretch has at least so many operations: a call costs 0.1 µs, as much as one slice copy."""
 
+_EXTREMES = np.maximum, np.minimum
 _STEPS = re.compile(r"(step|deferred|part)")
 _SIGNS = {
     ast.Eq: "==", ast.NotEq: "!=", ast.GtE: ">=", ast.Gt: ">", ast.LtE: "<=", ast.Lt: "<",
@@ -382,7 +383,7 @@ class Stretches:
             [
                 f"// native: {', '.join(map(_clean, self.native)) or 'nothing'}",
                 *(f"// Python runs {_clean(name)}: {why}" for name, why in self.python.items()),
-                Path(__file__).with_name("prelude.hpp").read_text(encoding="utf-8"),
+                PRELUDE,
                 *table.declarations,
                 *blocks,
                 *self._stretches,
@@ -441,21 +442,18 @@ def _compare(library: ctypes.PyDLL) -> None:
         NativeError: they differ here.
     """
     special = [0.0, -0.0, 1.0, -1.5, np.inf, -np.inf, np.nan, 5e-324, 1e-45, 3.4e38]
-    first, second = (each.ravel() for each in np.meshgrid(special, special))
-    for kind in (np.float32, np.float64):
-        a, b = first.astype(kind), second.astype(kind)
-        for way, operator in enumerate((np.maximum, np.minimum)):
-            for size in (1, 7, a.size):
-                out = np.empty(size, kind)
-                library.unicon_compare(
-                    ctypes.c_int(way + 2 * (kind is np.float64)),
-                    *(ctypes.c_void_p(x.ctypes.data) for x in (a, b, out)), ctypes.c_int64(size),
-                )  # fmt: skip
-                with np.errstate(all="ignore"):
-                    expected = operator(a[:size], b[:size])
-                same = (out == expected) & (np.signbit(out) == np.signbit(expected))
-                if not (same | (np.isnan(out) & np.isnan(expected))).all():
-                    raise NativeError(f"np.{operator.__name__} differs from C++ on this machine")
+    doubles = [each.ravel() for each in np.meshgrid(special, special)]
+    floats = [each.astype(np.float32) for each in doubles]
+    angles = np.linspace(0.0, math.pi, 100)
+    cosines = np.array([*map(math.cos, angles.tolist())])
+    cases = [(operator(*pair), *pair) for pair in (floats, doubles) for operator in _EXTREMES]
+    for way, (expected, first, second) in enumerate([*cases, (cosines, angles, angles)]):
+        out = np.empty_like(expected)
+        pointers = (ctypes.c_void_p(each.ctypes.data) for each in (first, second, out))
+        library.unicon_compare(way, *pointers, ctypes.c_int64(out.size))
+        same = (out == expected) & (np.signbit(out) == np.signbit(expected))
+        if not (same | (np.isnan(out) & np.isnan(expected))).all():
+            raise NativeError("maximum, minimum or cosine differ from C++ on this machine")
 
 
 def _is_true(node: ast.expr) -> bool:

@@ -176,22 +176,22 @@ def _pose(pose: Any) -> str:
         $_start[i] = {_ENTRY};
         float way = $_goal[i] - $_start[i];
         $_way[i] = way * $_said[i];
-        farthest = greater(farthest, std::fabs($_way[i]));
+        farthest = greater(farthest, magnitude($_way[i]));
       }}
-      if (std::isfinite(farthest))
-        $_ticks = std::max($_asked, (int64_t)std::min(std::ceil((double)farthest * $_ticks_per_rad), 9e18));
+      if (finite(farthest))
+        $_ticks = larger($_asked, (int64_t)__builtin_ceil(smaller((double)farthest * $_ticks_per_rad, 1e9)));
       {first}
     }}
     $_tick += 1;
     bool done = $_tick >= $_ticks;
     double share = 1.0;
-    if (!done) share = 0.5 - 0.5 * std::cos(3.141592653589793 * (double)$_tick / (double)$_ticks);
+    if (!done) share = 0.5 - 0.5 * __builtin_cos(3.141592653589793 * (double)$_tick / (double)$_ticks);
     each(#_way) {{
       float x = $_way[i] * (float)share;
       $_command.joint_pos_target[i] = x + $_start[i];
     }}
     {_STILL}
-    double faded = std::min((double)$_tick / (double)$_fade_ticks, 1.0);
+    double faded = smaller((double)$_tick / (double)$_fade_ticks, 1.0);
     {faded}
     DONE(done);
     """
@@ -241,7 +241,7 @@ def _velocity_command(block: Any) -> str:
 
 def _finite(block: Any) -> str:
     return "".join(
-        f"each(#_flat.{k}) if (!std::isfinite($_flat.{k}[i])) BAIL;\n"
+        f"each(#_flat.{k}) if (!finite($_flat.{k}[i])) BAIL;\n"
         for k in range(len(block._flat))
     )
 
@@ -331,18 +331,18 @@ _TWINS: dict[tuple[str, ...], Twin] = {
     ("blocks.predicates:Elapsed.__call__",): "$_tick += 1; DONE($_tick >= $_ticks);",
     ("blocks.predicates:tilted.<locals>.is_tilted",): "DONE(!((double)$most[0] <= $bound));",
     ("blocks.predicates:Commanded.__call__",): """
-    double most = std::fabs((double)$_command[0]);
+    double most = magnitude((double)$_command[0]);
     for (int64_t i = 1; i < #_command; ++i) {
-      double x = std::fabs((double)$_command[i]);
+      double x = magnitude((double)$_command[i]);
       if (x > most) most = x;
     }
     if (most > $_least) { $_left = $_ticks; return 1; }
-    $_left = std::max<int64_t>($_left - 1, 0);
+    $_left = larger($_left - 1, INT64_C(0));
     DONE($_left > 0);
     """,
     ("blocks.predicates:Settled.__call__",): """
     float most = 0.0f;
-    each(#_vel) { $_speed[i] = std::fabs($_vel[i]); most = greater(most, $_speed[i]); }
+    each(#_vel) { $_speed[i] = magnitude($_vel[i]); most = greater(most, $_speed[i]); }
     $_slow = most <= (float)$_bound ? $_slow + 1 : 0;
     DONE($_slow >= $_ticks);
     """,
@@ -378,7 +378,7 @@ _TWINS: dict[tuple[str, ...], Twin] = {
         act="$_target[i] = lesser(greater($_target[i], last - $_step[i]), last + $_step[i]);"
     ),
     ("blocks.safety.limits:RateLimit.__call__", "blocks.safety.limits:RateStop._act"): _RATE.format(
-        act="if (!(std::fabs($_target[i] - last) <= $_step[i] * 1.0001f)) BAIL;"
+        act="if (!(magnitude($_target[i] - last) <= $_step[i] * 1.0001f)) BAIL;"
     ),
     ("blocks.safety.ranges:RangeStop.__call__",): "if (!(RANGES)) BAIL;",
     ("blocks.safety.stops:TiltStop.__call__",): """
@@ -453,7 +453,7 @@ def _policy_pieces(block: Block, table: Table) -> list[Piece] | None:
     for piece in before:
         with suppress(NotNative):
             piece.text = _own_text(piece.call, table)
-    assemble = "\n".join([_observation(observation), "each(#obs) if (!std::isfinite($obs[i])) BAIL;"])
+    assemble = "\n".join([_observation(observation), "each(#obs) if (!finite($obs[i])) BAIL;"])
     holder = _Operands(lane, observation, policy)
     return [
         *before,
@@ -511,7 +511,7 @@ def _observation(observation: Any) -> str:
 
 def _action(policy: Any) -> str:
     action_map, lane = policy.action_map, policy.lane
-    lines = ["each(#action) if (!std::isfinite($action[i])) BAIL;"]
+    lines = ["each(#action) if (!finite($action[i])) BAIL;"]
     clip, target = action_map._clip is not None, "$action[$map._index[i]]"
     if clip and action_map._feed_clipped:
         lines.append(
