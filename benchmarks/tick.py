@@ -3,8 +3,10 @@
 Dispatch: 10, 32 and 100 blocks that do nothing, in one zip and in zips of five, compiled and with
 the time stamps of `unicon run`, beside closures as the paper of UniCon describes them: a zip is a
 function that calls its children in turn and ends with the first that says that it is done (our own
-code, by its section on control blocks). Fused copies: sixteen neighbouring copies of 20 floats,
-fused beside the same graph without fusion. All variants take turns in one run.
+code, by its section on control blocks). Native: 10, 32 and 100 copies of 20 floats in C++
+(`unicon run --native`) beside closures of the same, and as many of which each second one stays in
+Python, beside all of them in Python. Fused copies: sixteen neighbouring copies of 20 floats, fused
+beside the same graph without fusion. All variants take turns in one run.
 """
 
 from __future__ import annotations
@@ -16,7 +18,9 @@ from typing import Any
 from benchmarks.samples import Samples, Step
 from unicon_core.flow import Block, Node, Zip, compile_graph
 from unicon_core.flow.block import LinearMap
+from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.flow.fuse import fuse
+from unicon_core.native.tick import NativeTick
 from unicon_core.runtime import TickStatistics
 from unicon_core.runtime.statistics import EVERY, LEARN, Detail
 from unicon_core.states import States, StateSpec
@@ -49,7 +53,17 @@ def run(rounds: int | None = None) -> Bench:
             ),
             f"{count} blocks, nested: as run": as_run(Zip(*[Zip(*part) for part in parts])),
         }
-    states, maps = _copies()
+        states, maps = _copies(count)
+        native = NativeTick(states, print).compile
+        blocks = [_copy(each) for each in maps]
+        half = [Block(b.name, b.tick, endless=True) if i % 2 else b for i, b in enumerate(blocks)]
+        cases |= {
+            f"{count} copies: closures": loop(closure_zip(*[block.tick for block in blocks])),
+            f"{count} copies: native": as_run(Zip(*blocks), compiles=native),
+            f"{count} copies: Python": as_run(Zip(*blocks)),
+            f"{count} copies: half native": as_run(Zip(*half), compiles=native),
+        }
+    states, maps = _copies(COPIES)
     separate = [_copy(each) for each in maps]
     fused = fuse(Zip(*separate), states)
     cases |= {
@@ -67,6 +81,14 @@ def run(rounds: int | None = None) -> Bench:
     dispatch = {kind: ratio(f"{kind}: as run", f"{kind}: closures") for kind in kinds}
     worst = max(dispatch, key=dispatch.__getitem__)
     bench.ratio("dispatch", dispatch[worst], 0.7)
+    for name, one, other, bar in (
+        ("native_dispatch", "native", "closures", 0.1),
+        ("native_half", "half native", "Python", 1.0),
+    ):
+        found = [ratio(f"{n} copies: {one}", f"{n} copies: {other}") for n in BLOCKS]
+        bench.ratio(name, max(found), bar)
+        for count, each in zip(BLOCKS, found):
+            bench.facts[f"{name}, {count} copies"] = f"{each:.3f}"
     bench.ratio("fused_copy", ratio("copies: compiled, fused", "copies: compiled, separate"), 0.15)
     for kind, found in dispatch.items():
         bench.facts[f"dispatch, {kind}"] = f"{found:.3f}{' (told above)' if kind == worst else ''}"
@@ -103,12 +125,16 @@ def loop(step: Callable[[], Any]) -> Step:
     return run
 
 
-def as_run(root: Node) -> Step:
+def as_run(root: Node, *, compiles: Callable[..., CompiledGraph] = compile_graph) -> Step:
     """Return a loop of `EVERY` ticks of a tree with the time stamps that a run gives them.
 
     What keeps them, and what waits for the next tick, is not in it.
+
+    Args:
+        root: the tree of a tick.
+        compiles: makes the graph.
     """
-    graph = compile_graph(root, trace=True)
+    graph = compiles(root, trace=True)
     names = [block.name for block in graph.blocks]
     statistics = TickStatistics(names, graph.deferred_blocks, LEARN, graph.groups)
     stamps = memoryview(graph.stamps.data)
@@ -153,10 +179,10 @@ def _copy(linear: LinearMap) -> Block:
     return Block("copy", copy, linear=linear, endless=True)
 
 
-def _copies() -> tuple[States, list[LinearMap]]:
-    names = [f"{side}{i}" for side in ("source", "target") for i in range(COPIES)]
+def _copies(count: int) -> tuple[States, list[LinearMap]]:
+    names = [f"{side}{i}" for side in ("source", "target") for i in range(count)]
     states = States({name: StateSpec((SIZE,)) for name in names})
-    return states, [LinearMap(states[f"source{i}"], states[f"target{i}"]) for i in range(COPIES)]
+    return states, [LinearMap(states[f"source{i}"], states[f"target{i}"]) for i in range(count)]
 
 
 def _flat(root: Node) -> Step:

@@ -78,6 +78,16 @@ extern "C" void unicon_compare(int way, const void* a, const void* b, void* out,
 static int64_t* v;
 static int64_t* T;
 static int64_t (*call)(int64_t);
+// For functions of Python without arguments: they return one of two objects, or raise.
+static void *yes, *no, **error;
+static void (*counted)(void*), (*raised)(void*, void*);
+#define FUNCTION(n) \\
+  extern "C" void* python_##n(void*, void*) { \\
+    int result = n(); \\
+    if (result < 0) { raised(error[0], error[1]); return 0; } \\
+    counted(result ? yes : no); \\
+    return result ? yes : no; \\
+  }
 
 // The clock of time.perf_counter_ns on Linux.
 static inline int64_t now() {

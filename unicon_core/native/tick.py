@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from unicon_base.arrays import Int64
 from unicon_base.generated import parse
 from unicon_core.flow.block import Block
 from unicon_core.flow.compiled import CompiledGraph, Lines, Scope, indent
@@ -32,10 +33,16 @@ from unicon_core.native.operands import PRELUDE, NotNative, Table
 from unicon_core.native.twins import Piece, pieces_of
 from unicon_core.states import States
 
-LEAST = 2
-"""A stretch has at least so many operations: a call costs 0.1 µs, as much as one slice copy."""
+LEAST = 1
+"""A stretch has at least so many operations: a call costs 30 ns, one slice copy in Python 80."""
 
 _EXTREMES = np.maximum, np.minimum
+_OWN = (
+    ("v", "int64_t*"), ("T", "int64_t*"), ("error", "void**"), ("call", "int64_t (*)(int64_t)"),
+    ("yes", "void*"), ("no", "void*"), ("counted", "void (*)(void*)"),
+    ("raised", "void (*)(void*, void*)"),
+)  # fmt: skip
+"""What a library gets besides the arrays of its blocks."""
 _STEPS = re.compile(r"(step|deferred|part)")
 _SIGNS = {
     ast.Eq: "==", ast.NotEq: "!=", ast.GtE: ">=", ast.Gt: ">", ast.LtE: "<=", ast.Lt: "<",
@@ -77,6 +84,25 @@ class NativeTick:
         return stretches.source
 
 
+NO_ARGUMENTS = 4
+"""METH_NOARGS of Python's stable ABI."""
+
+
+class _Method(ctypes.Structure):
+    """PyMethodDef of Python's stable ABI."""
+
+    _fields_ = [
+        ("name", ctypes.c_char_p),
+        ("function", ctypes.c_void_p),
+        ("flags", ctypes.c_int),
+        ("about", ctypes.c_char_p),
+    ]
+
+
+_METHODS: list[_Method] = []
+"""All that were made: a function looks at its own when it goes."""
+
+
 class _Cell:
     """A counter of a graph in the array that native code shares."""
 
@@ -115,7 +141,8 @@ class Stretches:
     _inline: dict[str, Lines] = field(default_factory=dict)
     _places: dict[str, int] = field(default_factory=dict)
     _calls: list[Callable[[], object]] = field(default_factory=list)
-    _error: BaseException | None = None
+    _raised: BaseException | None = None
+    _error: Int64 = field(default_factory=lambda: np.zeros(2, np.int64))
     _stretches: list[str] = field(default_factory=list)
     _keep: list[object] = field(default_factory=list)
 
@@ -207,7 +234,7 @@ class Stretches:
         if name not in self._texts or self._texts[name][1] < LEAST:
             return ast.unparse(test)
         number = self.function([f"return {name}();"])
-        return f"n{number}() and check()"
+        return f"n{number}()"
 
     def stretch(self, run: list[ast.stmt]) -> Lines:
         """Return the call of a stretch, or its statements where it has too little to do."""
@@ -222,15 +249,15 @@ class Stretches:
         clear = [f"v[{place}] = 0;" for _, place in self._given.values()]
         number = self.function(["int64_t c = 0; int gives = 0; (void)c;", *clear, *body, "return gives;"])
         if not self._given:
-            return [f"if n{number}():", "    check()"]
+            return [f"n{number}()"]
         back = []
         for name, (kind, place) in self._given.items():
             back += [f"{name} |= V[{place}]"] if kind == "|" else [f"if V[{place}]:", f"    {name} = True"]
-        return [f"if n{number}():", "    check()", *indent(back)]
+        return [f"if n{number}():", *indent(back)]
 
     def function(self, body: Lines) -> int:
         number = len(self._stretches)
-        text = "\n".join([f'extern "C" int n{number}() {{', *indent(body), "}"])
+        text = "\n".join([f"static int n{number}() {{", *indent(body), "}", f"FUNCTION(n{number})"])
         self._stretches.append(text)
         return number
 
@@ -374,11 +401,7 @@ class Stretches:
             if name in used and piece.text is not None
         ]
         table = self.table
-        own = [
-            f"v = (int64_t*)t[{len(table.arrays)}];",
-            f"T = (int64_t*)t[{len(table.arrays) + 1}];",
-            f"call = (int64_t (*)(int64_t))t[{len(table.arrays) + 2}];",
-        ]
+        own = [f"{name} = ({kind})t[{len(table.arrays) + i}];" for i, (name, kind) in enumerate(_OWN)]
         self.source = "\n".join(
             [
                 f"// native: {', '.join(map(_clean, self.native)) or 'nothing'}",
@@ -395,7 +418,6 @@ class Stretches:
         )
         self._values = values
         scope.names["V"] = shared
-        scope.names["check"] = self.check
         scope.functions[:] = [(name, every[name]) for name, _ in scope.functions]
         calls: dict[str, Any] = {f"n{number}": bool for number in range(len(self._stretches))}
         scope.names |= self._opened(calls) if self.opens else calls
@@ -409,30 +431,37 @@ class Stretches:
         """
         library = load(self.source)
         back = ctypes.PYFUNCTYPE(ctypes.c_int64, ctypes.c_int64)(self._called)
-        arrays = [*self.table.arrays, self._values, self._stamps]
+        arrays = [*self.table.arrays, self._values, self._stamps, self._error]
         addresses = [array.__array_interface__["data"][0] for array in arrays]
-        pointers = (ctypes.c_void_p * (len(addresses) + 1))(
-            *addresses, ctypes.cast(back, ctypes.c_void_p).value
+        python = ctypes.pythonapi
+        called, counted, raised = (
+            ctypes.cast(each, ctypes.c_void_p).value
+            for each in (back, python.Py_IncRef, python.PyErr_SetObject)
         )
-        library.unicon_bind(pointers)
+        addresses += [called, id(True), id(False), counted, raised]
+        library.unicon_bind((ctypes.c_void_p * len(addresses))(*addresses))
         _compare(library)
+        # Functions of the interpreter's own kind, which hold this object: a call takes 30 ns,
+        # where ctypes takes 100.
+        kinds = ctypes.c_void_p, ctypes.py_object, ctypes.c_void_p
+        make = ctypes.PYFUNCTYPE(ctypes.py_object, *kinds)(("PyCFunction_NewEx", python))
+        made = {}
+        for name in calls:
+            address = ctypes.cast(getattr(library, f"python_{name}"), ctypes.c_void_p)
+            method = _Method(name.encode(), address, NO_ARGUMENTS, None)
+            _METHODS.append(method)
+            made[name] = make(ctypes.addressof(method), self, None)
         self._keep += [library, back, arrays]
-        return {name: getattr(library, name) for name in calls}
+        return made
 
     def _called(self, number: int) -> int:
-        """Run a block's Python twin for the library; what it raises waits for `check`."""
+        """Run a block's Python twin for the library, which raises what this raises."""
         try:
             return 1 if self._calls[number]() else 0
         except BaseException as error:
-            self._error = error
+            self._raised = error
+            self._error[:] = id(type(error)), id(error)
             return -1
-
-    def check(self) -> bool:
-        """Raise what a block raised in a stretch; else true: it gave a flag."""
-        error, self._error = self._error, None
-        if error is not None:
-            raise error
-        return True
 
 
 def _compare(library: ctypes.PyDLL) -> None:

@@ -106,6 +106,10 @@ def _linear(linear: LinearMap, table: Table) -> str:
         raise NotNative(f"a map of {source.dtype} into {target.dtype}")
     if linear.index is not None and source.ndim > 1:
         raise NotNative("a map of several rows")
+    flat = source.flags.c_contiguous and target.flags.c_contiguous
+    if linear.is_copy and linear.index is None and source.dtype == target.dtype and flat:
+        into, out_of = table.array(target), table.array(source)
+        return f"__builtin_memcpy({into}, {out_of}, {target.nbytes});"
     kind = "float" if target.dtype.name == "float32" else "double"
     lines = ["each(#target) {", "auto x = " + ("$source[$index[i]];" if linear.index is not None else "$source[i];")]
     value = "x"
