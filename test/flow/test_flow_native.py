@@ -6,7 +6,6 @@ Numbers have the same bits; a NaN is a NaN, whatever its payload.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,11 +24,10 @@ from unicon_core.blocks.safety import limits, stops
 from unicon_core.blocks.safety.servo_stops import TrackingStop
 from unicon_core.blocks.safety.stuck import EncoderStop
 from unicon_core.blocks.velocity_command import VelocityCommand
-from unicon_core.flow import Block, CompiledGraph, Zip, as_block, compile_graph
+from unicon_core.flow import Block, CompiledGraph, as_block, compile_graph
 from unicon_core.flow.block import LinearMap
 from unicon_core.flow.fuse import fuse
 from unicon_core.memory import Memory
-from unicon_core.native import tick as native_tick
 from unicon_core.native.tick import NativeTick
 from unicon_core.robots import load_robot
 from unicon_core.states import States, StateSpec, standard_states

@@ -23,7 +23,6 @@ from unicon_core.flow.block import Reads
 from unicon_core.robots import Robot
 from unicon_core.robots.load import joints_like, named_pose
 
-
 LONGEST = 1e9
 """Ticks of a pose at most: a position of 1e30 rad is garbage, and no robot gets there."""
 

@@ -47,7 +47,11 @@ def compiler() -> tuple[list[str], str]:
     names = [given] if given else list(COMPILERS)
     command = next((words for n in names if (words := _words(n)) and shutil.which(words[0])), None)
     if command is None:
-        what = f"CXX={given} is no command" if given else f"none of {', '.join(COMPILERS)} is installed"
+        what = (
+            f"CXX={given} is no command"
+            if given
+            else f"none of {', '.join(COMPILERS)} is installed"
+        )
         raise NativeError(f"no C++ compiler: {what}; apt install g++, or set CXX")
     return command, _output([*command, "--version"])
 
@@ -103,12 +107,18 @@ def _output(command: list[str], text: str = "") -> str:
             timeout=PATIENCE, env=environment, check=False,
         )  # fmt: skip
     except subprocess.TimeoutExpired:
-        raise NativeError(f"{command[0]} took more than {PATIENCE:g} s; set CXX to another") from None
+        raise NativeError(
+            f"{command[0]} took more than {PATIENCE:g} s; set CXX to another"
+        ) from None
     except OSError as error:
-        raise NativeError(f"{command[0]} does not run: {error.strerror}; set CXX to another") from error
+        raise NativeError(
+            f"{command[0]} does not run: {error.strerror}; set CXX to another"
+        ) from error
     if done.returncode:
         lines = [line for line in done.stderr.splitlines() if line.strip()]
-        said = next((line for line in lines if "error" in line), lines[0] if lines else "no message")
+        said = next(
+            (line for line in lines if "error" in line), lines[0] if lines else "no message"
+        )
         raise NativeError(
             f"{command[0]} fails with status {done.returncode}: {said.strip()[:200]}; set CXX to "
             "another compiler"
@@ -118,7 +128,9 @@ def _output(command: list[str], text: str = "") -> str:
 
 def _compile(command: list[str], source: str, key: str, path: Path) -> None:
     """Compile into the cache, all or nothing; two at once do not disturb each other."""
-    symbol = f'\nextern "C" {{ extern const char unicon_key[]; const char unicon_key[] = "{key}"; }}\n'
+    symbol = (
+        f'\nextern "C" {{ extern const char unicon_key[]; const char unicon_key[] = "{key}"; }}\n'
+    )
     part = path.with_name(f".{key}.{os.getpid()}.{time.monotonic_ns()}.part")
     try:
         _output([*command, *FLAGS, "-x", "c++", "-", "-o", str(part), "-lm"], source + symbol)

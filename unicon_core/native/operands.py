@@ -152,7 +152,9 @@ class Table:
             self.declarations.append(
                 f"static {kind}* {name};" if whole else f"static View<{kind}, {stride}> {name};"
             )
-            self.bindings.append(f"{name if whole else name + '.p'} = ({kind}*)t[{len(self.arrays)}];")
+            self.bindings.append(
+                f"{name if whole else name + '.p'} = ({kind}*)t[{len(self.arrays)}];"
+            )
             self.arrays.append(values)
         return self._names[key]
 
@@ -258,9 +260,7 @@ def _part(owner: Any, name: str) -> Any:
 
 def _stride(values: Array) -> int:
     """Return the distance of neighbours in elements, in C order."""
-    steps = {
-        stride for length, stride in zip(values.shape, values.strides) if length > 1
-    }
+    steps = {stride for length, stride in zip(values.shape, values.strides) if length > 1}
     if not steps or values.flags.c_contiguous:
         return 1
     if len(steps) > 1 or min(steps) % values.itemsize or min(steps) <= 0:

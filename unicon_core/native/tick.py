@@ -187,7 +187,9 @@ class Stretches:
         self._outlined = dict(scope.functions)
         self._inside = _names(self._outlined)
         every = self._outlined | functions
-        trees = {name: parse("\n".join(body)).body for name, body in every.items() if _STEPS.match(name)}
+        trees = {
+            name: parse("\n".join(body)).body for name, body in every.items() if _STEPS.match(name)
+        }
         self._python: set[str] = set()
         while True:
             self._touched: set[str] = set()
@@ -199,7 +201,9 @@ class Stretches:
             if not clash:
                 break
             self._python |= clash
-        return self._finish({name: made.get(name) or body for name, body in every.items()}, functions)
+        return self._finish(
+            {name: made.get(name) or body for name, body in every.items()}, functions
+        )
 
     def lines(self, body: list[ast.stmt]) -> Lines:
         """Return statements as lines, with stretches in the place of native ones."""
@@ -219,7 +223,10 @@ class Stretches:
             self._touched |= self.variables(statement)
             return ast.unparse(statement).splitlines()
         self._touched |= self.variables(statement.test)
-        lines = [f"if {self.tested(statement.test)}:", *indent(self.lines(statement.body) or ["pass"])]
+        lines = [
+            f"if {self.tested(statement.test)}:",
+            *indent(self.lines(statement.body) or ["pass"]),
+        ]
         if not statement.orelse:
             return lines
         other = self.lines(statement.orelse)
@@ -247,12 +254,18 @@ class Stretches:
         self._given: dict[str, tuple[str, int]] = {}
         body = [line for statement in run for line in self.cpp(statement)]
         clear = [f"v[{place}] = 0;" for _, place in self._given.values()]
-        number = self.function(["int64_t c = 0; int gives = 0; (void)c;", *clear, *body, "return gives;"])
+        number = self.function(
+            ["int64_t c = 0; int gives = 0; (void)c;", *clear, *body, "return gives;"]
+        )
         if not self._given:
             return [f"n{number}()"]
         back = []
         for name, (kind, place) in self._given.items():
-            back += [f"{name} |= V[{place}]"] if kind == "|" else [f"if V[{place}]:", f"    {name} = True"]
+            back += (
+                [f"{name} |= V[{place}]"]
+                if kind == "|"
+                else [f"if V[{place}]:", f"    {name} = True"]
+            )
         return [f"if n{number}():", *indent(back)]
 
     def function(self, body: Lines) -> int:
@@ -268,7 +281,9 @@ class Stretches:
         return {
             node.id
             for node in ast.walk(tree)
-            if isinstance(node, ast.Name) and node.id not in self.scope.names and node.id not in self._inside
+            if isinstance(node, ast.Name)
+            and node.id not in self.scope.names
+            and node.id not in self._inside
         }
 
     def is_native(self, statement: ast.stmt) -> bool:
@@ -401,7 +416,9 @@ class Stretches:
             if name in used and piece.text is not None
         ]
         table = self.table
-        own = [f"{name} = ({kind})t[{len(table.arrays) + i}];" for i, (name, kind) in enumerate(_OWN)]
+        own = [
+            f"{name} = ({kind})t[{len(table.arrays) + i}];" for i, (name, kind) in enumerate(_OWN)
+        ]
         self.source = "\n".join(
             [
                 f"// native: {', '.join(map(_clean, self.native)) or 'nothing'}",

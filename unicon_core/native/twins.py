@@ -102,7 +102,7 @@ def _linear(linear: LinearMap, table: Table) -> str:
     floats = source.dtype.kind in "fbiu" and target.dtype.name in ("float32", "float64")
     if np.may_share_memory(source, target):
         raise NotNative("a map into its own source")
-    if source.dtype != target.dtype and not floats or not (linear.is_copy or floats):
+    if (source.dtype != target.dtype and not floats) or not (linear.is_copy or floats):
         raise NotNative(f"a map of {source.dtype} into {target.dtype}")
     if linear.index is not None and source.ndim > 1:
         raise NotNative("a map of several rows")
@@ -111,7 +111,10 @@ def _linear(linear: LinearMap, table: Table) -> str:
         into, out_of = table.array(target), table.array(source)
         return f"__builtin_memcpy({into}, {out_of}, {target.nbytes});"
     kind = "float" if target.dtype.name == "float32" else "double"
-    lines = ["each(#target) {", "auto x = " + ("$source[$index[i]];" if linear.index is not None else "$source[i];")]
+    lines = [
+        "each(#target) {",
+        "auto x = " + ("$source[$index[i]];" if linear.index is not None else "$source[i];"),
+    ]
     value = "x"
     if not linear.is_copy or source.dtype != target.dtype:
         value = f"({kind})x"
@@ -129,7 +132,8 @@ def _within(ranges: Any, table: Table) -> str:
     parts = []
     for view, lower, upper in ranges:
         low, high = (
-            table.constants(np.broadcast_to(each, view.shape), view.dtype) for each in (lower, upper)
+            table.constants(np.broadcast_to(each, view.shape), view.dtype)
+            for each in (lower, upper)
         )
         parts.append(f"within({table.array(view)}, {low}, {high}, {view.size})")
     return " && ".join(parts)
@@ -157,7 +161,9 @@ def _gains(gains: Any, path: str = "gains") -> str:
     )
 
 
-_ENTRY = "($_command.joint_stiffness[i] > 0.0f ? $_command.joint_pos_target[i] : $_command.joint_pos[i])"
+_ENTRY = (
+    "($_command.joint_stiffness[i] > 0.0f ? $_command.joint_pos_target[i] : $_command.joint_pos[i])"
+)
 _STILL = "each(#_command.joint_pos) { $_command.joint_vel_target[i] = 0.0f; $_command.joint_effort_ff[i] = 0.0f; }\n"
 
 
@@ -245,8 +251,7 @@ def _velocity_command(block: Any) -> str:
 
 def _finite(block: Any) -> str:
     return "".join(
-        f"each(#_flat.{k}) if (!finite($_flat.{k}[i])) BAIL;\n"
-        for k in range(len(block._flat))
+        f"each(#_flat.{k}) if (!finite($_flat.{k}[i])) BAIL;\n" for k in range(len(block._flat))
     )
 
 
@@ -378,7 +383,10 @@ _TWINS: dict[tuple[str, ...], Twin] = {
     ("blocks.safety.limits:EffortLimits.__call__", "blocks.safety.limits:EffortStop._act"): f"""
     each(#_lower) {{ {_TORQUE} if (torque != clipped) BAIL; }}
     """,
-    ("blocks.safety.limits:RateLimit.__call__", "blocks.safety.limits:RateLimit._act"): _RATE.format(
+    (
+        "blocks.safety.limits:RateLimit.__call__",
+        "blocks.safety.limits:RateLimit._act",
+    ): _RATE.format(
         act="$_target[i] = lesser(greater($_target[i], last - $_step[i]), last + $_step[i]);"
     ),
     ("blocks.safety.limits:RateLimit.__call__", "blocks.safety.limits:RateStop._act"): _RATE.format(
@@ -518,9 +526,7 @@ def _action(policy: Any) -> str:
     lines = ["each(#action) if (!finite($action[i])) BAIL;"]
     clip, target = action_map._clip is not None, "$action[$map._index[i]]"
     if clip and action_map._feed_clipped:
-        lines.append(
-            "each(#action) $action[i] = lesser(greater($action[i], $least[i]), $most[i]);"
-        )
+        lines.append("each(#action) $action[i] = lesser(greater($action[i], $least[i]), $most[i]);")
     elif clip:
         target = f"lesser(greater({target}, $least[i]), $most[i])"
     lines.append(

@@ -18,7 +18,16 @@ from unicon_base import AnyDict, UniconError, alternatives
 from unicon_base.packages import registered
 from unicon_core.page import write_file
 from unicon_ros.cli.console import print_table
-from unicon_ros.cli.options import MAP, WORKFLOW, argument, command, exclusive, flag, option, together
+from unicon_ros.cli.options import (
+    MAP,
+    WORKFLOW,
+    argument,
+    command,
+    exclusive,
+    flag,
+    option,
+    together,
+)
 
 if TYPE_CHECKING:
     from unicon_core.workflow import HookBlocks, Program
