@@ -63,7 +63,7 @@ class NativeTick:
         self._warn: Callable[[str], object] | None = warn
 
     def compile(self, root: Node, *, trace: bool = False) -> CompiledGraph:
-        """Compile a tree as `compile_graph` does; in Python, with one warning, where it has to be."""
+        """Compile a tree as `compile_graph` does; after one warning in Python, where it must."""
         stretches = Stretches()
         try:
             if self.states.num_robots is not None:
@@ -295,7 +295,7 @@ class Stretches:
                 return self.callable(_called(statement.value))
             case ast.Assign(targets=[ast.Subscript(slice=ast.Constant())]):
                 return _called(statement.value) == "now"
-            case ast.Assign(targets=[ast.Name(id=name)]):
+            case ast.Assign(targets=[ast.Name()]):
                 called = _called(statement.value)
                 simple = called in self._texts if called else not _calls(statement)
                 return simple and (_is_true(statement.value) or self.free(statement))
@@ -316,7 +316,7 @@ class Stretches:
         return self._python.isdisjoint(self.variables(tree))
 
     def callable(self, name: str) -> bool:
-        return name in self._texts or name.startswith("reset") or name.startswith("fresh")
+        return name in self._texts or name.startswith(("reset", "fresh"))
 
     # -- C++ -------------------------------------------------------------------------------------
 

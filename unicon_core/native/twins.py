@@ -77,7 +77,7 @@ def _text(block: Block, table: Table) -> str:
 
 def _own_text(tick: Any, table: Table) -> str:
     """Return the twin of a function or an object by what it runs."""
-    called = tick if isinstance(tick, FunctionType) else getattr(type(tick), "__call__", None)
+    called = tick if isinstance(tick, FunctionType) else type(tick).__call__
     for (first, *others), twin in _TWINS.items():
         if _name(called) == first and all(
             _name(getattr(type(tick), other.rpartition(".")[2], None)) == other for other in others
@@ -164,7 +164,10 @@ def _gains(gains: Any, path: str = "gains") -> str:
 _ENTRY = (
     "($_command.joint_stiffness[i] > 0.0f ? $_command.joint_pos_target[i] : $_command.joint_pos[i])"
 )
-_STILL = "each(#_command.joint_pos) { $_command.joint_vel_target[i] = 0.0f; $_command.joint_effort_ff[i] = 0.0f; }\n"
+_STILL = "".join(
+    f"each(#_command.{name}) $_command.{name}[i] = 0.0f;\n"
+    for name in ("joint_vel_target", "joint_effort_ff")
+)
 
 
 def _pose(pose: Any) -> str:
@@ -188,14 +191,16 @@ def _pose(pose: Any) -> str:
         $_way[i] = way * $_said[i];
         farthest = greater(farthest, magnitude($_way[i]));
       }}
-      if (finite(farthest))
-        $_ticks = larger($_asked, (int64_t)__builtin_ceil(smaller((double)farthest * $_ticks_per_rad, 1e9)));
+      if (finite(farthest)) {{
+        double ticks = __builtin_ceil(smaller((double)farthest * $_ticks_per_rad, 1e9));
+        $_ticks = larger($_asked, (int64_t)ticks);
+      }}
       {first}
     }}
     $_tick += 1;
     bool done = $_tick >= $_ticks;
-    double share = 1.0;
-    if (!done) share = 0.5 - 0.5 * __builtin_cos(3.141592653589793 * (double)$_tick / (double)$_ticks);
+    double angle = 3.141592653589793 * (double)$_tick / (double)$_ticks;
+    double share = done ? 1.0 : 0.5 - 0.5 * __builtin_cos(angle);
     each(#_way) {{
       float x = $_way[i] * (float)share;
       $_command.joint_pos_target[i] = x + $_start[i];
@@ -439,8 +444,7 @@ def _policy_pieces(block: Block, table: Table) -> list[Piece] | None:
         NotNative: the policy has what Python runs.
     """
     policy: Any = block.tick
-    name = _name(getattr(type(policy), "__call__", None))
-    if name != "policies.policy:Policy.__call__":
+    if _name(type(policy).__call__) != "policies.policy:Policy.__call__":
         return None
     lane, action_map = policy.lane, policy.action_map
     observation = lane.observation

@@ -75,8 +75,9 @@ class Runner:
             self._run.detail.at = -1
         # Compiled now: between run and wind-down a robot would wait for its commands.
         self._ending_ticks = max(1, round(WIND_DOWN / program.period))
-        root = program.wind_down
-        self._ending = None if root is None else Ticker(program, root, self._ending_ticks, None, compiles)
+        self._ending = None
+        if (root := program.wind_down) is not None:
+            self._ending = Ticker(program, root, self._ending_ticks, None, compiles)
         self.operator = self.options.operator
         self._damp = Damp(program) if program.has_platform else None
         self._before = StartupSequence(program, self.options, self._ticked)
