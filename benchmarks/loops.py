@@ -27,6 +27,8 @@ import numpy as np
 
 from benchmarks.samples import CLIP, Paced, Samples, Step, paced, random_policy, sleep_until
 from unicon_base.arrays import Float32
+from unicon_core.flow import as_block
+from unicon_core.native.tick import NativeTick
 from unicon_core.policies import Observation, Policy, PolicyContract, policy_states
 from unicon_core.robots import Robot, load_robot
 from unicon_core.runtime import Pacing, WallClock, WarmUp, prepare_process
@@ -89,6 +91,8 @@ SECONDS = 3.0  # of each loop in each round
 WARM_CALLS = 2000  # of each observation in each round, 20 in a sample
 HISTORY = 6
 USUAL, OURS = "policy tick, usual", "policy tick, unicon"
+NATIVE = "policy tick, native"
+ALONE = "network alone, in our loop"
 
 
 def run_policy(rounds: int | None = None) -> Bench:
@@ -176,9 +180,14 @@ def _observations(
 
 def _ticks(bench: Bench, robot: Robot, contract: PolicyContract) -> None:
     policy = Policy(contract, _states(contract, robot), robot)
+    alone = Policy(contract, _states(contract, robot), robot).lane.infer
+    states = _states(contract, robot)
+    native = NativeTick(states, print).compile(as_block(Policy(contract, states, robot)))
     loops: dict[str, Callable[[int], Paced]] = {
         USUAL: _usual_loop(robot, contract),
         OURS: lambda ticks: _ours(ticks, RATE, policy, policy.warm_up),
+        NATIVE: lambda ticks: _ours(ticks, RATE, native.step, native.warm_up),
+        ALONE: lambda ticks: _ours(ticks, RATE, alone, alone),
     }
     times = Samples()
     for _ in range(bench.rounds):
@@ -186,6 +195,9 @@ def _ticks(bench: Bench, robot: Robot, contract: PolicyContract) -> None:
             times.add(name, loop(round(RATE * SECONDS)).took)
     times.add_to(bench, ("policy_tick_p50", OURS, USUAL, 0.1))
     bench.ratio("policy_tick_p99", times.ratio(OURS, USUAL, percent=99), 0.2)
+    bench.ratio("native_tick_p50", times.ratio(NATIVE, ALONE), 1.3)
+    bench.ratio("native_tick_p99", times.ratio(NATIVE, ALONE, percent=99), 1.4)
+    bench.facts["policy tick, of the network alone, p50"] = f"{times.ratio(OURS, ALONE):.3g}"
 
 
 def _memory(bench: Bench, robot: Robot, contract: PolicyContract, folder: Path) -> None:

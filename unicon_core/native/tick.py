@@ -270,7 +270,9 @@ class Stretches:
 
     def function(self, body: Lines) -> int:
         number = len(self._stretches)
-        text = "\n".join([f"static int n{number}() {{", *indent(body), "}", f"FUNCTION(n{number})"])
+        text = "\n".join(
+            [f"CODE static int n{number}() {{", *indent(body), "}", f"FUNCTION(n{number})"]
+        )
         self._stretches.append(text)
         return number
 
@@ -411,7 +413,7 @@ class Stretches:
         }
         used = {name for text in self._stretches for name in re.findall(r"\bb\d+\w*(?=\(\))", text)}
         blocks = [
-            f"static int64_t {name}() {{\n{piece.text.replace('BAIL', f'return call({self.number(piece.call)})')}\nreturn 0;\n}}"  # noqa: E501
+            f"CODE static int64_t {name}() {{\n{piece.text.replace('BAIL', f'return call({self.number(piece.call)})')}\nreturn 0;\n}}"  # noqa: E501
             for name, (piece, _) in self._texts.items()
             if name in used and piece.text is not None
         ]
@@ -436,7 +438,9 @@ class Stretches:
         self._values = values
         scope.names["V"] = shared
         scope.functions[:] = [(name, every[name]) for name, _ in scope.functions]
+        every["warm_up"] = [*every["warm_up"], "warm()"]
         calls: dict[str, Any] = {f"n{number}": bool for number in range(len(self._stretches))}
+        calls["warm"] = bool
         scope.names |= self._opened(calls) if self.opens else calls
         return {name: every[name] for name in functions}
 
