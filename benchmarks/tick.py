@@ -85,9 +85,9 @@ def run(rounds: int | None = None) -> Bench:
         ("native_dispatch", "native", "closures", 0.1),
         ("native_half", "half native", "Python", 1.0),
     ):
-        found = [ratio(f"{n} copies: {one}", f"{n} copies: {other}") for n in BLOCKS]
-        bench.ratio(name, max(found), bar)
-        for count, each in zip(BLOCKS, found):
+        ratios = [ratio(f"{n} copies: {one}", f"{n} copies: {other}") for n in BLOCKS]
+        bench.ratio(name, max(ratios), bar)
+        for count, each in zip(BLOCKS, ratios):
             bench.facts[f"{name}, {count} copies"] = f"{each:.3f}"
     bench.ratio("fused_copy", ratio("copies: compiled, fused", "copies: compiled, separate"), 0.15)
     for kind, found in dispatch.items():

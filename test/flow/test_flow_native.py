@@ -24,7 +24,7 @@ from unicon_core.blocks.safety import limits, stops
 from unicon_core.blocks.safety.servo_stops import TrackingStop
 from unicon_core.blocks.safety.stuck import EncoderStop
 from unicon_core.blocks.velocity_command import VelocityCommand
-from unicon_core.flow import Block, CompiledGraph, as_block, compile_graph
+from unicon_core.flow import Block, CompiledGraph, Node, as_block, compile_graph
 from unicon_core.flow.block import LinearMap
 from unicon_core.flow.fuse import fuse
 from unicon_core.memory import Memory
@@ -102,6 +102,8 @@ MAKERS: dict[str, Callable[[States], Any]] = {
 
 class NativeWorld(World):
     """A building whose blocks have twins, but for those called "python"."""
+
+    root: Node
 
     def __init__(self, tree: Any, kinds: Any, names: tuple[str, ...], fused: bool) -> None:
         self.names = iter(names)

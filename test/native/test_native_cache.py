@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import os
 import shutil
 import signal
@@ -16,6 +17,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from unicon_base.errors import Fault
+from unicon_core.blocks.safety.stops import TiltStop
 from unicon_core.flow import CompiledGraph, Zip, as_block
 from unicon_core.flow.block import LinearMap
 from unicon_core.native import build
@@ -134,7 +137,7 @@ DAMAGE: dict[str, Callable[[bytes], bytes]] = {
 
 
 def signed(content: bytes) -> bytes:
-    return content + build.MARK + build.hashlib.sha256(content).hexdigest().encode()
+    return content + build.MARK + hashlib.sha256(content).hexdigest().encode()
 
 
 @pytest.mark.parametrize("damage", DAMAGE)
@@ -224,9 +227,6 @@ def test_a_build_that_is_killed(cache: Path, tmp_path: Path) -> None:
 
 def test_fault_in_a_stretch_is_the_blocks_own() -> None:
     states = States({"g": StateSpec((3,)), "y": StateSpec((3,))})
-    from unicon_base.errors import Fault
-    from unicon_core.blocks.safety.stops import TiltStop
-
     copy: Any = LinearMap(states["g"], states["y"])
     root = Zip(as_block(copy), as_block(TiltStop(states["g"])))
     graph = NativeTick(states, pytest.fail).compile(root)

@@ -8,7 +8,6 @@ meaning of each node is said in `nodes.py`; an interpreter of the tree is the re
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -37,7 +36,7 @@ class NativeCode(Protocol):
         cells: variables that lie in memory of native code, by name.
     """
 
-    cells: Mapping[str, Any]
+    cells: dict[str, Any]
 
     def call(self, block: Block, scope: Scope) -> str:
         """Return the lines that call a block, "" where Python runs it."""

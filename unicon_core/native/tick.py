@@ -135,7 +135,7 @@ class Stretches:
     native: list[str] = field(default_factory=list)
     python: dict[str, str] = field(default_factory=dict)
     source: str = ""
-    cells: dict[str, _Cell] = field(default_factory=dict)
+    cells: dict[str, Any] = field(default_factory=dict)
     _pieces: dict[int, list[Piece]] = field(default_factory=dict)
     _texts: dict[str, tuple[Piece, int]] = field(default_factory=dict)
     _inline: dict[str, Lines] = field(default_factory=dict)
@@ -336,7 +336,7 @@ class Stretches:
                         yield from self.cpp(line)
                 else:
                     yield f"if ((c = {self.asked(name)}) < 0) return -1;"
-            case ast.Assign(targets=[ast.Subscript(slice=ast.Constant(value=place))]):
+            case ast.Assign(targets=[ast.Subscript(slice=ast.Constant(value=int(place)))]):
                 yield f"T[{place}] = now();"
             case ast.Assign(targets=[ast.Name(id=name)], value=value):
                 if name in (*self._python, "done", "end") and _is_true(value):
@@ -380,7 +380,7 @@ class Stretches:
 
     def expression(self, node: ast.expr) -> str:
         match node:
-            case ast.Constant(value=value):
+            case ast.Constant(value=int(value)):
                 return str(int(value))
             case ast.Name(id=name):
                 return self.place(name)
