@@ -29,6 +29,7 @@ from unicon_core.flow.compiled import CompiledGraph, Lines, Scope, indent
 from unicon_core.flow.compiler import compile_graph
 from unicon_core.flow.nodes import Node
 from unicon_core.native.build import NativeError, load
+from unicon_core.native.network import compare
 from unicon_core.native.operands import PRELUDE, NotNative, Table
 from unicon_core.native.twins import Piece, pieces_of
 from unicon_core.states import States
@@ -441,7 +442,14 @@ class Stretches:
         every["warm_up"] = [*every["warm_up"], "warm()"]
         calls: dict[str, Any] = {f"n{number}": bool for number in range(len(self._stretches))}
         calls["warm"] = bool
-        scope.names |= self._opened(calls) if self.opens else calls
+        networks = {n: piece for n, (piece, _) in self._texts.items() if piece.owner and n in used}
+        calls |= dict.fromkeys(networks, bool)
+        self.source += "".join(f"FUNCTION({name})\n" for name in networks)
+        if self.opens:
+            calls = self._opened(calls)
+            for name, piece in networks.items():
+                self._replace(piece, calls[name])
+        scope.names |= {name: call for name, call in calls.items() if name not in networks}
         return {name: every[name] for name in functions}
 
     def _opened(self, calls: dict[str, Any]) -> dict[str, Any]:
@@ -474,6 +482,16 @@ class Stretches:
             made[name] = make(ctypes.addressof(method), self, None)
         self._keep += [library, back, arrays]
         return made
+
+    def _replace(self, piece: Piece, network: Callable[[], object]) -> None:
+        """Let a policy run its network by a native function, warm-ups too.
+
+        Raises:
+            NativeError: it computes otherwise than Python's.
+        """
+        if not compare(piece.call, network, *piece.arrays):
+            raise NativeError(f"{piece.name} gives other bits by ONNX Runtime's C interface")
+        piece.owner.infer = network
 
     def _called(self, number: int) -> int:
         """Run a block's Python twin for the library, which raises what this raises."""

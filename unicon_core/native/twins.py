@@ -23,7 +23,9 @@ import numpy as np
 
 from unicon_base.errors import Fault
 from unicon_core.flow.block import Block, LinearMap
+from unicon_core.native.network import open_session
 from unicon_core.native.operands import NotNative, Table
+from unicon_core.policies.networks import OnnxNetwork
 
 Twin: TypeAlias = str | Callable[[Any], str]
 
@@ -38,11 +40,15 @@ class Piece:
         name: of the block.
         call: the part in Python: what it does where `text` is None, else what `BAIL` runs.
         text: its C++, expanded; None where Python runs it.
+        owner: of a network: its attribute `infer` becomes the native function.
+        arrays: of a network: inputs and outputs.
     """
 
     name: str
     call: Callable[[], object]
     text: str | None = None
+    owner: Any = None
+    arrays: Any = ()
 
 
 def pieces_of(block: Block, table: Table) -> list[Piece]:
@@ -474,9 +480,31 @@ def _policy_pieces(block: Block, table: Table) -> list[Piece] | None:
     return [
         *before,
         Piece(block.name, refuse(policy._blame_observation), table.expand(assemble, holder)),
-        Piece(f"{block.name}_network", lane.infer),
+        _network(block, table),
         Piece(block.name, refuse(policy._blame_action), table.expand(_action(policy), holder)),
     ]
+
+
+def _network(block: Block, table: Table) -> Piece:
+    """Return the network as a piece: in Python where the C interface cannot run it."""
+    policy: Any = block.tick
+    lane = policy.lane
+    piece = Piece(f"{block.name}_network", lane.infer)
+    with suppress(NotNative):
+        bound = getattr(lane.infer, "__defaults__", None)  # None: it is native in another graph
+        if not (bound and type(policy.network) is OnnxNetwork) or policy.contract.provider != "cpu":
+            raise NotNative("a network of another runtime")
+        *_, inputs, outputs = bound[0]
+        run, session, binding = (
+            table.constants([address], np.int64)
+            for address in open_session(policy.contract.model, inputs, outputs)
+        )
+        piece.text = (
+            f"auto run = (void* (*)(void*, const void*, void*)){run}[0];\n"
+            f"if (run((void*){session}[0], 0, (void*){binding}[0])) BAIL;"
+        )
+        piece.owner, piece.arrays = lane, (list(inputs.values()), list(outputs.values()))
+    return piece
 
 
 class _Operands:

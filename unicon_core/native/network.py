@@ -1,0 +1,131 @@
+"""ONNX networks by the C interface of ONNX Runtime, from the shared library in its wheel.
+
+The session is a second one, with the settings of `networks/onnx.py`, bound to the same arrays. It
+takes the place of Python's after both have given the same bits for random inputs.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from unicon_base.arrays import Array
+from unicon_core.native.operands import NotNative
+
+VERSION = 12
+"""Of the interface; later libraries keep its functions in their places."""
+PLACES = {
+    "CreateEnv": 3, "CreateSession": 7, "CreateSessionOptions": 10, "SetSessionExecutionMode": 13,
+    "SetSessionLogSeverityLevel": 22, "SetIntraOpNumThreads": 24, "SetInterOpNumThreads": 25,
+    "CreateTensorWithDataAsOrtValue": 49, "CreateCpuMemoryInfo": 69, "AddSessionConfigEntry": 130,
+    "RunWithBinding": 133, "CreateIoBinding": 134, "BindInput": 136, "BindOutput": 137,
+}  # fmt: skip
+"""Functions that are used, by their place in the table of the interface (OrtApi)."""
+TYPES = {"float32": 1, "int32": 6, "int64": 7, "bool": 9, "float64": 11}
+SEVERE = 3
+"""Log level of errors."""
+
+
+@lru_cache(maxsize=1)
+def _table() -> Any:
+    """Return the table of the interface.
+
+    Raises:
+        NotNative: there is no library, or it has no such interface.
+    """
+    import onnxruntime
+
+    folder = Path(onnxruntime.__file__).parent / "capi"
+    found = sorted(folder.glob("libonnxruntime.so*"))
+    if not found:
+        raise NotNative("a network of ONNX Runtime without a shared library")
+    try:
+        base = ctypes.CDLL(str(found[0])).OrtGetApiBase
+    except (OSError, AttributeError) as error:
+        raise NotNative(f"a network of ONNX Runtime that does not load: {error}") from error
+    base.restype = ctypes.POINTER(ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_uint32))
+    table = base()[0](VERSION)
+    if not table:
+        raise NotNative("a network of an ONNX Runtime without this interface")
+    return ctypes.cast(table, ctypes.POINTER(ctypes.c_void_p))
+
+
+def _call(name: str, *arguments: Any) -> None:
+    if ctypes.CFUNCTYPE(ctypes.c_void_p)(_table()[PLACES[name]])(*arguments):
+        raise NotNative(f"a network for which ONNX Runtime refuses {name}")
+
+
+def _made(name: str, *arguments: Any) -> ctypes.c_void_p:
+    """Call a function that gives an object, which lives as long as the process."""
+    out = ctypes.c_void_p()
+    _call(name, *arguments, ctypes.byref(out))
+    return out
+
+
+@lru_cache(maxsize=1)
+def _environment() -> ctypes.c_void_p:
+    return _made("CreateEnv", SEVERE, b"unicon")
+
+
+def open_session(
+    path: Path, inputs: Mapping[str, Array], outputs: Mapping[str, Array]
+) -> list[int]:
+    """Return the addresses of what runs a network on some arrays: function, session and binding.
+
+    Args:
+        path: of the model; it runs in one thread.
+        inputs: name to contiguous array.
+        outputs: likewise.
+
+    Raises:
+        NotNative: it cannot be had so.
+    """
+    options = _made("CreateSessionOptions")
+    for name, value in (
+        ("SetIntraOpNumThreads", 1),
+        ("SetInterOpNumThreads", 1),
+        ("SetSessionExecutionMode", 0),
+        ("SetSessionLogSeverityLevel", SEVERE),
+    ):
+        _call(name, options, value)
+    _call("AddSessionConfigEntry", options, b"session.intra_op.allow_spinning", b"0")
+    session = _made("CreateSession", _environment(), str(path).encode(), options)
+    binding = _made("CreateIoBinding", session)
+    memory = _made("CreateCpuMemoryInfo", 0, 0)
+    for bind, arrays in (("BindInput", inputs), ("BindOutput", outputs)):
+        for name, array in arrays.items():
+            if array.dtype.name not in TYPES:
+                raise NotNative(f"a network with {array.dtype}")
+            shape = (ctypes.c_int64 * array.ndim)(*array.shape)
+            value = _made(
+                "CreateTensorWithDataAsOrtValue", memory, ctypes.c_void_p(array.ctypes.data),
+                ctypes.c_size_t(array.nbytes), shape, ctypes.c_size_t(array.ndim),
+                TYPES[array.dtype.name],
+            )  # fmt: skip
+            _call(bind, binding, name.encode(), value)
+    run = _table()[PLACES["RunWithBinding"]]
+    return [run, session.value or 0, binding.value or 0]
+
+
+def compare(one: Any, other: Any, inputs: Sequence[Array], outputs: Sequence[Array]) -> bool:
+    """Return whether two functions write the same bits; the arrays keep their values."""
+    arrays = [*inputs, *outputs]
+    before = [array.copy() for array in arrays]
+    random = np.random.default_rng(0)
+    same = True
+    for _ in range(3):
+        for array in inputs:
+            array[...] = random.normal(size=array.shape)
+        found = []
+        for function in (one, other):
+            function()
+            found.append([array.tobytes() for array in outputs])
+        same &= found[0] == found[1]
+    for array, values in zip(arrays, before):
+        array[...] = values
+    return same
