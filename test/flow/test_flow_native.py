@@ -6,6 +6,7 @@ Numbers have the same bits; a NaN is a NaN, whatever its payload.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from random_graphs import World, block_kinds, trees
 
 from unicon_base.errors import Fault
 from unicon_core.blocks.approach import FadeIn
+from unicon_core.blocks.forward_command import CommandStates, ForwardCommand
 from unicon_core.blocks.joint_command import Commands, JointCommand
 from unicon_core.blocks.maps import projected_gravity
 from unicon_core.blocks.postures import Damp, Hold, Pose
@@ -23,7 +25,7 @@ from unicon_core.blocks.predicates import Commanded, Elapsed, Settled, tilted
 from unicon_core.blocks.safety import limits, stops
 from unicon_core.blocks.safety.servo_stops import TrackingStop
 from unicon_core.blocks.safety.stuck import EncoderStop
-from unicon_core.blocks.velocity_command import VelocityCommand
+from unicon_core.blocks.velocity_command import Drive, VelocityCommand
 from unicon_core.flow import Block, CompiledGraph, Node, as_block, compile_graph
 from unicon_core.flow.block import LinearMap
 from unicon_core.flow.fuse import fuse
@@ -31,7 +33,8 @@ from unicon_core.memory import Memory
 from unicon_core.native.tick import NativeTick
 from unicon_core.robots import load_robot
 from unicon_core.states import States, StateSpec, standard_states
-from unicon_core.states.standard import COMMAND_STATES
+from unicon_core.states.standard import COMMAND_STATES, forwarded_states
+from unicon_core.workflow.autowire import BuildContext
 
 TICKS = 14
 ONCE = (Phase.explicit, Phase.generate)
@@ -54,6 +57,12 @@ def _commands(s: States) -> Commands:
     return Commands(**{name: s[name] for name in COMMAND_STATES})
 
 
+def _forward(s: States, **options: Any) -> ForwardCommand:
+    wanted = CommandStates(**{name: s[name] for name in CommandStates.__annotations__})
+    context = BuildContext(s, ROBOT, PERIOD, {}, Path())
+    return ForwardCommand(_joints(s), wanted, context=context, **options)
+
+
 MAKERS: dict[str, Callable[[States], Any]] = {
     "copy": lambda s: LinearMap(s["joint_pos"], s["joint_pos_target"]),
     "gather": lambda s: LinearMap(s["joint_vel"], s["few"], [3, 0, 11], 0.3, [1.0, -0.0, 2e-3]),
@@ -71,6 +80,11 @@ MAKERS: dict[str, Callable[[States], Any]] = {
     "hold": lambda s: Hold(_joints(s), robot=ROBOT, period=PERIOD, duration=0.06),
     "keep": lambda s: Hold(_joints(s), robot=ROBOT, period=PERIOD, keep_gains=True),
     "damp": lambda s: Damp(_joints(s), robot=ROBOT, period=PERIOD, duration=0.04),
+    "drive": lambda s: Drive(s["sticks"], s["buttons"], s["alive"], s["velocity_command"]),
+    "held drive": lambda s: Drive(s["sticks"], s["buttons"], s["alive"], s["velocity_command"],
+                                  hold="select"),
+    "forward": lambda s: _forward(s, integral=3.0, moves=["*_calf_joint", "FL_*"]),
+    "forward home": lambda s: _forward(s, silent="home", duration=0.1),
     "elapsed": lambda s: Elapsed(period=PERIOD, seconds=0.06),
     "tilted": lambda s: tilted(s["projected_gravity"]),
     "commanded": lambda s: Commanded(s["velocity_command"], period=PERIOD, hold=0.06),
@@ -120,6 +134,7 @@ class NativeWorld(World):
         specs = standard_states(ROBOT.joint_names) | {
             name: small.spec(name) for name in small
         } | {
+            **forwarded_states(ROBOT.joint_names), "sticks": StateSpec((4,)),
             "few": StateSpec((3,)), "wide": StateSpec((3,), "float64"),
             "square": StateSpec((3, 3)), "buttons": StateSpec((16,), "bool"),
             "alive": StateSpec((), "bool"),
@@ -139,6 +154,10 @@ def stir(states: States, rng: np.random.Generator, wild: float) -> None:
             view += rng.normal(scale=0.3, size=view.size).astype(np.float32)
         odd = rng.random(view.size) < wild
         view[odd] = rng.choice(SPECIAL, odd.sum())
+    for name in forwarded_states(ROBOT.joint_names):
+        states[name][...] = rng.normal(size=12)
+        states[name][rng.random(12) < rng.choice([0.0, 0.5, 1.0])] = np.nan
+    states["sticks"][...] = rng.normal(scale=0.6, size=4)
     states["wide"][...] = rng.normal(size=3)
     states["square"][...] = rng.choice(SPECIAL, (3, 3))
     states["stamp_ns"][...] += rng.integers(2)

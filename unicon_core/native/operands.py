@@ -59,6 +59,14 @@ template <class T> static inline T smaller(T a, T b) { return b < a ? b : a; }
 static inline float magnitude(float x) { return __builtin_fabsf(x); }
 static inline double magnitude(double x) { return __builtin_fabs(x); }
 
+// Of block drive.
+static inline double steady(double value, double dead_zone) {
+  double beyond = magnitude(value) - dead_zone;
+  if (!(beyond > 0.0)) return 0.0;
+  double share = smaller(beyond / (1.0 - dead_zone), 1.0);
+  return value > 0.0 ? share : -share;
+}
+
 template <class A, class B> static inline bool within(A a, B low, B high, int64_t n) {
   bool holds = true;
   each(n) holds &= a[i] >= low[i] && a[i] <= high[i];

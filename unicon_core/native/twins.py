@@ -318,6 +318,83 @@ def _button_stop(block: Any) -> str:
     """
 
 
+def _drive(block: Any) -> str:
+    hand = "" if block._held is None else "$_buttons[$_held] && "
+    axes = "".join(
+        f"$_out[{element}] = (float)($_axes.{element}.1 * steady($_sticks[{axis}], $_dead_zone));\n"
+        for element, (axis, _) in enumerate(block._axes)
+    )
+    return f"if (!({hand}$_alive[0])) {{ each(3) $_out[i] = 0.0f; return 0; }}\n{axes}"
+
+
+def _forward_command(block: Any) -> str:
+    if block._tolerance < np.inf:
+        raise NotNative("a start_tolerance")
+    home = ""
+    if block._home is not None:
+        home = """
+        bool goes = true;
+        each(#_places) {
+          int64_t p = $_places[i];
+          float v = $_commanded.joint_vel_command[p], f = $_commanded.joint_effort_command[p];
+          goes &= $_silent[p] && v != v && f != f;
+        }
+        each(#held) {
+          $_steps[i] = goes ? $_home.1[i] : $_step[i];
+          if (goes) { $_wanted[i] = $_home.0[i]; $_silent[i] = 0; }
+        }
+        """
+    integral = ""
+    if block._share:
+        integral = """
+        each(#held) {
+          float more = $held[i] - $_command.joint_pos[i];
+          $_offset[i] = $_offset[i] + more * $_share;
+          $_offset[i] = lesser(greater($_offset[i], -0.25f), 0.25f);
+        }
+        each(#_places) {
+          int64_t p = $_places[i];
+          $_command.joint_pos_target[p] = $_command.joint_pos_target[p] + $_offset[p];
+        }
+        """
+    fed = "".join(
+        f"""float said{k} = $_commanded.{said}[p];
+        if (said{k} != said{k}) said{k} = 0.0f;
+        $_command.{out}[p] = greater(lesser(said{k}, ${most}[p]), -${most}[p]);
+        """
+        for k, (said, most, out) in enumerate(
+            (
+                ("joint_vel_command", "max_rate", "joint_vel_target"),
+                ("joint_effort_command", "_effort", "joint_effort_ff"),
+            )
+        )
+    )
+    return f"""
+    if ($ticks == 0) each(#held) {{ $held[i] = {_ENTRY}; $_offset[i] = 0.0f; }}
+    $ticks += 1;
+    each(#held) {{
+      $_wanted[i] = $_commanded.joint_pos_command[i];
+      $_silent[i] = $_wanted[i] != $_wanted[i];
+      if ($_silent[i]) $_wanted[i] = $held[i];
+    }}
+    {home}
+    each(#held) {{
+      float wanted = lesser(greater($_wanted[i], $_lower[i]), $_upper[i]);
+      if ($_silent[i]) wanted = $held[i];
+      $held[i] = lesser(greater(wanted, $held[i] - $_steps[i]), $held[i] + $_steps[i]);
+    }}
+    each(#_places) $_command.joint_pos_target[$_places[i]] = $held[$_places[i]];
+    {integral}
+    each(#_places) {{
+      int64_t p = $_places[i];
+      {fed}
+      $_command.joint_stiffness[p] = $gains.0[p];
+      $_command.joint_damping[p] = $gains.1[p];
+    }}
+    DONE($ticks >= $_ends);
+    """
+
+
 _TORQUE = """
       float rest = $_servo.joint_vel_target[i] - $_servo.joint_vel[i];
       rest = rest * $_servo.joint_damping[i];
@@ -348,6 +425,12 @@ _TWINS: dict[tuple[str, ...], Twin] = {
     double x = $_first[0], y = $_first[1], z = $_first[2];
     if (!($_x0 <= x && x <= $_x1 && $_y0 <= y && y <= $_y1 && $_z0 <= z && z <= $_z1)) BAIL;
     """,
+    ("blocks.velocity_command:Drive.__call__", "blocks.velocity_command:Drive._steady"): _drive,
+    (
+        "blocks.forward_command:ForwardCommand.__call__",
+        "blocks.forward_command:ForwardCommand._head_home",
+        "blocks.forward_command:ForwardCommand._feed_forward",
+    ): _forward_command,
     ("blocks.predicates:Elapsed.__call__",): "$_tick += 1; DONE($_tick >= $_ticks);",
     ("blocks.predicates:tilted.<locals>.is_tilted",): "DONE(!((double)$most[0] <= $bound));",
     ("blocks.predicates:Commanded.__call__",): """
