@@ -86,13 +86,13 @@ def open_session(
         NotNative: it cannot be had so.
     """
     options = _made("CreateSessionOptions")
-    for name, value in (
+    for name, setting in (
         ("SetIntraOpNumThreads", 1),
         ("SetInterOpNumThreads", 1),
         ("SetSessionExecutionMode", 0),
         ("SetSessionLogSeverityLevel", SEVERE),
     ):
-        _call(name, options, value)
+        _call(name, options, setting)
     _call("AddSessionConfigEntry", options, b"session.intra_op.allow_spinning", b"0")
     session = _made("CreateSession", _environment(), str(path).encode(), options)
     binding = _made("CreateIoBinding", session)

@@ -16,7 +16,7 @@ from numbers import Real
 from typing import Any, Literal, get_args
 
 from unicon_base.errors import Fault, PlatformError, UniconError, alternatives
-from unicon_core.flow import Stage, Tick, Zip, as_block, compile_graph
+from unicon_core.flow import CompiledGraph, Stage, Tick, Zip, as_block, compile_graph
 from unicon_core.flow.nodes import never_done
 from unicon_core.pacing import WallClock
 from unicon_core.platforms.kit.damping import BLEND, DAMPING_TIME, Damping
@@ -192,6 +192,14 @@ class RunOptions:
         """Return after how many ticks a run ends at the latest."""
         duration = program.duration if self.duration is None else self.duration
         return 1 << 62 if duration is None else round(duration / program.period)
+
+    def compiler(self, program: Program) -> Callable[..., CompiledGraph]:
+        """Return what makes the graphs of a run."""
+        if not self.native:
+            return compile_graph
+        from unicon_core.native.tick import NativeTick
+
+        return NativeTick(program.states, self.warn).compile
 
     @classmethod
     def of(cls, options: Mapping[str, Any]) -> RunOptions:

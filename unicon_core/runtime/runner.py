@@ -9,7 +9,7 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from unicon_base.errors import EmergencyStopPressed, Fault, Hung, Silence, UniconError
-from unicon_core.flow import Node, compile_graph
+from unicon_core.flow import Node
 from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.pacing import prepare_process, process_age_s
 from unicon_core.platforms.platform import Resettable
@@ -64,11 +64,7 @@ class Runner:
         self.phase = Phase.WAIT
         self.monitor = program.monitor
         status = None if self.options.status is None else self._status
-        compiles: Callable[..., CompiledGraph] = compile_graph
-        if self.options.native:
-            from unicon_core.native.tick import NativeTick
-
-            compiles = NativeTick(program.states, self.options.warn).compile
+        compiles = self.options.compiler(program)
         ticks = self.options.capacity
         self._run = self._ticker = Ticker(program, program.root, ticks, status, compiles)
         if self.options.detail:
