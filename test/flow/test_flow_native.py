@@ -35,6 +35,7 @@ from unicon_core.robots import load_robot
 from unicon_core.states import States, StateSpec, standard_states
 from unicon_core.states.standard import COMMAND_STATES, forwarded_states
 from unicon_core.workflow.autowire import BuildContext
+from unicon_core.workflow.expression import expression
 
 TICKS = 14
 ONCE = (Phase.explicit, Phase.generate)
@@ -85,6 +86,8 @@ MAKERS: dict[str, Callable[[States], Any]] = {
                                   hold="select"),
     "forward": lambda s: _forward(s, integral=3.0, moves=["*_calf_joint", "FL_*"]),
     "forward home": lambda s: _forward(s, silent="home", duration=0.1),
+    "bound": lambda s: expression("0.1 < joint_pos[3] <= 0.6 or not alive", s),
+    "turn": lambda s: expression("tick % 3 == 1 and wide[-1] > -0.3 and square[1][2] != 1e-45", s),
     "elapsed": lambda s: Elapsed(period=PERIOD, seconds=0.06),
     "tilted": lambda s: tilted(s["projected_gravity"]),
     "commanded": lambda s: Commanded(s["velocity_command"], period=PERIOD, hold=0.06),
@@ -160,6 +163,7 @@ def stir(states: States, rng: np.random.Generator, wild: float) -> None:
     states["sticks"][...] = rng.normal(scale=0.6, size=4)
     states["wide"][...] = rng.normal(size=3)
     states["square"][...] = rng.choice(SPECIAL, (3, 3))
+    states["tick"][...] += 1
     states["stamp_ns"][...] += rng.integers(2)
     states["buttons"][0] = rng.random() < 0.2
     states["alive"][...] = rng.random() < 0.6

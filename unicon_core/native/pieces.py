@@ -6,7 +6,8 @@ observation, the network and the targets; all others have their twin in `twins.p
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import ast
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from types import FunctionType
@@ -15,9 +16,10 @@ from typing import Any
 import numpy as np
 
 from unicon_base.errors import Fault
+from unicon_base.generated import parse
 from unicon_core.flow.block import Block, LinearMap
 from unicon_core.native.network import open_session
-from unicon_core.native.operands import NotNative, Table
+from unicon_core.native.operands import NotNative, Table, literal
 from unicon_core.native.twins import TWINS
 from unicon_core.policies.networks import OnnxNetwork
 
@@ -68,6 +70,10 @@ def _text(block: Block, table: Table) -> str:
         return "\n".join(f"{{ {_text(part, table)} }}" for part in block.parts)
     if block.parts:
         return _looked(block, table)
+    if block.inline:
+        return (
+            f"DONE({_expression(parse(block.inline, 'eval').body, block.inline_names, table)[0]});"
+        )
     return _own_text(tick, table)
 
 
@@ -144,6 +150,62 @@ def _looked(block: Block, table: Table) -> str:
         tripped = _within([r for p in stops for r in p.tick.ranges], table)  # type: ignore[attr-defined]
         lines.append(f"if (!({tripped})) BAIL;")
     return "\n".join([*lines, *(f"{{ {_text(part, table)} }}" for part in amending)])
+
+
+# -- expressions --------------------------------------------------------------------------------
+
+_COMPARED = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
+_KINDS = {"float32": "float", "float64": "double", "int64": "int64_t", "bool": "bool"}
+_ALIKE = (
+    {"float"}, {"double"}, {"int64_t"}, {"bool"}, {"float", "double"}, {"float", "number"},
+    {"double", "number"}, {"int64_t", "number"}, {"bool", "number"},
+)  # fmt: skip
+"""Kinds that C++ compares as NumPy does; a number of Python counts as what stands beside it."""
+
+
+def _expression(node: Any, names: Mapping[str, Any], table: Table) -> tuple[str, str]:
+    """Return an expression of a workflow over single elements in C++, and its kind.
+
+    Raises:
+        NotNative: it has what NumPy may compute otherwise.
+    """
+
+    def of(part: Any) -> tuple[str, str]:
+        return _expression(part, names, table)
+
+    match node:
+        case ast.Name() | ast.Subscript():
+            places: list[int] = []
+            while isinstance(node, ast.Subscript):
+                places.insert(0, ast.literal_eval(node.slice))
+                node = node.value
+            view = names[node.id]
+            if view.ndim == len(places) and view.dtype.name in _KINDS:
+                return f"{table.array(view[(*places, None)])}[0]", _KINDS[view.dtype.name]
+        case ast.Constant(value=int(value) | float(value)) if abs(value) < 1 << 53:
+            return literal(value), "number"
+        case ast.UnaryOp(op=ast.USub(), operand=ast.Constant(value=int(value) | float(value))):
+            return literal(-value), "number"
+        case ast.UnaryOp(op=ast.Not(), operand=operand):
+            return f"!({of(operand)[0]})", "bool"
+        case ast.BoolOp(op=op, values=values):
+            sign = " && " if isinstance(op, ast.And) else " || "
+            return f"({sign.join(f'({of(each)[0]})' for each in values)})", "bool"
+        case ast.BinOp(left=left, op=ast.Mod(), right=ast.Constant(value=int(value))) if value > 0:
+            text, kind = of(left)
+            if kind == "int64_t":
+                return f"((({text}) % {value} + {value}) % {value})", kind
+        case ast.Compare(left=left, ops=ops, comparators=others):
+            sides = [of(each) for each in (left, *others)]
+            parts = []
+            for (one, kind), op, (other, beside) in zip(sides, ops, sides[1:]):
+                if {kind, beside} not in _ALIKE:
+                    raise NotNative("an expression of several types")
+                if "float" in (kind, beside) and "number" in (kind, beside):
+                    one, other = f"(float){one}", f"(float){other}"
+                parts.append(f"{one} {_COMPARED[type(op)]} {other}")
+            return f"({' && '.join(parts)})", "bool"
+    raise NotNative("an expression with more than elements, comparisons, and, or and not")
 
 
 # -- policies -----------------------------------------------------------------------------------
