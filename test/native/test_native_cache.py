@@ -174,6 +174,16 @@ def test_a_library_that_computes_otherwise(tmp_path: Path, monkeypatch: pytest.M
     works(warning="differ from C++ on this machine")
 
 
+@pytest.mark.parametrize("flags", ["-Ofast", "-ffast-math -march=native"])
+def test_flags_of_the_user_leave_numbers_as_they_are(
+    flags: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CXX", f"c++ {flags}")
+    works()
+    small = np.full(4, 1e-45, np.float32)
+    assert (small * np.float32(1.0) != 0.0).all()  # denormals are not flushed to zero
+
+
 def test_a_library_that_changes_under_the_run(cache: Path) -> None:
     graph, states, _ = compiled()
     (kept,) = cache.iterdir()
