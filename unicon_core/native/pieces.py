@@ -188,8 +188,8 @@ def _expression(node: Any, names: Mapping[str, Any], table: Table) -> tuple[str,
             return literal(-value), "number"
         case ast.UnaryOp(op=ast.Not(), operand=operand):
             return f"!({of(operand)[0]})", "bool"
-        case ast.BoolOp(op=op, values=values):
-            sign = " && " if isinstance(op, ast.And) else " || "
+        case ast.BoolOp(op=junction, values=values):
+            sign = " && " if isinstance(junction, ast.And) else " || "
             return f"({sign.join(f'({of(each)[0]})' for each in values)})", "bool"
         case ast.BinOp(left=left, op=ast.Mod(), right=ast.Constant(value=int(value))) if value > 0:
             text, kind = of(left)
