@@ -11,7 +11,7 @@ cores, as others took the machine or did not, which is what a p99 is made of.
 
 The usual way is that of most deployment scripts: scaled terms, `np.concatenate`, `np.clip`,
 `session.run`, `time.sleep`. Network 45 → 512 → 256 → 128 → 12, one thread on both sides. Rounds are
-interleaved.
+interleaved. The tick of `unicon run --native` stands beside the network alone in the same loop.
 """
 
 from __future__ import annotations
