@@ -74,6 +74,10 @@ class Likelihood:
         covariance = self._covariance(self._described(left))
         return float(-0.5 * self.count * np.linalg.slogdet(covariance)[1].sum())
 
+    def error(self, left: Float64, scale: Float64) -> float:
+        """Return the mean square of what is left, each channel by its scale, shape (m,)."""
+        return float(((self._described(left) / scale) ** 2).mean())
+
     def leave_out(self, unknown: Float64, likely: Float64, left: Float64) -> None:
         """Weigh answers by what unknowns of a window, Gaussian as well, make uncertain.
 

@@ -157,7 +157,7 @@ class Search:
             if not followed or followed[0].odds < CLEAR or not self._matters(followed[0]):
                 break
             best = followed[0]
-            less = self._error(now) - self._error(best.answers)
+            less = self._error(now) - self._error(best.answers, best.begins)
             lacking = OF_REFERENCE * reference._explained if reference else 0.0
             if less < max(BESIDE * (whole - self._error(now)), lacking):
                 break
@@ -177,6 +177,8 @@ class Search:
             biased = bias * np.array(list(at.values()))
             rounded = self._run.step * np.array([0.06 * KINDS[kind].stepped for kind, _ in at])
             variance = self._wider**2 * (np.diag(fitted.spread) + biased**2) + rounded**2
+            known = reference.found.deviation if reference else {}
+            variance += np.array([known.get(place, 0.0) / 1.96 for place in at]) ** 2
             halves = 1.96 * np.sqrt(variance)
             found.deviation = dict(zip(at, map(float, halves)))
             self._tell(f"{best.place[0]}: log odds {best.odds:.0f}")
@@ -277,9 +279,9 @@ class Search:
     def _matters(self, one: Candidate) -> bool:
         return abs(one.change[one.place]) >= KINDS[one.place[0]].least
 
-    def _error(self, answers: Float64) -> float:
-        """Return the mean square of what is left, each channel by its error at first."""
-        return float((((self._real - answers) / self._scale) ** 2).mean())
+    def _error(self, answers: Float64, begins: Float64 | None = None) -> float:
+        left = self._windows.left(answers, begins)
+        return self._windows.likelihood.error(left, self._scale)
 
     def _square(self, answers: Float64) -> float:
         joints = self._motion.measured["joint_pos"].shape[1]
