@@ -110,7 +110,7 @@ Place = tuple[str, int]
 Change = Mapping[Place, float]
 
 AROUND = 3
-"""Ticks before and behind the first one of a window, over which `Plant.carried` takes a median."""
+"""Ticks before and behind the first one of a window, over which `Plant.carried` is a median."""
 _LOST = np.pi
 """Error in [rad] that stands for physics that blew up."""
 
@@ -144,7 +144,9 @@ class Plant:
         """What the simulator has of each joint without a change, shape (n,)."""
         self.limbs = _limbs(platform.robots[0].loaded)
         """The limb that each joint belongs to, shape (n,)."""
-        self._feet = _feet(platform.robots[0].loaded, robot) if motion.sought else None
+        feet = _feet(platform.robots[0].loaded, robot) if motion.sought else None
+        self.carried = np.zeros((len(motion.starts), 3)) if feet is None else self._carried(feet)
+        """The base's velocity in its frame where windows begin, by its feet; zeros without."""
         sent = [values.reshape(len(values), -1) for values in motion.commands.values()]
         self._finite = np.isfinite(np.concatenate(sent, axis=1)).all(axis=1)
         self._ahead = 1
@@ -158,9 +160,9 @@ class Plant:
 
         Args:
             change: of the plant.
-            begins: of each window, what was not measured: errors of the joints' velocities [rad/s];
-                where the base's was not, behind them its velocity in its frame [m/s] and its height
-                over the lowest one [m]; shape (w, n) or (w, n + 4).
+            begins: errors of what each window begins with: of the joints' velocities [rad/s], and
+                where the base was measured, of its velocity in its frame [m/s] and of its height
+                [m]; shape (w, n) or (w, n + 4).
         """
         self._apply(change)
         motion, base = self._motion, self._motion.has_base
@@ -168,7 +170,7 @@ class Plant:
         states = self._beside.states
         for window, start in enumerate(motion.starts):
             try:
-                put = self._put(start, begins[window])
+                put = self._put(window, begins[window])
                 for row in range(start - self._ahead, start):  # commands on their way
                     there = row >= 0 and self._finite[row]
                     self._beside.step(self._commands(row if there else start - 1))
@@ -191,43 +193,43 @@ class Plant:
         """Let go of the simulator."""
         self._beside.close()
 
-    def carried(self) -> Float64:
-        """Return a guess of `begins`: the base's velocity is that by its lowest foot.
+    def _carried(self, feet: Feet) -> Float64:
+        """Return the base's velocity in its frame by its lowest foot, shape (w, 3), in [m/s].
 
         That foot is taken to stand still; of ticks around a window's first the median counts.
         """
-        found = np.zeros((len(self._motion.starts), len(self._offset) + 4 * self._motion.sought))
-        if self._feet is None:
-            return found
+        found = np.zeros((len(self._motion.starts), 3))
         for row, start in zip(found, self._motion.starts):
             velocities = []
             for tick in range(max(start - AROUND, 0), start + AROUND + 1):
                 at = {name: values[tick] for name, values in self._motion.measured.items()}
                 turning, joints = (at["base_quat"], at["base_ang_vel"]), at["joint_pos"]
-                if self._feet(*turning, joints, at["joint_vel"], None):
-                    velocities.append(-self._feet.velocity[self._feet.position[:, 2].argmin()])
+                if feet(*turning, joints, at["joint_vel"], None):
+                    velocities.append(-feet.velocity[feet.position[:, 2].argmin()])
             if velocities:
                 velocity = np.median(velocities, axis=0)
-                row[-4:-1] = velocity @ rotation(self._motion.measured["base_quat"][start])
+                row[:] = velocity @ rotation(self._motion.measured["base_quat"][start])
         return found
 
-    def _put(self, start: int, begin: Float64) -> dict[str, Array]:
+    def _put(self, window: int, begin: Float64) -> dict[str, Array]:
         """Put the robot where a window begins, and return what was put there."""
+        start = self._motion.starts[window]
         put = {name: values[start] for name, values in self._motion.measured.items()}
         put["joint_pos"] = put["joint_pos"] - self._offset
+        put["joint_vel"] = put["joint_vel"] - begin[: len(self._offset)]
         if "base_ang_vel" in put:
             put["base_ang_vel"] = put["base_ang_vel"] - self._bias
         if "base_quat" in put:
             late = put["base_ang_vel"] * self._late if "base_ang_vel" in put else 0.0
             put["base_quat"] = _turned(put["base_quat"], late - self._tilt)
-        put["joint_vel"] = put["joint_vel"] - begin[: len(self._offset)]
-        if self._motion.sought:
-            put["base_lin_vel"] = begin[-4:-1]
-        self._beside.put(put)
-        if self._motion.sought:
-            base = self._platform.data.qpos[self._platform.model.jnt_qposadr[self.base] :][:3]
-            put["base_pos_w"] = base + np.array((0.0, 0.0, begin[-1]))
+        if not self._motion.has_base:
             self._beside.put(put)
+            return put
+        put["base_lin_vel"] = put.get("base_lin_vel", self.carried[window]) - begin[-4:-1]
+        self._beside.put(put)
+        base = self._platform.data.qpos[self._platform.model.jnt_qposadr[self.base] :][:3]
+        put["base_pos_w"] = base - (0.0, 0.0, begin[-1])
+        self._beside.put(put)
         return put
 
     def _commands(self, row: int) -> dict[str, Array]:

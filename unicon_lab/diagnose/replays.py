@@ -24,15 +24,18 @@ from unicon_core.robots import Robot
 from unicon_core.signals import SIGNALS
 from unicon_lab.diagnose.likelihood import Likelihood
 from unicon_lab.diagnose.motion import Motion
-from unicon_lab.diagnose.plant import Change, Place, Plant
+from unicon_lab.diagnose.plant import KINDS, Change, Place, Plant
 from unicon_ros.process_exit import die_with_parent
 
 _SHIFTS = np.array([0.05, 0.05, 0.05, 0.002])
 """By which derivatives by the base's velocity and height are taken, in [m/s] and [m]."""
 _SHIFT = 0.2
 """The same of a joint's velocity, in [rad/s]."""
-_LIKELY = np.array([0.5, 0.5, 0.5, 0.005])
-"""Standard deviation of velocity and height around the guess."""
+_MEASURED = np.array([0.03, 0.03, 0.03, 0.005])
+"""Standard deviation of the error of the base's velocity and height. A foot sinks into the ground
+of one simulator by some millimetres and not into that of another one."""
+_CARRIED = np.array([0.5, 0.5, 0.5, 0.01])
+"""The same where its velocity is that by its feet."""
 _ROUNDS = 5
 _SETTLED = 3
 """Turns in which the beginnings alone are fitted by the likelihood."""
@@ -64,6 +67,8 @@ class Run(Protocol):
     def derived(self, change: Change, begins: Float64) -> tuple[Float64, Float64]: ...
 
     def settle(self, change: Change) -> Float64: ...
+
+    def clip(self, place: Place, size: float) -> float: ...
 
     base: dict[Place, float]
     likely: Float64
@@ -99,7 +104,8 @@ class Replays:
         self.plant = Plant(robot, scene, motion)
         self.base: dict[Place, float] = {}
         self.step = self.plant.step
-        self.likely = np.concatenate([motion.velocity_noise, 3.0 * _LIKELY[: 4 * motion.sought]])
+        of_base = (_CARRIED if motion.sought else _MEASURED)[: 4 * motion.has_base]
+        self.likely = np.concatenate([motion.velocity_noise, of_base])
         self._of_joints: Float64 | None = None
         self._progress = progress
         self._motion = motion
@@ -147,13 +153,20 @@ class Replays:
         return {place: self.base.get(place, 0.0) + change.get(place, 0.0)
                 for place in {**self.base, **change}}  # fmt: skip
 
+    def clip(self, place: Place, size: float) -> float:
+        """Return the size of a change, no less than leaves nothing of what the simulator has."""
+        kind, joint = KINDS[place[0]], place[1]
+        own = self.plant.own.get(place[0])
+        low = kind.low if own is None else max(kind.low, -float(own[joint] if joint >= 0 else own.max()))
+        return float(np.clip(size, low - self.base.get(place, 0.0), kind.high))
+
     def derived(self, change: Change, begins: Float64) -> tuple[Float64, Float64]:
         """Return the answers with a change, and their derivatives by `begins`, (w, l, m, q).
 
         Those by the joints' velocities are of the first call.
         """
         n = len(self.plant.limbs)
-        shifts = np.concatenate([np.full(n, _SHIFT), _SHIFTS[: 4 * self._motion.sought]])
+        shifts = np.concatenate([np.full(n, _SHIFT), _SHIFTS[: 4 * self._motion.has_base]])
         rows = np.diag(shifts)[n * (self._of_joints is not None) :]
         now, *moved = self([change] * (1 + len(rows)), [begins, *(begins + row for row in rows)])
         slopes = (np.stack([now, *moved], axis=-1)[..., 1:] - now[..., None]) / rows.max(axis=1)
@@ -172,9 +185,9 @@ class Replays:
         Returns:
             `begins`.
         """
-        best = trial = guess = self.plant.carried()
+        best = trial = np.zeros((len(self._motion.starts), len(self.likely)))
         if not self._motion.sought:
-            return guess
+            return best
         real, likely = self._motion.answers, self.likely
         cost, part = np.full(len(best), np.inf), np.ones(len(best))
         step, scale = np.zeros_like(best), None
@@ -184,7 +197,7 @@ class Replays:
             if scale is None:
                 scale = 1.5 * np.median(np.abs(left), axis=(0, 1)) + 1e-6
             size = np.minimum((left / scale) ** 2, 9.0).sum(axis=(1, 2))
-            size += (((trial - guess) / likely) ** 2).sum(axis=1)
+            size += ((trial / likely) ** 2).sum(axis=1)
             better = size < cost
             best = np.where(better[:, None], trial, best)
             cost = np.minimum(size, cost)
@@ -192,7 +205,7 @@ class Replays:
             weighted = slopes / scale[:, None] ** 2
             curvature = np.einsum("wlmp,wlmq->wpq", weighted, slopes) + np.diag(likely**-2.0)
             asked = np.einsum("wlmp,wlm->wp", weighted[better], left[better])
-            asked += (guess - trial)[better] / likely**2
+            asked -= trial[better] / likely**2
             step[better] = np.linalg.solve(curvature[better], asked[..., None])[..., 0]
             trial = best + part[:, None] * step
         return best
@@ -227,7 +240,7 @@ class Settled:
 
     def begin(self) -> Float64:
         """Find how windows begin without a change, and return the answers."""
-        self.begins = self._guess = self._run.settle({})
+        self.begins = self._run.settle({})
         (now,) = self._run([{}], [self.begins])
         self.likelihood = Likelihood(self._real - now)
         now = self.derived({})
@@ -243,21 +256,21 @@ class Settled:
         return now
 
     def left(self, answers: Float64, begins: Float64 | None = None) -> Float64:
-        """Return what is left of the motion, had windows begun as they were guessed to.
+        """Return what is left of the motion, had windows begun as they were measured.
 
         Args:
             answers: of a replay, shape (w, l, m).
             begins: of that replay, by default those that are the best.
         """
-        apart = (self.begins if begins is None else begins) - self._guess
-        return np.asarray(self._real - answers + np.einsum("wlmq,wq->wlm", self._unknown, apart))
+        begins = self.begins if begins is None else begins
+        return np.asarray(self._real - answers + np.einsum("wlmq,wq->wlm", self._unknown, begins))
 
     def tries(self, begins: Float64, left: Float64) -> list[Float64]:
         """Return how windows may begin: as they do, and so that it explains what is left.
 
         Contacts resist more than a derivative says, so a step of twice the size is one of them.
         """
-        step = self._guess + self.likelihood.unknowns(left) - begins
+        step = self.likelihood.unknowns(left) - begins
         return [begins, begins + step, begins + 2.0 * step]
 
     def chosen(self, change: Change, tries: Sequence[Float64]) -> tuple[Float64, Float64]:
@@ -269,7 +282,7 @@ class Settled:
         costs = []
         for answer, begins in zip(answers, tries):
             left = np.minimum(np.abs((self._real - answer) / self.likelihood.scale), _WORST)
-            unlikely = (begins - self._guess) / self._run.likely
+            unlikely = begins / self._run.likely
             costs.append((left**2).sum(axis=(1, 2)) + (unlikely**2).sum(axis=1))
         window, which = np.arange(len(self._real)), np.argmin(costs, axis=0)
         return np.stack(answers)[which, window], np.stack(tries)[which, window]

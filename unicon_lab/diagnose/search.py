@@ -199,7 +199,6 @@ class Search:
         """
         at, self._windows.begins = one.change, one.begins
         usual = np.array([KINDS[kind].usual for kind, _ in at])
-        low, high = np.array([(KINDS[kind].low, KINDS[kind].high) for kind, _ in at]).T
         for _ in range(REFINED):
             now = self._windows.derived(at)
             beside = [at | {place: size + KINDS[place[0]].step} for place, size in at.items()]
@@ -210,7 +209,7 @@ class Search:
             if np.all(np.abs(fitted.size) < 0.2 * np.sqrt(np.diag(fitted.spread))):
                 break
             sizes = np.array(list(at.values()))
-            after = np.clip(sizes + fitted.size, low, high)
+            after = np.array([self._run.clip(*each) for each in zip(at, sizes + fitted.size)])
             at = dict(zip(at, after.tolist()))
             tries = self._windows.tries(self._windows.begins, left - slopes @ (after - sizes))
             now, self._windows.begins = self._windows.chosen(at, tries)
@@ -351,8 +350,7 @@ class Search:
             moved: dict[Place, float] = {}
             left = self._windows.left(one.answers, one.begins)
             for (place, size), step in zip(one.change.items(), one.part * one.fitted.size):
-                kind = KINDS[place[0]]
-                moved[place] = float(np.clip(size + step, kind.low, kind.high))
+                moved[place] = self._run.clip(place, size + step)
                 slope = one.slope if place == one.place else self._slopes[place]
                 left = left - slope * (moved[place] - size)
             tries = self._windows.tries(one.begins, left)[::2]
