@@ -69,19 +69,21 @@ def test_a_case_needs_samples_and_a_name_of_its_own() -> None:
         bench.case("ours", [1.0])
 
 
-def test_tick_measures_both_ratios(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tick_measures_its_ratios(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tick, "REPEATS", 5)
     monkeypatch.setattr(tick, "SAMPLES", 3)
     bench = tick.run(rounds=2)
     assert {name: ratio["bar"] for name, ratio in bench.ratios.items()} == {
         "dispatch": 0.7,
+        "native_dispatch": 0.1,
+        "native_half": 1.0,
         "fused_copy": 0.15,
     }
     assert all(case["samples"] == 6 and case["min"] > 0 for case in bench.cases.values())
 
 
 def test_tick_compares_things_that_do_the_same() -> None:
-    states, maps = tick._copies()
+    states, maps = tick._copies(tick.COPIES)
     blocks = [tick._copy(each) for each in maps]
     for step in (
         tick.closure_zip(*[block.tick for block in blocks]),
