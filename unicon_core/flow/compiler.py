@@ -54,8 +54,7 @@ def compile_graph(
 
     Args:
         root: the tree; shared blocks may stand in several places.
-        trace: write a time stamp after each block, see `CompiledGraph.watch`; 75 to 105 ns each, by
-            `unicon bench tick`: `traced` less `as run`.
+        trace: write a time stamp after each block, see `CompiledGraph.watch`; 75 to 105 ns each.
         native: takes the blocks that it can run; None leaves all to Python.
     """
     return _Compiler(trace, native).compile(root)

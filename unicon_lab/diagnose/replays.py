@@ -132,21 +132,24 @@ class Replays:
             Interrupted: a signal asked to end; call it within `SIGNALS.guard`.
             UniconError: a process was killed.
         """
-        found = list[Float64]()
         work = list(zip(map(self._whole, changes), begins))
+        try:
+            return self._answers(work)
+        except BrokenProcessPool as error:
+            raise UniconError(
+                "a process that replays the record was killed; is there memory enough? Try "
+                "--processes 1"
+            ) from error
+
+    def _answers(self, work: Sequence[tuple[Change, Float64]]) -> list[Float64]:
+        found = list[Float64]()
         futures = [self._pool.submit(_work, *each) for each in work] if self._pool else []
         for done, each in enumerate(work):
             SIGNALS.check()
             self._progress(done / len(work))
             while futures and not wait([futures[done]], timeout=0.2).done:
                 SIGNALS.check()
-            try:
-                found.append(futures[done].result() if futures else self.plant.replayed(*each))
-            except BrokenProcessPool as error:
-                raise UniconError(
-                    "a process that replays the record was killed; is there memory enough? Try "
-                    "--processes 1"
-                ) from error
+            found.append(futures[done].result() if futures else self.plant.replayed(*each))
         return found
 
     def _whole(self, change: Change) -> Change:
@@ -157,7 +160,11 @@ class Replays:
         """Return the size of a change, no less than leaves nothing of what the simulator has."""
         kind, joint = KINDS[place[0]], place[1]
         own = self.plant.own.get(place[0])
-        low = kind.low if own is None else max(kind.low, -float(own[joint] if joint >= 0 else own.max()))
+        low = (
+            kind.low
+            if own is None
+            else max(kind.low, -float(own[joint] if joint >= 0 else own.max()))
+        )
         return float(np.clip(size, low - self.base.get(place, 0.0), kind.high))
 
     def derived(self, change: Change, begins: Float64) -> tuple[Float64, Float64]:

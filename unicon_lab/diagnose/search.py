@@ -21,14 +21,14 @@ from unicon_lab.diagnose.replays import Run, Settled
 
 FOLLOWED = 6
 """Changes that are followed to their best size, of those that fit best alone."""
-STEPS = 4
+STEPS = 6
 CLEAR = 8.0
 """Log odds against no change from which there is a cause: 1 in 3000, since some 70 are tried."""
 ALIKE = 3.0
 """Log odds within which a record does not tell two causes apart: 20 to 1."""
 MOST = 4
 """Causes of one record."""
-HOPE = 1.5
+HOPE = 3.0
 """What a fit by derivatives promises is exceeded by at most so much."""
 HOPELESS = 5.0
 """Log odds by which a candidate may lag behind what it needs, and is followed still."""
@@ -42,9 +42,9 @@ OF_REFERENCE = 0.1
 what the simulator lacks depends on the cause a little."""
 MOST_REFERENCE = 6
 """Changes of a reference."""
-BIAS_FOUND = 0.04
+BIAS_FOUND = 0.03
 """As of `Kind.bias` where velocities at the beginning of windows were found: walks of a Go2 gave
-3.76 kg for 4, -0.298 for -0.3 and 8.00 ms for 8."""
+3.91 kg for 4, -0.299 for -0.3 and 7.97 ms for 8."""
 
 
 @dataclass(eq=False)
